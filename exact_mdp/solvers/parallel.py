@@ -37,7 +37,6 @@ Work = Callable[[Any], Mapping[str, Any]]
 
 ATTEMPTS = 4  # at all pieces, where processes die
 DIGEST = "sha256"  # the name of the array that holds the digest of the others
-MOST = 1100  # times its own size: deflate packs constant arrays by 1,032 at most
 
 
 def many(
@@ -198,7 +197,7 @@ def read_piece(path: Path) -> Arrays | None:
     if not path.exists():
         return None
     try:
-        arrays = read_arrays(path, ratio=MOST)
+        arrays = read_arrays(path)
         stated = arrays.pop(DIGEST).tobytes()
     except (ModelError, KeyError) as error:
         raise damaged(path) from error

@@ -28,9 +28,9 @@ NAMED = 1000  # pairs that nobody took, in JSON
 SHOWN = 4  # states of a policy that never ends, and start states, that are printed
 
 ONE_ACTION = "only one action was ever taken: there is nothing to choose"
-LIKE_CUT = (
-    "the column {0!r} is not used: where it marks the rows after which an episode was cut off, add "
-    "--column truncated={0}; where it marks the ends, leave next_state empty there"
+UNUSED = (
+    "not used: {}; a column that marks the rows after which an episode was cut off is named by "
+    "--column truncated=NAME; where one marks the ends, leave next_state empty there"
 )
 UNKNOWN = (
     "nobody knows what follows where episodes were cut off and no record leaves: robust and "
@@ -241,7 +241,7 @@ def _estimated(mdp: MDP, record: transitions.Record, file: str, out: str, rare: 
     keys = {key: key for key in ("state", "action", "observations")}
     table = Table(title=f"pairs observed fewer than {rare} times", columns=keys)
     notes = [ONE_ACTION] * (mdp.n_actions == 1)
-    notes += [LIKE_CUT.format(name) for name in record.ignored]
+    notes += [UNUSED.format(", ".join(record.unused))] * bool(record.unused)
     notes += [UNKNOWN] * bool(unknown) + [ENDS] * bool(ends) + [ADVICE]
     return Report(title=f"model from {file}", facts=facts, tables={"rare": table}, notes=notes)
 

@@ -1,7 +1,7 @@
 """Every problem of a scenario file at once, each with its line, by the rules of `toml.Reader`.
 
-Two things are no errors and yet suspicious: a weight whose sign is unlike its meaning, and chances
-that add up to more than 1 and are cut off there. A text that is not TOML has one problem.
+Two things are suspicious where there is no error: a weight whose sign is unlike its meaning, and
+chances that add up to more than 1 and are cut off there. A text that is not TOML has one problem.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import re
 from typing import Any
 
 from exact_mdp.mdp.care.laws import Laws, excess
-from exact_mdp.mdp.care.tables import BONUSES
+from exact_mdp.mdp.care.tables import BONUSES, Tables
 from exact_mdp.mdp.care.toml import Reader
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.structured import toml_of
@@ -24,24 +24,26 @@ STATEMENT = re.compile(rf"\s*(?:(\[)(?:{NAME.pattern}|[\s.])+\]|(?:{NAME.pattern
 def lint(text: str, name: str) -> list[dict[str, Any]]:
     """Return the line, what, fix and severity of every problem of a scenario's text."""
     try:
-        reader = Reader(toml_of(text, name))
+        reader = Reader(toml_of(text, name), name)
     except ModelError as error:
         at = re.search(r"at line (\d+)", error.what)
         line = int(at[1]) if at else None
         return [{"line": line, "what": error.what, "fix": error.fix, "severity": "error"}]
-    tables, lines = reader.read(default_name=name), _lines(text)
-    problems: list[dict[str, Any]] = []
+    lines, problems = _lines(text), list[dict[str, Any]]()
 
     def add(key: str, what: str, fix: str, severity: str = "error") -> None:
         while key and key not in lines:  # what is missing belongs to its table
             key = key.rpartition(".")[0]
         problems.append({"line": lines.get(key), "what": what, "fix": fix, "severity": severity})
 
-    keys: list[str] = []
-    for key, fault in reader.problems:
-        if not any(key.startswith(f"{table}.") for table in keys):  # the table's error says it
-            add(key, fault.what, fault.fix)
-        keys.append(key)
+    faults, tables = reader.problems, None
+    if not faults:
+        try:
+            tables = Tables(**reader.parts)
+        except ModelError as error:
+            faults = [error]
+    for fault in faults:
+        add(fault.where, fault.what, fault.fix)
     for parameter in tables.parameters if tables else ():
         table, _, weight = parameter.name.partition(".")
         sign = 1 if weight in BONUSES else -1

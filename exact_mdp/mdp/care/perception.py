@@ -17,7 +17,6 @@ row. Intervals of rates are those of Clopper and Pearson (Biometrika 26, 1934).
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -31,9 +30,10 @@ from numpy.typing import ArrayLike, NDArray
 from exact_mdp.mdp.errors import ModelError, known, located
 from exact_mdp.mdp.forms.numbers import float_array
 from exact_mdp.mdp.io.files import SMALL, read_text
-from exact_mdp.mdp.io.structured import csv_of, toml_of
+from exact_mdp.mdp.io.structured import csv_of, json_of, toml_of
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike
+from exact_mdp.mdp.result import DataFrame, data_frame
 from exact_mdp.mdp.space import Column
 from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, beside, exact
 
@@ -107,8 +107,8 @@ def independent(sensitivity: Sequence[float], specificity: Sequence[float]) -> F
     return matrix
 
 
-def checked(confusion: ArrayLike, *, size: int, where: str, places: Sequence[str] = ()) -> Floats:
-    """Return a (size, size) matrix whose rows, at `places`, are distributions; else ModelError."""
+def checked(confusion: ArrayLike, *, size: int, where: str) -> Floats:
+    """Return a (size, size) matrix whose rows are distributions; raises ModelError for another."""
     matrix, label = float_array(confusion, where), statuses_of(size).label
     if matrix.shape != (size, size):
         raise ModelError(
@@ -127,7 +127,7 @@ def checked(confusion: ArrayLike, *, size: int, where: str, places: Sequence[str
             fix = "correct a probability in this row, or add what is missing"
         else:
             continue
-        raise ModelError(what, where=places[true] if places else f"{where}, row {true}", fix=fix)
+        raise ModelError(what, where=f"{where}, row {true}", fix=fix)
     return matrix
 
 
@@ -159,21 +159,6 @@ def _named(model: MDP) -> list[str]:
 
 
 # ---- counts --------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True)
-class Rate:
-    """How often a status was recognised: `right` of `total` examples, with an interval."""
-
-    right: int
-    total: int
-    low: float
-    high: float
-
-    @property
-    def value(self) -> float | None:
-        """The frequency; None without an example."""
-        return self.right / self.total if self.total else None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -233,19 +218,22 @@ class Counted:
             raise ModelError(what, where="counts", fix="raise it")
         return np.asarray(drawn / total)
 
-    def rates(self, statuses: Sequence[str]) -> dict[str, dict[str, Rate]]:
-        """Return `sensitivity` and `specificity` by status, the first being the highest bit."""
+    def rates(self, statuses: Sequence[str]) -> DataFrame:
+        """Return the sensitivity and specificity of each status, the first being the highest bit.
+
+        One row for each: `right` of `total` examples, and the ends of its interval.
+        """
         from scipy import stats
 
-        def rate(rows: NDArray[np.bool_]) -> Rate:
-            right, total = int(self.counts[rows][:, rows].sum()), int(self.counts[rows].sum())
-            ends = stats.binomtest(right, total).proportion_ci(LEVEL) if total else (0.0, 1.0)
-            return Rate(right=right, total=total, low=float(ends[0]), high=float(ends[1]))
-
-        numbers, shifts = np.arange(len(self.counts)), range(len(statuses))[::-1]
-        present = [(numbers >> shift & 1) == 1 for shift in shifts]
-        both = [{"sensitivity": rate(bit), "specificity": rate(~bit)} for bit in present]
-        return dict(zip(statuses, both, strict=True))
+        rows, numbers = [], np.arange(len(self.counts))
+        for shift, status in enumerate(reversed(statuses)):
+            present = (numbers >> shift & 1) == 1
+            for name, of in (("specificity", ~present), ("sensitivity", present)):
+                right, total = int(self.counts[of][:, of].sum()), int(self.counts[of].sum())
+                ends = stats.binomtest(right, total).proportion_ci(LEVEL) if total else (0.0, 1.0)
+                rows.append((status, name, right, total, *map(float, ends)))
+        columns = ["status", "rate", "right", "total", "low", "high"]
+        return data_frame(rows[::-1], columns=columns)
 
 
 def counted(
@@ -341,18 +329,16 @@ def _stated(path: str | Path, model: MDP, prior: float) -> Floats | Counted:
             fix=f"name the statuses in order: status,{labels[0]},…,{labels[-1]}; above labelled "
             f"examples write {','.join(PAIRS)}",
         )
-    left = dict.fromkeys(labels, where)
-    matrix = np.empty((size, size))
-    places = dict[str, str]()
+    rows = dict[str, list[float]]()
     for place, label, *words in stated:
-        if left.pop(label, None) is None:
+        if label in rows or label not in labels:
             what = f"status {label!r} is unknown or appears twice"
             raise ModelError(what, where=place, fix="give one row for each status")
-        matrix[labels.index(label)] = [_probability(word, place) for word in words]
-        places[label] = place
-    for label in left:
-        raise ModelError(f"the row of status {label} is missing", where=where, fix="add it")
-    return checked(matrix, size=size, where=where, places=[places[label] for label in labels])
+        rows[label] = [_probability(word, place) for word in words]
+    for label in labels:
+        if label not in rows:
+            raise ModelError(f"the row of status {label} is missing", where=where, fix="add it")
+    return checked([rows[label] for label in labels], size=size, where=where)
 
 
 def _recorded(text: str, where: str, names: list[str]) -> Iterator[tuple[str, object, object]]:
@@ -360,14 +346,12 @@ def _recorded(text: str, where: str, names: list[str]) -> Iterator[tuple[str, ob
     lines = text.split("\n")
     for number, line in enumerate(lines, start=1):
         place = f"{where}, line {number}"
-        if not line.strip():
-            continue
         try:
-            entry = json.loads(line)
-        except (ValueError, RecursionError) as error:
+            entry = json_of(line, place) if line.strip() else {}
+        except ModelError:
             if number == len(lines):
-                continue  # torn: the writer was stopped before the newline that ends a line
-            raise ModelError(f"broken JSON: {error}", where=place, fix="correct it") from error
+                return  # torn: the writer was stopped before the newline that ends a line
+            raise
         if not isinstance(entry, Mapping):
             raise ModelError("a line that is not an object", where=place, fix="correct the line")
         stated = entry.get("statuses")

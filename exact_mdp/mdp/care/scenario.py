@@ -13,7 +13,7 @@ for some set J of other statuses (Yuan et al., 2025, Section 2.1).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
@@ -22,6 +22,7 @@ from exact_mdp.mdp.care import toml
 from exact_mdp.mdp.care.compile import compile_scenario
 from exact_mdp.mdp.care.laws import Laws, excess, warn_of_excess
 from exact_mdp.mdp.care.tables import Tables
+from exact_mdp.mdp.errors import located
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, moved_from, parameter_of
@@ -64,8 +65,8 @@ class Scenario(Tables):
         >>> Scenario.load("tea").name
         'tea'
         """
-        tables = toml.load(name)
-        return cls(**{part.name: getattr(tables, part.name) for part in fields(tables)})
+        with located(str(name)):
+            return cls(**toml.load(name))
 
     @cached_property
     def laws(self) -> Laws:

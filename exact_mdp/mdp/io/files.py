@@ -1,14 +1,10 @@
 """The one door to files: regular files alone, no larger than allowed, and nothing half-written.
 
 What others print is kept from standard output, too, which holds results alone: see `aside`.
-
-A file is opened first and looked at then, so that what was checked is what is read. It is opened
-without waiting: a pipe, which has no size and may never end, is refused and not waited for.
 """
 
 from __future__ import annotations
 
-import errno
 import io
 import os
 import stat
@@ -22,28 +18,13 @@ from typing import BinaryIO
 from exact_mdp.mdp.errors import ModelError
 
 STANDARD_INPUT = "-"
-PART = 2**20  # bytes of it that are read together
 SMALL = 2**24
 LARGE = 2**28
 LARGEST = 2**32
 """16 MiB for what people write (scenarios, ranges), 256 MiB for policies, recordings and the like,
 4 GiB for what this program writes of large models."""
-# What the path is not to blame for: a full disk, a quota, too many open files, a failing device.
-EXHAUSTED = (
-    *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO),
-    *(errno.EMFILE, errno.ENFILE, errno.ENOMEM),
-)
 
-# Waiting for the other end of a pipe, and taking over a terminal, are what opening could do.
-FLAGS = os.O_RDONLY | sum(
-    getattr(os, name, 0) for name in ("O_NONBLOCK", "O_NOCTTY", "O_CLOEXEC", "O_BINARY")
-)
-
-FOLDER, PIPE = "a folder", "a pipe"
-INSTEAD = {
-    FOLDER: "name a file in it",
-    PIPE: "write to a file and name that; a process substitution such as <(…) is a pipe too",
-}
+KINDS = {stat.S_IFREG: "", stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe"}
 
 
 @contextmanager
@@ -53,51 +34,42 @@ def opened(path: str | Path, *, most: int = LARGE) -> Iterator[BinaryIO]:
     A path of "-" is standard input.
     """
     if str(path) == STANDARD_INPUT:
-        data = bytearray()  # in parts: what is asked for at once is room that is taken at once
-        while part := sys.stdin.buffer.read(PART):
-            data += part
-            if len(data) > most:
-                raise _too_large(path, len(data), most)
-        yield io.BytesIO(data)
+        yield io.BytesIO(_all_of(sys.stdin.buffer, path, most))
         return
+    if kind := _kind(path, "read"):  # looked at first: to open a pipe is to wait for its other end
+        raise ModelError(
+            f"cannot read the file: {kind}, not a regular file",
+            where=str(path),
+            fix="name a regular file; a process substitution such as <(…) is a pipe",
+        )
     try:
-        handle = os.open(path, FLAGS)
-    except (OSError, ValueError) as error:
-        raise _refused(path, "read", error) from error
-    about = os.fstat(handle)
-    if kind := kind_of(about.st_mode):
-        os.close(handle)
-        what = f"cannot read the file: {kind}, not a regular file"
-        fix = INSTEAD.get(kind, "name a regular file")
-        raise ModelError(what, where=str(path), fix=fix)
-    with os.fdopen(handle, "rb") as file:
-        if about.st_size > most:
-            raise _too_large(path, about.st_size, most)
-        try:
+        with open(path, "rb") as file:
+            if os.fstat(file.fileno()).st_size > most:
+                raise _too_large(path, most)
             yield file
-        except OSError as error:
-            raise _refused(path, "read", error) from error
+    except OSError as error:
+        raise _refused(path, "read", error) from error
 
 
-def kind_of(mode: int) -> str:
-    """Return what a file is, from its mode; nothing where it is a regular file."""
-    if stat.S_ISREG(mode):
-        return ""
-    if stat.S_ISDIR(mode):
-        return FOLDER
-    if stat.S_ISFIFO(mode):
-        return PIPE
-    return "a socket" if stat.S_ISSOCK(mode) else "a device"
+def _kind(path: str | Path, verb: str) -> str:
+    """Return what a file is; nothing where it is a regular file."""
+    try:
+        return KINDS.get(stat.S_IFMT(os.stat(path).st_mode), "a device or socket")
+    except (OSError, ValueError) as error:
+        raise _refused(path, verb, error) from error
+
+
+def _all_of(file: BinaryIO, path: str | Path, most: int) -> bytes:
+    data = file.read(most + 1)
+    if len(data) > most:
+        raise _too_large(path, most)
+    return data
 
 
 def read_bytes(path: str | Path, *, most: int = LARGE) -> bytes:
     """Return what a regular file of at most `most` bytes holds."""
     with opened(path, most=most) as file:
-        # Files that the system makes up as they are read say that their size is 0.
-        data = file.read(most + 1)
-    if len(data) > most:
-        raise _too_large(path, len(data), most)
-    return data
+        return _all_of(file, path, most)
 
 
 def read_text(path: str | Path, *, most: int = LARGE) -> str:
@@ -111,8 +83,8 @@ def read_text(path: str | Path, *, most: int = LARGE) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def _too_large(path: str | Path, size: int, most: int) -> ModelError:
-    what = f"the file has {size:,} bytes, more than the {most:,} that are read"
+def _too_large(path: str | Path, most: int) -> ModelError:
+    what = f"the file has more than the {most:,} bytes that are read"
     return ModelError(what, where=str(path), fix="check that it is the right file")
 
 
@@ -132,24 +104,23 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
     """
     target = Path(path)
     data = content.encode("utf-8") if isinstance(content, str) else content
-    try:
-        kind = kind_of(target.stat().st_mode) if target.exists() else ""
-        if not kind:
-            temporary = target.with_name(f".{target.name}.{token_hex(8)}")
-            try:
-                with open(temporary, "xb") as stream:
-                    stream.write(data)
-                temporary.replace(target)
-            except BaseException:
-                temporary.unlink(missing_ok=True)  # a signal may come after the rename
-                raise
-    except (OSError, ValueError) as error:
-        if isinstance(error, OSError) and error.errno in EXHAUSTED:
-            raise OSError(error.errno, os.strerror(error.errno), str(path)) from error
-        raise _refused(path, "write", error) from error
-    if kind:  # the rename would put a file in its place
+    if kind := os.path.exists(target) and _kind(target, "write"):
+        # The rename would put a file in its place.
         what = f"cannot write the file: there is {kind} of this name"
         raise ModelError(what, where=str(path), fix="name another file")
+    try:
+        temporary = target.with_name(f".{target.name}.{token_hex(8)}")
+        temporary.touch(exist_ok=False)
+    except (OSError, ValueError) as error:
+        raise _refused(path, "write", error) from error
+    try:
+        temporary.write_bytes(data)
+        temporary.replace(target)
+    except BaseException as error:
+        temporary.unlink(missing_ok=True)  # a signal may come after the rename
+        if isinstance(error, OSError):
+            error.filename = str(path)
+        raise
 
 
 @contextmanager

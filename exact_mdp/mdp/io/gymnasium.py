@@ -103,32 +103,32 @@ class FromGymnasium(FromArrays):
         >>> MDP.from_gymnasium(Coin()).table.row(0)[1]
         (Fraction(1, 2), 1, Fraction(1, 1))
         """
-        make, given, parts = described(env, **names)
-        model: Self = getattr(cls, make)(*given, discount, **parts)
-        return model
+        if isinstance(env, str):
+            check_options({*names} & {"gamma"}, {})
+            made = _make(env, **{name: names.pop(name) for name in {*names} - KNOWN})
+            try:
+                return cls.from_gymnasium(made, discount, **{"name": env} | names)
+            finally:
+                made.close()
+        check_options(names, {})
+        bare = env if isinstance(env, Mapping | list) else getattr(env, "unwrapped", env)
+        layers = [*_layers(env)]
+        _refuse_changed(layers)
+        names.setdefault("name", _name(env))
+        names.setdefault("time_limit", _time_limit(layers))
+        where = names["name"] or "P"
+        dynamics = getattr(bare, "dynamics", None)
+        if not hasattr(bare, "P") and isinstance(dynamics, Mapping) and "tx_mat" in dynamics:
+            options = {"start": dynamics.get("d_0"), "layout": "sas"} | names
+            return cls.from_arrays(*_of_matrices(bare, dynamics, where), discount, **options)
+        rows = _of_table(bare, where, names)
+        return cls.from_outcomes(rows, discount, **names)
 
 
-def described(env: object, **names: Any) -> tuple[str, tuple[Any, ...], dict[str, Any]]:
-    """Return the constructor of `MDP` that builds an environment's model, and what it takes."""
-    if isinstance(env, str):
-        check_options({*names} & {"gamma"}, {})
-        made = _make(env, **{name: names.pop(name) for name in {*names} - KNOWN})
-        names.setdefault("name", env)
-        try:
-            return described(made, **names)
-        finally:
-            made.close()
-    check_options(names, {})
-    bare = env if isinstance(env, Mapping | list) else getattr(env, "unwrapped", env)
-    _refuse_changed(env)
-    names.setdefault("name", _name(env))
-    names.setdefault("time_limit", _time_limit(env))
-    where = names["name"] or "P"
-    dynamics = getattr(bare, "dynamics", None)
-    if not hasattr(bare, "P") and isinstance(dynamics, Mapping) and "tx_mat" in dynamics:
-        given = _of_matrices(bare, dynamics, where)
-        return "from_arrays", given, {"start": dynamics.get("d_0"), "layout": "sas"} | names
-    rows, states, actions = _rows(bare, where)
+def _of_table(bare: Any, where: str, names: dict[str, Any]) -> list[Any]:
+    """Return the rows of a model by its table of outcomes; add what else is known to `names`."""
+    rows = _rows(bare, where)
+    states, actions = (max(numbers) + 1 for numbers in zip(*rows, strict=True))
     known, columns = _named(bare, states, actions)
     names.setdefault("actions", known)
     words = names.pop("states", ())
@@ -148,12 +148,20 @@ def described(env: object, **names: Any) -> tuple[str, tuple[Any, ...], dict[str
     if "labels" not in names:
         ending = {END: np.isin(np.arange(space.size), over)} if over else {}
         names["labels"] = ending | _of_the_map(bare, space.size)
-    return "from_outcomes", (listed,), names | {"start": start, "space": space}
+    names |= {"start": start, "space": space}
+    return listed
 
 
-def _refuse_changed(env: Any) -> None:
+def _layers(env: Any) -> Iterator[Any]:
+    """Yield an environment and what it wraps, from the outside in."""
+    while env is not None:
+        yield env
+        env = getattr(env, "__dict__", {}).get("env")
+
+
+def _refuse_changed(layers: Sequence[Any]) -> None:
     """Raise ModelError where a wrapper changes rewards or actions, of which `P` does not know."""
-    while not isinstance(env, Mapping | list) and "env" in getattr(env, "__dict__", ()):
+    for env in layers[:-1]:
         kinds = {each.__name__ for each in type(env).__mro__} & {"RewardWrapper", "ActionWrapper"}
         if kinds and not (kinds == {"ActionWrapper"} and _only_numbers(env)):
             raise ModelError(
@@ -161,7 +169,6 @@ def _refuse_changed(env: Any) -> None:
                 where="env",
                 fix="give env.unwrapped, or describe the change: MDP.from_function(…)",
             )
-        env = env.env
 
 
 def _only_numbers(env: Any) -> bool:
@@ -210,8 +217,8 @@ def _ends(rows: Rows, begins: set[int]) -> tuple[set[int], set[int]]:
     return ends, targets
 
 
-def _rows(env: Any, where: str) -> tuple[Rows, int, int]:
-    """Return the outcomes of every pair, and the numbers of states and actions."""
+def _rows(env: Any, where: str) -> Rows:
+    """Return the outcomes of every pair."""
     table = env if isinstance(env, Mapping | list) else getattr(env, "P", None)
     if table is None:
         raise ModelError(
@@ -232,36 +239,14 @@ def _rows(env: Any, where: str) -> tuple[Rows, int, int]:
                 fix=f"let an end stay: P[{state}] = {{0: [(1.0, {state}, 0, True)]}}",
             )
     if not rows:
-        raise ModelError(
-            "P is empty: it lists no state with an action",
-            where=where,
-            fix=LISTED,
-        )
-    most = (max(numbers) + 1 for numbers in zip(*rows, strict=True))
-    sizes = []
-    for space, least in zip(("observation_space", "action_space"), most, strict=True):
-        said = getattr(env, space, None)
-        said = None if getattr(said, "shape", ()) else said  # vectors, which P numbers as it likes
-        size = getattr(said, "n", least)
-        if size < least:
-            raise ModelError(
-                f"P goes up to number {least - 1}, and {space} has {size}, from 0 on",
-                where=where,
-                fix="make P and the spaces agree",
-            )
-        if first := int(getattr(said, "start", 0)):
-            raise ModelError(
-                f"{space} counts from {first}, and P from 0, so that a number may be two",
-                where=where,
-                fix=f"let {space} start at 0, as P does",
-            )
-        sizes.append(int(size))
+        raise ModelError("P is empty: it lists no state with an action", where=where, fix=LISTED)
+    states = max(state for state, _ in rows) + 1
     for (state, action), outcomes in rows.items():
         for _, following, _, over in outcomes:
-            if not 0 <= following < sizes[0] and not (over and following == NOWHERE):
+            if not 0 <= following < states and not (over and following == NOWHERE):
                 place = f"{where}, P[{state}][{action}]"
-                raise no_such("next state", following, sizes[0], where=place)
-    return rows, sizes[0], sizes[1]
+                raise no_such("next state", following, states, where=place)
+    return rows
 
 
 def _items(table: Any, where: str, what: str) -> Iterator[tuple[int, Any]]:
@@ -336,16 +321,9 @@ def _of_matrices(env: Any, dynamics: Mapping[str, Any], where: str) -> tuple[Num
 def _start(env: Any) -> Any:
     """Return where episodes start: state 0, as everywhere, where the environment does not say."""
     given = getattr(env, "initial_state_distrib", getattr(env, "isd", 0))
-    if given is None:
-        raise ModelError(
-            "the environment has no initial_state_distrib",
-            where="start",
-            fix="pass start=, a state or {state: probability}",
-        )
-    if _whole(given):
-        return ByNumber([(int(given), 1)])
-    if isinstance(given, Mapping) and all(map(_whole, given)):
-        return ByNumber((int(state), chance) for state, chance in given.items())
+    by_state = {given: 1} if _whole(given) else given
+    if isinstance(by_state, Mapping) and all(map(_whole, by_state)):
+        return ByNumber((int(state), chance) for state, chance in by_state.items())
     if isinstance(given, Sequence | np.ndarray) and not isinstance(given, str):
         return list(given)
     raise ModelError(
@@ -355,18 +333,13 @@ def _start(env: Any) -> Any:
     )
 
 
-def _time_limit(env: Any) -> int | None:
+def _time_limit(layers: Sequence[Any]) -> int | None:
     """Return after how many steps the environment stops: the lowest limit of its wrappers.
 
     A specification says it too, where no wrapper does; a limit of -1 is none.
     """
-    limits: list[Any] = []
-    layer, seen = env, set[int]()
-    while layer is not None and id(layer) not in seen:
-        seen.add(id(layer))
-        limits.append(getattr(layer, "__dict__", {}).get("_max_episode_steps"))
-        layer = getattr(layer, "env", None)
-    stated = getattr(getattr(env, "spec", None), "max_episode_steps", None)
+    limits = [getattr(each, "__dict__", {}).get("_max_episode_steps") for each in layers]
+    stated = getattr(getattr(layers[0], "spec", None), "max_episode_steps", None)
     for known in (limits, [stated]):
         positive = [int(limit) for limit in known if _whole(limit) and limit > 0]
         if positive:
@@ -384,36 +357,32 @@ def _name(env: Any) -> str:
 def _make(name: str, **options: Any) -> Any:
     with extra("models"):
         import gymnasium
-    with located(f"gymnasium:{name}", instead=True):
-        make, errors = gymnasium.make, (gymnasium.error.Error, ImportError)
+    where = f"gymnasium:{name}"
     try:
         with warnings.catch_warnings():
             # An outdated version is refused right after the warning of it, in the same words.
             warnings.simplefilter("ignore")
-            return make(name, **options)
-    except errors as error:
-        module, _, _ = name.rpartition(":")
-        if module and isinstance(error.__cause__, ModuleNotFoundError):
-            missing = error.__cause__.name or module
-            what = f"there is no module {module}"
-            fix = "put the folder of the module that registers the environment on PYTHONPATH"
-            if not f"{module}.".startswith(f"{missing}."):  # it is there, and imports another
-                what, fix = f"{module} needs the module {missing}", f"install {missing}"
-            raise ModelError(what, where=f"gymnasium:{name}", fix=fix) from error
+            return gymnasium.make(name, **options)
+    except (gymnasium.error.Error, ImportError) as error:
+        missing = getattr(error.__cause__ or error, "name", None)
+        if isinstance(error.__cause__ or error, ModuleNotFoundError):
+            raise ModelError(
+                f"there is no module {missing}",
+                where=where,
+                fix="install it, or put the folder of the module that registers the environment "
+                "on PYTHONPATH",
+            ) from error
         toy = [
             key
             for key, spec in gymnasium.registry.items()
             if TOY_TEXT in str(spec.entry_point) and spec.name != "Blackjack"  # it has no P
         ]
-        raise ModelError(
-            f"Gymnasium cannot make {name!r}: {str(error)[:200]}",
-            where=f"gymnasium:{name}",
-            fix=suggest(name, toy),
-        ) from error
+        what = f"Gymnasium cannot make {name!r}: {str(error)[:200]}"
+        raise ModelError(what, where=where, fix=suggest(name, toy)) from error
     except Exception as error:  # whatever the environment's own code raises
         raise ModelError(
             f"the environment {name} raises {type(error).__name__}: {str(error)[:200]}",
-            where=f"gymnasium:{name}",
+            where=where,
             fix="correct the environment or its module, so that gymnasium.make can make it"
             + f"; or leave out {', '.join(options)}" * bool(options),
         ) from error

@@ -39,7 +39,6 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Hashable, Sequence
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +64,6 @@ from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import Numbers, OutcomeTable
 
 FORMAT, VERSION = "exact-mdp model", 1
-LONGEST = 4000  # digits of an object that is a number
 
 
 def thing(given: Any) -> Hashable:
@@ -161,10 +159,10 @@ def packed(model: MDP) -> bytes:
         "version": VERSION,
         "discount": model.discount_exact,
         "start": [(int(state), weight) for state, weight in model.start],
-        **_objects(model.action_objects),
+        **_objects(model.action_objects, model.actions),
         "columns": [
             {"name": c.name, "size": int(c.size), "bits": int(c.bits), "words": c.words}
-            | _objects(c.objects)
+            | _objects(c.objects, c.words)
             for c in model.space.columns
         ],
         "extra": model.space.extra,
@@ -189,7 +187,7 @@ def unpacked(source: str | Path | bytes) -> MDP:
     """Return the model of an archive, or of its bytes."""
     arrays = read_arrays(source)
     _check_arrays(arrays)
-    state, flags = arrays["pair_state"], [*arrays.get("labels", ())]
+    state, flags = arrays["pair_state"], [each > 0 for each in arrays.get("labels", ())]
     with located("header"):
         given = json_of(arrays["header"].tobytes(), "header")
         head = shaped(given, HEADER)
@@ -205,11 +203,9 @@ def unpacked(source: str | Path | bytes) -> MDP:
             what = f"the columns make {space.size:.3g} states of {len(state)} state-action pairs"
             raise ModelError(what, where="columns", fix="save the model again")
         objects = _made(head["objects"], head["actions"])
-    table = {name: arrays[name] for name in TABLE if name in arrays}
-    if "components" in table:
-        table["components"] = _components(table["components"], len(head["component_names"]))
+    parts, there = len(head["component_names"]), [name for name in TABLE if name in arrays]
     return MDP(
-        OutcomeTable(**{name: _as_integers(array) for name, array in table.items()}),
+        OutcomeTable(**{name: _as_integers(name, arrays[name], parts) for name in there}),
         state,
         arrays["pair_action"],
         space=space,
@@ -217,28 +213,23 @@ def unpacked(source: str | Path | bytes) -> MDP:
         discount_exact=head["discount"],
         start=head["start"],
         parameters=head["parameters"],
-        labels=dict(zip(head["labels"], map(_flags, flags), strict=True)),
-        goal=_flags(arrays["goal"]) if "goal" in arrays else None,
+        labels=dict(zip(head["labels"], flags, strict=True)),
+        goal=arrays["goal"] > 0 if "goal" in arrays else None,
         unreached=head["unreached"],
         observations=arrays.get("observations"),
         **{name: head[name] for name in SAME},
     )
 
 
-def _objects(things: Sequence[Hashable]) -> dict[str, Any]:
-    """Return the objects that states or actions are, where JSON has them; a tuple is a list."""
-    listed = list(map(_json, things))
-    return {"objects": listed} if listed and None not in listed else {}
-
-
-def _json(given: Any) -> Any:
-    """Return a number, a word, a truth value or a tuple of these for JSON, None for another."""
-    plain = given.item() if isinstance(given, np.generic) else given
-    if type(plain) is tuple:
-        parts = [_json(part) for part in plain]
-        return None if None in parts else parts
-    is_plain = type(plain) in (int, str, bool) or (type(plain) is float and isfinite(plain))
-    return plain if is_plain and len(str(plain)) < LONGEST else None
+def _objects(things: Sequence[Hashable], words: Sequence[str]) -> dict[str, Any]:
+    """Return the objects that states or actions are, if JSON gives them back; a tuple is a list."""
+    try:
+        text = json.dumps(things, default=lambda number: number.item(), allow_nan=False)
+        listed = json_of(text, "objects")
+        _made(tuple(map(thing, listed)), words)
+    except (AttributeError, TypeError, ValueError):
+        return {}
+    return {"objects": listed} if listed else {}
 
 
 def _made(objects: Sequence[Hashable] | None, words: Sequence[str]) -> tuple[Hashable, ...]:
@@ -248,22 +239,6 @@ def _made(objects: Sequence[Hashable] | None, words: Sequence[str]) -> tuple[Has
     if objects is not None and not fits:
         refuse(objects, "an object for each name, of that text")
     return tuple(objects or ())
-
-
-def _flags(given: Numbers) -> Numbers:
-    if given.max() > 1:
-        raise ModelError("a truth value is neither 0 nor 1", fix="save it again")
-    return np.asarray(given == 1)
-
-
-def _components(amount: Numbers, parts: int) -> Numbers:
-    """Return the amounts (L, C) of components, each row of bytes one row of them."""
-    if amount.dtype != np.uint8:
-        return amount
-    if parts < 1 or amount.shape[1] % parts or amount.shape[1] < WIDTH * parts:
-        what = f"rows of {amount.shape[1]} bytes for {parts} components"
-        raise ModelError(what, where="components", fix="save the model again")
-    return _as_integers(amount.reshape(len(amount) * parts, -1)).reshape(-1, parts)
 
 
 def _check_arrays(arrays: dict[str, Numbers]) -> None:
@@ -293,10 +268,16 @@ def _as_bytes(array: Numbers) -> Numbers:
     return np.frombuffer(data, dtype=np.uint8).reshape(len(array), -1)
 
 
-def _as_integers(array: Numbers) -> Numbers:
-    """Return rows of bytes as Python integers; other arrays as they are."""
+def _as_integers(name: str, array: Numbers, parts: int) -> Numbers:
+    """Return rows of bytes as Python integers, those of components in parts; others as they are."""
     if array.dtype != np.uint8 or array.ndim == 1:
         return array
-    wide = np.empty(len(array), dtype=object)
-    wide[:] = [int.from_bytes(row.tobytes(), "little", signed=True) for row in array]
-    return wide
+    count = parts if name == "components" else 1
+    if count < 1 or array.shape[1] % count:
+        what = f"rows of {array.shape[1]} bytes for {count} components"
+        raise ModelError(what, where=name, fix="save the model again")
+    rows = array.reshape(len(array) * count, -1)
+    values = [int.from_bytes(row.tobytes(), "little", signed=True) for row in rows]
+    wide = np.empty(len(values), dtype=object)
+    wide[:] = values
+    return wide.reshape(-1, count) if name == "components" else wide

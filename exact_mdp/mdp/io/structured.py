@@ -1,8 +1,8 @@
 """TOML, JSON and CSV from outside: read within limits, and against the shape that they must have.
 
-A number of over 4,000 digits, tables nested more than 100 deep and what the syntax does not allow
-are refused here, by name, so that nothing behind the door meets them: Python converts no integer of
-over 4,300 digits to text, and ends a recursion after about a thousand calls.
+An integer of over 4,000 digits, tables nested more than 100 deep and what the syntax does not allow
+are refused here: Python converts no integer of over 4,300 digits to text, and ends a recursion
+after about a thousand calls.
 """
 
 from __future__ import annotations
@@ -42,40 +42,31 @@ def json_of(text: str | bytes, where: str, **hooks: Any) -> Any:
 
 
 def _parsed(read: Callable[[Any], Any], text: str | bytes, kind: str, where: str) -> Any:
-    """Return what a text says; what is too deep or too long is refused without a recursion."""
     try:
         with located(where, instead=True):
             content = read(text)
+        _check(content, DEEPEST)
     except ModelError:
         raise
     except RecursionError as error:
-        raise _too_deep(where) from error
+        what = f"tables or lists are nested more than {DEEPEST} deep"
+        raise ModelError(what, where=where, fix="use fewer levels") from error
     except ValueError as error:
-        said = f"an integer of over {MOST_DIGITS:,} digits"
-        what = said if "string conversion" in str(error) else short(str(error), 200)
+        said = "string conversion" in str(error)
+        what = f"an integer of over {MOST_DIGITS:,} digits" if said else short(str(error), 200)
         raise ModelError(f"broken {kind}: {what}", where=where, fix="correct that place") from error
-    left: list[tuple[tuple[str, ...], Any]] = [((where,), content)]
-    while left:
-        path, value = left.pop()
-        if len(path) > DEEPEST:
-            raise _too_deep(f"{where}, {'.'.join(path[1:])}")
-        if isinstance(value, dict):
-            left += [((*path, str(key)), below) for key, below in value.items()]
-        elif isinstance(value, list):
-            left += [((*path, str(place)), below) for place, below in enumerate(value)]
-        elif isinstance(value, int) and abs(value) >= TOO_LARGE:
-            raise ModelError(
-                f"an integer of over {MOST_DIGITS:,} digits",
-                where=", ".join(filter(None, [where, ".".join(path[1:])])),
-                fix="round it",
-            )
     return content
 
 
-def _too_deep(where: str) -> ModelError:
-    return ModelError(
-        f"tables or lists are nested more than {DEEPEST} deep", where=where, fix="use fewer levels"
-    )
+def _check(content: Any, levels: int) -> None:
+    """Raise RecursionError beyond so many levels, ValueError for a number of too many digits."""
+    if isinstance(content, dict | list):
+        if not levels:
+            raise RecursionError
+        for each in content.values() if isinstance(content, dict) else content:
+            _check(each, levels - 1)
+    elif isinstance(content, int) and abs(content) >= TOO_LARGE:
+        raise ValueError("string conversion")
 
 
 def csv_of(
@@ -115,28 +106,23 @@ def shaped(given: Any, kind: Any) -> Any:
         return given if type(given) is kind else refuse(given, WORDS[kind])
     if callable(kind):
         return kind(given)
-    outer: Any = dict if isinstance(kind, dict) else list
-    places: Any
-    values: Any
-    if type(given) is not outer:
-        refuse(given, WORDS[outer])
-    if isinstance(kind, tuple) and len(given) != len(kind):
-        refuse(given, f"a list of {len(kind)}")
-    if outer is list:
-        places, values = range(len(given)), given
-        kinds = kind if isinstance(kind, tuple) else kind * len(given)
-    else:
-        places = given if str in kind else kind
-        values = [given.get(place) for place in places]
-        kinds = [kind[str if str in kind else place] for place in places]
-    read = []
-    for place, value, each in zip(places, values, kinds, strict=True):
-        try:
-            read.append(shaped(value, each))
-        except ModelError as error:
-            where = f"{place}, {error.where}" if error.where else str(place)
-            raise ModelError(error.what, where=where, fix=error.fix) from error
-    return tuple(read) if outer is list else dict(zip(places, read, strict=True))
+    if isinstance(kind, dict):
+        if type(given) is not dict:
+            refuse(given, WORDS[dict])
+        kinds = dict.fromkeys(given, kind[str]) if str in kind else kind
+        return {key: _at(key, given.get(key), each) for key, each in kinds.items()}
+    if type(given) is not list or (isinstance(kind, tuple) and len(given) != len(kind)):
+        refuse(given, f"a list of {len(kind)}" if isinstance(kind, tuple) else WORDS[list])
+    listed = kind if isinstance(kind, tuple) else kind * len(given)
+    return tuple(map(_at, range(len(given)), given, listed))
+
+
+def _at(place: str | int, given: Any, kind: Any) -> Any:
+    try:
+        return shaped(given, kind)
+    except ModelError as error:
+        where = f"{place}, {error.where}" if error.where else str(place)
+        raise ModelError(error.what, where=where, fix=error.fix) from error
 
 
 def optional(kind: Any) -> Callable[[Any], Any]:

@@ -39,7 +39,7 @@ from exact_mdp.mdp.forms.numbers import grouped, has_floats, one_kind
 from exact_mdp.mdp.io.files import opened
 from exact_mdp.mdp.io.structured import csv_of
 from exact_mdp.mdp.space import Column, StateSpace
-from exact_mdp.mdp.table import EXACT_IN_INT64, Integers, OutcomeTable, exact
+from exact_mdp.mdp.table import Integers, OutcomeTable, exact
 from exact_mdp.mdp.validate import Flags, as_discount, as_start, check_options
 
 if TYPE_CHECKING:
@@ -50,12 +50,6 @@ COLUMNS = ("episode", "state", "action", "reward", "next_state")
 TRUNCATED = "truncated"  # the column that a table may have besides
 CUT_OFF = "cut off"  # the label of states in which episodes were cut off, and which nobody left
 FLAGS = {"true": True, "1": True, "1.0": True, "false": False, "0": False, "0.0": False}
-# What other tables call a column that says how an episode stopped, without capitals and marks.
-LIKE_TRUNCATED = frozenset(
-    ("truncated", "truncation", "truncate", "istruncated", "cut", "cutoff", "wascutoff", "timeout",
-     "timelimit", "timedout", "censored", "terminated", "terminal", "termination", "isterminal",
-     "done", "dones", "end", "ended", "last", "islast")
-)  # fmt: skip
 # What programs write where there is no value: no names, as pandas.read_csv has it.
 NO_NAMES = frozenset(
     ("", "#N/A", "<NA>", "N/A", "NA", "NULL", "NaN", "NaT", "None", "n/a", "nan", "null")
@@ -167,11 +161,11 @@ class Record:
         self.where = str(frame) if isinstance(frame, str | Path) else "transitions"
         self._parquet = Path(self.where).suffix.lower() == ".parquet"
         self._of_file = isinstance(frame, str | Path) and not self._parquet
-        # Names of episodes, states, actions and rewards are numbered as they come.
+        # Names of episodes, states and actions are numbered as they come; and so are rewards, each
+        # with whether it is a float: a model knows which of its numbers were rounded.
         self.numbers: dict[str, dict[Any, int]] = {name: {} for name in COLUMNS[:4]}
-        self.values: list[Any] = []  # the rewards as numbers
         self.rows = 0
-        self.ignored: tuple[str, ...] = ()  # columns called like `truncated` that are not read
+        self.unused: tuple[str, ...] = ()  # columns that are not read
         self.starts = Counter[int]()  # episodes by state
         self.stops = Counter[tuple[int, bool]]()  # by next state, and whether cut off there
         self._counts: list[tuple[Integers, Integers]] = []
@@ -241,8 +235,8 @@ class Record:
         try:
             table = parquet.ParquetFile(file)
             names = table.schema_arrow.names
-            read = [name for name in names if name in used or _like_cut(name)]
-            for batch in table.iter_batches(ROWS, columns=read):
+            self.unused = tuple(name for name in names if name not in used)
+            for batch in table.iter_batches(ROWS, columns=[n for n in names if n in used]):
                 # The columns say it all: what pandas noted beside them may hide one as an index.
                 yield batch.to_pandas(ignore_metadata=True, integer_object_nulls=True)
         except Exception as error:  # Arrow raises many kinds on damaged files
@@ -273,14 +267,6 @@ class Record:
         episode, state, action, reward, then = (codes[name] for name in COLUMNS)
         then = np.where(cut & (then < 0), NOWHERE, then)
         self._follow(episode, state, then, cut)
-        for value, code in list(self.numbers["reward"].items())[len(self.values) :]:
-            try:
-                number = exact(value)
-            except ModelError as error:
-                fix = f"{error.fix}, or leave the row out"
-                self._refuse(reward == code, f"the reward is {value!r}", fix)
-            # Floats stay floats: a model knows which of its numbers were rounded.
-            self.values.append(number if isinstance(value, str) else value)
         self.rows += len(chunk)
         return episode, np.stack([state, action, then, reward], axis=1)
 
@@ -289,9 +275,8 @@ class Record:
         there, wanted = list(chunk.columns), dict(self.columns)
         if TRUNCATED in there and TRUNCATED not in wanted.values():
             wanted.setdefault(TRUNCATED, TRUNCATED)
-        self.ignored = tuple(
-            str(c) for c in there if c not in {TRUNCATED, *wanted.values()} and _like_cut(c)
-        )
+        if not self._parquet:
+            self.unused = tuple(str(c) for c in there if c not in {TRUNCATED, *wanted.values()})
         for name, column in wanted.items():
             if there.count(column) > 1:
                 raise ModelError(
@@ -320,7 +305,11 @@ class Record:
         """Return the number of each value of a column; -1 where there is none."""
         import pandas
 
+        named = what != "reward"
         try:
+            if named and column.dtype == object and not self._of_file:
+                # Pandas takes True for 1.
+                column = pandas.Series(map(_name, column), dtype=object, name=column.name)
             codes, values = pandas.factorize(column)
         except TypeError as error:
             raise ModelError(
@@ -328,21 +317,21 @@ class Record:
                 where=f"column {column.name}",
                 fix="give numbers or text",
             ) from error
-        if what == "reward":
-            names, known = list(values), self.numbers[what]
-        else:
-            names, known = list(map(_name, values)), self.numbers[what.removeprefix("next_")]
-            # Python takes True for 1, and so does pandas: as numbers they are one, as names two.
-            if column.dtype == object and any(value in (0, 1) for value in values):
-                either = (isinstance(v, bool | np.bool_) for v in column.dropna() if v in (0, 1))
-                if len({*either}) > 1:
-                    what = "the column holds both truth values and the numbers 0 or 1"
-                    where = f"column {column.name}"
-                    raise ModelError(what, where=where, fix="use one kind of names")
-        blank = "" if self._of_file else None  # an empty field
-        numbers = [-1 if name == blank else known.setdefault(name, len(known)) for name in names]
-        for code, name in enumerate(names if what != "reward" else ()):
-            if name != blank and (name in NO_NAMES or str(name).isspace()):
+        known, numbers = self.numbers[what.removeprefix("next_")], list[int]()
+        for code, value in enumerate(values):
+            name = _name(value) if named else value
+            if self._of_file and name == "":  # an empty field
+                numbers.append(-1)
+                continue
+            if not named:
+                try:
+                    number = exact(value)
+                except ModelError as error:
+                    fix = f"{error.fix}, or leave the row out"
+                    self._refuse(codes == code, f"the reward is {value!r}", fix)
+                rounded = isinstance(value, float)
+                name = rounded, value if rounded else number
+            elif name in NO_NAMES or str(name).isspace():
                 self._refuse(
                     codes == code,
                     f"the {what.replace('_', ' ')} is {name!r}, which programs write where there "
@@ -350,6 +339,7 @@ class Record:
                     "leave it empty where there is none (next_state alone may be); where it is a "
                     "name, write another",
                 )
+            numbers.append(known.setdefault(name, len(known)))
         return np.asarray(np.array([*numbers, -1], dtype=np.int64)[codes])
 
     def _follow(self, episode: Integers, state: Integers, then: Integers, cut: Flags) -> None:
@@ -395,6 +385,11 @@ class Record:
         return _sums(np.concatenate(keys), np.concatenate(counts))
 
     @property
+    def values(self) -> list[Any]:
+        """The rewards, each an exact number or a float, by number."""
+        return [number for _, number in self.numbers["reward"]]
+
+    @property
     def n_cut_off(self) -> int:
         """Number of episodes cut off: marked so, or stopped in a state that others leave."""
         left = set(self._merged()[0][:, 0].tolist())
@@ -417,10 +412,9 @@ class Record:
         size = len(states) + len(extra)
         place = np.append(place, [len(states), len(states) + nowhere])  # at `NOWHERE` and `OVER`
         values = [*self.values, 0, worst or 0]
-        first: dict[Any, int] = {}  # the first of equal rewards, floats apart
-        same = [first.setdefault((isinstance(v, float), v), n) for n, v in enumerate(self.values)]
+        rewards = len(self.values)
         state, action, then, reward = keys.T
-        observed = [place[state], choice[action], place[then], np.array(same)[reward]]
+        observed = [place[state], choice[action], place[then], reward]
         taken = np.zeros((size, len(actions)), dtype=bool)
         taken[observed[0], observed[1]] = True
         over = ~taken.any(axis=1)
@@ -428,8 +422,8 @@ class Record:
         untried = np.argwhere(~taken & ~over.reshape(-1, 1) & (worst is not None))
         certain = np.concatenate(
             [
-                np.stack([ends, 0 * ends, ends, np.full(len(ends), len(same))], axis=1),
-                np.insert(untried, [2, 2], [size - 1, len(same) + 1], axis=1),
+                np.stack([ends, 0 * ends, ends, np.full(len(ends), rewards)], axis=1),
+                np.insert(untried, [2, 2], [size - 1, rewards + 1], axis=1),
             ]
         )
         outcomes, times = _sums(
@@ -507,22 +501,11 @@ def _name(value: Any) -> Any:
     return value
 
 
-def _like_cut(name: object) -> bool:
-    """Return whether a column is called like one that says how an episode stopped."""
-    return "".join(filter(str.isalpha, str(name).lower())) in LIKE_TRUNCATED
-
-
 def _sums(keys: Integers, count: Integers) -> tuple[Integers, Integers]:
-    """Return the different rows of `keys`, and the sum of the counts of each."""
-    code, size = np.zeros(len(keys), dtype=np.int64), 1  # one number for each row, in their order
-    for column in keys.T:
-        least, width = column.min(), int(np.ptp(column)) + 1
-        if size * width >= EXACT_IN_INT64:
-            code, size = np.unique(code, return_inverse=True)[1], len(keys)
-        code, size = code * width + (column - least), size * width
-    order = np.argsort(code)
-    keys, count, code = keys[order], count[order], code[order]
-    first = np.flatnonzero(np.append(True, code[1:] != code[:-1]))
+    """Return the different rows of `keys` in order, and the sum of the counts of each."""
+    order = np.lexsort(keys.T[::-1])
+    keys, count = keys[order], count[order]
+    first = np.flatnonzero(np.append(True, (keys[1:] != keys[:-1]).any(axis=1)))
     return keys[first], np.add.reduceat(count, first)
 
 

@@ -28,16 +28,15 @@ from __future__ import annotations
 import base64
 import bz2
 import gzip
-import io
 import lzma
 import re
-import tarfile
 import zlib
 from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -62,16 +61,10 @@ ANY_SIZE = 10**6
 
 TERMINAL, COMPONENT = "terminal", "component-"
 GROUP, CARRIER = "exact-mdp", "start"
-WRITTEN = {
-    "state_is_initial": "the initial states",
-    "state_to_choices": "the choices of states",
-    "choice_to_branches": "the branches of choices",
-    "branch_to_target": "where branches lead",
-    "branch_to_probability": "the probabilities",
-    "choice_to_choice_action": "the actions of choices",
-    "choice_action_to_string": "the names of the actions",
-    "annotations": "the rewards or the labels",
-}
+WRITTEN = (
+    *("state_is_initial", "state_to_choices", "choice_to_branches", "branch_to_target"),
+    *("branch_to_probability", "choice_to_choice_action", "choice_action_to_string", "annotations"),
+)
 """What has to be as it was written, where a file is of exact-mdp."""
 
 
@@ -86,23 +79,12 @@ def _umbi() -> Any:
 
 def save(model: MDP, path: str | Path) -> None:
     """Write a model as a UMB file, from which `load` returns all of it; always the same bytes."""
-    encoder, umb = _umbi().umb.umb_to_tar.UmbEncoder(), _umb_of(model)
-    encoder.add_index_file(umb)
-    encoder.add_state_files(umb)
-    encoder.add_transition_files(umb)
-    encoder.add_annotation_files(umb)
-    if umb.index.valuations is not None:
-        # 32-bit integers in a row need no packing of bits.
-        columns = [model.space.values(name) for name in model.space.names]
-        values = np.stack(columns, axis=1).astype("<i4").tobytes()
-        encoder.add_file("valuations/states/valuations.bin", values)
-    stream = io.BytesIO()
-    with tarfile.open(fileobj=stream, mode="w", format=tarfile.USTAR_FORMAT) as archive:
-        for name, data in encoder.items():
-            member = tarfile.TarInfo(name)
-            member.size = len(data)
-            archive.addfile(member, io.BytesIO(data))
-    write_atomically(path, gzip.compress(stream.getvalue(), mtime=0))
+    encoder = _umbi().umb.umb_to_tar.UmbEncoder()
+    encoder.encode(_umb_of(model), insert_umbi_metadata=False)
+    with TemporaryDirectory() as folder:
+        encoder.write(Path(folder) / "model.tar", compression=None)
+        content = (Path(folder) / "model.tar").read_bytes()
+    write_atomically(path, gzip.compress(content, mtime=0))  # umbi would write the time
 
 
 def load(
@@ -143,10 +125,10 @@ def _restored(umb: Any, content: Explicit, packed: str, reward: str | None) -> M
             raise ModelError("the description is damaged", fix="save the model again") from error
         mdp = npz.unpacked(archive)
     written = _umb_of(mdp)
-    for name, what in WRITTEN.items():
+    for name in WRITTEN:
         if getattr(umb, name) != getattr(written, name):
             raise ModelError(
-                f"another program changed {what}",
+                f"another program changed {name.replace('_', '-')}",
                 where=where,
                 fix=f"drop the annotations of group {GROUP}, which no longer describe the model",
             )
@@ -335,7 +317,6 @@ def _umb_of(model: MDP) -> Any:
             branch_probability_type=kind,
         ),
         annotations={"rewards": {}, "aps": {}, GROUP: {}},
-        valuations=_valuations(model),
     )
     umb = umbi.umb.ExplicitUmb(
         index=index,
@@ -359,6 +340,7 @@ def _umb_of(model: MDP) -> Any:
     chances = [start.get(state, Fraction(0)) for state in range(model.n_states)]
     archive = base64.b64encode(zlib.compress(npz.packed(model))).decode("ascii")
     _annotate(umb, GROUP, CARRIER, "states", chances, about=archive)
+    _add_valuations(umb, model)
     return umb
 
 
@@ -406,13 +388,16 @@ def _earned(table: OutcomeTable) -> list[Any]:
     return _ratios(*table.expected_gain_exact(), each)
 
 
-def _valuations(model: MDP) -> dict[str, Any] | None:
-    """Return the columns of the states as 32-bit variables; a lone column is the state's number."""
+def _add_valuations(umb: Any, model: MDP) -> None:
+    """Add the columns of the states as 32-bit variables; a lone column is the state's number."""
     names, umbi = model.space.names, _umbi()
     if len(names) < 2 or len(set(names)) < len(names):
-        return None
+        return
     struct, whole = umbi.binary.StructType(), umbi.datatypes.NumericPrimitiveType.INT
     for name in names:
         struct.add_attribute(name, umbi.binary.SizedType(whole, 32))
     unique = len(model.space.extra) < 2
-    return {"states": umbi.umb.index.ValuationDescription(unique=unique, classes=[struct])}
+    described = umbi.umb.index.ValuationDescription(unique=unique, classes=[struct])
+    values = zip(*(model.space.values(name).tolist() for name in names), strict=True)
+    umb.index.valuations = {"states": described}
+    umb.valuations = {"states": [dict(zip(names, each, strict=True)) for each in values]}

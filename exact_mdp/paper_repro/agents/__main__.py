@@ -174,11 +174,10 @@ def measure(
     table = pandas.DataFrame(counted.mean, index=labels, columns=labels)
     write(out / "confusion.csv", table.to_csv(index_label="status", lineterminator="\n"))
     record_run(out, talk, words)
-    for name, both in counted.rates(talk.modules.statuses).items():
-        for what, rate in both.items():
-            shown = "none seen" if rate.value is None else f"{rate.value:.3f}"
-            interval = f"[{rate.low:.3f}, {rate.high:.3f}] of {rate.total}"
-            click.echo(f"{name:14} {what:11} {shown} {interval}")
+    for rate in counted.rates(talk.modules.statuses).itertuples():
+        shown = f"{rate.right / rate.total:.3f}" if rate.total else "none seen"
+        interval = f"[{rate.low:.3f}, {rate.high:.3f}] of {rate.total}"
+        click.echo(f"{rate.status:14} {rate.rate:11} {shown} {interval}")
     click.echo(out / "confusion.csv")
     click.echo(
         f"The policy earns {perfect:.2f} with perfect perception and {measured:.2f} with these "

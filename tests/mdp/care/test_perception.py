@@ -153,7 +153,7 @@ def test_rows_that_are_no_distribution(care: MDP, tmp_path: Path) -> None:
     done = run("evaluate", *MODEL, "random", "--perception", as_csv(tmp_path / "a.csv", rows))
     assert done.status == 2
     assert "row of status 0000 sums to 0, not 1" in done.err
-    assert "a.csv, line 2" in done.err
+    assert "a.csv, row 0" in done.err
     matrix = np.eye(16)
     matrix[3, 3] = 0.9
     said = "row of status 0011 sums to 0.9, not 1", "confusion matrix, row 3"
@@ -236,13 +236,13 @@ def test_draws_are_of_the_posterior() -> None:
 def test_rates_are_of_single_statuses() -> None:
     counts = counted([("10", "11"), ("10", "00"), ("01", "01"), ("00", "10")], size=4)
     rates = counts.rates(["anger", "confusion"])
-    stated = {name: [(each.right, each.total) for each in both.values()]
-              for name, both in rates.items()}  # fmt: skip
-    assert {*rates["anger"]} == {"sensitivity", "specificity"}
-    assert stated == {"anger": [(1, 2), (1, 2)], "confusion": [(1, 1), (2, 3)]}
-    empty = counted([("00", "00")], size=4).rates(["a", "b"])["a"]["sensitivity"]
-    assert (empty.value, empty.low, empty.high) == (None, 0.0, 1.0)
-    ten = counted([(1, 1)] * 10 + [(0, 0)], size=2).rates(["a"])["a"]["sensitivity"]
+    assert rates[["status", "rate", "right", "total"]].to_numpy().tolist() == [
+        ["anger", "sensitivity", 1, 2], ["anger", "specificity", 1, 2],
+        ["confusion", "sensitivity", 1, 1], ["confusion", "specificity", 2, 3],
+    ]  # fmt: skip
+    empty = counted([("00", "00")], size=4).rates(["a", "b"]).iloc[0]
+    assert (empty.total, empty.low, empty.high) == (0, 0.0, 1.0)
+    ten = counted([(1, 1)] * 10 + [(0, 0)], size=2).rates(["a"]).iloc[0]
     assert (ten.low, ten.high) == (pytest.approx(0.025**0.1), 1.0)
 
 

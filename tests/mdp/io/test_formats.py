@@ -56,11 +56,11 @@ def test_a_discount_that_nobody_gave_is_said(tmp_path: Path) -> None:
 def test_a_file_that_another_program_changed(tmp_path: Path) -> None:
     """A header that no longer fits the numbers is refused, not taken for some other model."""
     for change, message in (
-        (lambda c: c.choice_action_to_string.__setitem__(0, "x"), "the names of the actions"),
-        (lambda c: c.state_is_initial.__setitem__(0, False), "the initial states"),
+        (lambda c: c.choice_action_to_string.__setitem__(0, "x"), "choice-action-to-string"),
+        (lambda c: c.state_is_initial.__setitem__(0, False), "state-is-initial"),
         (
             lambda c: c.annotations["rewards"]["reward"]["choices"].__setitem__(0, Fraction(9)),
-            "the rewards or the labels",
+            "changed annotations",
         ),
     ):
         save(MODELS["care"], tmp_path / "m.umb")

@@ -301,7 +301,7 @@ gymnasium.register("Boom-v0", entry_point="my_boom:Boom")
     ("module", "text", "words"),
     [
         ("my_boom", BOOM, "the environment my_boom:Boom-v0 raises RuntimeError: no power"),
-        ("half_there", "import no_such_thing", "half_there needs the module no_such_thing"),
+        ("half_there", "import no_such_thing", "there is no module no_such_thing"),
     ],
 )
 def test_an_environment_that_cannot_be_made(
@@ -360,14 +360,3 @@ def test_a_wrapper_may_number_actions_as_the_matrices_do(same_numbers: bool) -> 
         assert MDP.from_gymnasium(Flat(Doses())).n_actions == 2
         return
     refused(lambda: MDP.from_gymnasium(Flat(Doses())), "Flat changes the environment")
-
-
-def test_a_space_that_does_not_count_from_0_is_refused() -> None:
-    class Counting:
-        observation_space = gymnasium.spaces.Discrete(1)
-        action_space = gymnasium.spaces.Discrete(2, start=1)
-
-        def __init__(self) -> None:
-            self.P = {0: {0: [(1.0, 0, 1, True)], 1: [(1.0, 0, 2, True)]}}
-
-    refused(lambda: MDP.from_gymnasium(Counting()), "action_space counts from 1, and P from 0")
