@@ -24,12 +24,12 @@ Source: Yuan et al. (2025), Equation 1, Table 4 and Sections 2.1 and 3.2.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.care.tables import SKIP, Tables, bits_of
+from exact_mdp.mdp.care.tables import MAPPINGS, SKIP, Tables, bits_of
 from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import Integers
 
@@ -76,19 +76,11 @@ class Rules:
     - `places` (K,) of the subtasks; `flag_after` (3, 2): the flag that the next one starts with.
     """
 
-    def __init__(
-        self,
-        names: tuple[str, ...],
-        statuses: tuple[str, ...],
-        actions: tuple[str, ...],
-        others: tuple[tuple[str, str], ...],
-        components: tuple[str, ...],
-        tasks: tuple[int, ...],
-        trials: int,
-        readings: tuple[tuple[str, str], ...],
-    ) -> None:
+    def __init__(self, scenario: Tables) -> None:
+        names, statuses, actions = scenario.names, scenario.statuses, scenario.actions
+        tasks, trials, components = scenario.tasks, scenario.trials, scenario.components
         self.names, self.statuses, self.trials = names, statuses, trials
-        self.components, self.readings = components, dict(readings)
+        self.components, self.readings = components, dict(scenario.readings)
         self.now, self.next = STATUS_COST[self.readings["status_cost"]]
         self.own = self.readings["skip_timestep"] == "own"
         self.assistive = len(actions)
@@ -119,7 +111,7 @@ class Rules:
         widest = max(map(len, rows))
         self.charges = np.array([[*row, *[len(names)] * (widest - len(row))] for row in rows])
         self.charged = (self.charges[:, :, None] == self.weights).any(axis=1).astype(np.int64)
-        self._add_chances(actions, dict(others))
+        self._add_chances(actions, scenario.others)
 
     def _add_chances(self, actions: tuple[str, ...], others: Mapping[str, str]) -> None:
         """Set `terms`, `step` and `skip`."""
@@ -213,18 +205,16 @@ class Rules:
         return {"end": end, "skipped": skipped, **dict(zip(self.statuses, on.T, strict=True))}
 
 
-_rules = lru_cache(maxsize=16)(Rules)
+_made: dict[tuple[Any, ...], Rules] = {}
 
 
 def rules_of(scenario: Tables) -> Rules:
     """Return the rules of a scenario, made once for all that differ in nothing but numbers."""
-    return _rules(
-        scenario.names,
-        scenario.statuses,
-        scenario.actions,
-        tuple(scenario.others.items()),
-        scenario.components,
-        scenario.tasks,
-        scenario.trials,
-        tuple(scenario.readings.items()),
-    )
+    mappings = (tuple(getattr(scenario, each).items()) for each in MAPPINGS)
+    sizes = scenario.tasks, scenario.max_trial
+    key = scenario.names, scenario.statuses, scenario.actions, sizes, *mappings
+    if key not in _made:
+        if len(_made) == 16:
+            _made.clear()
+        _made[key] = Rules(scenario)
+    return _made[key]

@@ -27,7 +27,7 @@ import numpy as np
 from exact_mdp.mdp.errors import LONGEST_TEXT, ModelError, check_names, known
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.result import as_html
-from exact_mdp.mdp.table import MOST_DIGITS, Integers, exact
+from exact_mdp.mdp.table import Integers, exact
 from exact_mdp.mdp.validate import as_discount, counted
 
 if TYPE_CHECKING:
@@ -196,10 +196,9 @@ class Tables:
         given = {f"readings.{name}": option for name, option in (readings or {}).items()}
         for name, value in [*given.items(), *(parameters or {}).items(), *changes.items()]:
             reading = name.removeprefix("readings.")
-            if reading in SETTINGS:
-                key, convert = SETTINGS[reading]
-                parts[key] = convert(value)
-            elif name.startswith("readings."):
+            if name in SETTINGS:
+                parts[name] = SETTINGS[name](value)
+            elif reading != name:
                 chosen[reading] = check_reading(reading, value)
             else:
                 position = self._position(name)
@@ -247,24 +246,16 @@ def as_tasks(value: object) -> tuple[int, ...]:
 def as_max_trial(value: object) -> int:
     """Return max_trial from a positive integer or its text."""
     if isinstance(value, str) and value.isascii() and value.isdigit():
-        value = int(value[:MOST_DIGITS])  # cut, it is too large as well
-    trials = counted(value, "max_trial")
-    if trials > MOST_STATES:
-        raise ModelError(
-            f"max_trial is over {MOST_STATES:,}, more than the states of any model",
-            where="max_trial",
-            fix="allow fewer trials in a subtask",
-        )
-    return trials
+        value = int(value[:20])  # cut, it is too large as well
+    return counted(value, "max_trial")
 
 
-SETTINGS: dict[str, tuple[str, Callable[[object], Any]]] = {
-    "tasks": ("tasks", as_tasks),
-    "max_trial": ("max_trial", as_max_trial),
-    "discount": ("discount", as_discount),
-    "evaluation_discount": ("discount", as_discount),  # the reading of this name
+SETTINGS: dict[str, Callable[[object], Any]] = {
+    "tasks": as_tasks,
+    "max_trial": as_max_trial,
+    "discount": as_discount,
 }
-"""Settings beside readings and parameters: attribute and conversion of each."""
+"""Settings beside readings and parameters: the conversion of each."""
 
 
 def check_reading(name: str, option: object) -> str:
@@ -282,14 +273,13 @@ def check_scenario(scenario: Tables) -> None:
     for key in ("title", "source"):
         text = getattr(scenario, key).replace("\n", "").replace("\t", "")
         check_names([text], key, where=key, longest=LONGEST_TEXT)
-    for key, convert in SETTINGS.values():
+    for key, convert in SETTINGS.items():
         convert(getattr(scenario, key))
     for name in READINGS:
         check_reading(name, scenario.readings.get(name, ""))
     where, count = f"scenario {scenario.name}", len(scenario.statuses)
-    states = sum(scenario.tasks) * scenario.trials * 2**count
-    if states > MOST_STATES:
-        what = f"the model would have {states:,} states, more than {MOST_STATES:,}"
+    if sum(scenario.tasks) * scenario.trials * 2**count > MOST_STATES:
+        what = f"the model would have more than {MOST_STATES:,} states"
         raise ModelError(what, where=where, fix="use fewer subtasks, trials or statuses")
     if count > MOST_STATUSES:
         what = f"{count} statuses, more than {MOST_STATUSES}"

@@ -16,17 +16,15 @@ from typing import Any, TypeVar
 
 from exact_mdp.mdp.care.tables import (
     READINGS,
+    SETTINGS,
     SHARED_WEIGHTS,
     SKIP,
-    as_max_trial,
-    as_tasks,
     check_reading,
 )
 from exact_mdp.mdp.errors import ModelError, check_names, known, suggest
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.parameter import Parameter
-from exact_mdp.mdp.validate import as_discount
 
 V = TypeVar("V")
 TABLES: Mapping[str, str] = {
@@ -97,13 +95,8 @@ class Reader:
             self.parts[key] = content.get(key, default)
             if not isinstance(self.parts[key], str):
                 self._add(key, f"{key} is not a string", "put it in quotes")
-        settings: Any = (
-            ("tasks", as_tasks, ()),
-            ("max_trial", as_max_trial, "missing"),
-            ("discount", as_discount, 1),
-        )
-        for key, convert, default in settings:
-            self.parts[key] = self.take(key, convert, content.get(key, default))
+        for key, otherwise in (("tasks", ()), ("max_trial", "missing"), ("discount", 1)):
+            self.parts[key] = self.take(key, SETTINGS[key], content.get(key, otherwise))
         chosen = {
             name: self.take(f"readings.{name}", check_reading, name, option)
             for name, option in self._table("readings").items()

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.build import expected
-from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.errors import ModelError, known
 from exact_mdp.mdp.forms.names import ByNumber
 from exact_mdp.mdp.forms.numbers import as_given, exact_sum
 from exact_mdp.mdp.model import MDP
@@ -43,7 +43,6 @@ class Explicit:
     initial: Flags  # (S,)
     words: tuple[str, ...]  # (S,) names of states, or none
     rewards: Mapping[str, Mapping[str, Sequence[Any]]]  # of "states", "choices" and "branches"
-    titles: Mapping[str, str]  # what rewards are called
     labels: Mapping[str, Flags]  # (S,)
 
 
@@ -74,11 +73,11 @@ def model_of(
 
     if discount is None:
         warn("a file of another program states no discount, and 1 is used; give the discount")
-    titles, offsets, parts = given.titles, given.state_to_choices, dict[str, Any]()
-    earned = {key: _earned(given, values, titles[key]) for key, values in given.rewards.items()}
+    offsets, parts = given.state_to_choices, dict[str, Any]()
+    earned = {name: _earned(given, values, name) for name, values in given.rewards.items()}
     counting, ends = [*earned.values()], np.flatnonzero(np.diff(offsets) == 0).tolist()
     if reward is None and len(earned) > 1:
-        others = {titles[key]: amounts for key, amounts in earned.items() if key != REWARD}
+        others = {name: amounts for name, amounts in earned.items() if name != REWARD}
         if REWARD in earned:
             counting = [earned[REWARD]]
         else:
@@ -89,8 +88,8 @@ def model_of(
             for name, each in others.items()
         }
     elif earned or reward is not None:
-        chosen = next(iter(earned)) if reward is None else identifier(given, reward)
-        parts["component_names"], counting = (titles[chosen],), [earned[chosen]]
+        chosen = known(reward or next(iter(earned)), earned, "reward model", "rewards")
+        parts["component_names"], counting = (chosen,), [earned[chosen]]
     amounts = reduce(_plus, counting, [Fraction(0)] * len(given.target))
     labels, states = dict(given.labels), len(offsets) - 1
     initial = np.flatnonzero(given.initial)
@@ -134,16 +133,6 @@ def _actions(given: Explicit, state: Integers) -> tuple[Integers, tuple[str, ...
             return actions, names
     places = np.arange(len(state)) - given.state_to_choices[state]
     return places, tuple(map(str, range(int(places.max(initial=0)) + 1)))
-
-
-def identifier(explicit: Explicit, wanted: str) -> str:
-    """Return the identifier of the reward model called `wanted`."""
-    named = {name: key for key, name in explicit.titles.items()}
-    known = named | {key: key for key in explicit.titles}
-    if wanted not in known:
-        fix = suggest(wanted, named) or "add one"
-        raise ModelError(f"no reward model {wanted!r}", where="rewards", fix=fix)
-    return known[wanted]
 
 
 def _earned(explicit: Explicit, values: Mapping[str, Sequence[Any]], name: str) -> list[Any]:

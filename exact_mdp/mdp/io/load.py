@@ -160,8 +160,9 @@ def _assigned(constants: str | Mapping[str, object] | None) -> str:
         return constants or ""
     given = of_type(constants, Mapping, "constants", "give {name: number}").items()
     with located("constants"):
-        values = [str(v).lower() if isinstance(v, bool) else str(exact(v)) for _, v in given]
-    return ",".join(f"{name}={value}" for (name, _), value in zip(given, values, strict=True))
+        return ",".join(
+            f"{k}={str(v).lower() if isinstance(v, bool) else exact(v)}" for k, v in given
+        )
 
 
 def _unknown(text: str) -> ModelError:

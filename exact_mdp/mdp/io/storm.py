@@ -16,12 +16,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, extra, located, shown_text
-from exact_mdp.mdp.io.explicit import (
-    INITIAL,
-    Explicit,
-    model_of,
-    named_by,
-)
+from exact_mdp.mdp.io.explicit import INITIAL, Explicit, model_of, named_by
 from exact_mdp.mdp.io.files import LARGE, aside, read_bytes
 from exact_mdp.mdp.model import MDP
 
@@ -116,7 +111,6 @@ def _explicit(model: Any, name: str) -> Explicit:
         initial=flags.pop(INITIAL, np.zeros(len(states), dtype=bool)),
         words=named_by(values),
         rewards=rewards,
-        titles={word: word for word in rewards},
         labels=flags,
     )
 

@@ -27,6 +27,7 @@ from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import closing
 from fractions import Fraction
 from itertools import islice
+from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -39,7 +40,7 @@ from exact_mdp.mdp.forms.numbers import grouped, has_floats, one_kind
 from exact_mdp.mdp.io.files import opened
 from exact_mdp.mdp.io.structured import csv_of
 from exact_mdp.mdp.space import Column, StateSpace
-from exact_mdp.mdp.table import Integers, OutcomeTable, exact
+from exact_mdp.mdp.table import EXACT_IN_INT64, Integers, OutcomeTable, exact
 from exact_mdp.mdp.validate import Flags, as_discount, as_start, check_options
 
 if TYPE_CHECKING:
@@ -152,11 +153,6 @@ class Record:
         for name in given:
             known(name, (*COLUMNS, TRUNCATED), "column", "columns")
         self.columns = dict(zip(COLUMNS, COLUMNS, strict=True)) | given
-        for column in self.columns.values():
-            names = [name for name, each in self.columns.items() if each == column]
-            if len(names) > 1:
-                what = f"the column {column!r} stands for {' and '.join(names)}"
-                raise ModelError(what, where="columns", fix="name one column for each")
         self.frame = frame
         self.where = str(frame) if isinstance(frame, str | Path) else "transitions"
         self._parquet = Path(self.where).suffix.lower() == ".parquet"
@@ -286,11 +282,7 @@ class Record:
                 )
             if column not in there:
                 near = suggest(column, map(str, there))
-                if spaced := [each for each in map(str, there) if each.strip() == column]:
-                    near = f"it is called {spaced[0]!r}, with spaces"
                 fix = f"{near}; name it (--column {name}=…, columns={{{name!r}: …}})"
-                if len(there) == 1 and {";", "\t", "|"} & set(str(there[0])):
-                    fix = "separate columns by commas: the first line has none"
                 raise ModelError(f"no column {column!r}", where=self.where, fix=fix)
         return {name: chunk[column] for name, column in wanted.items()}
 
@@ -503,7 +495,11 @@ def _name(value: Any) -> Any:
 
 def _sums(keys: Integers, count: Integers) -> tuple[Integers, Integers]:
     """Return the different rows of `keys` in order, and the sum of the counts of each."""
-    order = np.lexsort(keys.T[::-1])
+    sizes = (np.ptp(keys, axis=0) + 1).tolist()
+    if prod(sizes) < EXACT_IN_INT64:  # one number for each row, in their order
+        order = np.argsort(np.ravel_multi_index((keys - keys.min(axis=0)).T, sizes))
+    else:
+        order = np.lexsort(keys.T[::-1])
     keys, count = keys[order], count[order]
     first = np.flatnonzero(np.append(True, (keys[1:] != keys[:-1]).any(axis=1)))
     return keys[first], np.add.reduceat(count, first)

@@ -41,15 +41,9 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, extra, located, shown_text
+from exact_mdp.mdp.errors import ModelError, extra, known, located, shown_text
 from exact_mdp.mdp.io import npz
-from exact_mdp.mdp.io.explicit import (
-    REWARD,
-    Explicit,
-    identifier,
-    model_of,
-    named_by,
-)
+from exact_mdp.mdp.io.explicit import REWARD, Explicit, model_of, named_by
 from exact_mdp.mdp.io.files import LARGEST, read_bytes, write_atomically
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers, OutcomeTable
@@ -107,7 +101,7 @@ def load(
         umb, content = _read(path)
         own = (umb.index.annotations or {}).get(GROUP, {}).get(CARRIER)
         if own is not None and own.description:
-            mdp = _restored(umb, content, own.description, reward)
+            mdp = _restored(umb, own.description, reward)
             mdp = mdp if discount is None else mdp.with_(discount=discount)
             return mdp if start is None else mdp.with_(start=start)
         named = replace(content, name=content.name or Path(path).stem)
@@ -115,7 +109,7 @@ def load(
         return model_of(named, where, reward=reward, discount=discount, start=start)
 
 
-def _restored(umb: Any, content: Explicit, packed: str, reward: str | None) -> MDP:
+def _restored(umb: Any, packed: str, reward: str | None) -> MDP:
     """Return a model that exact-mdp wrote, with everything that the format has no place for."""
     where = f"annotations/{GROUP}/{CARRIER}"
     with located(where):
@@ -132,11 +126,16 @@ def _restored(umb: Any, content: Explicit, packed: str, reward: str | None) -> M
                 where=where,
                 fix=f"drop the annotations of group {GROUP}, which no longer describe the model",
             )
-    chosen = identifier(content, REWARD if reward is None else reward)
+    keys = {_title(key, each): key for key, each in written.index.annotations["rewards"].items()}
+    chosen = known(REWARD if reward is None else reward, keys, "reward model", "rewards")
     if chosen == REWARD:
         return mdp
-    table = mdp.table.earning_component(int(chosen.removeprefix(COMPONENT)))
-    return replace(mdp, table=table, component_names=(content.titles[chosen],))
+    table = mdp.table.earning_component(int(keys[chosen].removeprefix(COMPONENT)))
+    return replace(mdp, table=table, component_names=(chosen,))
+
+
+def _title(key: str, described: Any) -> str:
+    return described.alias or key
 
 
 # ---- reading -------------------------------------------------------------------------------------
@@ -173,7 +172,7 @@ def _read(path: str | Path) -> tuple[Any, Explicit]:
 
 
 def _content(umb: Any) -> Explicit:
-    system, about = umb.index.transition_system, umb.index.annotations or {}
+    system = umb.index.transition_system
     states, choices, branches = _sizes(system).values()
     offsets = _offsets(umb.state_to_choices, "state-to-choices", states, choices)
     ends = [0] * branches if umb.branch_to_target is None else umb.branch_to_target
@@ -184,10 +183,6 @@ def _content(umb: Any) -> Explicit:
     if umb.branch_to_probability is not None:
         chances = _sized(umb.branch_to_probability, branches, "branch-to-probability")
     actions, names = _actions(umb, choices)
-    titles = {
-        group: {key: each.alias or key for key, each in about.get(group, {}).items()}
-        for group in ("rewards", "aps")
-    }
     return Explicit(
         name=(umb.index.model_data and umb.index.model_data.name) or "",
         state_to_choices=offsets,
@@ -201,29 +196,28 @@ def _content(umb: Any) -> Explicit:
         initial=np.array(_sized(umb.state_is_initial, states, "state-is-initial"), dtype=bool),
         words=named_by((umb.valuations or {}).get("states", ())),
         rewards=_annotations(umb, "rewards"),
-        titles=titles["rewards"],
         labels={
-            titles["aps"][key]: np.array(each["states"], dtype=bool)
-            for key, each in _annotations(umb, "aps").items()
+            title: np.array(each["states"], dtype=bool)
+            for title, each in _annotations(umb, "aps").items()
             if "states" in each
         },
     )
 
 
 def _annotations(umb: Any, group: str) -> dict[str, dict[str, Any]]:
-    """Return the annotations of a group, each by what it applies to; texts are left out."""
-    by_name: dict[str, dict[str, Any]] = {}
+    """Return the annotations of a group by title and what they apply to; texts are left out."""
+    by_title: dict[str, dict[str, Any]] = {}
     sizes = _sizes(umb.index.transition_system)
     for key, lists in (umb.annotations or {}).get(group, {}).items():
-        for over, values in lists.items():
-            where = f"annotations/{group}/{key}/{over}"
-            if over not in sizes:
-                raise ModelError(
-                    f"an annotation of {over}", where=where, fix=f"give {', '.join(sizes)} values"
-                )
-            if str not in set(map(type, _sized(values, sizes[over], where))):
-                by_name.setdefault(key, {})[over] = values
-    return by_name
+        title = _title(key, umb.index.annotations[group][key])
+        numbers = {
+            over: values
+            for over, values in lists.items()
+            if str not in {*map(type, _sized(values, sizes[over], f"{group}/{key}/{over}"))}
+        }
+        if numbers:
+            by_title[key if title in by_title else title] = numbers
+    return by_title
 
 
 def _actions(umb: Any, choices: int) -> tuple[Integers | None, tuple[str, ...]]:

@@ -27,7 +27,7 @@ info tea --json --markdown -> two forms of one output
 info yuan2025 --set tasks -> 'tasks' is not a setting
 info yuan2025 --set tasks=[] -> tasks is not a list of positive whole numbers, or is empty
 info yuan2025 --set max_trial=-1 -> max_trial is '-1'
-info yuan2025 --set max_trial=<1000000000|NINES> -> max_trial is over 200,000,000
+info yuan2025 --set max_trial=<1000000000|NINES> -> more than 200,000,000 states
 <info yuan2025|solve yuan2025|convert yuan2025 x.npz> --set base.anger=1.1 -> base.anger is 1.1, out
 info yuan2025 --set base.anger=<-0.1|-1e-400> -> base.anger is *, outside [0, 1]
 info yuan2025 --set base.anger=1.0000000000000000000001 -> base.anger is 1 + 1e-22, outside [0,
@@ -177,7 +177,7 @@ train tea --seeds BEYOND -> where: --seeds
 simulate tea random --episodes BEYOND -> where: --episodes
 robust tea <--radius|--set-kind kl --radius> BEYOND -> where: --radius
 <threshold|tornado> tea --relative BEYOND -> where: --relative
-data semicolons.csv --discount=0.9 --out=other.npz -> separate columns by commas
+data semicolons.csv --discount=0.9 --out=other.npz -> no column 'episode'
 data ward.csv --discount=0.9 --out=other.npz -> --column state=
 """
 BEYOND = "<nan|1e400|1e999|NINES>"

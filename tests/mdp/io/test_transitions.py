@@ -201,11 +201,9 @@ def cut(*rows: tuple[Any, ...]) -> pd.DataFrame:
 HEAD, ONE = "episode,state,action,reward,next_state\n", table([GOOD])
 NO_LOG: list[Any] = [  # log, columns, what is said, where, and how to put it right
     (ONE.rename(columns={"next_state": "next_stat"}), {}, "no column 'next_state'"),
-    (ONE.rename(columns={"state": " state"}), {}, "no column", "", "called ' state', with spaces"),
     (ONE.rename(columns={"reward": "state"}), {"reward": "x"}, "'state' stands twice"),
     (HEAD.replace("reward", "state") + "1,a,x,0,b\n", {}, "'state' stands twice"),
     (ONE, {"sate": "s"}, "unknown column 'sate'"),
-    (ONE, {"state": "next_state"}, "stands for state and next_state"),
     *((other, {}, "is of type") for other in (5, [1, 2], [GOOD], {"state": [1]})),
     (table([(1, [0], "x", 0, [1])]), {}, "cannot be a name"),
     (table([]), {}, "no transitions"),
