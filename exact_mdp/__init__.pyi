@@ -43,8 +43,8 @@ from exact_mdp.analysis.vary.robust import robust_curve as robust_curve
 from exact_mdp.analysis.vary.robust import worst_point as worst_point
 from exact_mdp.analysis.vary.sobol import sobol as sobol
 from exact_mdp.analysis.vary.study import study as study
-from exact_mdp.mdp.care.perception import Counted as Counted
 from exact_mdp.mdp.care.perception import counted as counted
+from exact_mdp.mdp.care.perception import frequencies as frequencies
 from exact_mdp.mdp.care.perception import independent as independent
 from exact_mdp.mdp.care.perception import perceived as perceived
 from exact_mdp.mdp.care.scenario import Scenario as Scenario

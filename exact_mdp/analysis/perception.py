@@ -20,10 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from exact_mdp.analysis.vary.intervals import Ranged, mean_of
 from exact_mdp.mdp.care.perception import (
-    LEVEL,
-    Counted,
     by_place,
     checked,
     independent,
@@ -36,7 +33,6 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, at_most
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, float_of
-from exact_mdp.mdp.validate import RNG, seed_of
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, gamma
 from exact_mdp.solvers.solution import Bounded
@@ -44,7 +40,6 @@ from exact_mdp.solvers.values.layers import Layers
 from exact_mdp.solvers.values.policy_chain import policy_of
 
 ALL = "all"
-BATCH = 256  # matrices evaluated at once
 
 
 class Passes:
@@ -94,7 +89,7 @@ class Passes:
         return self.mdp.start_distribution @ value
 
 
-# ---- values along accuracies, and under counts ---------------------------------------------------
+# ---- values along accuracies ---------------------------------------------------------------------
 
 
 def confusion_at(model: MDP, accuracy: float, status: str = ALL) -> Floats:
@@ -162,22 +157,6 @@ def accuracy_curves(
         matrices = np.stack([confusion_at(model, x, name) for x in grid.tolist()])
         curves[name] = passes.start_values(matrices)
     return AccuracyCurves(levels=grid, values=curves, error=passes.rounding)
-
-
-def value_under_counts(
-    model: MDP, policy: PolicyLike, counts: Counted, *, rng: RNG, n: int = 2000
-) -> Ranged:
-    """Return the mean value of a policy over n confusions drawn from the posterior of counts.
-
-    Its interval is the credible one, of `LEVEL`.
-    """
-    drawn = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(seed_of(rng))
-    passes = Passes(model, policy)
-    sizes = [min(BATCH, n - first) for first in range(0, n, BATCH)]
-    draws = np.concatenate([passes.start_values(counts.samples(drawn, size)) for size in sizes])
-    low, high = np.quantile(draws, [(1 - LEVEL) / 2, (1 + LEVEL) / 2]).tolist()
-    mean = mean_of(draws)
-    return Ranged(value=mean.value, standard_error=mean.standard_error, low=low, high=high)
 
 
 # ---- the costly errors ---------------------------------------------------------------------------

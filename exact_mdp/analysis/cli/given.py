@@ -194,7 +194,7 @@ class Given:
         policy: Policy = policy_of(self.mdp, form, kind=self.kind, criterion=self.criterion)
         if self.perception is None:
             return policy
-        matrix = seeing.read(self.perception, self.mdp)
+        matrix, _ = seeing.read(self.perception, self.mdp)
         return replace(seeing.perceived(self.mdp, policy, matrix), source=policy.source)
 
     def in_words(self) -> str | None:

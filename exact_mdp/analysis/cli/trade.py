@@ -6,16 +6,15 @@ import json
 from collections.abc import Sequence
 
 from exact_mdp.analysis.cli.given import Given
-from exact_mdp.analysis.cli.words import refuse
-from exact_mdp.analysis.perception import confusion_at, error_costs, value_under_counts
+from exact_mdp.analysis.perception import confusion_at, error_costs
 from exact_mdp.analysis.tradeoffs.front import tradeoff as front_of
 from exact_mdp.analysis.tradeoffs.rationalize import rationalize as weights_for
 from exact_mdp.analysis.tradeoffs.risk import mean_cvar
-from exact_mdp.mdp.care.perception import LEVEL, read, read_counts
+from exact_mdp.mdp.care.perception import read
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.report import Report, Shown, between
+from exact_mdp.mdp.report import Report
 from exact_mdp.mdp.result import data_frame
 from exact_mdp.mdp.table import float_of
 from exact_mdp.solvers.solver import solve
@@ -123,9 +122,6 @@ def perception(
     *,
     perception: str | None = None,
     accuracy: str | None = None,
-    prior: str | None = None,
-    draws: int = 2000,
-    seed: int = 0,
     policy: str = "optimal",
 ) -> Report:
     """Compute what errors of perception cost, and which of them.
@@ -142,12 +138,6 @@ def perception(
         .csv (true,perceived) or the .jsonl of a recording.
     accuracy : X, optional
         Each status is read correctly with this probability instead.
-    prior : X, optional
-        Pseudo-count of each cell, where the file holds examples; adds a credible interval.
-    draws : N, 2 to 1000000
-        Draws for that interval.
-    seed : S
-        Seed of the draws.
     policy : POLICY
         The policy that takes what is perceived for true.
 
@@ -155,31 +145,19 @@ def perception(
     ----
     perfect: the value if the status is known; taken_as_true: the value if what is perceived is
     taken for true; errors: cost of each kind of error; confusions: cost of taking one status for
-    another; counted: counts, if the file holds examples.
+    another; counted: number of examples, if the file holds them.
     """
-    mdp, counts = given.mdp, None
+    mdp, counted = given.mdp, None
     if (perception is None) == (accuracy is None):
         what = "no perception, or two of them"
         raise ModelError(what, where="options", fix="give --perception or --accuracy")
     if perception is None:
-        refuse({"--prior": prior}, "an accuracy")
         matrix = confusion_at(mdp, float_of(accuracy, "accuracy"))
-    elif prior is None:
-        matrix = read(perception, mdp)
     else:
-        counts = read_counts(perception, mdp, prior=float_of(prior, "prior"))
-        matrix = counts.mean
+        matrix, counted = read(perception, mdp)
     optimum = solve(mdp)
     chosen = policy_of(mdp, optimum if policy == "optimal" else policy)
     costs = error_costs(mdp, chosen, matrix)
-    counted = None
-    if counts is not None:
-        spread = value_under_counts(mdp, chosen, counts, rng=seed, n=draws)
-        mean = {"mean": spread.value, "standard_error": spread.standard_error}
-        rest = {"interval": list(spread.interval), "level": LEVEL}
-        rest |= {"draws": draws, "seed": seed, "claim": spread.claim}
-        said = f"{LEVEL:.0%} in {between(*spread.interval)} (estimated)"
-        counted = Shown(mean | rest, said)
     return given.report(
         costs.report(),
         policy=policy,

@@ -8,24 +8,21 @@ timestep. A policy π that acts on what it perceives is, in the true state, the 
 which can be evaluated like any other. Files may state rationals; each number, and each probability
 π_C, is rounded to the nearest float, and exact results are exact for these.
 
-From N(s, z) examples of the true status s and the perceived status z, a row is estimated as
-C(s, z) = (N(s, z) + α) / (N(s) + α Z), with a pseudo-count α for each of the Z cells: the
-frequencies at α = 0, else the posterior mean under a Dirichlet prior, from whose posterior,
-Dirichlet(N(s, ·) + α), rows are drawn. α = 1/Z (Perks 1947) has the weight of one example for each
-row. Intervals of rates are those of Clopper and Pearson (Biometrika 26, 1934).
+From N(s, z) examples of the true status s and the perceived status z, a row is estimated by its
+frequencies, C(s, z) = N(s, z) / N(s). Intervals of rates are those of Clopper and Pearson
+(Biometrika 26, 1934).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from exact_mdp.mdp.errors import ModelError, known, located
 from exact_mdp.mdp.forms.numbers import float_array
@@ -161,138 +158,90 @@ def _named(model: MDP) -> list[str]:
 # ---- counts --------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Counted:
-    """How often each true status (row) was perceived as each other (column).
-
-    Attributes
-    ----------
-    counts : (Z, Z) int64
-    prior : float
-        Pseudo-count of every cell.
-    """
-
-    counts: Integers
-    prior: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.prior < np.inf:
-            raise ModelError(f"the prior is {self.prior}", where="counts", fix="give 0 or more")
-        table = np.asarray(self.counts)
-        square = table.ndim == 2 and table.shape[0] == table.shape[1] and table.dtype.kind in "iuf"
-        if not square or not ((table >= 0) & (table == np.floor(table))).all():
-            raise ModelError(
-                f"counts of shape {table.shape} that are not a square of whole numbers from 0",
-                where="counts",
-                fix="give a number for each true (row) and perceived status (column)",
-            )
-        table = table.astype(np.int64)
-        table.setflags(write=False)
-        object.__setattr__(self, "counts", table)
-
-    @property
-    def mean(self) -> Floats:
-        """(Z, Z) the confusion matrix: frequencies, or posterior means with a prior."""
-        unseen = np.flatnonzero(self.counts.sum(axis=1) == 0).tolist()
-        if self.prior == 0 and unseen:
-            labels = map(statuses_of(len(self.counts)).label, unseen[:4])
-            raise ModelError(
-                f"no example was labelled {', '.join(labels)}{' and others' * (len(unseen) > 4)}",
-                where="confusion matrix",
-                fix="label more, or give a prior, which counts as that many of each; "
-                "`exact-mdp perception` takes a --prior",
-            )
-        weight = self.counts + self.prior
-        return np.asarray(weight / weight.sum(axis=1, keepdims=True))
-
-    def samples(self, rng: np.random.Generator, n: int) -> Floats:
-        """Return (n, Z, Z) matrices drawn from the posterior, for which there has to be a prior."""
-        if self.prior == 0:
-            fix = f"give one, such as prior=1/{len(self.counts)}"
-            raise ModelError("no prior to draw from", where="counts", fix=fix)
-        # A Dirichlet row is a row of gamma variates divided by its sum.
-        drawn = rng.gamma(self.counts + self.prior, size=(n, *self.counts.shape))
-        total = drawn.sum(axis=2, keepdims=True)
-        if not (total > 0).all():
-            what = f"the prior {self.prior} is too small to draw from"
-            raise ModelError(what, where="counts", fix="raise it")
-        return np.asarray(drawn / total)
-
-    def rates(self, statuses: Sequence[str]) -> DataFrame:
-        """Return the sensitivity and specificity of each status, the first being the highest bit.
-
-        One row for each: `right` of `total` examples, and the ends of its interval.
-        """
-        from scipy import stats
-
-        rows, numbers = [], np.arange(len(self.counts))
-        for shift, status in enumerate(reversed(statuses)):
-            present = (numbers >> shift & 1) == 1
-            for name, of in (("specificity", ~present), ("sensitivity", present)):
-                right, total = int(self.counts[of][:, of].sum()), int(self.counts[of].sum())
-                ends = stats.binomtest(right, total).proportion_ci(LEVEL) if total else (0.0, 1.0)
-                rows.append((status, name, right, total, *map(float, ends)))
-        columns = ["status", "rate", "right", "total", "low", "high"]
-        return data_frame(rows[::-1], columns=columns)
-
-
-def counted(
-    source: NDArray[Any] | Iterable[Sequence[object]], *, size: int, prior: float = 0.0
-) -> Counted:
-    """Return the counts of true and perceived statuses.
+def counted(pairs: Iterable[Sequence[object]], *, size: int) -> Integers:
+    """Return how often each true status (row) was perceived as each other (column).
 
     Parameters
     ----------
-    source : (Z, Z) array of whole numbers, or pairs of the true and the perceived status
-        Statuses as numbers, or as strings of bits.
+    pairs : the true and the perceived status of each example, as numbers or strings of bits
     size : number of status vectors, Z
-    prior : pseudo-count of every cell
 
     Returns
     -------
-    Counted
+    (Z, Z) array of int
 
     Raises
     ------
     ModelError
-        For unknown statuses, and for counts that are not whole numbers of at least 0.
+        For unknown statuses.
 
     Examples
     --------
     >>> from exact_mdp import counted
-    >>> counted([("0", "0"), ("0", "1"), ("1", "1")], size=2).mean.tolist()
-    [[0.5, 0.5], [0.0, 1.0]]
+    >>> counted([("0", "0"), ("0", "1"), ("1", "1")], size=2).tolist()
+    [[1, 1], [0, 1]]
     """
-    if isinstance(source, np.ndarray) and source.shape == (size, size):
-        return Counted(counts=source, prior=prior)
-    pairs = ((f"pair {k}", *pair) for k, pair in enumerate(source, start=1))
-    return _tally(pairs, size, prior)
+    return _tally(((f"pair {k}", *pair) for k, pair in enumerate(pairs, start=1)), size)
 
 
-def _tally(pairs: Iterable[Sequence[Any]], size: int, prior: float) -> Counted:
-    column, table = statuses_of(size), np.zeros((size, size), dtype=np.int64)
+def _tally(pairs: Iterable[Sequence[Any]], size: int) -> Integers:
+    column, counts = statuses_of(size), np.zeros((size, size), dtype=np.int64)
     for place, true, seen in pairs:
         with located(place, instead=True):
-            table[column.number(true), column.number(seen)] += 1
-    return Counted(counts=table, prior=prior)
+            counts[column.number(true), column.number(seen)] += 1
+    return counts
+
+
+def frequencies(counts: Integers) -> Floats:
+    """Return the confusion matrix (Z, Z) of counts; raises ModelError for a status without any."""
+    totals = counts.sum(axis=1, keepdims=True)
+    unseen = np.flatnonzero(totals == 0).tolist()
+    if unseen:
+        labels = map(statuses_of(len(counts)).label, unseen[:4])
+        raise ModelError(
+            f"no example was labelled {', '.join(labels)}{' and others' * (len(unseen) > 4)}",
+            where="confusion matrix",
+            fix="label more",
+        )
+    return np.asarray(counts / totals)
+
+
+def rates(counts: Integers, statuses: Sequence[str]) -> DataFrame:
+    """Return the sensitivity and specificity of each status, the first being the highest bit.
+
+    One row for each: `right` of `total` examples, and the ends of its interval.
+    """
+    from scipy import stats
+
+    rows, numbers = [], np.arange(len(counts))
+    for shift, status in enumerate(reversed(statuses)):
+        present = (numbers >> shift & 1) == 1
+        for name, of in (("specificity", ~present), ("sensitivity", present)):
+            right, total = int(counts[of][:, of].sum()), int(counts[of].sum())
+            ends = stats.binomtest(right, total).proportion_ci(LEVEL) if total else (0.0, 1.0)
+            rows.append((status, name, right, total, *map(float, ends)))
+    columns = ["status", "rate", "right", "total", "low", "high"]
+    return data_frame(rows[::-1], columns=columns)
 
 
 # ---- files ---------------------------------------------------------------------------------------
 
 
-def read(path: str | Path, model: MDP) -> Floats:
-    """Return the confusion matrix that a file states, or the frequencies of its examples.
+def read(path: str | Path, model: MDP) -> tuple[Floats, int | None]:
+    """Return the confusion matrix of a file, and the number of examples that it counts, if any.
 
     A `.csv` has the header `status,0000,…,1111` and a row for each true status. A `.toml` has the
     tables `[sensitivity]` and `[specificity]` with a number for each status by name. Numbers are
     read exactly, then rounded to floats. For labelled examples see `read_counts`.
     """
-    stated = _stated(path, model, 0.0)
+    stated = _stated(path, model)
+    if stated.dtype != np.int64:
+        return stated, None
     with located(str(path), instead=True):
-        return stated.mean if isinstance(stated, Counted) else stated
+        return frequencies(stated), int(stated.sum())
 
 
-def read_counts(path: str | Path, model: MDP, *, prior: float = 0.0) -> Counted:
+def read_counts(path: str | Path, model: MDP) -> Integers:
     """Return the counts of a file of labelled examples.
 
     A `.csv` has the header `true,perceived` and a row for each example. A `.jsonl` is a recording
@@ -300,18 +249,18 @@ def read_counts(path: str | Path, model: MDP, *, prior: float = 0.0) -> Counted:
     are passed over, and so is a last line that breaks off before its end; a header that names
     `statuses` must name the model's.
     """
-    stated = _stated(path, model, prior)
-    fix = "leave the prior out, or give a .csv of true,perceived or a .jsonl recording"
-    if not isinstance(stated, Counted):
+    stated = _stated(path, model)
+    if stated.dtype != np.int64:
         what = "the file states a confusion matrix, and only labelled examples are counted"
+        fix = "give a .csv of true,perceived or a .jsonl recording"
         raise ModelError(what, where=str(path), fix=fix)
-    return stated
+    return np.asarray(stated)
 
 
-def _stated(path: str | Path, model: MDP, prior: float) -> Floats | Counted:
+def _stated(path: str | Path, model: MDP) -> Any:
     size, where, suffix = status_size(model), str(path), Path(path).suffix.lower()
     if suffix == ".jsonl":
-        return _tally(_recorded(read_text(path), where, _named(model)), size, prior)
+        return _tally(_recorded(read_text(path), where, _named(model)), size)
     if suffix == ".toml":
         return independent(*_rates(read_text(path, most=SMALL), _named(model), where))
     if suffix != ".csv":
@@ -320,7 +269,7 @@ def _stated(path: str | Path, model: MDP, prior: float) -> Floats | Counted:
     stated = ([f"{where}, line {number}", *map(str.strip, row)] for number, row in lines)
     header = next(stated, [""])[1:]
     if header == PAIRS:
-        return _tally(stated, size, prior)
+        return _tally(stated, size)
     labels = list(map(model.space.column("status").label, range(size)))
     if header != ["status", *labels]:
         raise ModelError(

@@ -11,10 +11,10 @@ from typing import Any
 import click
 import numpy as np
 
-from exact_mdp import Counted, ModelError, evaluate, perceived
+from exact_mdp import ModelError, evaluate, perceived
 from exact_mdp.analysis.exit_status import Programs
 from exact_mdp.analysis.record import run_record
-from exact_mdp.mdp.care.perception import read_counts
+from exact_mdp.mdp.care.perception import frequencies, rates, read_counts
 from exact_mdp.paper_repro.agents import log
 from exact_mdp.paper_repro.agents.endpoint import SHAPES, BackendError, Endpoint
 from exact_mdp.paper_repro.agents.scripted import Scripted
@@ -166,15 +166,15 @@ def measure(
         talk.labelled(
             paths[0], each=each, behave=Scripted() if scripted_behaviour else talk.backend
         )
-    read = [read_counts(path, talk.mdp) for path in paths]
-    counted = Counted(counts=np.sum([one.counts for one in read], axis=0))
+    counts = np.sum([read_counts(path, talk.mdp) for path in paths], axis=0)
+    confusion = frequencies(counts)
     perfect = evaluate(talk.mdp, talk.policy).mean
-    measured = evaluate(talk.mdp, perceived(talk.mdp, talk.policy, counted.mean)).mean
-    labels = [talk.named(number)[0] for number in range(len(counted.counts))]
-    table = pandas.DataFrame(counted.mean, index=labels, columns=labels)
+    measured = evaluate(talk.mdp, perceived(talk.mdp, talk.policy, confusion)).mean
+    labels = [talk.named(number)[0] for number in range(len(counts))]
+    table = pandas.DataFrame(confusion, index=labels, columns=labels)
     write(out / "confusion.csv", table.to_csv(index_label="status", lineterminator="\n"))
     record_run(out, talk, words)
-    for rate in counted.rates(talk.modules.statuses).itertuples():
+    for rate in rates(counts, talk.modules.statuses).itertuples():
         shown = f"{rate.right / rate.total:.3f}" if rate.total else "none seen"
         interval = f"[{rate.low:.3f}, {rate.high:.3f}] of {rate.total}"
         click.echo(f"{rate.status:14} {rate.rate:11} {shown} {interval}")

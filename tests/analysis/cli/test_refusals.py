@@ -146,8 +146,6 @@ tradeoff yuan2025 anger trial steps skip -> front of 4 totals
 perception yuan2025<| --accuracy 0.9 --perception x.csv> -> no perception, or two
 perception yuan2025 --accuracy 2 -> accuracy is 2
 perception yuan2025 --accuracy 1.5 -> where: --accuracy
-perception yuan2025 --accuracy 0.9 --prior 1 -> --prior does not apply to an accuracy
-perception yuan2025 --accuracy 0.9 --draws x -> where: --draws
 psa gymnasium:FrozenLake-v1 --discount 0.9 --perception seen.csv -> no statuses
 train yuan2025 --epsilon falling -> not a finite rational
 train yuan2025 <--epsilon 1.5|--learner=rate=2> -> between 0 and 1

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from own_scenarios import check_own, own_text, scenario_of
 
-from exact_mdp import READINGS, ModelError, Scenario
+from exact_mdp import READINGS, ModelError, Scenario, counted
 from exact_mdp.mdp.care import compile as blocks
 from exact_mdp.mdp.care.compile import check_explicit, size
+from exact_mdp.mdp.care.perception import rates
 from exact_mdp.mdp.table import OutcomeTable
 
 # ---- models built in blocks ----------------------------------------------------------------------
@@ -68,3 +69,16 @@ def test_what_is_too_large_to_build_is_refused_for_a_reason_that_is_true() -> No
     with pytest.raises(ModelError, match=r"2,048 states and up to [\d,]+ outcomes of 230 bytes"):
         check_explicit(weighted(9, same=False, subtasks=4).laws)
     check_explicit(weighted(9, same=False, subtasks=4, base=F(1, 3)).laws)
+
+
+def test_rates_are_of_single_statuses() -> None:
+    counts = counted([("10", "11"), ("10", "00"), ("01", "01"), ("00", "10")], size=4)
+    table = rates(counts, ["anger", "confusion"])
+    assert table[["status", "rate", "right", "total"]].to_numpy().tolist() == [
+        ["anger", "sensitivity", 1, 2], ["anger", "specificity", 1, 2],
+        ["confusion", "sensitivity", 1, 1], ["confusion", "specificity", 2, 3],
+    ]  # fmt: skip
+    empty = rates(counted([("00", "00")], size=4), ["a", "b"]).iloc[0]
+    assert (empty.total, empty.low, empty.high) == (0, 0.0, 1.0)
+    ten = rates(counted([(1, 1)] * 10 + [(0, 0)], size=2), ["a"]).iloc[0]
+    assert (ten.low, ten.high) == (pytest.approx(0.025**0.1), 1.0)

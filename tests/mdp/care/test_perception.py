@@ -1,6 +1,6 @@
 """Acting on perceived statuses: against the reference model, by file, on the command line.
 
-The matrix of perception may be counted from labelled examples: files, priors, intervals, draws.
+The matrix of perception may be counted from labelled examples, in several kinds of files.
 """
 
 import json
@@ -14,16 +14,14 @@ import pytest
 from care_oracle import Oracle
 from cli_runner import run
 from refusal_tables import refused
-from scipy.stats import beta, dirichlet
 
 from exact_mdp import (
     MDP,
-    Counted,
-    ModelError,
     Policy,
     Scenario,
     counted,
     evaluate,
+    frequencies,
     independent,
     perceived,
 )
@@ -187,20 +185,13 @@ def test_every_form_gives_the_same_counts_and_draws(care: MDP, tmp_path: Path) -
     (tmp_path / "a.jsonl").write_text("\n".join(lines) + '\n{"status": "00')  # a broken last line
     labels = [{"status": int(s, 2), "perceived": int(z, 2)} for s, z in pairs]
     (tmp_path / "b.jsonl").write_text("\n".join(map(json.dumps, labels)))  # and no newline
-    mean = evaluate(care, perceived(care, PLAN, Counted(counts=table).mean)).mean
-    posterior = Counted(counts=table, prior=1 / 16)
-    matrices = posterior.samples(np.random.default_rng(5), 30)
-    drawn = [evaluate(care, perceived(care, PLAN, matrix)).mean for matrix in matrices]
+    mean = evaluate(care, perceived(care, PLAN, frequencies(table))).mean
     for name in ("a.csv", "a.jsonl", "b.jsonl"):
         assert evaluated(tmp_path / name)["mean"] == pytest.approx(mean, rel=1e-12)
-        line = "perception --policy plan.json --prior 1/16 --draws 30 --seed 5 --json"
-        done = run(line, *MODEL, "--perception", tmp_path / name)
-        counts = done.result["counted"]
-        assert counts["mean"] == pytest.approx(np.mean(drawn), rel=1e-12)
-        assert counts["interval"] == pytest.approx(np.quantile(drawn, [0.025, 0.975]), rel=1e-9)
-    assert np.array_equal(counted(pairs, size=16).counts, table)
-    assert np.array_equal(counted(table, size=16).counts, table)
-    assert not counted(table, size=16).counts.flags.writeable
+        done = run("perception --policy plan.json --json", *MODEL, "--perception", tmp_path / name)
+        assert done.result["counted"] == len(pairs)
+    assert np.array_equal(counted(pairs, size=16), table)
+    assert frequencies(table) == pytest.approx(table / table.sum(axis=1)[:, None])
 
 
 def test_commands_name_the_file_that_labels_too_little(tmp_path: Path) -> None:
@@ -210,44 +201,4 @@ def test_commands_name_the_file_that_labels_too_little(tmp_path: Path) -> None:
         done = run(*words, *seen)
         assert done.status == 2
         assert f"where: {tmp_path / 'few.csv'}" in done.err
-        assert "`exact-mdp perception` takes a --prior" in done.err
-
-
-def test_a_prior_is_so_many_examples(care: MDP) -> None:
-    pairs = examples()[:10]
-    bare, weighed = counted(pairs, size=16), counted(pairs, size=16, prior=0.25)
-    refused(lambda: bare.mean, "labelled 1010, 1011, 1100, 1101 and others")
-    assert weighed.mean == pytest.approx((bare.counts + 0.25) / (bare.counts.sum(1) + 4)[:, None])
-    refused(lambda: bare.samples(np.random.default_rng(0), 1), "no prior to draw from")
-
-
-def test_draws_are_of_the_posterior() -> None:
-    counts = counted(examples(), size=16, prior=0.5)
-    drawn = counts.samples(np.random.default_rng(1), 20_000)
-    assert drawn.sum(axis=2) == pytest.approx(1)
-    row = counts.counts[3] + 0.5
-    error = np.sqrt(dirichlet.var(row) / 20_000)
-    assert (abs(drawn[:, 3].mean(axis=0) - dirichlet.mean(row)) < 5 * error).all()
-    share = beta(row[3], row.sum() - row[3])
-    below = (drawn[:, 3, 3] < share.ppf(0.2)).mean()
-    assert abs(below - 0.2) < 5 * np.sqrt(0.16 / 20_000)
-
-
-def test_rates_are_of_single_statuses() -> None:
-    counts = counted([("10", "11"), ("10", "00"), ("01", "01"), ("00", "10")], size=4)
-    rates = counts.rates(["anger", "confusion"])
-    assert rates[["status", "rate", "right", "total"]].to_numpy().tolist() == [
-        ["anger", "sensitivity", 1, 2], ["anger", "specificity", 1, 2],
-        ["confusion", "sensitivity", 1, 1], ["confusion", "specificity", 2, 3],
-    ]  # fmt: skip
-    empty = counted([("00", "00")], size=4).rates(["a", "b"]).iloc[0]
-    assert (empty.total, empty.low, empty.high) == (0, 0.0, 1.0)
-    ten = counted([(1, 1)] * 10 + [(0, 0)], size=2).rates(["a"]).iloc[0]
-    assert (ten.low, ten.high) == (pytest.approx(0.025**0.1), 1.0)
-
-
-def test_counts_that_are_none() -> None:
-    for table in (np.ones((2, 3)), -np.eye(2), np.full((2, 2), 0.5)):
-        with pytest.raises(ModelError, match="whole numbers"):
-            Counted(counts=table)
-    refused(lambda: Counted(counts=np.eye(2, dtype=int), prior=-1), "prior is -1")
+        assert "labelled 0001, 0010, 0011, 0100 and others" in done.err
