@@ -30,7 +30,6 @@ from exact_mdp.mdp.errors import (
     ShapeError,
     extra,
     located,
-    no_such,
     shown_text,
     suggest,
 )
@@ -227,32 +226,19 @@ def _rows(env: Any, where: str) -> Rows:
             fix="describe it: MDP.from_function(start, actions, outcomes); or use an environment "
             "with P, such as FrozenLake-v1",
         )
-    rows: Rows = {}
-    for state, row in _items(table, where, "P"):
-        for action, outcomes in _items(row, where, f"P[{state}]"):
-            place = f"{where}, P[{state}][{action}]"
-            rows[state, action] = [_outcome(outcome, place) for outcome in _listed(outcomes, place)]
-        if not row:
-            raise ModelError(
-                f"P[{state}] lists no action",
-                where=where,
-                fix=f"let an end stay: P[{state}] = {{0: [(1.0, {state}, 0, True)]}}",
-            )
-    if not rows:
-        raise ModelError("P is empty: it lists no state with an action", where=where, fix=LISTED)
-    states = max(state for state, _ in rows) + 1
-    for (state, action), outcomes in rows.items():
-        for _, following, _, over in outcomes:
-            if not 0 <= following < states and not (over and following == NOWHERE):
-                place = f"{where}, P[{state}][{action}]"
-                raise no_such("next state", following, states, where=place)
-    return rows
+    return {
+        (state, action): _outcomes(outcomes, f"{where}, P[{state}][{action}]")
+        for state, row in _items(table, where, "P")
+        for action, outcomes in _items(row, where, f"P[{state}]")
+    }
 
 
 def _items(table: Any, where: str, what: str) -> Iterator[tuple[int, Any]]:
-    for key, value in (
-        table.items() if isinstance(table, Mapping) else enumerate(_listed(table, where))
-    ):
+    listed = table.items() if isinstance(table, Mapping) else enumerate(_listed(table, where))
+    if not table:
+        fix = f"{LISTED}; an end stays: {{0: [(1.0, state, 0, True)]}}"
+        raise ModelError(f"{what} lists no action", where=where, fix=fix)
+    for key, value in listed:
         if not _whole(key) or key < 0:
             fix = "number states and actions from 0"
             raise ModelError(f"{what} has the key {key!r}", where=where, fix=fix)
@@ -270,18 +256,21 @@ def _listed(values: Any, where: str) -> Sequence[Any]:
     raise ModelError(what, where=where, fix=LISTED)
 
 
-def _outcome(outcome: Any, place: str) -> Outcome:
-    values = _listed(outcome, place)
-    if len(values) != 4 or not _whole(values[1]) or not isinstance(values[3], bool | np.bool_):
-        raise ModelError(
-            f"an outcome is {outcome!r}",
-            where=place,
-            fix="give (probability, next state, reward, terminated)",
-        )
-    with located(place):
-        for number in (values[0], values[2]):
-            as_given(number)
-    return values[0], int(values[1]), values[2], bool(values[3])
+def _outcomes(listed: Any, place: str) -> list[Outcome]:
+    outcomes = []
+    for outcome in _listed(listed, place):
+        values = _listed(outcome, place)
+        if len(values) != 4 or not _whole(values[1]) or not isinstance(values[3], bool | np.bool_):
+            raise ModelError(
+                f"an outcome is {outcome!r}",
+                where=place,
+                fix="give (probability, next state, reward, terminated)",
+            )
+        with located(place):
+            for number in (values[0], values[2]):
+                as_given(number)
+        outcomes.append((values[0], int(values[1]), values[2], bool(values[3])))
+    return outcomes
 
 
 def _of_matrices(env: Any, dynamics: Mapping[str, Any], where: str) -> tuple[Numbers, Numbers]:

@@ -259,7 +259,7 @@ def test_an_environment_of_ones_own_module(tmp_path: Path, monkeypatch: pytest.M
     [
         (None, [1], "does not expose its model"),
         (3, [1], "int found where a list"),
-        ({}, [], "P is empty"),
+        ({}, [], "P lists no action"),
         ({0: {}}, [], "P[0] lists no action"),
         ({0: {0: [(1, 1, 5, False)]}, 1: {}}, [1, 0], "P[1] lists no action"),
         ({0: {0: [(1.5, 0, 1, True), (-0.5, 0, 1, True)]}}, [1], "a probability is -0.5"),
