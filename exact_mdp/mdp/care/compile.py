@@ -39,6 +39,7 @@ from exact_mdp.mdp.table import (
     integers,
     magnitude,
     multiply,
+    spans,
 )
 
 ENTRIES = 2**20  # of a product held at once
@@ -287,62 +288,38 @@ def _repeated(laws: Laws, small: MDP, order: Integers) -> MDP:
 
     Its rows are those of `small`, which were checked there, at other places.
     """
-    rules, table, matrix = laws.rules, small.table, small.transition
-    count, size = len(order), rules.size
-    end = count * size
-    starts = np.append(np.arange(order.max() + 1) * size, small.n_states - 1)
-    rows = small.pair_offsets[starts]
-    shifts = (np.arange(count) - order) * size
-    # Runs of blocks of one kind, laid down at once.
-    first = np.flatnonzero(np.diff(order, prepend=-1))
-    runs = list(zip(first.tolist(), [*first[1:].tolist(), count], strict=True))
-
-    def lay(values: Numbers, cuts: Numbers, *, moved: bool = False) -> Numbers:
-        """Repeat blocks of `values`, which `cuts` (kinds + 1,) delimit; shift states."""
-        total = int(np.diff(cuts)[order].sum()) + len(values) - int(cuts[-1])
-        kind = np.promote_types(values.dtype, _states(end)) if moved else values.dtype
-        laid, at = np.empty((total, *values.shape[1:]), dtype=kind), 0
-        for begin, stop in runs:
-            number, times = order[begin], stop - begin
-            block = values[cuts[number] : cuts[number + 1]]
-            place = laid[at : at + times * len(block)].reshape(times, *block.shape)
-            if moved:
-                np.add(block, shifts[begin:stop, None].astype(kind), out=place)
-            else:
-                place[:] = block
-            at += times * len(block)
-        laid[at:] = end if moved else values[cuts[-1] :]
-        return laid
-
-    def ends(lengths: Numbers, cuts: Numbers) -> Integers:
-        return np.concatenate([[0], np.cumsum(lay(lengths, cuts), dtype=np.int64)])
-
-    outcomes, entries = table.offsets[rows], matrix.indptr[rows]
-    following = lay(table.next, outcomes, moved=True)
-    indptr = ends(np.diff(matrix.indptr), rows)
-    merged = len(matrix.indices) < len(table.next)
-    indices = lay(matrix.indices, entries, moved=True) if merged else following
-    laid = table.mapped(lambda _, each: lay(each, rows), lambda _, each: lay(each, outcomes))
+    rules, matrix, count = laws.rules, small.transition, len(order)
+    starts = np.append(np.arange(order.max() + 1) * rules.size, small.n_states - 1)
+    rows, numbers = small.pair_offsets[starts], np.append(order, len(starts) - 1)
+    end = count * rules.size
+    lasts = np.append(rows[1:], small.n_pairs)
+    pairs = spans(rows[numbers], lasts[numbers])
+    # By how much states move, block by block, and pair by pair.
+    moves = np.append(np.arange(count) * rules.size, end) - starts[numbers]
+    moves = np.repeat(moves.astype(_states(end)), (lasts - rows)[numbers])
+    table = small.table.of_pairs(pairs)
+    following = table.next + np.repeat(moves, np.diff(table.offsets))
+    below = _same(laws.scale, len(pairs))
+    table = replace(table, next=following, gain_denominator=below)
+    matrix = matrix[pairs]
+    columns = following
+    if len(matrix.indices) < len(following):  # outcomes that differ in what they earn are joined
+        columns = matrix.indices + np.repeat(moves, np.diff(matrix.indptr))
+    shape = len(pairs), end + 1
+    transition = sp.csr_array((matrix.data, columns, matrix.indptr), shape)
+    transition.has_canonical_format = True
+    states, space = small.pair_state[pairs] + moves, rules.space(count)
     parts: dict[str, Any] = {field.name: getattr(small, field.name) for field in fields(MDP)}
     parts |= {
-        "table": replace(
-            laid,
-            offsets=ends(np.diff(table.offsets), rows) if merged else indptr,
-            next=following,
-            gain_denominator=_same(laws.scale, len(indptr) - 1),
-        ),
-        "space": rules.space(count),
-        "labels": rules.labels(rules.space(count)),
-        "pair_state": lay(small.pair_state, rows, moved=True),
-        "pair_action": lay(small.pair_action, rows),
-        "pair_offsets": ends(np.diff(small.pair_offsets), starts),
-        "reward": lay(small.reward, rows),
+        "table": table,
+        "space": space,
+        "labels": rules.labels(space),
+        "pair_state": states,
+        "pair_action": small.pair_action[pairs],
+        "pair_offsets": np.concatenate([[0], np.cumsum(np.bincount(states))]),
+        "reward": small.reward[pairs],
+        "transition": transition,
     }
-    if indptr[-1] < 2**31 - 1:
-        indptr = indptr.astype(indices.dtype)
-    shape = (len(indptr) - 1, end + 1)
-    parts["transition"] = sp.csr_array((lay(matrix.data, entries), indices, indptr), shape)
-    parts["transition"].has_canonical_format = True
     mdp = object.__new__(MDP)
     mdp.__setstate__(parts)
     return mdp

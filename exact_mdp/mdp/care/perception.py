@@ -193,7 +193,27 @@ def _tally(pairs: Iterable[Sequence[Any]], size: int) -> Integers:
 
 
 def frequencies(counts: Integers) -> Floats:
-    """Return the confusion matrix (Z, Z) of counts; raises ModelError for a status without any."""
+    """Return the confusion matrix of counts: their frequencies in each row.
+
+    Parameters
+    ----------
+    counts : (Z, Z) array of int
+
+    Returns
+    -------
+    (Z, Z) array
+
+    Raises
+    ------
+    ModelError
+        For a true status without an example.
+
+    Examples
+    --------
+    >>> from exact_mdp import frequencies
+    >>> frequencies(np.array([[1, 3], [0, 2]])).tolist()
+    [[0.25, 0.75], [0.0, 1.0]]
+    """
     totals = counts.sum(axis=1, keepdims=True)
     unseen = np.flatnonzero(totals == 0).tolist()
     if unseen:

@@ -38,8 +38,8 @@ info yuan2025 --discount 1.0000000000000000000001 -> discount is 1 + 1e-22, outs
 info forest.npz --set tasks=[1] -> the model is not a scenario
 solve -> Missing argument 'MODEL'
 solve broken.toml -> broken TOML: Unterminated string
-<solve|evaluate yuan2025> truncated.npz -> the file is damaged, or not an archive
-check yuan2025 broken.npz -> the file is damaged, or not an archive
+<solve|evaluate yuan2025> truncated.npz -> not a readable NumPy array
+check yuan2025 broken.npz -> not a readable NumPy array
 solve yuan2025 --discount=-1/2 -> discount is -0.5, outside [0, 1]
 solve yuan2025 --method -> Option '--method' requires an argument
 solve yuan2025 --method simplex -> unknown method 'simplex'
@@ -59,7 +59,7 @@ evaluate yuan2025 action.json -> unknown action 'hug'
 evaluate yuan2025 shape.npy -> an array of shape (3, 3) is no policy of this model
 check yuan2025 broken.json -> broken JSON
 check yuan2025 nan.npy -> an action value is NaN
-check yuan2025 truncated.npy -> an array of shape (16, 4) and type float64 in 320 bytes, not 640
+check yuan2025 truncated.npy -> not a readable NumPy array
 check yuan2025 directive -> unknown kind of policy 'directive'
 check yuan2025 -> Missing argument 'LEARNED...'
 check yuan2025 optimal --limit 1 -> No such option '--limit'

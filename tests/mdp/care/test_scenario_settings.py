@@ -3,6 +3,7 @@
 import pickle
 from collections.abc import Iterable
 from fractions import Fraction
+from pathlib import Path
 from random import Random
 
 import pytest
@@ -81,6 +82,11 @@ def test_numbers_are_taken_as_they_are_written() -> None:
 )
 def test_bad_settings_say_what_and_how_to_mend(assignment: str, what: str, fix: str) -> None:
     assert refused(lambda: BASE.set(assignment), what, "", fix).where
+
+
+def test_an_integer_too_long_for_python_to_print(tmp_path: Path) -> None:
+    (tmp_path / "long.toml").write_text("max_trial = 0x" + "f" * 4000)
+    refused(lambda: Scenario.load(tmp_path / "long.toml"), "an integer of over 4,000 digits")
 
 
 def test_a_scenario_is_frozen_and_survives_a_pickle() -> None:
