@@ -188,9 +188,10 @@ def test_a_column_that_is_not_used_is_named(ending: str, tmp_path: Path) -> None
     done = run("data", path, "--out", tmp_path / "m.npz")
     assert done.status == 0
     assert "not used: timeout;" in " ".join(done.err.split())
-    used = run("data", path, "--out", tmp_path / "m.npz", "--column", f"truncated={name}")
+    words = ("--column", f"truncated={name}", "--json")
+    used = run("data", path, "--out", tmp_path / "m.npz", *words)
     assert "not used" not in used.err
-    assert "1 episode" in used.out
+    assert used.result["cut_off"] == 1
     assert "truncated=NAME" in " ".join(run("data", "--help").out.split())
 
 
