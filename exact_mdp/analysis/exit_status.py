@@ -111,13 +111,10 @@ def run(
         return int(status or DONE)
     except click.exceptions.Exit as end:  # --help and --version
         return end.exit_code
+    except BrokenPipeError:
+        return PIPE_CLOSED
     except BaseException as raised:
         error = raised
-    if isinstance(error, BrokenPipeError):  # of standard output, or of something else
-        try:
-            sys.stdout.flush()
-        except BrokenPipeError:
-            return PIPE_CLOSED
     if os.environ.get(TRACEBACK, "") not in ("", "0"):
         traceback.print_exception(error)
     chosen = None

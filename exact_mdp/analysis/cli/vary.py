@@ -440,7 +440,8 @@ def _ranges(given: Given, names: Sequence[str] | None = None) -> Ranges:
     texts = [each for each in given.ranges if each not in files]
     pairs = pairs_of(texts, "--range", "NAME=LOW:HIGH")
     stated.update(checked(model, {name: ends.split(":") for name, ends in pairs.items()}))
-    return ranges_of(model, names or given.parameters or None, stated, given.relative)
+    names = given.parameters or None if names is None else names
+    return ranges_of(model, names, stated, given.relative)
 
 
 def _together(given: Given) -> Sequence[str] | None:
