@@ -36,7 +36,7 @@ from exact_mdp.mdp.table import Floats, float_of
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, gamma
 from exact_mdp.solvers.solution import Bounded
-from exact_mdp.solvers.values.layers import Layers
+from exact_mdp.solvers.values.layers import layers_of
 from exact_mdp.solvers.values.policy_chain import policy_of
 
 ALL = "all"
@@ -66,7 +66,7 @@ class Passes:
                 fix="offer the same actions in every status of a place",
             )
         self.table = by_place(mdp, policy_of(mdp, policy).weights(mdp))  # by *perceived* status
-        self.layers = Layers(mdp)
+        self.layers = layers_of(mdp)
         steps, size = len(self.layers.blocks), self.statuses
         widest = int(np.diff(mdp.table.offsets).max())
         largest = steps * float(np.abs(mdp.table.gains()).max(initial=0.0)) * SLACK

@@ -191,9 +191,6 @@ check(MODEL, np.array([0, 1]), kind="q") ->
     a Q-table has shape (2, 2); policy; of action numbers leave out kind="q"
 check(EVEN.within(2), np.array(<[[1, 1], [0, 1]]|[[0, 1], [1, 0]]>)) ->
     may be action numbers by time and state, or a table; policy; (N, S, A), or say kind="q"
-check(MODEL, [0, 0], like=3) -> of another model; like; check(audit.mdp
-check(MODEL.with_(discount="1/2"), [0, 0], like=check(MODEL, [1, 0])) ->
-    of another model; like; check(audit.mdp
 check(<EARN|EARN.with_(sense="min")>, [0]) ->
     both infinite, so that nothing can be compared; the total at discount 1; discount=
 check(MODEL, [0, 0], <max_regret|max_relative_regret>=<nan|inf|'nan'|'inf'|'x'>) ->

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from decimal import ROUND_DOWN, Context, Decimal
 from fractions import Fraction
 from functools import cached_property
-from math import inf, isfinite, isinf, isnan, nan, nextafter
+from math import inf, isfinite, isinf, isnan, nan
 from typing import Any
 
 import numpy as np
@@ -249,10 +248,8 @@ class Audit(Pictured):
         if self.max_regret is None and share is None:
             name = criterion.least
             if regret.forgiven:
-                below = Context(prec=2, rounding=ROUND_DOWN)
-                moved = below.create_decimal(Decimal(float(regret.forgiven)))
                 name += " up to the rounding of the given floats"
-                text += f"; rounding can move it by up to {moved:g}"
+                text += f"; rounding can move it by up to {float(regret.forgiven):.2g}"
             zero = regret.decided(Fraction(0)) or regret.decided(regret.forgiven)
             yield _decided("the regret", name, zero, text)
         if self.max_regret is not None:
@@ -294,8 +291,8 @@ class Audit(Pictured):
     def representation(self) -> Representation | None:
         """What the policy's columns cannot express.
 
-        None where it reads the whole state, under limits, and where it is `unexplained`. The
-        verdict does not depend on it.
+        None where it reads the whole state, under limits, and where floats cannot tell. The verdict
+        does not depend on it.
         """
         if not self._partial:
             return None
@@ -303,11 +300,6 @@ class Audit(Pictured):
             return Representation.of(self.mdp, self.policy, self.regret)
         except (SolverError, ModelError):
             return None
-
-    @property
-    def unexplained(self) -> bool:
-        """Whether floating point cannot tell what the policy's columns cannot express."""
-        return self._partial and self.representation is None
 
     @property
     def _partial(self) -> bool:
@@ -369,7 +361,7 @@ class Audit(Pictured):
             lines.append(f"in {self.unclear} more the bounds leave it open")
         lines += self._costliest(SHOWN)
         if explain and self._partial:
-            lines.append(UNEXPLAINED if self.unexplained else str(self.representation))
+            lines.append(str(self.representation or UNEXPLAINED))
         return "\n".join([*lines, *self._unlimited])
 
     def _costliest(self, most: int) -> list[str]:
@@ -394,7 +386,7 @@ class Audit(Pictured):
         by_state = zip(mdp.space.labels(range(mdp.n_states)), lost.by_state.tolist(), strict=True)
         infinite = "infinite" if isinf(lost.optimal.value) else "0, or may be"
         undefined = f"undefined: the optimal value is {infinite}"
-        ratio, forgiven = self.relative_regret, float(self.forgiven)
+        ratio = self.relative_regret
         agree = f"{self.agreement:.1%} of the states with a choice, "
         agree += "an unknown share" if isnan(by_visits) else f"{by_visits:.1%}"
         agree += " of the visits to them" + (
@@ -415,9 +407,7 @@ class Audit(Pictured):
             "regret": claimed(self.value),
             "exact_regret": Shown(self.value.value if isinstance(self.value, Certified) else None),
             "error_bound": Shown(self.error),
-            "forgiven": Shown(  # rounded down
-                forgiven if forgiven <= self.forgiven else nextafter(forgiven, -inf)
-            ),
+            "forgiven": Shown(float(self.forgiven)),
             "relative_regret": Shown(
                 ratio, (undefined if ratio is None else ratio) if self.feasible else None
             ),
@@ -452,7 +442,7 @@ class Audit(Pictured):
             rows=why.rows if why else (),
             columns={"row": "row", "yours": "learned", "better": "best", "gain": "gain"},
         )
-        notes = [UNEXPLAINED] if explain and self.unexplained else []
+        notes = [UNEXPLAINED] if explain and self._partial and why is None else []
         if self.interval is not None:
             notes += [f"assumed: {each}" for each in self.interval.assumptions]
         return Report(

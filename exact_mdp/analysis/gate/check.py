@@ -25,8 +25,6 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, known, named_options
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.solvers.bounds.bounds import Bounds
-from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.solution import SolverError
 from exact_mdp.solvers.solver import Criterion, is_average, mdp_of, require_no_horizon
 from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
@@ -47,7 +45,6 @@ def check(
     horizon: int | None = None,
     criterion: Criterion = "total",
     subject_to: Mapping[str, Any] | None = None,
-    like: Audit | None = None,
     confidence: object | None = None,
     by: str | Evidence = "robust",
 ) -> Audit:
@@ -77,8 +74,6 @@ def check(
     subject_to : {name: ">= p/q" or "<= p/q"}, optional
         Limits on expected totals that the policy has to keep, as `solve` takes them. The regret is
         then against the optimum under these limits, exactly, and nothing is forgiven.
-    like : Audit, optional
-        An audit of another policy by the same model: its optimum is not computed again.
     confidence : number, optional
         Of a model estimated from records: the verdict rests on an interval, at this confidence, for
         the regret in the process behind them, `Audit.interval`.
@@ -123,7 +118,7 @@ def check(
     limits = {"max_regret": max_regret, "max_relative_regret": max_relative_regret}
     most: Any = {name: limit_of(name, x) for name, x in limits.items() if x is not None}
     chain = PolicyChain.of(mdp, policy_of(mdp, policy, kind=kind, criterion=criterion))
-    about = Average(chain=chain) if average else Total(chain=chain, optimum=_optimum(like, mdp))
+    about = Average(chain=chain) if average else Total(chain=chain)
     if subject_to is not None:
         about = UnderLimits.of(chain, subject_to)
 
@@ -144,16 +139,6 @@ def check(
         return result
     level = confidence_of(confidence)
     return replace(result, interval=evidence.interval(recorded, chain, level, horizon))
-
-
-def _optimum(like: Audit | None, mdp: MDP) -> Certificate | Bounds | None:
-    """Return the optimum that another audit of the model was made with."""
-    if like is None:
-        return None
-    if not isinstance(like, Audit) or like.mdp is not mdp or like.criterion.name != "total":
-        fix = "give its model: check(audit.mdp, policy, like=audit)"
-        raise ModelError("the audit is of another model", where="like", fix=fix)
-    return like.regret.optimum if like.criterion.plain else None
 
 
 def _evidence(by: object) -> Evidence:

@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from heapq import heappop, heappush
-from itertools import count
 
 import numpy as np
 import scipy.sparse as sp
@@ -31,16 +30,14 @@ from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import Flags, counted
 from exact_mdp.solvers.bounds.bounds import levels, margin_weights
 from exact_mdp.solvers.bounds.gains import SLACK, first_of, gamma
-from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
+from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, policy_chain
 from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.solver import mdp_of
-from exact_mdp.solvers.values.layers import Layers
+from exact_mdp.solvers.values.layers import layers_of
 
 WORK = 2**25  # transitions times relaxations, unless a limit is given
 PROVEN = 1e-9  # of |value|
-ROWS_TRIED = 64  # rows that one step of the ascent tries to change
 ITERATIONS = 1000
-CELLS = 2**21  # pairs times relaxations solved at once
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -119,8 +116,6 @@ def best_policy(
     search = _Search(rows)
     if start is not None:
         search.offer(rows.choices(start)[None])
-    search.begin()
-    mixed = search.upper
     search.split(limit)
     value = Bounded(value=search.value, error=search.error)
     upper = max(search.upper, value.interval[0])
@@ -131,20 +126,22 @@ def best_policy(
         policy=rows.policy(search.choice),
         value=value,
         upper_bound=upper,
-        mixed_upper_bound=mixed,
+        mixed_upper_bound=search.mixed,
         proven=left <= PROVEN * max(1.0, size) and left <= max(PROVEN * size, 8 * value.error),
         nodes=search.nodes,
     )
     if mdp.sense == "max":
         return best
-    return replace(best, value=-value, upper_bound=0.0 - upper, mixed_upper_bound=0.0 - mixed)
+    return replace(
+        best, value=-value, upper_bound=0.0 - upper, mixed_upper_bound=0.0 - search.mixed
+    )
 
 
 class Rows:
     """The K rows that some columns make of a model's states, and relaxations over its A actions.
 
     Of a row, `asked` (K,) says whether a state with a choice can be reached, and `available` (K, A)
-    which actions all its states with a choice offer. `batch` relaxations are solved at once.
+    which actions all its states with a choice offer; `key` (S,) is the row of each state.
     """
 
     def __init__(self, mdp: MDP, columns: Sequence[str]) -> None:
@@ -164,7 +161,7 @@ class Rows:
                 where=space.label(int(np.flatnonzero(without)[0])) or "all states",
                 fix="let the policy read more columns",
             )
-        self.mdp, self.space, self.row = mdp, space, row
+        self.mdp, self.space, self.key = mdp, space, row
         self.asked = np.bincount(row[free & met], minlength=size) > 0
         # Pairs of states that have no choice, or are never reached, are always allowed.
         choosing = (free & met & ~mdp.terminal)[mdp.pair_state]
@@ -172,8 +169,7 @@ class Rows:
         used = np.flatnonzero(choosing)
         shape = (offers.size, mdp.n_pairs)
         self._sums = sp.csr_array((np.ones(len(used)), (entry[used], used)), shape)
-        self._passes = Cycles(mdp) if levels(mdp) is None else Layers(mdp)
-        self.batch: int = max(1, min(256, CELLS // mdp.n_pairs))
+        self._passes = Cycles(mdp) if levels(mdp) is None else layers_of(mdp)
         weights = margin_weights(mdp)
         self._reach = float(mdp.start_distribution @ weights.value) * SLACK / weights.smallest
         self._gain = float(np.abs(mdp.table.gains()).max())
@@ -189,7 +185,7 @@ class Rows:
         """Return the likeliest action numbers (K,) of a policy that reads nothing else."""
         taken: Integers = self.available.argmax(axis=1)
         free = np.flatnonzero(~self.mdp.forced)
-        taken[self.row[free]] = policy.choices(self.mdp)[free]
+        taken[self.key[free]] = policy.choices(self.mdp)[free]
         return taken
 
     def relaxed(self, allowed: Flags) -> tuple[Floats, Integers, Floats]:
@@ -210,15 +206,10 @@ class Rows:
         lost[~allowed] = np.inf
         return upper + error, lost.argmin(axis=2), lost.min(axis=2)
 
-    def values(self, choices: Integers) -> tuple[Floats, Floats]:
-        """Return values (N,) of any number of policies (N, K) at the start, and error bounds."""
-        alone = np.eye(self.mdp.n_actions, dtype=bool)
-        parts = [
-            self._solved(alone[choices[first : first + self.batch]])[3:]
-            for first in range(0, len(choices), self.batch)
-        ]
-        values, errors = zip(*parts, strict=True)
-        return np.concatenate(values), np.concatenate(errors)
+    def values(self, choices: Integers) -> FixedPoint:
+        """Return the start values (N,) of policies (N, K)."""
+        _, _, _, value, error = self._solved(np.eye(self.mdp.n_actions, dtype=bool)[choices])
+        return FixedPoint(value=value, error=error)
 
     def _solved(self, allowed: Flags) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         """Return V (S, N), Q (L, N), max Q over the pairs allowed, start values (N,), errors (N,).
@@ -280,70 +271,49 @@ class _Search:
     """Branch and bound over the rows: `choice` (K,) is best so far, no policy is above `upper`."""
 
     def __init__(self, rows: Rows) -> None:
-        self.rows, self.nodes, self.number = rows, 0, count()
+        self.rows, self.nodes = rows, 0
         self.heap: list[tuple[float, int, Flags, int]] = []
-        self.value, self.error, self.upper = -np.inf, 0.0, np.inf
+        self.value, self.error = -np.inf, 0.0
         self.choice: Integers = rows.available.argmax(axis=1)
-
-    def begin(self) -> None:
-        """Bound all policies; then change one of the rows that cost most, as long as that helps."""
-        available, asked = self.rows.available, self.rows.asked[:, None]
-        root = np.where(asked, available, np.eye(available.shape[1], dtype=bool)[self.choice])
-        lost = self._expand(root[None])[0]
-        self.upper = -self.heap[0][0]
-        tried = np.argsort(-lost, kind="stable")[:ROWS_TRIED]
-        place, action = np.nonzero(root[tried])
-        better = self.upper > self.enough
-        while better:
-            choices = np.repeat(self.choice[None], len(place), axis=0)
-            choices[np.arange(len(place)), tried[place]] = action
-            better = self.offer(choices)
+        asked, alone = rows.asked[:, None], np.eye(rows.mdp.n_actions, dtype=bool)
+        self._expand(np.where(asked, rows.available, alone[self.choice])[None])
+        self.mixed = self.upper = -self.heap[0][0]
 
     def split(self, limit: int) -> None:
         """Split the nodes that may hold a better policy, until `limit` relaxations are solved."""
-        alone, size = -np.inf, self.rows.batch  # the greatest bound of a node of one policy
+        alone = -np.inf  # the greatest bound of a node of one policy
         words = {"desc": "policies", "unit": " nodes", "delay": 1, "disable": None, "leave": False}
         with tqdm.tqdm(**words) as bar:
-            while self.heap:
-                children = list[Flags]()
-                while self.heap and len(children) < size and self.nodes + len(children) < limit:
-                    if -self.heap[0][0] <= self.enough:
-                        break
-                    bound, _, node, row = heappop(self.heap)
-                    if node[row].sum() == 1:
-                        alone = max(alone, -bound)
-                        continue
-                    for action in np.flatnonzero(node[row]):
-                        children.append(node.copy())
-                        children[-1][row] = np.arange(node.shape[1]) == action
-                if not children:
-                    break
-                for first in range(0, len(children), size):
-                    self._expand(np.array(children[first : first + size]))
+            while self.heap and self.nodes < limit and -self.heap[0][0] > self._enough:
+                bound, _, node, row = heappop(self.heap)
+                if node[row].sum() == 1:
+                    alone = max(alone, -bound)
+                    continue
+                actions = np.flatnonzero(node[row])
+                children = np.repeat(node[None], len(actions), axis=0)
+                children[:, row] = np.eye(node.shape[1], dtype=bool)[actions]
+                self._expand(children)
                 bar.update(len(children))
         self.upper = min(self.upper, max(alone, *(-node[0] for node in self.heap[:1]), -np.inf))
 
     @property
-    def enough(self) -> float:
+    def _enough(self) -> float:
         """What a bound must exceed for its node to be worth splitting."""
         return self.value + 4 * self.error + 1e-13 * abs(self.value)
 
-    def _expand(self, nodes: Flags) -> Floats:
-        """Bound some nodes (N, K, A) and keep them; return (N, K) what their rows cost."""
+    def _expand(self, nodes: Flags) -> None:
+        """Bound some nodes (N, K, A), keep each with the row that costs most, offer policies."""
         upper, choice, lost = self.rows.relaxed(nodes)
-        self.nodes += len(nodes)
         self.offer(choice)
         rows = np.where(nodes.sum(axis=2) > 1, lost, -1.0).argmax(axis=1)
         for bound, node, row in zip(upper.tolist(), nodes, rows.tolist(), strict=True):
-            heappush(self.heap, (-bound, next(self.number), node, row))
-        return lost
+            self.nodes += 1
+            heappush(self.heap, (-bound, self.nodes, node, row))
 
-    def offer(self, choices: Integers) -> bool:
-        """Keep the best of some policies (N, K) if it beats the present one beyond rounding."""
-        values, errors = self.rows.values(choices)
-        best = int(np.argmax(values))
-        better = bool(values[best] > self.value + errors[best] + self.error)
-        if better:
-            self.value, self.error = float(values[best]), float(errors[best])
-            self.choice = choices[best]
-        return better
+    def offer(self, choices: Integers) -> None:
+        """Take the best of some policies (N, K) if it beats the best so far beyond rounding."""
+        own = self.rows.values(choices)
+        best = int(own.value.argmax())
+        value, error = float(own.value[best]), float(own.error[best])
+        if value > self.value + error + self.error:
+            self.value, self.error, self.choice = value, error, choices[best]

@@ -32,13 +32,11 @@ from exact_mdp.analysis.gate.waiting import taking
 from exact_mdp.analysis.optimum import sound
 from exact_mdp.mdp.report import Shown, Table, cell
 from exact_mdp.mdp.table import Floats, Numbers, common, integers
-from exact_mdp.solvers.bounds.bounds import Bounds
 from exact_mdp.solvers.bounds.gains import SLACK
-from exact_mdp.solvers.endless.chain import ExactChain, expansion, long_run
-from exact_mdp.solvers.exact.certificate import Certificate
+from exact_mdp.solvers.endless.chain import ExactChain, expansion
 from exact_mdp.solvers.exact.levels import Level, surplus
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution, Limit, solve_under
-from exact_mdp.solvers.solution import Bounded, Certified, SolverError, regret
+from exact_mdp.solvers.solution import Bounded, Certified, regret
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.average import AverageEvaluation, average
 from exact_mdp.solvers.values.policy_chain import PolicyChain, flow_of
@@ -85,7 +83,6 @@ class Total:
     """The total reward of a policy, discounted as the model says."""
 
     chain: PolicyChain
-    optimum: Certificate | Bounds | None = None  # that of the model, found unless it is given
 
     name: ClassVar[str] = "total"
     least: ClassVar[str] = "zero"  # what the regret has to be where no limit of it is given
@@ -104,7 +101,7 @@ class Total:
 
     def regret(self, exact: bool | None) -> Regret:
         """Return what the policy loses against the optimum: exactly, or in bounds."""
-        return policy_regret(self.chain, exact=exact, optimum=self.optimum)
+        return policy_regret(self.chain, exact=exact)
 
     def findings(self, lost: Regret) -> Findings:
         """Return where the policy loses what it loses."""
@@ -144,6 +141,10 @@ class Average(Total):
     def _undiscounted(self) -> PolicyChain:
         return replace(self.chain, mdp=self.chain.mdp.maximised.undiscounted)
 
+    @cached_property
+    def _exactly(self) -> ExactChain:
+        return ExactChain(self._undiscounted.rows())
+
     def regret(self, exact: bool | None) -> Regret:
         """Return what the policy loses per step: exactly unless that takes long."""
         mdp = self.chain.mdp
@@ -153,16 +154,9 @@ class Average(Total):
     def findings(self, lost: Regret) -> Findings:
         """Return where the policy loses what it loses; bounds do not tell."""
         chain = self._undiscounted
-        if isinstance(lost.at_start, Bounded):
-            try:
-                return self.own.visits, ()
-            except SolverError:
-                return np.full(chain.mdp.n_states, np.nan), ()
-        exact = ExactChain(chain.rows())
-        share, met = exact.shares(chain.mdp.start)
-        visits = np.where(exact.classes.recurrent, share, met).astype(np.float64)
-        gap = np.add.reduceat(chain.weights * lost.gap, chain.mdp.pair_offsets[:-1])
-        return visits, listed(chain, lost, np.stack([gap, visits, visits * gap]), gap > 0)
+        certified = isinstance(lost.at_start, Certified)
+        visits = _visits(chain, self._exactly) if certified else self.own.visits
+        return listed(chain, lost, visits, np.full(chain.mdp.n_states, -1))
 
     def _certified(self) -> Regret:
         """Return the exact regret, of rewards.
@@ -172,25 +166,24 @@ class Average(Total):
         """
         chain = self._undiscounted
         step, best = chain.mdp, proven(self.chain.mdp.maximised, "average")
-        alone = chain.rows()
-        own = ExactChain(alone)
+        own = self._exactly
         gain, bias, second = expansion(own, own.reward)
         levels = [Level.of(each.tolist()) for each in (gain, bias, second)]
-        if any(any(tops) for tops, _ in surplus(alone, *levels)):
+        if any(any(tops) for tops, _ in surplus(own.rows, *levels)):
             raise RuntimeError("the exact gain of a policy does not solve its equations")
         learned = sum((p * gain[state] for state, p in step.start), Fraction(0))
         lost, short = best.losses
         gap = np.where(own.classes.recurrent[step.pair_state], lost + short, lost)
         optimal = np.asarray(gap == 0, dtype=bool)
-        forgiven = Fraction(0)
+        forgiven = 0.0
         if step.floats:
             # The rounding of a row, and of the best one, can cause the whole gap.
             most = per_use(step, rounded(best.bias))
             most = most + most[best.pairs][step.pair_state]
             optimal |= gap.astype(np.float64) * SLACK <= most
-            forgiven = _movable(chain, own, gain, bias)
             ideal = taking(step, best.pairs)
-            forgiven += _movable(ideal, ExactChain(ideal.rows()), best.value, best.bias)
+            forgiven = _movable(chain, own, gain, bias) * SLACK
+            forgiven += _movable(ideal, ExactChain(ideal.rows()), best.value, best.bias) * SLACK
         return Regret(
             optimal=Certified(value=best.start_value),
             learned=Certified(value=learned),
@@ -199,9 +192,7 @@ class Average(Total):
             learned_value=gain.astype(np.float64),
             by_state=(best.value - gain).astype(np.float64),
             optimal_pairs=optimal,
-            unclear=np.zeros(step.n_pairs, dtype=bool),
             gap=np.where(optimal, 0.0, gap.astype(np.float64)),
-            optimum=None,
             movable=partial(Fraction, forgiven),
         )
 
@@ -218,22 +209,21 @@ class Average(Total):
             optimal_pairs=np.ones(mdp.n_pairs, dtype=bool),
             unclear=np.bincount(solution.pairs, minlength=mdp.n_pairs) == 0,
             gap=np.zeros(mdp.n_pairs),
-            optimum=None,
         )
 
 
-def _movable(chain: PolicyChain, own: ExactChain, gain: Numbers, bias: Numbers) -> Fraction:
+def _visits(chain: PolicyChain, own: ExactChain) -> Floats:
+    """Return (S,) the share of time; in transient states the expected visits from the start."""
+    share, met = own.shares(chain.mdp.start)
+    return np.where(own.classes.recurrent, share, met).astype(np.float64)
+
+
+def _movable(chain: PolicyChain, own: ExactChain, gain: Numbers, bias: Numbers) -> float:
     """Return what the rounding of floats can move of a policy's gain at the start."""
-    step, uses = chain.mdp, [chain.exact_weights(state) for state in range(chain.mdp.n_states)]
-
-    def each(by_pair: Floats) -> Numbers:
-        means = [sum(p * Fraction(float(by_pair[l])) for l, p in use.items()) for use in uses]
-        return np.array(means, dtype=object)
-
-    on_the_way = each(per_use(step, rounded(gain), rewards=False))
-    on_the_way[own.classes.recurrent] = Fraction(0)
-    moved = long_run(own, each(per_use(step, rounded(bias)))) + own.total(on_the_way)
-    return sum((p * moved[state] for state, p in step.start), Fraction(0))
+    step, of = chain.mdp, chain.mdp.pair_state
+    on_the_way = per_use(step, rounded(gain), rewards=False)
+    moved = np.where(own.classes.recurrent[of], per_use(step, rounded(bias)), on_the_way)
+    return float(_visits(chain, own)[of] * chain.weights @ moved)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -306,6 +296,7 @@ class UnderLimits(Total):
             optimal=best,
             learned=Certified(value=self.earned),
             at_start=Certified(value=self.best.of.sign * (best.value - self.earned)),
+            movable=Fraction,  # nothing is forgiven
         )
         if not self.feasible:
             none = np.full_like(lost.by_state, nan)

@@ -12,15 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap
+from exact_mdp.analysis.gate.regret import Regret
 from exact_mdp.analysis.gate.waiting import attaining, final_class, shares
-from exact_mdp.mdp.table import Floats
-from exact_mdp.mdp.validate import Flags
+from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.solution import Certified, SolverError
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 LISTED = 4  # actions that a text names in one state
+CLOSE = 2.0**-40  # errors of visits, as parts of the most, that are little but rounding
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,52 +46,55 @@ def findings(chain: PolicyChain, regret: Regret) -> Findings:
     where floats cannot bound them and rational arithmetic would be slow.
     """
     mdp = chain.mdp
-    exact = isinstance(regret.at_start, Certified) or cheap(mdp, LAST_CYCLE)
     label = np.full(mdp.n_states, -1)
     if mdp.discount_exact == 1 and not chain.ends_from_start:
         label = np.where(chain.reached, final_class(chain), -1)
-    stays = label >= 0
-    leaving = chain.ended(stays) if stays.any() else chain
+    leaving = chain.ended(label >= 0) if (label >= 0).any() else chain
+    came = _visits(leaving, exactly=isinstance(regret.at_start, Certified))
+    return listed(chain, regret, np.where(chain.reached, came, 0.0), label)
+
+
+def _visits(chain: PolicyChain, *, exactly: bool) -> Floats:
+    """Return (S,) expected visits; `exactly` where the digits of floats are not all right."""
     try:
-        came = leaving.exact_visits.floats() if exact else leaving.discounted.visits.value
+        visits = chain.discounted.visits
+        if not exactly or visits.error.max() <= CLOSE * visits.value.max():
+            return visits.value
     except SolverError:
-        came = np.full(mdp.n_states, np.nan)
-    came = np.where(chain.reached, came, 0.0)
-    visited = np.where(stays, np.inf, came)
-    first = mdp.pair_offsets[:-1]
-    gap = np.add.reduceat(chain.weights * np.where(chain.weights > 0, regret.gap, 0.0), first)
-    wrong = np.add.reduceat(chain.weights * ~regret.optimal_pairs, first) > 0
-    cost = np.where(gap > 0, visited, 0.0) * np.where(visited > 0, gap, 0.0)
-    if stays.any():
-        waits = shares(label, came, regret.by_state, gap, wrong)
-        gap, cost = np.where(waits > 0, regret.by_state, gap), cost + waits
-    return visited, listed(chain, regret, np.stack([gap, visited, cost]), wrong & ~mdp.terminal)
+        if not exactly:
+            return np.full(chain.mdp.n_states, np.nan)
+    return chain.exact_visits.floats()
 
 
-def listed(
-    chain: PolicyChain, named: Regret, numbers: Floats, wrong: Flags
-) -> tuple[Disagreement, ...]:
-    """Return the states marked, the costliest first, with gap, visits and cost (3, S)."""
-    mdp, states = chain.mdp, np.flatnonzero(wrong)
-    gap, _, cost = numbers
-    disagreements = []
+def listed(chain: PolicyChain, regret: Regret, came: Floats, label: Integers) -> Findings:
+    """Return visits (S,) and the states that make up the regret, the costliest first.
+
+    `came` (S,) are visits, in the classes of `label`, which are never left, arrivals.
+    """
+    mdp, weights, first = chain.mdp, chain.weights, chain.mdp.pair_offsets[:-1]
+    visits = np.where(label >= 0, np.inf, came)
+    gap = np.add.reduceat(weights * np.where(weights > 0, regret.gap, 0.0), first)
+    wrong = np.add.reduceat(weights * ~regret.optimal_pairs, first) > 0
+    cost = np.where(gap > 0, visits, 0.0) * np.where(visits > 0, gap, 0.0)
+    waits = shares(label, came, regret.by_state, gap, wrong)
+    gap, cost = np.where(waits > 0, regret.by_state, gap), cost + waits
+    states, disagreements = np.flatnonzero(wrong & ~mdp.terminal), []
     for state in states[np.lexsort((states, -gap[states], -cost[states]))].tolist():
-        right = [pair for pair in mdp.pairs_of(state) if named.optimal_pairs[pair]]
-        if isinstance(named.optimum, Certificate):
-            right = attaining(mdp, named.optimum, named.optimal_pairs, state)
-        gap_here, visits_here, cost_here = numbers[:, state].tolist()
+        right = [pair for pair in mdp.pairs_of(state) if regret.optimal_pairs[pair]]
+        if isinstance(regret.optimum, Certificate):
+            right = attaining(mdp, regret.optimum, regret.optimal_pairs, state)
         disagreements.append(
             Disagreement(
                 state=state,
                 label=mdp.space.label(state),
                 learned=action_of(chain, state),
                 optimal=tuple(mdp.actions[mdp.pair_action[pair]] for pair in right),
-                gap=gap_here,
-                expected_visits=visits_here,
-                cost=cost_here,
+                gap=float(gap[state]),
+                expected_visits=float(visits[state]),
+                cost=float(cost[state]),
             )
         )
-    return tuple(disagreements)
+    return visits, tuple(disagreements)
 
 
 def action_of(chain: PolicyChain, state: int) -> str:

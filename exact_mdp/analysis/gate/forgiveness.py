@@ -56,13 +56,17 @@ def rounded(exact: Numbers) -> FixedPoint:
     return FixedPoint(value=value, error=UNIT * np.abs(value) + TINY)
 
 
+def _worth(mdp: MDP, known: FixedPoint, rewards: bool = True) -> tuple[Floats, Floats]:
+    """Return r + γ V of outcomes (N,) and its error, for values (S,) known up to an error."""
+    gain, there, rate = mdp.table.gains() * rewards, mdp.table.next, mdp.discount
+    x = gain + rate * known.value[there]
+    return x, rate * known.error[there] + 3 * UNIT * (np.abs(gain) + np.abs(x))
+
+
 def per_use(mdp: MDP, known: FixedPoint, *, rewards: bool = True) -> Floats:
     """Return e (L,) for values (S,) known up to an error; without `rewards`, with r = 0."""
-    gain, there, rate = mdp.table.gains() * rewards, mdp.table.next, mdp.discount
-    x, error = gain + rate * known.value[there], rate * known.error[there]
-    error += 3 * UNIT * (np.abs(gain) + np.abs(x))
-    moved = _rounded_rewards(mdp) * rewards + _moved_by_rows(mdp, x, error)
-    return moved * SLACK + TINY
+    moved = _moved_by_rows(mdp, *_worth(mdp, known, rewards))
+    return (_rounded_rewards(mdp) * rewards + moved) * SLACK + TINY
 
 
 def widest(mdp: MDP, known: FixedPoint) -> float:
@@ -82,15 +86,16 @@ def forgiven(
 ) -> Fraction:
     """Return what can be moved at the start; 0 where floats do not suffice to say so.
 
-    Chains may have further ends, whose values no rounding moves.
+    Where a policy stays for ever at discount 1, no rounding moves what it is worth there.
     """
     if not mdp.floats:
         return Fraction(0)
     apart, unsure = np.zeros((2, mdp.n_pairs))
     x, off = np.zeros((2, len(mdp.table.next)))
-    gain, rate = mdp.table.gains(), mdp.discount
     with np.errstate(over="ignore", invalid="ignore"):
         for sign, (chain, known) in ((-1, own), (1, best)):
+            if mdp.discount_exact == 1 and not chain.ends_from_start:
+                chain = chain.ended(chain.classes.recurrent)
             try:
                 met = chain.discounted.visits
             except SolverError:
@@ -98,9 +103,7 @@ def forgiven(
             live = (chain.reached & ~chain.mdp.terminal)[mdp.pair_state] * chain.weights
             uses, loose = live * met.value[mdp.pair_state], live * met.error[mdp.pair_state]
             loose += 4 * UNIT * np.abs(uses)
-            value, error = known.value[mdp.table.next], rate * known.error[mdp.table.next]
-            error += 3 * UNIT * (np.abs(gain) + np.abs(value))
-            value = gain + rate * value
+            value, error = _worth(mdp, known)
             each, more = uses[mdp.table.pair], loose[mdp.table.pair]
             x += sign * each * value
             off += (more * np.abs(value) + (np.abs(each) + more) * error) + 3 * UNIT * np.abs(x)

@@ -11,7 +11,6 @@ policy can reach, infinities left out; a greedy policy can be optimal under larg
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,9 @@ from exact_mdp.mdp.policies.arrays import by_time, rows_read
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import Shown, cell
 from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.learning.sampler import Rows as TableRows
 from exact_mdp.solvers.solution import Bounded, Certified, difference, in_float
+from exact_mdp.solvers.values.layers import policy_values
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
@@ -36,20 +37,25 @@ class Representation:
     the learning error larger. That is below 0 where the policy mixes and gains by it.
     """
 
-    mdp: MDP
-    policy: Policy
     best: BestPolicy  # of the columns that the policy reads
     loss: Certified | Bounded  # the first bracket
     learning_error: Certified | Bounded  # the second
+    rows: tuple[dict[str, Any], ...]  # of a deterministic policy, whose change alone gains
+    unseen: str  # the columns that it does not read
 
     @classmethod
     def of(cls, mdp: MDP, policy: Policy, lost: Regret) -> Representation:
         """Return how much of a policy's regret `lost` its columns explain."""
-        best = best_policy(mdp, _columns(mdp, policy), start=policy)
-        chain = PolicyChain.of(mdp, best.policy)
-        loss = policy_regret(chain, optimum=lost.optimum).at_start
-        rest = difference(lost.at_start, loss)
-        return cls(mdp=mdp, policy=policy, best=best, loss=loss, learning_error=rest)
+        read = tuple(name for name in mdp.space.names if name in policy.columns)
+        best = best_policy(mdp, read, start=policy)
+        loss = policy_regret(PolicyChain.of(mdp, best.policy)).at_start
+        return cls(
+            best=best,
+            loss=loss,
+            learning_error=difference(lost.at_start, loss),
+            rows=_changes(Rows(mdp.maximised, read), policy) if policy.deterministic else (),
+            unseen=", ".join(name for name in mdp.space.names if name not in read),
+        )
 
     @property
     def uncertainty(self) -> float:
@@ -58,12 +64,11 @@ class Representation:
 
     def __str__(self) -> str:
         best = self.best
-        unseen = ", ".join(each for each in self.mdp.space.names if each not in best.columns)
         proof = "proven" if best.proven else f"bound {cell(best.upper_bound)}"
         return (
             f"the best policy that reads {', '.join(best.columns) or 'nothing'} alone has "
             f"{cell(best.value)} ({proof}): {cell(self.loss)} is lost because it cannot see "
-            f"{unseen}, {cell(self.learning_error)} because of what was learned"
+            f"{self.unseen}, {cell(self.learning_error)} because of what was learned"
         )
 
     @staticmethod
@@ -86,32 +91,24 @@ class Representation:
         }
         return {"representation": Shown(details, str(why)), "rows": Shown(why.rows)}
 
-    @cached_property
-    def rows(self) -> tuple[dict[str, Any], ...]:
-        """The rows of a deterministic policy's table whose change alone gains, the most first."""
-        if not self.policy.deterministic:
-            return ()
-        mdp = self.mdp.maximised
-        rows = Rows(mdp, _columns(mdp, self.policy))
-        own, numbers = rows.choices(self.policy), np.arange(mdp.n_actions)
-        other = rows.available & rows.asked[:, None] & (own[:, None] != numbers)
-        row, action = np.nonzero(other)
-        choices = np.repeat(own[None], len(row) + 1, axis=0)
-        choices[np.arange(len(row)), row] = action
-        values, errors = rows.values(choices)
-        gain = values[:-1] - values[-1]
-        changes = {}  # by rising gain: the best of each row comes last, of equals the first action
-        for k in np.lexsort((-action, gain)).tolist():
-            if gain[k] > 2 * errors.max():
-                label = rows.space.label(int(row[k])) or "all states"
-                names = {"learned": mdp.actions[own[row[k]]], "best": mdp.actions[action[k]]}
-                changes[label] = {"row": label, **names, "gain": float(gain[k])}
-        return tuple(sorted(changes.values(), key=lambda change: -change["gain"]))
 
-
-def _columns(mdp: MDP, policy: Policy) -> tuple[str, ...]:
-    """Return the columns that a policy reads, in the model's order."""
-    return tuple(name for name in mdp.space.names if name in policy.columns)
+def _changes(rows: Rows, policy: Policy) -> tuple[dict[str, Any], ...]:
+    """Return the rows of a deterministic policy whose change alone gains, the most first."""
+    own, names = rows.choices(policy), rows.mdp.actions
+    other = rows.available & rows.asked[:, None] & (own[:, None] != np.arange(len(names)))
+    row, action = np.nonzero(other)
+    choices = np.repeat(own[None], len(row) + 1, axis=0)
+    choices[np.arange(len(row)), row] = action
+    table = TableRows(space=rows.space, key=rows.key, offered=rows.available)
+    worth = policy_values(rows.mdp, table, choices)
+    gain = worth.value[:-1] - worth.value[-1]
+    changes = {}  # by rising gain: the best of each row comes last, of equals the first action
+    for k in np.lexsort((-action, gain)).tolist():
+        if gain[k] > 2 * worth.error.max():
+            label = rows.space.label(int(row[k])) or "all states"
+            taken = {"learned": names[own[row[k]]], "best": names[action[k]]}
+            changes[label] = {"row": label, **taken, "gain": float(gain[k])}
+    return tuple(sorted(changes.values(), key=lambda change: -change["gain"]))
 
 
 @dataclass(frozen=True, kw_only=True)

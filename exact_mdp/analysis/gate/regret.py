@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from math import inf
 
 import numpy as np
@@ -24,23 +24,29 @@ from exact_mdp.analysis.gate.waiting import outcomes, taking, to_blame
 from exact_mdp.analysis.optimum import sound
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.mdp.graph import components, endless, is_acyclic, ways_out
 from exact_mdp.mdp.model import MDP, once
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import ratio
 from exact_mdp.mdp.result import Brief, DataFrame, Pictured, data_frame
-from exact_mdp.mdp.table import LARGEST, Floats, Integers, shown
+from exact_mdp.mdp.table import LARGEST, Floats, shown
 from exact_mdp.mdp.table import exact as exact_number
 from exact_mdp.mdp.validate import Flags
-from exact_mdp.solvers.bounds.bounds import Bounds, lower, margin_weights, verify
+from exact_mdp.solvers.bounds.bounds import Bounds, margin_weights, verify
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, first_of, gains
 from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.certify import certify
-from exact_mdp.solvers.exact.levels import surplus
-from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError, at_start, regret
+from exact_mdp.solvers.solution import (
+    Bounded,
+    Certified,
+    Claim,
+    SolverError,
+    at_start,
+    in_decimals,
+    regret,
+)
 from exact_mdp.solvers.solver import mdp_of, solve
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
@@ -56,7 +62,6 @@ EXACT_IN_TIME = 250_000  # of a model of episodes that stop: no cycle, a stage f
 EXACT_CYCLE = 200  # states of the largest cycle
 LAST_CYCLE = 500  # states of the largest cycle, where bounds leave a verdict open: about a second
 CLOSE = 2.0**-36  # errors of values, as parts of the largest, that are little but rounding
-ACCURATE = 2.0**-30  # relative errors of gaps from which on they are worked out exactly
 LONGEST = 40  # letters of an exact number in a table
 
 
@@ -75,9 +80,9 @@ class Regret(Brief):
     learned_value: Floats
     by_state: Floats
     optimal_pairs: Flags  # (L,)
-    unclear: Flags  # (L,) those of them that the bounds do not prove to be optimal
     gap: Floats  # (L,) what a pair falls short of the optimum, 0 for optimal pairs
-    optimum: Certificate | Bounds | None  # what vouches for the values; None of an average reward
+    unclear: Flags | bool = False  # (L,) which optimal ones the bounds do not prove to be
+    optimum: Certificate | Bounds | None = None  # of a total, what vouches for the values
     movable: Callable[[], Fraction] = Fraction  # works out `forgiven`
 
     def __repr__(self) -> str:
@@ -128,27 +133,25 @@ def kept(within: tuple[Fraction | float, Fraction | float], limit: Fraction) -> 
     return False if low > limit else None
 
 
-def policy_regret(
-    chain: PolicyChain,
-    *,
-    exact: bool | None = None,
-    optimum: Certificate | Bounds | None = None,
-) -> Regret:
-    """Return what a policy is worth against the optimum of its model, which may be known already.
+@once
+def proven_optimum(mdp: MDP) -> Certificate:
+    """Return what proves the optimum of the total reward, found once for each model."""
+    return proven(mdp)
+
+
+def policy_regret(chain: PolicyChain, *, exact: bool | None = None) -> Regret:
+    """Return what a policy is worth against the optimum of its model.
 
     `exact` asks for rational arithmetic, or for bounds; unless given, the model's size decides.
     """
     mdp = chain.mdp
     if mdp.sense == "min":
         negated = replace(chain, mdp=mdp.maximised)
-        return policy_regret(negated, exact=exact, optimum=optimum).of_sense(mdp.sense)
-    if endless(mdp):
-        exact = True  # bounds are of models in which every policy ends
-    if exact is None:
-        exact = cheap(mdp) if optimum is None else isinstance(optimum, Certificate)
-    if not exact:
-        return _bounded(mdp, chain, optimum if isinstance(optimum, Bounds) else _optimum(mdp))
-    return _certified(mdp, chain, optimum if isinstance(optimum, Certificate) else proven(mdp))
+        return policy_regret(negated, exact=exact).of_sense(mdp.sense)
+    exact = cheap(mdp) if exact is None else exact
+    if exact or endless(mdp):  # bounds are of models in which every policy ends
+        return _certified(mdp, chain, proven_optimum(mdp))
+    return _bounded(mdp, chain, bounded_optimum(mdp))
 
 
 def limit_of(name: str, limit: object) -> Fraction:
@@ -235,12 +238,9 @@ def compare(model: MDP | Scenario, policies: Mapping[str, PolicyLike]) -> Policy
     if not isinstance(policies, Mapping) or not policies:
         said = "no policies" if isinstance(policies, Mapping) else "policies without names"
         raise ModelError(said, where="compare", fix="give {name: policy}, at least one")
-    mdp, regrets, optimum = mdp_of(model), dict[str, Regret](), None
-    for name, policy in policies.items():
-        chain = PolicyChain.of(mdp, policy_of(mdp, policy))
-        lost = policy_regret(chain, optimum=optimum)
-        regrets[name], optimum = lost, lost.optimum
-    return PolicyComparison(regrets=regrets)
+    mdp = mdp_of(model)
+    chains = {name: PolicyChain.of(mdp, policy_of(mdp, each)) for name, each in policies.items()}
+    return PolicyComparison(regrets={name: policy_regret(each) for name, each in chains.items()})
 
 
 # ---- rational arithmetic -----------------------------------------------------------------------
@@ -250,8 +250,7 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
     """Return the exact regret.
 
     At discount 1 where some policy never ends, a pair that keeps the value of a state need not
-    attain it, so that the policy is judged by its own model, in which it is the only one. Rounding
-    is forgiven on the way to where a policy stays for ever, and none there.
+    attain it, so that the policy is judged by its own model, in which it is the only one.
     """
     unending = endless(mdp)
     own = proven(chain.model) if unending else best
@@ -263,27 +262,30 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
     ideal = taking(mdp, best.pairs if unending else first_of(mdp, best.optimal_pairs))
     movable: Callable[[], Fraction] = Fraction
     if isinstance(lost, Fraction):
-        chains = [
-            each.ended(each.classes.recurrent) if unending and not each.ends_from_start else each
-            for each in (chain, ideal)
-        ]
-        movable = partial(forgiven, mdp, *zip(chains, (rounded(mine), rounded(value)), strict=True))
+        known = (chain, rounded(mine)), (ideal, rounded(value))
+        movable = cache(partial(forgiven, mdp, *known))
     # The exact differences, each rounded once.
     parts = zip(best.h.top, best.h.each_below, level.top, level.each_below, strict=True)
     by_state = np.array([(a * d - c * b) / (b * d) for a, b, c, d in parts])
+    optimal, gap = np.array(best.optimal_pairs), np.array(in_decimals(best.losses[-1]))
     if unending:
         with np.errstate(invalid="ignore"):
             apart = np.where(value == mine, 0.0, value - mine)
         by_state = np.where(np.isfinite(value) & np.isfinite(mine), by_state, apart)
-        optimal, gap = _unending_gaps(mdp, chain, best, by_state)
-    else:
-        optimal, gap = _gaps(mdp, best, ideal)
-    tied = optimal[chain.pairs].all()
-    if not unending and lost and tied and lost > movable():
-        optimal, gap = _gaps(mdp, best, None)  # each loses little, and all of them too much
-    elif unending and lost and lost <= movable():  # what all of it loses is rounding: so each part
-        used = (chain.chosen > 0) & chain.reached[mdp.pair_state]
-        optimal, gap = optimal | used, np.where(used, 0.0, gap)
+        # A pair that is in a state of infinite value, or may lead to one, is optimal or loses all.
+        beyond = ~np.isfinite(value)
+        gap[(mdp.transition @ beyond > 0) | beyond[mdp.pair_state]] = inf
+        gap[optimal] = 0.0
+        # What keeps a value without attaining it is found where the policy stays for ever.
+        optimal[to_blame(chain, best, by_state)] = False
+        if lost and lost <= movable():  # what all of it loses is rounding: so each part
+            optimal |= (chain.chosen > 0) & chain.reached[mdp.pair_state]
+    elif mdp.floats:
+        with suppress(SolverError):
+            tied = optimal | (np.nextafter(gap, inf) <= ties(ideal, rounded(value)))
+            # Unless each loses little, and all of them too much.
+            if lost <= 0 or not tied[chain.pairs].all() or lost <= movable():
+                optimal = tied
     return Regret(
         optimal=best.start,
         learned=Certified(value=learned),
@@ -292,8 +294,7 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
         learned_value=mine,
         by_state=by_state,
         optimal_pairs=optimal,
-        unclear=np.zeros(mdp.n_pairs, dtype=bool),
-        gap=gap,
+        gap=np.where(optimal, 0.0, gap),
         optimum=best,
         movable=movable,
     )
@@ -312,48 +313,6 @@ def _less(best: Fraction | float, own: Fraction | float, mdp: MDP) -> Fraction |
     return inf
 
 
-def _unending_gaps(
-    mdp: MDP, chain: PolicyChain, best: Certificate, by_state: Floats
-) -> tuple[Flags, Floats]:
-    """Return which pairs are optimal, and the gaps of the others, where some policy never ends."""
-    value = best.value_float
-    beyond = ~np.isfinite(value)
-    gap = -gains(mdp, np.where(beyond, 0.0, value)).value
-    # A pair that is in a state of infinite value, or may lead to one, is optimal or loses all.
-    gap[(mdp.transition @ beyond > 0) | beyond[mdp.pair_state]] = inf
-    # What keeps a value without attaining it is found where the policy stays for ever.
-    optimal = np.array(best.optimal_pairs)
-    optimal[to_blame(chain, best, by_state)] = False
-    return optimal, np.where(best.optimal_pairs, 0.0, np.maximum(gap, 0.0))
-
-
-def _gaps(mdp: MDP, best: Certificate, ideal: PolicyChain | None) -> tuple[Flags, Floats]:
-    """Return which pairs are optimal, up to ties with an `ideal` policy, and the gaps of others."""
-
-    def exact_gaps(asked: Integers) -> dict[int, tuple[int, int]]:
-        ((tops, belows),) = surplus(bellman_rows(mdp), best.h, pairs=asked)
-        return {l: (-a, b) for l, a, b in zip(asked.tolist(), tops, belows, strict=True)}
-
-    near = gains(mdp, best.value_float)
-    # The noise covers that the values are rounded, too.
-    gap, doubt = -near.value, near.noise * SLACK + TINY
-    optimal = np.array(best.optimal_pairs)
-    others = ~optimal & ~mdp.terminal[mdp.pair_state]
-    rough = others & (doubt > ACCURATE * gap)
-    if ideal is not None and mdp.floats:
-        with suppress(SolverError):
-            limit = ties(ideal, rounded(best.value_float))
-            equal = others & (gap + doubt <= limit)
-            open_ = np.flatnonzero(others & ~equal & (gap - doubt <= limit))
-            for pair, (top, bottom) in exact_gaps(open_).items():
-                equal[pair] = Fraction(top, bottom) <= Fraction(float(limit[pair]))
-            optimal |= equal
-            rough &= ~equal
-    for pair, (top, bottom) in exact_gaps(np.flatnonzero(rough)).items():
-        gap[pair] = top / bottom
-    return optimal, np.where(optimal, 0.0, np.maximum(gap, 0.0))
-
-
 # ---- bounds --------------------------------------------------------------------------------------
 
 
@@ -364,24 +323,11 @@ def _bounded(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
         own = FixedPoint(value=evaluation.value, error=evaluation.error)
     near = ActionBounds(mdp, optimum)
     best, mine, ideal = at_start(mdp, known), at_start(mdp, own), taking(mdp, optimum.pairs)
-    reached = FixedPoint(  # 0 where values are not known: what is not reached
-        value=np.nan_to_num(own.value, posinf=0.0, neginf=0.0),
-        error=np.where(np.isfinite(own.value), np.nan_to_num(own.error, posinf=0.0), 0.0),
-    )
     loses = _losing(ideal, known, near.least_gap)
-    lost: Certified | Bounded
-    if near.all_best(chain):
-        lost = Certified(value=Fraction(0))
-    else:
-        lost = regret(best, mine)
-        if chain.pure and (high := near.narrow(optimum, chain)) < lost.interval[1]:
-            low = max(0.0, lost.interval[0])
-            middle = min(max(float(lost.value), low), max(high, low))
-            lost = Bounded(value=middle, error=max(middle - low, high - middle) * SLACK)
     return Regret(
         optimal=best,
         learned=mine,
-        at_start=lost,
+        at_start=Certified(value=Fraction(0)) if near.all_best(chain) else regret(best, mine),
         optimal_value=known.value,
         learned_value=own.value,
         by_state=np.maximum(known.value - own.value, 0.0),
@@ -389,7 +335,7 @@ def _bounded(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
         unclear=~loses & near.open,
         gap=np.where(loses, near.gap, 0.0),
         optimum=optimum,
-        movable=partial(forgiven, mdp, (chain, reached), (ideal, known)),
+        movable=cache(partial(forgiven, mdp, (chain, own), (ideal, known))),
     )
 
 
@@ -407,7 +353,8 @@ def _losing(ideal: PolicyChain, known: FixedPoint, least_gap: Floats) -> Flags:
     return loses
 
 
-def _optimum(mdp: MDP) -> Bounds:
+@once
+def bounded_optimum(mdp: MDP) -> Bounds:
     """Return bounds around the optimal values, as narrow as double precision allows."""
     solved = solve(mdp)
     bounds = verify(mdp, solved.value)
@@ -426,8 +373,8 @@ class ActionBounds:
 
     def __init__(self, mdp: MDP, optimum: Bounds) -> None:
         # Q*(l) - V(s) = d(l) + γ P_l (V* - V), and low · w ≤ V* - V ≤ high · w.
-        self.mdp, self.added = mdp, gains(mdp, optimum.value)
-        value, error = self.added.value, self.added.error
+        self.mdp, added = mdp, gains(mdp, optimum.value)
+        value, error = added.value, added.error
         flow = mdp.discount * (mdp.transition @ optimum.weight)
         off = error + 4 * UNIT * (np.abs(value) + error) + TINY
         low = value - off + _outward(optimum.low * flow, -1)
@@ -442,14 +389,6 @@ class ActionBounds:
         rest[leader] = -inf
         other[leader] = np.maximum.reduceat(rest, first)
         self.open = (other > self.low) & ~mdp.forced[state]
-
-    def narrow(self, optimum: Bounds, chain: PolicyChain) -> float:
-        """Return an upper bound on the regret that is narrow where the policy is nearly optimal."""
-        return float(
-            (optimum.high - lower(self.mdp, self.added, chain.pairs))
-            * (self.mdp.start_distribution @ optimum.weight)
-            * SLACK
-        )
 
     def all_best(self, chain: PolicyChain) -> bool:
         """Return whether all that a policy does where it comes is proven to be optimal."""

@@ -52,7 +52,7 @@ def to_blame(chain: PolicyChain, best: Certificate, lost: Floats) -> Flags:
     out = np.logical_or.reduceat(moves, table.offsets[:-1]) & optimal
     leaves = taken & np.logical_or.reduceat(out, mdp.pair_offsets[:-1])[of]
     at_fault, named = taken & ~optimal, np.zeros(mdp.n_states, dtype=bool)
-    for pairs in (at_fault, leaves, None, departs, taken):
+    for pairs in (at_fault, leaves, None, departs):
         open_ = ((label >= 0) & (lost > 0) & ~named[label])[of]
         some = _falling(mdp, best, departs & open_) if pairs is None else pairs & open_
         at_fault = at_fault | some

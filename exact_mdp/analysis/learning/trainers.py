@@ -223,7 +223,7 @@ def check_trainer(
 
     def passes() -> Iterator[bool]:
         for name, policy in islice(_policies(train, rng), runs):
-            audit = check(mdp, policy, like=audits[0] if audits else None, **limits)
+            audit = check(mdp, policy, **limits)
             names.append(name)
             audits.append(audit)
             yield audit.passed

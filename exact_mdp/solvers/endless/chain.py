@@ -246,18 +246,18 @@ class ExactChain:
         states, scale = len(rows.scale), rows.scale[rows.pair_state[rows.pair]]
         chance = (rows.weight / scale.astype(object)).astype(np.float64)
         graph = sp.csr_array((chance, rows.next, rows.offsets), (states, states))
-        self.classes, self._rows = Classes.of(graph), rows
+        self.classes, self.rows = Classes.of(graph), rows
 
     @cached_property
     def reward(self) -> Numbers:
         """(S,) the rewards."""
-        parts = zip(self._rows.constant.tolist(), self._rows.scale.tolist(), strict=True)
+        parts = zip(self.rows.constant.tolist(), self.rows.scale.tolist(), strict=True)
         return np.array([Fraction(top, below) for top, below in parts], dtype=object)
 
     @cached_property
     def law(self) -> Numbers:
         """(S,) the share of time in each state of a class."""
-        rows, onward = self._rows, list[tuple[int, Fraction]]()
+        rows, onward = self.rows, list[tuple[int, Fraction]]()
         for base in self.classes.base.tolist():
             entries = range(rows.offsets[base], rows.offsets[base + 1])
             unit = int(rows.scale[base])
@@ -266,7 +266,7 @@ class ExactChain:
 
     def visits(self, start: Sequence[tuple[int, Fraction]]) -> Numbers:
         """Return (S,) expected visits from a start until a base, that arrival included."""
-        (visits,) = visited(self._rows, ~self.classes.at_base, start)
+        (visits,) = visited(self.rows, ~self.classes.at_base, start)
         return visits.fractions()
 
     def shares(self, start: Sequence[tuple[int, Fraction]]) -> tuple[Numbers, Numbers]:
@@ -276,8 +276,8 @@ class ExactChain:
 
     @cached_property
     def _until_base(self) -> Matrix:
-        return equations(self._rows, ~self.classes.at_base)
+        return equations(self.rows, ~self.classes.at_base)
 
     def total(self, constant: Numbers) -> Numbers:
         """Return y (S,): y = constant at bases, and constant + P y elsewhere."""
-        return solved(self._until_base, self._rows, constant.tolist()).fractions()
+        return solved(self._until_base, self.rows, constant.tolist()).fractions()

@@ -269,12 +269,13 @@ class Certificate(Proof, Pictured):
         return surplus(rows, self.g, self.h, self.w)[:2]
 
     @cached_property
-    def losses(self) -> tuple[Numbers, Numbers]:
-        """(L,) what each pair loses of the gain, and, where that is nothing, of the bias."""
-        self._average(self.g)
-        each = (zip(*column, strict=True) for column in self._gains)
-        lost, short = (_listed(fraction(-top, below) for top, below in column) for column in each)
-        return lost, np.asarray(short * (lost == 0))
+    def losses(self) -> list[Numbers]:
+        """(L,) by level: what each pair loses of the gain, and, where that is nothing, of h."""
+        each = [
+            _listed(fraction(-top, below) for top, below in zip(*column, strict=True))
+            for column in self._gains
+        ]
+        return [each[0], *(np.asarray(short * (each[0] == 0)) for short in each[1:])]
 
     @cached_property
     def optimal_pairs(self) -> Mask:

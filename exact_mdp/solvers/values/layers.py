@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.mdp.graph import reachable
-from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.model import MDP, once
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import Floats, Numbers, spans
 from exact_mdp.mdp.validate import Flags
@@ -74,6 +74,12 @@ class Layers:
         return visits
 
 
+@once
+def layers_of(mdp: MDP) -> Layers:
+    """Return the passes over a model, made once for each."""
+    return Layers(mdp)
+
+
 def policy_values(mdp: MDP, rows: Rows, policies: Numbers) -> FixedPoint:
     """Return the start values (U,) of policies (U, K), an action number for each of K rows."""
     if levels(mdp) is None:
@@ -87,7 +93,7 @@ def policy_values(mdp: MDP, rows: Rows, policies: Numbers) -> FixedPoint:
     pair[mdp.pair_state, mdp.pair_action] = np.arange(mdp.n_pairs)
     pair[mdp.forced] = mdp.pair_offsets[:-1][mdp.forced][:, None]
     asked = np.flatnonzero(reachable(mdp) & ~mdp.terminal)
-    layers, start = Layers(mdp), mdp.start_distribution
+    layers, start = layers_of(mdp), mdp.start_distribution
     value, size = np.empty((2, len(policies)))
     for first in range(0, len(policies), part := max(1, NUMBERS // mdp.n_pairs)):
         here = slice(first, first + part)

@@ -173,16 +173,6 @@ def test_where_episodes_were_cut_off_anything_may_follow() -> None:
     assert interval_of(Robust(rewards="known"), ended, "always:risky").low > 0.1  # an end, worth 0
 
 
-def test_what_follows_a_cut_does_not_matter_after_one_step_from_a_known_start() -> None:
-    rows = [(n, "s", "ab"[n % 2], n % 2, "u", True) for n in range(100)]
-    (_, known), (_, free) = records_of(rows, 1, start="s"), records_of(rows, 1)
-    interval = interval_of(Posterior(n=80), known, "always:a", horizon=1)
-    assert (interval.low, interval.high) == (0, 1)
-    for mdp, horizon in ((known, 2), (free, 1)):
-        with pytest.raises(ModelError, match="cut off in"):
-            interval_of(Posterior(n=80), mdp, "always:a", horizon=horizon)
-
-
 # ---- robust: regret ----------------------------------------------------------------------------
 
 

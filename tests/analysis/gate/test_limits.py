@@ -38,3 +38,12 @@ def test_each_policy_against_the_best_mixture(mdp: MDP, bound: F, data: Any) -> 
     explained = sum(each.cost for each in audit.disagreements) + float(audit.criterion.room)
     assert explained == pytest.approx(float(audit.value.value), abs=1e-6)
     assert check(mdp, best.policy, subject_to=limit).passed
+
+
+def test_nothing_is_forgiven_under_limits() -> None:
+    """0.1 + 0.2 is more than 0.3, as floats, which without limits is forgiven."""
+    rows = [(0, 0, [(1, 2, 0.3)]), (0, 1, [(1, 1, 0.1)]), (1, 0, [(1, 2, 0.2)])]
+    mdp, limit = MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])]), {"steps": "<= 5"}
+    less, most = (check(mdp, [action, 0, 0], subject_to=limit) for action in (0, 1))
+    assert (less.passed, less.forgiven, most.passed) == (False, 0, True)
+    assert check(mdp, [0, 0, 0]).passed

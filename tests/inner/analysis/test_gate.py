@@ -9,14 +9,14 @@ import pytest
 
 from exact_mdp import MDP, Claim, SolverError, assert_policy_optimal, check, evaluate
 from exact_mdp.analysis.gate import regret as regret_module
-from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
+from exact_mdp.solvers.values.policy_chain import Equations, PolicyChain, policy_of
 
 
 def test_a_verdict_is_shown_where_visits_are_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
     def unbounded(*_: Any, **__: Any) -> Any:
         raise SolverError("no bound")
 
-    monkeypatch.setattr(PolicyChain, "exact_visits", property(unbounded))
+    monkeypatch.setattr(Equations, "visits", property(unbounded))
     mdp = MDP.from_arrays([np.full((3, 3), 1 / 3)] * 2, [[1.0, 0.0]] * 3, discount=0.9)
     audit = check(mdp, [0, 1, 0], exact_values=False)
     assert not audit.passed
@@ -39,7 +39,7 @@ def test_a_bounded_regret_keeps_the_errors_of_both_values(
     mdp = MDP.from_outcomes(rows, "1/2")
     true = check(mdp, learned).regret.at_start.value
     chain = PolicyChain.of(mdp, policy_of(mdp, learned))
-    own, best = evaluate(mdp, chain), regret_module._optimum(mdp)
+    own, best = evaluate(mdp, chain), regret_module.bounded_optimum(mdp)
     shift = sign * best.weight / 8
     far = replace(own, value=own.value - 2 * shift, error=own.error + 2 * abs(shift))
     monkeypatch.setattr(regret_module, "evaluate", lambda *_: far)

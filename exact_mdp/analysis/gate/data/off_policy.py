@@ -26,7 +26,7 @@ from exact_mdp.analysis.gate.data.interval import (
 from exact_mdp.analysis.gate.data.robust import Robust
 from exact_mdp.analysis.gate.data.sets import Given, RowSets
 from exact_mdp.analysis.vary.intervals import bootstrap, mean_at_least, mean_of
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -187,8 +187,9 @@ def _trajectories(
     if not parts:
         raise ModelError("no transitions", where=record.where, fix="give at least one row")
     episode, keys = map(np.concatenate, zip(*parts, strict=True))
-    states = _known(record.numbers["state"], mdp.space.number, "state", record)
-    actions = _known(record.numbers["action"], mdp.action, "action", record)
+    with located(record.where):
+        states = np.array([mdp.space.number(str(name)) for name in record.numbers["state"]])
+        actions = np.array([mdp.action(str(name)) for name in record.numbers["action"]])
     pairs = mdp.by_action(np.arange(mdp.n_pairs), -1).astype(np.int64)
     pair = pairs[states[keys[:, 0]], actions[keys[:, 1]]]
     if (pair < 0).any():
@@ -225,16 +226,3 @@ def _trajectories(
         ~end & (steps < most),
         int((end & (last >= 0) & regular).sum()),
     )
-
-
-def _known(names: Mapping[Any, int], find: Any, what: str, record: Any) -> Integers:
-    """Return the model's number of each name in records."""
-    numbers = np.empty(len(names), dtype=np.int64)
-    for name, number in names.items():
-        try:
-            numbers[number] = find(str(name))
-        except ModelError as error:
-            raise ModelError(
-                f"the model has no {what} {str(name)!r}", where=record.where, fix=error.fix
-            ) from error
-    return numbers

@@ -85,7 +85,13 @@ class Posterior:
         self, mdp: MDP, chain: PolicyChain, confidence: Fraction, horizon: int | None = None
     ) -> RegretInterval:
         """Return the interval; raises ModelError without counts, for a bad prior or few draws."""
-        _refuse_cut_off(mdp, horizon)
+        if (unknown := cut_off(mdp)).any():
+            raise ModelError(
+                f"episodes were cut off in {named(mdp, unknown)}, which no record leaves: no prior "
+                "says what follows there",
+                where="posterior",
+                fix="ask for a robust interval, or record what follows",
+            )
         if mdp.n_states * mdp.n_pairs > MOST_ROOM:
             raise ModelError(
                 f"a draw has {mdp.n_states * mdp.n_pairs:,} numbers, more than {MOST_ROOM:,}",
@@ -133,21 +139,6 @@ class Posterior:
                 "seed": seed,
             },
             draws=draws,
-        )
-
-
-def _refuse_cut_off(mdp: MDP, horizon: int | None) -> None:
-    """Raise ModelError where a draw may come to a state of which nobody knows what follows."""
-    unknown = cut_off(mdp)
-    # By the prior an episode may begin in any state, and go to any: after one step from a start
-    # that is known it is over, and nothing of them matters.
-    over = horizon == 1 and mdp.episodes is None and not mdp.start_distribution[unknown].any()
-    if unknown.any() and not over:
-        raise ModelError(
-            f"episodes were cut off in {named(mdp, unknown)}, which no record leaves: no prior "
-            "says what follows there",
-            where="posterior",
-            fix="ask for a robust interval, or record what follows",
         )
 
 
