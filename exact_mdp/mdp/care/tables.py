@@ -196,8 +196,8 @@ class Tables:
         given = {f"readings.{name}": option for name, option in (readings or {}).items()}
         for name, value in [*given.items(), *(parameters or {}).items(), *changes.items()]:
             reading = name.removeprefix("readings.")
-            if name in SETTINGS:
-                parts[name] = SETTINGS[name](value)
+            if reading in SETTINGS:
+                parts[AS_READINGS.get(reading, reading)] = SETTINGS[reading](value)
             elif reading != name:
                 chosen[reading] = check_reading(reading, value)
             else:
@@ -254,8 +254,10 @@ SETTINGS: dict[str, Callable[[object], Any]] = {
     "tasks": as_tasks,
     "max_trial": as_max_trial,
     "discount": as_discount,
+    "evaluation_discount": as_discount,
 }
 """Settings beside readings and parameters: the conversion of each."""
+AS_READINGS = {"evaluation_discount": "discount"}  # as the paper's readings call it
 
 
 def check_reading(name: str, option: object) -> str:
@@ -274,7 +276,7 @@ def check_scenario(scenario: Tables) -> None:
         text = getattr(scenario, key).replace("\n", "").replace("\t", "")
         check_names([text], key, where=key, longest=LONGEST_TEXT)
     for key, convert in SETTINGS.items():
-        convert(getattr(scenario, key))
+        convert(getattr(scenario, AS_READINGS.get(key, key)))
     for name in READINGS:
         check_reading(name, scenario.readings.get(name, ""))
     where, count = f"scenario {scenario.name}", len(scenario.statuses)

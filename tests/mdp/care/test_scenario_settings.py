@@ -45,6 +45,8 @@ def test_scenarios_of_other_statuses_and_actions(
         ("max_trial=4", "max_trial", 4),
         ("discount=0.9", "discount", Fraction(9, 10)),
         ("discount=2/3", "discount", Fraction(2, 3)),
+        ("readings.tasks=[2]", "tasks", (2,)),
+        ("readings.evaluation_discount=0.95", "discount", Fraction(19, 20)),
     ],
 )
 def test_settings(assignment: str, attribute: str, value: object) -> None:
