@@ -16,8 +16,6 @@ from exact_mdp import (
     MDP,
     Constant,
     Family,
-    ModelError,
-    OffPolicy,
     Policy,
     QLearning,
     Scenario,
@@ -194,19 +192,3 @@ def test_what_is_advised_can_be_done(tmp_path: Path, sense: str, earned: int) ->
             assert again.status in (0, 1), again.err
             assert "infinite" not in again.out
     assert seen
-
-
-def test_costs_have_no_sign_of_rewards(tmp_path: Path) -> None:
-    """The sign of what is infinite is not told of the negation that is computed with."""
-    for sense in ("max", "min"):
-        with pytest.raises(ModelError, match="both infinite") as caught:
-            check(endless(sense, 1).until("goal"), [0, 0, 0])
-        assert "∞" not in str(caught.value)
-    frame = pd.DataFrame(
-        [(1, "x", "go", 1, "y"), (1, "y", "go", 1, "z"), (1, "z", "go", 1, None)],
-        columns=["episode", "state", "action", "reward", "next_state"],
-    )
-    mdp = MDP.from_transitions(frame, sense="min")
-    by = OffPolicy(records=frame, rewards=(0, 3), returns=(0.5, 2.5))
-    with pytest.raises(ModelError, match="returns from 3 to 3 were recorded"):
-        check(mdp, "optimal", confidence=0.9, by=by)

@@ -55,35 +55,6 @@ def test_what_is_wrong_is_refused(name: str, tmp_path: Path) -> None:
     assert done.err.strip()
 
 
-@pytest.mark.parametrize(
-    "key, pinned, same, other",
-    [
-        ("exact_start_value", "7/3", ("7/3", "14/6"), ("7/4", "8/3", None, 7 / 3)),
-        ("mean", 7.0, (7.0 + 1e-9, 7.0 - 1e-12, 7), (7.0 + 1e-8, -7.0, "7", True, None)),
-        ("states", 7, (7,), (8, "7", True)),
-        ("passed", True, (True,), (False, 1, None)),
-        ("policy", {"worn": "run|wait"}, ({"worn": "wait"},), ({"worn": "stop"}, {}, None)),
-        ("error_bound", 1e-12, (0.0, 1e-12, 5e-10), (1e-7, -1e-12, None)),
-        ("seconds", "*", (1.0, "now"), ()),
-        ("vertices", [1, 2], ([1, 2],), ([2, 1], [1], [1, 2, 3], None)),
-    ],
-)
-def test_what_counts_as_the_same_answer(
-    key: str, pinned: object, same: tuple[object, ...], other: tuple[object, ...]
-) -> None:
-    without: dict[str, Any] = {"status": 0, "answer": {"claim": "bounded", "other": 1.0}}
-    pins: dict[str, Any] = {"status": 0, "answer": without["answer"] | {key: pinned}}
-
-    def differ(value: object) -> list[str]:
-        return differences(pins, pins | {"answer": without["answer"] | {key: value}})
-
-    assert [value for value in same if differ(value)] == []
-    assert [value for value in other if not differ(value)] == []
-    assert differences(pins, without)
-    assert differences(without, pins)
-    assert differences(pins, pins | {"status": 1})
-
-
 def test_bounds_and_samples_are_compared_as_closely_as_they_claim() -> None:
     def differ(claim: str, value: float, bound: float) -> bool:
         old: dict[str, Any] = {"claim": claim, "mean": 2.0, "error_bound": 1e-5}

@@ -1,7 +1,7 @@
 """Every door gives the same model: arrays of all layouts, pairs, outcomes, functions, files."""
 
 import pickle
-from collections import defaultdict, namedtuple
+from collections import defaultdict
 from collections.abc import Callable
 from fractions import Fraction
 from itertools import product
@@ -19,15 +19,7 @@ from model_contents import laws, negated, outcomes_of
 from refusal_tables import refused
 from strategies import Rows, models, outcome_rows
 
-from exact_mdp import (
-    MDP,
-    ModelError,
-    Policy,
-    ShapeError,
-    certify,
-    load,
-    save,
-)
+from exact_mdp import MDP, ModelError, Policy, ShapeError, certify, load, save
 
 HALF, THIRD, INF = Fraction(1, 2), Fraction(1, 3), float("inf")
 P = np.array([[[0.5, 0.5, 0.0], [0, 0.25, 0.75], [0, 0, 1]], [[0, 1, 0], [0.5, 0, 0.5], [0, 0, 1]]])
@@ -435,26 +427,6 @@ def test_a_start_goes_by_names_or_by_the_models_order() -> None:
     for policy in ({"time out": "x", "time in": "y"}, printed):
         wanted = Policy.of(time, [0, 1]).weights(time)
         assert Policy.of(time, policy).weights(time).tolist() == wanted.tolist()
-
-
-@given(st.permutations(range(16)))
-def test_named_levels_of_a_start_stand_in_any_order(order: list[int]) -> None:
-    lake = MDP.from_gymnasium("FrozenLake-v1", "99/100")
-    index = pd.MultiIndex.from_tuples([divmod(s, 4) for s in order], names=["row", "column"])
-    start = pd.Series([s / 120 for s in order], index)
-    wanted = lake.with_(start=np.arange(16) / 120).start
-    turned = start.reorder_levels(["column", "row"])
-    for each in (start, turned, start.set_axis(index.set_names([None, None]))):
-        assert lake.with_(start=each).start == wanted
-    for names in (["x", "y"], ["row", None], [None, "row"]):
-        with pytest.raises(ModelError, match="levels of the index are"):
-            lake.with_(start=start.set_axis(index.set_names(names)))
-    cell = namedtuple("cell", "x y")
-    walk = MDP.from_function(
-        cell(0, 1), lambda s: ["go"] if s.y else [], lambda s, a: [(1, cell(1, 0), 1)]
-    )
-    fields = pd.MultiIndex.from_tuples([(0, 1), (1, 0)], names=["y", "x"])
-    assert walk.with_(start=pd.Series(["1/4", "3/4"], fields)).start == ((0, 3 / 4), (1, 1 / 4))
 
 
 def amounts(mdp: MDP, name: str) -> list[Fraction]:

@@ -20,12 +20,10 @@ from exact_mdp import (
     Family,
     Parameter,
     Range,
-    Scenario,
     certify,
     gradient,
     moving,
     one_way,
-    parametric,
     thresholds,
     tornado,
     two_way,
@@ -211,25 +209,6 @@ def test_two_entries_of_one_row_have_a_gradient() -> None:
     assert {name: derivatives[name].value for name in slopes} == {
         name: Certified(value=slope) for name, slope in slopes.items()
     }
-
-
-@pytest.mark.parametrize(
-    "readings", [{}, {"skip_onset": "base"}, {"skip_timestep": "own", "skip_onset": "base"}]
-)
-def test_degrees_of_scenarios_hold_at_further_points(readings: dict[str, str]) -> None:
-    """What follows from the rules is checked here: no entry leaves its polynomial."""
-    family = parametric(Scenario.load("yuan2025").with_(tasks=[1], max_trial=2, readings=readings))
-    names = ["base.confusion", "persistence.anger", "influence.anger.confusion", "discount"]
-    free = Family(
-        parameters=family.parameters,
-        build=lambda at: family.at(at),
-        degrees={p.name: family.degree(p.name) for p in family.parameters},
-        breaks={p.name: family.breakpoints(p.name) for p in family.parameters},
-    )
-    own, other = gradient(family, names=names), gradient(free, names=names)
-    for name in names:
-        assert other[name].claim == Claim.CHECKED
-        assert other[name].value.value == own[name].value.value
 
 
 def test_a_moved_model_keeps_its_limit_and_has_the_room_that_its_rows_leave() -> None:

@@ -86,7 +86,7 @@ def test_every_form_of_a_status_policy_is_the_same(tmp_path_factory: Any, chosen
             assert Policy.of(mdp, policy) is policy
             follows(mdp, policy, chosen)
     numbers = np.where(CARE.forced, 0, np.array([*chosen, 0])[CARE.space.values("status")])
-    for form in (numbers, numbers[:-1], np.eye(4)[numbers]):
+    for form in (numbers, numbers[:, None], numbers[:-1], np.eye(4)[numbers]):
         assert Policy.of(CARE, form).deterministic
         follows(CARE, Policy.of(CARE, form), chosen)
     for table in (np.eye(4)[numbers], np.eye(4)[numbers][:-1]):

@@ -67,18 +67,6 @@ def test_the_page_has_whole_tables_and_its_counts_and_values_first() -> None:
 # ---- figures -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", STILL)
-def test_a_figure_drawn_twice_is_the_same_bytes(name: str, tmp_path: Path) -> None:
-    for folder in ("one", "two"):
-        save(FIGURES[name], default(), tmp_path / folder)
-    for kind in ("svg", "png"):
-        one, two = ((tmp_path / f / f"{name}.{kind}").read_bytes() for f in ("one", "two"))
-        assert one == two
-        assert len(one) > 5000
-    assert f"**{FIGURES[name].title}" not in README  # the title is a heading
-    assert FIGURES[name].caption in README
-
-
 def test_figures_of_learning_are_drawn(tmp_path: Path) -> None:
     reading = default(runs=3)
     for name in {*FIGURES} - {*STILL}:
@@ -109,13 +97,6 @@ def test_one_claim_alone_and_under_another_reading() -> None:
     assert re.search(r"verdict: +reproduced", cli("claim", "return.random", "--set", change).stdout)
     few = cli("claim", "learning.superior", "--runs", 2, "--set", "training.ties=random").stdout
     assert "seen in 100 % of 4 runs" in few
-
-
-@pytest.mark.parametrize("name", ["flow", "2", "figure 2"])
-def test_one_figure_alone(name: str, tmp_path: Path) -> None:
-    done = cli("figure", name, "--out", tmp_path)
-    assert done.exit_code == 0
-    assert {path.name for path in tmp_path.iterdir()} == {"flow.svg", "flow.png"}
 
 
 @pytest.mark.parametrize(

@@ -12,12 +12,7 @@ import matplotlib.pyplot as plt
 import pytest
 
 import exact_mdp
-from exact_mdp import (
-    MDP,
-    Policy,
-    Scenario,
-    moving,
-)
+from exact_mdp import MDP, Policy, Scenario, moving
 
 COPIES: dict[str, Callable[[Any], Any]] = {
     "pickle": lambda thing: pickle.loads(pickle.dumps(thing)),

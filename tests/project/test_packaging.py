@@ -141,40 +141,6 @@ def test_a_clone_without_links_builds_the_wheel_and_one_without_rooms_none(tmp_p
     assert not list(tmp_path.glob("none/*"))
 
 
-OWN_TEST = """
-import analysis, mdp, solvers
-from exact_mdp import MDP
-
-
-def test_own_modules_are_found():
-    assert (analysis.MINE, mdp.MINE, solvers.MINE) == (1, 2, 3)
-
-
-def test_a_policy_is_held_against_the_optimum(policy_gate):
-    model = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
-    policy_gate(model, [1, 0])
-"""
-
-
-def test_a_project_with_modules_of_these_names_runs_its_tests(installed: Installed) -> None:
-    """Nothing but exact_mdp is installed, and modules of one's own are found."""
-    names = ", ".join(f"exact_mdp.{room}" for room in ROOMS)
-    code = f"import exact_mdp, {names}; print(*[m.__file__ for m in [{names}]])"
-    files = [Path(name) for name in installed.run("python", "-c", code).split()]
-    home = installed.site_packages / "exact_mdp"
-    assert [file.parent for file in files] == [home / room for room in ROOMS]
-    assert not [room for room in ROOMS if (installed.site_packages / room).exists()]
-    project = installed.folder / "project"
-    for name, number in (("analysis/__init__", 1), ("mdp", 2), ("solvers/__init__", 3)):
-        path = project / f"{name}.py"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(f"MINE = {number}\n")
-    (project / "test_own.py").write_text(OWN_TEST)
-    command = ["-m", "pytest", "-q", "-p", "no:cacheprovider", str(project)]
-    printed = installed.run("python", *command, cwd=project)
-    assert "2 passed" in printed, printed
-
-
 def test_the_installed_program_works(installed: Installed) -> None:
     assert installed.run("exact-mdp", "--version").strip() == f"exact-mdp {PROJECT['version']}"
     assert json.loads(installed.run("exact-mdp", "info", "yuan2025", "--json"))

@@ -176,19 +176,6 @@ def test_a_policy_comes_to_rest() -> None:
     assert abs(drawn.mean - 2) < 5 * drawn.standard_error
 
 
-@pytest.mark.parametrize(("action", "mean"), [(1, -inf), (2, inf)])
-def test_a_policy_goes_on_for_ever(action: int, mean: float) -> None:
-    mdp, policy = resting(), [0, 0, action]
-    evaluation = evaluate(mdp, policy)
-    assert evaluation.mean == mean
-    assert evaluation.components == {"reward": mean}
-    assert isnan(evaluation.sd)
-    assert {*evaluation.quantiles.values()} == {mean}
-    assert return_distribution(mdp, policy).unending.keys() == {mean}
-    drawn = simulate(mdp, policy, n=3, rng=0)
-    assert (drawn.mean, drawn.never_ends) == (mean, 1)
-
-
 # ---- what is lost, and where ---------------------------------------------------------------------
 
 

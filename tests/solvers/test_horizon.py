@@ -8,19 +8,7 @@ import numpy as np
 import pytest
 from cli_runner import run, strict
 
-from exact_mdp import (
-    MDP,
-    Column,
-    Policy,
-    StateSpace,
-    certify,
-    check,
-    evaluate,
-    fingerprint,
-    load,
-    save,
-    solve,
-)
+from exact_mdp import MDP, Policy, check, evaluate, fingerprint, load, save, solve
 
 LAKE = "FrozenLake-v1"
 
@@ -88,15 +76,6 @@ def test_tables_over_states_and_over_times_are_both_policies() -> None:
     assert lost.policy.columns == ("row", "column")
     for named in ("random", "always:1"):
         assert 0 <= evaluate(mdp, named, horizon=steps).mean < best
-
-
-def test_extra_states_that_go_on_are_unrolled_as_well() -> None:
-    """An extra state in which the process goes on gets its times, as any other."""
-    rows = [(0, 0, [("1/2", 1, 1), ("1/2", 0, 0)]), (1, 0, [(1, 0, 2)])]
-    plain = MDP.from_outcomes(rows)
-    odd = plain.with_(space=StateSpace(columns=(Column(name="place", size=1),), extra=("away",)))
-    wanted = certify(plain.within(4)).start_value
-    assert certify(odd.within(4)).start_value == wanted
 
 
 def test_it_is_earned_with_the_last_step_and_is_a_component() -> None:

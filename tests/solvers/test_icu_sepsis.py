@@ -4,7 +4,6 @@ Choudhary, Gupta and Thomas, Reinforcement Learning Conference 2024; the package
 part of this one. The published numbers are means of simulated episodes.
 """
 
-from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -67,13 +66,3 @@ def test_commands(env: Any, mdp: MDP, tmp_path: Path) -> None:
     audit = check(mdp, Policy.of(mdp, env.expert_policy, kind="policy"))
     assert (done.status, done.result["regret"]) == (0, float(audit.value.value))
     assert done.result["optimal_value"] == pytest.approx(0.87514169961, abs=1e-11)
-
-
-@pytest.mark.slow
-def test_commands_that_prove(mdp: MDP) -> None:
-    result = run("solve", f"gymnasium:{NAME}", "--certify", "--json").result
-    top, bottom = map(Decimal, result["exact_start_value"].split("/"))
-    best = certify(mdp).start_value
-    assert top / bottom == Decimal(best.numerator) / Decimal(best.denominator)
-    shown = run("evaluate", f"gymnasium:{NAME}", "optimal", "--json").result
-    assert shown["mean"] == pytest.approx(float(best), abs=1e-10)

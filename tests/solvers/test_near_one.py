@@ -333,27 +333,6 @@ def test_conjugate_gradients_that_break_down_start_again(rows: list[list[float]]
     assert evaluation.error_bound < 1e-9
 
 
-@pytest.mark.parametrize("shuffled", [False, True])
-@pytest.mark.parametrize("kind", ["backward-induction", PolicyIteration()])
-def test_long_models_without_cycles(kind: Any, shuffled: bool) -> None:
-    """Numbered along their steps, or not, against a recursion in rational arithmetic."""
-    rng, states = np.random.default_rng(2), 4000
-    after = rng.integers(np.arange(states)[:, None, None] + 1, states + 1, (states, 3, 4))
-    reward = rng.integers(-9, 9, (states, 3)) / 8
-    place = rng.permutation(states + 1) if shuffled else np.arange(states + 1)
-    rows = [
-        (int(place[s]), a, [(0.25, int(place[t]), reward[s, a]) for t in after[s, a]])
-        for s, a in np.ndindex(states, 3)
-    ]
-    rows.append((int(place[states]), 0, [(1.0, int(place[states]), 0.0)]))
-    value = np.zeros(states + 1)
-    for s in range(states - 1, -1, -1):
-        value[s] = (reward[s] + 0.99 * value[after[s]].mean(axis=1)).max()
-    solution = solve(MDP.from_outcomes(sorted(rows, key=lambda row: row[:2]), "99/100"), kind)
-    assert (np.abs(solution.value[place] - value) <= solution.state_error[place] + 1e-12).all()
-    assert solution.error_bound < 1e-10
-
-
 # ---- resources -----------------------------------------------------------------------------------
 
 

@@ -324,25 +324,3 @@ def test_the_price_of_robustness() -> None:
     assert both.frame()["value (reward)"].tolist() == pytest.approx(values)
     costs = robust(RISKY.with_(sense="min"), Intervals.relative(RISKY, "1/2"))
     assert (costs.value.value, costs.worst.value) == (1, 1)
-
-
-@pytest.mark.parametrize("kind", SETS)
-def test_every_kind_of_set_on_the_care_model(kind: str) -> None:
-    mdp = SMALL.compile()
-    both = cases(mdp, kind, 1 / 20, "always:directive")
-    assert both.worst.value < both.value.value < both.best.value
-    assert both.value.value == pytest.approx(evaluate(mdp, "always:directive").mean)
-    assert both.gain.value > 0
-
-
-def test_the_curve_and_its_figure() -> None:
-    curve = robust_curve(RISKY, "interval", [0, "1/4", "1/2", 1])
-    worst = curve.frame().query("laws == 'worst'").groupby("policy")["value (reward)"]
-    for policy, values in {"nominal": [1.5, 1.125, 0.75, 0], "robust": [1.5, 1.125, 1, 1]}.items():
-        assert worst.get_group(policy).tolist() == pytest.approx(values)
-    assert [each.price.value for _, each in curve.points] == pytest.approx([0, 0, 0.5, 0.5])
-    ax = curve.plot()
-    assert len(ax.lines) == 4
-    assert "reward" in ax.get_ylabel()
-    with pytest.raises(ModelError):
-        robust_curve(RISKY, "interval", [])

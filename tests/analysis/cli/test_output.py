@@ -66,17 +66,6 @@ def test_names_of_states_are_printed_as_they_are(tmp_path: Path) -> None:
     assert "Zustand \\u03b2 :smile:" in done.out
 
 
-def test_unsafe_characters_are_written_as_codes(tmp_path: Path) -> None:
-    """Names cannot hold them, but names of files can."""
-    page, policy = tmp_path / "page.html", tmp_path / "m\x1b[31m\u202e.json"
-    policy.write_text(json.dumps({f"{status:03b}": "wait" for status in range(8)}), "utf-8")
-    done = run("check tea", policy, "--html", page)
-    assert done.status == 1
-    for text in ("".join(done.out.split()), page.read_text("utf-8")):
-        assert r"m\x1b[31m\u202e" in text
-        assert "\x1b" not in text
-
-
 def test_a_policy_that_is_printed_can_be_read(tmp_path: Path) -> None:
     """By status where nothing else decides, otherwise by state."""
     words = [*SMALL.split(), "anger", "trial"]

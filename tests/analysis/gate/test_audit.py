@@ -13,17 +13,7 @@ from hypothesis import strategies as st
 from oracle import evaluate_exact, mixed, solve_exact
 from strategies import Pairs, Rows, any_models, model_of, models
 
-from exact_mdp import (
-    MDP,
-    Bounded,
-    Certified,
-    Claim,
-    ModelError,
-    Scenario,
-    certify,
-    check,
-    evaluate,
-)
+from exact_mdp import MDP, Bounded, Certified, Claim, ModelError, Scenario, certify, check, evaluate
 
 CARE = Scenario.load("yuan2025")
 SMALL = CARE.with_(tasks=[2], max_trial=2, readings={"influence_orientation": "column-to-row"})

@@ -12,12 +12,7 @@ import pytest
 from care_oracle import Oracle, acting
 from cli_runner import launch, run
 
-from exact_mdp import (
-    MDP,
-    Policy,
-    Scenario,
-    best_policy,
-)
+from exact_mdp import MDP, Policy, Scenario, best_policy
 
 SMALL = ("--set", "tasks=[2]", "--set", "max_trial=2")
 KEYS = {"passed", "regret", "relative_regret", "optimal_value", "learned_value", "agreement"}

@@ -10,14 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle import each_choice, fixed_point, rows_of, visits
 
-from exact_mdp import (
-    MDP,
-    Bounded,
-    Certified,
-    Claim,
-    assert_policy_optimal,
-    check,
-)
+from exact_mdp import MDP, Bounded, Certified, Claim, assert_policy_optimal, check
 
 Row = tuple[int, int, list[tuple[Any, int, Any]]]
 

@@ -184,16 +184,6 @@ def test_random_models_with_cycles(
         (TEA, "discount", ("1/10", "9/10")),
         (YUAN, "assistance.directive.confusion.persistence", ("1/2", 1)),
         (YUAN.with_(readings={"skip_onset": "base"}), "reward.anger", (-2, 0)),
-        (
-            YUAN.with_(readings={"influence_on_present": "additive"}),
-            "influence.disengagement.anger",
-            (0, 1),
-        ),
-        (
-            YUAN.with_(readings={"skip_onset": "base", "influence_orientation": "column-to-row"}),
-            "base.confusion",
-            (0, 1),
-        ),
         (YUAN.with_(readings={"skip_timestep": "own"}), "discount", ("1/10", 1)),
     ],
 )

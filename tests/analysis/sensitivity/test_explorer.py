@@ -16,16 +16,7 @@ from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exact_mdp import (
-    MDP,
-    Policy,
-    Scenario,
-    certify,
-    check,
-    explore,
-    parametric,
-    save,
-)
+from exact_mdp import MDP, Policy, Scenario, certify, check, explore, parametric, save
 
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")  # pipes of the browser
 F = Fraction
@@ -156,16 +147,6 @@ def test_the_page_in_a_browser(browser: Browser, tmp_path: Path) -> None:
         use_by_keyboard(browser)
 
 
-@pytest.mark.slow
-def test_cells_have_names_and_ends_a_sign(browser: Browser, tmp_path: Path) -> None:
-    page = tmp_path / "page.html"
-    page.write_text(explore(LISTED, "discount").page(), encoding="utf-8")
-    browser.open(page, wide=400)
-    cells = browser.js("[...document.querySelectorAll('#map tbody td')].map((c) => c.innerText)")
-    assert [cell.split() for cell in cells] == [["young", "0"], ["old", "0"], ["gone", "∎"]]
-    assert browser.js("document.getElementById('switches').closest('.scroll').hidden")
-
-
 def use_by_keyboard(browser: Browser) -> None:
     """Move both parameters without a mouse, and compare what is shown with proofs."""
 
@@ -201,23 +182,6 @@ def use_by_keyboard(browser: Browser) -> None:
     browser.js("document.activeElement.select()")
     browser.press("3")
     assert "from 0 to 0.5" in text("wrong")
-    browser.press("Tab")
-    assert focused() == "today"
-    browser.press("Enter")
-    assert F(text("exact_at")) == F(1, 10)
-    assert text("claim").startswith("Certified")
-    browser.js("document.getElementById('first').focus()")
-    browser.press("Home")
-    browser.press("Tab", 3)
-    assert focused() == "on"  # the button before it has nowhere to go
-    browser.press("Enter")
-    assert text("claim").startswith("Certified")
-    assert "switches" in text("claim")
-    holds(F(-2))
-    browser.js("document.getElementById('second').focus()")
-    browser.press("ArrowRight")
-    holds(F(0))
-    assert browser.js("document.querySelectorAll('#map tbody td').length") == 48
 
 
 def test_the_page_is_called_what_the_user_named(tmp_path: Path) -> None:

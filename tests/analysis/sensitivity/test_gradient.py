@@ -21,19 +21,11 @@ READINGS = [
     {"skip_onset": "reset", "task_bonus": "no-subtask-skipped", "max_trial_rule": "after"},
 ]
 NAMES = [
-    "base.anger",
-    "base.forgetfulness",
-    "persistence.confusion",
-    "influence.confusion.anger",
-    "influence.disengagement.confusion",
-    "assistance.directive.confusion.persistence",
-    "skip.anger.persistence",
-    "skip.confusion.with-other",
-    "reward.anger",
-    "reward.subtask-skip",
-    "reward.assist.directive",
-    "discount",
-]
+    "base.anger", "base.forgetfulness", "persistence.confusion", "influence.confusion.anger",
+    "influence.disengagement.confusion", "assistance.directive.confusion.persistence",
+    "skip.anger.persistence", "skip.confusion.with-other", "reward.anger", "reward.subtask-skip",
+    "reward.assist.directive", "discount",
+]  # fmt: skip
 EVENLY = {ACTIONS[2]: F(1, 2), ACTIONS[3]: F(1, 2)}
 
 

@@ -10,13 +10,7 @@ from scipy.stats import binom
 from exact_mdp import MDP, Scenario, psa
 from exact_mdp.analysis.vary.distributions import row_family, uncertainty
 from exact_mdp.analysis.vary.information import evpi, evppi
-from exact_mdp.analysis.vary.intervals import (
-    mean_loss,
-    mean_of,
-    quantiles,
-    upper_quantile,
-    wilson,
-)
+from exact_mdp.analysis.vary.intervals import mean_loss, mean_of, quantiles, upper_quantile, wilson
 from exact_mdp.analysis.vary.psa import POOL
 from exact_mdp.analysis.vary.study import solver_of
 
@@ -125,10 +119,7 @@ def chain() -> MDP:
 
 @pytest.mark.parametrize(
     "model",
-    [
-        Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).parametric(),
-        row_family(chain()),
-    ],
+    [Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).parametric(), row_family(chain())],
     ids=["care", "rows"],
 )
 def test_a_policy_is_counted_in_every_draw_whose_optimum_it_was(model) -> None:

@@ -1,19 +1,37 @@
 """The compiled care model against the one of `care_oracle.py`, outcome by outcome, exactly."""
 
+import pickle
+import warnings
+from collections.abc import Iterable
 from fractions import Fraction
 from itertools import product
+from pathlib import Path
 from random import Random
 from typing import Any
 
 import numpy as np
 import pytest
 from care_oracle import STATUSES, Oracle
+from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from own_scenarios import check_pairs
+from own_scenarios import check_own, check_pairs, own_text, scenario_of
 from policy_cases import state_of
+from refusal_tables import refused
 
-from exact_mdp import MDP, READINGS, Scenario
+from exact_mdp import (
+    MDP,
+    READINGS,
+    Scenario,
+    ScenarioWarning,
+    gradient,
+    one_way,
+    psa,
+    sobol,
+    thresholds,
+    tornado,
+    worst_point,
+)
 
 BASE = Scenario.load("yuan2025")
 ALL_READINGS = [
@@ -116,3 +134,165 @@ def test_numbers_that_outgrow_64_bits_stay_exact(values: dict[str, Any], skip: s
 
 
 # ---- large scenarios ----------------------------------------------------------------------------
+
+
+# ---- settings and errors -------------------------------------------------------------------------
+
+OWN = [  # a scenario, its names, the number of its states, and the pairs to compare
+    (scenario_of(own_text(3, 3)), ("s0", "s1", "s2"), 2 * 2 * 8 + 1, range(2 * 2 * 8 * 3)),
+    (scenario_of(own_text(6, 5)), tuple(f"s{i}" for i in range(6)), 2 * 2 * 64 + 1,
+     Random(0).sample(range(2 * 2 * 64 * 5), 12)),
+    (Scenario.load("tea").with_(tasks=[2]), ("forgetfulness", "distraction", "anxiety"),
+     2 * 4 * 8 + 1,
+     range(0, 2 * 3 * 8 * 3, 5)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("scenario", "statuses", "states", "pairs"), OWN)
+def test_scenarios_of_other_statuses_and_actions(
+    scenario: Scenario, statuses: tuple[str, ...], states: int, pairs: Iterable[int]
+) -> None:
+    mdp = scenario.compile()
+    assert (scenario.statuses, mdp.n_states, mdp.terminal.sum()) == (statuses, states, 1)
+    check_own(scenario, pairs)
+
+
+# ---- settings and errors --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("assignment", "attribute", "value"),
+    [
+        ("tasks=[3,1]", "tasks", (3, 1)),
+        ("tasks = [ 2 ]", "tasks", (2,)),
+        ("max_trial=4", "max_trial", 4),
+        ("discount=0.9", "discount", Fraction(9, 10)),
+        ("discount=2/3", "discount", Fraction(2, 3)),
+        ("readings.tasks=[2]", "tasks", (2,)),
+        ("readings.evaluation_discount=0.95", "discount", Fraction(19, 20)),
+    ],
+)
+def test_settings(assignment: str, attribute: str, value: object) -> None:
+    assert getattr(BASE.set(assignment), attribute) == value
+
+
+def test_numbers_are_taken_as_they_are_written() -> None:
+    assert BASE.set("base.anger=0.1")["base.anger"] == Fraction(1, 10)
+    assert BASE.set("base.anger=1/10")["base.anger"] == Fraction(1, 10)
+    assert BASE.set("base.anger=1e-1")["base.anger"] == Fraction(1, 10)
+    assert BASE.set("reward.anger=-7.5")["reward.anger"] == Fraction(-15, 2)
+    assert BASE.with_(parameters={"base.anger": 0.1})["base.anger"] == Fraction(0.1)
+
+
+@pytest.mark.parametrize(
+    ("assignment", "what", "fix"),
+    [
+        ("base.angre=0.1", "unknown parameter 'base.angre'", "base.anger"),
+        ("influence.anger.anger=0.1", "unknown parameter", "influence."),
+        ("task=[1]", "unknown parameter", "tasks"),
+        ("readings.skip_onsets=base", "unknown reading", "skip_onset"),
+        ("skip_onset=base", "unknown parameter", "skip_onset"),
+        ("base.anger=nan", "not a finite rational", "1/10"),
+        ("base.anger=1e999999999", "exponent", "scale"),
+        ("=1", "not a setting", "KEY=VALUE"),
+        ("base.anger=", "not a setting", "KEY=VALUE"),
+        ("tasks=[0]", "tasks", "[3]"),
+        ("tasks=[1.5]", "tasks", "[3]"),
+        ("tasks=[true]", "tasks", "[3]"),
+        ("tasks=3", "tasks", "[3]"),
+        ("max_trial=2.5", "max_trial", "1 or more"),
+        ("discount=1.1", "discount", "0 to 1"),
+        ("tasks=[99999999]", "states", "fewer"),
+    ],
+)
+def test_bad_settings_say_what_and_how_to_mend(assignment: str, what: str, fix: str) -> None:
+    assert refused(lambda: BASE.set(assignment), what, "", fix).where
+
+
+def test_a_scenario_is_frozen_and_survives_a_pickle() -> None:
+    with pytest.raises(AttributeError):
+        BASE.max_trial = 3
+    with pytest.raises(TypeError):
+        BASE.readings["skip_onset"] = "base"
+    again = pickle.loads(pickle.dumps(BASE))
+    assert again == BASE
+    with pytest.raises(TypeError):
+        again.readings["skip_onset"] = "base"
+    assert again.compile().table.row(0) == BASE.compile().table.row(0)
+
+
+# ---- chances that are cut off at 1 ---------------------------------------------------------------
+
+SMALL = {"tasks": [1], "max_trial": 2}
+ADDITIVE = {"influence_on_present": "additive"}
+HIGH = {"base.anger": (Fraction(1, 100), Fraction(99, 100))}
+
+
+def small(**readings: str) -> Scenario:
+    return Scenario.load("yuan2025").with_(readings=readings, **SMALL)
+
+
+def messages(work) -> list[str]:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        work()
+    assert all(each.category is ScenarioWarning for each in caught)
+    assert all(each.filename != warnings.__file__ for each in caught)
+    return [str(each.message) for each in caught]
+
+
+def test_the_default_reading_warns_of_nothing() -> None:
+    """Some sums are exactly 1 there, and none is more."""
+    own = small()
+    assert messages(own.compile) == []
+
+
+def test_compiling_names_the_state_and_the_numbers() -> None:
+    (said,) = messages(small(**ADDITIVE).compile)
+    assert "a chance of 1.34 is cut off at 1: anger in status 1111 under none" in said
+    assert "persistence.anger 1 + influence.forgetfulness.anger 0.06" in said
+    assert "\n" not in said
+
+
+def test_a_warning_is_an_error_where_python_is_told_so() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(ScenarioWarning, match=r"cut off at 1"):
+            small(**ADDITIVE).compile()
+
+
+@pytest.mark.parametrize(
+    "analysis",
+    [
+        lambda own: tornado(own, ranges=HIGH),
+        lambda own: one_way(own, "base.anger", HIGH["base.anger"], points=5),
+        lambda own: thresholds(own, "base.anger", (Fraction(1, 2), Fraction(4, 5))),
+        lambda own: sobol(own, ranges=HIGH, n=16, rng=0),
+        lambda own: worst_point(own, "always:none", HIGH),
+        lambda own: psa(
+            own.with_(parameters={"base.anger": "7/10"}), 50, rng=0, effective_sample_size=5
+        ),
+        lambda own: gradient(own.with_(parameters={"base.anger": "9/10"}), names=["base.anger"]),
+    ],
+)
+def test_an_analysis_says_it_once(analysis) -> None:
+    """However many models it makes, and in how many of them chances pass 1."""
+    (said,) = messages(lambda: analysis(small()))
+    assert "is cut off at 1" in said
+
+
+def test_the_command_line_says_it_in_one_line_on_standard_error() -> None:
+    words = ["--set", "readings.influence_on_present=additive", "--set", "tasks=[1]", "--json"]
+    for command in (["info", "yuan2025"], ["gradient", "yuan2025"]):
+        with warnings.catch_warnings():
+            warnings.simplefilter("default")
+            done = run(*command, *words)
+        assert done.status == 0
+        assert done.out.startswith("{")
+        (line,) = done.err.splitlines()
+        assert line.startswith("warning: scenario yuan2025: a chance of 1.34 is cut off at 1")
+
+
+def test_an_integer_too_long_for_python_to_print(tmp_path: Path) -> None:
+    (tmp_path / "long.toml").write_text("max_trial = 0x" + "f" * 4000)
+    refused(lambda: Scenario.load(tmp_path / "long.toml"), "an integer of over 4,000 digits")

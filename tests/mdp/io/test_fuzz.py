@@ -119,15 +119,6 @@ def load_scenario(path: Path) -> None:
         scenario.compile()
 
 
-@fuzz
-@given(st.text(max_size=40), st.sampled_from(SMALL.names), st.sampled_from(["", "=", ".", "=1/3"]))
-def test_settings(text: str, name: str, middle: str) -> None:
-    survives(lambda: SMALL.set(text))
-    survives(lambda: SMALL.set(name + middle + text))
-    survives(lambda: SMALL.set(f"tasks={text}").compile())
-    survives(lambda: SMALL.set(f"max_trial={text}"))
-
-
 JSON = json.dumps(dict.fromkeys(STATUSES, "none") | {"0110": {"none": 0.5, "directive": "1/2"}})
 CSV = "status,action,probability\n" + "".join(f"{status},none,1\n" for status in STATUSES)
 

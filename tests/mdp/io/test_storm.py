@@ -39,16 +39,6 @@ rewards "steps"
   place < 3 : 1;
 endrewards
 """
-CHAIN = """dtmc
-module a
-  x: [0..2] init 0;
-  [] x < 2 -> 0.3: (x' = 1) + 0.7: (x' = 2);
-  [] x = 2 -> true;
-endmodule
-rewards
-  [] x = 0 : 5;
-endrewards
-"""
 
 
 @pytest.fixture
@@ -131,13 +121,6 @@ def test_constants_by_name_are_exact(stormpy: Any, tmp_path: Path) -> None:
         mdp = MDP.load(tmp_path / "walk.prism", constants=given, discount="1/2")
         assert mdp.n_states == 4
         assert mdp.table.row(0) == [(Fraction(2, 3), 0, 1), (Fraction(1, 3), 1, 1)]
-
-
-def test_a_chain_without_names_of_actions(stormpy: Any, tmp_path: Path) -> None:
-    (tmp_path / "c.prism").write_text(CHAIN, encoding="utf-8")
-    mdp = load(tmp_path / "c.prism", discount="1/2")
-    assert (mdp.n_pairs, mdp.actions) == (3, ("0",))
-    assert certify(mdp).start_value == 5
 
 
 def test_a_model_that_storm_builds_and_writes(stormpy: Any, tmp_path: Path) -> None:

@@ -225,31 +225,6 @@ def test_numbers_that_make_no_model(
     refused(tarred(members | {"index.json": json.dumps(index).encode()}), message, tmp_path)
 
 
-RATIONAL = "branch-probability-type"
-SPOILED: list[tuple[str, str, Any, str]] = [  # of the index
-    ("transition-system", "#states", 34, "damaged"),
-    ("transition-system", "#states", 2**64 - 1, "the index claims"),
-    ("transition-system", "#choices", 99999999999, "the index claims"),
-    ("transition-system", "#choices", 128, "offsets that do not run"),
-    *(("transition-system", "#states", x, "damaged") for x in (0, -1, "many", None)),
-    ("transition-system", "#choices", None, "damaged"),
-    ("transition-system", "#choice-actions", 3, "actions"),
-    *(("transition-system", RATIONAL, {"type": x}, "damaged") for x in ("int", "x", "complex")),
-    *(("annotations", "aps", {"a": x}, "damaged") for x in (
-        3, {"applies-to": ["states"]}, {"type": {"type": "rational", "size": 65}})),
-    ("valuations", "states", {}, "damaged"),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("part", "key", "value", "message"), SPOILED, ids=range(len(SPOILED)))
-def test_indices_that_lie(tmp_path: Path, part: str, key: str, value: Any, message: str) -> None:
-    members = members_of_care(tmp_path)
-    index = json.loads(members["index.json"])
-    index[part][key] = value
-    refused(tarred(members | {"index.json": json.dumps(index).encode()}), message, tmp_path)
-    refused(tarred(members | {"index.json": b"[" * 50_000}), "damaged", tmp_path)
-
-
 # ---- labels, names and variables -----------------------------------------------------------------
 
 

@@ -184,15 +184,6 @@ def test_a_failure_loses_the_running_step_alone(tmp_path: Path) -> None:
     assert again.end == talk().hold(tmp_path / "whole").end
 
 
-def test_another_conversation_in_the_folder_is_left_alone(tmp_path: Path) -> None:
-    talk().hold(tmp_path, limit=1)
-    before = (tmp_path / NAME).read_bytes()
-    for other, resume in ((talk(), False), (talk(seed=8), True), (talk(policy="optimal"), True)):
-        with pytest.raises(ModelError, match="holds a recording"):
-            other.hold(tmp_path, resume=resume)
-    assert (tmp_path / NAME).read_bytes() == before
-
-
 def test_a_damaged_recording_is_refused_and_kept(tmp_path: Path) -> None:
     talk().hold(tmp_path)
     path = tmp_path / NAME

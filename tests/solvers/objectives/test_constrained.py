@@ -1,7 +1,8 @@
 """Optima under limits against mixtures of all deterministic policies, and their proofs."""
 
 from dataclasses import replace
-from fractions import Fraction
+from fractions import Fraction as F
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,9 @@ import pytest
 from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made_models import garnet_rows
 from objective_models import LIMITS, best_under, sound, totals, with_components
 
-from exact_mdp import MDP, solve
-
-F = Fraction
+from exact_mdp import MDP, ModelError, certify, check, rationalize, solve, tradeoff
 
 
 def test_actions_are_drawn_where_the_first_ones_alone_do_not_lead() -> None:
@@ -87,9 +85,15 @@ def test_the_optimum_is_the_best_mixture_of_policies(
 
 def ring(constant: bool = False) -> MDP:
     """A random model of 60 states on one cycle, of three totals."""
-    rows, draw = garnet_rows(60, rng=1), np.random.default_rng(2)
-    if constant:
-        rows = [(s, a, [(p, n, F(7, 1000)) for p, n, _ in own]) for s, a, own in rows]
+    draw, rows = np.random.default_rng(2), []
+    for pair in range(240):
+        after, weights = (
+            draw.choice(60, 5, replace=False).tolist(),
+            draw.integers(1, 99, 5).tolist(),
+        )
+        earned = F(7 if constant else int(draw.integers(1000)), 1000)
+        each = zip(weights, after, strict=True)
+        rows.append((pair // 4, pair % 4, [(F(w, sum(weights)), t, earned) for w, t in each]))
     parts = {name: draw.integers(0, 64, len(rows)).tolist() for name in "ab"}
     return MDP.from_outcomes(rows, "19/20", components=parts)
 
@@ -130,3 +134,101 @@ def test_a_file_says_what_it_counts(tmp_path: Path) -> None:
     assert replace(twice, dual=dual, price=(2 * solution.price[0],)).violations() == [
         "what is maximised is not the reward"
     ]
+
+
+# ---- what must not be claimed --------------------------------------------------------------------
+
+STAY_OR_GO = [(0, 0, [(1, 1, -5)]), (0, 1, [(1, 2, -1)]), (1, 0, [(1, 1, 0)])]
+HOME = {"home": [False, True, False]}
+TWO = MDP.from_outcomes(
+    [(0, 0, [(1, 1, 5)]), (0, 1, [(1, 1, 3)]), (1, 0, [(1, 1, 0)])],
+    components={"gain": [6, 3, 0], "effort": [-1, 0, 0]},
+)
+
+
+@pytest.mark.parametrize("trap", [[(1, 2, 0)], [("1/2", 2, 1), ("1/2", 2, -1)]])
+def test_totals_are_refused_where_a_run_may_end_beside_the_goal(trap: list[object]) -> None:
+    mdp = MDP.from_outcomes([*STAY_OR_GO, (2, 0, trap)], labels=HOME).until("home")
+    for call in (
+        lambda: solve(mdp, subject_to={"reward": ">= -3"}),
+        lambda: tradeoff(mdp, ["reward", "steps"]),
+        lambda: rationalize(mdp, [0, 0, 0]),
+    ):
+        with pytest.raises(ModelError, match=r"beside the goal|no finite total"):
+            call()
+    assert solve(mdp.with_(start=[0, 1, 0]), subject_to={"reward": ">= -3"}).start_value == 0
+
+
+def test_a_proof_of_totals_does_not_hold_where_a_run_may_end_beside_the_goal() -> None:
+    plain = MDP.from_outcomes([*STAY_OR_GO, (2, 0, [(1, 2, 0)])], labels=HOME)
+    mdp = plain.until("home")
+    proof = solve(mdp.with_(goal=None), subject_to={"reward": ">= -3"})
+    assert proof.violations() == []
+    totals = proof.of.counted()
+    totals.model.goal = {1}
+    assert any("beside the goal" in fault for fault in totals.sound(proof.rank))
+
+
+def test_weights_are_those_of_all_components() -> None:
+    alone = MDP.from_outcomes([(0, 0, [(1, 1, -1)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, 0)])])
+    true, other = (rationalize(mdp, {"0": "1", "1": "0"}) for mdp in (TWO, alone))
+    false = replace(other, objectives=("effort",), model=true.model, mdp=TWO)
+    assert (true.change, false.change) == (F(1, 2), 0)
+    assert false.violations() == ["what is weighed are not the components of the reward"]
+    cut = replace(true.cuts[0], multiplier=inf)
+    assert replace(true, cuts=(cut,), change=F(2)).violations()
+    assert replace(true, kind="front").violations()
+
+
+def test_limits_on_one_name_keep_their_own_closest_bounds() -> None:
+    solution = solve(TWO, subject_to={"gain": [">= 9", "<= 4"]})
+    assert solution.closest == {"gain >= 9": F(6), "gain <= 4": F(7)}
+    assert solution.frame()["closest"].tolist() == [F(6), F(7)]
+
+
+def test_a_proof_is_loaded_with_its_own_model_only(tmp_path: Path) -> None:
+    front = tradeoff(TWO, ["gain", "effort"])
+    front.save(path := tmp_path / "front.json")
+    assert type(front).load(path, TWO).vertices == front.vertices
+    with pytest.raises(ModelError, match="another model"):
+        type(front).load(path, TWO.with_(discount="1/2"))
+
+
+# ---- amounts in floats ---------------------------------------------------------------------------
+
+PARTS = {"a": [0.1, 0.7, 0.0], "b": [0.2, 0.0, 0.0], "c": [0.3, 0.0, 0.0]}
+REWARD = [0.1 + 0.2 + 0.3, 0.7, 0.0]
+
+
+def with_floats(first: str = "a") -> MDP:
+    """Amounts in floats, whose rounded sum is the reward: the objective is the reward itself."""
+    parts = {first if name == "a" else name: amount for name, amount in PARTS.items()}
+    rows = [[0, 1], [0, 1], [0, 1]]
+    return MDP.from_pairs([0, 0, 1], [0, 1, 0], rows, REWARD, components=parts)
+
+
+@pytest.mark.parametrize("first", ["a", "reward", "return"])
+def test_the_optimum_under_limits_is_one_of_the_reward(first: str) -> None:
+    """Also where a component is called as the reward is, or as the objective."""
+    mdp = with_floats(first)
+    assert mdp.component_names == (first, "b", "c")
+    assert sum(map(F, (0.1, 0.2, 0.3))) != F(REWARD[0])
+    free = solve(mdp, subject_to={first: "<= 9"})
+    assert (free.start_value, free.violations()) == (certify(mdp).start_value, [])
+    solution = solve(mdp, subject_to={first: "<= 1/2"})
+    share = (F(1, 2) - F(0.1)) / (F(0.7) - F(0.1))
+    assert solution.start_value == (1 - share) * F(REWARD[0]) + share * F(0.7)
+    assert solution.violations() == []
+    audit = check(mdp, [0, 0], subject_to={first: "<= 1/2"})
+    assert audit.regret.at_start.value == solution.start_value - F(REWARD[0])
+
+
+def test_fronts_and_weights_are_of_the_amounts_as_given() -> None:
+    mdp = with_floats()
+    front = tradeoff(mdp, ["a", "reward"])
+    assert front.violations() == []
+    assert front.vertices == [(F(0.7), F(0.7))]
+    least_change = rationalize(mdp, [0, 0])
+    assert least_change.violations() == []
+    assert least_change.possible
+    assert rationalize(mdp, [1, 0]).change == 0

@@ -8,23 +8,10 @@ import pytest
 from answers import within
 from hypothesis import assume, given, settings
 from oracle import classes, limit
-from policy_cases import (
-    LAWFUL,
-    Case,
-    brute_force,
-    coin,
-    is_acyclic,
-)
+from policy_cases import LAWFUL, Case, brute_force, coin, is_acyclic
 from strategies import Pairs, any_models, model_of
 
-from exact_mdp import (
-    MDP,
-    Claim,
-    ModelError,
-    evaluate,
-    return_distribution,
-    simulate,
-)
+from exact_mdp import MDP, Claim, ModelError, evaluate, return_distribution, simulate
 
 CYCLIC_STEPS = 8
 
