@@ -5,6 +5,7 @@ import json
 import os
 import pickle
 import stat
+from collections import defaultdict
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
@@ -91,6 +92,30 @@ def test_every_form_of_a_status_policy_is_the_same(tmp_path_factory: Any, chosen
         follows(CARE, Policy.of(CARE, form), chosen)
     for table in (np.eye(4)[numbers], np.eye(4)[numbers][:-1]):
         follows(CARE, Policy.of(CARE, table, kind="q"), chosen)
+
+
+@settings(max_examples=10)
+@given(st.lists(st.integers(0, 3), min_size=16, max_size=16))
+def test_every_form_of_a_policy_over_cells_is_the_same(numbers: list[int]) -> None:
+    """By columns, by what a function gives, in a model within some steps; nothing is added."""
+    names, one_hot = [LAKE.actions[a] for a in numbers], np.eye(4)[numbers]
+    rows: defaultdict[int, Any] = defaultdict(lambda: np.zeros(4))
+    rows |= {s: 2.5 * one_hot[s] for s in range(16) if numbers[s]}
+    count = len(rows)
+    forms = [
+        lambda s: names[s],
+        lambda s: {names[s]: 1},
+        lambda s: np.array(numbers[s]),
+        lambda s: one_hot[s],
+        {LAKE.space.label(s): a for s, a in enumerate(names)},
+        {(s // 4, s % 4): a for s, a in enumerate(names)},
+        rows,
+    ]
+    for mdp in (LAKE, LAKE.within(3)):
+        wanted = Policy.of(mdp, numbers).weights(mdp).tolist()
+        for form in forms[:1] if mdp is not LAKE else forms:
+            assert Policy.of(mdp, form).weights(mdp).tolist() == wanted
+    assert len(rows) == count
 
 
 @settings(max_examples=30)
