@@ -21,6 +21,7 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from typing import Any, NoReturn, TextIO
 
 import click
@@ -104,7 +105,7 @@ def run(
             what = "standard output is closed, so the result could not be printed"
             raise OSError(errno.EBADF, what)
         with _signals(), warnings.catch_warnings():
-            warnings.showwarning = _warn
+            warnings.showwarning = partial(_warn, told=set())
             with answering(), command.make_context(program, [*words], obj=[*words]) as context:
                 status = command.invoke(context)
             sys.stdout.flush()
@@ -157,8 +158,12 @@ def say(text: str) -> None:
         _silence(sys.stderr)
 
 
-def _warn(message: Warning | str, *_: object, **__: object) -> None:
-    say(f"warning: {shown_text(str(message), lines=True)}")
+def _warn(message: Warning | str, *_: object, told: set[str], **__: object) -> None:
+    """Say a warning in one line, each text once in a command."""
+    text = shown_text(str(message), lines=True)
+    if text not in told:
+        told.add(text)
+        say(f"warning: {text}")
 
 
 def _described(

@@ -1,4 +1,4 @@
-"""Small published models: Howard's taxicab, the MDP toolbox, and test domains of msdm."""
+"""Small published models: Howard's taxicab, the MDP toolbox, test domains of msdm, and of Storm."""
 
 import tomllib
 from collections.abc import Callable, Mapping
@@ -6,10 +6,23 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from .case import Case, Number, Pair, actions, best, indexed, row, rows, table
+from .case import (
+    Case,
+    Number,
+    Pair,
+    actions,
+    best,
+    end,
+    indexed,
+    over_horizon,
+    row,
+    rows,
+    table,
+)
 
 F = Fraction
 TOOLBOX = "sawcordwell/pymdptoolbox src/tests/"
+MSDM = "markkho/msdm msdm/tests/domains/__init__.py, "
 SPECS = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
 
 
@@ -60,6 +73,56 @@ def forest(
     )
 
 
+# ---- msdm ----------------------------------------------------------------------------------------
+
+
+def positive_cycle() -> Case:
+    """Every round a, b, c costs 1 twice and earns 3."""
+    gamma = F(19, 20)
+    v = (3 - gamma - gamma**2) / (1 - gamma**3)
+    return Case(
+        name="positive-reward-cycle",
+        source=MSDM + "PositiveRewardCycle",
+        pairs=rows("0 0 -1: 1; 0 1 -10: 2; 1 0 -10: 0; 1 1 -1: 2; 2 0 3: 0; 2 1 -3: 1"),
+        discount=gamma,
+        values={0: -1 - gamma + gamma**2 * v, 1: -1 + gamma * v, 2: v},
+        optimal=best([0], [1], [0]),
+    )
+
+
+def counter(goal: int, discount: Fraction) -> Case:
+    """Count up (0) or down (1) at a cost of 1 until the goal."""
+    pairs: list[Pair] = []
+    for s in range(goal):
+        pairs += [(s, 0, F(-1), {s + 1: F(1)}), (s, 1, F(-1), {max(0, s - 1): F(1)})]
+    return Case(
+        name=f"counter-{goal}-{discount}",
+        source=MSDM + "DeterministicCounter",
+        pairs=(*pairs, *end(goal, 2)),
+        discount=discount,
+        values={s: -sum((discount**k for k in range(goal - s)), F(0)) for s in range(goal + 1)},
+        optimal=best(*[[0]] * goal),
+        proper=discount < 1,
+    )
+
+
+# ---- Storm ---------------------------------------------------------------------------------------
+
+
+def one_state(horizon: int, value: Fraction) -> Case:
+    """Earn 1 or 100 in every step, for ever or (horizon > 0) for a number of steps."""
+    pairs = rows("0 0 1: 0; 0 1 100: 0")
+    return Case(
+        name=f"one-state-{horizon or 'for-ever'}",
+        source="moves-rwth/storm resources/examples/testfiles/mdp/one_state.nm; "
+        "DiscountingMdpPrctlModelCheckerTest.cpp, OneStateDiscounting",
+        pairs=over_horizon(pairs, horizon) if horizon else pairs,
+        discount=F(9, 10),
+        values={0: value},
+        optimal=best(*[[1]] * max(1, horizon)),
+    )
+
+
 CASES = (
     *(listed(name, spec) for name, spec in SPECS.items()),
     forest(  # the wrong policy is the one that policy iteration starts from
@@ -86,4 +149,10 @@ CASES = (
         "test_QLearning_forest_sparse",
         wrong=(0, 1, 1, 1, 1, 1, 0, 0, 0, 0),
     ),
+    positive_cycle(),
+    counter(6, F(19, 20)),
+    counter(6, F(1)),
+    one_state(0, F(1000)),
+    one_state(5, F(40951, 100)),
+    one_state(10, F(6513215599, 10_000_000)),
 )

@@ -1,7 +1,7 @@
 """Every door gives the same model: arrays of all layouts, pairs, outcomes, functions, files."""
 
 import pickle
-from collections import defaultdict
+from collections import defaultdict, namedtuple
 from collections.abc import Callable
 from fractions import Fraction
 from itertools import product
@@ -542,3 +542,23 @@ def test_what_a_model_tells_can_be_given_back(drawn: Rows) -> None:
         assert again.labels["last"].tolist() == flags.tolist()
         assert laws(again).keys() == laws(mdp).keys()
         assert pickle.loads(pickle.dumps(again)).start == mdp.start
+
+
+@given(st.permutations(range(16)))
+def test_named_levels_of_a_start_stand_in_any_order(order: list[int]) -> None:
+    lake = MDP.from_gymnasium("FrozenLake-v1", "99/100")
+    index = pd.MultiIndex.from_tuples([divmod(s, 4) for s in order], names=["row", "column"])
+    start = pd.Series([s / 120 for s in order], index)
+    wanted = lake.with_(start=np.arange(16) / 120).start
+    turned = start.reorder_levels(["column", "row"])
+    for each in (start, turned, start.set_axis(index.set_names([None, None]))):
+        assert lake.with_(start=each).start == wanted
+    for names in (["x", "y"], ["row", None], [None, "row"]):
+        with pytest.raises(ModelError, match="levels of the index are"):
+            lake.with_(start=start.set_axis(index.set_names(names)))
+    cell = namedtuple("cell", "x y")
+    walk = MDP.from_function(
+        cell(0, 1), lambda s: ["go"] if s.y else [], lambda s, a: [(1, cell(1, 0), 1)]
+    )
+    fields = pd.MultiIndex.from_tuples([(0, 1), (1, 0)], names=["y", "x"])
+    assert walk.with_(start=pd.Series(["1/4", "3/4"], fields)).start == ((0, 3 / 4), (1, 1 / 4))

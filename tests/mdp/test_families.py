@@ -20,10 +20,12 @@ from exact_mdp import (
     Family,
     Parameter,
     Range,
+    Scenario,
     certify,
     gradient,
     moving,
     one_way,
+    parametric,
     thresholds,
     tornado,
     two_way,
@@ -319,3 +321,40 @@ def test_entries_are_named_as_states_and_actions_are_everywhere() -> None:
         (("sick", "wait", "well"), "an entry is"),
     ):
         refused(lambda each=entry: moving(WORDS, {"recovery": [each]}), what, "parameter recovery")
+
+
+@pytest.mark.parametrize(
+    "readings", [{}, {"skip_onset": "base"}, {"skip_timestep": "own", "skip_onset": "base"}]
+)
+def test_degrees_of_scenarios_hold_at_further_points(readings: dict[str, str]) -> None:
+    """What follows from the rules is checked here: no entry leaves its polynomial."""
+    family = parametric(Scenario.load("yuan2025").with_(tasks=[1], max_trial=2, readings=readings))
+    names = ["base.confusion", "persistence.anger", "influence.anger.confusion", "discount"]
+    free = Family(
+        parameters=family.parameters,
+        build=lambda at: family.at(at),
+        degrees={p.name: family.degree(p.name) for p in family.parameters},
+        breaks={p.name: family.breakpoints(p.name) for p in family.parameters},
+    )
+    own, other = gradient(family, names=names), gradient(free, names=names)
+    for name in names:
+        assert other[name].claim == Claim.CHECKED
+        assert other[name].value.value == own[name].value.value
+
+
+def test_models_without_a_step_have_gradients() -> None:
+    for gain, discount in ((0, 1), (0, "1/2"), (1, "1/2")):
+        family = moving(MDP.from_arrays([[[1]]], [gain], discount), {})
+        value = gradient(family, policy=[0])["discount"].value
+        assert value is not None
+        assert value.value == (4 if gain else 0)
+        assert gradient(family)["discount"].elasticity == (1.0 if gain else None)
+
+
+def test_an_elasticity_beyond_floats_is_infinite_not_an_error() -> None:
+    """The value is 1e-320, the parameter 1 and the derivative 1: 1e320 per cent."""
+    tiny = F(1, 10**320)
+    family = Family(
+        parameters=(Parameter(name="p", value=F(1)),), build=lambda at: earning(at["p"] - 1 + tiny)
+    )
+    assert gradient(family)["p"].elasticity == np.inf

@@ -222,3 +222,16 @@ def test_beside_exact_numbers_the_floats_alone_give_way() -> None:
     for row in (["1/3", "666666667/1000000000"], [1, 1e-12], [F(0.1), F(0.9)]):
         with pytest.raises(DistributionError):
             row_of(row)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_symmetric_actions_tie(seed: int) -> None:
+    """Actions whose rows differ in their order alone, before states that are worth the same."""
+    rng = np.random.default_rng(seed)
+    for row in (rng.dirichlet(np.ones(5)), np.full(5, 0.2), np.array([3, 3, 2, 2, 1]) / 11):
+        actions = [np.concatenate([[0], rng.permutation(row)]) for _ in range(4)]
+        end = np.eye(6)[1:]
+        mdp = MDP.from_arrays(
+            np.array([np.vstack([action, end]) for action in actions]), [0, 1, 1, 1, 1, 1], "9/10"
+        )
+        assert certify(mdp).optimal[0].all()

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from care_oracle import ACTIONS, CLEAR, Oracle, acting
 
-from exact_mdp import Bounded, ModelError
+from exact_mdp import Bounded, ModelError, return_distribution
 from exact_mdp.paper_repro import run
 from exact_mdp.paper_repro.claim import CLAIMS, Verdict, average, by_chance, judged, share
 from exact_mdp.paper_repro.paper import (
@@ -30,6 +30,7 @@ from exact_mdp.paper_repro.paper import (
 )
 from exact_mdp.paper_repro.section_2 import trial_flow
 from exact_mdp.paper_repro.section_3 import losses, weights
+from exact_mdp.paper_repro.section_4_1_policies import cost_of_each, ranked
 from exact_mdp.paper_repro.silent_points import (
     Reading,
     default,
@@ -269,3 +270,32 @@ def test_the_learned_claims_have_verdicts(reading: Reading) -> None:
 def test_changes_that_make_no_sense_are_refused(change: str) -> None:
     with pytest.raises(ModelError):
         assert run.changed_reading(default(), [change]).mdp
+
+
+def test_costs_of_choices_are_those_of_single_changes(reading: Reading, oracle: Oracle) -> None:
+    best = oracle.value(oracle.start)
+    chosen = {s: ACTIONS[a] for s, a in zip(STATUSES, reading.optimum[:16], strict=True)}
+    cost = cost_of_each(reading)
+    assert (cost.min(axis=1) == 0).all()
+    for status, action in (("0000", "none"), ("0100", "non-directive"), ("0001", "directive")):
+        other = oracle.evaluate(acting({**chosen, status: action}), distribution=False)["mean"]
+        expected = float(best - other)
+        assert cost[int(status, 2), ACTIONS.index(action)] == pytest.approx(expected, abs=1e-9)
+
+
+def test_the_ranking_by_the_normal_law_is_near_the_exact_one(reading: Reading) -> None:
+    """The law of a sum of n returns is an n-fold convolution: a power of a Fourier transform."""
+    laws = []
+    for start in AVERAGES:
+        law = return_distribution(reading.mdp, reading.policy(start))
+        single = np.zeros(1024)
+        lattice = np.asarray(law.multiples) * float(law.unit)
+        assert (lattice == np.round(lattice)).all()
+        np.add.at(single, np.round(lattice).astype(int) + 400, law.probabilities)
+        size = 2**20
+        laws.append(np.fft.irfft(np.fft.rfft(single, size) ** EXPERIMENTS, size))
+    above = np.append(np.cumsum(laws[0][::-1])[::-1][1:], 0.0)
+    below = np.insert(np.cumsum(laws[2])[:-1], 0, 0.0)
+    exact = [reading.value(start) for start in AVERAGES]
+    normal = ranked([e.mean for e in exact], [e.sd / sqrt(EXPERIMENTS) for e in exact])
+    assert normal == pytest.approx(float((laws[1] * above * below).sum()), abs=1e-5)

@@ -248,3 +248,13 @@ def test_an_end_that_hardly_comes(discount) -> None:
     ends = evaluation.visits if discount == 1 else evaluate(mdp.undiscounted, [0, 0, 0]).visits
     assert ends.tolist() == pytest.approx([1e30 / 3, 1 / 3, 2 / 3], rel=1e-15)
     assert check(mdp, [0, 0, 0]).passed
+
+
+def test_components_of_rows_that_are_divided_by_their_sums_add_up() -> None:
+    rows = [(0, 0, [(0.1, 0, 1.5), (0.9 + 1e-10, 1, 2.0)]), (1, 0, [(0.3, 0, 1.0), (0.7, 1, 0.1)])]
+    mdp = MDP.from_outcomes(rows).with_(components={"first": [1.25, 0], "second": ["1/3", "1/7"]})
+    evaluation = evaluate(mdp, [0, 0], criterion="average")
+    total = sum(number.value for number in evaluation.components.values())
+    assert list(evaluation.components) == ["first", "second", "rest"]
+    assert total == pytest.approx(evaluation.start_value, rel=1e-12)
+    assert evaluation.components["first"].value == pytest.approx(1.25 / 4 / (1 + 1e-10), rel=1e-9)

@@ -11,6 +11,7 @@ import pytest
 from answers import holds, near
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_models import gridworld
 from oracle import best_total, policies, reaching, total
 from strategies import Pairs, Row, any_models, model_of
 
@@ -256,3 +257,33 @@ def test_resting_is_an_end_in_a_model_of_records_as_in_any_other() -> None:
         assert evaluation.mean == pytest.approx(2.5)
         assert evaluation.sd == pytest.approx(3**0.5 / 2)
         assert evaluation.quantiles == {0.05: 1.0, 0.25: 1.0, 0.5: 3.0, 0.75: 3.0, 0.95: 3.0}
+
+
+@pytest.mark.parametrize(("action", "mean"), [(1, -inf), (2, inf)])
+def test_a_policy_goes_on_for_ever(action: int, mean: float) -> None:
+    mdp, policy = resting(), [0, 0, action]
+    evaluation = evaluate(mdp, policy)
+    assert evaluation.mean == mean
+    assert evaluation.components == {"reward": mean}
+    assert isnan(evaluation.sd)
+    assert {*evaluation.quantiles.values()} == {mean}
+    assert return_distribution(mdp, policy).unending.keys() == {mean}
+    drawn = simulate(mdp, policy, n=3, rng=0)
+    assert (drawn.mean, drawn.never_ends) == (mean, 1)
+
+
+def test_who_gives_up_an_infinite_value_loses_it() -> None:
+    mdp = MDP.from_function(
+        "x",
+        lambda s: ["loop", "leave"] if s == "x" else [],
+        lambda s, a: [(1, "x", 1)] if a == "loop" else [(1, "end", 0)],
+    )
+    (only,) = check(mdp, {"x": "leave"}).disagreements
+    assert (only.gap, only.cost, only.expected_visits) == (inf, inf, 1.0)
+
+
+def test_only_pairs_that_lose_much_are_left_out_of_the_float_model() -> None:
+    """A slippery grid, -1 a step: near ties stay in, whose loss loose bounds could not bear out."""
+    mdp = gridworld(8).with_(discount=1)
+    holds(solution := solve(mdp), certify(mdp).value)
+    assert solution.error_bound < 1e-6

@@ -235,3 +235,13 @@ def test_curves_show_the_same_with_and_without_noise(care: MDP, runs: list[Train
     again = learning_curve(care, runs[0], rng=5)
     assert again.sampled.tobytes() == curve.sampled.tobytes()
     assert learning_curve(care, runs[0], rng=6).sampled.tobytes() != curve.sampled.tobytes()
+
+
+def test_actions_may_be_more_than_16_bits_count(tmp_path: Path) -> None:
+    names = tuple(f"a{number}" for number in range(40_000))
+    rows = [(0, 39_998, [(1, 1, -1)]), (0, 39_999, [(1, 1, 1)]), (1, 0, [(1, 1, 0)])]
+    mdp = MDP.from_outcomes(rows, "1/2", actions=names)
+    for _ in range(2):  # the second time from the file
+        (run,) = train(mdp, QLearning(epochs=5), 1, rng=0, out=tmp_path)
+        assert run.final.tolist() == [39_999, 0]
+        assert evaluate(mdp, run.policy(mdp)).mean == 1

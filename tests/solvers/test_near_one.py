@@ -360,3 +360,14 @@ def test_a_large_model_is_solved_in_little_memory() -> None:
         assert own < tracemalloc.get_traced_memory()[1] < 1.4 * own
     finally:
         tracemalloc.stop()
+
+
+@pytest.mark.parametrize("states", [500, pytest.param(6000, marks=pytest.mark.slow)])
+def test_discounts_next_to_1_leave_the_digits_that_tell_states_apart(states: int) -> None:
+    """Values of 3e9 are found to 1, though 1e-7 of them is all that their equations keep."""
+    mdp = near_and_far(states, "999999999/1000000000")
+    solution, other = solve(mdp), solve(mdp, PolicyIteration())
+    assert solution.status is Status.CONVERGED
+    assert solution.iterations < 60
+    assert solution.error_bound < 1 < 1e-9 * solution.value.max()
+    assert agree(solution, other)

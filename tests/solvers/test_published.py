@@ -1,5 +1,7 @@
 """Published answers: optima by every solver, values of policies, questions, averages and mazes."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 from fractions import Fraction as F
 from math import isinf
@@ -10,6 +12,7 @@ import pytest
 from answers import holds, near, quietly, within
 from cases import BY_NAME, CASES, Case
 from cases.prism_rewards import MODELS, PUBLISHED, Asked
+from made_models import forest
 from model_contents import is_acyclic
 from oracle import every_policy_ends
 from strategies import model_of
@@ -205,3 +208,12 @@ def test_averages(name: str) -> None:
         bias = [h - (digits > 0) * optimum.bias[-1] for h in optimum.bias]
         assert max(abs(x - y) for x, y in zip(bias, right, strict=True)) <= digits
     holds(solution, optimum.value)
+
+
+def test_the_random_policy_of_the_forest() -> None:
+    evaluation = evaluate(forest("9/10"), "random", criterion="average")
+    assert within(evaluation.start, F(117, 160))
+    assert evaluation.read_as == "policy"
+    assert evaluation.frame().columns[:3].tolist() == ["state", "gain", "gain error"]
+    best = evaluate(forest("9/10"), "optimal", criterion="average")
+    assert best.start_value == pytest.approx(3.24)

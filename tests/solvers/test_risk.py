@@ -8,11 +8,12 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+import pytest
 from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exact_mdp import MDP, best_cvar, certify
+from exact_mdp import MDP, ModelError, best_cvar, certify
 
 F = Fraction
 Distribution = tuple[tuple[Fraction, Fraction], ...]
@@ -145,3 +146,24 @@ def test_rules_are_of_states_that_leave_a_choice() -> None:
     """A state where all has ended may have several actions."""
     rows = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, 0)]), (1, 1, [(1, 1, 0)])]
     assert best_cvar(MDP.from_outcomes(rows), "1/2").rules() == [(0, 0, 0, "0")]
+
+
+def test_huge_rewards_that_differ_by_little() -> None:
+    rows = [(0, 0, [("1/2", 1, 10**30), ("1/2", 1, 10**30 + 3)]), (0, 1, [(1, 1, 10**30 + 1)])]
+    rows = [*rows, (1, 0, [(1, 1, 0)])]
+    optimum = best_cvar(MDP.from_outcomes(rows), "3/4")
+    assert (optimum.value, optimum.violations()) == (10**30 + 1, [])
+
+
+def test_a_bet_by_hand() -> None:
+    """The coin decides: after a win it may be played safe, and after a loss no more is risked."""
+    end, safe = (0, 0, [(F(1), 0, F(0))]), (1, 0, [(F(1), 0, F(0))])
+    bold = (1, 1, [(F(1, 2), 0, F(3)), (F(1, 2), 0, F(-2))])
+    once = best_cvar(model([end, safe, bold]), "1/2")
+    assert (once.value, once.action(1)) == (0, "0")
+    rows = [end, safe, bold, (2, 0, [(F(1, 2), 1, F(3)), (F(1, 2), 1, F(-2))])]
+    twice = best_cvar(model(rows), "3/4")
+    assert twice.value == max(worst(each, F(3, 4)) for each in distributions(rows, 2))
+    assert {twice.action(1, gain) for gain in (3, -2)} <= {"0", "1"}
+    with pytest.raises(ModelError, match="multiples of 1"):
+        twice.action(1, "1/2")

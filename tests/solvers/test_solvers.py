@@ -22,6 +22,7 @@ from exact_mdp import (
     Certified,
     Claim,
     Estimated,
+    GaussSeidel,
     LinearProgram,
     ModelError,
     ModifiedPolicyIteration,
@@ -287,3 +288,16 @@ def test_room_behind_the_entries_of_a_sparse_matrix_is_left_out(form: Any) -> No
     roomy.indptr = roomy.indptr + np.array([0, 0, 9], roomy.indptr.dtype)
     with pytest.raises(ModelError, match="indptr"):
         MDP.from_arrays([roomy], [[1], [0]], discount="1/2")
+
+
+@pytest.mark.parametrize("name", ["howard-taxicab", "forest-10-24/25"])
+def test_relaxed_values_are_not_shifted_for_ever(name: str) -> None:
+    """Where errors differ from state to state, a shift to the middle of the bounds adds to them."""
+    solution = solve(case_model(name), GaussSeidel(max_iterations=200))
+    assert solution.status is Status.CONVERGED
+
+
+def test_small_values_beside_large_ones_are_found_as_closely() -> None:
+    """A tolerance that is a part of the largest value is no reason to stop at the first pass."""
+    rows = [(0, 0, [(1, 0, 0)]), (1, 0, [("1/2", 0, 1), ("1/2", 1, 1)]), (2, 0, [(1, 0, 10**9)])]
+    assert solve(MDP.from_outcomes(rows, "1/2")).value[1] == pytest.approx(4 / 3, rel=1e-12)

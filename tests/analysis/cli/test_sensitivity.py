@@ -111,3 +111,10 @@ def test_psa_draws_rewards_and_the_discount_where_they_are_stated(tmp_path: Path
     kinds = {name: each["distribution"] for name, each in result["drawn"].items()}
     assert kinds == {"reward.2": "normal", "discount": "beta"}
     assert result["value"]["mean"] == pytest.approx(2, abs=0.3)
+
+
+def test_a_saved_model_has_a_discount_to_vary(tmp_path: Path) -> None:
+    file = tmp_path / "loop.npz"
+    save(MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0], "9/10"), file)
+    line = "sobol --samples 32 --n-jobs 1 --relative 0.05 --parameter discount --json"
+    assert run(line, file).result["total"]["discount"] == pytest.approx(1, abs=0.2)

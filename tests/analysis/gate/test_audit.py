@@ -3,6 +3,7 @@
 from fractions import Fraction as F
 from math import inf
 from random import Random
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,10 +11,22 @@ from care_oracle import ACTIONS, acting, oracle_of
 from cases import CASES, Case
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_models import forest
 from oracle import evaluate_exact, mixed, solve_exact
 from strategies import Pairs, Rows, any_models, model_of, models
 
-from exact_mdp import MDP, Bounded, Certified, Claim, ModelError, Scenario, certify, check, evaluate
+from exact_mdp import (
+    MDP,
+    Bounded,
+    Certified,
+    Claim,
+    ModelError,
+    Scenario,
+    assert_policy_optimal,
+    certify,
+    check,
+    evaluate,
+)
 
 CARE = Scenario.load("yuan2025")
 SMALL = CARE.with_(tasks=[2], max_trial=2, readings={"influence_orientation": "column-to-row"})
@@ -265,3 +278,37 @@ def test_an_audit_says_what_it_compares_and_what_is_lost() -> None:
     assert (lost.value.value, lost.relative_regret) == (inf, None)
     assert lost.regret.gap.tolist() == [0, inf, 0, inf, 0]
     assert lost.regret.optimal_pairs.tolist() == [True, False, True, False, True]
+
+
+def test_the_forest_policy_of_a_learner_s_test_is_rejected() -> None:
+    """Its test takes (0, 1, 1) for right, and believes it to be worth 11.2 in the first state."""
+    q = np.array([[11.19899, 10.34652], [10.74229, 11.74105], [2.86981, 12.25978]])
+    audit = check(forest("24/25"), q)
+    assert not audit.passed
+    assert audit.regret.learned == Certified(value=F(10800, 932))
+    assert audit.regret.optimal == Certified(value=F(746496, 10_000))
+    assert [each.state for each in audit.disagreements] == [1, 2]
+    assert audit.q_error is not None
+    assert audit.q_error.promised == 11.19899
+    with pytest.raises(AssertionError, match="state 1: yours 1, optimal 0"):
+        assert_policy_optimal(forest("24/25"), q)
+
+
+def test_the_error_of_a_table_that_waits_for_ever_is_that_of_where_it_waits() -> None:
+    rows: list[Any] = [(2, 0, [(1, 2, 0)])]
+    for state in range(2):
+        rows += [(state, 0, [(1, state, -1)]), (state, 1, [(1, state + 1, -1)])]
+    audit = check(MDP.from_outcomes(rows), np.zeros((3, 2)))
+    assert audit.regret.at_start.value == inf
+    assert audit.q_error is not None
+    assert audit.q_error.visited == 3  # Q*(0, wait) = -1 + V*(0)
+
+
+def test_an_action_that_only_a_policy_without_gain_uses_for_ever_is_to_blame() -> None:
+    """The loop 0 -> 1 -> 0 earns nothing, and on average it is at a debt; staying in 0 is not."""
+    rows: list[Any] = [(0, 0, [(1, 0, 0)]), (1, 0, [("4/5", 0, 1), ("1/5", 1, 0)])]
+    rows += [(0, a, [("2/3", 0, 0), ("1/3", 1, -1)]) for a in (1, 2)] + [(1, 1, [(1, 1, 0)])]
+    audit = check(MDP.from_outcomes(rows), [2, 0])
+    assert audit.value.value == F(5, 17)
+    [found] = audit.disagreements
+    assert (found.state, found.optimal, found.cost) == (0, ("0",), 5 / 17)

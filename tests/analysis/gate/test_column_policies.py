@@ -118,3 +118,10 @@ def test_models_with_nothing_to_do_have_answers(rows: list[Any], discount: F) ->
     assert check(mdp, "random", criterion="average").passed
     assert check(mdp, "random", horizon=2).passed
     assert evaluate(mdp, "random").mean == pytest.approx(float(value))
+
+
+def test_a_start_policy_is_never_lost() -> None:
+    mdp = TEMPTING.compile()
+    good = best_policy(mdp).policy
+    cut = best_policy(mdp, start=good, node_limit=1)
+    assert cut.value.value == pytest.approx(best_policy(mdp).value.value, abs=1e-9)

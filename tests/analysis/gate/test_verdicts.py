@@ -307,3 +307,46 @@ def test_the_verdict_is_given_where_floats_cannot_bound_visits(
     assert check(model, policy, max_regret=lost).passed
     assert not lost or not check(model, policy, max_regret=lost - HARDLY).passed
     assert "nan" not in audit.message()
+
+
+def test_long_horizons_forgive_by_visits() -> None:
+    """At discount 0.999999 a million visits forgive a million roundings, and not more."""
+    rows = [(0, 0, [(1, 0, 0.1)]), (0, 1, [(1, 0, float(np.nextafter(0.1, 1)))])]
+    mdp = MDP.from_outcomes(rows, F(999999, 1000000))
+    audit = check(mdp, [0])
+    wanted = 10**6 * (ulp(0.1) + ulp(float(np.nextafter(0.1, 1))))
+    assert audit.regret.at_start.value == wanted
+    assert audit.passed
+    assert wanted <= audit.forgiven <= wanted * (1 + F(1, 10**5))
+    rows[1] = (0, 1, [(1, 0, 0.1 + 1e-15)])
+    assert not check(MDP.from_outcomes(rows, F(999999, 1000000)), [0]).passed
+
+
+def test_large_values_hide_no_disagreement_and_invent_none() -> None:
+    """Around 1e13 doubles cannot tell gaps of 1e-3: these are worked out exactly."""
+    rows = [
+        (0, 0, [(1, 1, 10**13)]),
+        (0, 1, [(1, 1, 10**13 - F(1, 1000))]),
+        (0, 2, [(1, 1, 10**13)]),
+        (1, 0, [(1, 2, 10**13)]),
+        (1, 1, [(1, 2, 10**13 - F(1, 10**9))]),
+        (2, 0, [(1, 2, 0)]),
+    ]
+    mdp = MDP.from_outcomes(rows)
+    audit = check(mdp, [1, 1, 0])
+    assert [each.gap for each in audit.disagreements] == [1e-3, 1e-9]
+    assert [each.cost for each in audit.disagreements] == [1e-3, 1e-9]
+    assert check(mdp, [2, 0, 0]).disagreements == ()
+    assert not audit.passed
+
+
+def test_what_every_policy_earns_is_not_forgiven() -> None:
+    """A float on all ways is rounded for all of them alike; after the choice, too."""
+    for loss, big in ((1e-4, -1e12), (0.1, 1e15)):
+        rows = [(0, 0, [(1, 1, big)]), (1, 0, [(1, 2, 0.0)]), (1, 1, [(1, 2, -loss)])]
+        mdp = MDP.from_outcomes([*rows, (2, 0, [(1, 3, big)]), (3, 0, [(1, 3, 0)])])
+        audit = check(mdp, [0, 1, 0, 0])
+        assert not audit.passed
+        assert audit.forgiven < F(loss) / 10**12
+        assert [each.state for each in audit.disagreements] == [1]
+        assert check(mdp, [0, 0, 0, 0]).passed

@@ -162,3 +162,11 @@ def test_a_law_without_finite_returns_is_drawn() -> None:
     ax = law.plot()
     assert not ax.patches
     assert "never ends, and is infinite, with probability 1" in ax.get_title(loc="left")
+
+
+def test_an_end_stays_in_a_heat_map() -> None:
+    law = np.full((1, 20, 20), 0.05)
+    law[0, -1] = np.eye(20)[-1]
+    ax = plots.plot_transitions(MDP.from_arrays(law, [1] * 19 + [0]))
+    shades = np.asarray(ax.collections[0].get_array()).reshape(20, 20)
+    assert np.allclose(shades.sum(axis=1), 1)

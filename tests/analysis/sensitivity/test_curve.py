@@ -7,9 +7,11 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
+from cases import BY_NAME
 from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_models import forest
 from oracle import best_average, gain_and_bias
 from strategies import Rows, models
 
@@ -468,3 +470,30 @@ def test_every_model_of_a_threshold_is_made_once() -> None:
         made.clear()
         assert len(thresholds(family, "p", (F(1, 10), F(3, 4))).found) == 1
         assert len(made) == len(set(made))
+
+
+def test_howards_taxicab_at_every_discount() -> None:
+    """Howard (1960), chapter 4: the stand in every town, at discount 1 and at those near to it."""
+    case = BY_NAME["howard-taxicab"]
+    mdp = Rows(n_states=3, pairs=case.pairs, discount=case.discount).model()
+    by_discount = curve(mdp, "discount")
+    assert by_discount.violations() == []
+    assert by_discount.pieces[-1].optimal[[mdp.pair(s, 1) for s in range(3)]].all()
+    last = by_discount.pieces[-1].value
+    gain = sum(c for c in last.numerator) / -sum(k * c for k, c in enumerate(last.denominator))
+    assert gain == certify(mdp, criterion="average").value[0]  # the residue at 1
+
+
+def test_the_forest_switches_where_two_of_its_policies_are_equal() -> None:
+    # pymdptoolbox src/tests/test_PolicyIteration.py: values at 0.9 and 0.96, never cut
+    value_curve = curve(forest("1/2"), "discount", (0, "99/100"))
+    assert (value_curve.at("9/10"), value_curve.at("24/25")) == (F("26.244"), F("74.6496"))
+    assert value_curve.violations() == []
+    # Waiting in the middle is worth it from γ on where 9/10 (1 + 9/10 γ …) pays for the cut's 1:
+    # 1 + γ V_0 = γ (V_0 / 10 + 9/10 V_2), with V_2 = 4 + γ (V_0 / 10 + 9/10 V_2).
+    for at, sign in zip(value_curve.pieces[-2].high, (1, -1), strict=True):
+        mdp = forest("1/2").with_(discount=at)
+        value = certify(mdp).value
+        gain = 1 + at * value[0] - at * (value[0] / 10 + F(9, 10) * value[2])
+        assert gain * sign >= 0
+    assert value_curve.pieces[-1].optimal[[mdp.pair(s, 0) for s in range(3)]].all()

@@ -169,3 +169,17 @@ def test_a_picture_of_draws_shows_every_candidate() -> None:
     same = psa(MODEL, 5, uncertain=SAID)  # all choices earn nothing
     (line,) = same.plot().lines
     assert [*line.get_xdata(), *line.get_ydata(), line.get_marker()] == [0, 1, "o"]
+
+
+def test_several_willingnesses_to_pay_are_taken_one_by_one(analysis) -> None:
+    two = cost_effectiveness(MODEL, {n: POLICIES[n] for n in ("wait", "treat")}, 50, uncertain=SAID)
+    for each in (analysis, two):
+        for wtp in ([4.0, 10.0], [4.0, 10.0, 20.0]):
+            assert each.evpi(wtp) == [each.evpi(one) for one in wtp]
+            alone = [each.net_benefit(one) for one in wtp]
+            assert np.array_equal(each.net_benefit(wtp), alone)
+        for wrong in ("ten", [4.0, None], float("inf"), [[4.0]]):
+            with pytest.raises(ModelError, match=r"willingness to pay"):
+                each.evpi(wrong)
+        with pytest.raises(ModelError, match="several numbers"):
+            each.evppi([4.0, 10.0])

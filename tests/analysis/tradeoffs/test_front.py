@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from objective_models import totals, vertices, with_components
 
-from exact_mdp import MDP, ModelError, Scenario, evaluate, tradeoff
+from exact_mdp import MDP, ModelError, Scenario, certify, evaluate, rationalize, solve, tradeoff
 
 F = Fraction
 Point = tuple[Fraction, ...]
@@ -206,3 +206,25 @@ def test_amounts_of_very_different_size(size: int) -> None:
         front = tradeoff(mdp, ["a", "b"])
         assert front.vertices == sorted(vertices(totals(mdp, ["a", "b"]), 1))
         assert front.violations() == []
+
+
+def test_the_front_of_the_care_model() -> None:
+    """Its best sum is the optimum; both ends are the optima of one total alone."""
+    mdp = Scenario.load("yuan2025").with_(tasks=[1, 1]).compile()
+    front = tradeoff(mdp, ["anger", "rest=forget+confuse+disengaged+trial+subtask-complete+"
+        "subtask-skip+timestep+task-complete+assist.none+assist.supportive+assist.non-directive"
+        "+assist.directive"])  # fmt: skip
+    assert max(a + b for a, b in front.vertices) == certify(mdp).start_value
+    assert front.violations() == []
+    assert front.distance("optimal") == 0
+    assert front.distance("random") > 0
+    steps = tradeoff(mdp, ["steps", "skip"])
+    evaluation = evaluate(mdp, "random")
+    assert float(steps.totals("random")[0]) == pytest.approx(evaluation.steps)
+    assert all(0 <= v[1] <= 2 for v in steps.vertices)
+
+
+def test_at_discount_0_limits_and_weights_have_proofs() -> None:
+    limited = solve(NOW, subject_to={"b": ">= 1/2"})
+    assert (limited.start_value, limited.violations()) == (F(3, 2), [])
+    assert rationalize(NOW, [1, 0]).violations() == []

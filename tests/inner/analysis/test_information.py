@@ -5,6 +5,7 @@ from math import sqrt
 
 import numpy as np
 import pytest
+from model_contents import negated
 from scipy.stats import binom
 
 from exact_mdp import MDP, Scenario, psa
@@ -132,3 +133,11 @@ def test_a_policy_is_counted_in_every_draw_whose_optimum_it_was(model) -> None:
         held = solver.base.held(draws.table.rows[number])
         assert np.array_equal(solver.base.row(held), draws.table.rows[number])
         assert psa(model, 300, policy=held, **how).candidates[0].frequency == counts[number]
+
+
+def test_rows_are_drawn_together_whatever_is_asked_of_their_model() -> None:
+    rows = [["1/2", "1/4", "1/4"], [0, 1, 0], [0, 0, 1]]
+    family = row_family(MDP.from_arrays([rows], [1, 0, 0], "1/2"))
+    for model in (family, family.posed(negated)):
+        (part,) = uncertainty(model).parts
+        assert (part.kind, len(part.names)) == ("dirichlet", 2)

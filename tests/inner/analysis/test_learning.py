@@ -2,7 +2,7 @@
 
 from fractions import Fraction as F
 from itertools import count
-from math import log
+from math import log, pi
 
 import numpy as np
 import pytest
@@ -94,3 +94,8 @@ def test_a_good_trainer_hardly_ever_fails(decisions: np.ndarray, share: float) -
     hits = np.cumsum(np.random.default_rng(20).random((4000, LONGEST)) < share, axis=1)
     alarms = int((decisions[np.arange(1, LONGEST + 1), hits] < 0).any(axis=1).sum())
     assert binomtest(alarms, 4000).proportion_ci(0.999, method="wilson").low <= float(ALPHA)
+
+
+def test_the_fewest_runs_for_a_tiny_share() -> None:
+    n = fewest(F(1, 10**15), F(1, 100))
+    assert n / 1e15 - log(pi * n) / 2 == pytest.approx(log(100))

@@ -17,7 +17,7 @@ from refusal_tables import refused
 from strategies import Rows, model_of, models
 
 from exact_mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp import table
+from exact_mdp.mdp import graph, table
 from exact_mdp.mdp.forms import threads
 from exact_mdp.mdp.graph import (
     is_acyclic,
@@ -172,3 +172,23 @@ def test_work_on_threads_raises_and_ignores_as_its_caller_does() -> None:
     assert np.isinf(seen).all()
     with pytest.raises(ValueError, match=r"^\d+ \d+$"):
         threads.run_blocks([0, 1, 2, 3], fails)
+
+
+@given(st.integers(1, 12), st.lists(st.tuples(st.integers(0, 11), st.integers(0, 11))), st.data())
+def test_components_and_closures_are_those_of_networkx(size: int, ends, data) -> None:
+    """Components are numbered by their first nodes, or so that no edge leads to a higher one."""
+    known = nx.DiGraph([(source % size, target % size) for source, target in ends])
+    known.add_nodes_from(range(size))
+    edges = sp.csr_array(nx.to_scipy_sparse_array(known, nodelist=range(size), dtype=float))
+    edges.indices = np.repeat(edges.indices, 2)[::2]  # a strided view
+    first = np.array(data.draw(st.lists(st.booleans(), min_size=size, max_size=size)))
+    parts, order = graph.strong_components(edges), graph.components_in_order(edges)
+    expected = {frozenset(part) for part in nx.strongly_connected_components(known)}
+    for label in (parts, order):
+        numbers = range(label.max() + 1)
+        assert {frozenset(np.flatnonzero(label == number)) for number in numbers} == expected
+    assert all(order[source] >= order[target] for source, target in known.edges)
+    assert [*dict.fromkeys(parts.tolist())] == [*range(len(expected))]
+    begins = np.flatnonzero(first).tolist()
+    reached = set(begins).union(*(nx.descendants(known, node) for node in begins))
+    assert set(np.flatnonzero(graph.closure(edges, first))) == reached

@@ -71,7 +71,39 @@ def test_the_optimum_by_hand() -> None:
     assert oracle.optimal_actions(oracle.start) == {"non-directive"}
 
 
+HALF = {"persistence.forgetfulness": Fraction(1, 2)}
 ADDITIVE, BASE = {"influence_on_present": "additive"}, {"skip_onset": "base"}
+CHANCES: list[tuple[dict[str, str], dict[str, Fraction], str, str, list[int]]] = [  # in per cent
+    ({}, {}, "0000", "none", [30, 30, 5, 20]),
+    ({}, {}, "0010", "none", [37, 38, 100, 30]),  # the row of anger
+    (COLUMNS, {}, "0010", "none", [36, 38, 100, 40]),  # its column
+    ({}, {}, "1100", "none", [99, 99, 19, 24]),
+    ({}, {}, "1111", "supportive", [99, 99, 5, 5]),
+    ({}, {}, "1000", "supportive", [99, 35, 0, 0]),
+    ({}, {}, "1100", "non-directive", [40, 60, 19, 24]),
+    ({}, {}, "1001", "directive", [5, 0, 31, 99]),
+    ({}, HALF, "1100", "none", [50, 99, 19, 24]),
+    (ADDITIVE, HALF, "1100", "none", [57, 100, 19, 24]),
+    (ADDITIVE | COLUMNS, HALF, "1100", "none", [55, 100, 20, 37]),
+    (ADDITIVE, {}, "1100", "none", [100, 100, 19, 24]),  # clipped
+    (ADDITIVE, {}, "1100", "directive", [5, 5, 19, 24]),
+    ({}, {}, "1111", "skip", [50, 50, 50, 50]),
+    ({}, {}, "1001", "skip", [20, 0, 0, 50]),
+    ({"skip_onset": "reset"}, {}, "1111", "skip", [0, 0, 0, 0]),
+    # C .3 + .05 + .10 and A .05 + .06 + .20, from F and D in rows; from columns C .3 + .07 + .02
+    # and A .05 + .07 + .10.
+    (BASE, {}, "1001", "skip", [20, 45, 31, 50]),
+    (BASE | COLUMNS, {}, "1001", "skip", [20, 39, 22, 50]),
+]
+
+
+@pytest.mark.parametrize(("readings", "parameters", "status", "action", "wanted"), CHANCES)
+def test_chances_by_hand(
+    readings: Any, parameters: Any, status: str, action: str, wanted: list[int]
+) -> None:
+    oracle, now = Oracle(readings, parameters=parameters), tuple(map(int, status))
+    chances = oracle.skip_chances(now) if action == "skip" else oracle.chances(now, action)
+    assert chances == [Fraction(each, 100) for each in wanted]
 
 
 def test_skip_and_last_trial_by_hand() -> None:

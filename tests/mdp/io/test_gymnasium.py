@@ -360,3 +360,16 @@ def test_a_wrapper_may_number_actions_as_the_matrices_do(same_numbers: bool) -> 
         assert MDP.from_gymnasium(Flat(Doses())).n_actions == 2
         return
     refused(lambda: MDP.from_gymnasium(Flat(Doses())), "Flat changes the environment")
+
+
+def test_known_values() -> None:
+    """FrozenLake's 0.542 at discount 0.99; CliffWalking's 13 steps along the edge of the cliff."""
+    lake = MDP.from_gymnasium("FrozenLake-v1", "99/100")
+    assert float(certify(lake).start_value) == pytest.approx(0.5420259)
+    assert (lake.n_states, lake.n_actions) == (16, 4)
+    cliff = MDP.from_gymnasium("CliffWalking-v1", "99/100")
+    assert certify(cliff).start_value == -100 * (1 - Fraction(99, 100) ** 13)
+    assert cliff.start == ((36, Fraction(1)),)
+    assert np.flatnonzero(cliff.terminal).tolist() == [47]
+    assert cliff.table.row(cliff.pair_offsets[47]) == [(1, 47, 0)]  # whatever the table lists there
+    assert certify(MDP.from_gymnasium("CliffWalking-v1")).start_value == -13

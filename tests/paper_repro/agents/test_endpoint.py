@@ -2,7 +2,9 @@
 
 import json
 import pickle
+import socket
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -210,3 +212,11 @@ def test_a_key_stays_here_where_a_redirect_leads_elsewhere() -> None:
         with pytest.raises(BackendError, match="307"):
             endpoint(state.url).answer(QUESTION)
     assert other.asked == []
+
+
+def test_the_deadline_holds_while_a_name_is_looked_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    halt = threading.Event()
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: halt.wait(30) or [])
+    with pytest.raises(BackendError, match="no answer within"):
+        endpoint(ELSEWHERE, timeout=0.3, tries=1).answer(QUESTION)
+    halt.set()

@@ -302,3 +302,9 @@ def test_returns_beyond_the_floats_are_infinite() -> None:
     assert (evaluation.quantiles[0.05], evaluation.quantiles[0.95]) == (-inf, 0)
     assert (evaluation.mean, evaluation.sd) == (-1e308, pytest.approx(1e308))
     assert return_distribution(mdp, [0, 0, 0]).sd == pytest.approx(1e308)
+
+
+def test_spreads_between_starts_are_right_at_any_scale() -> None:
+    rows = [(0, 0, [(1, 2, 1e308)]), (1, 0, [(1, 2, -1e308)]), (2, 0, [(1, 2, 0)])]
+    mdp = MDP.from_outcomes(rows, start={0: "1/2", 1: "1/2"})
+    assert evaluate(mdp, [0, 0, 0]).sd == pytest.approx(1e308)

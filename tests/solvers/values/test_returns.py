@@ -4,11 +4,12 @@ from collections import defaultdict
 from fractions import Fraction as F
 from math import inf, isnan
 
+import numpy as np
 import pytest
 from answers import within
 from hypothesis import assume, given, settings
 from oracle import classes, limit
-from policy_cases import LAWFUL, Case, brute_force, coin, is_acyclic
+from policy_cases import LAWFUL, Case, brute_force, coin, geometric, is_acyclic
 from strategies import Pairs, any_models, model_of
 
 from exact_mdp import MDP, Claim, ModelError, evaluate, return_distribution, simulate
@@ -180,3 +181,23 @@ def test_runs_that_miss_a_goal() -> None:
     lost = MDP.from_outcomes([(0, 0, [(1, 0, -1)])])
     law = return_distribution(lost, "random")
     assert (law.as_dict(), law.quantile(1), law.mean) == ({-inf: 1.0}, -inf, -inf)
+
+
+def test_few_returns_on_a_fine_lattice_are_found() -> None:
+    law = return_distribution(coin(10**9, F(1, 10**9), ways=3), "random")
+    assert law.probabilities.tolist() == [0.125, 0.375, 0.375, 0.125]
+    assert law.values[1] == 10**9 + F(2, 10**9)
+    assert law.multiples.dtype == np.int64 or law.multiples.dtype == object
+    huge = return_distribution(coin(F(10) ** 30, F(1, 7) ** 30), "random")
+    assert huge.values == (F(1, 7) ** 30, F(10) ** 30)
+    assert huge.cdf(1) == 0.5
+
+
+def test_a_loop_is_followed_until_little_is_left() -> None:
+    law = return_distribution(geometric("1/2"), "random")
+    assert law.values[-1] == 0
+    steps = [-int(value) for value in law.values]
+    assert law.probabilities.tolist() == [0.5 ** (step + 1) for step in steps]
+    assert 0 < law.remaining <= 1e-12
+    assert law.probabilities.sum() + law.remaining == pytest.approx(1, abs=1e-15)
+    assert max(steps) == 39  # 2^-40 < 10^-12
