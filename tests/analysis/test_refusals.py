@@ -145,9 +145,9 @@ solve_robust(MODEL, Intervals.relative(MODEL, 0.1), tol="much") ->
     tol is 'much'; robust; positive number
 curve(Family(**BUILT), "p").at("much") -> 'much' is not; parameter p; 0.1
 best_cvar(MODEL.within(2), "much") -> 'much' is not; conditional value at risk; 0.1
-study(FLOATS, {"r": ["much"]}) -> 'much' is not; points; 0.1
+study(FLOATS, {"r": ["much"]}) -> 'much' is not; parameter r; 0.1
 study(FLOATS, {"r": [10**400]}) -> too large for a float; points; units
-tornado(FLOATS, relative="much") -> 'much' is not; relative range; 0.1
+tornado(FLOATS, relative="much") -> 'much' is not; relative; 0.1
 return_distribution(CARE, "random").cdf("much") -> 'much' is not; return; 0.1
 gradient(MODEL, names=3) -> 3 is no list of names; names; a list
 gradient(SWING, policy=[0, 0, 0]) -> some policy never ends; discount 1; --discount
@@ -238,8 +238,8 @@ JUDGED(by=Posterior(n=1)) -> the number of draws, n, is 1; the number of draws; 
 by_records(behaviour="always:1") -> never does what the policy does; state 0, action 0; robust sets
 by_records(behaviour=np.array([[3.0, 1.0]] * 4)) -> not a distribution; policy[0]; with sum 1
 by_records(FRAME.assign(state=9, next_state=None, episode=range(len(FRAME)))) ->
-    no state '9'; transitions; choose one of these
-by_records(FRAME.assign(action="left")) -> no action 'left'; transitions; choose one of 0, 1
+    there is no state 9; transitions; choose one of these
+by_records(FRAME.assign(action="left")) -> unknown action 'left'; transitions; choose one of 0, 1
 by_records(FRAME.drop(columns="reward")) -> no column 'reward'; transitions; --column reward=
 by_records(model=MDP.from_transitions(FRAME, "9/10", start=1)) ->
     begins where the model never does; state 0; make the model without start=

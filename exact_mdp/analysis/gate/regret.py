@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
 from math import inf
 
 import numpy as np
@@ -243,6 +243,22 @@ def compare(model: MDP | Scenario, policies: Mapping[str, PolicyLike]) -> Policy
     return PolicyComparison(regrets={name: policy_regret(each) for name, each in chains.items()})
 
 
+@dataclass(frozen=True, eq=False)
+class Once:
+    """A number that is worked out when it is first asked for; unlike a cache it can be pickled."""
+
+    work: Callable[[], Fraction]
+
+    def __call__(self) -> Fraction:
+        """Return the number."""
+        return self.number
+
+    @cached_property
+    def number(self) -> Fraction:
+        """The number."""
+        return self.work()
+
+
 # ---- rational arithmetic -----------------------------------------------------------------------
 
 
@@ -263,7 +279,7 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
     movable: Callable[[], Fraction] = Fraction
     if isinstance(lost, Fraction):
         known = (chain, rounded(mine)), (ideal, rounded(value))
-        movable = cache(partial(forgiven, mdp, *known))
+        movable = Once(partial(forgiven, mdp, *known))
     # The exact differences, each rounded once.
     parts = zip(best.h.top, best.h.each_below, level.top, level.each_below, strict=True)
     by_state = np.array([(a * d - c * b) / (b * d) for a, b, c, d in parts])
@@ -335,7 +351,7 @@ def _bounded(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
         unclear=~loses & near.open,
         gap=np.where(loses, near.gap, 0.0),
         optimum=optimum,
-        movable=cache(partial(forgiven, mdp, (chain, own), (ideal, known))),
+        movable=Once(partial(forgiven, mdp, (chain, own), (ideal, known))),
     )
 
 

@@ -206,7 +206,7 @@ def require_draws(count: int, probability: float) -> None:
         raise ModelError(
             f"{count:,} draws do not show where {100 * probability:.10g} % of the posterior ends",
             where="draws",
-            fix=f"give {least:,} or more (--draws {least}, n={least})",
+            fix=f"give {least:,} or more (--evidence n={least}, Posterior(n={least}))",
         )
 
 
