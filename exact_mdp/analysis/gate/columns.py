@@ -48,7 +48,7 @@ class BestPolicy(Result):
     policy: Policy
     value: Bounded  # at the start
     upper_bound: float  # of any deterministic policy that reads them; of costs, a lower one
-    mixed_upper_bound: float  # the same of any policy at all: the optimal value
+    mixed_upper_bound: float  # the same of any policy that reads them, mixed or not
     proven: bool  # whether `upper_bound` is the value itself, up to 1e-9 of it, or to rounding
     nodes: int  # relaxations solved
 

@@ -280,8 +280,9 @@ def check_scenario(scenario: Tables) -> None:
     for name in READINGS:
         check_reading(name, scenario.readings.get(name, ""))
     where, count = f"scenario {scenario.name}", len(scenario.statuses)
-    if sum(scenario.tasks) * scenario.trials * 2**count > MOST_STATES:
-        what = f"the model would have more than {MOST_STATES:,} states"
+    states = sum(scenario.tasks) * scenario.trials * 2**count
+    if states > MOST_STATES:
+        what = f"the model would have {states:,} states, more than {MOST_STATES:,}"
         raise ModelError(what, where=where, fix="use fewer subtasks, trials or statuses")
     if count > MOST_STATUSES:
         what = f"{count} statuses, more than {MOST_STATUSES}"

@@ -27,7 +27,7 @@ info tea --json --markdown -> two forms of one output
 info yuan2025 --set tasks -> 'tasks' is not a setting
 info yuan2025 --set tasks=[] -> tasks is not a list of positive whole numbers, or is empty
 info yuan2025 --set max_trial=-1 -> max_trial is '-1'
-info yuan2025 --set max_trial=<1000000000|NINES> -> more than 200,000,000 states
+info yuan2025 --set max_trial=<1000000000|NINES> -> states, more than 200,000,000
 <info yuan2025|solve yuan2025|convert yuan2025 x.npz> --set base.anger=1.1 -> base.anger is 1.1, out
 info yuan2025 --set base.anger=<-0.1|-1e-400> -> base.anger is *, outside [0, 1]
 info yuan2025 --set base.anger=1.0000000000000000000001 -> base.anger is 1 + 1e-22, outside [0,
