@@ -50,7 +50,7 @@ def _arrays(file: BinaryIO, where: str, *, alone: str = "") -> dict[str, Numbers
     try:
         if alone and not zipfile.is_zipfile(file):
             file.seek(0)
-            return {alone: _array(file)}
+            return {alone: _array(file.read())}
         with zipfile.ZipFile(file) as archive:
             claimed = sum(member.file_size for member in archive.infolist())
             if claimed > LARGEST:
@@ -60,9 +60,7 @@ def _arrays(file: BinaryIO, where: str, *, alone: str = "") -> dict[str, Numbers
                     fix="save it again",
                 )
             names = archive.namelist()
-            return {
-                name.removesuffix(".npy"): _array(io.BytesIO(archive.read(name))) for name in names
-            }
+            return {name.removesuffix(".npy"): _array(archive.read(name)) for name in names}
     except (ModelError, OSError):
         raise
     except Exception as error:  # NumPy, zipfile and zlib raise many kinds on damaged files
@@ -73,6 +71,7 @@ def _arrays(file: BinaryIO, where: str, *, alone: str = "") -> dict[str, Numbers
         ) from error
 
 
-def _array(file: BinaryIO) -> Numbers:
-    array = np.load(file, allow_pickle=False)
+def _array(content: bytes) -> Numbers:
+    # From a file, older versions of NumPy take a length of -1 for all that follows.
+    array = np.load(io.BytesIO(content), allow_pickle=False)
     return np.asarray(array.astype(array.dtype.newbyteorder("="), copy=False))
