@@ -210,12 +210,15 @@ class LinearSystem(ByFields):
         return bool(max(total.max() - 1, 1 - total.min()) < CLOSE)
 
     def _iterated(self, constant: Floats, rtol: float) -> Floats:
-        """Return x (S,) by BiCGSTAB, or by elimination once that has failed."""
+        """Return x (S,) by elimination in a band, by BiCGSTAB, or where that fails by elimination.
+
+        To look for a band takes as long as many sweeps, which are therefore tried before.
+        """
         from exact_mdp.solvers.kernels import linear as loops
 
         chain = self.transition
         entries = sum(self._band[1:]) * len(constant)
-        if "_within_band" not in vars(self):
+        if not self.work and "_within_band" not in vars(self):
             chain.sort_indices()
             rows = loops.Rows(chain.indptr, chain.indices, chain.data)
             steps = STEPS if entries <= MOST_ENTRIES else PATIENT
@@ -242,7 +245,7 @@ class LinearSystem(ByFields):
         if self.order is not None or (chain.nnz <= SPARSE and not self.work):
             order = None if self.order is None else np.argsort(self.order, kind="stable")
             return self._ordered(self._sparse, order)
-        return self._within_band if self.work else None
+        return self._within_band if chain.nnz <= SPARSE or _narrow(chain) else None
 
     @cached_property
     def work(self) -> float:
@@ -257,7 +260,7 @@ class LinearSystem(ByFields):
         """An order of the states, None for that of their numbers; how far ways lead down and up."""
         chain = self.transition
         lower, upper = _reach(chain)
-        if (lower + upper) * chain.shape[0] <= NARROW * chain.nnz:
+        if _narrow(chain):
             return None, lower, upper
         one = sp.csr_array((np.ones(chain.nnz, np.int8), chain.indices, chain.indptr), chain.shape)
         order = csgraph.reverse_cuthill_mckee((one + one.T).tocsr(), symmetric_mode=True)
@@ -312,6 +315,11 @@ def _reach(chain: sp.csr_array) -> tuple[int, int]:
     """Return how far transitions (S, S) lead down and up in number, at most."""
     ahead = chain.indices - np.repeat(np.arange(chain.shape[0]), np.diff(chain.indptr))
     return int(-ahead.min(initial=0)), int(ahead.max(initial=0))
+
+
+def _narrow(chain: sp.csr_array) -> bool:
+    """Return whether a band around the diagonal, states as numbered, has few entries of its own."""
+    return sum(_reach(chain)) * chain.shape[0] <= NARROW * chain.nnz
 
 
 def swept(

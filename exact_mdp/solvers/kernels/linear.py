@@ -76,10 +76,11 @@ def swept(
         more = discount * middle / (1 - discount) if whole else 0.0
         for number in range(states):
             value[number] += room[number] + more
-        if error <= (fine * size if fine > 0 else enough):
+        limit = fine * size if fine > 0 else enough
+        if error <= limit:
             return True
         if sweep >= tried and not (
-            error < before and error * (error / before) ** (most - sweep) <= enough
+            error < before and error * (error / before) ** (most - sweep) <= max(limit, enough)
         ):
             return error <= enough
         before = error
