@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from refusal_tables import refused
+from refusal_tables import refused, table_of_refusals
 
 from exact_mdp import (
     MDP,
@@ -50,6 +50,11 @@ def waiting(at) -> MDP:
     return staying({"p": at["p"] ** 2}).with_(discount=F(1, 2))
 
 
+def turning(at) -> MDP:
+    """The value is -∞ below p = 1/2, 0 there, and +∞ above."""
+    return MDP.from_outcomes([(0, 0, [(1, 1, 0)]), (1, 0, [(1, 1, at["p"] - F(1, 2))])])
+
+
 def start_value(mdp: MDP) -> F | float:
     return certify(mdp).start_value
 
@@ -73,28 +78,6 @@ def changing(what: str) -> Callable[[Any], MDP]:
         return MDP.from_outcomes(rows, p**2 if what == "discount" else F(1, 2), start=start)
 
     return build
-
-
-UNSOUND: list[Any] = [
-    # A gradient or threshold is not certified on a degree that nobody checked.
-    *((ask, "not polynomials of degree 1 in p", "", "degrees=") for ask in (
-        lambda: gradient(family(waiting)), lambda: thresholds(family(waiting), "p"))),
-    *((lambda gain=gain: gradient(family(lambda at: earning(gain(at["p"])), F(1, 4))),
-       "not polynomials") for gain in (
-           lambda p: 1 / (1 + p), lambda p: min(p, F(3, 7)), lambda p: F(np.exp(float(p))))),
-    *((lambda what=what: gradient(family(changing(what))), words) for what, words in (
-        ("start", "start change"), ("pairs", "pairs change"),
-        ("discount", "discount is not a polynomial"))),
-    # The value is -∞ below 0, 0 there, and +∞ above.
-    (lambda: thresholds(family(lambda at: MDP.from_outcomes(
-        [(0, 0, [(1, 1, 0)]), (1, 0, [(1, 1, at["p"] - F(1, 2))])])), "p", (0, 1)),
-     "some policy never ends"),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("ask", "said"), [(ask, said) for ask, *said in UNSOUND])
-def test_what_cannot_be_certified_is_refused(ask: Callable[[], Any], said: list[str]) -> None:
-    refused(ask, *said)
 
 
 polynomials = st.lists(st.fractions(-3, 3, max_denominator=6), min_size=1, max_size=3)
@@ -253,9 +236,6 @@ def test_default_ranges_stay_where_there_is_a_model() -> None:
     assert two_way(family, "a", "discount", points=2).policy.shape == (2, 2)
 
 
-# ---- degenerate models ---------------------------------------------------------------------------
-
-
 # ---- numbers and names as they are given ---------------------------------------------------------
 
 
@@ -276,32 +256,11 @@ def test_numbers_of_parameters_become_exact_at_the_door(number: Any) -> None:
     assert Range(low=number, high=1) == Range(low=F(1, 4), high=F(1))
 
 
-@pytest.mark.parametrize(
-    ("make", "where", "what"),
-    [
-        (lambda: Parameter(name="p", value="x"), "parameter p, value", "not a finite rational"),
-        (lambda: Parameter(name="p", value=None), "parameter p, value", "not a number"),
-        (lambda: Parameter(name="p", value=1, low=True), "parameter p, low", "not a number"),
-        (lambda: Parameter(name="p", value=Decimal("1e99999")), "parameter p, value", "beyond"),
-        (lambda: Range(low="x", high=1), "range", "not a finite rational"),
-        (lambda: Family(parameters="p", build=staying), "parameters", "parameters are 'p'"),
-        (lambda: Family(parameters=[unit("p", F(1))] * 2, build=staying), "parameters", "two "),
-        (lambda: stayer(degrees={"q": 1}), "degrees, model", "unknown parameter 'q'"),
-        (lambda: stayer(degrees={"p": 1.5}), "degrees", "the degree in p is 1.5"),
-        (lambda: stayer(breaks={"p": 0.5}), "breaks, p", "not a list of numbers"),
-        (lambda: stayer(room={"p": (0, "x")}), "room, p", "not a finite rational"),
-    ],
-)
-def test_what_is_no_parameter_is_refused_at_once(
-    make: Callable[[], Any], where: str, what: str
-) -> None:
-    assert refused(make, what).where == where
-
-
 def stayer(**parts: Any) -> Family:
     return Family(parameters={"p": 0.5}, build=staying, **parts)
 
 
+test_what_is_no_parameter_or_not_certified = table_of_refusals(__file__, globals())
 WORDS = MDP.from_arrays(
     {"sick": {"wait": {"sick": "1/2", "well": "1/4", "dead": "1/4"}}, "well": {}, "dead": {}},
     {"sick": -1, "well": 0, "dead": 0},

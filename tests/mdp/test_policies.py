@@ -9,16 +9,15 @@ from collections import defaultdict
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
-from types import SimpleNamespace
+from types import SimpleNamespace  # noqa: F401
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from refusal_tables import refused
+from refusal_tables import of_file, refused, table_of_refusals
 from strategies import Rows, models
 
 from exact_mdp import (
@@ -312,67 +311,16 @@ NUMBERED = MDP.from_arrays([np.eye(4)] * 2, [[1, 0], [0, 1]] * 2, "1/2",
                            states=["3", "5", "7", "1"], actions=["2", "1"])  # fmt: skip
 LISTED = MDP.from_outcomes([(s, a, [(1, 1, int(a == s))]) for s in (0, 1) for a in (0, 1)],
                            "1/2", actions=["True", "False"])  # fmt: skip
+TIMES = np.arange(5)[:, None, None]
 MASKED = np.ma.array([1], mask=[True])
-REFUSED: list[Any] = [  # model, form, kind, what is said and where, perhaps how to put it right
-    (CARE, np.zeros(64, dtype=int) + 4, "policy", "there is no action"),
-    (CARE, np.full(65, -1), "policy", "there is no action"),
-    (CARE, np.zeros(63, dtype=int), "policy", "63"),
-    (CARE, np.zeros(65), "policy", "action numbers are whole numbers"),
-    (CARE, np.zeros((65, 3)), "policy", "shape"),
-    (CARE, None, "policy", "does not hold real numbers"),
-    (CARE, 3, "policy", "a policy of shape"),
-    (CARE, {"0000": "none"}, "policy", "15 of 16 rows are missing: status 0001"),
-    *((CARE, np.zeros(shape), "q", "no policy of this model", "", "give (65, 4)")
-      for shape in [(4, 16), (16, 5), (17, 4), (0, 4)]),
-    *((CARE, np.zeros(shape), "q", "(65, 4)") for shape in [(16,), (16, 4, 1), ()]),
-    (CARE, np.where(np.arange(16)[:, None] == 2, np.nan, np.ones(4)), "q", "NaN", "status 0010"),
-    (LAKE, np.where(np.arange(64).reshape(16, 4) == 14, np.nan, 1), "q",
-     "NaN", "Q-table[3, 2] (row 0, column 3, action RIGHT)"),
-    (LAKE, np.full((16, 4), -np.inf), "q", "", "Q-table[0] (row 0, column 0)"),
-    (LAKE.within(5), np.where(np.arange(5)[:, None, None] == 2, np.nan, np.ones((5, 16, 4))), "q",
-     "NaN", "Q-table[2, 0, 0] (time 2, row 0, column 0, action LEFT)"),
-    (LAKE, np.full((16, 4), 0.25), "auto", "or a Q-table", "policy[0] (row 0"),
-    (LAKE, np.full((16, 4), 0.3), "policy", "not a distribution", "policy[0] (row 0"),
-    *((LAKE, np.ones(shape), kind, "", "", "reshape(16, 4)")
-      for shape in [64, (4, 4, 4)] for kind in ("q", "auto")),
-    (CARE, WIDE, "auto", "64 values here and 16"),
-    (CARE.with_(actions=("nothing", *ACTIONS[1:])), Policy.by(CARE, ["status"], [0] * 16), "auto",
-     "unknown action 'none'"),
-    (PLAIN, Policy.by(CARE, ["subtask"], [0, 1]), "auto", "unknown state column 'subtask'"),
-    (PLAIN, partial(PLAIN, 1, 2), "auto", "gives no action", "state z"),
-    (PLAIN, "always:c", "auto", "not available", "state z", "a, b"),
-    (PLAIN, np.array([1, 1, 1]), "auto", "not available", "state x", "a, c"),
-    (LAKE, lambda s: None, "auto", "returns None"),
-    (LAKE, lambda s: 7, "auto", "there is no action 7"),
-    (LAKE, lambda s: [1, 0], "auto", "a row of 2 numbers"),
-    (LAKE, lambda s: np.ma.masked, "auto", "masked"),
-    (LAKE, lambda s: MASKED[0], "auto", "masked"),
-    (LAKE, {99: "DOWN"}, "auto", "there is no state 99"),
-    (LAKE, ["DOWN"] * 3, "auto", "rows are missing"),
-    (LAKE, ["DOWN"] * 17, "auto", "17 actions for 16 states"),
-    (LAKE, {0: "DOWN"}, "auto", "rows are missing"),
-    (LAKE, {0: "DOWN", "0": "UP"}, "auto", "appears twice"),
-    (LAKE, SimpleNamespace(predict=lambda s: (0, None), policy=object()), "auto", "is an agent"),
-    (LAKE, pd.DataFrame(np.eye(4)[[0] * 16]), "auto", "a DataFrame of pandas"),
-    (LAKE, pd.Series([0] * 16), "auto", "a Series of pandas"),
-    (LAKE, {0: 1}, "q", "rows are missing"),
-    (ONE, {0: {0: 0, 1: 1, "0": 1, "1": 0}}, "auto", "appears twice"),
-    (NUMBERED, np.array([2, 1, 2, 1]), "auto", "2 is the name of an action, but the numbers of"),
-    (LISTED, {0: 0, 1: 1}, "auto", "may be action False, by its name, or action True"),
-    (walk([1, 2, 3], [2, 1], ["x", "y", "z"]), {"x": 2, "y": 0}, "auto", "0 is not an action"),
-    *((PERMUTED, form, "auto", "by its name, or")
-      for form in ({0: "0", 1: "1", 2: "1", 3: "1"}, dict.fromkeys(range(4), "1"))),
-    *((model, {0: make((1, 0)), 1: make((0, 1))}, "auto", "or a row of numbers for all actions")
-      for make in (list, np.array) for model in (TUPLES, TUPLES.with_(sense="min"))),
-    *((COSTS, form, "auto", "or a Q-table?", "", "differ")
-      for form in (ONES, dict(enumerate(ONES)), ONES.__getitem__)),
-]  # fmt: skip
 
 
-@pytest.mark.parametrize("case", REFUSED, ids=range(len(REFUSED)))
-def test_what_is_no_policy(case: tuple[Any, ...]) -> None:
-    mdp, form, kind, *said = case
-    assert refused(lambda: Policy.of(mdp, form, kind=kind).weights(mdp), *said).where
+def weights(mdp: MDP, form: Any, kind: str = "auto") -> np.ndarray:
+    return Policy.of(mdp, form, kind=kind).weights(mdp)
+
+
+def file(name: str, text: str) -> Policy:
+    return of_file(name, text, lambda path: Policy.of(CARE, path))
 
 
 def test_a_policy_may_say_nothing_of_a_state_without_a_choice() -> None:
@@ -407,43 +355,7 @@ def shares(share: str) -> str:
     return "status,action,probability\n" + "".join(f"{s},none,{share}\n" for s in STATUSES)
 
 
-BAD_FILES: list[tuple[str, str, str]] = [  # name, text, words
-    ("p.csv", "", "the header is missing"),
-    ("p.json", "", "broken JSON"),
-    ("p.json", "[1]", "not a JSON object"),
-    ("p.json", '{"a":' * 100_000, "nested more than 100 deep"),
-    ("p.json", JSON[:-1] + ', "0000": "none"}', "0000 appears twice"),
-    ("p.json", changed(JSON, "0110", "0120"), "unknown status '0120'"),
-    ("p.json", changed(JSON, "none", "nome"), "unknown action 'nome'"),
-    ("p.json", '{"0000": "none"}', "15 of 16 rows are missing: status 0001"),
-    ("p.json", changed(JSON, '"none"', "7"), "there is no action 7"),
-    ("p.json", changed(JSON, '"none"', "null"), "None is not an action"),
-    ("p.json", changed(JSON, '"none"', '{"none": 0.5}'), "not a distribution"),
-    ("p.json", changed(JSON, '"none"', '{"none": 1.5, "directive": -0.5}'), "not a distribution"),
-    ("p.json", changed(JSON, '"none"', '{"none": 1e9999}'), ""),
-    ("p.json", changed(JSON, '"none"', '{"none": NaN}'), ""),
-    ("p.json", changed(JSON, '"none"', '{"none": null}'), "not a number"),
-    ("p.csv", changed(CSV, "status", "stats"), "unknown column 'stats'"),
-    ("p.csv", changed(CSV, ",action", ""), "the header is status"),
-    ("p.csv", changed(CSV, "none", "none,1"), "3 values under 2 headings"),
-    ("p.csv", changed(CSV, "none", "nothing"), "unknown action 'nothing'"),
-    ("p.csv", changed(CSV, "0101", "0201"), "unknown status '0201'"),
-    ("p.csv", changed(CSV, "none", '"none'), "broken CSV"),
-    ("p.csv", changed(CSV, "none", "no\0ne"), ""),
-    ("p.csv", "trial,status,action\n" + "".join(f"2,{s},none\n" for s in STATUSES),
-     "unknown trial '2'"),
-    ("p.csv", shares("0.9"), "not a distribution"),
-    ("p.csv", shares("often"), "not a finite rational"),
-    ("p.txt", CSV, "cannot read .txt"),
-    ("q.csv", "5.2e-01,-1\n0,2\n", 'np.save("q_table.npy"'),
-    *((name, text, "NumPy") for name, text in (("p.npy", CSV), ("p.npz", CSV), ("p.npy", ""))),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("name", "text", "words"), BAD_FILES, ids=range(len(BAD_FILES)))
-def test_files_that_are_no_policy(tmp_path: Path, name: str, text: str, words: str) -> None:
-    (tmp_path / name).write_text(text, encoding="utf-8")
-    assert words in str(refused(lambda: Policy.of(CARE, tmp_path / name)))
+test_what_is_no_policy = table_of_refusals(__file__, globals())
 
 
 def test_arrays_and_names_that_are_no_policy(tmp_path: Path) -> None:

@@ -1,8 +1,6 @@
 """Questions about labels, against the linear equations of every policy."""
 
-from collections.abc import Callable
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from model_contents import negated
 from oracle import best_within, each_choice, hitting, rows_of, until
-from refusal_tables import refused
+from refusal_tables import table_of_refusals
 from strategies import Rows, model_of, models
 
 from exact_mdp import MDP, Policy, Scenario, certify, evaluate, solve
@@ -159,22 +157,4 @@ LABELLED = MDP.from_arrays(
     [0, 0, 0],
     labels={"goal": [False, True, False], "start": [True, False, False], "no": [False] * 3},
 )
-
-
-BAD: list[Any] = [
-    (lambda: LABELLED.reaching("gaol"), "unknown label 'gaol'", "", "did you mean goal"),
-    (lambda: LABELLED.with_(labels={}).until("x"), "unknown label 'x'", "", "labels="),
-    (lambda: LABELLED.reaching("goal", "no"), "start, state 0, is not among"),
-    (lambda: LABELLED.until("goal").reaching("no"), "a question already"),
-    (lambda: LABELLED.reaching("goal").within(2).until("no"), "a question already"),
-    (lambda: LABELLED.with_(start=2).reaching("goal", "start"), "start, state 2, is not among"),
-    (lambda: LABELLED.until("goal", "rewrad"), "no reward component", "", "reward"),
-    (lambda: LABELLED.with_(labels={"goal": [0, 1, 1]}), "", "label goal", "one truth value"),
-    (lambda: LABELLED.with_(goal=[True, False, False]), "goes on", "", "use until"),
-    (lambda: LABELLED.with_(unreached=0.0), "misses the goal is worth 0"),
-]
-
-
-@pytest.mark.parametrize(("ask", "said"), [(ask, said) for ask, *said in BAD])
-def test_bad_questions(ask: Callable[[], Any], said: list[str]) -> None:
-    refused(ask, *said)
+test_bad_questions = table_of_refusals(__file__, globals())

@@ -3,10 +3,9 @@
 from math import prod
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from refusal_tables import refused
+from refusal_tables import table_of_refusals
 
 from exact_mdp import Column, StateSpace
 
@@ -66,29 +65,4 @@ def test_labels_are_those_of_the_columns() -> None:
     assert StateSpace.plain(2, ["here", "there"]).label(1) == "state there"
 
 
-@pytest.mark.parametrize(
-    ("column", "label", "fix"),
-    [
-        *(("status", label, "4 digits") for label in ("010", "01000", "0120", "", "٠١٠٠")),
-        *(("trial", x, "from 0 to 4") for x in ("5", "-1", "1.0", "²", "9" * 5000)),
-        ("place", "kitchn", "kitchen"),
-        ("place", "garden", "hall, kitchen, bath"),
-    ],
-)
-def test_labels_that_mean_nothing(column: str, label: str, fix: str) -> None:
-    refused(lambda: SPACE.column(column).parse(label), "", column, fix)
-
-
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
-        (lambda: SPACE.column("statu"), "unknown state column 'statu'"),
-        (lambda: SPACE.index(x=1), "unknown state column 'x'"),
-        (lambda: SPACE.index(trial=5), "there is no trial 5: numbers go from 0 to 4"),
-        (lambda: StateSpace.plain(2, ["a", "b", "c"]), "3 state labels for 2 states"),
-        *((lambda s=s, f=f: f(s), "there is no state")
-          for s in (-1, SPACE.size) for f in (SPACE.label, SPACE.as_dict)),
-    ],
-)  # fmt: skip
-def test_what_does_not_exist(call, words: str) -> None:
-    refused(call, words)
+test_what_does_not_exist = table_of_refusals(__file__, globals())

@@ -4,11 +4,11 @@ from collections import defaultdict
 from collections.abc import Iterable
 from fractions import Fraction
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import pytest
 from care_oracle import Oracle, State, oracle_of
 from policy_cases import state_of
+from refusal_tables import of_file
 
 import exact_mdp
 from exact_mdp import MDP, Scenario
@@ -18,10 +18,8 @@ SHIPPED = {path.stem: path.read_text("utf-8") for path in PACKAGE.glob("*/scenar
 
 
 def scenario_of(text: str) -> Scenario:
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "scenario.toml"
-        path.write_text(text, encoding="utf-8")
-        return Scenario.load(path)
+    scenario: Scenario = of_file("scenario.toml", text, Scenario.load)
+    return scenario
 
 
 Law = dict[tuple[State, Fraction, bool], Fraction]

@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable
 from itertools import product
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -49,17 +50,22 @@ def table_of_refusals(
 
     @pytest.mark.parametrize(("call", "said"), entries(test, **words))
     def refusals(call: str, said: str) -> None:
-        public = {name: getattr(exact_mdp, name) for name in vars(exact_mdp)["__all__"]} | {
-            "np": np,
-            "pd": pd,
-        }
+        public = {name: getattr(exact_mdp, name) for name in vars(exact_mdp)["__all__"]}
+        known = {"np": np, "pd": pd} | public | names
         what, *more = said.split("; ", 2)
-        error = refused(lambda: eval(call, {"np": np, "pd": pd} | public | names), what, *more)
+        error = refused(lambda: eval(call, known), what, *more)
         kind = [each for words, each in (kinds or {}).items() if words in what]
         assert error.where or kinds
         assert isinstance(error, kind[0] if kind else ModelError)
 
     return refusals
+
+
+def of_file(name: str, text: str, read: Callable[[Path], Any]) -> Any:
+    """What is read from a file of this name and text."""
+    with TemporaryDirectory() as folder:
+        (path := Path(folder) / name).write_text(text, "utf-8")
+        return read(path)
 
 
 def refused(call: Callable[[], object], *said: str) -> ModelError:

@@ -1,21 +1,21 @@
 """What analyses of parameters refuse: the models of the table beside this file."""
 
 from dataclasses import replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import pandas as pd
 from made_models import grid  # noqa: F401
-from refusal_tables import table_of_refusals
+from refusal_tables import of_file, table_of_refusals
 
 from exact_mdp import (
     MDP,
+    Certificate,
     Column,
     Family,
     Parameter,
     Scenario,
     StateSpace,
+    certify,
     curve,
     load_ranges,
     load_uncertainty,
@@ -64,18 +64,17 @@ ROUND = MDP.from_outcomes(
 )
 
 
-def file_of(text: str, read: Any) -> Any:
-    with TemporaryDirectory() as folder:
-        (path := Path(folder, "stated.toml")).write_text(text, "utf-8")
-        return read(path)
-
-
 def stated(text: str) -> Any:
-    return uncertainty(CARE, file_of(text, load_uncertainty)[0])
+    return uncertainty(CARE, of_file("stated.toml", text, load_uncertainty)[0])
 
 
 def ranges(text: str) -> Any:
-    return file_of(text, lambda path: load_ranges(CARE, path))
+    return of_file("stated.toml", text, lambda path: load_ranges(CARE, path))
+
+
+def read_again(path: Any) -> Certificate:
+    certify(PUTERMAN).save(path)
+    return Certificate.load(path)
 
 
 def statuses(rows: list[Any]) -> MDP:

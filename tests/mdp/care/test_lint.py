@@ -5,7 +5,6 @@ import tomllib
 import warnings
 from itertools import permutations
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
@@ -13,7 +12,7 @@ from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from own_scenarios import PACKAGE, SHIPPED, own_text, scenario_of
-from refusal_tables import refused
+from refusal_tables import of_file, refused
 
 from exact_mdp import ModelError, Scenario
 
@@ -22,11 +21,7 @@ OWN = own_text(3, 3)
 
 
 def lint(text: str) -> list[dict[str, Any]]:
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "x.toml"
-        path.write_text(text, "utf-8")
-        problems: list[dict[str, Any]] = run("lint", path, "--json").result["problems"]
-    return problems
+    return of_file("x.toml", text, lambda path: run("lint", path, "--json").result["problems"])
 
 
 FAULTS = [  # what a line of the template becomes, what is said of it, and the remedy

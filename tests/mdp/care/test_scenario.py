@@ -17,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from own_scenarios import check_own, check_pairs, own_text, scenario_of
 from policy_cases import state_of
-from refusal_tables import refused
+from refusal_tables import refused, table_of_refusals
 
 from exact_mdp import (
     MDP,
@@ -133,9 +133,6 @@ def test_numbers_that_outgrow_64_bits_stay_exact(values: dict[str, Any], skip: s
     assert table.probabilities().tolist() == probabilities
 
 
-# ---- large scenarios ----------------------------------------------------------------------------
-
-
 # ---- settings and errors -------------------------------------------------------------------------
 
 OWN = [  # a scenario, its names, the number of its states, and the pairs to compare
@@ -155,9 +152,6 @@ def test_scenarios_of_other_statuses_and_actions(
     mdp = scenario.compile()
     assert (scenario.statuses, mdp.n_states, mdp.terminal.sum()) == (statuses, states, 1)
     check_own(scenario, pairs)
-
-
-# ---- settings and errors --------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -184,29 +178,7 @@ def test_numbers_are_taken_as_they_are_written() -> None:
     assert BASE.with_(parameters={"base.anger": 0.1})["base.anger"] == Fraction(0.1)
 
 
-@pytest.mark.parametrize(
-    ("assignment", "what", "fix"),
-    [
-        ("base.angre=0.1", "unknown parameter 'base.angre'", "base.anger"),
-        ("influence.anger.anger=0.1", "unknown parameter", "influence."),
-        ("task=[1]", "unknown parameter", "tasks"),
-        ("readings.skip_onsets=base", "unknown reading", "skip_onset"),
-        ("skip_onset=base", "unknown parameter", "skip_onset"),
-        ("base.anger=nan", "not a finite rational", "1/10"),
-        ("base.anger=1e999999999", "exponent", "scale"),
-        ("=1", "not a setting", "KEY=VALUE"),
-        ("base.anger=", "not a setting", "KEY=VALUE"),
-        ("tasks=[0]", "tasks", "[3]"),
-        ("tasks=[1.5]", "tasks", "[3]"),
-        ("tasks=[true]", "tasks", "[3]"),
-        ("tasks=3", "tasks", "[3]"),
-        ("max_trial=2.5", "max_trial", "1 or more"),
-        ("discount=1.1", "discount", "0 to 1"),
-        ("tasks=[99999999]", "states", "fewer"),
-    ],
-)
-def test_bad_settings_say_what_and_how_to_mend(assignment: str, what: str, fix: str) -> None:
-    assert refused(lambda: BASE.set(assignment), what, "", fix).where
+test_bad_settings_say_what_and_how_to_mend = table_of_refusals(__file__, globals())
 
 
 def test_a_scenario_is_frozen_and_survives_a_pickle() -> None:

@@ -4,6 +4,7 @@ import json
 import warnings
 from fractions import Fraction
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from archives import foreign_umb, is_refused, read_by_umbi, written
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from model_contents import assert_same, meant
+from refusal_tables import table_of_refusals
 from saved_models import MODELS, models
 
 from exact_mdp import MDP, ModelError, load, save
@@ -128,105 +130,32 @@ def test_any_program_can_read_it(tmp_path: Path) -> None:
 # ---- damage -----------------------------------------------------------------------------------
 
 
-def saved(mdp: MDP, folder: Path) -> dict[str, Any]:
-    save(mdp, folder / "good.npz")
-    with np.load(folder / "good.npz") as archive:
-        return dict(archive)
+def spoiled(key: str, change: Any) -> object:
+    """A saved model, one of whose arrays is changed."""
+    with TemporaryDirectory() as folder:
+        save(MODELS["care"], path := Path(folder) / "bad.npz")
+        with np.load(path) as archive:
+            arrays = dict(archive)
+        arrays[key] = change(arrays.get(key)) if callable(change) else change
+        np.savez(path, **{name: array for name, array in arrays.items() if array is not None})
+        return load(path)
 
 
-SPOILED: dict[str, tuple[str, Any, str]] = {
-    "no weights": ("weight", None, "the archive holds"),
-    "another array": ("more", np.zeros(1), "the archive holds"),
-    "float32": ("weight", lambda a: a.astype(np.float32), "an array of type float32"),
-    "int32 states": ("pair_state", lambda a: a.astype(np.int32), "an array of type int32"),
-    "structured": ("next", lambda a: a.view([("x", a.dtype)]), "an array of type ["),
-    "matrix": ("weight", lambda a: a[:, None], "an array of type int64"),
-    "flat bytes": ("weight", lambda a: a.astype(np.uint8), "an array of type uint8"),
-    "narrow bytes": ("weight", lambda a: np.zeros((len(a), 3), np.uint8), "an array of type uint8"),
-    "no width": ("weight", lambda a: np.zeros((10**12, 0), np.uint8), "an array of type uint8"),
-    "empty": ("pair_state", lambda a: a[:0], "an array of type int64"),
-    "short weights": ("weight", lambda a: a[:-1], "weight has shape"),
-    "short offsets": ("offsets", lambda a: a[:-1], "offsets has shape"),
-    "offsets backwards": ("offsets", lambda a: a[::-1].copy(), "offsets do not run"),
-    "unsorted": ("pair_state", lambda a: a[::-1].copy(), "not sorted"),
-    "state beyond": ("pair_state", lambda a: np.append(a[:-1], 2**40), "there is no"),
-    "next beyond": ("next", lambda a: a + 10**6, "next state"),
-    "next negative": ("next", lambda a: a - 10**6, "next state -"),
-    "negative": ("weight", lambda a: -a, "a probability is"),
-    "zero": ("weight", lambda a: a * 0, "a probability is 0"),
-    "row sums": ("weight", lambda a: a + 1, "transition probabilities sum to"),
-    "nan": ("weight", lambda a: np.full(len(a), np.nan), "a probability is nan"),
-    "denominator 0": ("denominator", lambda a: a * 0, "not positive"),
-    "gain denominator": ("gain_denominator", lambda a: -a, "not positive"),
-    "components": ("components", lambda a: a + 1, "components sum to"),
-    "components flat": ("components", lambda a: a[:, 0].copy(), "an array of type int64"),
-    "event": ("event", lambda a: a.astype(np.int64), "an array of type int64"),
-    "short event": ("event", lambda a: a[:-1], "event has shape"),
-    "header words": ("header", np.frombuffer(b"\xff\xfe{}", np.uint8), "broken JSON"),
-    "header deep": ("header", np.frombuffer(b"[" * 10**5, np.uint8), "nested more than 100 deep"),
-    "header digits": ("header", np.frombuffer(b"9" * 10**4, np.uint8), "broken JSON"),
-    "header list": ("header", np.frombuffer(b"[1]", np.uint8), "[1] is not an object"),
-}
+def headed(key: str, value: Any) -> object:
+    """A saved model, one of the values of whose header is changed."""
 
+    def changed(array: Any) -> Any:
+        header = json.loads(array.tobytes()) | {key: value}
+        return np.frombuffer(json.dumps(header).encode(), np.uint8)
 
-@pytest.mark.parametrize("name", SPOILED)
-def test_arrays_that_are_no_model(tmp_path: Path, name: str) -> None:
-    key, change, message = SPOILED[name]
-    arrays = saved(MODELS["care"], tmp_path)
-    if change is None:
-        del arrays[key]
-    else:
-        arrays[key] = change(arrays[key]) if callable(change) else change
-    np.savez(tmp_path / "bad.npz", **arrays)
-    is_refused(tmp_path / "bad.npz", message)
+    return spoiled("header", changed)
 
 
 def column(**changes: Any) -> list[dict[str, Any]]:
     return [{"name": "s", "size": 2, "bits": 0, "words": []} | changes]
 
 
-HEADERS: list[tuple[str, Any, str]] = [
-    ("format", "other model", "is not version 1 of format 'exact-mdp model'"),
-    ("version", 2, "2 is not version 1 of format"),
-    ("name", 3, "3 is not a text"),
-    ("discount", 0.9, "0.9 is not an integer, or a text such as"),
-    ("discount", "2", "outside [0, 1]"),
-    ("discount", "1" * 5000, "is not an integer"),
-    ("start", [[0]], "[0] is not a list of 2"),
-    ("start", [[0.0, "1"]], "0.0 is not a whole number from 0 up"),
-    ("start", [[False, "1"]], "False is not a whole number from 0 up"),
-    ("start", [[10**6, "1"]], "the start names a state twice, or one"),
-    ("start", [[0, "1/2"]], "start probabilities sum to 0.5"),
-    ("actions", "go", "'go' is not a list"),
-    ("actions", [1, 2, 3, 4], "1 is not a text"),
-    ("actions", ["a"], "there is no action 1"),
-    ("actions", ["a"] * 4, "the same name"),
-    ("columns", [3], "3 is not an object"),
-    ("columns", column(size=10**15), "state-action pairs"),
-    ("columns", column(size=0), "is not a column with one word for each value"),
-    ("columns", column(size=3, words=["a"]), "is not a column with one word for each value"),
-    ("columns", column(size=3, bits=2), "or bits for 2^bits of them"),
-    ("columns", column(bits=10**9), "or bits for 2^bits of them"),
-    ("columns", column(size=-2), "-2 is not a whole number from 0 up"),
-    ("columns", column(size=True), "True is not a whole number from 0 up"),
-    ("columns", column(words=["a", "b"], objects=[1, 2]), "is not an object for each name"),
-    ("columns", [], "there is no"),
-    ("extra", ["a", "b"], "a state without action"),
-    ("component_names", ["a"], "components have shape"),
-    ("parameters", [["p", "1"]], "is not an object"),
-    ("parameters", [{"name": "p", "value": 0.5}], "0.5 is not an integer, or a text"),
-    ("parameters", [{"name": "p", "value": 2, "low": 0, "high": 1}], "outside [0, 1]"),
-    ("arrays", [], "is not the list of the arrays"),
-]
-
-
-@pytest.mark.parametrize(("key", "value", "message"), HEADERS)
-def test_headers_that_are_no_model(tmp_path: Path, key: str, value: Any, message: str) -> None:
-    arrays = saved(MODELS["care"], tmp_path)
-    header = json.loads(arrays["header"].tobytes()) | {key: value}
-    arrays["header"] = np.frombuffer(json.dumps(header).encode(), np.uint8)
-    np.savez(tmp_path / "bad.npz", **arrays)
-    is_refused(tmp_path / "bad.npz", message)
+test_arrays_and_headers_that_are_no_model = table_of_refusals(__file__, globals())
 
 
 def test_flipped_bits_are_found_by_the_checksum(tmp_path: Path) -> None:

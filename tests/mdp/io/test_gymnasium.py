@@ -11,7 +11,7 @@ import pytest
 from cli_runner import run
 from hypothesis import given
 from hypothesis import strategies as st
-from refusal_tables import refused
+from refusal_tables import refused, table_of_refusals
 
 from exact_mdp import MDP, Policy, ShapeError, certify, evaluate, load, solve
 
@@ -254,40 +254,7 @@ def test_an_environment_of_ones_own_module(tmp_path: Path, monkeypatch: pytest.M
     assert (mdp.reward.tolist(), mdp.space.extra) == ([-1, 5, 9, 0], ("end",))
 
 
-@pytest.mark.parametrize(
-    ("table", "start", "message"),
-    [
-        (None, [1], "does not expose its model"),
-        (3, [1], "int found where a list"),
-        ({}, [], "P lists no action"),
-        ({0: {}}, [], "P[0] lists no action"),
-        ({0: {0: [(1, 1, 5, False)]}, 1: {}}, [1, 0], "P[1] lists no action"),
-        ({0: {0: [(1.5, 0, 1, True), (-0.5, 0, 1, True)]}}, [1], "a probability is -0.5"),
-        ({0: {0: [(1, 0, None, False)]}}, [1], "None is not a number"),
-        ({0: {0: [(1, 0, 0, False)]}}, "0", "initial_state_distrib is '0'"),
-        ({0: {0: []}}, [1], "sum to 0, not 1"),
-        ({0: {0: [(1, 0, 0)]}}, [1], "an outcome is (1, 0, 0)"),
-        ({0: {0: [(1, 0, 0, "no")]}}, [1], "an outcome is"),
-        ({0: {0: [(1, 0.0, 0, False)]}}, [1], "an outcome is"),
-        ({0: {0: [7]}}, [1], "int found where a list"),
-        ({0: {0: 7}}, [1], "int found where a list"),
-        ({0: {0: [(1, 1, 0, False)]}}, [1], "there is no next state 1"),
-        ({0: {0: [(1, 0, 0, False)]}, 2: {0: [(1, 0, 0, True)]}}, [1, 0, 0], "without action"),
-        ({"a": {0: [(1, 0, 0, False)]}}, [1], "the key 'a'"),
-        ({0: {"left": [(1, 0, 0, False)]}}, [1], "the key 'left'"),
-        ({-1: {0: [(1, 0, 0, False)]}}, [1], "the key -1"),
-        ({0: {0: [(0.9, 0, 0, False)]}}, [1], "sum to 0.9, not 1"),
-        ({0: {0: [(1.0, 0, float("nan"), False)]}}, [1], "a reward is nan"),
-        ({0: {0: [("x", 0, 0, False)]}}, [1], "not a finite rational"),
-        ({0: {0: [(1, 0, 0, False)]}}, [0.5, 0.5], "2 entries for 1 states"),
-        ({0: {0: [(1, 0, 0, False)]}}, [0.5], "start probabilities sum to 0.5"),
-        ({0: {0: [(1, 0, 0, False)]}}, ["x"], "not a finite rational"),
-    ],
-)
-def test_tables_that_are_no_model(table: Any, start: Any, message: str) -> None:
-    refused(lambda: MDP.from_gymnasium(Env(table, start)), message)
-
-
+test_tables_that_are_no_model = table_of_refusals(__file__, globals())
 BOOM = """import gymnasium
 
 class Boom(gymnasium.Env):

@@ -47,25 +47,6 @@ def test_a_saved_model(tmp_path: Path, name: str) -> None:
     assert load(str(tmp_path / name), discount="1/3").discount_exact == Fraction(1, 3)
 
 
-@pytest.mark.parametrize(
-    ("spec", "what", "fix"),
-    [
-        ("yuan2052", "unknown model 'yuan2052'", "did you mean yuan2025?"),
-        ("", "unknown model ''", ".toml"),
-        ("model.txt", "unknown model", ".npz"),
-        ("missing.toml", "cannot read the file", "check the path"),
-        ("missing.umb#cost", "cannot read the file", "check the path"),
-        ("gymnasium:FrozenLakes-v1", "FrozenLakes", "FrozenLake-v1"),
-        ("Gymnasium:FrozenLake-v1", "unknown model", "did you mean gymnasium:FrozenLake-v1?"),
-    ],
-)
-def test_models_that_are_not_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, spec: str, what: str, fix: str
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    refused(lambda: load(spec), what, "", fix)
-
-
 def test_without_storm_the_error_names_the_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
