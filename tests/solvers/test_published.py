@@ -15,7 +15,7 @@ from cases.prism_rewards import MODELS, PUBLISHED, Asked
 from made_models import forest
 from model_contents import is_acyclic
 from oracle import every_policy_ends
-from strategies import model_of
+from strategies import of_case
 
 from exact_mdp import (
     MDP,
@@ -39,10 +39,6 @@ QUICK: dict[str, Any] = {name: name for name in SOLVERS} | {
 }
 
 
-def model(case: Case) -> MDP:
-    return model_of(case.n_states, case.pairs, case.discount, start=case.start)
-
-
 def published(case: Case, numbers: Any, value: Any, error: Any) -> None:
     """Numbers were published exactly, or to few digits."""
     states = list(numbers)
@@ -54,7 +50,7 @@ def published(case: Case, numbers: Any, value: Any, error: Any) -> None:
 @pytest.mark.parametrize("name", SOLVERS)
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_optima(case: Case, name: str) -> None:
-    mdp = model(case)
+    mdp = of_case(case)
     try:
         solution = quietly(solve, mdp, QUICK[name])
     except ModelError:
@@ -79,7 +75,7 @@ def test_optima(case: Case, name: str) -> None:
 
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_optima_are_proven(case: Case) -> None:
-    mdp = model(case)
+    mdp = of_case(case)
     optimum = certify(mdp)
     assert case.source
     assert case.values
@@ -106,7 +102,7 @@ def test_optima_are_proven(case: Case) -> None:
 
 @pytest.mark.parametrize("case", [c for c in CASES if c.wrong_policy or c.uniform_values], ids=str)
 def test_policies(case: Case) -> None:
-    mdp = model(case)
+    mdp = of_case(case)
     if case.uniform_values:
         chances = evaluate(mdp, "random")
         published(case, case.uniform_values, chances.value, chances.error)
@@ -176,15 +172,15 @@ CLASSES = MDP.from_arrays([[[1, 0, 0], [0, "2/5", "3/5"], [0, "7/10", "3/10"]]],
 AVERAGES: dict[str, tuple[MDP, list[Any], float, Any]] = {
     # pymdptoolbox src/tests/test_RelativeValueIteration.py: 3.24; 3.885235246, an iterate that
     # stopped before 35/9; 1.549681956
-    "forest of 3": (model(BY_NAME["forest-3-9/10"]), [F(81, 25)] * 3, 0, None),
-    "toolbox": (model(BY_NAME["toolbox-small-9/10"]), [F(35, 9)] * 2, 0, None),
-    "forest of 10": (model(BY_NAME["forest-10-24/25"]), [F(4) * F(9, 10) ** 9] * 10, 0, None),
+    "forest of 3": (of_case(BY_NAME["forest-3-9/10"]), [F(81, 25)] * 3, 0, None),
+    "toolbox": (of_case(BY_NAME["toolbox-small-9/10"]), [F(35, 9)] * 2, 0, None),
+    "forest of 10": (of_case(BY_NAME["forest-10-24/25"]), [F(4) * F(9, 10) ** 9] * 10, 0, None),
     # Puterman, example 9.1.1; msdm msdm/tests/domains/__init__.py
-    "multichain": (model(BY_NAME["puterman-multichain-1/2"]), [F(3), F(2), F(2)], 0, None),
+    "multichain": (of_case(BY_NAME["puterman-multichain-1/2"]), [F(3), F(2), F(2)], 0, None),
     # Puterman, sections 3.1 and 8.2: leaving a state of gain 5 - ... ends at -1 for ever
-    "two states": (model(BY_NAME["puterman-two-state-1/2"]), [F(-1), F(-1)], 0, None),
+    "two states": (of_case(BY_NAME["puterman-two-state-1/2"]), [F(-1), F(-1)], 0, None),
     # Howard (1960), chapter 4: 13.34 a trip, at the stand in every town
-    "taxicab": (model(BY_NAME["howard-taxicab"]), [13.34454] * 3, 5e-6, [1, 1, 1]),
+    "taxicab": (of_case(BY_NAME["howard-taxicab"]), [13.34454] * 3, 5e-6, [1, 1, 1]),
     # Tijms, A First Course in Stochastic Models (2003), section 6.4, p. 251: the least costs
     "maintenance": (maintenance(), [0.4338] * 6, 5e-5, [0, 0, 0, 1, 2, 2]),
     # Puterman, example 8.2.2, pages 345 and 346: 4.538 in its recurrent states

@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from cases import BY_NAME
 from made_models import garnet
 from model_contents import negated
-from strategies import model_of
+from strategies import model_of, of_case
 
 from exact_mdp import (
     MDP,
@@ -41,8 +41,7 @@ SWEEPING: list[Any] = [kind for kind in SOLVERS.values() if hasattr(kind, "tol")
 
 
 def case_model(name: str) -> MDP:
-    case = BY_NAME[name]
-    return model_of(case.n_states, case.pairs, case.discount, start=case.start)
+    return of_case(BY_NAME[name])
 
 
 def test_the_default_depends_on_cycles() -> None:

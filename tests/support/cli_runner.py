@@ -14,6 +14,8 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any, NoReturn
 
+from exact_mdp import ModelError
+
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPTS = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["scripts"]
 main = resolve_name(SCRIPTS["exact-mdp"])
@@ -42,6 +44,11 @@ class Done:
         assert re.fullmatch(r"[A-Z]\w+: [^\n]+\n  where: [^\n]+\n  fix:   [^\n]+\n", text), text
         assert len(text) < 3500
         return text
+
+    def error(self) -> ModelError:
+        """The refusal as the error that it was."""
+        what, where, fix = re.split(r"\n  where: |\n  fix:   ", self.refusal().strip())
+        return ModelError(what.partition(": ")[2], where=where, fix=fix)
 
 
 def strict(text: str) -> Any:

@@ -1,6 +1,7 @@
 """Models that are made: random ones of any size, grids, rings, and the published forest."""
 
 from fractions import Fraction as F
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -21,37 +22,16 @@ def garnet(
     if ends:
         after[:, -1] = states - 1
         last = slice(pairs - actions, pairs)
-        after[last], reward[last] = states - 1, 0.0
-    rows = sp.csr_array(
-        (chance.ravel(), after.ravel(), np.arange(0, pairs * width + 1, width)), (pairs, states)
-    )
-    rows.sum_duplicates()
-    if ends:
-        rows.data[rows.indptr[pairs - actions] :] = 1.0
-    owner, action = np.repeat(np.arange(states), actions), np.tile(np.arange(actions), states)
-    return MDP.from_pairs(owner, action, rows, reward, discount)
+        after[last], chance[last], reward[last] = states - 1, np.eye(width)[0], 0.0
+    return sparse(after, chance, reward, discount)
 
 
 def gridworld(width: int) -> MDP:
     """Steps that go astray to either side with probability 1/10, and many ties."""
-
-    def at(row: int, column: int) -> int:
-        return min(max(row, 0), width - 1) * width + min(max(column, 0), width - 1)
-
-    rows = []
-    for i in range(width):
-        for j in range(width):
-            for action, (down, right) in enumerate([(0, 1), (1, 0), (0, -1), (-1, 0)]):
-                sides = [at(i + right, j + down), at(i - right, j - down)]
-                outcomes = [(F(8, 10), at(i + down, j + right), -1)]
-                outcomes += [(F(1, 10), side, -1) for side in sides]
-                if at(i, j) == width**2 - 1:
-                    outcomes = [(F(1), at(i, j), 0)]
-                rows.append((at(i, j), action, outcomes))
-    return MDP.from_outcomes(rows, F(99, 100))
+    return grid(width, width, F(1, 10)).with_(discount="99/100")
 
 
-def sparse(rows: np.ndarray, weight: np.ndarray, reward: np.ndarray, discount: float) -> MDP:
+def sparse(rows: np.ndarray, weight: np.ndarray, reward: np.ndarray, discount: object) -> MDP:
     """The model of `rows` (L, k) of next states and their weights, as many pairs in each state."""
     pairs, states = len(rows), int(rows.max()) + 1
     given = weight.ravel(), rows.ravel(), np.arange(0, rows.size + 1, rows.shape[1])
@@ -107,17 +87,24 @@ def wager(*chances: str, gain: object = 1) -> Parametric:
     return moving(MDP.from_outcomes([*rows, *ends]), {"p": [(0, 1)], "q": [(1, 1)]})
 
 
-MOVES = ["LEFT", "DOWN", "RIGHT", "UP"]
+MOVES, STEPS = ["LEFT", "DOWN", "RIGHT", "UP"], [(0, -1), (1, 0), (0, 1), (-1, 0)]
 
 
-def grid(rows: int, columns: int) -> MDP:
-    """A grid world in which each step costs 1, and which ends in its last cell."""
-    goal, listed = rows * columns - 1, []
-    for state in range(goal):
-        r, c = divmod(state, columns)
-        for action, (down, right) in enumerate([(0, -1), (1, 0), (0, 1), (-1, 0)]):
-            to = min(max(r + down, 0), rows - 1), min(max(c + right, 0), columns - 1)
-            listed.append((state, action, [(1, to[0] * columns + to[1], -1)]))
+def grid(rows: int, columns: int, astray: F = F(0)) -> MDP:
+    """A grid world in which each step costs 1, and which ends in its last cell.
+
+    A step goes to either side with a probability.
+    """
+
+    def at(row: int, column: int) -> int:
+        return min(max(row, 0), rows - 1) * columns + min(max(column, 0), columns - 1)
+
+    goal, listed = rows * columns - 1, list[Any]()
+    for state, action in product(range(goal), range(4)):
+        (r, c), (down, right) = divmod(state, columns), STEPS[action]
+        ways: list[Any] = [(1 - 2 * astray, at(r + down, c + right), -1)]
+        ways += [(astray, at(r + side * right, c + side * down), -1) for side in (1, -1)]
+        listed.append((state, action, [way for way in ways if way[0]]))
     listed.append((goal, 0, [(1, goal, 0)]))
     return MDP.from_outcomes(listed, discount="9/10", actions=MOVES)
 

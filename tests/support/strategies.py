@@ -49,6 +49,11 @@ def model_of(
     return MDP.from_outcomes(rows, discount, start=start)
 
 
+def of_case(case: Any) -> MDP:
+    """The model of a published case."""
+    return model_of(case.n_states, case.pairs, case.discount, start=case.start)
+
+
 @st.composite
 def distributions(
     draw: st.DrawFn, states: Sequence[int], *, through: int | None = None

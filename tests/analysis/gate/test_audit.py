@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_models import forest
 from oracle import evaluate_exact, mixed, solve_exact
-from strategies import Pairs, Rows, any_models, model_of, models
+from strategies import Pairs, Rows, any_models, models, of_case
 
 from exact_mdp import (
     MDP,
@@ -87,7 +87,7 @@ def test_every_number_is_the_reference_s(rows: Rows, data: st.DataObject) -> Non
 
 @pytest.mark.parametrize("case", [case for case in CASES if case.proper and case.n_states <= 200])
 def test_published_policies_pass_and_wrong_ones_do_not(case: Case) -> None:
-    mdp = model_of(case.n_states, case.pairs, case.discount, start=case.start)
+    mdp = of_case(case)
     best, optimal = solve_exact(case.n_states, case.pairs, case.discount)
     for choose in (min, max):
         audit = check(mdp, [choose(actions) for actions in optimal])

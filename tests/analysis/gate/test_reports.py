@@ -107,8 +107,7 @@ def test_markdown_shows_names_as_they_are(nasty: Path) -> None:
 
 def test_a_page_that_cannot_be_written_is_refused_before_any_work(nasty: Path) -> None:
     for name in ("p.txt", "nowhere/p.html"):
-        done = run("check", "m.npz", "lazy.npy", "--html", name)
-        assert (done.status, done.out) == (2, "")
+        run("check", "m.npz", "lazy.npy", "--html", name).refusal()
     assert not (nasty / "p.txt").exists()
 
 

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_models import forest
 from oracle import best_average, gain_and_bias
-from strategies import Rows, models
+from strategies import Rows, models, of_case
 
 from exact_mdp import (
     MDP,
@@ -474,8 +474,7 @@ def test_every_model_of_a_threshold_is_made_once() -> None:
 
 def test_howards_taxicab_at_every_discount() -> None:
     """Howard (1960), chapter 4: the stand in every town, at discount 1 and at those near to it."""
-    case = BY_NAME["howard-taxicab"]
-    mdp = Rows(n_states=3, pairs=case.pairs, discount=case.discount).model()
+    mdp = of_case(BY_NAME["howard-taxicab"])
     by_discount = curve(mdp, "discount")
     assert by_discount.violations() == []
     assert by_discount.pieces[-1].optimal[[mdp.pair(s, 1) for s in range(3)]].all()

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from care_oracle import Oracle
 from cli_runner import run
-from refusal_tables import refused
+from refusal_tables import of_file, refused, table_of_refusals
 
 from exact_mdp import (
     MDP,
@@ -115,43 +115,22 @@ def test_every_command_about_a_policy_takes_it(tmp_path: Path) -> None:
     assert abs(sampled["mean"] - means[0]) < 4 * sampled["standard_error"]
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "what"),
-    [
-        ("a.csv", "", "header"),
-        ("a.csv", ",".join(["status", *LABELS]) + "\n", "0000 is missing"),
-        ("a.csv", ",".join(["status", *LABELS]) + "\n0000,1\n", "2 values under 17 headings"),
-        ("a.csv", ",".join(["status", *LABELS]) + "\n2222" + ",0" * 16 + "\n", "unknown"),
-        ("a.csv", ",".join(["status", *LABELS]) + "\n0000,2" + ",0" * 15 + "\n", "outside"),
-        ("a.toml", "[sensitivity", "broken TOML"),
-        ("a.toml", "[sensitivity]\nanger = 1\n", "missing"),
-        ("a.toml", "[sensitivity]\nangre = 1\n", "unknown status"),
-        ("a.toml", "[sensitivity]\nanger = nan\n", "finite"),
-        ("a.txt", "", "unknown kind"),
-        ("a.csv", "true,perceived\n\n0000\n", "line 3"),
-        ("a.csv", "true,perceived\n0000,0002\n", "unknown status"),
-        ("a.csv", "true,perceived\n0000,0000\n", "no example was labelled 0001"),
-        ("a.jsonl", "{\n", "broken JSON"),
-        ("a.jsonl", '{"status": 0, "perceived": 1}\n{"status"\n{"status": 0', "broken JSON"),
-        ("a.jsonl", "3\n", "not an object"),
-        ("a.jsonl", '{"statuses": ["joy"]}\n', "the statuses"),
-        ("a.jsonl", '{"status": 16, "perceived": 0}\n', "no status 16"),
-        ("a.jsonl", '{"status": true, "perceived": 0}\n', "True is not a status"),
-    ],
-)
-def test_broken_files_are_refused(tmp_path: Path, name: str, text: str, what: str) -> None:
-    (tmp_path / name).write_text(text)
-    done = run("evaluate", "yuan2025", "random", "--perception", tmp_path / name, "--json")
-    assert (done.status, done.out) == (2, "")
-    assert what in done.err
+HEAD = ",".join(["status", *LABELS]) + "\n"
+
+
+def seen(name: str, text: str) -> None:
+    words = "evaluate yuan2025 random --json --perception"
+    raise of_file(name, text, lambda path: run(words, path).error())
+
+
+test_broken_files_are_refused = table_of_refusals(__file__, globals())
 
 
 def test_rows_that_are_no_distribution(care: MDP, tmp_path: Path) -> None:
     rows: list[list[object]] = [[0] * 16 for _ in LABELS]
     done = run("evaluate", *MODEL, "random", "--perception", as_csv(tmp_path / "a.csv", rows))
-    assert done.status == 2
-    assert "row of status 0000 sums to 0, not 1" in done.err
-    assert "a.csv, row 0" in done.err
+    assert "row of status 0000 sums to 0, not 1" in done.refusal()
+    assert "a.csv, row 0" in done.refusal()
     matrix = np.eye(16)
     matrix[3, 3] = 0.9
     said = "row of status 0011 sums to 0.9, not 1", "confusion matrix, row 3"
@@ -198,7 +177,6 @@ def test_commands_name_the_file_that_labels_too_little(tmp_path: Path) -> None:
     (tmp_path / "few.csv").write_text("true,perceived\n0000,0000\n")
     seen = ("--perception", tmp_path / "few.csv")
     for words in (("evaluate", "yuan2025", "random"), ("perception", "yuan2025")):
-        done = run(*words, *seen)
-        assert done.status == 2
-        assert f"where: {tmp_path / 'few.csv'}" in done.err
-        assert "labelled 0001, 0010, 0011, 0100 and others" in done.err
+        said = run(*words, *seen).refusal()
+        assert f"where: {tmp_path / 'few.csv'}" in said
+        assert "labelled 0001, 0010, 0011, 0100 and others" in said

@@ -35,10 +35,7 @@ MODEL = MDP.from_outcomes([(0, 0, [(1, 0, 1)])], "1/2")
 
 
 def perceived(path: Path) -> None:
-    done = run("evaluate", "yuan2025", "random", "--perception", path)
-    assert (done.status, done.out) == (2, "")
-    what, _, rest = done.err.removeprefix("error: ").partition("\n  where: ")
-    raise ModelError(what, where=rest.partition("\n")[0], fix=rest)
+    raise run("evaluate", "yuan2025", "random", "--perception", path).error()
 
 
 READERS: dict[str, Callable[[Path], object]] = {

@@ -155,8 +155,7 @@ def test_a_bad_row_is_named(what: str, tmp_path: Path) -> None:
     refused(lambda: MDP.from_transitions(table(BAD[what])), what, f"transitions, row {last}")
     table(BAD[what]).to_csv(tmp_path / "log.csv", index=False)
     done = run("data", tmp_path / "log.csv", "--out", tmp_path / "m.npz")
-    assert done.status == 2
-    assert f"log.csv, line {last + 2}" in done.err
+    assert f"log.csv, line {last + 2}" in done.refusal()
     assert not (tmp_path / "m.npz").exists()
 
 
