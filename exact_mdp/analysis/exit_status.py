@@ -20,7 +20,7 @@ import sys
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from typing import Any, NoReturn, TextIO
 
@@ -40,24 +40,27 @@ class NoAnswer(RuntimeError):
     """Code that was called asked the process to end before there was an answer."""
 
 
-KINDS: tuple[tuple[Any, int, str, str], ...] = (  # of errors: their status, what they say, a fix
-    (UserWarning, REFUSED, "{}", "correct it, or do not turn warnings into errors"),
-    (NoAnswer, BROKEN, "{}", "let the environment, trainer or policy return instead"),
-    (MemoryError, BROKEN, "{}", "use a smaller model"),
-    (RecursionError, BROKEN, "something is nested too deeply", "use flatter input"),
-    (
-        OverflowError,
-        BROKEN,
+# Of errors, by the name of a class, as to load the modules of some takes long: what is said, a fix.
+KINDS = {
+    "UserWarning": ("{}", "correct it, or do not turn warnings into errors"),
+    "SolverError": ("{kind}: {}", ""),
+    "Contradiction": ("{kind}: {}", ""),
+    "NoAnswer": ("{}", "let the environment, trainer or policy return instead"),
+    "MemoryError": ("{}", "use a smaller model"),
+    "RecursionError": ("something is nested too deeply", "use flatter input"),
+    "OverflowError": (
         "a number is too large to compute with: {}",
         "scale the model, or round its numbers",
     ),
-    (
-        ImportError,
-        BROKEN,
+    "ImportError": (
         "a package cannot be loaded: {}",
         "install the package again, with the extra that this needs",
     ),
-)
+    "BaseException": (
+        "an error in the program, not in your input: {}",
+        f"report it with this command; {TRACEBACK}=1 shows the traceback to send with it",
+    ),
+}
 
 
 @contextmanager
@@ -68,10 +71,6 @@ def answering() -> Iterator[None]:
     except SystemExit as end:
         said = short(f"sys.exit({end.code!r})")
         raise NoAnswer(f"{said} was called before there was an answer") from end
-
-
-class Stopped(KeyboardInterrupt):
-    """The process was asked to end by a signal; everything ends as it does after Ctrl-C."""
 
 
 class Programs(click.Group):
@@ -118,20 +117,19 @@ def run(
         error = raised
     if os.environ.get(TRACEBACK, "") not in ("", "0"):
         traceback.print_exception(error)
-    chosen = None
     if context is not None and context.invoked_subcommand and isinstance(command, click.Group):
-        chosen = command.get_command(context, context.invoked_subcommand)
-    usage = f"{program} {chosen.name}" if chosen else program
-    status, *parts = _described(error, chosen or command, usage, words)
-    kind, what, where, fix = parts = [*map(shown_text, parts)] if parts[2] else parts
-    message = f"{kind}: {what}\n  where: {where}\n  fix:   {fix}" if where else what
+        command = command.get_command(context, context.invoked_subcommand) or command
+        program = f"{program} {command.name}"
+    status, said = _described(error, command, program, words)
+    kind = type(error).__name__ if said.where else ""
+    message = f"{kind}: {said}" if kind else str(said)
     say(message)
     if "--json" in words:
-        names = ("kind", "what", "where", "fix")
-        say(json.dumps({"status": status, "error": dict(zip(names, parts, strict=True))}))
+        parts = {"kind": kind, "what": said.what, "where": said.where, "fix": said.fix}
+        say(json.dumps({"status": status, "error": parts}))
     if on_error is not None:
         on_error(message)
-    return int(status)
+    return status
 
 
 def leave(status: int) -> NoReturn:
@@ -168,39 +166,36 @@ def _warn(message: Warning | str, *_: object, told: set[str], **__: object) -> N
 
 def _described(
     error: BaseException, command: click.Command, usage: str, words: Sequence[str]
-) -> tuple[int, str, str, str, str]:
-    """Return status, kind, what, where and fix; what is said without a place has only the text."""
-    kind, text = type(error).__name__, short(" ".join(str(error).split()))
+) -> tuple[int, ModelError]:
+    """Return the status and what is said, without a place where the text says it all."""
+    kinds = [base.__name__ for base in type(error).__mro__]
     options = {name: each for each in command.params for name in each.opts if name[:1] == "-"}
     if isinstance(error, KeyboardInterrupt):
-        number = error.args[0] if isinstance(error, Stopped) else signal.SIGINT
+        number = error.args[0] if error.args else signal.SIGINT
         notes = [f"stopped by {signal.Signals(number).name}", *getattr(error, "__notes__", ())]
-        return SIGNALS + number, "", "; ".join(notes), "", ""
+        return SIGNALS + number, ModelError("; ".join(notes))
     if isinstance(error, click.ClickException):
         what = short(error.format_message()).removesuffix(".")
         param = getattr(error, "param", None)
         near = ALSO_CALLED.get(getattr(error, "option_name", ""))
         what = f"{error.message} Did you mean {near!r}?" if near in options else what
         where = param.opts[-1] if isinstance(param, click.Option) else usage
-        return REFUSED, kind, what, where, f"see {usage} --help"
+        return REFUSED, ModelError(what, where=where, fix=f"see {usage} --help")
     if isinstance(error, ModelError):
         typed = {word.partition("=")[0] for word in words}  # an argument's name, or its option
         named = (o for o, each in options.items() if each.name == error.where and o in typed)
         where = next(named, error.where) or usage
-        return REFUSED, kind, error.what, where, error.fix or f"see {usage} --help"
-    # By name: the modules that define these errors take long to load.
-    if any(base.__name__ in ("SolverError", "Contradiction") for base in type(error).__mro__):
-        return BROKEN, "", f"{kind}: {error}", "", ""
+        return REFUSED, ModelError(error.what, where=where, fix=error.fix or f"see {usage} --help")
     if isinstance(error, OSError) and error.errno is not None:
-        place = usage if error.filename is None else str(error.filename)
         fix = "make room, or write elsewhere" if error.errno in FULL else "try again"
-        return BROKEN, "OSError", f"the system refuses: {error.strerror}", place, fix
-    for kinds, status, what, fix in KINDS:
-        if isinstance(error, kinds):
-            return status, kind, what.format(text or "not enough memory"), usage, fix
-    what = f"an error in the program, not in your input: {text or 'no message'}"
-    fix = f"report it with this command; {TRACEBACK}=1 shows the traceback to send with it"
-    return BROKEN, kind, what, usage, fix
+        what, where = f"the system refuses: {error.strerror}", str(error.filename or usage)
+        return BROKEN, ModelError(what, where=where, fix=fix)
+    kind = next(kind for kind in kinds if kind in KINDS)
+    what, fix = KINDS[kind]
+    text = " ".join(str(error).split())
+    text = text or ("not enough memory" if kind == "MemoryError" else "no message")
+    said = ModelError(what.format(text, kind=kinds[0]), where=usage if fix else "", fix=fix)
+    return REFUSED if kind == "UserWarning" else BROKEN, said
 
 
 @contextmanager
@@ -210,20 +205,15 @@ def _signals() -> Iterator[None]:
     def stop(number: int, _: object) -> None:
         # `timeout` and others signal the process, then its group with the process in it.
         signal.signal(number, signal.SIG_IGN)
-        raise Stopped(number)
+        raise KeyboardInterrupt(number)
 
-    names = ("SIGTERM", "SIGHUP")
-    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
-    taken = [number for number in numbers if signal.getsignal(number) is signal.SIG_DFL]
-    try:
-        with suppress(ValueError):  # only the main thread may say what signals do
-            for number in taken:
-                signal.signal(number, stop)
+    with ExitStack() as restored:
+        for number in (getattr(signal, name, None) for name in ("SIGTERM", "SIGHUP")):
+            if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+                with suppress(ValueError):  # only the main thread may say what signals do
+                    signal.signal(number, stop)
+                    restored.callback(signal.signal, number, signal.SIG_DFL)
         yield
-    finally:
-        with suppress(ValueError):
-            for number in taken:
-                signal.signal(number, signal.SIG_DFL)
 
 
 # ---- standard streams ----------------------------------------------------------------------------
