@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -25,7 +25,6 @@ from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.dynamic.iterate import check_tolerance
-from exact_mdp.solvers.endless.average import AverageSolution
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.certify import certify as certified
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution
@@ -37,7 +36,7 @@ from exact_mdp.solvers.solution import (
     SolverError,
     warn,
 )
-from exact_mdp.solvers.solver import SOLVERS, Criterion, solve
+from exact_mdp.solvers.solver import SOLVERS, Criterion, is_average, solve
 
 LISTED = 1000  # states whose actions are listed
 SHOWN_DIGITS = 1000  # longer exact values are left to --json
@@ -60,25 +59,16 @@ class Optimum:
     """Optimal values, a policy and every optimal pair, by what vouches for them."""
 
     mdp: MDP
+    average: bool  # whether it is that of an average reward
     solution: Solution | None  # None where the solver could not bound its error
     certificate: Certificate | None
+    value: Floats  # (S,), of the certificate where there is one
+    state_error: Floats  # (S,) bounds on its errors; rounding alone where it is certified
 
     @property
     def best(self) -> Any:
-        """What vouches for the values: the certificate where there is one."""
-        return self.solution if self.certificate is None else self.certificate
-
-    @cached_property
-    def value(self) -> Floats:
-        """(S,) state values."""
-        return np.asarray(self.best.value if self.certificate is None else self.best.value_float)
-
-    @cached_property
-    def state_error(self) -> Floats:
-        """(S,) bounds on the errors of the values; rounding alone where they are certified."""
-        if self.certificate is not None:
-            return np.nan_to_num(np.spacing(np.abs(self.value)))
-        return np.asarray(self.best.state_error)
+        """What vouches for the values."""
+        return self.certificate or self.solution
 
     @cached_property
     def optimal(self) -> Flags:
@@ -91,10 +81,10 @@ class Optimum:
     @property
     def start(self) -> Certified | Bounded:
         """The value of the start distribution; the error bound is that of every state, too."""
-        if self.certificate is not None:
-            return Certified(value=self.certificate.start_value)
-        error = max(self.best.error_bound, self.best.start.error)
-        return Bounded(value=float(self.best.start_value), error=error)
+        start: Certified | Bounded = self.best.start
+        if isinstance(start, Certified):
+            return start
+        return replace(start, error=max(self.best.error_bound, start.error))
 
     @property
     def error_bound(self) -> float:
@@ -103,12 +93,6 @@ class Optimum:
             return self.start.error
         rounding = np.nan_to_num(np.spacing(abs(float(self.start))))
         return float(max(self.state_error.max(), rounding))
-
-    @property
-    def average(self) -> bool:
-        """Whether it is that of an average reward."""
-        kind = getattr(self.best, "kind", "")
-        return isinstance(self.best, AverageSolution) or kind == "average"
 
     def stationary(self) -> bool | None:
         """Return whether the optimum depends on the status alone; None where bounds leave it open.
@@ -291,16 +275,26 @@ def optimum(
         if not certify:
             raise
         warn(f"{error} (the exact values stand)", PrecisionWarning)
-    if not certify:
-        return Optimum(mdp=model, solution=solution, certificate=None)
-    certificate = sound(certified(model, criterion=criterion))
-    best = Optimum(mdp=model, solution=solution, certificate=certificate)
-    if solution is not None:
-        same = solution.value == best.value  # infinite ones
-        apart = np.abs(np.where(same, 0.0, solution.value) - np.where(same, 0.0, best.value))
-        if not (apart <= solution.state_error + best.state_error).all():
+    exact = sound(certified(model, criterion=criterion)) if certify else None
+    if exact is None:
+        assert solution is not None
+        value, off = solution.value, solution.state_error
+    else:
+        value = exact.value_float
+        off = np.nan_to_num(np.spacing(np.abs(value)))
+    if exact is not None and solution is not None:
+        same = solution.value == value  # infinite ones
+        apart = np.abs(np.where(same, 0.0, solution.value) - np.where(same, 0.0, value))
+        if not (apart <= solution.state_error + off).all():
             raise Contradiction(
                 f"exact values differ from those of {solution.solver} by up to {apart.max():.3g}, "
                 f"which states an error of at most {solution.error_bound:.3g}"
             )
-    return best
+    return Optimum(
+        mdp=model,
+        average=is_average(criterion),
+        solution=solution,
+        certificate=exact,
+        value=value,
+        state_error=off,
+    )

@@ -16,7 +16,7 @@ states; the last term is the value of the room left under the limits.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, partial
@@ -27,9 +27,10 @@ import numpy as np
 
 from exact_mdp.analysis.gate.disagreements import Findings, findings, listed
 from exact_mdp.analysis.gate.forgiveness import per_use, rounded
-from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap, policy_regret, proven
+from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap, policy_regret, proven, tied
 from exact_mdp.analysis.gate.waiting import taking
 from exact_mdp.analysis.optimum import sound
+from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Shown, Table, cell
 from exact_mdp.mdp.table import Floats, Numbers, common, integers
 from exact_mdp.solvers.bounds.gains import SLACK
@@ -175,25 +176,27 @@ class Average(Total):
         lost, short = best.losses
         gap = np.where(own.classes.recurrent[step.pair_state], lost + short, lost)
         optimal = np.asarray(gap == 0, dtype=bool)
-        forgiven = 0.0
+        gap, whole = gap.astype(np.float64), best.start_value - learned
+        movable: Callable[[], Fraction] = Fraction
         if step.floats:
             # The rounding of a row, and of the best one, can cause the whole gap.
-            most = per_use(step, rounded(best.bias))
-            most = most + most[best.pairs][step.pair_state]
-            optimal |= gap.astype(np.float64) * SLACK <= most
+            most = _per_use(step, own, best.value, best.bias)
+            near = gap * SLACK <= most + most[best.pairs][step.pair_state]
             ideal = taking(step, best.pairs)
-            forgiven = _movable(chain, own, gain, bias) * SLACK
-            forgiven += _movable(ideal, ExactChain(ideal.rows()), best.value, best.bias) * SLACK
+            moved = _movable(ideal, ExactChain(ideal.rows()), best.value, best.bias)
+            moved += _movable(chain, own, gain, bias)
+            movable = partial(Fraction, moved * SLACK)
+            optimal = tied(chain, optimal, near, whole, movable)
         return Regret(
-            optimal=Certified(value=best.start_value),
+            optimal=best.start,
             learned=Certified(value=learned),
-            at_start=Certified(value=best.start_value - learned),
+            at_start=Certified(value=whole),
             optimal_value=best.value_float,
             learned_value=gain.astype(np.float64),
             by_state=(best.value - gain).astype(np.float64),
             optimal_pairs=optimal,
-            gap=np.where(optimal, 0.0, gap.astype(np.float64)),
-            movable=partial(Fraction, forgiven),
+            gap=np.where(optimal, 0.0, gap),
+            movable=movable,
         )
 
     def _bounded(self) -> Regret:
@@ -218,12 +221,17 @@ def _visits(chain: PolicyChain, own: ExactChain) -> Floats:
     return np.where(own.classes.recurrent, share, met).astype(np.float64)
 
 
+def _per_use(step: MDP, own: ExactChain, gain: Numbers, bias: Numbers) -> Floats:
+    """Return (L,) what the rounding of a row moves of the bias; on the way, of the gain."""
+    stays = own.classes.recurrent[step.pair_state]
+    on_the_way = per_use(step, rounded(gain), rewards=False)
+    return np.where(stays, per_use(step, rounded(bias)), on_the_way)
+
+
 def _movable(chain: PolicyChain, own: ExactChain, gain: Numbers, bias: Numbers) -> float:
     """Return what the rounding of floats can move of a policy's gain at the start."""
-    step, of = chain.mdp, chain.mdp.pair_state
-    on_the_way = per_use(step, rounded(gain), rewards=False)
-    moved = np.where(own.classes.recurrent[of], per_use(step, rounded(bias)), on_the_way)
-    return float(_visits(chain, own)[of] * chain.weights @ moved)
+    uses = _visits(chain, own)[chain.mdp.pair_state] * chain.weights
+    return float(uses @ _per_use(chain.mdp, own, gain, bias))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

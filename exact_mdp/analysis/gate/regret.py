@@ -243,22 +243,6 @@ def compare(model: MDP | Scenario, policies: Mapping[str, PolicyLike]) -> Policy
     return PolicyComparison(regrets={name: policy_regret(each) for name, each in chains.items()})
 
 
-@dataclass(frozen=True, eq=False)
-class Once:
-    """A number that is worked out when it is first asked for; unlike a cache it can be pickled."""
-
-    work: Callable[[], Fraction]
-
-    def __call__(self) -> Fraction:
-        """Return the number."""
-        return self.number
-
-    @cached_property
-    def number(self) -> Fraction:
-        """The number."""
-        return self.work()
-
-
 # ---- rational arithmetic -----------------------------------------------------------------------
 
 
@@ -276,10 +260,8 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
         mine, learned = level.floats(), level.mean(mdp.start)
     lost = _less(best.start_value, learned, mdp)
     ideal = taking(mdp, best.pairs if unending else first_of(mdp, best.optimal_pairs))
-    movable: Callable[[], Fraction] = Fraction
-    if isinstance(lost, Fraction):
-        known = (chain, rounded(mine)), (ideal, rounded(value))
-        movable = Once(partial(forgiven, mdp, *known))
+    known = (chain, rounded(mine)), (ideal, rounded(value))
+    movable = partial(forgiven, mdp, *known) if isinstance(lost, Fraction) else Fraction
     # The exact differences, each rounded once.
     parts = zip(best.h.top, best.h.each_below, level.top, level.each_below, strict=True)
     by_state = np.array([(a * d - c * b) / (b * d) for a, b, c, d in parts])
@@ -298,10 +280,8 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
             optimal |= (chain.chosen > 0) & chain.reached[mdp.pair_state]
     elif mdp.floats:
         with suppress(SolverError):
-            tied = optimal | (np.nextafter(gap, inf) <= ties(ideal, rounded(value)))
-            # Unless each loses little, and all of them too much.
-            if lost <= 0 or not tied[chain.pairs].all() or lost <= movable():
-                optimal = tied
+            near = np.nextafter(gap, inf) <= ties(ideal, rounded(value))
+            optimal = tied(chain, optimal, near, lost, movable)
     return Regret(
         optimal=best.start,
         learned=Certified(value=learned),
@@ -314,6 +294,21 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
         optimum=best,
         movable=movable,
     )
+
+
+def tied(
+    chain: PolicyChain,
+    optimal: Flags,
+    near: Flags,
+    lost: Fraction | float,
+    movable: Callable[[], Fraction],
+) -> Flags:
+    """Return the optimal pairs (L,), with those whose gap the rounding of floats may have caused.
+
+    Without these where each pair of the policy loses that little, and all of them too much.
+    """
+    both = optimal | near
+    return optimal if both[chain.pairs].all() and lost > movable() else both
 
 
 def _less(best: Fraction | float, own: Fraction | float, mdp: MDP) -> Fraction | float:
@@ -351,7 +346,7 @@ def _bounded(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
         unclear=~loses & near.open,
         gap=np.where(loses, near.gap, 0.0),
         optimum=optimum,
-        movable=Once(partial(forgiven, mdp, (chain, own), (ideal, known))),
+        movable=partial(forgiven, mdp, (chain, own), (ideal, known)),
     )
 
 

@@ -65,6 +65,18 @@ def test_what_the_rounding_of_floats_can_cause_is_forgiven() -> None:
     assert sorted(strict) == [False, True]
 
 
+@pytest.mark.parametrize("also", [0, 1])
+def test_a_huge_reward_on_the_way_forgives_nothing_of_a_small_loss(also: int) -> None:
+    """A bias of 1e10 once stood for the gains of 1e-100 that a step on the way is judged by."""
+    half, least = [(0.5, 1, 0), (0.5, 2, 0)], 1e-100
+    rows = [(0, 0, half), (0, 1, [half[0], (0.5, 3, 0)]), (1, 0, [(1, 2, 1e10)])]
+    rows += [(2, 0, [(1, 2, least)]), (3, 0, [(1, 3, 0)]), (3, 1, [(1, 3, -least)])]
+    audit = check(MDP.from_outcomes(rows), [1, 0, 0, also], criterion="average")
+    costs = {each.state: each.cost for each in audit.disagreements}
+    assert costs == pytest.approx({0: 5e-101, **({3: 5e-101} if also else {})}, rel=1e-12)
+    assert sum(costs.values()) == pytest.approx(float(audit.value), rel=1e-12)
+
+
 @pytest.mark.parametrize("digits", [3, 8, 12, 14, 40])
 @pytest.mark.parametrize("criterion", ["total", "average"])
 def test_what_is_lost_adds_up_however_slowly_a_class_is_left(criterion: Any, digits: int) -> None:
