@@ -6,7 +6,7 @@ from typing import Any
 
 from matplotlib.axes import Axes
 
-from exact_mdp.analysis.plots import care, learning, returns, sensitivity, states, tradeoffs
+from exact_mdp.analysis.plots import care, learning, returns, sensitivity, states
 from exact_mdp.mdp.errors import ModelError
 
 PICTURES: dict[str, Any] = {
@@ -18,10 +18,10 @@ PICTURES: dict[str, Any] = {
     "Curve": sensitivity.plot_value_curves,
     "ErrorCosts": care.plot_error_costs,
     "Evaluation": states.plot_evaluation,
-    "Front": tradeoffs.draw_front,
+    "Front": returns.draw_front,
     "Gradient": sensitivity.plot_gradient,
     "LearningCurve": learning.plot_learning_curves,
-    "MeanCVaR": tradeoffs.plot_mean_cvar,
+    "MeanCVaR": returns.plot_mean_cvar,
     "Outcomes": learning.plot_regrets,
     "PSA": sensitivity.plot_acceptability,
     "PolicyComparison": states.plot_comparison,

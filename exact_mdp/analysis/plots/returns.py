@@ -1,13 +1,32 @@
-"""The distribution of a policy's return, and of a sample of it."""
+"""The distribution of a return, a sample of it, fronts of totals, and means against the worst."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
-from exact_mdp.analysis.plots.style import axes_or_new, described, picture
+from exact_mdp.analysis.plots.style import (
+    BLACK,
+    BLUE,
+    INK,
+    MARKS,
+    Look,
+    axes_or_new,
+    described,
+    picture,
+)
+from exact_mdp.analysis.tradeoffs.front import Front
+from exact_mdp.analysis.tradeoffs.risk import MeanCVaR
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.solvers.values.returns import ReturnDistribution
 from exact_mdp.solvers.values.simulate import Simulation
+
+NEAR = 0.02  # of an axis: marks that are nearer lie on each other
+MEAN: Look = {"color": "black", "linestyle": "--", "linewidth": 1}
 
 
 @picture
@@ -24,7 +43,7 @@ def plot_return_distribution(distribution: ReturnDistribution, *, ax: Axes | Non
     if distribution.unending:
         title = f"never ends, and is infinite, with probability {distribution.never_ends:.4g}"
     else:
-        ax.axvline(distribution.mean, color="black", linestyle="--", linewidth=1, label="mean")
+        ax.axvline(distribution.mean, label="mean", **MEAN)
     what = f"Distribution of the return: {title}"
     return described(ax, what, x="return (reward)", y="probability")
 
@@ -39,7 +58,71 @@ def plot_simulation(simulation: Simulation, *, ax: Axes | None = None) -> Axes:
         ax.plot([], [], color="white", label=f"a share of {simulation.never_ends:.4g} never ends")
     else:
         ax.axvspan(*simulation.value.interval, color="0.85", zorder=0)
-        mean = f"mean {simulation.value}"
-        ax.axvline(simulation.mean, color="black", linestyle="--", linewidth=1, label=mean)
+        ax.axvline(simulation.mean, label=f"mean {simulation.value}", **MEAN)
     what = f"Returns of {len(simulation.returns):,} simulated episodes"
     return described(ax, what, x="return (reward)", y="episodes")
+
+
+@picture
+def draw_front(
+    front: Front, *, policies: Mapping[str, PolicyLike] | None = None, ax: Axes | None = None
+) -> Axes:
+    """Draw a front of two totals, and policies by name with their distance from it."""
+    if len(front.names) != 2:
+        what = "a front of three totals has no flat picture"
+        raise ModelError(what, where="plot", fix="name two totals")
+    ax, at = axes_or_new(ax), np.array(front.vertices, dtype=np.float64)
+    ax.plot(*at.T, color=BLUE, marker="o", markersize=4, label="front", zorder=2)
+    beside = policies or {}
+    places = np.array([front.totals(policy) for policy in beside.values()], dtype=np.float64)
+    size = np.ptp(np.concatenate([at, places.reshape(-1, 2)]), axis=0)
+    size[size == 0] = 1.0
+    for number, (name, policy) in enumerate(beside.items()):
+        far = float(front.distance(policy))
+        label = f"{name} (on the front)" if far == 0 else f"{name} (distance {far:.3g})"
+        # One that lies on others is an open mark around them.
+        apart = np.abs(places[:number] - places[number])
+        below = int((apart < NEAR * size).all(axis=1).sum())
+        form: dict[str, Any] = {"ms": 7 + 5 * below, "fillstyle": "none" if below else "full"}
+        _mark(ax, number, label, places[number], zorder=3, **form)
+        if far:
+            ends = np.array([places[number], places[number] + front.of.sign * far])
+            ax.plot(*ends.T, color=BLACK, linewidth=0.8, linestyle=":")
+    first, second = front.names
+    names = {"x": f"expected total of {first}", "y": f"expected total of {second}"}
+    return described(ax, f"The front of {second} against {first}", **names)
+
+
+@picture
+def plot_mean_cvar(points: MeanCVaR, *, ax: Axes | None = None) -> Axes:
+    """Draw the mean against the mean of the worst episodes: best policies, and given ones."""
+    ax = axes_or_new(ax)
+    at = [(float(each.mean), float(each.value)) for each in points.optima]
+    words = "best for a weight of the mean\n(written beside it)"
+    across, up = zip(*at, strict=True)
+    ax.plot(across, up, linestyle="", color=BLUE, marker="o", label=words)
+    weights = dict[tuple[float, float], list[str]]()
+    for point, best in zip(at, points.optima, strict=True):
+        weights.setdefault(point, []).append(f"{float(best.weight):.3g}")
+    for point, own in weights.items():
+        words = own[0] if len(own) == 1 else f"{own[0]} to {own[-1]}"
+        left = point[0] < (min(across) + max(across)) / 2
+        aside, side = ((4, -12), "left") if left else ((-4, -12), "right")
+        ax.annotate(words, point, textcoords="offset points", xytext=aside, ha=side)
+    for number, (name, place) in enumerate(points.policies.items()):
+        _mark(ax, number, name, place)
+    what = "return" if points.mdp.sense == "max" else "cost"
+    return described(
+        ax,
+        "The mean against the worst episodes",
+        points.mdp.name,
+        x=f"mean {what} of all episodes",
+        y=f"mean {what} of the worst {float(points.level):.3g} of them",
+    )
+
+
+def _mark(ax: Axes, number: int, label: str, place: Any, **form: Any) -> None:
+    """Draw the point of one of several policies."""
+    x, y = map(float, place)
+    look: Look = {"marker": MARKS[1 + number % (len(MARKS) - 1)], "color": INK[number % len(INK)]}
+    ax.plot([x], [y], linestyle="", label=label, **look, **form)
