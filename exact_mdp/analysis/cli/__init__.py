@@ -1,7 +1,7 @@
 """The program `exact-mdp`; `exact_mdp.analysis.exit_status` says how it ends.
 
-`commands` names them, `derive` makes them from functions, and `render` shows the report. A
-failure is reported on standard error as what, where and fix, with nothing on standard output.
+`commands` makes its commands from functions, and `render` shows the report. A failure is reported
+on standard error as what, where and fix, with nothing on standard output.
 """
 
 from __future__ import annotations
@@ -17,8 +17,7 @@ import click
 from click.shell_completion import shell_complete
 
 from exact_mdp.analysis import ci
-from exact_mdp.analysis.cli.commands import Commands
-from exact_mdp.analysis.cli.derive import HELP
+from exact_mdp.analysis.cli.commands import HELP, Commands
 from exact_mdp.analysis.exit_status import REFUSED, leave, run, say
 
 PROGRAM = "exact-mdp"

@@ -1,14 +1,43 @@
-"""The commands, by what they are for: each is the function that it is made from.
+"""The commands, each made from a function: its signature gives the options, its docstring the help.
 
-To add one, write its function (`derive` says what its parameters become), which returns a `Report`,
-and name it here.
+To add one, write its function, which returns a `Report`, and name it in `MADE`. Its source is read
+and not imported, so that help comes at once. What a parameter becomes:
+
+    given: Given                   the argument MODEL, with the options of `Given` that are shared
+    policy: Policy                 an argument or option POLICY, of which `Given` makes the policy
+    without a default              an argument, a required option where it is keyword-only
+    : bool                         a flag
+    : int                          a whole number
+    : Sequence or Mapping          an option of the singular name that may be repeated
+    anything else                  an option with a text
+
+What is not typed is not passed: the function's own default holds. In the docstring's type stand the
+word in capitals or the words in quotes that the help shows for the value, the limits of a whole
+number ("N, 1 to 100"), and the endings of a file that is written ("FILE, .csv or .json"). Below
+"Keys" it says what the keys of the JSON mean, "key: meaning; …", after the classes whose attributes
+others are.
 """
 
 from __future__ import annotations
 
+import ast
+import inspect
+import re
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
 import click
 
-from exact_mdp.analysis.cli.derive import command
+from exact_mdp.mdp.io.files import aside
+
+PACKAGE = Path(__file__).resolve().parents[2]
+HELP = ["-h", "--help"]
+GIVEN = "analysis.cli.given:Given"
 
 POLICY = """POLICY is optimal, random, always:ACTION, or a file: .json {"0000": "none", ...};
 .csv with the header status,action; .npy or .npz with a Q-table or with probabilities of actions
@@ -19,8 +48,8 @@ SETS = ("sets", "discount")
 QUESTION = ("reach", "until", "reward", "allowed", "minimize", "start")
 ASKED = (*QUESTION, *SETS)
 OF_POLICY = ("kind", "perception", "horizon")
-VARIED = ("parameters", "ranges", "relative")
-HELD = (*VARIED, "policy", "perception", *ASKED)
+VARIED = ("parameters", "ranges", "relative", "policy")  # listed beside a command's own
+HELD = (*VARIED, "perception", *ASKED)
 
 MADE: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
     "Check": {
@@ -36,7 +65,7 @@ MADE: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
     "Vary": {
         "tornado": ("vary:tornado", HELD),
         "gradient": ("vary:gradient", ("parameters", "policy", "perception", *ASKED)),
-        "threshold": ("vary:threshold", (*VARIED, *ASKED)),
+        "threshold": ("vary:threshold", (*VARIED[:3], *ASKED)),
         "curve": ("vary:curve", HELD),
         "one-way": ("vary:one_way", HELD),
         "two-way": ("vary:two_way", HELD),
@@ -62,6 +91,174 @@ MADE: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
         "perception": ("trade:perception", SETS),
     },
 }
+
+
+class Parameter(NamedTuple):
+    """A parameter of a function, with what the docstring says of its type and of itself."""
+
+    of: inspect.Parameter
+    form: str
+    help: str
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return self.of.name
+
+    @property
+    def kind(self) -> str:
+        """Its type, as it is written."""
+        return str(self.of.annotation)
+
+    @property
+    def endings(self) -> list[str]:
+        """The endings that a file may have which is written."""
+        return re.findall(r"\.\w+", self.form)
+
+    def click(self) -> click.Parameter:
+        """Return the argument or option."""
+        required, multiple = self.of.default is self.of.empty, self.kind.startswith("Sequence")
+        words = re.findall(r'"([^"]+)"', self.form)
+        form = "|".join(words) or self.form.partition(",")[0]
+        if self.of.kind is not self.of.KEYWORD_ONLY:
+            metavar = form or self.name.upper() + "..." * multiple
+            metavar = metavar if required else f"[{metavar}]"
+            nargs = -1 if multiple else 1
+            return click.Argument([self.name], required=required, nargs=nargs, metavar=metavar)
+        name = re.sub("ie$", "y", self.name.removesuffix("s")) if multiple else self.name
+        names = ["--" + name.replace("_", "-"), self.name]
+        shown = not required and repr(self.of.default) not in ("None", "False", "()")
+        help_ = f"{self.help[:-1]} ({self.of.default})." if shown else self.help
+        if self.kind == "bool":
+            return click.Option(names, is_flag=True, default=None, help=help_)
+        ends = re.search(r"(\d+) to (\d+)", self.form)
+        whole = click.IntRange(int(ends[1]), int(ends[2])) if ends else click.IntRange(0)
+        return click.Option(
+            names,
+            metavar=form,
+            multiple=multiple,
+            required=required,
+            type=whole if self.kind.startswith("int") else None,
+            help=help_ + " May be repeated." * multiple,
+        )
+
+
+def function(target: str) -> tuple[str, list[Parameter]]:
+    """Return what the docstring of "module:name" says, and its parameters."""
+    module, _, name = target.partition(":")
+    near, far = stubs(module), stubs(GIVEN.partition(":")[0])
+    said: dict[str, tuple[str, str]] = {}
+    for each in (*reversed(near.values()), *far.values(), near[name]):
+        said |= _documented(each)[1]  # what one does not explain, another one does
+    parameters = inspect.signature(near[name]).parameters.values()
+    known = [Parameter(each, *said.get(each.name, ("", ""))) for each in parameters]
+    return _documented(near[name])[0], known
+
+
+@cache
+def stubs(module: str) -> dict[str, Any]:
+    """Return the functions and dataclasses of a module without their code, and so without delay."""
+    path = PACKAGE.joinpath(*module.split(".")).with_suffix(".py")
+    nodes: dict[str, ast.FunctionDef | ast.ClassDef] = {}
+    for node in ast.parse(path.read_text("utf-8")).body:
+        if isinstance(node, ast.FunctionDef):
+            nodes[node.name], node.body = node, node.body[:1]
+        elif isinstance(node, ast.ClassDef):
+            nodes[node.name] = node
+            node.body = [each for each in node.body if isinstance(each, ast.Expr | ast.AnnAssign)]
+    tree, names = ast.Module([*nodes.values()], []), {"dataclass": dataclass}
+    exec(compile(tree, str(path), "exec"), names)
+    return {name: names[name] for name in nodes}
+
+
+def _documented(section: object) -> tuple[str, dict[str, tuple[str, str]]]:
+    """Return a docstring's text, and type and text of each parameter."""
+    head, *sections = re.split(r"\n\n(?=Parameters\n-|Keys\n-)", inspect.getdoc(section) or "")
+    rest = next((each for each in sections if each.startswith("Parameters")), "\n\n")
+    said: dict[str, tuple[str, str]] = {}
+    for block in re.split(r"\n(?=\S)", rest.split("\n", 2)[2]):
+        form, _, below = block.partition("\n")
+        names, _, kind = form.partition(" : ")
+        said |= dict.fromkeys(names.split(", "), (kind, " ".join(below.split())))
+    return head, said
+
+
+class Command(click.Command):
+    """A command whose options stand in sections: its own, those of the model, those of all."""
+
+    shared: Sequence[str] = ()
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the sections."""
+        sections: dict[str, list[tuple[str, str]]] = {"Options": [], "Model": [], "Output": []}
+        for each in self.get_params(ctx):
+            record = each.get_help_record(ctx)
+            if record is None or isinstance(each, click.Argument):
+                continue
+            last = bool({"--json", "--markdown", "--help"} & {*each.opts})
+            title = "Output" if last else "Model" if each.name in self.shared else "Options"
+            sections[title].append(record)
+        for title, records in sections.items():
+            if records:
+                with formatter.section(title):
+                    formatter.write_dl(records)
+
+
+def command(name: str, target: str, shared: Sequence[str], epilog: str) -> click.Command:
+    """Return the command that calls the function "module:name" of this package.
+
+    `shared` are the parameters of `Given` that it has as options; `epilog` stands below these.
+    """
+    text, own = function(target)
+    said, *examples = re.split(r"\s*^Example: ", text, flags=re.M)
+    named = {each.name for each in own}
+    asked = [each for each in function(GIVEN)[1] if each.name in {*shared} - named]
+    params: list[click.Parameter]
+    params = [click.Argument(["model"]) if p.name == "given" else p.click() for p in own]
+    params += [each.click() for each in asked]
+    for form, what in (("json", "one JSON object"), ("markdown", "Markdown")):
+        option = [f"--{form}", f"as_{form}"]
+        params.append(click.Option(option, is_flag=True, help=f"Print {what}."))
+
+    def work(*, as_json: bool, as_markdown: bool, **options: Any) -> int:
+        try:
+            with aside():  # a module of the user's may print: the result is printed below
+                report = _report(target, own, [each.name for each in asked], options)
+        except click.exceptions.Exit as end:  # not of --help, but of code that was called
+            sys.exit(end.exit_code)
+        show = import_module("exact_mdp.analysis.cli.render").show
+        show(report, as_json=as_json, as_markdown=as_markdown)
+        return int(report.passed is False)
+
+    made = Command(
+        name,
+        params=params,
+        callback=work,
+        help="\n".join([said, "", "\b", "Example:", *examples]),
+        short_help=text.partition("\n")[0],
+        epilog=epilog,
+        context_settings={"help_option_names": HELP},
+    )
+    made.shared = [each.name for each in asked if each.name not in VARIED]
+    return made
+
+
+def _report(target: str, own: list[Parameter], asked: list[str], options: dict[str, Any]) -> Any:
+    """Call the function with what was typed, and return its report."""
+    module, _, name = target.partition(":")
+    call: Callable[..., Any] = getattr(import_module(f"exact_mdp.{module}"), name)
+    typed = {key: value for key, value in options.items() if value is not None and value != ()}
+    files = ((typed[p.name], p.endings) for p in own if p.endings and p.name in typed)
+    import_module("exact_mdp.analysis.cli.words").check_outputs(files)
+    words = {each.name: typed[each.name] for each in own if each.name in typed}
+    if any(each.name == "given" for each in own):
+        has = {*asked} | {each.name for each in own if each.kind.startswith("Policy")}
+        shared = {key: typed[key] for key in has if key in typed}
+        kind = import_module("exact_mdp.analysis.cli.given").Given
+        words["given"] = given = kind(model=options["model"], has=has, **shared)
+        if "policy" in has - {*asked} and given.taken is not None:
+            words["policy"] = given.taken
+    return call(**words)
 
 
 class Commands(click.Group):

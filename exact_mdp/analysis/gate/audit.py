@@ -13,8 +13,14 @@ import numpy as np
 
 from exact_mdp.analysis.gate.criteria import Total, Verdict, number
 from exact_mdp.analysis.gate.data.interval import RegretInterval
-from exact_mdp.analysis.gate.disagreements import Disagreement, Findings, either
-from exact_mdp.analysis.gate.reasons import QError, Representation, q_error
+from exact_mdp.analysis.gate.reasons import (
+    Disagreement,
+    Findings,
+    QError,
+    Representation,
+    either,
+    q_error,
+)
 from exact_mdp.analysis.gate.regret import Regret, ends
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP

@@ -25,8 +25,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from exact_mdp.analysis.gate.disagreements import Findings, findings, listed
 from exact_mdp.analysis.gate.forgiveness import per_use, rounded
+from exact_mdp.analysis.gate.reasons import Findings, findings, listed
 from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap, policy_regret, proven, tied
 from exact_mdp.analysis.gate.waiting import taking
 from exact_mdp.analysis.optimum import sound
