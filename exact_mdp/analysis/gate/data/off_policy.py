@@ -102,7 +102,12 @@ class OffPolicy:
         robust = Robust(rewards=self.rewards, returns=self.returns)
         sets = RowSets.of(mdp, doubt / 2, self.rewards)
         bounds = robust.bounds(mdp, sets, chain, horizon)
-        behaviour = self._behaviour(mdp)
+        seen = observations_of(mdp).astype(np.float64)
+        if self.behaviour is not None:
+            behaviour = PolicyChain.of(mdp, self.behaviour, kind="policy").weights
+        else:
+            total = np.add.reduceat(seen, mdp.pair_offsets[:-1])[mdp.pair_state]
+            behaviour = np.divide(seen, total, out=np.ones_like(seen), where=total > 0)
         own = chain.weights[None] if horizon is None else by_time(mdp, chain.weights, horizon)
         if (never := ((own > 0) & (behaviour <= 0)).any(axis=0)).any():
             raise ModelError(
@@ -113,7 +118,7 @@ class OffPolicy:
                 "probabilities",
             )
         ratio = np.divide(own, behaviour, out=np.zeros_like(own), where=behaviour > 0)
-        if (refuted := (behaviour <= 0) & (observations_of(mdp) > 0)).any():
+        if (refuted := (behaviour <= 0) & (seen > 0)).any():
             raise ModelError(
                 "the behaviour never does what was recorded",
                 where=mdp.where(int(np.flatnonzero(refuted)[0])),
@@ -122,9 +127,9 @@ class OffPolicy:
         record = transitions.Record(self.records, self.columns)
         w, returns, steps, cut, ended = _trajectories(mdp, ratio, record, horizon)
         lowest, highest = bounds.range
-        whole = returns[~cut]
-        if len(whole) and not lowest <= whole.min() <= whole.max() <= highest:
-            low, high = of_sense(mdp, (whole.min(), whole.max()))
+        ends = returns[~cut]
+        if len(ends) and not lowest <= ends.min() <= ends.max() <= highest:
+            low, high = of_sense(mdp, (ends.min(), ends.max()))
             raise ModelError(
                 f"returns from {low:g} to {high:g} were recorded",
                 where="returns",
@@ -136,7 +141,7 @@ class OffPolicy:
         low = min(lowest + mean_at_least(w * above, doubt / 4), highest)
         high = max(highest - mean_at_least(w * below, doubt / 4), lowest)
         best = bounds.at_start(mdp.maximised, bounds.best)
-        terms, total = w * returns, float(w.sum())
+        terms, whole = w * returns, float(w.sum())
         drawn = bootstrap(w, returns, float(confidence), bounds.range, draws, seed)
         return RegretInterval(
             low=max(best[0] - high, 0.0),
@@ -153,26 +158,18 @@ class OffPolicy:
             found={
                 "optimal_value": bounds.at_start(mdp, bounds.best),
                 "learned_value": of_sense(mdp, (low, high)),
-                "weighted": mdp.sign * float(terms.sum()) / total if total > 0 else float("nan"),
+                "weighted": mdp.sign * float(terms.sum()) / whole if whole > 0 else float("nan"),
                 "bootstrap": of_sense(mdp, drawn),
                 "draws": draws,
                 "seed": seed,
                 "ordinary": mdp.sign * float(terms.mean()),
                 "standard_error": mean_of(terms).standard_error,
-                "effective_sample_size": total**2 / float(w @ w) if total > 0 else 0.0,
+                "effective_sample_size": whole**2 / float(w @ w) if whole > 0 else 0.0,
                 "episodes": len(w),
                 "cut_off": int(cut.sum()),
                 "taken_for_ended": ended,
             },
         )
-
-    def _behaviour(self, mdp: MDP) -> Floats:
-        """Return (L,) the probabilities of the behaviour."""
-        if self.behaviour is not None:
-            return PolicyChain.of(mdp, self.behaviour, kind="policy").weights
-        seen = observations_of(mdp).astype(np.float64)
-        total = np.add.reduceat(seen, mdp.pair_offsets[:-1])[mdp.pair_state]
-        return np.divide(seen, total, out=np.ones_like(seen), where=total > 0)
 
 
 def _trajectories(

@@ -50,9 +50,7 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 IMPROVEMENTS = 50
 SWEEPS = 1000
 SMALL = 1e-10  # of the range: steps not worth another one; bounds hold wherever the search ends
-Sides = tuple[Floats, Floats]  # bounds (S,) from below and from above
-
-
+Sides = Floats  # (2, S) bounds from below and from above
 Operator = Callable[[Floats], Step]
 
 
@@ -190,61 +188,49 @@ class RobustBounds:
 
 
 def robust_bounds(sets: RowSets, own: Floats, returns: Ends | None = None) -> RobustBounds:
-    """Return the bounds for a policy (L,), with total rewards within `returns`; (N, L) by time."""
-    if own.ndim == 2:
-        return _by_stage(sets, own)
-    ends = _range(sets) if returns is None else returns
-    at = Operators(sets=sets, own=own, ends=ends)
-    mine, best = (
-        (at.settled(at.worth(0, mixing), 0), at.settled(at.worth(1, mixing), 1))
-        for mixing in (at.mixing, None)
+    """Return the bounds for a policy (L,), with total rewards within `returns`.
+
+    With a policy (N, L) by time, of episodes of N steps; nature may choose other rows at each time.
+    """
+    if own.ndim == 1:
+        ends = _totals(sets) if returns is None else returns
+        return _around(Operators(sets=sets, own=own, ends=ends))
+    later = (np.zeros((2, sets.mdp.n_states)),) * 3
+    for steps in tqdm.trange(1, len(own) + 1, desc="stages", disable=None, delay=2):
+        bounds = _around(Operators(sets=sets, own=own[-steps], ends=_totals(sets, steps)), *later)
+        later = bounds.own, bounds.best, bounds.lost
+    return bounds
+
+
+def _around(
+    at: Operators, own: Sides | None = None, best: Sides | None = None, lost: Sides | None = None
+) -> RobustBounds:
+    """Return the bounds before a step that these follow; unless given, it comes for ever."""
+    mine, top = (
+        np.array([at.settled(at.worth(most, mixing), most, then) for most in (0, 1)])
+        for mixing, then in ((at.mixing, own), (None, best))
     )
-    advantages = at.advantages(*mine)
-    lost = []
+    low, high = mine if own is None else own
+    advantages, ahead, regret = at.advantages(low, high), top if best is None else best, []
     for most in (0, 1):
-        apart = np.maximum(best[most] - mine[1 - most], 0.0)
-        gaining = at.gaining(most, advantages[most], best[most], mine[1 - most])
-        lost.append(at.settled(gaining, most, apart))
-    return RobustBounds(sets=sets, range=ends, own=mine, best=best, lost=(lost[0], lost[1]))
+        apart = np.maximum(top[most] - mine[1 - most], 0.0)
+        gaining = at.gaining(most, advantages[most], ahead[most], mine[1 - most])
+        regret.append(at.settled(gaining, most, lost, apart))
+    return RobustBounds(sets=at.sets, range=at.ends, own=mine, best=top, lost=np.array(regret))
 
 
-def _by_stage(sets: RowSets, own: Floats) -> RobustBounds:
-    """Return the bounds of episodes of N steps; nature may choose other rows at each time."""
-    zero = np.zeros(sets.mdp.n_states)
-    mine = best = lost = (zero, zero)
-    for time in tqdm.trange(len(own) - 1, -1, -1, desc="stages", disable=None, delay=2):
-        ends = _totals(sets, len(own) - time)
-        at = Operators(sets=sets, own=own[time], ends=ends)
-        advantages, later = at.advantages(*mine), best
-        rounding = [4 * UNIT * sets.mdp.n_actions * sign for sign in (-1, 1)]
-        value = [at.worth(most, at.mixing)(mine[most]).bound for most in (0, 1)]
-        value = [v + off * np.abs(v) for v, off in zip(value, rounding, strict=True)]
-        mine = value[0], value[1]
-        best = at.worth(0)(best[0]).bound, at.worth(1)(best[1]).bound
-        gain = []
-        for most, better in ((0, np.maximum), (1, np.minimum)):
-            step = at.gaining(most, advantages[most], later[most], mine[1 - most])
-            gain.append(better(step(lost[most]).bound, best[most] - mine[1 - most]))
-        lost = np.maximum(gain[0], 0.0), np.maximum(gain[1], 0.0)
-    return RobustBounds(sets=sets, range=_totals(sets, len(own)), own=mine, best=best, lost=lost)
-
-
-def _range(sets: RowSets) -> Ends:
-    lost = 1 - sets.mdp.discount_exact
-    if not lost:
+def _totals(sets: RowSets, steps: int | None = None) -> Ends:
+    """Return where the total of some steps lies, or of all, in every model of the sets."""
+    (low, high), rest = sets.of_a_step, 1 - sets.mdp.discount_exact
+    if steps is None and not rest:
         raise ModelError(
             "at discount 1 the records alone do not say how long an episode may go on",
             where="returns",
             fix="state where total rewards lie: returns=(low, high), --evidence "
             "returns=LOW,HIGH; or choose a discount below 1",
         )
-    low, high = sets.of_a_step
-    return low / float(lost) * SLACK, high / float(lost) * SLACK
-
-
-def _totals(sets: RowSets, steps: int) -> Ends:
-    """Return where the total of some steps lies, in every model of the sets."""
-    low, high = sets.of_a_step
+    if steps is None:
+        return low / float(rest) * SLACK, high / float(rest) * SLACK
     weight = float(np.cumsum(sets.mdp.discount ** np.arange(steps))[-1]) * SLACK
     return low * weight * SLACK, high * weight * SLACK
 
@@ -266,7 +252,9 @@ class Operators:
     def worth(self, most: int, mixing: sp.csr_array | None = None) -> Operator:
         """Return the operator of V^π, with its `mixing`, or of V*; from below or above."""
         rows = partial(self.sets.worth, most=bool(most))
-        return partial(self._step, rows, mixing, self.ends[most])
+        # A policy's mixture is a sum of products, each of them rounded, as is the sum.
+        off = 0.0 if mixing is None else (4 if most else -4) * UNIT * self.sets.mdp.n_actions
+        return partial(self._step, rows, mixing, self.ends[most], off)
 
     def gaining(self, most: int, advantage: Floats, best: Floats, own: Floats) -> Operator:
         """Return the operator of D: no action gains more than with a model for each side.
@@ -288,14 +276,15 @@ class Operators:
 
             return Step(bound, piece)
 
-        return partial(self._step, rows, None, (self.ends[1] - self.ends[0]) * most)
+        return partial(self._step, rows, None, (self.ends[1] - self.ends[0]) * most, 0.0)
 
     def _step(
-        self, rows: Operator, mixing: sp.csr_array | None, gain: float, value: Floats
+        self, rows: Operator, mixing: sp.csr_array | None, gain: float, off: float, value: Floats
     ) -> Step:
         """Return what the policy, or the best pair, makes of states; `gain` where nobody knows."""
         unknown, pairs = self.sets.unknown, rows(value)
         mixing = self._best(pairs.bound) if mixing is None else mixing
+        bound = mixing @ pairs.bound + off * (mixing @ np.abs(pairs.bound))
 
         def piece() -> tuple[sp.csr_array, Floats]:
             laws, constant = pairs.piece()
@@ -304,7 +293,7 @@ class Operators:
                 mixed = sp.csr_array(mixed.multiply((~unknown).astype(np.float64)[:, None]))
             return mixed, np.where(unknown, gain, mixing @ constant)
 
-        return Step(np.where(unknown, gain, mixing @ pairs.bound), piece)
+        return Step(np.where(unknown, gain, bound), piece)
 
     def _best(self, gain: Floats) -> sp.csr_array:
         """Return (S, L) the choice of the best pair of each state."""
@@ -333,12 +322,18 @@ class Operators:
             advantages.append(np.where(own == 1, 0.0, (1 - own) * mine - rest + sign * coupled))
         return advantages[0], advantages[1]
 
-    def settled(self, step: Operator, side: int, first: Floats | None = None) -> Floats:
-        """Return (S,) bounds of an operator's fixed point: from below at side 0, above at 1.
+    def settled(
+        self, step: Operator, side: int, then: Sides | None, first: Floats | None = None
+    ) -> Floats:
+        """Return (S,) bounds of an operator's fixed point, or of a step: from below at side 0.
 
-        `first` (S,) are such bounds, unless given the ends of the range, and 0 where all is over.
+        `first` (S,) are such bounds, unless given the ends of the range, and 0 where all is over;
+        `then` are those of what follows the step.
         """
         sign, take = (1, np.minimum) if side else (-1, np.maximum)
+        if then is not None:
+            value = step(then[side]).bound
+            return value if first is None else take(value, first)
         known = np.where(over(self.sets.mdp), 0.0, self.ends[side]) if first is None else first
         mdp = self.sets.mdp
         left, scale = float(1 - mdp.discount_exact), SMALL * (self.ends[1] - self.ends[0])

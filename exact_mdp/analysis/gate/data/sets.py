@@ -80,24 +80,18 @@ class RowSets:
             )
         known = isinstance(rewards, str)
         if known and rewards != KNOWN:
-            raise ModelError(
-                f"rewards are {rewards!r}", where="rewards", fix="give 'known', or (low, high)"
-            )
-        stated = None if known else range_of(rewards, "rewards")
-        if stated is not None:
-            if not stated[0] <= ends[0] <= ends[1] <= stated[1]:
-                raise ModelError(
-                    f"rewards from {ends[0]:g} to {ends[1]:g} were seen",
-                    where="rewards",
-                    fix="state a range that holds them",
-                )
-            ends = stated
+            fix = "give 'known', or (low, high)"
+            raise ModelError(f"rewards are {rewards!r}", where="rewards", fix=fix)
+        low, high = ends if known else range_of(rewards, "rewards") or ends
+        if not low <= ends[0] <= ends[1] <= high:
+            what = f"rewards from {ends[0]:g} to {ends[1]:g} were seen"
+            raise ModelError(what, where="rewards", fix="state a range that holds them")
         return cls(
             mdp=mdp.maximised,
             counted=seen,
             doubt=doubt,
             known=known,
-            rewards=of_sense(mdp, ends),
+            rewards=of_sense(mdp, (low, high)),
             episodes=mdp.episodes,
         )
 
@@ -141,13 +135,12 @@ class RowSets:
             size = 2 * UNIT * float(weights @ np.abs(value))
             rounding = (np.count_nonzero(weights) + 2) * size
             return float(weights @ value + (rounding if most else -rounding))
-        seen = np.flatnonzero(weights)
-        p, n = np.append(weights[seen] / weights[seen].sum(), 0.0), len(seen) + 1
+        seen, first = np.flatnonzero(weights), np.array([0])
+        p, n = weights[seen] / weights[seen].sum(), len(seen) + 1
         states = np.append(seen, self.mdp.n_states)  # the last one: any other state
-        first = np.array([0])
-        block = side_by_side(first, (first, np.array([n])), (states, p, np.zeros(n)))
-        episodes = np.array([self.episodes])
-        radius = _radius(p[:-1], 0 * seen, episodes, self.mdp.n_states, self.share)
+        outcomes = states, np.append(p, 0.0), np.zeros(n)
+        block = side_by_side(first, (first, np.array([n])), outcomes)
+        radius = _radius(p, 0 * seen, np.array([self.episodes]), self.mdp.n_states, self.share)
         values = np.append(value, value.max() if most else value.min())
         worst = inner(Likelihood(radius=radius), block, values, discount=1.0, against=not most)
         return float(worst.high[0] if most else worst.low[0])
@@ -258,11 +251,8 @@ def _radius(p: Floats, row: Integers, n: Floats, states: int, doubt: float) -> F
 def _highest(mean: Floats, edge: Floats) -> Floats:
     """Return (U,) no less than the greatest μ with kl(mean, μ) ≤ edge, kl that of two coins."""
     low, high = mean.copy(), np.ones_like(mean)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        for _ in range(HALVINGS):
-            middle = (low + high) / 2
-            up = np.where(mean > 0, mean * np.log(mean / middle), 0.0)
-            down = np.where(mean < 1, (1 - mean) * np.log((1 - mean) / (1 - middle)), 0.0)
-            outside = up + down > edge
-            low, high = np.where(outside, low, middle), np.where(outside, middle, high)
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        apart = special.rel_entr(mean, middle) + special.rel_entr(1 - mean, 1 - middle)
+        low, high = np.where(apart > edge, [low, middle], [middle, high])
     return np.minimum(high * SLACK, 1.0)
