@@ -16,7 +16,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from textwrap import indent
 from typing import NamedTuple
 from xml.etree import ElementTree
 
@@ -101,12 +100,6 @@ def annotate(title: str, message: str) -> None:
     """Print an error annotation on standard error, which the page of a run shows at its top."""
     if running():
         print(f"::error title={_escaped(title, ',:')}::{_escaped(message)}", file=sys.stderr)
-
-
-def report_error(title: str, message: str) -> None:
-    """Report what kept a check from a verdict: an annotation, and a block in the summary."""
-    annotate(title, message)
-    summarise(f"## The check came to no verdict\n\n{indent(message, ' ' * 4)}")
 
 
 def summarise(markdown: str) -> None:

@@ -27,6 +27,12 @@ def run_record(
     `model` is the model as the user named it, `solver` the solver with its settings, `command` the
     words of the command line.
     """
+    root, commit = Path(__file__).resolve().parents[2], None
+    if (root / ".git").exists():  # the commit of a checkout, marked where it was changed
+        with suppress(OSError, subprocess.TimeoutExpired):
+            words = ["git", "-C", str(root), *COMMIT]
+            done = subprocess.run(words, capture_output=True, text=True, timeout=10)
+            commit = done.stdout.strip() or None
     versions = {"python": platform.python_version()}
     for name in PACKAGES:
         with suppress(PackageNotFoundError):
@@ -39,19 +45,6 @@ def run_record(
         "seed": seed,
         "versions": versions,
         "platform": f"{sys.platform} {platform.machine()}",
-        "commit": _commit(),
+        "commit": commit,
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
     }
-
-
-def _commit() -> str | None:
-    """Return the commit of the source, marked where it was changed; None outside a checkout."""
-    root = Path(__file__).resolve().parents[2]
-    if not (root / ".git").exists():
-        return None
-    words = ["git", "-C", str(root), *COMMIT]
-    try:
-        done = subprocess.run(words, capture_output=True, text=True, timeout=10)
-    except (OSError, subprocess.TimeoutExpired):
-        return None
-    return done.stdout.strip() or None

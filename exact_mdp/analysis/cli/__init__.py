@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
+from textwrap import indent
 
 import click
 from click.shell_completion import shell_complete
@@ -67,7 +68,8 @@ def _reporting(words: list[str]) -> Callable[[str], None] | None:
 
     def on_error(message: str) -> None:
         ci.write_error(junit, title, message)
+        ci.annotate(title, message)
         with suppress(ValueError, OSError):
-            ci.report_error(title, message)
+            ci.summarise(f"## The check came to no verdict\n\n{indent(message, ' ' * 4)}")
 
     return on_error

@@ -61,15 +61,14 @@ def pairs_of(texts: Sequence[str], option: str, form: str = "NAME=VALUE") -> dic
     return pairs
 
 
-def parts_of(text: str, _: str) -> Any:
-    """Return the parts of a text between commas; "known" as it is."""
+def _parts(text: str, _: str) -> Any:
     return text if text == "known" else tuple(each.strip() for each in text.split(","))
 
 
 READ: dict[str, Callable[[str, str], Any]] = {  # by the beginning of a field's type
     **dict.fromkeys(("int", "RNG"), whole_of),
     **dict.fromkeys(("float", "Schedule"), float_of),
-    **dict.fromkeys(("tuple", "Ends", "Given"), parts_of),
+    **dict.fromkeys(("tuple", "Ends", "Given"), _parts),
     "bool": lambda text, where: known(text, ("true", "false"), "truth value", where) == "true",
 }
 

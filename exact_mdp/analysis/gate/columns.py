@@ -284,7 +284,9 @@ class _Search:
         alone = -np.inf  # the greatest bound of a node of one policy
         words = {"desc": "policies", "unit": " nodes", "delay": 1, "disable": None, "leave": False}
         with tqdm.tqdm(**words) as bar:
-            while self.heap and self.nodes < limit and -self.heap[0][0] > self._enough:
+            while self.heap and self.nodes < limit:
+                if -self.heap[0][0] <= self.value + 4 * self.error + 1e-13 * abs(self.value):
+                    break
                 bound, _, node, row = heappop(self.heap)
                 if node[row].sum() == 1:
                     alone = max(alone, -bound)
@@ -295,11 +297,6 @@ class _Search:
                 self._expand(children)
                 bar.update(len(children))
         self.upper = min(self.upper, max(alone, *(-node[0] for node in self.heap[:1]), -np.inf))
-
-    @property
-    def _enough(self) -> float:
-        """What a bound must exceed for its node to be worth splitting."""
-        return self.value + 4 * self.error + 1e-13 * abs(self.value)
 
     def _expand(self, nodes: Flags) -> None:
         """Bound some nodes (N, K, A), keep each with the row that costs most, offer policies."""

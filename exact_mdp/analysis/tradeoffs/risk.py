@@ -128,28 +128,16 @@ def mean_cvar(
     >>> [str(number) for number in points.policies["bold"]]
     ['5', '0']
     """
-    mdp, share = mdp_of(model), share_of(level)
+    mdp, share, placed = mdp_of(model), share_of(level), dict[str, tuple[Fraction, Fraction]]()
     optima = [best_cvar(mdp, share, weight=weight) for weight in weights]
-    placed = {name: point_of(mdp, share, policy) for name, policy in (policies or {}).items()}
-    return MeanCVaR(
-        mdp=mdp,
-        level=share,
-        optima=tuple(sorted(optima, key=lambda each: each.weight)),
-        policies=placed,
-    )
-
-
-def point_of(mdp: MDP, level: Fraction, policy: PolicyLike) -> tuple[Fraction, Fraction]:
-    """Return the mean and the mean of the worst episodes of a policy."""
-    returns = return_distribution(mdp, policy, exact=True)
-    if returns.unending:
-        raise ModelError(
-            "a return of the policy may be infinite",
-            where="policy",
-            fix="give one that ends, or stop after N steps",
-        )
-    assert returns.exact is not None
-    sign = mdp.sign
-    both = sorted((sign * value, p) for value, p in zip(returns.values, returns.exact, strict=True))
-    mean = sum((value * p for value, p in both), Fraction(0))
-    return sign * mean, sign * tail_mean(both, level)
+    for name, policy in (policies or {}).items():
+        law = return_distribution(mdp, policy, exact=True)
+        if law.unending:
+            what, fix = "a return of the policy may be infinite", "give one that ends"
+            raise ModelError(what, where="policy", fix=f"{fix}, or stop after N steps")
+        assert law.exact is not None
+        both = sorted((mdp.sign * x, p) for x, p in zip(law.values, law.exact, strict=True))
+        mean = sum((value * p for value, p in both), Fraction(0))
+        placed[name] = mdp.sign * mean, mdp.sign * tail_mean(both, share)
+    optima.sort(key=lambda each: each.weight)
+    return MeanCVaR(mdp=mdp, level=share, optima=tuple(optima), policies=placed)
