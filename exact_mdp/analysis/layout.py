@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from math import prod
 from typing import Any, Literal
@@ -35,7 +35,7 @@ SPARSE = 4  # cells for each state of a map of tuples, at most
 ARROWS = "←↓→↑"
 COMPASS = (("left", "down", "right", "up"), ("west", "south", "east", "north"))
 INITIALS = ("ldru", "wsen")
-Columns = tuple[dict[str, Column], dict[str, Integers]]  # and (S,) values, -1 outside, by name
+Sides = dict[str, tuple[Column, Integers]]  # by name, with the value of each state, -1 outside
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,28 +77,29 @@ def arrange(
     columns of the state space, or parts of states that are tuples; those that neither names go
     down. `at` holds columns fixed, such as `trial=0`: other states are left out.
     """
-    columns, values = _columns(model)
+    sides = _columns(model)
     down, across = ([each] if isinstance(each, str) else each for each in (down, across))
     named = [*(down or ()), *(across or ()), *at]
     for name in named:
-        known(name, columns, "state column", "state space")
+        known(name, sides, "state column", "state space")
     inside = np.ones(model.n_states, dtype=bool)
     for name, value in at.items():
-        inside &= values[name] == columns[name].number(value)
-    rest = [name for name in columns if name not in named]
+        inside &= sides[name][1] == sides[name][0].number(value)
+    rest = [name for name in sides if name not in named]
     if shape is not None:
-        columns, values = _of(_grid(model.space, shape, named))
-    elif len(columns) < 2 or not model.space.regular:
+        sides = _of(_grid(model.space, shape, named))
+    elif len(sides) < 2 or not model.space.regular:
         return _listed(model)
-    elif len(rest) == 1 and columns[rest[0]].bits > 1 and not (down or across):
-        columns, values = _halves(columns[rest[0]], values[rest[0]])
-    labels = {name: [*map(column.label, range(column.size))] for name, column in columns.items()}
+    elif len(rest) == 1 and sides[rest[0]][0].bits > 1 and not (down or across):
+        sides = _halves(*sides[rest[0]])
+    labels = {name: [*map(own.label, range(own.size))] for name, (own, _) in sides.items()}
+    values = {name: own for name, (_, own) in sides.items()}
     heading = {} if shape is not None else _heading(model, values)
     for name, sign in heading.items():
         if sign < 0:  # its values fall in the direction of the arrow
             values[name] = np.where(values[name] < 0, -1, len(labels[name]) - 1 - values[name])
             labels[name].reverse()
-    rest = [name for name in columns if name not in named]
+    rest = [name for name in sides if name not in named]
     if heading.keys() <= {*rest}:
         rest = [*(name for name in rest if name not in heading), *heading]
     across = rest[-1:] if across is None else across
@@ -114,29 +115,24 @@ def arrange(
     return Layout(
         row=row,
         column=column,
-        rows=_labels(labels[name] for name in below),
-        columns=_labels(labels[name] for name in across),
+        rows=tuple(map(", ".join, product(*(labels[name] for name in below)))),
+        columns=tuple(map(", ".join, product(*(labels[name] for name in across)))),
         down=", ".join(below) or "-",
         across=", ".join(across) or "-",
         signs=_signs(model, *last),
     )
 
 
-def _labels(sides: Iterable[Sequence[str]]) -> tuple[str, ...]:
-    return tuple(map(", ".join, product(*sides)))
-
-
-def _columns(model: MDP) -> Columns:
-    """Return the columns of states and (S,) values of each, -1 outside; of tuples, their parts.
+def _columns(model: MDP) -> Sides:
+    """Return the columns of states; of tuples, their parts.
 
     Tuples have parts where all are of one length, other states are ends, and few cells are empty.
     """
-    space = model.space
+    space, sides = model.space, Sides()
     objects = space.columns[0].objects if len(space.columns) == 1 else ()
     inside = np.array([isinstance(each, tuple) for each in objects], dtype=bool)
     tuples: list[Any] = [each for each in objects if isinstance(each, tuple)]
     width = len(tuples[0]) if len(objects) == space.size and tuples else 0
-    parts, values = dict[str, Column](), dict[str, Integers]()
     if width > 1 and {*map(len, tuples)} == {width} and model.terminal[~inside].all():
         fields = getattr(tuples[0], "_fields", None) or [f"state[{k}]" for k in range(width)]
         for name, own in zip(fields, zip(*tuples, strict=True), strict=True):
@@ -145,49 +141,43 @@ def _columns(model: MDP) -> Columns:
                 distinct = sorted(distinct)
             texts = [(text_of(value), repr(value)) for value in distinct]
             words = tuple(a if a.strip() and a.isprintable() else b for a, b in texts)
-            parts[name] = Column(name=name, size=len(words), words=words, objects=tuple(distinct))
-            values[name] = np.full(space.size, -1)
+            part = Column(name=name, size=len(words), words=words, objects=tuple(distinct))
+            sides[name] = part, np.full(space.size, -1)
             place = {value: number for number, value in enumerate(distinct)}
-            values[name][inside] = [place[value] for value in own]
-    few = 0 < prod(each.size for each in parts.values()) <= SPARSE * len(tuples)
-    return (parts, values) if few else _of(space)
+            sides[name][1][inside] = [place[value] for value in own]
+    few = 0 < prod(each.size for each, _ in sides.values()) <= SPARSE * len(tuples)
+    return sides if few else _of(space)
 
 
-def _of(space: StateSpace) -> Columns:
-    return {each.name: each for each in space.columns}, {n: space.values(n) for n in space.names}
+def _of(space: StateSpace) -> Sides:
+    return {each.name: (each, space.values(each.name)) for each in space.columns}
 
 
-def _halves(column: Column, value: Integers) -> Columns:
+def _halves(column: Column, value: Integers) -> Sides:
     """Return the first and the last digits of a column as two."""
     low = column.bits // 2
-    sides = (
-        (f"{column.name}: first digits", column.bits - low),
-        (f"{column.name}: last digits", low),
-    )
-    columns = {name: Column(name=name, size=2**bits, bits=bits) for name, bits in sides}
-    return columns, dict(zip(columns, (value >> low, value & (2**low - 1)), strict=True))
+    high = column.bits - low
+    first = Column(name=f"{column.name}: first digits", size=2**high, bits=high)
+    last = Column(name=f"{column.name}: last digits", size=2**low, bits=low)
+    return {first.name: (first, value >> low), last.name: (last, value & (2**low - 1))}
 
 
 def _grid(space: StateSpace, shape: tuple[int, int], named: Sequence[str]) -> StateSpace:
     """Return the space of the rows and columns that numbered states fill row by row."""
+    what, fix = "", ""
     if named:
+        what = "a shape and columns of a map"
         fix = "leave out shape, or down, across and the columns held fixed"
-        raise ModelError("a shape and columns of a map", where="shape", fix=fix)
-    if any(column.objects for column in space.columns):
-        raise ModelError(
-            "states are numbered as they were found, not row by row",
-            where="shape",
-            fix="leave it out; states that are tuples, such as (row, column), are placed by these",
-        )
-    if prod(shape) != space.regular or min(shape) < 1:
-        raise ModelError(
-            f"{shape[0]} rows of {shape[1]} states are not {space.regular} states",
-            where="shape",
-            fix="give (rows, columns) with rows × columns the number of states",
-        )
+    elif any(column.objects for column in space.columns):
+        what = "states are numbered as they were found, not row by row"
+        fix = "leave it out; states that are tuples, such as (row, column), are placed by these"
+    elif prod(shape) != space.regular or min(shape) < 1:
+        what = f"{shape[0]} rows of {shape[1]} states are not {space.regular} states"
+        fix = "give (rows, columns) with rows × columns the number of states"
+    if what:
+        raise ModelError(what, where="shape", fix=fix)
     sides = zip(("row", "column"), shape, strict=True)
-    columns = tuple(Column(name=name, size=size) for name, size in sides)
-    return StateSpace(columns=columns, extra=space.extra)
+    return replace(space, columns=tuple(Column(name=name, size=size) for name, size in sides))
 
 
 def _heading(model: MDP, values: Mapping[str, Integers]) -> dict[str, float]:
@@ -240,10 +230,9 @@ def _signs(model: MDP, row: Integers, column: Integers) -> tuple[str, ...]:
     ways = {"←": (-right, down), "↓": (down, right), "→": (right, down), "↑": (-down, right)}
     signs = symbols(model.actions)
     for number, sign in enumerate(signs):
-        if sign in ways:
-            ahead, aside = (float(each[number]) for each in ways[sign])
-            if (ahead or aside) and ahead <= abs(aside):
-                signs[number] = model.actions[number]
+        ahead, aside = (float(each[number]) for each in ways.get(sign, (right, down)))
+        if sign in ways and (ahead or aside) and ahead <= abs(aside):
+            signs[number] = model.actions[number]
     return tuple(signs)
 
 
