@@ -34,8 +34,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Shown, Table, cell
 from exact_mdp.mdp.table import Floats, Numbers, common, integers
 from exact_mdp.solvers.bounds.gains import SLACK
-from exact_mdp.solvers.endless.chain import ExactChain, expansion
-from exact_mdp.solvers.exact.levels import Level, surplus
+from exact_mdp.solvers.endless.chain import ExactChain
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution, Limit, solve_under
 from exact_mdp.solvers.solution import Bounded, Certified, regret
 from exact_mdp.solvers.solver import solve
@@ -167,16 +166,11 @@ class Average(Total):
         """
         chain = self._undiscounted
         step, best = chain.mdp, proven(self.chain.mdp.maximised, "average")
-        own = self._exactly
-        gain, bias, second = expansion(own, own.reward)
-        levels = [Level.of(each.tolist()) for each in (gain, bias, second)]
-        if any(any(tops) for tops, _ in surplus(own.rows, *levels)):
-            raise RuntimeError("the exact gain of a policy does not solve its equations")
-        learned = sum((p * gain[state] for state, p in step.start), Fraction(0))
+        own, mine = self._exactly, proven(chain.model, "average")
         lost, short = best.losses
         gap = np.where(own.classes.recurrent[step.pair_state], lost + short, lost)
         optimal = np.asarray(gap == 0, dtype=bool)
-        gap, whole = gap.astype(np.float64), best.start_value - learned
+        gap, whole = gap.astype(np.float64), best.start_value - mine.start_value
         movable: Callable[[], Fraction] = Fraction
         if step.floats:
             # The rounding of a row, and of the best one, can cause the whole gap.
@@ -184,16 +178,16 @@ class Average(Total):
             near = gap * SLACK <= most + most[best.pairs][step.pair_state]
             ideal = taking(step, best.pairs)
             moved = _movable(ideal, ExactChain(ideal.rows()), best.value, best.bias)
-            moved += _movable(chain, own, gain, bias)
+            moved += _movable(chain, own, mine.value, mine.bias)
             movable = partial(Fraction, moved * SLACK)
             optimal = tied(chain, optimal, near, whole, movable)
         return Regret(
             optimal=best.start,
-            learned=Certified(value=learned),
+            learned=mine.start,
             at_start=Certified(value=whole),
             optimal_value=best.value_float,
-            learned_value=gain.astype(np.float64),
-            by_state=(best.value - gain).astype(np.float64),
+            learned_value=mine.value_float,
+            by_state=(best.value - mine.value).astype(np.float64),
             optimal_pairs=optimal,
             gap=np.where(optimal, 0.0, gap),
             movable=movable,
