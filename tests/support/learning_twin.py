@@ -40,41 +40,32 @@ class Stream:
 
 @dataclass
 class Twin:
-    """A learner with dictionaries; rows and actions as the settings name them."""
+    """A learner with dictionaries, by the settings of another one."""
 
     tables: Any  # the laid-out model
     actions: int
-    method: str
-    ties: str
-    discount: float
-    power: float
-    bootstrap_end: bool
-    initial: float
+    learner: Any
 
-    def run(
-        self,
-        words: Sequence[int],
-        epsilon: Sequence[float],
-        rate: Sequence[float],
-        episodes: int,
-        max_steps: int,
-        epochs: Collection[int],
-    ) -> None:
+    def run(self, words: Sequence[int], kept: Collection[int]) -> None:
         """Learn; keep the greedy policies after the episodes numbered in `kept`, from 1."""
+        own = self.learner
+        self.discount, self.power = float(own.discount), own.rate_power
+        self.initial: float = own.initial
+        rates = (each.values(own.epochs) for each in (own.exploration, own.rate))
         self.random = Stream(words)
         self.q: list[dict[int, float]] = [{}, {}]
-        self.double = self.method == "double-q-learning"
+        self.double = own.method == "double-q-learning"
         self.seen: Counter[int] = Counter()
         self.steps = self.cut = 0
         self.returns, self.policies, episode = [], {}, 0
-        for eps, alpha in zip(epsilon, rate, strict=True):
+        for eps, alpha in zip(*rates, strict=True):
             total = 0.0
-            for _ in range(episodes):
-                total = self.episode(eps, alpha, max_steps, total)
+            for _ in range(own.episodes):
+                total = self.episode(eps, alpha, own.max_steps, total)
                 episode += 1
-                if episode in epochs:
+                if episode in kept:
                     self.policies[episode] = self.greedy_policy()
-            self.returns.append(total / episodes)
+            self.returns.append(total / own.episodes)
 
     # ---- values and choices ------------------------------------------------------------------
 
@@ -92,9 +83,9 @@ class Twin:
 
     def best(self, values: Sequence[float]) -> int:
         ties = [i for i, value in enumerate(values) if value == max(values)]
-        if self.ties == "random" and len(ties) > 1:
+        if self.learner.ties == "random" and len(ties) > 1:
             return ties[int(self.random() * len(ties))]
-        return ties[-1] if self.ties == "last" else ties[0]
+        return ties[-1] if self.learner.ties == "last" else ties[0]
 
     def choose(self, state: int, eps: float) -> int:
         entries = self.entries(state)
@@ -108,9 +99,9 @@ class Twin:
         for row in range(len(self.tables.row_offsets) - 1):
             span = slice(*self.tables.row_offsets[row : row + 2])
             entries = [int(entry) for entry in self.tables.row_entry[span]]
-            values = [self.value(entry) for entry in entries]
-            ties = [i for i, value in enumerate(values) if value == max(values)]
-            policy.append(entries[ties[-1 if self.ties == "last" else 0]] - row * self.actions)
+            if self.learner.ties == "last":
+                entries.reverse()
+            policy.append(max(entries, key=self.value) - row * self.actions)
         return policy
 
     # ---- episodes ----------------------------------------------------------------------------
@@ -145,7 +136,7 @@ class Twin:
             table = int(self.double and self.random() < 0.5)
             over = self.tables.terminal[state]
             planned, ahead = None, 0.0
-            if self.bootstrap_end or not over:
+            if self.learner.bootstrap_end or not over:
                 ahead, planned = self.ahead(state, eps, table)
             self.seen[entry] += 1
             size = alpha if self.power == 0 else alpha * float(self.seen[entry]) ** -self.power
@@ -158,12 +149,12 @@ class Twin:
     def ahead(self, state: int, eps: float, table: int) -> tuple[float, int | None]:
         entries = self.entries(state)
         values = [self.value(entry) for entry in entries]
-        if self.method == "q-learning":
+        if self.learner.method == "q-learning":
             return max(values), None
-        if self.method == "sarsa":
+        if self.learner.method == "sarsa":
             planned = self.choose(state, eps)
             return values[planned], planned
-        if self.method == "expected-sarsa":
+        if self.learner.method == "expected-sarsa":
             mean = 0.0
             for value in values:
                 mean += value / len(values)

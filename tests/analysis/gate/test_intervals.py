@@ -342,8 +342,6 @@ def test_the_gate_passes_on_the_bound_and_never_on_the_estimate() -> None:
 
 # ---- the command ---------------------------------------------------------------------------------
 
-NAMES = ["episode", "state", "action", "reward", "next_state"]
-
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from made_models import under
+from model_contents import negated
 
 from exact_mdp import MDP, ModelError, best_cvar, certify, rationalize, solve, tradeoff
 from exact_mdp.analysis.cli.policies import KINDS
@@ -51,10 +52,6 @@ RICH = [*WALK[:5], (3, 1, [("1/2", 2, 4), ("1/2", 6, 0)]), *WALK[6:], (6, 0, [(1
 GOAL = {"goal": [state == 2 for state in range(6)]}
 
 
-def negated(rows: Any) -> Any:
-    return [(s, a, [(p, t, -r) for p, t, r in outcomes]) for s, a, outcomes in rows]
-
-
 def of(rows: Any, **parts: Any) -> MDP:
     return MDP.from_outcomes(rows, **parts)
 
@@ -82,12 +79,9 @@ MODELS: dict[str, MDP] = {
     "a costly island": of(ISLANDS, sense="min", start=[0, 0, 0, 0, 1]),
     "rewards cancel": of(TURNS),
     "goal, rewards": of(WALK, labels=GOAL).until("goal"),
-    "goal, costs": of(
-        negated(WALK), labels=GOAL, sense="min", start=[0, 1, 0, 0, 0, 0]
-    ).until("goal"),
-    "goal, costs that fall": of(
-        negated(RICH), labels={"goal": [*GOAL["goal"], False]}, sense="min",
-        start=[0, 1, 0, 0, 0, 0, 0],
+    "goal, costs": negated(of(WALK, labels=GOAL, start=1)).until("goal"),
+    "goal, costs that fall": negated(
+        of(RICH, labels={"goal": [*GOAL["goal"], False]}, start=1)
     ).until("goal"),
     "reaching": of(LOOP, labels={"goal": [False, True, False]}).reaching("goal"),
     "within": of(LOOP).within(2),

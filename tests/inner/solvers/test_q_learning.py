@@ -25,25 +25,13 @@ OTHERS = {"skip_timestep": "own", "task_bonus": "no-subtask-skipped"}
 def compare_with_twin(mdp: MDP, learner: QLearning, seed: int) -> None:
     run = learner.train(mdp, seed)
     rows = rows_of(mdp, learner.columns)
-    twin = Twin(
-        tables=tables(mdp, rows),
-        actions=mdp.n_actions,
-        method=learner.method,
-        ties=learner.ties,
-        discount=float(learner.discount),
-        power=learner.rate_power,
-        bootstrap_end=learner.bootstrap_end,
-        initial=learner.initial,
-    )
+    twin = Twin(tables(mdp, rows), mdp.n_actions, learner)
     words = np.random.SeedSequence(seed).generate_state(4, np.uint64)
-    epsilon = learner.exploration.values(learner.epochs)
-    rate = learner.rate.values(learner.epochs)
     episodes = learner.epochs * learner.episodes
     at = learner.snapshot_episode
     snapshots = range(at, episodes + 1, learner.episodes) if at else range(0)
     last = range(max(1, episodes + 1 - learner.last), episodes + 1)
-    epochs = {*snapshots, *last}
-    twin.run(words.tolist(), epsilon, rate, learner.episodes, learner.max_steps, epochs)
+    twin.run(words.tolist(), {*snapshots, *last})
     assert np.array_equal(run.q, twin.table(rows.space.size))
     assert (run.steps, run.cut_short) == (twin.steps, twin.cut)
     assert run.returns.tolist() == twin.returns
