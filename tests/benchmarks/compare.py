@@ -16,17 +16,19 @@ import ctypes
 import gc
 import json
 import os
+import pickle
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
-from contenders import CONTENDERS, OURS, TOLERANCE
+from contenders import CONTENDERS, OURS, TOLERANCE, timed
 from numpy.typing import NDArray
 from workloads import FULL, QUICK, Workload, garnet
 
@@ -42,8 +44,8 @@ LINEAR_PROGRAMS = {"linear program": [lambda n=n: garnet(n, 0.95) for n in (100,
 
 def work(path: str, family: str, contender: str, repeats: int, values: str) -> None:
     """Solve a saved workload and print what it took as JSON."""
-    workload = Workload.load(Path(path))
-    run = CONTENDERS[family][contender](workload)
+    workload: Workload = pickle.loads(Path(path).read_bytes())
+    run = partial(timed, workload, *CONTENDERS[family][contender](workload))
     before = _at_rest()
     answers = [run()]
     slow, first = answers[0].seconds, _resident("VmHWM") - before
@@ -116,8 +118,8 @@ def measure(family: str, workload: Workload, rounds: int, folder: Path) -> Itera
     """Yield a row for each solver of a family on one model."""
     value, proven = reference(workload)
     allowed = TOLERANCE * max(1.0, float(np.abs(value).max()) * 1e-3) + proven
-    path = folder / "work.npz"
-    workload.save(path)
+    path = folder / "workload"
+    path.write_bytes(pickle.dumps(workload))
     contenders = dict(CONTENDERS[family])
     if workload.transition.nnz > MOST_FOR_LISTS:
         for name in ("mdpsolver MPI", "Storm, topological"):

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 from workloads import FULL, Workload
 
 TOLERANCE = 1e-6
@@ -31,18 +32,38 @@ class Answer:
     value: NDArray[np.float64]
     seconds: float
     solving: float
-    bound: float | None = None
-    note: str = ""
+    bound: float | None
+    note: str
 
 
-Contender = Callable[[Workload], Callable[[], Answer]]
-"""Prepares a workload, untimed, and returns what is to be timed."""
+Solved = tuple[Callable[[], Any], float | None, str]  # what reads the values, their bound, a note
+Steps = tuple[Callable[[csr_array], Any], Callable[[Any], Solved]]
+Contender = Callable[[Workload], Steps]
+"""Prepares a workload, untimed, and returns what takes over its rows, and what solves that."""
+
+
+def timed(
+    work: Workload, build: Callable[[csr_array], Any], solve: Callable[..., Solved]
+) -> Answer:
+    rows = work.fresh()
+    started = perf_counter()
+    model = build(rows)
+    built = perf_counter()
+    read, bound, note = solve(model)
+    ended = perf_counter()
+    return Answer(
+        value=np.asarray(read()),
+        seconds=ended - started,
+        solving=ended - built,
+        bound=bound,
+        note=note,
+    )
 
 
 def _ours(*, program: bool = False, threads: int | None = None) -> Contender:
     """Give our solver: the one that `solve` takes, or a linear program; on fewer cores if asked."""
 
-    def prepare(work: Workload) -> Callable[[], Answer]:
+    def prepare(work: Workload) -> Steps:
         from exact_mdp import LinearProgram, solve
 
         if threads is not None:
@@ -50,29 +71,18 @@ def _ours(*, program: bool = False, threads: int | None = None) -> Contender:
         # Without cycles one pass is as exact as floats allow, and has no tolerance to keep.
         tol = None if program or work.name.startswith("layered") else TOLERANCE
 
-        def run() -> Answer:
-            matrix = work.fresh()
-            started = perf_counter()
-            mdp = work.model(matrix)
-            built = perf_counter()
+        def run(mdp: Any) -> Solved:
             solution = solve(mdp, LinearProgram() if program else "auto", tol=tol)
-            bound = solution.error_bound
-            ended = perf_counter()
-            return Answer(
-                value=solution.value,
-                seconds=ended - started,
-                solving=ended - built,
-                bound=bound,
-                note="" if program else solution.method,
-            )
+            note = "" if program else solution.method
+            return lambda: solution.value, solution.error_bound, note
 
-        return run
+        return work.model, run
 
     return prepare
 
 
 def _quantecon(method: str, **options: Any) -> Contender:
-    def prepare(work: Workload) -> Callable[[], Answer]:
+    def prepare(work: Workload) -> Steps:
         from quantecon.markov import DiscreteDP
         from scipy.sparse import csr_matrix
 
@@ -81,26 +91,24 @@ def _quantecon(method: str, **options: Any) -> Contender:
         # Its policy iteration may go round among ties for ever.
         limit = 200 if method == "policy_iteration" else 10**6
 
-        def run() -> Answer:
-            rows = work.fresh()
-            started = perf_counter()
-            matrix = csr_matrix(rows)
+        def build(rows: csr_array) -> Any:
+            where = {"s_indices": work.state, "a_indices": work.action}
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                model = DiscreteDP(
-                    work.reward, matrix, work.discount, s_indices=work.state, a_indices=work.action
-                )
-                built = perf_counter()
-                solution = model.solve(method=method, epsilon=TOLERANCE, max_iter=limit, **options)
-            ended = perf_counter()
-            return Answer(value=solution.v, seconds=ended - started, solving=ended - built)
+                return DiscreteDP(work.reward, csr_matrix(rows), work.discount, **where)
 
-        return run
+        def run(model: Any) -> Solved:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                solution = model.solve(method=method, epsilon=TOLERANCE, max_iter=limit, **options)
+            return lambda: solution.v, None, ""
+
+        return build, run
 
     return prepare
 
 
-def _mdpsolver(work: Workload) -> Callable[[], Answer]:
+def _mdpsolver(work: Workload) -> Steps:
     import mdpsolver
 
     matrix, cuts = work.transition, np.append(work.first, len(work.reward))
@@ -116,22 +124,21 @@ def _mdpsolver(work: Workload) -> Callable[[], Answer]:
     chances = [[rows[l][0] for l in span] for span in spans]
     columns = [[rows[l][1] for l in span] for span in spans]
 
-    def run() -> Answer:
-        started = perf_counter()
+    def build(_: csr_array) -> Any:
         model = mdpsolver.model()
         model.mdp(
             discount=work.discount, rewards=rewards, tranMatProbs=chances, tranMatColumns=columns
         )
-        built = perf_counter()
+        return model
+
+    def run(model: Any) -> Solved:
         model.solve(tolerance=TOLERANCE)
-        ended = perf_counter()
-        value = np.array(model.getValueVector())
-        return Answer(value=value, seconds=ended - started, solving=ended - built)
+        return model.getValueVector, None, ""
 
-    return run
+    return build, run
 
 
-def _storm(work: Workload) -> Callable[[], Answer]:
+def _storm(work: Workload) -> Steps:
     """Discounting becomes a step to an end of its own, with probability 1 - γ."""
     import stormpy
 
@@ -173,36 +180,30 @@ def _storm(work: Workload) -> Callable[[], Answer]:
     solver.method = stormpy.environments.MinMaxMethod.TOPOLOGICAL
     solver.precision = stormpy.Rational(TOLERANCE)
 
-    def run() -> Answer:
-        started = perf_counter()
+    def run(_: Any) -> Solved:
         checked = stormpy.model_checking(model, formula, environment=environment)
-        seconds = perf_counter() - started
-        value = np.array(checked.get_value_vector())[:states]
-        return Answer(value=value, seconds=seconds, solving=seconds, note=ALONE)
+        return lambda: checked.get_value_vector()[:states], None, ALONE
 
-    return run
+    return lambda _: None, run
 
 
 def _highs(method: str) -> Contender:
-    def prepare(work: Workload) -> Callable[[], Answer]:
+    def prepare(work: Workload) -> Steps:
         from scipy.optimize import linprog
-        from scipy.sparse import csr_array
 
-        def run() -> Answer:
-            started = perf_counter()
+        def run(rows: csr_array) -> Solved:
             pairs = len(work.reward)
             one = csr_array((np.ones(pairs), (np.arange(pairs), work.state)))
             program = linprog(
                 np.full(work.states, 1 / work.states),
-                A_ub=work.discount * work.transition - one,
+                A_ub=work.discount * rows - one,
                 b_ub=-work.reward,
                 bounds=(None, None),
                 method=method,
             )
-            seconds = perf_counter() - started
-            return Answer(value=program.x, seconds=seconds, solving=seconds)
+            return lambda: program.x, None, ""
 
-        return run
+        return lambda rows: rows, run
 
     return prepare
 

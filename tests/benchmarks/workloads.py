@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -60,29 +59,6 @@ class Workload:
 
         rows = self.fresh() if transition is None else transition
         return MDP.from_pairs(self.state, self.action, rows, self.reward, discount=self.discount)
-
-    def save(self, path: Path) -> None:
-        matrix = self.transition
-        np.savez(
-            path, state=self.state, action=self.action, data=matrix.data, indices=matrix.indices,
-            indptr=matrix.indptr, reward=self.reward, discount=self.discount, size=self.size,
-            name=self.name, states=self.states,
-        )  # fmt: skip
-
-    @classmethod
-    def load(cls, path: Path) -> Workload:
-        with np.load(path) as file:
-            parts = dict(file)
-        shape = (len(parts["reward"]), int(parts["states"]))
-        return cls(
-            name=str(parts["name"]),
-            size=int(parts["size"]),
-            discount=float(parts["discount"]),
-            state=parts["state"],
-            action=parts["action"],
-            transition=csr_array((parts["data"], parts["indices"], parts["indptr"]), shape=shape),
-            reward=parts["reward"],
-        )
 
 
 def _workload(
