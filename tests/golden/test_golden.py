@@ -48,13 +48,6 @@ def test_a_long_answer_is_the_pinned_one(name: str, tmp_path: Path) -> None:
     agrees(name, CASES["slow"][name], tmp_path)
 
 
-@pytest.mark.parametrize("name", CASES["refused"])
-def test_what_is_wrong_is_refused(name: str, tmp_path: Path) -> None:
-    done = run(CASES["refused"][name], tmp_path)
-    assert (done.status, done.out) == (2, "")
-    assert done.err.strip()
-
-
 def test_bounds_and_samples_are_compared_as_closely_as_they_claim() -> None:
     def differ(claim: str, value: float, bound: float) -> bool:
         old: dict[str, Any] = {"claim": claim, "mean": 2.0, "error_bound": 1e-5}

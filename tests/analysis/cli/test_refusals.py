@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from cli_runner import run
+from cli_runner import ROOT, run
 from made_models import forest
 from refusal_tables import entries
 
@@ -20,6 +20,7 @@ LAND = MDP.from_outcomes(
 )
 SHORT = {
     "NINES": "9" * 5000,
+    " models/": f" {ROOT}/tests/golden/models/",
     " lake ": " gymnasium:FrozenLake-v1 --discount 0.9 ",
     " small": f" {SMALL}",
     " by ": " --confidence=.9 --by=off-policy --evidence=rewards=0,1 ",
@@ -74,6 +75,6 @@ def test_refused(line: str, said: str, folder: Path, monkeypatch: pytest.MonkeyP
     before = sorted(folder.iterdir())
     monkeypatch.chdir(folder)
     for short, whole in SHORT.items():
-        line = line.replace(short, whole, 1)
+        line = line.replace(short, whole)
     assert said in run(line).refusal()
     assert sorted(folder.iterdir()) == before
