@@ -29,7 +29,7 @@ def test_the_law_is_that_of_brute_force(case: Case) -> None:
     assume(case.ends)
     acyclic = is_acyclic(case)
     wanted, rest = brute_force(case, case.n_states if acyclic else CYCLIC_STEPS)
-    assume(rest < 0.3)  # unless the chain takes long to end
+    assume(rest < 0.05)  # else the chain takes long to end, and there are very many returns
     for widest in (8, 0):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("exact_mdp.solvers.values.return_mass.DENSE", widest)
