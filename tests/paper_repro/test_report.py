@@ -7,7 +7,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
+from cli_runner import ask
+from refusal_tables import entries
 
 from exact_mdp.paper_repro import run
 from exact_mdp.paper_repro.__main__ import main
@@ -21,10 +22,6 @@ ROOT = Path(__file__).parents[2]
 RESULTS = json.loads((run.HERE / "results.json").read_text("utf-8"))
 README = (run.HERE / "README.md").read_text("utf-8")
 STILL = [name for name, p in FIGURES.items() if "learning" not in p.code]
-
-
-def cli(*words: object) -> Result:
-    return CliRunner().invoke(main, [str(word) for word in words])
 
 
 # ---- the committed page --------------------------------------------------------------------------
@@ -77,7 +74,7 @@ def test_figures_of_learning_are_drawn(tmp_path: Path) -> None:
 
 
 def test_claims_are_listed_with_their_places() -> None:
-    *lines, figures = cli("list").stdout.splitlines()
+    *lines, figures = ask(main, "list").out.splitlines()
     assert figures.startswith("figures: ")
     assert "flow (Figure 2)" in figures
     for line, claim in zip(lines, CLAIMS.values(), strict=True):
@@ -87,36 +84,21 @@ def test_claims_are_listed_with_their_places() -> None:
 
 
 def test_one_claim_alone_and_under_another_reading() -> None:
-    done = cli("claim", "policy.0100")
-    assert done.exit_code == 0
-    assert "not reproduced" in done.stdout
-    assert "the same in all 17 with one change" in done.stdout
+    done = ask(main, "claim policy.0100")
+    assert done.status == 0
+    assert "not reproduced" in done.out
+    assert "the same in all 17 with one change" in done.out
     change = "readings.task_bonus=no-subtask-skipped"
     verdict = r"verdict: +depends on the reading; not reproduced under the default one"
-    assert re.search(verdict, cli("claim", "return.random").stdout)
-    assert re.search(r"verdict: +reproduced", cli("claim", "return.random", "--set", change).stdout)
-    few = cli("claim", "learning.superior", "--runs", 2, "--set", "training.ties=random").stdout
+    assert re.search(verdict, ask(main, "claim return.random").out)
+    assert re.search(r"verdict: +reproduced", ask(main, "claim return.random --set", change).out)
+    few = ask(main, "claim learning.superior --runs 2 --set training.ties=random").out
     assert "seen in 100 % of 4 runs" in few
 
 
-@pytest.mark.parametrize(
-    "words, says",
-    [
-        (["claim", "policy.010"], "policy.0100"),
-        (["claim", "Table 4"], "is a place, and no claim"),
-        (["claim", "Table 4"], "choose one of table4"),
-        (["claim", "return.random", "--set", "nothing=1"], "nothing"),
-        (["claim", "learning.similar", "--set", "training.rat=0.1"], "rate"),
-        (["figure", "flo"], "flow"),
-        (["--quick", "--readme", "x"], "full run"),
-        (["--out", "/dev/null/x", "--quick"], "cannot write"),
-    ],
-)
-def test_what_cannot_be_done_is_bad_input(words: list[str], says: str) -> None:
-    done = cli(*words)
-    assert (done.exit_code, done.stdout) == (2, ""), done.output
-    assert says in done.stderr
-    assert "fix:" in done.stderr
+@pytest.mark.parametrize(("line", "said"), entries(__file__))
+def test_what_cannot_be_done_is_bad_input(line: str, said: str) -> None:
+    assert said in ask(main, line).refusal()
 
 
 @pytest.mark.slow

@@ -1,36 +1,16 @@
 """Episodes that stop after N steps, against recursions that share nothing with the toolkit."""
 
 from pathlib import Path
-from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 from cli_runner import run, strict
+from oracle import by_table
 
 from exact_mdp import MDP, Policy, check, evaluate, fingerprint, load, save, solve
 
 LAKE = "FrozenLake-v1"
-
-
-def recursion(name: str, steps: int, choices: Any = None) -> tuple[Any, Any]:
-    """V_0 and the Q-table of every time (N, S, A), straight from the environment's P.
-
-    Of the best choices, or of those given.
-    """
-    table = gymnasium.make(name).unwrapped.P
-    value, tables = [0.0] * len(table), []
-    for _ in range(steps):
-        q = [
-            [
-                sum(p * (r + (0 if over else value[n])) for p, n, r, over in row)
-                for row in table[s].values()
-            ]
-            for s in table
-        ]
-        tables.append(q)
-        value = [max(row) if choices is None else row[choices[s]] for s, row in enumerate(q)]
-    return value, tables[::-1]
 
 
 @pytest.mark.parametrize(
@@ -41,15 +21,15 @@ def test_known_optima_within_the_registered_limit(name: str, steps: int, value: 
     assert mdp.time_limit == steps
     solution = solve(mdp, horizon=steps)
     assert solution.start_value == pytest.approx(value, abs=1e-7)
-    wanted, _ = recursion(name, steps)
+    wanted, _ = by_table(gymnasium.make(name).unwrapped.P, steps)
     assert abs(solution.start_value - wanted[0]) <= solution.start.error + 1e-13
     assert (solution.value.reshape(steps + 1, -1)[steps] == 0).all()
 
 
 def test_tables_over_states_and_over_times_are_both_policies() -> None:
     """(S, A) is the same at every time, (N, S, A) is not; arrays of choices likewise."""
-    mdp, steps = MDP.from_gymnasium(LAKE), 20
-    _, tables = recursion(LAKE, steps)
+    mdp, steps, table = MDP.from_gymnasium(LAKE), 20, gymnasium.make(LAKE).unwrapped.P
+    _, tables = by_table(table, steps)
     whole = np.array(tables)
     assert whole.shape == (steps, 16, 4)
     best = solve(mdp, horizon=steps).start_value
@@ -62,7 +42,7 @@ def test_tables_over_states_and_over_times_are_both_policies() -> None:
     assert audit.q_error is not None
     assert audit.q_error.largest < 1e-12
     first = choices[0]
-    wanted = recursion(LAKE, steps, first)[0][0]
+    wanted = by_table(table, steps, choices=first)[0][0]
     assert wanted < best - 1e-3
     for given in (
         first,

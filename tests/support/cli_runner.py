@@ -14,6 +14,8 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any, NoReturn
 
+from click.testing import CliRunner
+
 from exact_mdp import ModelError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -68,6 +70,12 @@ def run(line: str = "", *words: object) -> Done:
     with redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()) as err:
         status = main([*shlex.split(line), *map(str, words)])
     return Done(status=status, out=out.getvalue(), err=err.getvalue())
+
+
+def ask(program: Any, line: str = "", *words: object) -> Done:
+    """Run another program of the project in this process."""
+    answer = CliRunner().invoke(program, [*shlex.split(line), *map(str, words)])
+    return Done(status=answer.exit_code, out=answer.stdout, err=answer.stderr)
 
 
 def launch(line: str, *words: object, **environment: str) -> Done:

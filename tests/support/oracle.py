@@ -237,6 +237,27 @@ def rows_by_state(mdp: Any) -> list[list[Row]]:
     return [rows_of(mdp, mdp.pairs_of(state)) for state in range(mdp.n_states)]
 
 
+def by_table(
+    table: Any, steps: int, rate: float = 1, choices: Sequence[int] | None = None
+) -> tuple[list[float], list[list[list[float]]]]:
+    """V_0 and the Q-table of every time (N, S, A), straight from a table of Gymnasium's form.
+
+    Of the best choices, or of those given.
+    """
+    value, tables = [0.0] * len(table), list[list[list[float]]]()
+    for _ in range(steps):
+        q = [
+            [
+                sum(p * (r + (0 if over else rate * value[n])) for p, n, r, over in row)
+                for row in table[s].values()
+            ]
+            for s in table
+        ]
+        tables.append(q)
+        value = [max(row) if choices is None else row[choices[s]] for s, row in enumerate(q)]
+    return value, tables[::-1]
+
+
 # ---- the long run --------------------------------------------------------------------------------
 
 

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from cli_runner import ask
+from refusal_tables import entries
 
 from exact_mdp import ModelError, Scenario, counted, evaluate, independent, perceived
 from exact_mdp.paper_repro.agents import DISCLAIMER, log
@@ -248,8 +249,8 @@ def test_what_errors_cost_is_the_value_of_the_mixed_policy(tmp_path: Path) -> No
     path = tmp_path / "labelled.jsonl"
     label(path, noise=0.3, each=3)
     words = ["measure", "--recording", path, "--out", tmp_path, "--policy"]
-    assert cli(*words, "optimal", "--recording", path).exit_code == 2  # named twice
-    blind = cli(*words, "always:directive").stdout  # it does not look
+    assert ask(main, *words, "optimal", "--recording", path).status == 2  # named twice
+    blind = ask(main, *words, "always:directive").out  # it does not look
     perfect, measured = re.findall(r"(-?\d+\.\d\d) with", blind)
     assert perfect == measured
     header, *rows = (tmp_path / "confusion.csv").read_text().splitlines()
@@ -258,45 +259,29 @@ def test_what_errors_cost_is_the_value_of_the_mixed_policy(tmp_path: Path) -> No
     assert matrix.sum(axis=1) == pytest.approx(1)
     one = talk(policy="optimal")
     value = evaluate(one.mdp, perceived(one.mdp, one.policy, matrix)).mean
-    assert f"{value:.2f} with these errors" in cli(*words, "optimal").stdout
+    assert f"{value:.2f} with these errors" in ask(main, *words, "optimal").out
 
 
 # ---- commands ------------------------------------------------------------------------------------
 
 
-def cli(*words: object) -> Result:
-    return CliRunner().invoke(main, [str(word) for word in words])
-
-
 def test_running_and_measuring_from_the_command_line(tmp_path: Path) -> None:
-    done = cli("run", "--limit", 1, "--seed", 3, "--out", tmp_path / "a")
-    assert done.exit_code == 0, done.stderr
-    assert "1 timesteps, not finished" in done.stdout
-    done = cli("run", "--resume", "--seed", 3, "--out", tmp_path / "a")
-    assert done.exit_code == 0
-    assert "finished" in done.stdout
+    done = ask(main, "run --limit 1 --seed 3 --out", tmp_path / "a")
+    assert done.status == 0, done.err
+    assert "1 timesteps, not finished" in done.out
+    done = ask(main, "run --resume --seed 3 --out", tmp_path / "a")
+    assert done.status == 0
+    assert "finished" in done.out
     assert json.loads((tmp_path / "a" / "run.json").read_text())["seed"] == 3
-    done = cli("measure", "--recording", tmp_path / "a" / NAME, "--out", tmp_path / "b")
-    assert done.exit_code == 2  # most statuses were never seen
-    done = cli("measure", "--each", 1, "--noise", 0.1, "--out", tmp_path / "c")
-    assert done.exit_code == 0, done.stderr
-    assert "The policy earns 146.24 with perfect perception" in done.stdout
+    done = ask(main, "measure --recording", tmp_path / "a" / NAME, "--out", tmp_path / "b")
+    assert done.status == 2  # most statuses were never seen
+    done = ask(main, "measure --each 1 --noise 0.1 --out", tmp_path / "c")
+    assert done.status == 0, done.err
+    assert "The policy earns 146.24 with perfect perception" in done.out
     assert (tmp_path / "c" / "confusion.csv").is_file()
 
 
-@pytest.mark.parametrize(
-    "words, says",
-    [
-        (["run", "--backend", "openai"], "needs a model"),
-        (["run", "--policy", "reported:none"], "reported:none"),
-        (["run", "--scenario", "tea"], "no words"),
-        (["run", "--noise", "nan"], "nan"),
-        (["run", "--out", "/dev/null/x"], "cannot write"),
-        (["measure", "--recording", "nowhere.jsonl"], "nowhere.jsonl"),
-    ],
-)
-def test_bad_input_is_told_with_status_2(words: list[str], says: str, tmp_path: Path) -> None:
-    out = [] if "--out" in words else ["--out", tmp_path]
-    done = cli(*words, *out)
-    assert (done.exit_code, done.stdout) == (2, ""), done.output
-    assert says in done.stderr
+@pytest.mark.parametrize(("line", "said"), entries(__file__))
+def test_bad_input_is_told_with_status_2(line: str, said: str, tmp_path: Path) -> None:
+    out = [] if "--out" in line else ["--out", tmp_path]
+    assert said in ask(main, line, *out).refusal()
