@@ -6,19 +6,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from .case import (
-    Case,
-    Number,
-    Pair,
-    actions,
-    best,
-    end,
-    indexed,
-    over_horizon,
-    row,
-    rows,
-    table,
-)
+from .case import Case, Number, Pair, actions, best, end, indexed, over_horizon, row, rows, table
 
 F = Fraction
 TOOLBOX = "sawcordwell/pymdptoolbox src/tests/"

@@ -11,13 +11,7 @@ import scipy.sparse as sp
 from refusal_tables import refused, table_of_refusals
 
 import exact_mdp
-from exact_mdp import (
-    MDP,
-    DistributionError,
-    NegativeError,
-    Scenario,
-    ShapeError,
-)
+from exact_mdp import MDP, DistributionError, NegativeError, Scenario, ShapeError
 
 HALF, INF = Fraction(1, 2), float("inf")
 P = np.array([[[0.5, 0.5, 0.0], [0, 0.25, 0.75], [0, 0, 1]], [[0, 1, 0], [0.5, 0, 0.5], [0, 0, 1]]])

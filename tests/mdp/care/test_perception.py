@@ -15,16 +15,7 @@ from care_oracle import Oracle
 from cli_runner import run
 from refusal_tables import of_file, refused, table_of_refusals
 
-from exact_mdp import (
-    MDP,
-    Policy,
-    Scenario,
-    counted,
-    evaluate,
-    frequencies,
-    independent,
-    perceived,
-)
+from exact_mdp import MDP, Policy, Scenario, counted, evaluate, frequencies, independent, perceived
 
 NAMES = ("forgetfulness", "confusion", "anger", "disengagement")
 MODEL = ("yuan2025", "--set", "tasks=[2]", "--set", "max_trial=3")
