@@ -20,7 +20,7 @@ import numpy as np
 
 from exact_mdp.analysis.gate.audit import Audit
 from exact_mdp.analysis.gate.reasons import either
-from exact_mdp.analysis.vary.base_case import actions_of
+from exact_mdp.analysis.optimum import actions_of
 from exact_mdp.mdp.errors import ModelError, known
 from exact_mdp.mdp.forms.names import text_of
 from exact_mdp.mdp.model import MDP

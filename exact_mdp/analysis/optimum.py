@@ -224,6 +224,14 @@ def state_names(space: StateSpace) -> list[str]:
     return space.labels(range(space.size))
 
 
+def actions_of(mdp: MDP, pairs: Flags) -> list[tuple[str, ...]]:
+    """Return the names of the actions that a set of pairs (L,) has in each state."""
+    names: list[list[str]] = [[] for _ in range(mdp.n_states)]
+    for pair in np.flatnonzero(pairs).tolist():
+        names[mdp.pair_state[pair]].append(mdp.actions[mdp.pair_action[pair]])
+    return [tuple(each) for each in names]
+
+
 def of_every_state(mdp: MDP, said: Sequence[Any]) -> dict[str, Any]:
     """Return what is said of every state: by status where that alone decides, else by state.
 

@@ -14,7 +14,6 @@ from tqdm import tqdm
 from exact_mdp.analysis.cli.given import Given
 from exact_mdp.analysis.cli.words import pairs_of, refuse, typed
 from exact_mdp.analysis.pages.explorer import explore as explorer_of
-from exact_mdp.analysis.vary.base_case import finite_worth
 from exact_mdp.analysis.vary.curves.curve import curve as curve_of
 from exact_mdp.analysis.vary.curves.gradient import gradient as gradient_of
 from exact_mdp.analysis.vary.curves.thresholds import report_of, thresholds
@@ -41,7 +40,7 @@ from exact_mdp.analysis.vary.ranges import (
 from exact_mdp.analysis.vary.robust import ambiguity_of, worst_point
 from exact_mdp.analysis.vary.robust import robust as robust_of
 from exact_mdp.analysis.vary.sobol import sobol as sobol_of
-from exact_mdp.analysis.vary.study import solver_of
+from exact_mdp.analysis.vary.study import finite_worth, solver_of
 from exact_mdp.mdp.errors import ModelError, known, located
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.policies.policy import PolicyLike

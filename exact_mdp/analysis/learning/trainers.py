@@ -1,26 +1,41 @@
 """A gate for a trainer that is random: how many of its seeds give a policy within the limits.
 
 Each policy is audited exactly, one run after the other. The share of seeds within the limits has an
-interval that holds after every run at once (`analysis.learning.anytime`), so that the gate ends as
-soon as the share is proven to be below `share`, and fails, or at least that, and passes. A share
-that is open after all runs passes: a trainer that is good enough fails with probability α at most.
-With `prove`, what is open fails too. Runs so few that the gate could not fail are refused.
+interval that holds after every run at once, so that the gate ends as soon as the share is proven to
+be below `share`, and fails, or at least that, and passes. A share that is open after all runs
+passes: a trainer that is good enough fails with probability α at most. With `prove`, what is open
+fails too. Runs so few that the gate could not fail are refused.
+
+Of n independent trials k succeeded and m did not. If p is the chance of success, whoever bets
+against it, with stakes that follow the trials so far, has after n trials
+
+    E_n(p) = ∫ q^k (1 - q)^m dBeta(1/2, 1/2)(q) / (p^k (1 - p)^m)
+           = C(2k, k) C(2m, m) / (4^n C(n, k)) / (p^k (1 - p)^m)
+
+times what was there at first: E_n(p) is a martingale of mean 1. So P(E_n(p) ≥ 1/α at some n) ≤ α
+(Ville, Étude critique de la notion de collectif, 1939), and all p with E_n(p) < 1/α so far are an
+interval that holds at all n together with probability 1 - α (Robbins, Annals of Mathematical
+Statistics 41, 1970). An interval for a fixed n, looked at after each trial, misses the truth sooner
+or later. All is worked out in integers: no rounding decides what is excluded.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import count, islice
+from math import comb, log, log1p, pi
 from numbers import Number
 from typing import Any, ClassVar
+
+from scipy import special
 
 from exact_mdp.analysis.exit_status import answering
 from exact_mdp.analysis.gate.audit import Audit
 from exact_mdp.analysis.gate.check import check
 from exact_mdp.analysis.gate.criteria import Verdict
-from exact_mdp.analysis.learning.anytime import excluded, fewest, share_intervals
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
@@ -32,6 +47,9 @@ from exact_mdp.mdp.validate import counted
 from exact_mdp.solvers.learning.sampler import Seed, as_sequence, child
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.solver import mdp_of
+
+GRID = 2**20  # ends of intervals are multiples of 1 / GRID, outwards
+FEW, MOST = 1000, 2**62  # trials
 
 Interval = tuple[Fraction, Fraction]
 
@@ -309,3 +327,57 @@ def _between(name: str, number: object) -> Fraction:
     if not 0 < value <= 1:
         raise ModelError(f"{name} is {shown(value)}", where=name, fix="choose from 0 to 1, not 0")
     return value
+
+
+# ---- an interval of a share that holds at every moment -------------------------------------------
+
+
+def excluded(share: Fraction, hits: int, misses: int, alpha: Fraction) -> bool:
+    """Return whether E_n(share) ≥ 1/α after so many trials."""
+    top, below, n = share.numerator, share.denominator, hits + misses
+    won = comb(2 * hits, hits) * comb(2 * misses, misses) * below**n * alpha.numerator
+    fair = comb(n, hits) * 4**n * top**hits * (below - top) ** misses * alpha.denominator
+    return bool(won >= fair)
+
+
+def fewest(share: Fraction, alpha: Fraction) -> int:
+    """Return the least number of misses, without a hit, that exclude a share below 1.
+
+    E_n(p) falls and then rises in the number of misses, so that it is found by bisection; in
+    logarithms where a small share needs thousands.
+    """
+    if share == 1:
+        return 1
+
+    def excludes(misses: int) -> bool:
+        if misses < FEW:
+            return excluded(share, 0, misses, alpha)
+        mixed = special.betaln(misses + 0.5, 0.5) - log(pi)  # C(2m, m) / 4^m
+        return bool(mixed - misses * log1p(-float(share)) >= -log(alpha))
+
+    return bisect_left(range(MOST), True, key=excludes)
+
+
+def share_intervals(trials: Iterable[bool], alpha: Fraction) -> Iterator[Interval]:
+    """Yield after each trial an interval of the chance of success.
+
+    All of them together hold with probability 1 - α; they only narrow.
+    """
+    low = high = hits = misses = 0
+    for trial in trials:
+        hits, misses = hits + bool(trial), misses + (not trial)
+        low = _raised(low, hits, misses, alpha)
+        high = min(GRID - low, _raised(high, misses, hits, alpha))  # from 1 downwards
+        yield Fraction(low, GRID), Fraction(GRID - high, GRID)
+
+
+def _raised(known: int, hits: int, misses: int, alpha: Fraction) -> int:
+    """Return the greatest number on the grid that is excluded from below, `known` at least."""
+
+    def kept(number: int) -> bool:
+        return not excluded(Fraction(number, GRID), hits, misses, alpha)
+
+    seen = hits * GRID // (hits + misses)  # a share that never is excluded
+    if known >= seen or kept(known + 1):
+        return known
+    return bisect_left(range(seen + 1), True, lo=known + 2, key=kept) - 1

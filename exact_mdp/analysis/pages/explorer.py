@@ -11,7 +11,7 @@ second parameter moves in steps: for each of its values the first one's pieces a
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from html import escape
 from itertools import pairwise
@@ -22,17 +22,17 @@ import numpy as np
 
 from exact_mdp.analysis.gate.regret import proven
 from exact_mdp.analysis.layout import MOST_CELLS, arrange
+from exact_mdp.analysis.optimum import actions_of
 from exact_mdp.analysis.pages.page import render
-from exact_mdp.analysis.vary.base_case import actions_of, held_at
 from exact_mdp.analysis.vary.curves import curve as exact_curves
 from exact_mdp.analysis.vary.curves.checker import RationalFunction
 from exact_mdp.analysis.vary.curves.curve import ValueFunction
 from exact_mdp.analysis.vary.ranges import ranges_of, unit_of
-from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
-from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
+from exact_mdp.mdp.parametric import Family, Parametric, parameter_of, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Table
 from exact_mdp.mdp.result import DataFrame, Result
@@ -181,6 +181,20 @@ def explore(
         second=second,
         grid=tuple(grid),
         policy=policy if policy is None or isinstance(policy, str) else "the policy",
+    )
+
+
+def held_at(family: Parametric, name: str, value: Fraction) -> Parametric:
+    """Return the family with another value of a parameter that does not move."""
+    if isinstance(family, ScenarioFamily):
+        return replace(family, scenario=family.scenario.with_(parameters={name: value}), base=None)
+    if isinstance(family, Family):
+        moved = (replace(p, value=value) if p.name == name else p for p in family.parameters)
+        return replace(family, parameters=tuple(moved))
+    raise ModelError(
+        f"the parameters of {family.name} cannot be held",
+        where=f"parameter {name}",
+        fix="give a scenario, a model or a Family, or one parameter alone",
     )
 
 

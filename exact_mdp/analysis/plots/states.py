@@ -33,6 +33,7 @@ from exact_mdp.analysis.layout import (
     counts,
     joined,
 )
+from exact_mdp.analysis.optimum import actions_of
 from exact_mdp.analysis.plots.style import (
     BLACK,
     BLUE,
@@ -47,7 +48,6 @@ from exact_mdp.analysis.plots.style import (
     picture,
     swatch,
 )
-from exact_mdp.analysis.vary.base_case import actions_of
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike

@@ -206,8 +206,8 @@ def cost_effectiveness(
     solver = ModelSolver(family, chosen.names)
     draws = drawn(family, chosen, n, seed, solver.block)
     for name in (effect, cost):
-        known(name, solver.base.mdp.component_names, "component", "cost-effectiveness")
-    weights = [solver.base.held(policy) for policy in strategies.values()]
+        known(name, solver.mdp.component_names, "component", "cost-effectiveness")
+    weights = [solver.held(policy) for policy in strategies.values()]
     firsts = range(0, len(draws), solver.block)
     blocks = [(draws[first : first + solver.block], first) for first in firsts]
     every = [solver.totals(some, weights, (effect, cost), first) for some, first in blocks]

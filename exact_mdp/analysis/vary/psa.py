@@ -21,7 +21,6 @@ from typing import Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from exact_mdp.analysis.vary.base_case import digest
 from exact_mdp.analysis.vary.distributions import (
     EFFECTIVE_SAMPLE_SIZE,
     Settings,
@@ -38,7 +37,7 @@ from exact_mdp.analysis.vary.intervals import (
     tolerances_of,
     wilson,
 )
-from exact_mdp.analysis.vary.study import Draws, Study, checked, solver_of
+from exact_mdp.analysis.vary.study import Draws, Study, checked, digest, solver_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, known, named_options
 from exact_mdp.mdp.model import MDP
@@ -398,7 +397,7 @@ def psa(
     chosen = uncertainty(family, uncertain, default=effective_sample_size)
     solver = solver_of(family, chosen.names)
     points = drawn(family, chosen, n, seed, solver.block)
-    today, fixed_policy = solver.base.held("optimal"), solver.base.held(policy)
+    today, fixed_policy = solver.held("optimal"), solver.held(policy)
     same = np.array_equal(fixed_policy, today)
     given = [(TODAY, today)] if same else [(HELD, fixed_policy), (TODAY, today)]
     own = [[*part.names, part.kind, *part.numbers] for part in chosen.parts]
@@ -409,7 +408,7 @@ def psa(
     counts = np.bincount(table.which, minlength=len(table.rows))
     return PSA(
         model=family.name,
-        start=solver.base.solution.start,
+        start=solver.solution.start,
         uncertainty=chosen,
         seed=seed,
         table=table,
@@ -418,12 +417,12 @@ def psa(
                 name=name,
                 weights=weights,
                 frequency=int(counts[_alike(draws, table, weights)].sum()),
-                actions=solver.base.shown(weights),
+                actions=solver.shown(weights),
             )
             for name, weights in picked
         ),
-        labels=solver.base.labels,
-        actions=solver.base.mdp.actions[: table.counts.shape[1]],
+        labels=solver.labels,
+        actions=solver.mdp.actions[: table.counts.shape[1]],
         compiled=solver.compiled,
     )
 
@@ -453,7 +452,7 @@ def _selected(
     pool = pool[(by_loss[pool] > 0) & ~known[pool]]
     if not len(pool):
         return picked, table
-    others = [draws.solver.base.held(row) for row in rows[pool]]
+    others = [draws.solver.held(row) for row in rows[pool]]
     total, some = float(left.sum()), np.sort(np.argsort(-left, kind="stable")[: draws.solver.pool])
     values = sign * draws.solver.values(table.points[some], others)["value"]
     for count in range(1, CANDIDATES + 1):
@@ -471,4 +470,4 @@ def _selected(
 
 def _alike(draws: Draws, table: Study, weights: Floats) -> Flags:
     """Return which of the optimal policies (U,) a policy is."""
-    return np.asarray((table.rows == draws.solver.base.row(weights)).all(axis=1))
+    return np.asarray((table.rows == draws.solver.row(weights)).all(axis=1))

@@ -21,9 +21,9 @@ from fractions import Fraction
 
 import numpy as np
 
-from exact_mdp.analysis.vary.base_case import actions_of, finite_worth
+from exact_mdp.analysis.optimum import actions_of
 from exact_mdp.analysis.vary.ranges import spans_of
-from exact_mdp.analysis.vary.study import solver_of, study
+from exact_mdp.analysis.vary.study import finite_worth, solver_of, study
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import ModelError, known, listed, named_options
 from exact_mdp.mdp.graph import reachable
@@ -353,7 +353,7 @@ def worst_point(
         highest = {parameter.name: span.high for parameter, span in spans.items()}
         family.tell(highest, where=" at the upper ends of the ranges")
     solver = solver_of(family, names)
-    fixed, sign = solver.base.held(policy), solver.base.mdp.sign
+    fixed, sign = solver.held(policy), solver.mdp.sign
     ends = np.array([[float(span.low), float(span.high)] for span in spans.values()])
     every = np.arange(len(names))
 

@@ -3,23 +3,25 @@
 A point gives values to some parameters; the others keep today's. In the model at each point the
 optimum is found (the policy re-optimised) and each given policy is evaluated (held fixed).
 Tornado, grid, Sobol indices and probabilistic analyses are designs of points and summaries of their
-tables. A care scenario goes through batched loops that never form the model (`solvers.care`), small
+tables. They compare values, so that infinite ones, of a total at discount 1, are refused by name.
+A care scenario goes through batched loops that never form the model (`solvers.care`), small
 models are solved many at once (`solvers.batch`), others one by one; blocks of points have a fixed
 size, so that any number of workers gives the same bytes.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import partial
-from math import inf
-from typing import Any, TypeAlias, Unpack
+from functools import cached_property, partial
+from hashlib import sha256
+from math import inf, isinf
+from typing import Any, Unpack
 
 import numpy as np
 
-from exact_mdp.analysis.vary.base_case import BaseCase, digest, finite_optimum, finite_worth
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import ModelError, listed, located
 from exact_mdp.mdp.exact import fingerprint
@@ -35,7 +37,9 @@ from exact_mdp.solvers.bounds.gains import gains
 from exact_mdp.solvers.care import MOST_ACTIONS, MOST_STATUSES, optimal, policy_values
 from exact_mdp.solvers.parallel import Arrays, How, folder_of, joined, many
 from exact_mdp.solvers.solution import Bounded, Solution, regrets
+from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 SHOWN = 3  # parameters of a point that an error names
 KEPT = 2**24  # numbers of built models that are kept for the next question
@@ -132,7 +136,7 @@ def study(
     family, names = parametric(model), tuple(points)
     table = checked(family, points)
     solver = solver_of(family, names)
-    weights = [solver.base.held(policy) for policy in listed(policies, "policies")]
+    weights = [solver.held(policy) for policy in listed(policies, "policies")]
     key = {
         "parameters": list(names),
         "draws": digest(table),
@@ -203,7 +207,7 @@ class Draws:
             optimal=whole["start"],
             fixed=whole["value"],
             error=np.column_stack([whole["start_error"], whole["error"]]),
-            sign=solver.base.mdp.sign,
+            sign=solver.mdp.sign,
             rows=rows,
             which=places[np.concatenate(own)],
             counts=np.sum([block["counts"] for block in done], axis=0),
@@ -232,7 +236,7 @@ class Draws:
             start = solver.model.at(dict(zip(solver.names, self.points[0].tolist(), strict=True)))
             how["folder"] = folder_of(how["folder"]) / what
             how["key"] = {
-                "model": fingerprint(solver.base.mdp),
+                "model": fingerprint(solver.mdp),
                 "first_draw": fingerprint(start),  # models may be the same today alone
                 "compiled": solver.compiled,
                 "block": self.size,
@@ -306,6 +310,12 @@ class _Built:
         return self.batch.totals(weights, amounts)
 
 
+def digest(*policies: Floats) -> str:
+    """Return a hash of policies, (L,) probabilities of pairs each; other policies have another."""
+    content = b"".join(np.ascontiguousarray(each, dtype="<f8").tobytes() for each in policies)
+    return sha256(content).hexdigest()
+
+
 def lost_by(mdp: MDP, solution: Solution) -> tuple[Floats, Floats]:
     """Return what each pair (L,) loses, and the rounding of that.
 
@@ -320,22 +330,93 @@ def lost_by(mdp: MDP, solution: Solution) -> tuple[Floats, Floats]:
     return gap, gains(mdp, known).noise
 
 
-class ModelSolver:
-    """Models that are built; labels are the states in which there is a choice.
+def finite_optimum(mdp: MDP, where: str) -> Solution:
+    """Return the optimum; raises ModelError where it is infinite at the start."""
+    solution: Solution = solve(mdp)
+    _refuse_infinite("the optimum", solution.start, where)
+    return solution
 
-    `names` are the parameters that draws (D, Q) give, `base` is today's model, to whose pairs
-    policies refer.
+
+def finite_worth(mdp: MDP, policy: PolicyLike, where: str) -> Bounded:
+    """Return a policy's value at the start; raises ModelError where it is infinite."""
+    value = evaluate(mdp, policy).start
+    _refuse_infinite("the policy held fixed", value, where)
+    return value
+
+
+def _refuse_infinite(what: str, value: Bounded, where: str) -> None:
+    if isinf(value.value):
+        raise ModelError(
+            f"{what} is infinite, so that nothing can be compared",
+            where=f"the total at discount 1, {where}",
+            fix="give a discount below 1 (--discount 0.95), another policy, or ranges in which "
+            "every value is finite",
+        )
+
+
+class DrawSolver(ABC):
+    """A model at draws (D, Q) of some parameters, which `names` says.
+
+    `mdp` is the model at today's values. A policy is held as the probabilities (L,) of its pairs,
+    which are the same at other values. `labels` (X,) are what a policy is told by, `place` (S,) is
+    which of them a state has, -1 for none.
     """
 
-    block, pool = 64, 32  # draws in a piece of work; of largest regret, which choose candidates
-    compiled = False  # or threads can share the work
+    block: int  # draws in a piece of work
+    pool: int  # draws of largest regret, which choose candidates
+    compiled: bool  # so that threads can share the work
+    labels: tuple[str, ...]
+    place: Integers
 
     def __init__(self, model: Parametric, names: Sequence[str]) -> None:
-        self.model, self.names = model, tuple(names)
-        mdp = model.at({})
-        labels = tuple(mdp.space.labels(np.flatnonzero(~mdp.forced)))
-        place = np.where(mdp.forced, -1, np.cumsum(~mdp.forced) - 1)
-        self.base = BaseCase(mdp=mdp, labels=labels, place=place)
+        self.model, self.names, self.mdp = model, tuple(names), model.at({})
+
+    @abstractmethod
+    def solved(self, draws: Numbers, first: int = 0) -> Arrays:
+        """Return the optima of (D, Q) draws: start, start_error (D,), and others as in `Study`."""
+
+    @abstractmethod
+    def values(self, draws: Numbers, policies: Sequence[Floats], first: int = 0) -> Arrays:
+        """Return value (D, N) and error (D, N) of N policies, each (L,) probabilities of pairs."""
+
+    @cached_property
+    def solution(self) -> Solution:
+        """Today's optimum."""
+        return finite_optimum(self.mdp, "today's parameters")
+
+    def held(self, policy: PolicyLike) -> Floats:
+        """Return (L,) probabilities of pairs of a policy; "optimal" is today's optimum."""
+        today = isinstance(policy, str) and policy == "optimal"
+        return PolicyChain.of(self.mdp, self.solution if today else policy).chosen
+
+    def row(self, weights: Floats) -> Integers:
+        """Return (S,) the action numbers of a policy (L,), -1 where it mixes."""
+        row, sure = np.full(self.mdp.n_states, -1), np.flatnonzero(weights == 1)
+        row[self.mdp.pair_state[sure]] = self.mdp.pair_action[sure]
+        return row
+
+    def shown(self, weights: Floats) -> dict[str, str] | None:
+        """Return the action at each label, where a policy says one and the same there."""
+        here = self.place >= 0
+        place, row = self.place[here], self.row(weights)[here]
+        number = np.empty(len(self.labels), dtype=np.int64)
+        number[place] = row
+        if (row < 0).any() or (number[place] != row).any():
+            return None
+        chosen = [self.mdp.actions[action] for action in number.tolist()]
+        return dict(zip(self.labels, chosen, strict=True))
+
+
+class ModelSolver(DrawSolver):
+    """Models that are built; labels are the states in which there is a choice."""
+
+    block, pool, compiled = 64, 32, False
+
+    def __init__(self, model: Parametric, names: Sequence[str]) -> None:
+        super().__init__(model, names)
+        forced = self.mdp.forced
+        self.labels = tuple(self.mdp.space.labels(np.flatnonzero(~forced)))
+        self.place = np.where(forced, -1, np.cumsum(~forced) - 1)
         self.built: dict[str, _Built] = {}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -367,8 +448,8 @@ class ModelSolver:
         return f"draw {first + d}, " + (words or "today's parameters")
 
     def solved(self, draws: Numbers, first: int = 0) -> Arrays:
-        """Return the optima of (D, Q) draws: start, start_error (D,), and others as in `Study`."""
-        mdp = self.base.mdp
+        """See `DrawSolver.solved`."""
+        mdp = self.mdp
         start, error, gap, doubt, policies = self._of(draws, first).optimum()
         rows, which = distinct(policies.astype(np.int32))
         counts = np.zeros((mdp.n_states, mdp.n_actions), dtype=np.int64)
@@ -389,7 +470,7 @@ class ModelSolver:
         }
 
     def values(self, draws: Numbers, policies: Sequence[Floats], first: int = 0) -> Arrays:
-        """Return value (D, N) and error (D, N) of N policies, each (L,) probabilities of pairs."""
+        """See `DrawSolver.values`."""
         built = self._of(draws, first)
         value, error = np.array([built.held(weights) for weights in policies]).swapaxes(0, 1)
         return {"value": value.T, "error": error.T}
@@ -398,7 +479,7 @@ class ModelSolver:
         self, draws: Numbers, policies: Sequence[Floats], components: Sequence[str], first: int
     ) -> Floats:
         """Return (D, N, C) expected totals of some components of the reward under N policies."""
-        known, built = self.base.mdp.component_names, self._of(draws, first)
+        known, built = self.mdp.component_names, self._of(draws, first)
         for d, mdp in enumerate(built.models):
             if mdp.component_names != known:
                 raise ModelError(
@@ -417,25 +498,24 @@ class ModelSolver:
         return totals
 
 
-class CareSolver:
+class CareSolver(DrawSolver):
     """Batches of draws of a care scenario; labels are the statuses, at subtask 0, trial 0."""
 
-    block, pool = 4096, 1000
-    compiled = True
+    block, pool, compiled = 4096, 1000, True
+    model: ScenarioFamily
 
     def __init__(self, model: ScenarioFamily, names: Sequence[str]) -> None:
-        self.model, self.names, self.scenario = model, tuple(names), model.scenario
-        mdp, statuses = model.at({}), len(model.scenario.statuses)
+        super().__init__(model, names)
+        self.scenario, space = model.scenario, self.mdp.space
+        states, statuses = np.arange(self.mdp.n_states), len(self.scenario.statuses)
         # A last trial in which a skip is the only action is not a trial of the loops.
-        self.tried = mdp.space.values("trial") < model.scenario.trials
-        self.tried &= np.arange(mdp.n_states) < mdp.space.regular
-        labels = tuple(f"{number:0{statuses}b}" for number in range(2**statuses))
-        place = np.where(self.tried, np.arange(mdp.n_states) % len(labels), -1)
-        self.base = BaseCase(mdp=mdp, labels=labels, place=place)
+        self.tried = (space.values("trial") < self.scenario.trials) & (states < space.regular)
+        self.labels = tuple(f"{number:0{statuses}b}" for number in range(2**statuses))
+        self.place = np.where(self.tried, states % len(self.labels), -1)
 
     def solved(self, draws: Numbers, first: int = 0) -> Arrays:
-        """Return the optima of (D, Q) draws; see `ModelSolver.solved`."""
-        mdp, optima = self.base.mdp, optimal(self.scenario, self.names, draws.astype(float))
+        """See `DrawSolver.solved`."""
+        mdp, optima = self.mdp, optimal(self.scenario, self.names, draws.astype(float))
         taken, which = distinct(optima.actions.reshape(len(draws), -1))
         rows = np.tile(mdp.pair_action[mdp.pair_offsets[:-1]].astype(np.int32), (len(taken), 1))
         rows[:, self.tried] = taken
@@ -450,15 +530,12 @@ class CareSolver:
         }
 
     def values(self, draws: Numbers, policies: Sequence[Floats], first: int = 0) -> Arrays:
-        """Return value (D, N) and error (D, N) of N policies; see `ModelSolver.values`."""
-        mdp, actions = self.base.mdp, len(self.scenario.actions)
+        """See `DrawSolver.values`."""
+        mdp, actions = self.mdp, len(self.scenario.actions)
         tables = [MDP.by_action(mdp, weights, 0.0)[self.tried, :actions] for weights in policies]
-        stages = np.stack(tables).reshape(len(tables), -1, len(self.base.labels), actions)
+        stages = np.stack(tables).reshape(len(tables), -1, len(self.labels), actions)
         value, error = policy_values(self.scenario, self.names, draws.astype(float), stages)
         return {"value": value, "error": np.repeat(error[:, None], len(tables), axis=1)}
-
-
-DrawSolver: TypeAlias = ModelSolver | CareSolver
 
 
 def solver_of(model: Parametric, names: Sequence[str]) -> DrawSolver:

@@ -14,25 +14,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import TYPE_CHECKING
 
-import flint
 import numpy as np
+from flint import fmpq, fmpq_mat, fmpq_poly
 
 from exact_mdp.mdp.care.scenario import ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import rational
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric.family import (
-    Family,
-    Moved,
-    Parametric,
-    room_of,
-)
+from exact_mdp.mdp.parametric.family import Family, Moved, Parametric, room_of
 from exact_mdp.mdp.table import Integers, Numbers, merged, shown
-
-if TYPE_CHECKING:
-    from flint import fmpq, fmpq_poly
 
 Entries = tuple[Integers, Numbers, Numbers]
 """Keys in rising order, and the integers whose ratios are the numbers there."""
@@ -204,10 +195,10 @@ def _changes(
 def polynomials(points: Sequence[fmpq | int], samples: Sequence[Sequence[fmpq]]) -> list[fmpq_poly]:
     """Return the polynomials through columns of samples, which have a row for each point."""
     size, count = len(points), len(samples[0])
-    powers = flint.fmpq_mat(size, size, [x**power for x in points for power in range(size)])
+    powers = fmpq_mat(size, size, [x**power for x in points for power in range(size)])
     numbers = [number for row in samples for number in row]
-    fitted = powers.solve(flint.fmpq_mat(size, count, numbers)).entries()
-    return [flint.fmpq_poly(fitted[column::count]) for column in range(count)]
+    fitted = powers.solve(fmpq_mat(size, count, numbers)).entries()
+    return [fmpq_poly(fitted[column::count]) for column in range(count)]
 
 
 def transition_entries(mdp: MDP) -> Entries:
@@ -226,4 +217,4 @@ def reward_entries(mdp: MDP) -> Entries:
 
 def ratios(top: Numbers, bottom: Numbers) -> list[fmpq]:
     """Return the ratios of integers."""
-    return [flint.fmpq(int(a), int(b)) for a, b in zip(top, bottom, strict=True)]
+    return [fmpq(int(a), int(b)) for a, b in zip(top, bottom, strict=True)]

@@ -11,8 +11,13 @@ from hypothesis import strategies as st
 from scipy.special import betaln
 from scipy.stats import binomtest
 
-from exact_mdp.analysis.learning.anytime import GRID, excluded, fewest, share_intervals
-from exact_mdp.analysis.learning.trainers import _decided
+from exact_mdp.analysis.learning.trainers import (
+    GRID,
+    _decided,
+    excluded,
+    fewest,
+    share_intervals,
+)
 
 SHARES = st.fractions(F(1, 50), F(49, 50), max_denominator=50)
 LIMIT, ALPHA, LONGEST = F(9, 10), F(1, 20), 250

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from exact_mdp import MDP, ModelError, curve, moving
-from exact_mdp.analysis.vary.curves import policy_values
+from exact_mdp.analysis.vary.curves import walk
 from exact_mdp.analysis.vary.curves.roots import (
     nonnegative,
     odd_part,
@@ -45,7 +45,7 @@ def test_the_limit_that_was_hit_is_named(
     rows = [(s, a, [("1/2", 0, 1), ("1/2", 1, a)]) for s in (0, 1) for a in (0, 1)]
     family = moving(MDP.from_outcomes(rows, "9/10"), {"p": [(0, 1)]}, {"gain": 1})
     assert curve(family, name).pieces
-    monkeypatch.setattr(policy_values, limit, most)
+    monkeypatch.setattr(walk, limit, most)
     with pytest.raises(ModelError, match=message):
         curve(family, name)
 

@@ -16,10 +16,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property, reduce
-from typing import TYPE_CHECKING
 
-import flint
 import numpy as np
+from flint import fmpq_poly
 from numpy.typing import NDArray
 
 from exact_mdp.analysis.vary.curves.equations import Equations, Mix, Values, weighed
@@ -29,18 +28,15 @@ from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.parametric.row_change import Piece
 from exact_mdp.mdp.table import shown
 
-if TYPE_CHECKING:
-    from flint import fmpq_poly
-
-
 Bracket = tuple[Fraction, Fraction]
+Start = tuple[tuple[int, Fraction], ...]
 
 
 def _reduced(poly: fmpq_poly) -> tuple[type[fmpq_poly], tuple[list[int], int]]:
-    return flint.fmpq_poly, ([*map(int, poly.numer().coeffs())], int(poly.denom()))
+    return fmpq_poly, ([*map(int, poly.numer().coeffs())], int(poly.denom()))
 
 
-copyreg.pickle(flint.fmpq_poly, _reduced)  # FLINT's polynomials cannot be pickled by themselves
+copyreg.pickle(fmpq_poly, _reduced)  # FLINT's polynomials cannot be pickled by themselves
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,8 +47,9 @@ class RationalFunction:
     denominator: tuple[Fraction, ...]
 
     @classmethod
-    def of(cls, top: fmpq_poly, below: fmpq_poly) -> RationalFunction:
-        """Return N / D in lowest terms, the first coefficient of D that is not 0 made 1."""
+    def of(cls, start: Start, values: Values) -> RationalFunction:
+        """Return N / D at the start in lowest terms, the first coefficient of D not 0 made 1."""
+        top, below = weighed(start, values[0]), values[1]
         shared = top.gcd(below)
         unit = next(c for c in (below / shared).coeffs() if c)
         tops, belows = ((poly / shared / unit).coeffs() for poly in (top, below))
@@ -62,9 +59,7 @@ class RationalFunction:
         )
 
     def _polynomials(self) -> tuple[fmpq_poly, fmpq_poly]:
-        top, below = (
-            flint.fmpq_poly([*map(rational, c)]) for c in (self.numerator, self.denominator)
-        )
+        top, below = (fmpq_poly([*map(rational, c)]) for c in (self.numerator, self.denominator))
         return top, below
 
     def at(self, value: Fraction) -> Fraction:
@@ -87,23 +82,19 @@ class CurvePiece:
     high: Bracket
     section: Piece
     optimal: NDArray[np.bool_]  # (L,) the pairs that are optimal throughout
-    start: tuple[tuple[int, Fraction], ...]  # how much states count for; of costs, less than 0
+    start: Start  # how much states count for; of costs, less than 0
     values: Values  # of all states; of costs, those of the negated ones
     fixed_values: Values | None = None  # of the policy held fixed
 
     @cached_property
     def value(self) -> RationalFunction:
         """The optimal value at the start."""
-        numerators, scale = self.values
-        return RationalFunction.of(weighed(self.start, numerators), scale)
+        return RationalFunction.of(self.start, self.values)
 
     @cached_property
     def fixed(self) -> RationalFunction | None:
         """The value at the start of the policy held fixed."""
-        if self.fixed_values is None:
-            return None
-        numerators, scale = self.fixed_values
-        return RationalFunction.of(weighed(self.start, numerators), scale)
+        return self.fixed_values and RationalFunction.of(self.start, self.fixed_values)
 
 
 def piece_violations(
@@ -113,7 +104,7 @@ def piece_violations(
 
     `mix` is the policy held fixed; sign is -1 where values at the start are costs.
     """
-    last, turning = None, list["fmpq_poly"]()
+    last, turning = None, list[fmpq_poly]()
     for piece in pieces:
         begins = last is None or piece.section is not last.section
         if begins:
@@ -168,7 +159,7 @@ def _not_of(equations: Equations, piece: CurvePiece, mix: Mix) -> Iterator[str]:
         yield f"the denominator of the policy held fixed from {at} on is not positive"
     for state in equations.live:
         ahead = (share * equations.ahead(pair, values) for pair, share in mix[state])
-        if values[0][state] != sum(ahead, flint.fmpq_poly()):
+        if values[0][state] != sum(ahead, fmpq_poly()):
             yield f"the policy held fixed has another value in state {state} from {at} on"
 
 

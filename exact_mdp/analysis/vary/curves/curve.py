@@ -17,14 +17,13 @@ from dataclasses import dataclass
 from fractions import Fraction
 from math import prod
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import flint
 import numpy as np
+from flint import fmpq_poly
 
 from exact_mdp.analysis.gate.regret import limit_of
-from exact_mdp.analysis.optimum import of_every_state
-from exact_mdp.analysis.vary.base_case import actions_of
+from exact_mdp.analysis.optimum import actions_of, of_every_state
 from exact_mdp.analysis.vary.curves.checker import Bracket, CurvePiece, piece_violations
 from exact_mdp.analysis.vary.curves.equations import Mix, weighed
 from exact_mdp.analysis.vary.curves.roots import roots, roots_on, sign, simple
@@ -43,9 +42,6 @@ from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import exact, shown
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-
-if TYPE_CHECKING:
-    from flint import fmpq_poly
 
 WIDTH = Fraction(1, 10**12)  # of the brackets of limits
 NEARLY_ONE = 1 - Fraction(1, 2**40)
@@ -178,10 +174,10 @@ class ValueFunction(Pictured):
         With each: whether some margin has a root there, whether it is open what happens inside, and
         whether the limit is kept from there up to the next.
         """
-        last, before = self.pieces[-1], flint.fmpq_poly([1])
+        last, before = self.pieces[-1], fmpq_poly([1])
         for piece in self.pieces:
             sides = self._margins(piece, most, share)
-            every = prod((side for side in sides if side), start=flint.fmpq_poly([1]))
+            every = prod((side for side in sides if side), start=fmpq_poly([1]))
             at, root = piece.low, roots_on(before * every, *piece.low) > 0
             open_, here, end = root and at[0] < at[1], piece.low[1], piece.high[0]
             for inside in roots(simple(every), here, end):

@@ -15,9 +15,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from fractions import Fraction
 from graphlib import CycleError, TopologicalSorter
-from typing import TYPE_CHECKING
 
-import flint
+from flint import fmpq, fmpq_poly
 
 from exact_mdp.analysis.vary.curves.roots import Root, nonnegative, positive, roots, simple
 from exact_mdp.mdp.exact import rational
@@ -31,12 +30,9 @@ from exact_mdp.mdp.parametric.row_change import (
     transition_entries,
 )
 
-if TYPE_CHECKING:
-    from flint import fmpq, fmpq_poly
-
-Values = tuple[Sequence["fmpq_poly"], "fmpq_poly"]
+Values = tuple[Sequence[fmpq_poly], fmpq_poly]
 """N of each state, and D: values are N / D."""
-Mix = Sequence[Sequence[tuple[int, "fmpq"]]]
+Mix = Sequence[Sequence[tuple[int, fmpq]]]
 """Of each state, the pairs that a policy takes there, with their probabilities."""
 
 
@@ -56,17 +52,17 @@ class Equations:
         assert section.high is not None
         self.low, self.high, self.mdp = section.low, section.high, mdp
         self.change = change = row_change(family, name, section, mdp)
-        poly, shift = flint.fmpq_poly, flint.fmpq_poly([rational(-section.origin), 1])
+        shift = fmpq_poly([rational(-section.origin), 1])
         self.rate: fmpq_poly = change.rate(shift) + rational(mdp.discount_exact)
-        self.reward: list[fmpq_poly] = [poly([r]) for r in ratios(*reward_entries(mdp)[1:])]
+        self.reward: list[fmpq_poly] = [fmpq_poly([r]) for r in ratios(*reward_entries(mdp)[1:])]
         for pair, moved in zip(change.reward.key.tolist(), change.reward.moved, strict=True):
             self.reward[pair] += moved(shift)
         keys, top, bottom = transition_entries(mdp)
         weight: dict[int, fmpq_poly] = {
-            key: poly([p]) for key, p in zip(keys.tolist(), ratios(top, bottom), strict=True)
+            key: fmpq_poly([p]) for key, p in zip(keys.tolist(), ratios(top, bottom), strict=True)
         }
         for key, moved in zip(change.transition.key.tolist(), change.transition.moved, strict=True):
-            weight[key] = weight.get(key, poly()) + moved(shift)
+            weight[key] = weight.get(key, fmpq_poly()) + moved(shift)
         # A state that is left, or earns, next to θ0 is terminal at that very value alone.
         over = mdp.terminal.copy()
         over[mdp.pair_state[change.reward.key]] = False
@@ -83,8 +79,8 @@ class Equations:
             if pair in self.following and not terminal[state]:
                 self.following[pair].append((state, p * self.rate))
         self.order = self._order()
-        self.values: Values = ((), poly())
-        self.gap = [poly()] * mdp.n_pairs
+        self.values: Values = ((), fmpq_poly())
+        self.gap = [fmpq_poly()] * mdp.n_pairs
 
     def _order(self) -> list[int] | None:
         after = {
@@ -116,7 +112,7 @@ class Equations:
             for pair in self.following
             if pair not in taken
         }
-        gaps |= dict.fromkeys(taken, flint.fmpq_poly())
+        gaps |= dict.fromkeys(taken, fmpq_poly())
         changed = {pair for pair, gap in gaps.items() if gap != self.gap[pair]}
         for pair in changed:
             self.gap[pair] = gaps[pair]
@@ -142,14 +138,14 @@ class Equations:
         falls = self._nearer(None)
         if falls is None:
             return False
-        nowhere = flint.fmpq_poly()
+        nowhere = fmpq_poly()
         places = [Root(poly=nowhere, low=end, high=end) for end in (low, high)]
         places += (root for fall in falls for root in roots(simple(fall), low, high))
         return all(self._nearer(place) is not None for place in places)
 
     def _leak(self, pair: int) -> fmpq_poly:
         """Return 1 - γ Σ P of a pair, over live states."""
-        return flint.fmpq_poly([1]) - sum(p for _, p in self.following[pair])
+        return fmpq_poly([1]) - sum(p for _, p in self.following[pair])
 
     def _slack(self) -> list[fmpq_poly]:
         return _different(map(self._leak, self.following))
@@ -180,7 +176,7 @@ class Equations:
 
 def weighed(weights: Iterable[tuple[int, Fraction]], polynomials: Sequence[fmpq_poly]) -> fmpq_poly:
     """Return a sum of some of the polynomials, each with a weight."""
-    return sum((rational(weight) * polynomials[k] for k, weight in weights), flint.fmpq_poly())
+    return sum((rational(weight) * polynomials[k] for k, weight in weights), fmpq_poly())
 
 
 def _different(polynomials: Iterable[fmpq_poly]) -> list[fmpq_poly]:

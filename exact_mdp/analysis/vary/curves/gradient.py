@@ -20,13 +20,14 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from flint import fmpq
 from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.regret import proven
-from exact_mdp.analysis.vary.base_case import unending
+from exact_mdp.analysis.vary.curves.walk import unending
 from exact_mdp.analysis.vary.ranges import unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, listed, named_options
@@ -52,10 +53,6 @@ from exact_mdp.solvers.solution import Bounded, Certified, Claim, difference, in
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-
-if TYPE_CHECKING:
-    from flint import fmpq
-
 
 EXACT_TRANSITIONS = 100_000
 EXACT_CYCLIC_STATES = 64

@@ -14,14 +14,10 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
-import flint
+from flint import fmpq_poly, fmpz_poly
 
 from exact_mdp.mdp.exact import fraction, rational
-
-if TYPE_CHECKING:
-    from flint import fmpq_poly
 
 DIGITS = 12  # of the denominator of a root that is looked for as a fraction
 
@@ -88,14 +84,14 @@ def sign(poly: fmpq_poly, x: Fraction) -> int:
 def signs(poly: fmpq_poly, low: Fraction, high: Fraction) -> list[bool]:
     """Return which coefficients are positive after the substitution, of those that are not 0."""
     moved = poly(_line(low, high)).numer()
-    turned = flint.fmpz_poly(moved.coeffs()[::-1])(flint.fmpz_poly([1, 1]))
+    turned = fmpz_poly(moved.coeffs()[::-1])(fmpz_poly([1, 1]))
     return [c > 0 for c in turned.coeffs() if c]
 
 
 @lru_cache(maxsize=16)
 def _line(low: Fraction, high: Fraction) -> fmpq_poly:
     """Return low + (high - low) t; many polynomials are looked at on one interval in turn."""
-    line: fmpq_poly = flint.fmpq_poly([rational(low), rational(high - low)])
+    line: fmpq_poly = fmpq_poly([rational(low), rational(high - low)])
     return line
 
 
@@ -112,7 +108,7 @@ def simple(poly: fmpq_poly) -> fmpq_poly:
 def odd_part(poly: fmpq_poly) -> fmpq_poly:
     """Return the polynomial with the roots at which the sign changes, none of them double."""
     _, factors = poly.numer().factor_squarefree()
-    odd: fmpq_poly = flint.fmpq_poly([1])
+    odd: fmpq_poly = fmpq_poly([1])
     for factor, times in factors:
         odd = odd * factor if times % 2 else odd
     return odd

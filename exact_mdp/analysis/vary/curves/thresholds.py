@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.analysis.vary.base_case import actions_of
+from exact_mdp.analysis.optimum import actions_of
 from exact_mdp.analysis.vary.curves.curve import ValueFunction, curve
 from exact_mdp.analysis.vary.ranges import Range, range_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario
