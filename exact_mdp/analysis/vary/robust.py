@@ -368,14 +368,14 @@ def worst_point(
     today = np.array([float(parameter.value) for parameter in spans])
     alone = [worth(flipped(today, np.full(len(names), end))) for end in (0, 1)]
     corner = (alone[1] < alone[0]).astype(int)
-    least, corners = float(worth(ends[every, corner][None])[0]), 1
+    least, corners = worth(ends[every, corner][None])[0], 1
     while True:
         moved = worth(flipped(ends[every, corner], 1 - corner))
         corners += len(moved)
-        best = int(moved.argmin())
-        if moved[best] >= least:
+        if moved.min() >= least:
             break
-        corner[best], least = 1 - corner[best], float(moved[best])
+        corner[moved.argmin()] ^= 1
+        least = moved.min()
     point = {
         parameter.name: span.high if end else span.low
         for (parameter, span), end in zip(spans.items(), corner.tolist(), strict=True)

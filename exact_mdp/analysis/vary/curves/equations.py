@@ -13,6 +13,7 @@ The equations have one solution where transitions close no cycle, where γ Σ P 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
+from contextlib import suppress
 from fractions import Fraction
 from graphlib import CycleError, TopologicalSorter
 
@@ -20,7 +21,6 @@ from flint import fmpq, fmpq_poly
 
 from exact_mdp.analysis.vary.curves.roots import Root, nonnegative, positive, roots, simple
 from exact_mdp.mdp.exact import rational
-from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.parametric.row_change import (
     Piece,
@@ -44,10 +44,8 @@ class Equations:
     transitions close a cycle; `gap` D h of all pairs, 0 in states that are not live.
     """
 
-    def __init__(
-        self, family: Parametric, name: str, section: Piece, base: MDP | None = None
-    ) -> None:
-        mdp = family.at({name: section.origin}) if base is None else base
+    def __init__(self, family: Parametric, name: str, section: Piece) -> None:
+        mdp = family.at({name: section.origin})
         assert section.low is not None
         assert section.high is not None
         self.low, self.high, self.mdp = section.low, section.high, mdp
@@ -78,19 +76,15 @@ class Equations:
             pair, state = divmod(key, mdp.n_states)
             if pair in self.following and not terminal[state]:
                 self.following[pair].append((state, p * self.rate))
-        self.order = self._order()
-        self.values: Values = ((), fmpq_poly())
-        self.gap = [fmpq_poly()] * mdp.n_pairs
-
-    def _order(self) -> list[int] | None:
         after = {
             state: {to for pair in pairs for to, _ in self.following[pair]}
             for state, pairs in self.pairs.items()
         }
-        try:
-            return [*TopologicalSorter(after).static_order()]
-        except CycleError:
-            return None
+        self.order: list[int] | None = None
+        with suppress(CycleError):
+            self.order = [*TopologicalSorter(after).static_order()]
+        self.values: Values = ((), fmpq_poly())
+        self.gap = [fmpq_poly()] * mdp.n_pairs
 
     def ahead(self, pair: int, values: Values) -> fmpq_poly:
         """Return D Q of a pair: D r + γ Σ p N; from its gap, where nothing that follows is new."""

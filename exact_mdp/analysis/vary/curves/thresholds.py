@@ -236,18 +236,17 @@ def thresholds(
     """
     family = parametric(model)
     whole = curve(family, name, range_of(family, name, ranges, relative))
-    found = list[Threshold]()
-    for left, right in pairwise(whole.pieces):
-        if switches := _switches(whole.mdp, left.optimal, right.optimal):
-            found.append(Threshold(low=left.high[0], high=left.high[1], switches=switches))
+    turns = (
+        (left.high, _switches(whole.mdp, left.optimal, right.optimal))
+        for left, right in pairwise(whole.pieces)
+    )
+    found = (Threshold(low=low, high=high, switches=each) for (low, high), each in turns if each)
     return Thresholds(curve=whole, found=tuple(found))
 
 
 def _switches(mdp: MDP, before: Flags, after: Flags) -> tuple[Switch, ...]:
     """Return the states whose optimal pairs (L,) change."""
     states = np.unique(mdp.pair_state[before != after]).tolist()
-    if not states:
-        return ()
     seen = reachable(mdp, pairs=before) | reachable(mdp, pairs=after)
     below, above = actions_of(mdp, before), actions_of(mdp, after)
     return tuple(

@@ -17,10 +17,10 @@ moves they come from powers of P_π,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
-from functools import lru_cache, reduce
+from functools import reduce
 from itertools import chain, count, islice, pairwise
 from math import ceil, floor
 
@@ -50,7 +50,6 @@ ATTEMPTS = 400
 LARGEST = 300  # states of a model with cycles
 CYCLIC_DEGREE = 200
 
-At = Callable[[Fraction], MDP]
 Entries = Sequence[tuple[int, fmpq_poly]]
 
 
@@ -215,13 +214,13 @@ def pieces_of(
     """Return the pieces over a range, and their sections; sign is -1 for costs, `mix` is held."""
     cuts = {*family.breakpoints(name)}
     inside = (cut for cut in cuts if span.low < cut < span.high)
-    at = lru_cache(lambda value: family.at({name: value}))
     pieces, sections, policy = list[CurvePiece](), list[Equations](), None
     for low, high in pairwise(sorted({span.low, *inside, span.high})):
-        equations = _middle(family, at, name, low, high)
+        equations = _middle(family, name, low, high)
         if equations.change.checked is not None:  # refuse a jump
             for cut in {low, high} & cuts:
-                row_change(family, name, replace(equations.change.piece, origin=cut), at(cut))
+                there = replace(equations.change.piece, origin=cut)
+                row_change(family, name, there, family.at({name: cut}))
         if not equations.one_solution():
             raise unending(f"for some {name} from {shown(low)} to {shown(high)}")
         sweep = Sweep(equations, mix, sign)
@@ -231,14 +230,14 @@ def pieces_of(
     return pieces, sections
 
 
-def _middle(family: Parametric, at: At, name: str, low: Fraction, high: Fraction) -> Equations:
+def _middle(family: Parametric, name: str, low: Fraction, high: Fraction) -> Equations:
     """Return the equations from the middle of a section, or from next to it if a chance is 0 there.
 
     What may happen there may then happen next to it, too. A chance that moves is 0 at few points.
     """
     for share in chain([Fraction(1, 2)], (Fraction(37 + k, 97 + 2 * k) for k in count())):
         origin = low + (high - low) * share
-        equations = Equations(family, name, Piece(low=low, high=high, origin=origin), at(origin))
+        equations = Equations(family, name, Piece(low=low, high=high, origin=origin))
         moving, there = equations.change.transition.key, transition_entries(equations.mdp)[0]
         if np.isin(moving, there).all():
             return equations
