@@ -150,15 +150,11 @@ def plot_regrets(outcomes: Outcomes | Mapping[str, Outcomes], *, ax: Axes | None
     """
     ax = axes_or_new(ax)
     every = outcomes if isinstance(outcomes, Mapping) else {"all runs": outcomes}
-    for number, (label, each) in enumerate(every.items()):
-        regret = np.append(0.0, np.sort(each.regret))
-        ax.step(
-            regret,
-            np.arange(len(regret)) / (len(regret) - 1),
-            where="post",
-            **line(number),
-            label=f"{label}:\nmean {each.regret.mean():.2f}, optimal {each.optimal_fraction:.1%}",
-        )
+    steps = {}
+    for label, each in every.items():
+        words = f"{label}:\nmean {each.regret.mean():.2f}, optimal {each.optimal_fraction:.1%}"
+        steps[words] = np.append(0.0, np.sort(each.regret)), np.linspace(0, 1, each.runs + 1)
+    lines(ax, steps, drawstyle="steps-post")
     ax.set_xlim(left=0)
     ax.set_ylim(0, 1.02)
     return described(

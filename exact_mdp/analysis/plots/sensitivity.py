@@ -113,16 +113,14 @@ def plot_tornado(
     known(output, OUTPUT, "output", "output")
     middle = tornado.today[output].value
     column = {"optimal": "value", "fixed": "fixed_value", "regret": "regret"}[output]
-
-    def reaches(bar: Mapping[str, float]) -> list[tuple[float, Look]]:
-        """Return both ends' reach and look, the wider first."""
-        low, high = (bar[f"{column}_{end}"] - middle for end in ("low", "high"))
-        return sorted(((low, LOW), (high, HIGH)), key=lambda end: -abs(end[0]))
-
-    bars_of = tornado.frame().to_dict("records")
-    rows = sorted(bars_of, key=lambda bar: -abs(reaches(bar)[0][0]))[:most]
-    names = [_with_range(bar["parameter"], bar["low"], bar["high"]) for bar in rows]
-    drawn = ((row, *end) for row, bar in enumerate(rows) for end in reaches(bar))
+    table = tornado.frame()
+    reach = table[[f"{column}_low", f"{column}_high"]].to_numpy() - middle
+    order = np.argsort(-np.abs(reach).max(axis=1), kind="stable")[:most]
+    rows = table[["parameter", "low", "high"]].iloc[order]
+    names = [_with_range(*row) for row in rows.itertuples(index=False)]
+    ends = (zip(each, (LOW, HIGH), strict=True) for each in reach[order])
+    wider_first = (sorted(each, key=lambda end: -abs(end[0])) for each in ends)
+    drawn = ((row, *end) for row, each in enumerate(wider_first) for end in each)
     what = "regret" if output == "regret" else "value"
     return described(
         bars(ax, names, drawn, middle),

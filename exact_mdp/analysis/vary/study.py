@@ -11,7 +11,6 @@ size, so that any number of workers gives the same bytes.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -182,7 +181,7 @@ def checked(model: Parametric, given: Mapping[str, Any] | DataFrame) -> Numbers:
 class Draws:
     """Points (D, P), worked on in blocks of a size; `key` tells them from others in a folder."""
 
-    solver: DrawSolver
+    solver: ModelSolver
     points: Numbers
     size: int
     key: Mapping[str, object]
@@ -247,11 +246,11 @@ class Draws:
         return many(work, pieces, names=names, **how)
 
 
-def _block(solver: DrawSolver, policies: Sequence[Floats], piece: tuple[int, Numbers]) -> Arrays:
+def _block(solver: ModelSolver, policies: Sequence[Floats], piece: tuple[int, Numbers]) -> Arrays:
     return solver.solved(piece[1], piece[0]) | _held(solver, policies, piece)
 
 
-def _held(solver: DrawSolver, policies: Sequence[Floats], piece: tuple[int, Numbers]) -> Arrays:
+def _held(solver: ModelSolver, policies: Sequence[Floats], piece: tuple[int, Numbers]) -> Arrays:
     first, draws = piece
     if not policies:
         return dict.fromkeys(("value", "error"), np.empty((len(draws), 0)))
@@ -354,30 +353,26 @@ def _refuse_infinite(what: str, value: Bounded, where: str) -> None:
         )
 
 
-class DrawSolver(ABC):
-    """A model at draws (D, Q) of some parameters, which `names` says.
+class ModelSolver:
+    """Models that are built at draws (D, Q) of some parameters, which `names` says.
 
     `mdp` is the model at today's values. A policy is held as the probabilities (L,) of its pairs,
-    which are the same at other values. `labels` (X,) are what a policy is told by, `place` (S,) is
-    which of them a state has, -1 for none.
+    which are the same at other values. `labels` (X,) are what a policy is told by, here the states
+    in which there is a choice; `place` (S,) is which of them a state has, -1 for none.
     """
 
-    block: int  # draws in a piece of work
-    pool: int  # draws of largest regret, which choose candidates
-    compiled: bool  # so that threads can share the work
-    labels: tuple[str, ...]
-    place: Integers
+    block, pool = 64, 32  # draws in a piece of work; of largest regret, which choose candidates
+    compiled = False  # or threads can share the work
 
     def __init__(self, model: Parametric, names: Sequence[str]) -> None:
         self.model, self.names, self.mdp = model, tuple(names), model.at({})
+        forced = self.mdp.forced
+        self.labels = tuple(self.mdp.space.labels(np.flatnonzero(~forced)))
+        self.place = np.where(forced, -1, np.cumsum(~forced) - 1)
+        self.built: dict[str, _Built] = {}
 
-    @abstractmethod
-    def solved(self, draws: Numbers, first: int = 0) -> Arrays:
-        """Return the optima of (D, Q) draws: start, start_error (D,), and others as in `Study`."""
-
-    @abstractmethod
-    def values(self, draws: Numbers, policies: Sequence[Floats], first: int = 0) -> Arrays:
-        """Return value (D, N) and error (D, N) of N policies, each (L,) probabilities of pairs."""
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {"built": {}}
 
     @cached_property
     def solution(self) -> Solution:
@@ -407,21 +402,6 @@ class DrawSolver(ABC):
         return dict(zip(self.labels, chosen, strict=True))
 
 
-class ModelSolver(DrawSolver):
-    """Models that are built; labels are the states in which there is a choice."""
-
-    block, pool, compiled = 64, 32, False
-
-    def __init__(self, model: Parametric, names: Sequence[str]) -> None:
-        super().__init__(model, names)
-        forced = self.mdp.forced
-        self.labels = tuple(self.mdp.space.labels(np.flatnonzero(~forced)))
-        self.place = np.where(forced, -1, np.cumsum(~forced) - 1)
-        self.built: dict[str, _Built] = {}
-
-    def __getstate__(self) -> dict[str, Any]:
-        return vars(self) | {"built": {}}
-
     def _of(self, draws: Numbers, first: int) -> _Built:
         """Return the models of draws; what was built of these draws before is used again."""
         key = repr(draws.tolist())
@@ -448,7 +428,7 @@ class ModelSolver(DrawSolver):
         return f"draw {first + d}, " + (words or "today's parameters")
 
     def solved(self, draws: Numbers, first: int = 0) -> Arrays:
-        """See `DrawSolver.solved`."""
+        """Return the optima of (D, Q) draws: start, start_error (D,), and others as in `Study`."""
         mdp = self.mdp
         start, error, gap, doubt, policies = self._of(draws, first).optimum()
         rows, which = distinct(policies.astype(np.int32))
@@ -470,7 +450,7 @@ class ModelSolver(DrawSolver):
         }
 
     def values(self, draws: Numbers, policies: Sequence[Floats], first: int = 0) -> Arrays:
-        """See `DrawSolver.values`."""
+        """Return value (D, N) and error (D, N) of N policies, each (L,) probabilities of pairs."""
         built = self._of(draws, first)
         value, error = np.array([built.held(weights) for weights in policies]).swapaxes(0, 1)
         return {"value": value.T, "error": error.T}
@@ -498,7 +478,7 @@ class ModelSolver(DrawSolver):
         return totals
 
 
-class CareSolver(DrawSolver):
+class CareSolver(ModelSolver):
     """Batches of draws of a care scenario; labels are the statuses, at subtask 0, trial 0."""
 
     block, pool, compiled = 4096, 1000, True
@@ -514,7 +494,7 @@ class CareSolver(DrawSolver):
         self.place = np.where(self.tried, states % len(self.labels), -1)
 
     def solved(self, draws: Numbers, first: int = 0) -> Arrays:
-        """See `DrawSolver.solved`."""
+        """See `ModelSolver.solved`."""
         mdp, optima = self.mdp, optimal(self.scenario, self.names, draws.astype(float))
         taken, which = distinct(optima.actions.reshape(len(draws), -1))
         rows = np.tile(mdp.pair_action[mdp.pair_offsets[:-1]].astype(np.int32), (len(taken), 1))
@@ -530,7 +510,7 @@ class CareSolver(DrawSolver):
         }
 
     def values(self, draws: Numbers, policies: Sequence[Floats], first: int = 0) -> Arrays:
-        """See `DrawSolver.values`."""
+        """See `ModelSolver.values`."""
         mdp, actions = self.mdp, len(self.scenario.actions)
         tables = [MDP.by_action(mdp, weights, 0.0)[self.tried, :actions] for weights in policies]
         stages = np.stack(tables).reshape(len(tables), -1, len(self.labels), actions)
@@ -538,7 +518,7 @@ class CareSolver(DrawSolver):
         return {"value": value, "error": np.repeat(error[:, None], len(tables), axis=1)}
 
 
-def solver_of(model: Parametric, names: Sequence[str]) -> DrawSolver:
+def solver_of(model: Parametric, names: Sequence[str]) -> ModelSolver:
     """Return the fastest way to solve a model at many draws of some parameters."""
     if isinstance(model, ScenarioFamily) and not model.asks:
         scenario = model.scenario
