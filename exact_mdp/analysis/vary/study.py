@@ -401,7 +401,6 @@ class ModelSolver:
         chosen = [self.mdp.actions[action] for action in number.tolist()]
         return dict(zip(self.labels, chosen, strict=True))
 
-
     def _of(self, draws: Numbers, first: int) -> _Built:
         """Return the models of draws; what was built of these draws before is used again."""
         key = repr(draws.tolist())

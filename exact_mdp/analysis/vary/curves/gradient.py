@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import cached_property
+from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -37,6 +37,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.parametric.row_change import (
+    Piece,
     RowChange,
     pieces,
     ratios,
@@ -61,6 +62,8 @@ EXACT_SPARSE_STATES, EXACT_SPARSE_TRANSITIONS = 200, 10_000  # of small integers
 SLOPE, ELASTICITY = "derivative (reward per unit)", "elasticity (% per %)"  # columns of a table
 
 Number = Certified | Bounded
+Pass = tuple[Number, Callable[[RowChange, int], Number]]
+"""The value at the start, and the derivative on one side of it: 1 the right, -1 the left one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -259,35 +262,36 @@ def gradient(
         sparse = sparse and mdp.table.weight.dtype == np.int64
         few = mdp.n_states <= (EXACT_SPARSE_STATES if sparse else EXACT_CYCLIC_STATES)
         exact = mdp.n_transitions <= EXACT_TRANSITIONS and (few or is_acyclic(mdp))
-    passed = _ExactPass(mdp, policy) if exact else _BoundedPass(mdp, policy)
+    passed = _exact_pass(mdp, policy) if exact else _bounded_pass(mdp, policy)
+    start, _ = passed
     return Gradient(
         model=family.name,
-        start=passed.start,
+        start=start,
         derivatives={each.name: _derivative(family, mdp, passed, each) for each in parameters},
-        steps=_steps(family, passed.start) if reoptimised else {},
+        steps=_steps(family, start) if reoptimised else {},
         reoptimised=reoptimised,
     )
 
 
-def _derivative(
-    family: Parametric, mdp: MDP, passed: _ExactPass | _BoundedPass, parameter: Parameter
-) -> Derivative:
-    name = parameter.name
-    sides: list[Slope | None] = []
-    below, above = pieces(family, name, parameter.value)
-    for piece, sign in ((below, -1), (above, 1)):
+def _derivative(family: Parametric, mdp: MDP, passed: Pass, parameter: Parameter) -> Derivative:
+    start, slope = passed
+
+    @cache
+    def change(piece: Piece) -> RowChange:
+        return row_change(family, parameter.name, piece, mdp)
+
+    def side(piece: Piece | None, sign: int) -> Slope | None:
         if piece is None:
-            sides.append(None)
-            continue
-        if not sides or piece is not below:
-            change = row_change(family, name, piece, mdp)
-        slope, points = passed.slope(change, sign), change.checked
-        sides.append(slope if points is None else Checked(number=slope, points=points))
-    each = Derivative(parameter=parameter, left=sides[0], right=sides[1], elasticity=None)
-    start = Fraction(passed.start.value)
-    if each.value is None or not start:
+            return None
+        number, points = slope(change(piece), sign), change(piece).checked
+        return number if points is None else Checked(number=number, points=points)
+
+    below, above = pieces(family, parameter.name, parameter.value)
+    left, right = side(below, -1), side(above, 1)
+    each = Derivative(parameter=parameter, left=left, right=right, elasticity=None)
+    if each.value is None or not start.value:
         return each
-    share = Fraction(each.value.value) * parameter.value / start
+    share = Fraction(each.value.value) * parameter.value / Fraction(start.value)
     return replace(each, elasticity=in_float(share))
 
 
@@ -308,6 +312,95 @@ def _steps(family: Parametric, start: Number) -> dict[str, tuple[Number | None, 
 
 
 # ---- one pass ------------------------------------------------------------------------------------
+
+
+def _exact_pass(mdp: MDP, policy: PolicyLike) -> Pass:
+    """Return the value at the start in rationals, and what gives its derivatives."""
+    certificate = None
+    if isinstance(policy, str) and policy == "optimal":
+        certificate = proven(mdp)
+        policy = certificate.policy
+    chain = PolicyChain.of(mdp, policy)
+    if mdp.discount_exact == 1:
+        chain.require_end()
+    if certificate is None:
+        level = chain.exact_value
+        values, start = level.fractions(), Certified(value=level.mean(mdp.start))
+    else:
+        values, start = certificate.value, certificate.start
+    value = np.array([*map(rational, values)], dtype=object)
+    uses = np.array([rational(0)] * mdp.n_pairs, dtype=object)
+    for state, seen in enumerate(chain.exact_visits.fractions()):
+        if seen:
+            leak = 1 - mdp.discount_exact
+            amount = rational(seen / leak if mdp.terminal[state] and leak else seen)
+            for pair, weight in chain.exact_weights(state).items():
+                uses[pair] = amount * rational(weight)
+    row_keys, top, bottom = transition_entries(mdp)
+    rows = row_keys, np.array(ratios(top, bottom), dtype=object)
+
+    def slope(change: RowChange, sign: int) -> Certified:
+        keys, slopes, gain_keys, gains = _moves(mdp, change, lambda x: x, rows)
+        unique = certificate is None or certificate.unique
+        if unique:  # other pairs count for nothing
+            used = np.asarray(uses != 0, dtype=bool)[keys // mdp.n_states]
+            keys, slopes = keys[used], slopes[used]
+        earned = _earned(keys, slopes, gain_keys, gains, value, mdp.n_pairs)
+        _refuse_endless(mdp, earned != 0, change.name)
+        if certificate is None or unique:
+            return Certified(value=fraction(rational(0) + uses @ earned))
+        top, bottom = common([sign * fraction(rational(0) + each) for each in earned])
+        table = mdp.table.earning(integers(top), integers([bottom] * len(top)))
+        tied = np.flatnonzero(certificate.optimal_pairs)
+        best = proven(of_pairs(mdp.with_(table=table), tied))
+        return Certified(value=sign * Fraction(best.start_value))
+
+    return start, slope
+
+
+def _bounded_pass(mdp: MDP, policy: PolicyLike) -> Pass:
+    """Return the same in floats; both sides are alike where one policy is optimal."""
+    if isinstance(policy, str) and policy == "optimal":
+        solution = solve(mdp)
+        gain = gains(mdp, solution.value)
+        tied = mdp.sign * gain.value >= -2 * (solution.error_bound + gain.noise)
+        several = np.add.reduceat(tied, mdp.pair_offsets[:-1], dtype=np.int64) != 1
+        several &= reachable(mdp, pairs=tied) & ~mdp.terminal
+        if several.any():
+            raise ModelError(
+                "several actions are optimal, or floats cannot tell them apart",
+                where=mdp.space.place(int(several.argmax())),
+                fix="ask for exact=True, which gives one-sided derivatives at a tie",
+            )
+        policy = solution
+    evaluation = evaluate(mdp, policy)
+    chain, live = evaluation.chain, ~np.isnan(evaluation.value)
+    value = np.where(live, evaluation.value, 0.0)
+    value_error = np.where(live, evaluation.error, 0.0)
+    seen = chain.discounted.visits
+    stay = 0.0 if mdp.discount_exact == 1 else 1 / (1 - mdp.discount)
+    factor = np.where(mdp.terminal, stay, 1.0)[mdp.pair_state] * chain.weights
+    uses = seen.value[mdp.pair_state] * factor
+    rounding = float(gamma(8 + chain.roundings)) / max(1 - mdp.discount, UNIT)
+    rounding = rounding if stay else float(gamma(4 + chain.roundings))
+    doubt = seen.error[mdp.pair_state] * factor * SLACK + rounding * uses
+    count, lengths = mdp.n_pairs, np.diff(mdp.transition.indptr)
+    pair = np.repeat(np.arange(count), lengths)
+    rows = pair * mdp.n_states + mdp.transition.indices, mdp.transition.data
+    terms = int(lengths.max()) * 2 + count + 8
+
+    def slope(change: RowChange, _: int) -> Bounded:
+        moves = _moves(mdp, change, lambda x: float(fraction(x)), rows)
+        keys, slopes, gain_keys, gains = map(np.abs, moves)
+        earned = _earned(*moves, value, count)
+        size = _earned(keys, slopes, gain_keys, gains, np.abs(value), count)
+        off = _earned(keys, slopes, gain_keys, 0 * gains, value_error, count)
+        _refuse_endless(mdp, size > 0, change.name)
+        used = uses + doubt
+        error = doubt @ size + used @ off + float(gamma(terms)) * (used @ size)
+        return Bounded(value=float(uses @ earned), error=float(error * SLACK + TINY * terms))
+
+    return evaluation.numbers["mean"], slope
 
 
 def _moves(
@@ -336,54 +429,6 @@ def _earned(
     return earned
 
 
-class _ExactPass:
-    """Value and occupancy of a policy in rationals, and the derivatives that they give."""
-
-    def __init__(self, mdp: MDP, policy: PolicyLike) -> None:
-        self.mdp, self.certificate = mdp, None
-        if isinstance(policy, str) and policy == "optimal":
-            self.certificate = proven(mdp)
-            policy = self.certificate.policy
-        chain = PolicyChain.of(mdp, policy)
-        if mdp.discount_exact == 1:
-            chain.require_end()
-        if self.certificate is None:
-            level = chain.exact_value
-            value, start = level.fractions(), Certified(value=level.mean(mdp.start))
-        else:
-            value, start = self.certificate.value, self.certificate.start
-        self.value, self.start = np.array([*map(rational, value)], dtype=object), start
-        self.uses = np.array([rational(0)] * mdp.n_pairs, dtype=object)
-        for state, seen in enumerate(chain.exact_visits.fractions()):
-            if seen:
-                leak = 1 - mdp.discount_exact
-                amount = rational(seen / leak if mdp.terminal[state] and leak else seen)
-                for pair, weight in chain.exact_weights(state).items():
-                    self.uses[pair] = amount * rational(weight)
-
-    @cached_property
-    def rows(self) -> tuple[Integers, Numbers]:
-        keys, top, bottom = transition_entries(self.mdp)
-        return keys, np.array(ratios(top, bottom), dtype=object)
-
-    def slope(self, change: RowChange, sign: int) -> Certified:
-        """Return the derivative on one side: 1 for the right one, -1 for the left one."""
-        unique = self.certificate is None or self.certificate.unique
-        keys, slopes, gain_keys, gains = _moves(self.mdp, change, lambda x: x, self.rows)
-        if unique:  # other pairs count for nothing
-            used = np.asarray(self.uses != 0, dtype=bool)[keys // self.mdp.n_states]
-            keys, slopes = keys[used], slopes[used]
-        earned = _earned(keys, slopes, gain_keys, gains, self.value, self.mdp.n_pairs)
-        _refuse_endless(self.mdp, earned != 0, change.name)
-        if self.certificate is None or unique:
-            return Certified(value=fraction(rational(0) + self.uses @ earned))
-        top, bottom = common([sign * fraction(rational(0) + each) for each in earned])
-        table = self.mdp.table.earning(integers(top), integers([bottom] * len(top)))
-        tied = np.flatnonzero(self.certificate.optimal_pairs)
-        best = proven(of_pairs(self.mdp.with_(table=table), tied))
-        return Certified(value=sign * Fraction(best.start_value))
-
-
 def _refuse_endless(mdp: MDP, earns: NDArray[np.bool_], name: str) -> None:
     """Raise ModelError where a parameter makes a terminal state earn, without end at discount 1."""
     wrong = np.flatnonzero(earns.astype(bool) & mdp.terminal[mdp.pair_state])
@@ -393,51 +438,3 @@ def _refuse_endless(mdp: MDP, earns: NDArray[np.bool_], name: str) -> None:
             where=f"parameter {name}, {mdp.where(int(wrong[0]))}",
             fix="choose a discount below 1",
         )
-
-
-class _BoundedPass:
-    """Value and occupancy of a policy in floats, and the derivatives that they give."""
-
-    def __init__(self, mdp: MDP, policy: PolicyLike) -> None:
-        self.mdp = mdp
-        if isinstance(policy, str) and policy == "optimal":
-            solution = solve(mdp)
-            gain = gains(mdp, solution.value)
-            tied = mdp.sign * gain.value >= -2 * (solution.error_bound + gain.noise)
-            several = np.add.reduceat(tied, mdp.pair_offsets[:-1], dtype=np.int64) != 1
-            several &= reachable(mdp, pairs=tied) & ~mdp.terminal
-            if several.any():
-                raise ModelError(
-                    "several actions are optimal, or floats cannot tell them apart",
-                    where=mdp.space.place(int(several.argmax())),
-                    fix="ask for exact=True, which gives one-sided derivatives at a tie",
-                )
-            policy = solution
-        evaluation = evaluate(mdp, policy)
-        self.start, chain = evaluation.numbers["mean"], evaluation.chain
-        live = ~np.isnan(evaluation.value)
-        self.value = np.where(live, evaluation.value, 0.0)
-        self.value_error = np.where(live, evaluation.error, 0.0)
-        seen = chain.discounted.visits
-        stay = 0.0 if mdp.discount_exact == 1 else 1 / (1 - mdp.discount)
-        factor = np.where(mdp.terminal, stay, 1.0)[mdp.pair_state] * chain.weights
-        self.uses = seen.value[mdp.pair_state] * factor
-        rounding = float(gamma(8 + chain.roundings)) / max(1 - mdp.discount, UNIT)
-        rounding = rounding if stay else float(gamma(4 + chain.roundings))
-        self.doubt = seen.error[mdp.pair_state] * factor * SLACK + rounding * self.uses
-        pair = np.repeat(np.arange(mdp.n_pairs), np.diff(mdp.transition.indptr))
-        self.rows = pair * mdp.n_states + mdp.transition.indices, mdp.transition.data
-
-    def slope(self, change: RowChange, _: int) -> Bounded:
-        """Return the derivative; both sides are alike where one policy is optimal."""
-        count = self.mdp.n_pairs
-        moves = _moves(self.mdp, change, lambda x: float(fraction(x)), self.rows)
-        keys, slopes, gain_keys, gains = map(np.abs, moves)
-        earned = _earned(*moves, self.value, count)
-        size = _earned(keys, slopes, gain_keys, gains, np.abs(self.value), count)
-        off = _earned(keys, slopes, gain_keys, 0 * gains, self.value_error, count)
-        _refuse_endless(self.mdp, size > 0, change.name)
-        terms = int(np.diff(self.mdp.transition.indptr).max()) * 2 + self.mdp.n_pairs + 8
-        used = self.uses + self.doubt
-        error = self.doubt @ size + used @ off + float(gamma(terms)) * (used @ size)
-        return Bounded(value=float(self.uses @ earned), error=float(error * SLACK + TINY * terms))
