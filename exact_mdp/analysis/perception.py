@@ -20,13 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from exact_mdp.mdp.care.perception import (
-    by_place,
-    checked,
-    independent,
-    status_names,
-    status_size,
-)
+from exact_mdp.mdp.care.perception import by_place, checked, independent, status_names, status_size
 from exact_mdp.mdp.errors import ModelError, known, listed
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike

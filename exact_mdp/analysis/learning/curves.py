@@ -49,11 +49,7 @@ class LearningCurve(Pictured):
 
 
 def learning_curve(
-    model: MDP,
-    run: TrainingRun,
-    *,
-    rng: Seed,
-    n: int = EXPERIMENTS,
+    model: MDP, run: TrainingRun, *, rng: Seed, n: int = EXPERIMENTS
 ) -> LearningCurve:
     """Return the curve of one run: each epoch's greedy policy, tried and evaluated exactly.
 
@@ -89,13 +85,7 @@ def learning_curve(
     return _curve(model, run.space.names, table, run.snapshots, value, error, n, rng)
 
 
-def random_curve(
-    model: MDP,
-    epochs: int,
-    *,
-    rng: Seed,
-    n: int = EXPERIMENTS,
-) -> LearningCurve:
+def random_curve(model: MDP, epochs: int, *, rng: Seed, n: int = EXPERIMENTS) -> LearningCurve:
     """Return the same curve for actions drawn uniformly, the authors' baseline."""
     mean, nothing = evaluate(model, "random"), np.zeros((1, rows_of(model).offered.size))
     value, error = np.full((2, epochs), [[mean.mean], [mean.start.error]])

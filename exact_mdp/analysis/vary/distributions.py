@@ -51,26 +51,12 @@ from numpy.random import SeedSequence
 
 from exact_mdp.analysis.vary.ranges import entries, is_probability, unit_of
 from exact_mdp.analysis.vary.study import checked
-from exact_mdp.mdp.errors import (
-    ModelError,
-    check_names,
-    known,
-    listed,
-    located,
-    once_each,
-)
+from exact_mdp.mdp.errors import ModelError, check_names, known, listed, located, once_each
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
-from exact_mdp.mdp.parametric import (
-    DISCOUNT,
-    Family,
-    Parametric,
-    moving,
-    parameter_of,
-    parametric,
-)
+from exact_mdp.mdp.parametric import DISCOUNT, Family, Parametric, moving, parameter_of, parametric
 from exact_mdp.mdp.result import Brief, DataFrame
 from exact_mdp.mdp.table import Floats, float_of
 
@@ -455,16 +441,14 @@ def _alone(parameter: Parameter, settings: Settings, default: float) -> Uncertai
     return part
 
 
-ROW = "name all but one of its probabilities, each a Parameter(…, low=0, high=1)"
-
-
 def _row(row: Sequence[Parameter], label: str, settings: Settings, default: float) -> Uncertain:
     """Return the joint distribution of a row's entries."""
     names, where = [p.name for p in row], f"row {label}"
     for parameter in row:
         if not is_probability(parameter):
             what = f"{parameter.name} is not a probability of a row"
-            raise ModelError(what, where=where, fix=ROW)
+            fix = "name all but one of its probabilities, each a Parameter(…, low=0, high=1)"
+            raise ModelError(what, where=where, fix=fix)
     usual = settings.get("distribution", "dirichlet") == "dirichlet"
     if not usual or set(settings) - {"distribution", "alpha", SIZE}:
         fix = f"state its {SIZE}, or alpha, a list of one more than its parameters"

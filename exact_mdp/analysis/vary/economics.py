@@ -208,15 +208,16 @@ def cost_effectiveness(
     for name in (effect, cost):
         known(name, solver.mdp.component_names, "component", "cost-effectiveness")
     weights = [solver.held(policy) for policy in strategies.values()]
-    firsts = range(0, len(draws), solver.block)
-    blocks = [(draws[first : first + solver.block], first) for first in firsts]
-    every = [solver.totals(some, weights, (effect, cost), first) for some, first in blocks]
-    totals = np.concatenate(every)
+    every = [
+        solver.totals(draws[first : first + solver.block], weights, (effect, cost), first)
+        for first in range(0, len(draws), solver.block)
+    ]
+    effects, costs = np.moveaxis(np.concatenate(every), 2, 0)
     return CostEffectiveness(
         strategies=tuple(strategies),
         uncertainty=chosen,
         draws=draws,
-        effect=totals[:, :, 0],
-        cost=totals[:, :, 1],
+        effect=effects,
+        cost=costs,
         seed=seed,
     )

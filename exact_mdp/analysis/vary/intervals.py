@@ -115,12 +115,7 @@ def mean_interval(values: Floats) -> tuple[float, float] | None:
 
 
 def bootstrap(
-    weight: Floats,
-    values: Floats,
-    confidence: float,
-    ends: tuple[float, float],
-    n: int,
-    seed: int,
+    weight: Floats, values: Floats, confidence: float, ends: tuple[float, float], n: int, seed: int
 ) -> tuple[float, float]:
     """Return the BCa interval (Efron, JASA 82, 1987, section 4) of a weighted mean Σ w x / Σ w.
 

@@ -140,8 +140,8 @@ def checked(model: Parametric, ranges: Mapping[str, object] | None) -> Ranges:
             raise ModelError("not a pair of numbers", where=where, fix="give low and high")
         with located(where, instead=True):
             low, high = exact(given[0]), exact(given[1])
-            for end in (low, high):
-                Parameter(name=name, value=end, low=parameter.low, high=parameter.high)
+            parameter.check(low)
+            parameter.check(high)
             if low == high:
                 raise ModelError(
                     f"the range from {beside(low, high)} to {shown(high)} is empty",

@@ -114,9 +114,7 @@ class Robust(Result):
             },
             tables={
                 "values": Table(
-                    title="value at the start",
-                    rows=values,
-                    columns={"policy": "policy", **columns},
+                    title="value at the start", rows=values, columns={"policy": "policy", **columns}
                 ),
                 "policy_changes": Table(
                     title="states in which the robust policy takes another action",
@@ -177,10 +175,7 @@ def ambiguity_of(mdp: MDP, kind: str, radius: object) -> Ambiguity:
 
 @named_options
 def robust(
-    model: MDP,
-    ambiguity: Ambiguity | None = None,
-    *,
-    policy: PolicyLike = "optimal",
+    model: MDP, ambiguity: Ambiguity | None = None, *, policy: PolicyLike = "optimal"
 ) -> Robust:
     """Return the worst and the best case of a policy, and the best policy against the worst.
 

@@ -224,11 +224,7 @@ def sobol(
     every = (table.optimal, table.fixed, table.regret)
     indices = (_indices(each.reshape(n, -1), noise, resamples) for each in every)
     return Sobol(
-        model=family.name,
-        spans=spans,
-        n=n,
-        seed=seed,
-        **dict(zip(OUTPUTS, indices, strict=True)),
+        model=family.name, spans=spans, n=n, seed=seed, **dict(zip(OUTPUTS, indices, strict=True))
     )
 
 
@@ -253,15 +249,13 @@ def _indices(output: Floats, noise: float, resamples: Integers) -> Indices:
     """Return the indices of an output (n, P + 2), whose columns are A, AB_1 … AB_P, and B."""
     both = output[:, [0, -1]]
     mean, count = float(both.mean()), output.shape[1] - 2
-    if np.ptp(both) <= noise:
-        nan = np.full(count, np.nan)
-        return Indices(mean=mean, sd=0.0, first=nan, first_half=nan, total=nan, total_half=nan)
-    first, total = _shares(output)
-    # A resample in which the output does not vary has no indices.
-    again = np.array([_shares(output[each]) for each in resamples if np.ptp(both[each]) > 0])
-    spread = again.std(axis=0, ddof=1) if len(again) > 1 else np.full((2, count), np.nan)
-    one, other = NORMAL * spread
-    sd = float(both.std(ddof=1))
+    sd, shares, spread = 0.0, *np.full((2, 2, count), np.nan)
+    if np.ptp(both) > noise:
+        sd, shares = float(both.std(ddof=1)), _shares(output)
+        # A resample in which the output does not vary has no indices.
+        again = [_shares(output[each]) for each in resamples if np.ptp(both[each]) > 0]
+        spread = np.std(again, axis=0, ddof=1) if len(again) > 1 else spread
+    (first, total), (one, other) = shares, NORMAL * spread
     return Indices(mean=mean, sd=sd, first=first, first_half=one, total=total, total_half=other)
 
 

@@ -17,7 +17,7 @@ from fractions import Fraction
 from functools import cached_property, partial
 from hashlib import sha256
 from math import inf, isinf
-from typing import Any, Unpack
+from typing import Any, TypeVar, Unpack
 
 import numpy as np
 
@@ -37,11 +37,12 @@ from exact_mdp.solvers.care import MOST_ACTIONS, MOST_STATUSES, optimal, policy_
 from exact_mdp.solvers.parallel import Arrays, How, folder_of, joined, many
 from exact_mdp.solvers.solution import Bounded, Solution, regrets
 from exact_mdp.solvers.solver import solve
-from exact_mdp.solvers.values.evaluate import evaluate
+from exact_mdp.solvers.values.evaluate import Evaluation, evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 SHOWN = 3  # parameters of a point that an error names
 KEPT = 2**24  # numbers of built models that are kept for the next question
+Found = TypeVar("Found", Solution, Evaluation)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -285,7 +286,12 @@ class _Built:
     def _optimum(self, d: int) -> tuple[float, float, Floats, Floats, Integers]:
         mdp = self.models[d]
         solution = finite_optimum(mdp, self.at(d))
-        lost, noise = lost_by(mdp, solution)
+        here, ahead = solution.value[mdp.pair_state], mdp.backup(solution.value)
+        # States may be worth ±∞, though the start is not; a pair that may lead to both is worth -∞.
+        ahead[np.isnan(ahead)] = -inf
+        with np.errstate(invalid="ignore"):
+            lost = np.where(here == ahead, 0.0, mdp.sign * (here - ahead))
+        noise = gains(mdp, np.where(np.isinf(solution.value), 0.0, solution.value)).noise
         off = solution.state_error[mdp.pair_state]
         off = off + mdp.discount * (mdp.transition @ solution.state_error)
         taken = np.asarray(solution.policy)
@@ -315,42 +321,26 @@ def digest(*policies: Floats) -> str:
     return sha256(content).hexdigest()
 
 
-def lost_by(mdp: MDP, solution: Solution) -> tuple[Floats, Floats]:
-    """Return what each pair (L,) loses, and the rounding of that.
-
-    States may be worth ±∞, though the start is not: a pair that leads to -∞ is worth that, else one
-    that leads to +∞ that; it loses nothing where its state is worth the same.
-    """
-    here, ahead = solution.value[mdp.pair_state], mdp.backup(solution.value)
-    ahead[np.isnan(ahead)] = -inf
-    with np.errstate(invalid="ignore"):
-        gap = np.where(here == ahead, 0.0, mdp.sign * (here - ahead))
-    known = np.where(np.isinf(solution.value), 0.0, solution.value)
-    return gap, gains(mdp, known).noise
-
-
 def finite_optimum(mdp: MDP, where: str) -> Solution:
     """Return the optimum; raises ModelError where it is infinite at the start."""
     solution: Solution = solve(mdp)
-    _refuse_infinite("the optimum", solution.start, where)
-    return solution
+    return _finite("the optimum", solution, where)
 
 
 def finite_worth(mdp: MDP, policy: PolicyLike, where: str) -> Bounded:
     """Return a policy's value at the start; raises ModelError where it is infinite."""
-    value = evaluate(mdp, policy).start
-    _refuse_infinite("the policy held fixed", value, where)
-    return value
+    return _finite("the policy held fixed", evaluate(mdp, policy), where).start
 
 
-def _refuse_infinite(what: str, value: Bounded, where: str) -> None:
-    if isinf(value.value):
+def _finite(what: str, found: Found, where: str) -> Found:
+    if isinf(found.start.value):
         raise ModelError(
             f"{what} is infinite, so that nothing can be compared",
             where=f"the total at discount 1, {where}",
             fix="give a discount below 1 (--discount 0.95), another policy, or ranges in which "
             "every value is finite",
         )
+    return found
 
 
 class ModelSolver:

@@ -36,12 +36,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import rational
 from exact_mdp.mdp.model import MDP, once
 from exact_mdp.mdp.parametric import Parametric
-from exact_mdp.mdp.parametric.row_change import (
-    Piece,
-    polynomials,
-    row_change,
-    transition_entries,
-)
+from exact_mdp.mdp.parametric.row_change import Piece, polynomials, row_change, transition_entries
 from exact_mdp.mdp.table import Integers, shown
 from exact_mdp.solvers.solution import Bounded, Certified
 
