@@ -319,7 +319,7 @@ def _reach(chain: sp.csr_array) -> tuple[int, int]:
 
 def _narrow(chain: sp.csr_array) -> bool:
     """Return whether a band around the diagonal, states as numbered, has few entries of its own."""
-    return sum(_reach(chain)) * chain.shape[0] <= NARROW * chain.nnz
+    return bool(sum(_reach(chain)) * chain.shape[0] <= NARROW * chain.nnz)
 
 
 def swept(
