@@ -34,6 +34,7 @@ import scipy.sparse as sp
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
+from exact_mdp.mdp.exact import BellmanRows
 from exact_mdp.mdp.graph import Mask, closure, ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -416,8 +417,22 @@ def _ever(chain: PolicyChain, happens: Mask) -> FixedPoint:
     matrix = sp.csr_array(entries, (states, states))
     roundings = chain.roundings + int(chain.outcomes.max())
     system = LinearSystem(matrix, 1.0, order=chain.order, roundings=roundings)
-    equations = Equations(chain=chain, rate=Fraction(1), live=possible, system=system, used=on)
-    point = equations.solve(chance, gamma(chain.outcomes + chain.roundings) * chance)
+
+    def rows() -> BellmanRows:
+        weight, below = chain.odds
+        return BellmanRows(
+            pair_offsets=np.arange(states + 1),
+            terminal=chain.mdp.terminal,
+            scale=below,
+            constant=np.zeros_like(below),
+            offsets=np.append(0, np.cumsum(np.bincount(source[on], minlength=states))),
+            next=following[on],
+            weight=weight[on],
+        )
+
+    point = Equations(chain, possible, system, rows).solve(
+        chance, gamma(chain.outcomes + chain.roundings) * chance
+    )
     return FixedPoint(value=np.clip(point.value, 0.0, 1.0), error=point.error)
 
 

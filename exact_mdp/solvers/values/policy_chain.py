@@ -18,17 +18,17 @@ finite or not, is the optimum of the model in which there is nothing else to do.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, partial
 from math import inf
 
 import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.exact import BellmanRows, bellman_rows
+from exact_mdp.mdp.exact import BellmanRows, bellman_rows, lcm_by_group
 from exact_mdp.mdp.graph import Mask, closure, ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
@@ -39,10 +39,12 @@ from exact_mdp.mdp.table import (
     Integers,
     Numbers,
     OutcomeTable,
-    common,
     divide,
+    dyadic,
     exact,
-    integers,
+    multiply,
+    ones,
+    row_sums,
 )
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
@@ -58,7 +60,6 @@ from exact_mdp.solvers.solution import SolverError, Status, Valued
 from exact_mdp.solvers.solver import Criterion, solve
 
 SHOWN = 4
-ZERO = Fraction(0)
 HALF = 2.0**-26  # a float has 53 binary digits
 
 
@@ -302,7 +303,7 @@ class PolicyChain:
         live = self.ends & ~self.mdp.terminal if rate == 1 else ~self.mdp.terminal
         inner = part(self.transition, np.arange(len(live)), live, inner=True)
         system = LinearSystem(inner, float(rate), order=self.order, roundings=self.roundings)
-        return Equations(chain=self, rate=rate, live=live, system=system)
+        return Equations(self, live, system, partial(self.rows, rate))
 
     @cached_property
     def undiscounted(self) -> Equations:
@@ -318,68 +319,57 @@ class PolicyChain:
     # ---- exact numbers -----------------------------------------------------------------------
 
     @cached_property
-    def odds(self) -> list[Fraction]:
-        """The exact probability of each of the N outcomes in its state."""
-        weight, below = self.table.integer_weights()
-        share: dict[int, Fraction] = {}
-        for state in range(self.mdp.n_states):
-            share |= self.exact_weights(state)
-        each = [share[l] / int(d) for l, d in zip(self.pairs.tolist(), below, strict=True)]
-        return [each[l] * int(w) for l, w in zip(self.table.pair.tolist(), weight, strict=True)]
+    def odds(self) -> tuple[Numbers, Numbers]:
+        """(N,), (S,) integers: the exact probability of each outcome, over one for its state."""
+        given = self.chosen if self.shares is None else self.shares
+        share, (weight, below) = given[self.pairs], self.table.integer_weights()
+        if share.dtype == np.float64:
+            share, _ = dyadic(share, self._first)
+        unit, each = self._over_common(below)
+        outcomes = multiply(weight, multiply(share, each)[self.table.pair])
+        return outcomes, multiply(unit, row_sums(share, self._first))
 
-    def mixed(self, used: Mask | None = None) -> list[tuple[Fraction, dict[int, Fraction]]]:
-        """Return each state's mean reward and {next state: probability}, of some outcomes (N,)."""
-        earned, below = self.mdp.table.expected_gain_exact()
-        means = []
-        for state in range(self.mdp.n_states):
-            taken = self.exact_weights(state).items()
-            means.append(sum((w * Fraction(int(earned[l]), int(below[l])) for l, w in taken), ZERO))
-        rows = [(mean, dict[int, Fraction]()) for mean in means]
-        source, following = self.source.tolist(), self.table.next.tolist()
-        for n in np.arange(len(source))[slice(None) if used is None else used].tolist():
-            row = rows[source[n]][1]
-            row[following[n]] = row.get(following[n], ZERO) + self.odds[n]
-        return rows
+    @cached_property
+    def _first(self) -> Integers:
+        """(S+1,) where the pairs of each state begin among those that are taken."""
+        return np.searchsorted(self.mdp.pair_state[self.pairs], np.arange(self.mdp.n_states + 1))
 
-    def rows(self, rate: Fraction | None = None, used: Mask | None = None) -> BellmanRows:
-        """Return the equations of the chain in integers, at another discount, of some outcomes."""
-        rate = self.mdp.discount_exact if rate is None else rate
-        if self.pure and used is None:
-            same = rate == self.mdp.discount_exact
-            return bellman_rows(self.mdp if same else self.mdp.with_(discount=rate)).of_pairs(
-                self.pairs
-            )
-        mixed = [(mean, sorted(row.items())) for mean, row in self.mixed(used)]
-        parts = [common([mean, *(rate * p for _, p in row)]) for mean, row in mixed]
-        weights = [top[1:] if rate else [] for top, _ in parts]
-        return BellmanRows(
-            pair_offsets=np.arange(len(parts) + 1),
-            terminal=self.mdp.terminal,
-            scale=integers(below for _, below in parts),
-            constant=integers(top[0] for top, _ in parts),
-            offsets=np.cumsum([0, *map(len, weights)]),
-            next=np.array([t for _, row in mixed for t, _ in row if rate], dtype=np.int64),
-            weight=integers(weight for own in weights for weight in own),
-        )
+    def _over_common(self, below: Numbers) -> tuple[Numbers, Numbers]:
+        """Return a common multiple (S,) of denominators (U,) of pairs, and its factors (U,)."""
+        unit = lcm_by_group(below, self._first)
+        return unit, np.repeat(unit, np.diff(self._first)) // below
+
+    def rows(self, rate: Fraction | None = None) -> BellmanRows:
+        """Return the equations of the chain in integers, at another discount if one is given."""
+        mdp = self.mdp if self.pure else self.model
+        if rate not in (None, mdp.discount_exact):
+            mdp = mdp.with_(discount=rate)
+        return bellman_rows(mdp).of_pairs(self.pairs) if self.pure else bellman_rows(mdp)
 
     @cached_property
     def model(self) -> MDP:
         """The model in which the policy's choices are the only ones."""
-        mdp = self.mdp
+        mdp, table = self.mdp, self.table
         if self.pure:
             return of_pairs(mdp, self.pairs)
-        rows = [
-            (s, 0, [(p, t, r) for t, p in to.items()]) for s, (r, to) in enumerate(self.mixed())
-        ]
-        return replace(
-            MDP.from_outcomes(rows, mdp.discount_exact, start=dict(mdp.start), actions=["mixed"]),
-            space=mdp.space,
-            sense=mdp.sense,
-            goal=mdp.goal,
-            unreached=mdp.unreached,
-            float_probabilities=mdp.float_probabilities,
-            float_rewards=mdp.float_rewards,
+        (weight, below), states = self.odds, np.arange(mdp.n_states)
+        gain, under = table.gain, ones(mdp.n_states)
+        if len(gain) == table.pairs:
+            gain = gain[table.pair]
+        if gain.dtype != np.float64:
+            under, each = self._over_common(table.gain_denominator)
+            gain = multiply(gain, each[table.pair])
+        order = np.lexsort((table.next, self.source))
+        mixed = OutcomeTable(
+            offsets=np.append(0, np.cumsum(self.outcomes)),
+            next=table.next[order],
+            weight=weight[order],
+            denominator=below,
+            gain=gain[order],
+            gain_denominator=under,
         )
+        own = {"pair_state": states, "pair_action": np.zeros_like(states), "events": ()}
+        return mdp.with_(table=mixed, actions=("mixed",), **own)
 
     @cached_property
     def exact_value(self) -> Level:
@@ -453,31 +443,31 @@ def flow_of(of: Objectives, policy: PolicyLike) -> Flow:
     return Flow.of({pair: share * number for number, shares in uses for pair, share in shares})
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Equations:
     """x = c + rate · P x in some states of a chain, the `live` ones (S,); x = c = 0 in others.
 
     Where floats cannot bound x, as the chain mixes or ends too slowly, x is found in rationals.
-    `used` (N,) are the outcomes that P counts, all unless given.
     """
 
     chain: PolicyChain
-    rate: Fraction
     live: Mask
     system: LinearSystem
-    used: Mask | None = None
+    rows: Callable[[], BellmanRows]  # with rate · P in integers
 
     @cached_property
     def visits(self) -> FixedPoint:
         """(S,) expected visits from the start, times rate^t at time t; arrivals at an end count."""
         chain, live, start = self.chain, self.live, self.chain.mdp.start_distribution
+        rate = self.system.discount
         try:
             point = transposed(self.system).solve(start, UNIT * start)
             onward = part(chain.transition, np.arange(len(live)), live).T.tocsr()
-            size = np.abs(point.value)
-            came, off = (float(self.rate) * (onward @ each) for each in (point.value, point.error))
+            came, size, off = (
+                rate * (onward @ each) for each in (point.value, np.abs(point.value), point.error)
+            )
             terms = np.diff(onward.indptr) + chain.roundings + 4
-            off += gamma(terms) * (start + float(self.rate) * (onward @ size)) + TINY * terms
+            off += gamma(terms) * (start + size) + TINY * terms
             value = np.where(live, point.value, start + came)
             point = FixedPoint(value=value, error=np.where(live, point.error, off * SLACK))
             exact = poor(point, chain.mdp)
@@ -485,7 +475,7 @@ class Equations:
             require_few(chain.mdp, error)
             exact = True
         if exact:
-            (visits,) = visited(chain.rows(self.rate), live, chain.mdp.start)
+            (visits,) = visited(self.rows(), live, chain.mdp.start)
             point = rounded(visits.fractions())
         # Nothing is visited less than never: a negative rounding error is nearer to the truth as 0.
         return FixedPoint(value=np.maximum(point.value, 0.0), error=point.error)
@@ -503,7 +493,7 @@ class Equations:
             require_few(self.chain.mdp, error_of_floats)
             if not np.isfinite([constant, doubt]).all():
                 raise
-        rows = self.chain.rows(self.rate, self.used)
+        rows = self.rows()
         matrix = equations(rows, self.live)
         sides = ([*map(Fraction, side.tolist())] for side in (constant, doubt))
         value, off = (rounded(solved(matrix, rows, side).fractions()) for side in sides)

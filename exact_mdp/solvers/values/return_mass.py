@@ -247,8 +247,9 @@ def _integers(flow: Flow) -> tuple[Numbers, dict[int, int], int]:
     A mass of block b is over start · common[0] ⋯ common[b-1]: the share of a transition that skips
     blocks is multiplied by every denominator between.
     """
-    odds, block = flow.chain.odds, flow.block.tolist()
-    chances = [odds[number] for number in flow.used.tolist()]
+    (weight, below), block = flow.chain.odds, flow.block.tolist()
+    unders = below[flow.chain.source[flow.used]].tolist()
+    chances = [*map(Fraction, weight[flow.used].tolist(), unders)]
     ways = list(zip(chances, flow.block[flow.source], flow.block[flow.target], strict=True))
     common = [1] * block[-1]
     for chance, here, _ in ways:
