@@ -83,6 +83,22 @@ def components_in_order(graph: sp.csr_array) -> Integers:
     return np.asarray(label, dtype=np.int64)
 
 
+def longest_ways(graph: sp.csr_array) -> tuple[Integers, Integers]:
+    """Return the component (K,) of each node, and the most edges on a way from it (K,).
+
+    Nodes on a common cycle, which make a component, count as one.
+    """
+    label = components_in_order(graph)
+    here, there = (label[each] for each in graph.tocoo().coords)
+    count, apart = int(label.max(initial=-1)) + 1, here != there
+    edges = sp.csr_array((np.ones(apart.sum()), (here[apart], there[apart])), (count, count))
+    edges.sum_duplicates()
+    waiting = np.diff(edges.indptr)
+    owner, every = np.repeat(np.arange(count), waiting), np.ones(edges.nnz, dtype=bool)
+    backward = Backward.of(np.arange(edges.nnz + 1), edges.indices, owner, count)
+    return label, backward.rounds(waiting == 0, every, waiting)[0][label]
+
+
 def closure(graph: sp.csr_array, first: Mask) -> Mask:
     """Return (K,) True for nodes that can be reached from `first` (K,) along a graph's rows."""
     # One more node leads to all the first ones, so that a single search serves.

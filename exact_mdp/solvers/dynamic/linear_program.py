@@ -16,7 +16,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -79,28 +79,32 @@ class LinearProgram(Solver):
 
     def _optimised(self, mdp: MDP, live: np.ndarray) -> tuple[Floats, float, int]:
         """Return the optimiser's values (S,), their mean, and its steps."""
-        with extra("lp"):
-            import cvxpy
         values, scale = np.zeros(mdp.n_states), float(np.abs(mdp.reward).max())
         if scale == 0.0:
             return values, 0.0, 0
         open_pairs, count = live[mdp.pair_state], int(live.sum())
-        own = sp.csr_array(
-            (np.ones(mdp.n_pairs), mdp.pair_state, np.arange(mdp.n_pairs + 1)), mdp.transition.shape
-        )
-        matrix = sp.csc_array((own - mdp.discount * mdp.transition)[open_pairs][:, live])
-        value = cvxpy.Variable(count)
-        above = matrix @ value >= mdp.reward[open_pairs] / scale
-        problem = cvxpy.Problem(cvxpy.Minimize(np.full(count, 1 / count) @ value), [above])
-        steps = optimised(problem, self.solver)
-        values[live] = np.asarray(value.value) * scale
-        return values, float(problem.value) * scale, steps
+        matrix = (own_states(mdp) - mdp.discount * mdp.transition)[open_pairs][:, live]
+        least = mdp.reward[open_pairs] / scale
+        mean = np.full(count, 1 / count)
+        values[live], steps = least_above(mean, matrix, least, self.solver)
+        return values * scale, float(mean @ values[live]) * scale, steps
 
 
-def optimised(problem: Any, solver: str) -> int:
-    """Solve a program of cvxpy, and return the steps; SolverError where it finds no optimum."""
+def own_states(mdp: MDP) -> sp.csr_array:
+    """Return (L, S) a 1 for the state of each pair."""
+    rows = np.ones(mdp.n_pairs), mdp.pair_state, np.arange(mdp.n_pairs + 1)
+    return sp.csr_array(rows, mdp.transition.shape)
+
+
+def least_above(cost: Floats, matrix: sp.sparray, least: Floats, solver: str) -> tuple[Floats, int]:
+    """Return x that minimises cost · x subject to A x ≥ least, and the steps of the optimiser.
+
+    Raises SolverError where it finds no optimum.
+    """
     with extra("lp"):
         import cvxpy
+    x = cvxpy.Variable(len(cost))
+    problem = cvxpy.Problem(cvxpy.Minimize(cost @ x), [sp.csc_array(matrix) @ x >= least])
     try:
         # What cvxpy would warn of, an inaccurate solution, is an error here.
         with warnings.catch_warnings():
@@ -110,4 +114,4 @@ def optimised(problem: Any, solver: str) -> int:
         raise SolverError(Status.PROGRAM_FAILED, f"{solver}: {error}") from error
     if problem.status != cvxpy.OPTIMAL:
         raise SolverError(Status.PROGRAM_FAILED, f"{solver} says {problem.status}")
-    return int(problem.solver_stats.num_iters or 0)
+    return np.asarray(x.value), int(problem.solver_stats.num_iters or 0)

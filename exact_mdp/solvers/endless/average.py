@@ -25,13 +25,13 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.errors import ModelError, extra
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.gains import POLICIES, SLACK, gains, greedy
 from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.dynamic.iterate import RELATIVE_TOLERANCE, Solver
-from exact_mdp.solvers.dynamic.linear_program import LinearProgram, optimised
+from exact_mdp.solvers.dynamic.linear_program import LinearProgram, least_above, own_states
 from exact_mdp.solvers.dynamic.methods import (
     ModifiedPolicyIteration,
     PolicyIteration,
@@ -248,17 +248,13 @@ def _by_values(step: MDP, solver: Any) -> Improved:
 
 def _by_program(step: MDP, solver: Any) -> Improved:
     """Take pairs that are greedy for the program's bias, and improve them by policy iteration."""
-    with extra("lp"):
-        import cvxpy
-    scale = float(np.abs(step.reward).max()) or 1.0
-    rows = (np.ones(step.n_pairs), step.pair_state, np.arange(step.n_pairs + 1))
-    own = sp.csc_array(sp.csr_array(rows, step.transition.shape))
-    stays = own - sp.csc_array(step.transition)
-    gain, bias = cvxpy.Variable(step.n_states), cvxpy.Variable(step.n_states)
-    keeps, earns = stays @ gain >= 0, own @ gain + stays @ bias >= step.reward / scale
-    problem = cvxpy.Problem(cvxpy.Minimize(gain.sum()), [keeps, earns])
-    steps = optimised(problem, solver.solver)
-    solution = improved(step, greedy(step, gains(step, scale * np.asarray(bias.value))))
+    scale, own = float(np.abs(step.reward).max()) or 1.0, own_states(step)
+    stays = own - step.transition
+    matrix = sp.block_array([[stays, None], [own, stays]])
+    least, cost = np.zeros((2, step.n_pairs)), np.zeros((2, step.n_states))
+    least[1], cost[0] = step.reward / scale, 1.0
+    level, steps = least_above(cost.ravel(), matrix, least.ravel(), solver.solver)
+    solution = improved(step, greedy(step, gains(step, scale * level[step.n_states :])))
     return solution._replace(iterations=steps + solution.iterations)
 
 

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows
-from exact_mdp.mdp.graph import components_in_order
+from exact_mdp.mdp.graph import longest_ways
 from exact_mdp.mdp.table import Integers, Numbers, common, integers, row_sums, spans
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.exact.lifting import Lifting
@@ -98,13 +98,8 @@ class Matrix:
         Single unknowns that do not lead to each other make one step, without a matrix.
         """
         shape, ones = (self.size, self.size), np.ones(len(self.column), dtype=np.int8)
-        label = components_in_order(sp.csr_array((ones, self.column, self.offsets), shape))
-        number, rows, depth = label.tolist(), self.listed, [0] * self.size
-        for s in np.argsort(label, kind="stable").tolist():  # what it leads to comes before
-            own = number[s]
-            ahead = (depth[number[t]] + 1 for t in rows[s][0] if number[t] != own)
-            depth[own] = max(depth[own], *ahead, 0)
-        level, single = np.array(depth)[label], np.bincount(label)[label] == 1
+        label, level = longest_ways(sp.csr_array((ones, self.column, self.offsets), shape))
+        single = np.bincount(label)[label] == 1
         order = np.lexsort((label, single, level))
         apart = ~single[order][1:] & (np.diff(label[order]) != 0)
         apart |= (np.diff(level[order]) != 0) | np.diff(single[order])

@@ -17,7 +17,7 @@ from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.linear import FixedPoint
-from exact_mdp.solvers.endless.chain import Classes, ExactChain, FloatChain, expansion
+from exact_mdp.solvers.endless.chain import Classes, ExactChain, expansion
 from exact_mdp.solvers.solution import Bounded, Claim, SolverError, Status
 from exact_mdp.solvers.values.policy_chain import OfPolicy, PolicyChain, poor, require_few, rounded
 
@@ -97,10 +97,9 @@ def average(chain: PolicyChain) -> AverageEvaluation:
     """
     mdp = chain.mdp.undiscounted
     chain = replace(chain, mdp=mdp)
-    floats = FloatChain(mdp, chain.weights, chain.roundings)
-    classes = floats.classes
+    classes = chain.classes
     try:
-        (gain, bias), (share, arrivals) = floats.evaluated(), floats.shares()
+        (gain, bias), (share, arrivals) = chain.going_on.evaluated(), chain.going_on.shares()
         exact = poor(share, mdp) or poor(gain, mdp) or not np.isfinite(share.error).all()
         if chain.probability.min() < np.finfo(np.float64).tiny:  # errors are no longer relative
             raise SolverError(Status.NO_BOUND, "probabilities are below the range of floats")

@@ -24,7 +24,6 @@ import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import cached_property, partial
 from math import inf, isfinite, nan, sqrt
 from typing import ClassVar, Literal, overload

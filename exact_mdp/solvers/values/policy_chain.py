@@ -256,9 +256,14 @@ class PolicyChain:
         return ~closure(self.graph.T.tocsr(), self.stuck)
 
     @cached_property
+    def going_on(self) -> FloatChain:
+        """The chain at discount 1, in which terminal states go on for ever."""
+        return FloatChain(self.mdp.undiscounted, self.weights, self.roundings)
+
+    @property
     def classes(self) -> Classes:
         """The recurrent classes, terminal states among them."""
-        return Classes.of(self.graph)
+        return self.going_on.classes
 
     @property
     def resting(self) -> Mask:
@@ -608,8 +613,7 @@ def parted(chain: PolicyChain) -> Parted:
 def _signs(chain: PolicyChain, busy: Mask) -> Numbers:
     """Return (S,) the gains or their signs, sure in some states (S,)."""
     try:
-        own = FloatChain(chain.mdp.undiscounted, chain.weights, chain.roundings)
-        gain, _ = own.evaluated()
+        gain, _ = chain.going_on.evaluated()
         if not (busy & (np.abs(gain.value) <= gain.error)).any():
             return gain.value
     except SolverError as error:

@@ -23,7 +23,7 @@ import scipy.sparse as sp
 import tqdm
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.graph import Backward, Mask, strong_components
+from exact_mdp.mdp.graph import Mask, longest_ways
 from exact_mdp.mdp.table import Integers, Numbers, spans
 from exact_mdp.solvers.bounds.gains import TINY
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -61,7 +61,7 @@ class Flow:
         mdp = chain.mdp
         inside = chain.reached & ~mdp.terminal
         members = np.flatnonzero(inside)
-        level = _levels(chain.graph[members][:, members].T.tocsr())
+        _, level = longest_ways(chain.graph[members][:, members].T.tocsr())
         order = np.argsort(level, kind="stable")
         place = np.full(mdp.n_states, len(members))
         place[members[order]] = np.arange(len(members))
@@ -105,19 +105,6 @@ class Flow:
     def entering(self) -> Integers:
         """(n+1,) the number of outcomes that lead to each state."""
         return np.bincount(self.target, minlength=self.end + 1)
-
-
-def _levels(graph: sp.csr_array) -> Integers:
-    """Return the most edges on a way from each node; nodes on a common cycle count as one."""
-    label = strong_components(graph)
-    here, there = (label[each] for each in graph.tocoo().coords)
-    count, apart = int(label.max(initial=-1)) + 1, here != there
-    edges = sp.csr_array((np.ones(apart.sum()), (here[apart], there[apart])), (count, count))
-    edges.sum_duplicates()
-    waiting = np.diff(edges.indptr)
-    owner, every = np.repeat(np.arange(count), waiting), np.ones(edges.nnz, dtype=bool)
-    backward = Backward.of(np.arange(edges.nnz + 1), edges.indices, owner, count)
-    return backward.rounds(waiting == 0, every, waiting)[0][label]
 
 
 Mass = tuple[Integers, Numbers, Numbers]  # states, multiples and masses (K,)
