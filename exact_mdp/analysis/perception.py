@@ -22,12 +22,12 @@ from numpy.typing import ArrayLike
 
 from exact_mdp.mdp.care.perception import by_place, checked, independent, status_names, status_size
 from exact_mdp.mdp.errors import ModelError, known, listed
+from exact_mdp.mdp.graph import topological_levels
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, at_most
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, float_of
-from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, gamma
 from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.values.layers import layers_of
@@ -44,7 +44,7 @@ class Passes:
 
     def __init__(self, mdp: MDP, policy: PolicyLike) -> None:
         self.mdp, self.statuses = mdp, status_size(mdp)
-        if levels(mdp) is None:
+        if topological_levels(mdp) is None:
             raise ModelError(
                 "states come back to themselves, and what errors of perception cost is computed "
                 "where they do not",

@@ -124,8 +124,11 @@ def is_acyclic(mdp: MDP) -> bool:
     return numbered_in_order(mdp) or topological_levels(mdp) is not None
 
 
+@once
 def topological_levels(mdp: MDP) -> Integers | None:
     """Return (S,) the greatest number of steps to a terminal state; None where there is a cycle."""
+    if not mdp.terminal.any():
+        return None
     edges = _edges(mdp)
     # Without cycles, some state leads to terminal states alone; most other models show at once
     # that they have none.

@@ -27,6 +27,7 @@ from exact_mdp.solvers.bounds.gains import (
     POLICIES,
     SLACK,
     TINY,
+    UNIT,
     gamma,
     reward_errors,
     rounding_facts,
@@ -44,8 +45,7 @@ class Batch:
     reward: Floats  # (D, L)
     reward_error: Floats  # (D, L)
     rate: Floats  # (D,) the discount γ
-    leak: Floats  # (D, 1) 1 - γ
-    leak_error: Floats  # (D, 1)
+    leak: Floats  # (D, 1) 1 - γ, rounded once
     terms: int  # the most roundings in a row
     live: np.ndarray  # (D, S) states that are not terminal, at discount 1; all of them below
     start: Floats  # (D, S)
@@ -70,7 +70,6 @@ class Batch:
             reward_error=np.stack([reward_errors(mdp) for mdp in models]),
             rate=np.array([mdp.discount for mdp in models]),
             leak=np.array([[f.leak] for f in facts]),
-            leak_error=np.array([[f.leak_error] for f in facts]),
             terms=max(f.most for f in facts),
             live=np.stack([~mdp.terminal | (mdp.discount_exact < 1) for mdp in models]),
             start=np.stack([mdp.start_distribution for mdp in models]),
@@ -124,7 +123,7 @@ class Batch:
     @cached_property
     def weights(self) -> tuple[Floats, Floats] | None:
         """Return w (D, S) and c (D,); None where some policy may never end at discount 1."""
-        least = (self.leak - self.leak_error)[:, 0] / SLACK
+        least = self.leak[:, 0] * (1 - UNIT) / SLACK
         if (least > 0).all() and self.rate.max() < 1:
             return np.ones_like(self.start), least
         alive = self.live[:, self.state]

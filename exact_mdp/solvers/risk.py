@@ -28,7 +28,7 @@ import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.graph import termination
+from exact_mdp.mdp.graph import termination, topological_levels
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions import NO_DATA, ONE_COMPONENT
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
@@ -44,7 +44,6 @@ from exact_mdp.mdp.table import (
     shown,
     spans,
 )
-from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.find import certificate
 from exact_mdp.solvers.exact.levels import Level
@@ -159,7 +158,7 @@ def with_budget(model: MDP, trade: Fraction) -> Budgeted:
             where=WHERE,
             fix="state a model of rewards or costs, without a question of a goal",
         )
-    level = levels(mdp)
+    level = topological_levels(mdp)
     if level is None:
         raise ModelError(
             "states lead back to each other, so that returns have no end",

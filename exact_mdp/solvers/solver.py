@@ -14,10 +14,9 @@ from typing import Any, Literal
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, known, named_options
-from exact_mdp.mdp.graph import endless
+from exact_mdp.mdp.graph import endless, is_acyclic
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import COMPILED
-from exact_mdp.solvers.bounds.bounds import is_acyclic
 from exact_mdp.solvers.dynamic.iterate import Solver, check_tolerance, opposite
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram
 from exact_mdp.solvers.dynamic.methods import (

@@ -12,11 +12,9 @@ Actions that cannot be told apart even so differ by less than the error of the v
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.gains import gamma
 from exact_mdp.solvers.solution import Solution
 
@@ -50,18 +48,13 @@ def settled(solution: Solution) -> Solution:
         row, share = np.repeat(np.arange(len(rival)), np.diff(apart.indptr)), apart.data
         # Both rows sum to 1: values may be counted from any other. Counted from that of the
         # likeliest next state, the number that was rounded to make the row sum to 1 drops out.
-        step = share * (value[apart.indices] - value[_likeliest(held)][row])
+        most = np.repeat(np.maximum.reduceat(held.data, held.indptr[:-1]), np.diff(held.indptr))
+        places = np.where(held.data == most, np.arange(held.nnz), held.nnz)
+        likeliest = held.indices[np.minimum.reduceat(places, held.indptr[:-1])]
+        step = share * (value[apart.indices] - value[likeliest][row])
         unknown = np.abs(share) * error[apart.indices]
         sums = [np.bincount(row, each, len(rival)) for each in (step, np.abs(step), unknown)]
         noise = gamma(np.diff(apart.indptr) + 8) * (np.abs(earned) + rate * sums[1])
         better = earned + rate * sums[0] > noise + rate * sums[2]
         pairs[state[rival[better]]] = rival[better]
     return solution if np.array_equal(pairs, solution.pairs) else replace(solution, pairs=pairs)
-
-
-def _likeliest(rows: Any) -> Integers:
-    """Return the likeliest next state of each row of a sparse matrix."""
-    counts = np.diff(rows.indptr)
-    most = np.repeat(np.maximum.reduceat(rows.data, rows.indptr[:-1]), counts)
-    places = np.where(rows.data == most, np.arange(rows.nnz), rows.nnz)
-    return np.asarray(rows.indices[np.minimum.reduceat(places, rows.indptr[:-1])])

@@ -21,14 +21,14 @@ import tqdm
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, listed
-from exact_mdp.mdp.graph import reachable
+from exact_mdp.mdp.graph import reachable, topological_levels
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import Flags, counted
-from exact_mdp.solvers.bounds.bounds import levels, margin_weights
+from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.bounds.gains import SLACK, first_of, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, policy_chain
 from exact_mdp.solvers.solution import Bounded
@@ -169,7 +169,7 @@ class Rows:
         used = np.flatnonzero(choosing)
         shape = (offers.size, mdp.n_pairs)
         self._sums = sp.csr_array((np.ones(len(used)), (entry[used], used)), shape)
-        self._passes = Cycles(mdp) if levels(mdp) is None else layers_of(mdp)
+        self._passes = Cycles(mdp) if topological_levels(mdp) is None else layers_of(mdp)
         weights = margin_weights(mdp)
         self._reach = float(mdp.start_distribution @ weights.value) * SLACK / weights.smallest
         self._gain = float(np.abs(mdp.table.gains()).max())

@@ -24,6 +24,7 @@ from itertools import pairwise
 import numpy as np
 
 from exact_mdp.mdp.graph import (
+    is_acyclic,
     numbered_in_order,
     require_termination,
     runs_in_order,
@@ -120,20 +121,12 @@ def lower(mdp: MDP, gain: Gain, pairs: Integers) -> float:
     return low - 4 * UNIT * abs(low)
 
 
-@once
-def levels(mdp: MDP) -> Integers | None:
-    """Return `topological_levels`, computed once for each model."""
-    return topological_levels(mdp) if mdp.terminal.any() else None
-
-
-def is_acyclic(mdp: MDP) -> bool:
-    """Return whether no state can come back to itself, terminal states apart."""
-    return numbered_in_order(mdp) or levels(mdp) is not None
-
-
 def backward(mdp: MDP, reward: Floats) -> Floats:
     """Return (S,) the optimal values of an acyclic model, for rewards (L,), from the end on."""
-    value, level = np.zeros(mdp.n_states), None if numbered_in_order(mdp) else levels(mdp)
+    value, level = (
+        np.zeros(mdp.n_states),
+        None if numbered_in_order(mdp) else topological_levels(mdp),
+    )
     matrix, first, ends, ended = mdp.transition, mdp.pair_offsets, mdp.pair_offsets, mdp.terminal
     order = np.arange(mdp.n_states) if level is None else np.argsort(-level, kind="stable")
     if mdp.n_transitions >= COMPILED:
@@ -203,7 +196,7 @@ def _margins(mdp: MDP, weight: Floats) -> tuple[Floats, float]:
     open_pairs = ~mdp.terminal[mdp.pair_state]
     if mdp.discount < 1 and _closed(mdp, weight):
         facts = rounding_facts(mdp)
-        error = (FEW * facts.leak + facts.leak_error + TINY) * SLACK
+        error = ((FEW + UNIT) * facts.leak + TINY) * SLACK
         return np.array([facts.leak]), error
     margin = gains(mdp, weight, reward=np.zeros(mdp.n_pairs))
     error = margin.error.max(where=open_pairs, initial=0.0)

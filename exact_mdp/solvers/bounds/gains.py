@@ -83,8 +83,7 @@ class Weights:
 class RoundingFacts:
     """What is known of a model's rounding errors before any values are."""
 
-    leak: float  # 1 - γ
-    leak_error: float  # its error
+    leak: float  # 1 - γ, rounded once
     size: float  # the greatest |reward|
     most: int  # the most roundings in a row
     most_reward_error: float
@@ -96,7 +95,6 @@ def rounding_facts(mdp: MDP) -> RoundingFacts:
     leak = float(1 - mdp.discount_exact)
     return RoundingFacts(
         leak=leak,
-        leak_error=leak * UNIT,
         size=max(-float(mdp.reward.min()), float(mdp.reward.max())),
         most=int(roundings(mdp).max()),
         most_reward_error=float(reward_errors(mdp).max()),
@@ -157,9 +155,8 @@ def row_error(facts: Any, terms: Any, flow: Any, earned: Any, own: Any) -> Any:
 
     Underflow, and the error of what is earned, come on top. Any shapes that fit together do.
     """
-    leaked = np.abs(own)
-    error = gamma(terms + 8) * flow + FEW * (np.abs(earned) + facts.leak * leaked)
-    return error + facts.leak_error * leaked
+    leaked = facts.leak * np.abs(own)
+    return gamma(terms + 8) * flow + FEW * (np.abs(earned) + leaked) + UNIT * leaked
 
 
 def largest_error(mdp: MDP, low: float, high: float) -> float:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -104,7 +104,8 @@ def least_above(cost: Floats, matrix: sp.sparray, least: Floats, solver: str) ->
     with extra("lp"):
         import cvxpy
     x = cvxpy.Variable(len(cost))
-    problem = cvxpy.Problem(cvxpy.Minimize(cost @ x), [sp.csc_array(matrix) @ x >= least])
+    above = sp.csc_array(matrix) @ x >= least
+    problem: Any = cvxpy.Problem(cvxpy.Minimize(cost @ x), [above])
     try:
         # What cvxpy would warn of, an inaccurate solution, is an error here.
         with warnings.catch_warnings():

@@ -20,8 +20,9 @@ from time import perf_counter
 from typing import Any, ClassVar
 
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.graph import is_acyclic
 from exact_mdp.mdp.model import MDP
-from exact_mdp.solvers.bounds.bounds import backward, is_acyclic, verify
+from exact_mdp.solvers.bounds.bounds import backward, verify
 from exact_mdp.solvers.dynamic.iterate import (
     Solver,
     Values,

@@ -28,12 +28,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.graph import closure
+from exact_mdp.mdp.graph import closure, topological_levels
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats
-from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.gains import POLICIES, SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import LinearSystem
 from exact_mdp.solvers.dynamic.iterate import RELATIVE_TOLERANCE, check_counts, check_tolerance
@@ -216,7 +215,7 @@ def margins(game: Game) -> tuple[Floats, Floats]:
     """
     late = copy(game)  # both sides are after steps
     late.against, late.most, late.rewards = False, True, False
-    if (order := levels(game.mdp)) is not None:
+    if (order := topological_levels(game.mdp)) is not None:
         weight = order.astype(np.float64)
     elif game.mdp.discount < 1:
         weight = (~game.mdp.terminal).astype(np.float64)
@@ -260,7 +259,7 @@ def _iterate(
     game: Game, tol: float | None, max_iterations: int
 ) -> tuple[Status, Floats, Floats, Inner, int]:
     """Return values and their errors (S,), what nature makes of them, and the iterations."""
-    live, value, order = game.live, np.zeros(game.mdp.n_states), levels(game.mdp)
+    live, value, order = game.live, np.zeros(game.mdp.n_states), topological_levels(game.mdp)
     if not len(live):
         return Status.CONVERGED, value, value.copy(), game.ask(value), 0
     weight, margin = margins(game)

@@ -13,12 +13,11 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.graph import reachable
+from exact_mdp.mdp.graph import reachable, topological_levels
 from exact_mdp.mdp.model import MDP, once
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import Floats, Numbers, spans
 from exact_mdp.mdp.validate import Flags
-from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.learning.sampler import Rows
@@ -31,7 +30,7 @@ class Layers:
     """Passes over the states that are reached, for N columns at once; 0 where none comes."""
 
     def __init__(self, mdp: MDP) -> None:
-        level = levels(mdp)
+        level = topological_levels(mdp)
         assert level is not None
         self.mdp = mdp
         used = np.flatnonzero(reachable(mdp) & ~mdp.terminal)
@@ -82,7 +81,7 @@ def layers_of(mdp: MDP) -> Layers:
 
 def policy_values(mdp: MDP, rows: Rows, policies: Numbers) -> FixedPoint:
     """Return the start values (U,) of policies (U, K), an action number for each of K rows."""
-    if levels(mdp) is None:
+    if topological_levels(mdp) is None:
         each = (Policy(space=rows.space, actions=mdp.actions, rule=rule) for rule in policies)
         evaluations = [evaluate(mdp, policy) for policy in each]
         return FixedPoint(

@@ -29,7 +29,7 @@ import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, lcm_by_group
-from exact_mdp.mdp.graph import Mask, closure, ways_out
+from exact_mdp.mdp.graph import Mask, closure, topological_levels, ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
 from exact_mdp.mdp.questions import ended
@@ -46,7 +46,6 @@ from exact_mdp.mdp.table import (
     ones,
     row_sums,
 )
-from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, part, transposed
 from exact_mdp.solvers.endless.chain import Classes, ExactChain, FloatChain, long_run
@@ -230,7 +229,11 @@ class PolicyChain:
             return None
         chain, states = self.graph, self.mdp.n_states
         row = np.repeat(np.arange(states), np.diff(chain.indptr))
-        return np.arange(states, 0, -1) if (chain.indices > row).all() else levels(self.mdp)
+        return (
+            np.arange(states, 0, -1)
+            if (chain.indices > row).all()
+            else topological_levels(self.mdp)
+        )
 
     @cached_property
     def reached(self) -> Mask:

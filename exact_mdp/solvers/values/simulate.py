@@ -15,7 +15,6 @@ from typing import ClassVar
 
 import numpy as np
 import tqdm
-from numpy.typing import NDArray
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
@@ -226,7 +225,12 @@ def simulate(
     above, last = np.cumsum(chain.probability), np.cumsum(chain.outcomes) - 1
     below = np.append(0.0, above[last])
     following, gain, event = chain.table.next, chain.gain, chain.table.event
-    state = _starts(mdp, n, generator)
+    begins = np.flatnonzero(mdp.start_distribution)
+    state = np.full(n, begins[0])
+    if len(begins) > 1:
+        share = np.cumsum(mdp.start_distribution[begins])
+        drawn = np.searchsorted(share / share[-1], generator.random(n), side="right")
+        state = begins[drawn]
     returns, steps = np.zeros(n), np.zeros(n, dtype=np.int64)
     happened = np.zeros(n, dtype=np.uint8)
     running, factor, step = np.flatnonzero(~mdp.terminal[state]), 1.0, 0
@@ -282,12 +286,3 @@ def _longest(chain: PolicyChain, max_steps: int | None) -> tuple[float, float]:
         # The greatest return is size / (1 - γ), and what follows t steps at most γ^t of it.
         max_steps = 1 if missing == 1 else ceil(log(NEGLIGIBLE) / log1p(-missing))
     return (inf if max_steps is None else max_steps), size
-
-
-def _starts(mdp: MDP, episodes: int, generator: np.random.Generator) -> NDArray[np.int64]:
-    states = np.array([state for state, weight in mdp.start if weight], dtype=np.int64)
-    if len(states) == 1:
-        return np.full(episodes, states[0])
-    share = np.cumsum(mdp.start_distribution[states])
-    drawn = np.searchsorted(share / share[-1], generator.random(episodes), side="right")
-    return np.asarray(states[drawn])

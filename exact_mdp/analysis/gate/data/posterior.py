@@ -34,7 +34,7 @@ from exact_mdp.mdp.questions import by_time
 from exact_mdp.mdp.table import Floats, exact, shown
 from exact_mdp.mdp.validate import RNG, counted, seed_of
 from exact_mdp.solvers.batch import Batch
-from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
+from exact_mdp.solvers.bounds.gains import SLACK, gamma
 from exact_mdp.solvers.parallel import Arrays, joined, many, seeded
 from exact_mdp.solvers.solution import regrets
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -176,7 +176,6 @@ def drawn(mdp: MDP, known: np.ndarray, prior: float, rng: np.random.Generator, c
         reward_error=np.zeros((1, 1)),
         rate=np.full(count, mdp.discount),
         leak=np.array([[lost]]),
-        leak_error=np.array([[lost * UNIT]]),
         terms=mdp.n_states,
         live=np.tile(live, (count, 1)),
         start=begun,
