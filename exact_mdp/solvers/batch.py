@@ -89,7 +89,7 @@ class Batch:
         )
         gain = reward + (ahead - self.leak * here)
         tiny = TINY * (1 + np.abs(value).max()) * (self.terms + 1)
-        error = row_error(self, self.terms, flow, reward, here) + self.reward_error + tiny
+        error = row_error(self.leak, self.terms, flow, reward, here) + self.reward_error + tiny
         alive = self.live[:, self.state]
         return np.where(alive, gain, 0.0), np.where(alive, error * SLACK, 0.0)
 

@@ -28,9 +28,7 @@ from exact_mdp.solvers.solution import SolverError, Status
 
 UNIT = 2.0**-53  # half of the distance from 1 to the next float
 TINY = 2.0**-1000  # above what underflow takes from a product, 2⁻¹⁰⁷⁵, whatever factor follows
-POLICIES = (
-    1000  # tried by an improvement in floats: a few dozen are the most that models have taken
-)
+POLICIES = 1000  # that floats try at most to improve on one; a few dozen is what models have taken
 SLACK = 1 + 2.0**-20  # above what a bound, a sum of under 2³⁰ terms that are not negative, can lose
 
 
@@ -135,7 +133,7 @@ def gains(mdp: MDP, value: Floats, *, reward: Floats | None = None) -> Gain:
         _differences(mdp, value, first, last, columns)
         steps, flow = mdp.discount * columns[0, here], mdp.discount * columns[1, here]
         own, terms, earned = value[mdp.pair_state[here]], terms_of[here], earned_of[here]
-        error = row_error(facts, terms, flow, earned, own) + unknown[here] + tiny * (terms + 1)
+        error = row_error(facts.leak, terms, flow, earned, own) + unknown[here] + tiny * (terms + 1)
         columns[0, here] = earned + (steps - facts.leak * own)
         columns[1, here] = error * SLACK
         size = flow + np.abs(own) + np.abs(earned)
@@ -150,12 +148,13 @@ def gains(mdp: MDP, value: Floats, *, reward: Floats | None = None) -> Gain:
     return Gain(value=columns[0], error=columns[1], noise=columns[2])
 
 
-def row_error(facts: Any, terms: Any, flow: Any, earned: Any, own: Any) -> Any:
-    """Return how far d may be off: Σ γ p |V' - V| is the `flow`, V the `own` value.
+def row_error(leak: Any, terms: Any, flow: Any, earned: Any, own: Any) -> Any:
+    """Return how far d may be off: Σ γ p |V' - V| is the `flow`, V the `own` value, 1 - γ the leak.
 
-    Underflow, and the error of what is earned, come on top. Any shapes that fit together do.
+    The leak is rounded once. Underflow, and the error of what is earned, come on top. Any shapes
+    that fit together do.
     """
-    leaked = facts.leak * np.abs(own)
+    leaked = leak * np.abs(own)
     return gamma(terms + 8) * flow + FEW * (np.abs(earned) + leaked) + UNIT * leaked
 
 
@@ -166,7 +165,7 @@ def largest_error(mdp: MDP, low: float, high: float) -> float:
     """
     facts, size = rounding_facts(mdp), max(abs(low), abs(high))
     flow = 1.001 * mdp.discount * (high - low)
-    error = row_error(facts, facts.most, flow, facts.size, size)
+    error = row_error(facts.leak, facts.most, flow, facts.size, size)
     error += facts.most_reward_error + TINY * (1 + size) * (facts.most + 1)
     return float(error * SLACK)
 

@@ -29,7 +29,7 @@ import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, lcm_by_group
-from exact_mdp.mdp.graph import Mask, closure, topological_levels, ways_out
+from exact_mdp.mdp.graph import SHOWN, Mask, closure, topological_levels, ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
 from exact_mdp.mdp.questions import ended
@@ -58,7 +58,6 @@ from exact_mdp.solvers.objectives.totals import Flow
 from exact_mdp.solvers.solution import SolverError, Status, Valued
 from exact_mdp.solvers.solver import Criterion, solve
 
-SHOWN = 4
 HALF = 2.0**-26  # a float has 53 binary digits
 
 

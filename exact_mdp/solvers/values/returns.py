@@ -113,13 +113,10 @@ class ReturnDistribution(Pictured):
     @cached_property
     def _scaled(self) -> tuple[Floats, int]:
         """The returns over a power of two, so that they and their squares are within the floats."""
-        top, bottom = self.unit.numerator, self.unit.denominator
-        largest = magnitude(self.multiples) * top
-        power = largest.bit_length() - bottom.bit_length()
-        if power >= 0:
-            bottom <<= power
-        else:
-            top <<= -power
+        largest = magnitude(self.multiples) * self.unit
+        power = largest.numerator.bit_length() - largest.denominator.bit_length()
+        unit = self.unit / Fraction(2) ** power
+        top, bottom = unit.numerator, unit.denominator
         return np.array([int(multiple) * top / bottom for multiple in self.multiples]), power
 
     @cached_property
