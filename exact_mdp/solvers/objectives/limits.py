@@ -16,11 +16,10 @@ limits bind (Altman, Constrained Markov Decision Processes, 1999, theorem 3.8).
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from itertools import combinations
 from operator import sub
 from typing import Any, ClassVar, NamedTuple
 
@@ -280,13 +279,12 @@ def solve_under(mdp: MDP, subject_to: Mapping[str, Any]) -> ConstrainedSolution:
 
 
 class _Mixture(NamedTuple):
-    """Policies with shares; the step of the limits; prices, values, and pairs (S,) with these."""
+    """Policies with shares; the step of the limits; prices, and values with these."""
 
     shares: list[tuple[Attained, Fraction]]
     shift: Fraction
     price: tuple[Fraction, ...]  # of the reward, then of the limits
     dual: Level
-    pairs: Integers
 
 
 class _Program:
@@ -307,20 +305,14 @@ class _Program:
         """Return what each limit is on, so that more is better."""
         return [self.of.sign * x.sign * totals[self.of.names.index(x.name)] for x in self.limits]
 
-    def columns(
-        self, policies: Sequence[Attained], shift: Fraction, spare: Iterable[int]
-    ) -> list[list[Fraction]]:
-        """Return for each policy 1 and the room that it leaves; then room that may be to spare."""
-        moved = [bound - shift for bound in self.bounds]
-        rows = [[ONE, *map(sub, self.kept(policy.total), moved)] for policy in policies]
-        return rows + [[ZERO, *(Fraction(-(i == k)) for i in range(self.size))] for k in spare]
-
     def mixture(self) -> _Mixture:
         """Return the best mixture of policies, or if none keeps the limits, one of least step."""
         of, size, short = self.of, self.size, True
         policies = [extreme(of, [1] + [0] * (len(of.names) - 1))]
-        while True:
-            columns = self.columns(policies, ZERO, range(size)) + [[ZERO] + [ONE] * size] * short
+        spare = [[ZERO, *(Fraction(-(i == k)) for i in range(size))] for k in range(size)]
+        while True:  # a column for each policy is 1 and the room that it leaves
+            columns = [[ONE, *map(sub, self.kept(own.total), self.bounds)] for own in policies]
+            columns += spare + [[ZERO] + [ONE] * size] * short
             earned = [ZERO if short else policy.total[0] for policy in policies] + [ZERO] * size
             x, (most, *due) = maximise(earned + [-ONE] * short, columns, [ONE] + [ZERO] * size)
             shift = x[-1] if short else ZERO
@@ -331,37 +323,8 @@ class _Program:
             pairs, dual = optimum(of, self.weights(price), policies[-1].pairs)
             if dual.mean(of.mdp.start) == most + worth(price[1:], self.bounds):
                 shares = [each for each in zip(policies, x, strict=False) if each[1]]
-                return _Mixture(shares, shift, price, dual, pairs)
+                return _Mixture(shares, shift, price, dual)
             policies.append(attained(of, pairs))
-
-    def closer(self, best: _Mixture) -> list[tuple[Attained, Fraction]]:
-        """Return a mixture that is as good, of policies that differ in few states.
-
-        One half-way between the two that differ most takes the place of one of them, where it can.
-        Limits that have no price may be kept with room to spare.
-        """
-        of, shares = self.of, list[tuple[Attained, Fraction]]()
-        for policy, share in best.shares:  # which is optimal for the prices where it comes to
-            own, taken = best.pairs.copy(), flow_under(of, policy.pairs).pairs
-            own[of.rows.pair_state[taken]] = taken
-            shares.append((attained(of, own), share))
-        free = [k for k, price in enumerate(best.price[1:]) if not price]
-        while len(shares) > 1:
-            policies = [policy for policy, _ in shares]
-            each = combinations(policies, 2)
-            first, second = max(each, key=lambda two: np.sum(two[0].pairs != two[1].pairs))
-            apart, half = np.flatnonzero(first.pairs != second.pairs), first.pairs.copy()
-            half[apart[::2]] = second.pairs[apart[::2]]
-            policies = [attained(of, half), *policies]
-            columns = self.columns(policies, best.shift, free)
-            earned = [ONE] + [ZERO] * (len(columns) - 1)
-            x, _ = maximise(earned, columns, [ONE] + [ZERO] * self.size)
-            closer = [each for each in zip(policies, x, strict=False) if each[1]]
-            after, before = (np.unique([own.pairs for own, _ in some]) for some in (closer, shares))
-            if len(after) >= len(before):
-                break
-            shares = closer
-        return shares
 
     def flow(self, best: _Mixture) -> Flow:
         """Return the visits of one policy that earns as much as a mixture.
@@ -370,11 +333,11 @@ class _Program:
         some change of their numbers leaves what these limits are on as it is. It goes on until a
         pair is not taken any more, or another limit binds.
         """
-        of, taken, shares = self.of, dict[int, Fraction](), self.closer(best)
-        for policy, share in shares:
+        of, taken = self.of, dict[int, Fraction]()
+        for policy, share in best.shares:
             for pair, number in flow_under(of, policy.pairs).numbers().items():
                 taken[pair] = taken.get(pair, ZERO) + share * number
-        own = shares[0][0].pairs.copy()
+        own = best.shares[0][0].pairs.copy()
         while True:
             most = sorted(taken, key=lambda pair: (float(taken[pair]), -pair))
             own[of.rows.pair_state[most]] = most
