@@ -12,7 +12,7 @@ in which any single action costs most.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from heapq import heappop, heappush
 
 import numpy as np
@@ -121,19 +121,14 @@ def best_policy(
     upper = max(search.upper, value.interval[0])
     # Small rewards are rewards: beside a value of 0 alone the error counts.
     left, size = upper - (value.value - value.error), abs(value.value)
-    best = BestPolicy(
+    return BestPolicy(
         columns=rows.space.names,
         policy=rows.policy(search.choice),
-        value=value,
-        upper_bound=upper,
-        mixed_upper_bound=search.mixed,
+        value=value if mdp.sense == "max" else -value,
+        upper_bound=0.0 + mdp.sign * upper,
+        mixed_upper_bound=0.0 + mdp.sign * search.mixed,
         proven=left <= PROVEN * max(1.0, size) and left <= max(PROVEN * size, 8 * value.error),
         nodes=search.nodes,
-    )
-    if mdp.sense == "max":
-        return best
-    return replace(
-        best, value=-value, upper_bound=0.0 - upper, mixed_upper_bound=0.0 - search.mixed
     )
 
 
@@ -259,12 +254,10 @@ class Cycles:
 
     def visits(self, taken: Flags) -> Floats:
         """Return (S, N) discounted visits from the start where the pairs (L, N) are taken."""
-        visits = []
-        for mask in taken.T:
-            chain, _ = policy_chain(self.mdp, first_of(self.mdp, mask))
-            system = LinearSystem(chain.T.tocsr(), self.mdp.discount)
-            visits.append(system.approximate(self.mdp.start_distribution))
-        return np.stack(visits, axis=1)
+        chains = (policy_chain(self.mdp, first_of(self.mdp, mask))[0] for mask in taken.T)
+        systems = (LinearSystem(chain.T.tocsr(), self.mdp.discount) for chain in chains)
+        start = self.mdp.start_distribution
+        return np.stack([system.approximate(start) for system in systems], axis=1)
 
 
 class _Search:

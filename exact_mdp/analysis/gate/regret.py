@@ -236,8 +236,8 @@ def compare(model: MDP | Scenario, policies: Mapping[str, PolicyLike]) -> Policy
     [Fraction(1, 1), Fraction(2, 1), Fraction(3, 1)]
     """
     if not isinstance(policies, Mapping) or not policies:
-        said = "no policies" if isinstance(policies, Mapping) else "policies without names"
-        raise ModelError(said, where="compare", fix="give {name: policy}, at least one")
+        what = "policies without names" if policies else "no policies"
+        raise ModelError(what, where="compare", fix="give {name: policy}, at least one")
     mdp = mdp_of(model)
     chains = {name: PolicyChain.of(mdp, policy_of(mdp, each)) for name, each in policies.items()}
     return PolicyComparison(regrets={name: policy_regret(each) for name, each in chains.items()})
@@ -388,17 +388,16 @@ class ActionBounds:
         value, error = added.value, added.error
         flow = mdp.discount * (mdp.transition @ optimum.weight)
         off = error + 4 * UNIT * (np.abs(value) + error) + TINY
-        low = value - off + _outward(optimum.low * flow, -1)
-        high = value + off + _outward(optimum.high * flow, 1)
-        self.low, self.high = _outward(low, -1, 4 * UNIT), _outward(high, 1, 4 * UNIT)
+        low, high = _outward(optimum.low * flow, -1), _outward(optimum.high * flow, 1)
+        self.low = _outward(value - off + low, -1, 4 * UNIT)
+        self.high = _outward(value + off + high, 1, 4 * UNIT)
         first, state = mdp.pair_offsets[:-1], mdp.pair_state
         best = np.maximum.reduceat(self.low, first)[state]
         self.gap = np.maximum.reduceat(value, first)[state] - value
         self.least_gap = _outward(best - self.high, -1, 4 * UNIT)
-        leader = np.lexsort((self.high, state))[mdp.pair_offsets[1:] - 1]
-        rest, other = self.high.copy(), self.high[leader][state]
-        rest[leader] = -inf
-        other[leader] = np.maximum.reduceat(rest, first)
+        order, last = np.lexsort((self.high, state)), mdp.pair_offsets[1:] - 1
+        other = self.high[order[last]][state]  # the greatest of the other pairs
+        other[order[last]] = self.high[order[last - 1]]
         self.open = (other > self.low) & ~mdp.forced[state]
 
     def all_best(self, chain: PolicyChain) -> bool:
