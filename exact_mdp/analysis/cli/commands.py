@@ -24,6 +24,7 @@ import ast
 import inspect
 import re
 import sys
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -96,19 +97,12 @@ MADE: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
 class Parameter(NamedTuple):
     """A parameter of a function, with what the docstring says of its type and of itself."""
 
-    of: inspect.Parameter
+    name: str
+    kind: str  # its type, as it is written
+    default: Any
+    named: bool  # whether it is an option
     form: str
     help: str
-
-    @property
-    def name(self) -> str:
-        """Its name."""
-        return self.of.name
-
-    @property
-    def kind(self) -> str:
-        """Its type, as it is written."""
-        return str(self.of.annotation)
 
     @property
     def endings(self) -> list[str]:
@@ -117,18 +111,18 @@ class Parameter(NamedTuple):
 
     def click(self) -> click.Parameter:
         """Return the argument or option."""
-        required, multiple = self.of.default is self.of.empty, self.kind.startswith("Sequence")
+        required, multiple = self.default is inspect.Parameter.empty, self.kind[:8] == "Sequence"
         words = re.findall(r'"([^"]+)"', self.form)
         form = "|".join(words) or self.form.partition(",")[0]
-        if self.of.kind is not self.of.KEYWORD_ONLY:
+        if not self.named:
             metavar = form or self.name.upper() + "..." * multiple
             metavar = metavar if required else f"[{metavar}]"
             nargs = -1 if multiple else 1
             return click.Argument([self.name], required=required, nargs=nargs, metavar=metavar)
         name = re.sub("ie$", "y", self.name.removesuffix("s")) if multiple else self.name
         names = ["--" + name.replace("_", "-"), self.name]
-        shown = not required and repr(self.of.default) not in ("None", "False", "()")
-        help_ = f"{self.help[:-1]} ({self.of.default})." if shown else self.help
+        shown = not required and repr(self.default) not in ("None", "False", "()")
+        help_ = f"{self.help[:-1]} ({self.default})." if shown else self.help
         if self.kind == "bool":
             return click.Option(names, is_flag=True, default=None, help=help_)
         ends = re.search(r"(\d+) to (\d+)", self.form)
@@ -147,11 +141,13 @@ def function(target: str) -> tuple[str, list[Parameter]]:
     """Return what the docstring of "module:name" says, and its parameters."""
     module, _, name = target.partition(":")
     near, far = stubs(module), stubs(GIVEN.partition(":")[0])
-    said: dict[str, tuple[str, str]] = {}
+    said = defaultdict[str, tuple[str, str]](lambda: ("", ""))
     for each in (*reversed(near.values()), *far.values(), near[name]):
         said |= _documented(each)[1]  # what one does not explain, another one does
-    parameters = inspect.signature(near[name]).parameters.values()
-    known = [Parameter(each, *said.get(each.name, ("", ""))) for each in parameters]
+    known = [
+        Parameter(p.name, str(p.annotation), p.default, p.kind is p.KEYWORD_ONLY, *said[p.name])
+        for p in inspect.signature(near[name]).parameters.values()
+    ]
     return _documented(near[name])[0], known
 
 

@@ -67,29 +67,23 @@ class Explorer(Result):
         """Return one row for each piece."""
         import pandas
 
-        frames = [curve.frame() for curve in self.curves]
-        if self.second is not None:
-            values = map(float, self.grid)
-            frames = [
-                f.assign(**{self.second.name: v}) for f, v in zip(frames, values, strict=True)
-            ]
+        also = [{self.second.name: float(x)} for x in self.grid] if self.second else [{}]
+        frames = [c.frame().assign(**x) for c, x in zip(self.curves, also, strict=True)]
         return pandas.concat(frames, ignore_index=True)
 
     def report(self) -> Report:
         """Return the pieces of the optimal value."""
-        columns = {"from": "low:.10g", "to": "high:.10g"}
+        also = [self.second.name] if self.second else []
+        columns = {name: f"{name}:.6g" for name in also}
+        columns |= {"from": "low:.10g", "to": "high:.10g"}
         columns |= {"value": "value_low:.10g", "": "value_high:.10g"}
-        if self.second is not None:
-            columns = {self.second.name: f"{self.second.name}:.6g"} | columns
-        names = [self.curves[0].parameter.name, *([self.second.name] if self.second else [])]
-        facts = {"parameters": names, "pieces": len(self.frame())}
+        facts = {"parameters": [self.curves[0].parameter.name, *also], "pieces": len(self.frame())}
         table = Table(title="pieces of the optimal value", rows=self.frame(), columns=columns)
         return Report(title="explorer", facts=facts, tables={"listed": table})
 
     def page(self, *, rerun: str = "") -> str:
         """Return the page; `rerun` is the command that makes it again."""
-        curve = self.curves[0]
-        name = curve.parameter.name
+        name = self.curves[0].parameter.name
         title = f"{name}, {self.second.name}" if self.second else name
         return render(
             "explorer.html.j2",
@@ -200,10 +194,9 @@ def held_at(family: Parametric, name: str, value: Fraction) -> Parametric:
 
 def certified(curve: ValueFunction) -> list[Fraction]:
     """Return the values of the parameter at which the optimum is proved, in rising order."""
-    points = {curve.range.low, curve.range.high}
-    points |= {end for piece in curve.pieces for end in (*piece.low, *piece.high)}
-    today = curve.parameter.value
-    return sorted(points | ({today} if curve.range.low <= today <= curve.range.high else set()))
+    low, high, today = curve.range.low, curve.range.high, curve.parameter.value
+    ends = {end for piece in curve.pieces for end in (*piece.low, *piece.high)}
+    return sorted({low, high, min(max(today, low), high)} | ends)
 
 
 # ---- what the script of the page reads ---------------------------------------------------------
@@ -278,12 +271,8 @@ def _curve(curve: ValueFunction, numbers: Callable[[Flags], list[int]]) -> dict[
     }
 
 
-def _parameter(parameter: Parameter) -> dict[str, str]:
-    return {
-        "name": parameter.name,
-        "unit": unit_of(parameter),
-        "today": _exact(parameter.value),
-    }
+def _parameter(own: Parameter) -> dict[str, str]:
+    return {"name": own.name, "unit": unit_of(own), "today": _exact(own.value)}
 
 
 def _exact(number: Fraction) -> str:
