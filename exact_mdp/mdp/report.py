@@ -24,6 +24,7 @@ from fractions import Fraction
 from typing import Any
 
 import flint
+import numpy as np
 
 from exact_mdp.mdp.table import shown
 
@@ -67,7 +68,8 @@ class Table:
         rows = self.rows[: self.first]
         rows = rows.to_dict("records") if hasattr(rows, "to_dict") else rows
         keys = [column.partition(":")[0] for column in self.columns.values()]
-        return [[_scalar(row.get(key)) for key in keys] for row in rows]
+        each = [[row.get(key) for key in keys] for row in rows]
+        return [[x.item() if isinstance(x, np.generic) else x for x in row] for row in each]
 
     def cells(self) -> list[list[str]]:
         """Return the texts of the rows that are shown."""
@@ -151,12 +153,12 @@ def _table(title: str, value: Any) -> Table:
     """Return the table of a mapping or of a list of mappings: the columns without nested values."""
     rows = _rows(value) if isinstance(value, Mapping) else list(value)
     keys = [*dict.fromkeys(key for row in rows for key in row)]
-    flat = [key for key in keys if not any(_is_nested(row.get(key)) for row in rows)]
-    return Table(title=title, rows=rows, columns={key.replace("_", " "): key for key in flat})
 
+    def flat(value: Any) -> bool:
+        return not isinstance(value, Mapping) and (_claims(value) or not is_dataclass(value))
 
-def _is_nested(value: Any) -> bool:
-    return isinstance(value, Mapping) or (is_dataclass(value) and not _claims(value))
+    shown = [key for key in keys if all(flat(row.get(key)) for row in rows)]
+    return Table(title=title, rows=rows, columns={key.replace("_", " "): key for key in shown})
 
 
 def claimed(key: str, number: Any) -> dict[str, Any]:
@@ -255,10 +257,6 @@ def error_of(claimed: Any) -> float:
         return 0.0  # infinite, and that is exact
     lost = abs(claimed.value - Fraction(float(claimed.value)))
     return math.nextafter(float(lost), math.inf) if lost else 0.0
-
-
-def _scalar(value: Any) -> Any:
-    return value.item() if hasattr(value, "item") and getattr(value, "ndim", 1) == 0 else value
 
 
 def number(value: float | None, error: float = 0.0) -> str:

@@ -131,10 +131,10 @@ def check(
         mdp = given.mdp if confidence is None else given.asked
         policy = given.policy_from(name)
         audit = gate.check(mdp, policy, **asked)
-        read_as = {"read_as": Shown(policy.read_as, policy.source or None)}
-        names = {"policy": Shown(name), "learned": name}
-        report = given.report(audit.report(explain=not no_explain), **names)
-        report = replace(report, facts=read_as | {**report.facts})
+        report = audit.report(explain=not no_explain)
+        report = given.report(report, policy=Shown(name), learned=name)
+        read_as = Shown(policy.read_as, policy.source or None)
+        report = replace(report, facts={"read_as": read_as, **report.facts})
     else:
         of_one: dict[str, Any] = {"--html": html, "--no-explain": no_explain}
         of_one |= {"--confidence": confidence, "--by": by, "--evidence": evidence}

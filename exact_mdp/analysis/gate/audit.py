@@ -123,13 +123,11 @@ class Audit(Pictured):
     @property
     def relative_regret(self) -> float | None:
         """Regret at the start over the absolute optimal value; None where that is, or may be, 0."""
-        lost, best = self.value, self.regret.optimal
+        lost, best = self.value.value, self.regret.optimal
         low, high = ends(best)
         if not isfinite(float(best)) or low <= 0 <= high:
             return None
-        if isinf(float(lost)):
-            return inf
-        return float(Fraction(lost.value) / abs(Fraction(best.value)))
+        return inf if lost == inf else float(Fraction(lost) / abs(Fraction(best.value)))
 
     @property
     def regret_interval(self) -> tuple[float, float] | None:
@@ -139,10 +137,8 @@ class Audit(Pictured):
     @property
     def begins(self) -> str:
         """Where runs start, from where the regret is measured, in words."""
-        start = self.mdp.start
-        if len(start) == 1:
-            return self.mdp.space.label(start[0][0])
-        return f"{len(start)} states, each with its probability"
+        start, several = self.mdp.start, "states, each with its probability"
+        return self.mdp.space.label(start[0][0]) if len(start) == 1 else f"{len(start)} {several}"
 
     # ---- states ------------------------------------------------------------------------------
 
@@ -315,8 +311,8 @@ class Audit(Pictured):
     def measures(self) -> dict[str, Any]:
         """What a test report keeps of it."""
         known = {"claim": str(self.claim), "regret": float(self.value.value)}
-        interval = {} if self.interval is None else {"regret_interval": str(self.interval)}
-        return known | {"agreement": self.agreement} | interval
+        known |= {"agreement": self.agreement}
+        return known | ({"regret_interval": str(self.interval)} if self.interval else {})
 
     # ---- words -------------------------------------------------------------------------------
 
@@ -393,12 +389,11 @@ class Audit(Pictured):
         infinite = "infinite" if isinf(lost.optimal.value) else "0, or may be"
         undefined = f"undefined: the optimal value is {infinite}"
         ratio = self.relative_regret
-        agree = f"{self.agreement:.1%} of the states with a choice, "
-        agree += "an unknown share" if isnan(by_visits) else f"{by_visits:.1%}"
-        agree += " of the visits to them" + (
-            f"; {self.never_reached} wrong states are never reached from {self.begins}, and cost "
-            "nothing: --start STATE begins elsewhere"
-        ) * bool(self.never_reached)
+        share = "an unknown share" if isnan(by_visits) else f"{by_visits:.1%}"
+        agree = f"{self.agreement:.1%} of the states with a choice, {share} of the visits to them"
+        if self.never_reached:
+            agree += f"; {self.never_reached} wrong states are never reached from {self.begins}, "
+            agree += "and cost nothing: --start STATE begins elsewhere"
 
         def claimed(value: Certified | Bounded) -> Shown:
             return Shown(float(value.value), value if self.feasible else None)
@@ -430,16 +425,13 @@ class Audit(Pictured):
             **Representation.facts(why),
             "q_error": Shown(self.q_error, self.q_error and str(self.q_error)),
         }
-        columns = {"state": "state", "yours": "learned", "optimal": "optimal"}
+        columns = {"state": "state", "yours": "learned", "optimal": "either"}
         numbers = {"value lost": "cost:.6g", "visits": "expected_visits:.6g", "share": "share:.1%"}
+        met = [row for row in facts["disagreements"] if row["expected_visits"] != 0]
         wrong = Table(
             title="where it is not optimal, the costliest first",
             note=COLUMNS,
-            rows=[
-                row | {"optimal": either(row["optimal_actions"])}
-                for row in facts["disagreements"]
-                if row["expected_visits"] != 0
-            ],
+            rows=[row | {"either": either(row["optimal_actions"])} for row in met],
             columns=columns | numbers,
             first=IN_TABLE,
         )

@@ -113,28 +113,26 @@ def listed(chain: PolicyChain, regret: Regret, came: Floats, label: Integers) ->
 
 def action_of(chain: PolicyChain, state: int) -> str:
     """Return the action that a policy takes in a state, or what it draws from."""
-    mdp = chain.mdp
-    taken = [pair for pair in mdp.pairs_of(state) if chain.weights[pair] > 0]
+    mdp, weights = chain.mdp, chain.weights
+    taken = [pair for pair in mdp.pairs_of(state) if weights[pair] > 0]
+    names = {pair: str(mdp.actions[mdp.pair_action[pair]]) for pair in taken}
     if len(taken) == 1:
-        return str(mdp.actions[mdp.pair_action[taken[0]]])
-    chances = {mdp.actions[mdp.pair_action[pair]]: chain.weights[pair] for pair in taken}
-    names, each = list(chances), {f"{chance:.4g}" for chance in chances.values()}
-    if len(names) > LISTED and len(each) == 1:
-        return f"any of {len(names)}"
-    if len(names) > LISTED:
-        names = sorted(names, key=lambda name: -chances[name])[: LISTED - 1]
-    shown = ", ".join(f"{chances[name]:.4g} {name}" for name in names)
-    return shown + _others(len(taken) - len(names), ", ")
+        return names[taken[0]]
+    if len(taken) > LISTED:
+        if len({f"{weights[pair]:.4g}" for pair in taken}) == 1:
+            return f"any of {len(taken)}"
+        taken.sort(key=lambda pair: -weights[pair])
+    return _few([f"{weights[pair]:.4g} {names[pair]}" for pair in taken], ", ")
 
 
 def either(names: Sequence[str]) -> str:
     """Return actions that are all optimal, in words."""
-    shown = names if len(names) <= LISTED else names[: LISTED - 1]
-    return " or ".join(shown) + _others(len(names) - len(shown), " or ")
+    return _few(names, " or ")
 
 
-def _others(count: int, before: str) -> str:
-    return f"{before}{count} others" if count else ""
+def _few(texts: Sequence[str], between: str) -> str:
+    more = 0 if len(texts) <= LISTED else len(texts) - LISTED + 1
+    return between.join([*texts[: len(texts) - more], *[f"{more} others"] * bool(more)])
 
 
 # ---- why -----------------------------------------------------------------------------------------
@@ -212,14 +210,13 @@ def _changes(rows: Rows, policy: Policy) -> tuple[dict[str, Any], ...]:
     choices[np.arange(len(row)), row] = action
     table = TableRows(space=rows.space, key=rows.key, offered=rows.available)
     worth = policy_values(rows.mdp, table, choices)
-    gain = worth.value[:-1] - worth.value[-1]
-    changes = {}  # by rising gain: the best of each row comes last, of equals the first action
-    for k in np.lexsort((-action, gain)).tolist():
-        if gain[k] > 2 * worth.error.max():
-            label = rows.space.label(int(row[k])) or "all states"
+    gain, changes = worth.value[:-1] - worth.value[-1], dict[str, dict[str, Any]]()
+    for k in np.lexsort((action, -gain)).tolist():  # the best of each row first
+        label = rows.space.label(int(row[k])) or "all states"
+        if gain[k] > 2 * worth.error.max() and label not in changes:
             taken = {"learned": names[own[row[k]]], "best": names[action[k]]}
             changes[label] = {"row": label, **taken, "gain": float(gain[k])}
-    return tuple(sorted(changes.values(), key=lambda change: -change["gain"]))
+    return tuple(changes.values())
 
 
 @dataclass(frozen=True, kw_only=True)
