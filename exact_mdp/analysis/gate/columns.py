@@ -31,6 +31,7 @@ from exact_mdp.mdp.validate import Flags, counted
 from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.bounds.gains import SLACK, first_of, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, policy_chain
+from exact_mdp.solvers.learning.sampler import Rows as TableRows
 from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.layers import layers_of
@@ -157,6 +158,7 @@ class Rows:
                 fix="let the policy read more columns",
             )
         self.mdp, self.space, self.key = mdp, space, row
+        self.table = TableRows(space=space, key=row, offered=self.available)
         self.asked = np.bincount(row[free & met], minlength=size) > 0
         # Pairs of states that have no choice, or are never reached, are always allowed.
         choosing = (free & met & ~mdp.terminal)[mdp.pair_state]

@@ -233,11 +233,10 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
 def plot_comparison(every: PolicyComparison, *, ax: Axes | None = None) -> Axes:
     """Draw the value of each policy at the start, certified or bounded; the optimum is a line."""
     own = {name: each.learned for name, each in every.regrets.items()}
-    best, values = float(every.value.value), [float(each.value) for each in own.values()]
-    claims = zip(own.items(), values, strict=True)
-    names = [f"{name}\n{value:.6g} ({each.claim})" for (name, each), value in claims]
-    look: Look = {"color": BLUE, "height": 0.6}
-    lengths = np.where(np.isfinite(values), values, 0.0)
+    best, look = float(every.value.value), {"color": BLUE, "height": 0.6}
+    names = [f"{name}\n{float(x.value):.6g} ({x.claim})" for name, x in own.items()]
+    lengths = np.array([float(each.value) for each in own.values()])
+    lengths[~np.isfinite(lengths)] = 0.0
     drawn = ((row, length, look) for row, length in enumerate(lengths.tolist()))
     ax = bars(axes_or_new(ax, list(own)), names, drawn)
     if np.isfinite(best):

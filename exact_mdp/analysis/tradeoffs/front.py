@@ -108,11 +108,9 @@ class Front(TotalsProof, Pictured):
         for (i, j), corners in sorted(shared.items()):
             if two or corners > 1:
                 change = tuple(b - a for a, b in zip(vertices[i], vertices[j], strict=True))
-                first = next(step for step in change if step)
-                each = tuple(step / abs(first) for step in change)
-                edges.append(
-                    Edge(start=i, end=j, change=change, rate=abs(each[1]) if two else each)
-                )
+                first = next(abs(step) for step in change if step)
+                rate = abs(change[1]) / first if two else tuple(step / first for step in change)
+                edges.append(Edge(start=i, end=j, change=change, rate=rate))
         return edges
 
     @property
@@ -141,7 +139,6 @@ class Front(TotalsProof, Pictured):
             return dict(zip(self.names, values, strict=True))
 
         mdp, two = self.of.mdp, len(self.names) == 2
-        policies = policies or {}
         choices = ([mdp.actions[action] for action in policy] for policy in self.policies)
         each = {name: f"{name}:.10g" for name in self.names}
         note = "rate: how much {1} one point of {0} costs on the way from the row above"
@@ -163,7 +160,7 @@ class Front(TotalsProof, Pictured):
             ),
             "policies": [
                 {"policy": name, "values": named(self.totals(p)), "distance": self.distance(p)}
-                for name, p in policies.items()
+                for name, p in (policies or {}).items()
             ],
         }
         vertices = Table(
@@ -242,15 +239,14 @@ def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
     while missing := search.corners() - search.best.keys():
         search.look(min(missing))
     order = sorted(search.vertices, key=lambda a: tuple(of.sign * v for v in a.total))
-    corners = list[Corner]()
-    for weights in search.corners():
-        best = search.best[weights]
-        shares = tuple(Fraction(w, sum(weights)) for w in weights)
-        most = worth(shares, best.total)
-        tight = (i for i, a in enumerate(order) if worth(shares, a.total) == most)
-        dual = combined(best.values, shares)
-        corners.append(Corner(weights=shares, dual=dual, best=tuple(tight)))
-    corners.sort(key=lambda corner: corner.weights)
+
+    def corner(weights: Weights) -> Corner:
+        best, shares = search.best[weights], tuple(Fraction(w, sum(weights)) for w in weights)
+        lead = [worth(shares, best.total) - worth(shares, a.total) for a in order]
+        tight = tuple(i for i, short in enumerate(lead) if not short)
+        return Corner(weights=shares, dual=combined(best.values, shares), best=tight)
+
+    corners = sorted(map(corner, search.corners()), key=lambda corner: corner.weights)
     return Front(attained=tuple(order), corners=tuple(corners), **about(of, "front"))
 
 
@@ -287,12 +283,10 @@ class _Search:
     def _add(self, new: Attained) -> None:
         cell = self.simplex
         for number, other in enumerate(self.vertices):
-            lead = [a - b for a, b in zip(new.total, other.total, strict=True)]
-            ahead, _ = common(lead)
+            ahead, _ = common([a - b for a, b in zip(new.total, other.total, strict=True)])
             left = _clipped(self.cells[number], [-x for x in ahead])
             if left != self.cells[number]:
-                self.cells[number] = left
-                cell = _clipped(cell, ahead)
+                self.cells[number], cell = left, _clipped(cell, ahead)
         self.vertices.append(new)
         self.cells.append(cell)
 

@@ -101,17 +101,16 @@ def observations_of(mdp: MDP) -> Integers:
 
 def of_process(mdp: MDP) -> tuple[str, ...]:
     """Return what every interval takes for true of the process behind a model's counts."""
-    begin = "the recorded episodes begin as those of the process do, each drawn by itself"
-    if mdp.episodes is None:
-        begin = "episodes begin as the model says"
     sentences = [
         "the process has the states and actions that were recorded, and what follows a state and "
         "an action depends on these alone",
-        begin,
+        "episodes begin as the model says"
+        if mdp.episodes is None
+        else "the recorded episodes begin as those of the process do, each drawn by itself",
     ]
     if ends := entered(mdp):
-        text = "nothing is earned any more after {}: entered and never left, taken for ends"
-        sentences.append(text.format(_some(ends)))
+        said = "nothing is earned any more after"
+        sentences.append(f"{said} {_some(ends)}: entered and never left, taken for ends")
     # Where actions that nobody took are offered all the same, `Robust.assumptions` says so.
     offered = set(zip(mdp.pair_state.tolist(), mdp.pair_action.tolist(), strict=True))
     if never := [(s, a) for s, a in never_taken(mdp).tolist() if (s, a) not in offered]:
@@ -126,7 +125,7 @@ def of_process(mdp: MDP) -> tuple[str, ...]:
 
 def named(mdp: MDP, states: Flags) -> str:
     """Return the names of some states (S,) in brackets."""
-    return _some([mdp.space.label(state) for state in np.flatnonzero(states).tolist()])
+    return _some(mdp.space.labels(np.flatnonzero(states)))
 
 
 def _some(names: Sequence[str]) -> str:
@@ -140,12 +139,11 @@ def range_of(given: Any, what: str) -> Ends | None:
         return None
     try:
         low, high = (float(exact(end)) for end in given)
-    except (TypeError, ValueError, OverflowError, ModelError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ModelError(f"{given!r} is no range", where=what, fix="give (low, high)") from error
     if not low <= high:
-        raise ModelError(
-            f"the range {low:g} to {high:g}", where=what, fix="give the lower end first"
-        )
+        fix = "give the lower end first"
+        raise ModelError(f"the range {low:g} to {high:g}", where=what, fix=fix)
     return low, high
 
 
@@ -168,9 +166,8 @@ def entered(mdp: MDP) -> tuple[str, ...]:
 
     It takes them for ends, which the records do not say: they may have been cut off there.
     """
-    states = np.flatnonzero(over(mdp))
-    own = states[states < mdp.n_states - len(mdp.space.extra)]
-    return tuple(mdp.space.label(state) for state in own.tolist())
+    states = np.flatnonzero(over(mdp)[: mdp.space.regular])
+    return tuple(mdp.space.labels(states))
 
 
 def cut_off(mdp: MDP) -> Flags:

@@ -24,7 +24,7 @@ from exact_mdp.analysis.gate.data.interval import (
     of_sense,
 )
 from exact_mdp.analysis.gate.data.robust import Robust
-from exact_mdp.analysis.gate.data.sets import Given, RowSets
+from exact_mdp.analysis.gate.data.sets import Given
 from exact_mdp.analysis.vary.intervals import bootstrap, mean_at_least, mean_of
 from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.io import transitions
@@ -100,8 +100,7 @@ class OffPolicy:
         doubt, seed = float(1 - confidence), seed_of(self.rng)
         draws = counted(self.n, "the number of draws, n,", 2)
         robust = Robust(rewards=self.rewards, returns=self.returns)
-        sets = RowSets.of(mdp, doubt / 2, self.rewards)
-        bounds = robust.bounds(mdp, sets, chain, horizon)
+        bounds = robust.bounds(mdp, doubt / 2, chain, horizon)
         seen = observations_of(mdp).astype(np.float64)
         if self.behaviour is not None:
             behaviour = PolicyChain.of(mdp, self.behaviour, kind="policy").weights
@@ -113,7 +112,7 @@ class OffPolicy:
             raise ModelError(
                 "the behaviour never does what the policy does, so that its trajectories tell "
                 f"nothing of it (and in {int(never.sum()) - 1} more pairs)",
-                where=mdp.where(int(np.flatnonzero(never)[0])),
+                where=mdp.where(int(never.argmax())),
                 fix="audit by robust sets or the posterior, or give the behaviour's true "
                 "probabilities",
             )
@@ -121,7 +120,7 @@ class OffPolicy:
         if (refuted := (behaviour <= 0) & (seen > 0)).any():
             raise ModelError(
                 "the behaviour never does what was recorded",
-                where=mdp.where(int(np.flatnonzero(refuted)[0])),
+                where=mdp.where(int(refuted.argmax())),
                 fix="state the policy that chose the recorded actions, or leave it to be estimated",
             )
         record = transitions.Record(self.records, self.columns)
@@ -149,7 +148,7 @@ class OffPolicy:
             confidence=float(confidence),
             by=self.by,
             assumptions=(
-                *robust.assumptions(mdp, sets),
+                *robust.assumptions(mdp, bounds.sets),
                 "episodes are independent, and the policy was not learned from them",
                 "the behaviour is as stated"
                 if self.behaviour is not None

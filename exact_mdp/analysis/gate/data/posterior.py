@@ -98,11 +98,11 @@ class Posterior:
                 where="posterior",
                 fix="ask for a robust interval, or group the states",
             )
-        given = exact(self.prior, "prior")
+        given, seed, level = exact(self.prior, "prior"), seed_of(self.rng), float(confidence)
         if not 1e-6 <= given <= 1e9:
             what = f"the prior is {shown(given)} observations"
             raise ModelError(what, where="prior", fix="give 1e-6 to 1e9, such as 1")
-        prior, seed, level = float(given), seed_of(self.rng), float(confidence)
+        prior = float(given)
         n = counted(self.n, "the number of draws, n,", 2)
         require_draws(n, level)
         own = chain.weights if horizon is None else by_time(mdp, chain.weights, horizon)

@@ -89,15 +89,14 @@ class Robust:
 
         With a horizon `chain` is the policy in `mdp.within(horizon)`.
         """
-        sets = RowSets.of(mdp, float(1 - confidence), self.rewards)
-        bounds = self.bounds(mdp, sets, chain, horizon)
+        bounds = self.bounds(mdp, float(1 - confidence), chain, horizon)
         low, high = bounds.regret
         return RegretInterval(
             low=low,
             high=high,
             confidence=float(confidence),
             by=self.by,
-            assumptions=self.assumptions(mdp, sets),
+            assumptions=self.assumptions(mdp, bounds.sets),
             found={
                 "optimal_value": bounds.at_start(mdp, bounds.best),
                 "learned_value": bounds.at_start(mdp, bounds.own),
@@ -106,22 +105,20 @@ class Robust:
         )
 
     def bounds(
-        self, mdp: MDP, sets: RowSets, chain: PolicyChain, horizon: int | None
+        self, mdp: MDP, doubt: float, chain: PolicyChain, horizon: int | None
     ) -> RobustBounds:
-        """Return the bounds within the sets."""
-        returns = range_of(self.returns, "returns")
-        if horizon is not None:
+        """Return the bounds within sets of rows that some are outside of with this probability."""
+        sets, returns = RowSets.of(mdp, doubt, self.rewards), range_of(self.returns, "returns")
+        if horizon is None:
             if returns is not None:
-                raise ModelError(
-                    "with a horizon rewards bound what totals can be",
-                    where="returns",
-                    fix="leave it out (--evidence returns=, returns=)",
-                )
-            return robust_bounds(sets, by_time(mdp, chain.weights, horizon))
+                _require_seen(mdp, returns)
+                returns = of_sense(mdp, returns)
+            return robust_bounds(sets, chain.weights, returns)
         if returns is not None:
-            _require_seen(mdp, returns)
-            returns = of_sense(mdp, returns)
-        return robust_bounds(sets, chain.weights, returns)
+            what = "with a horizon rewards bound what totals can be"
+            fix = "leave it out (--evidence returns=, returns=)"
+            raise ModelError(what, where="returns", fix=fix)
+        return robust_bounds(sets, by_time(mdp, chain.weights, horizon))
 
     def assumptions(self, mdp: MDP, sets: RowSets) -> tuple[str, ...]:
         """Return what the sets rest on besides the records."""
@@ -149,13 +146,12 @@ class Robust:
 def _require_seen(mdp: MDP, returns: Ends) -> None:
     """Raise ModelError where a recorded transition cannot have a total in the range stated."""
     table = mdp.table
-    seen = observations_of(mdp)[table.pair] > 0
-    ended = mdp.terminal & ~cut_off(mdp)
+    seen, ended = observations_of(mdp)[table.pair] > 0, mdp.terminal & ~cut_off(mdp)
     gain, after = table.gains(), np.where(ended[table.next], 0.0, mdp.discount)
     low, high = (gain + after * end for end in returns)
     outside = seen & ((low > returns[1]) | (high < returns[0]))
     if outside.any():
-        first = int(np.flatnonzero(outside)[0])
+        first = int(outside.argmax())
         raise ModelError(
             f"a reward of {gain[first]:g} was seen, after which no total lies from "
             f"{returns[0]:g} to {returns[1]:g}",
