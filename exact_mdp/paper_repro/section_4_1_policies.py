@@ -300,7 +300,8 @@ def final_is_optimal(reading: Reading) -> Finding:
         listed = ", ".join(f"{status} {cost:.2f}" for status, cost in costs.items())
         why += f"; {reading.order}, by status: {listed}"
     number = Certified(value=Fraction(audit.regret.at_start.value))
-    return statement(audit.passed, why, number=number, details={"cost_by_status": costs})
+    more = {"number": number, "measures": "points lost", "details": {"cost_by_status": costs}}
+    return statement(audit.passed, why, **more)
 
 
 @figure("cost_of_choices", title="What each choice costs")
