@@ -187,9 +187,10 @@ def one(name: str, sets: Sequence[str], runs: int) -> str:
     if claim.open and not sets:
         others = [(each.label, claim.find(each)) for each in one_change(reading)]
         differing = [f"{one.says}: {label}" for label, one in others if one.says != finding.says]
-        with_change = differing or [f"the same in all {len(others)} with one change"]
-        best = "(a full run tries the best supported one, too)"
-        lines["other readings"] = "\n".join([*with_change, best])
+        lines["other readings"] = (
+            f"{len(others)} with one change; a full run tries the best supported one, too"
+        )
+        lines["of these"] = "\n".join(differing) or "the same in all"
         if depends(finding, [one.verdict for _, one in others]):
             lines["verdict"] = f"{Verdict.DEPENDS}; {finding.says} under the default one"
     width = max(map(len, lines)) + 2
