@@ -57,7 +57,6 @@ class Finding:
     why: str  # in a sentence or two
     says: str = ""  # the verdict with its number, "seen in 24 % of runs"; else the bare word
     number: Number | None = None  # the exact counterpart of the paper's number
-    measures: str = ""  # what the number is, where it is neither that nor a share that agrees
     paper: Fraction | float | None = None
     standard_error: float | None = None  # the exact one of the paper's average
     details: Mapping[str, Any] = field(default_factory=dict)  # more, for `numbers.json`
@@ -180,24 +179,16 @@ def by_chance(chance: float, why: str, **more: Any) -> Finding:
     return Finding(verdict=verdict, why=why, says=f"{verdict}, p = {chance:.2g}", **more)
 
 
-def share(
-    count: int, total: int, what: str, why: str, *, independent: int | None = None, **more: Any
-) -> Finding:
-    """Judge by how many of our own runs show it.
-
-    Of all pairs of one run with another no more are `independent` than there are runs of a kind.
-    The average over all pairs varies at most as much as that over so many pairs without a common
-    run, of which it is an average (Hoeffding, Ann. Math. Statist. 19, 1948).
-    """
+def share(count: int, total: int, what: str, why: str, **more: Any) -> Finding:
+    """Judge by how many of our own runs show it."""
     part = count / total
     shown = f"{100 * part:.{0 if part >= 0.095 else 1}f} %" if count else "none"
     says = f"seen in {shown} of {total:,} {what}"
     verdict = Verdict.SEEN if count else Verdict.NOT_REPRODUCED
     if part >= NEARLY_ALL:
         verdict, says = Verdict.REPRODUCED, f"reproduced, {says}"
-    size = independent or total
-    smooth = (part * size + 0.5) / (size + 1)  # not 0 where all runs are alike
-    number = Estimated(value=part, standard_error=sqrt(smooth * (1 - smooth) / size))
+    smooth = (count + 0.5) / (total + 1)  # not 0 where all runs are alike
+    number = Estimated(value=part, standard_error=sqrt(smooth * (1 - smooth) / total))
     details = {"count": count, "runs": total, **more.pop("details", {})}
     more = {"number": number, **more}
     return Finding(verdict=verdict, why=why, says=says, details=details, **more)
@@ -257,7 +248,6 @@ def entry_of(each: Claim, finding: Finding) -> dict[str, Any]:
         "says": each.says,
         "paper": None if paper is None else float(paper),
         "exact": None if exact is None else float(exact),
-        "measures": finding.measures,
         "exact_rational": str(exact) if isinstance(exact, Fraction) else None,
         "difference": apart,
         "claim": None if number is None else str(number.claim),

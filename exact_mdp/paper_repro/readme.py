@@ -21,7 +21,6 @@ from exact_mdp.paper_repro.paper import (
     AVERAGES,
     BITS,
     FINAL,
-    OPEN,
     ORDERS,
     PAPER,
     PLACES,
@@ -29,7 +28,7 @@ from exact_mdp.paper_repro.paper import (
 )
 from exact_mdp.paper_repro.section_2 import chance, effect
 from exact_mdp.paper_repro.section_3 import weights
-from exact_mdp.paper_repro.silent_points import POINTS, QUESTIONS, Reading, default
+from exact_mdp.paper_repro.silent_points import POINTS, Reading, default
 
 TEMPLATE = Path(__file__).parent / "README.md.j2"
 SECTIONS = ("Section 1", "Section 4.1", "Section 4.2")  # those with findings
@@ -161,9 +160,6 @@ def render(results: Mapping[str, Any], *, code: str = "") -> str:
         places=PLACES,
         document=PAPER,
         points=POINTS,
-        questions=QUESTIONS,
-        open=OPEN,
-        quotation=PAPER["reported"]["respectively"],
         averages=AVERAGES,
         orders=list(ORDERS),
         final=FINAL,

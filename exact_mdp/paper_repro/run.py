@@ -22,23 +22,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from exact_mdp import Estimated, ModelError, Scenario, evaluate
+from exact_mdp import Estimated, ModelError, Scenario
 from exact_mdp.analysis.record import run_record
 from exact_mdp.mdp.errors import extra, known
 from exact_mdp.paper_repro import section_4_1_learning, section_4_1_policies, section_4_2
 from exact_mdp.paper_repro.claim import CLAIMS, Claim, Verdict, depends, judged
 from exact_mdp.paper_repro.drawing import FIGURES, save
 from exact_mdp.paper_repro.learner import SEED, settings
-from exact_mdp.paper_repro.paper import AVERAGES, FINAL, OPEN, ORDERS, write
+from exact_mdp.paper_repro.paper import AVERAGES, ORDERS, write
 from exact_mdp.paper_repro.readme import exact, paper, render
-from exact_mdp.paper_repro.silent_points import (
-    RESPECTIVELY,
-    Reading,
-    default,
-    facts,
-    one_change,
-    support,
-)
+from exact_mdp.paper_repro.silent_points import Reading, default, facts, one_change, support
 
 PARTS = (section_4_1_learning, section_4_1_policies, section_4_2)  # importing them fills CLAIMS
 FULL, QUICK = 400, 100  # training runs of each schedule
@@ -117,8 +110,7 @@ def values(reading: Reading) -> dict[str, Any]:
     """Return the exact values that the report names: each reported policy in both orders."""
     named = {name: reading.value(name).mean for name in ("optimal", "random")}
     orders = {o: {start: reading.value(start, o).mean for start in AVERAGES} for o in ORDERS}
-    other = reading.reported(FINAL, "as written") | dict.fromkeys(OPEN, "directive")
-    return {**named, **orders, "directive where nothing is said": evaluate(reading.mdp, other).mean}
+    return {**named, **orders}
 
 
 def chosen(name: str) -> Claim:
@@ -142,7 +134,6 @@ def changed_reading(base: Reading, sets: Sequence[str]) -> Reading:
     """Return a reading with KEY=VALUE changes: of the scenario, or training.KEY of the learner."""
     scenario: Scenario = base.scenario
     training: dict[str, Any] = {}
-    order = base.order
     for each in sets:
         name, _, text = each.partition("=")
         if name.startswith("training."):
@@ -151,12 +142,10 @@ def changed_reading(base: Reading, sets: Sequence[str]) -> Reading:
             except ValueError:
                 value = text
             training[name.removeprefix("training.")] = value
-        elif name == RESPECTIVELY:
-            order = known(text, ORDERS, "option", name)
         else:
             scenario = scenario.set(each)
     label = ", ".join(sets) or base.label
-    reading = replace(base, scenario=scenario, order=order, training=training, label=label)
+    reading = replace(base, scenario=scenario, training=training, label=label)
     if training:
         settings("decaying", training)  # refuses what does not fit
     return reading
@@ -187,19 +176,12 @@ def one(name: str, sets: Sequence[str], runs: int) -> str:
     if claim.open and not sets:
         others = [(each.label, claim.find(each)) for each in one_change(reading)]
         differing = [f"{one.says}: {label}" for label, one in others if one.says != finding.says]
-        lines["other readings"] = (
-            f"{len(others)} with one change; a full run tries the best supported one, too"
-        )
-        lines["of these"] = "\n".join(differing) or "the same in all"
+        with_change = "; ".join(differing) or f"the same in all {len(others)} with one change"
+        lines["other readings"] = f"{with_change} (a full run tries the best supported one, too)"
         if depends(finding, [one.verdict for _, one in others]):
             lines["verdict"] = f"{Verdict.DEPENDS}; {finding.says} under the default one"
     width = max(map(len, lines)) + 2
-    indent = "\n" + " " * (width + 2)
-    body = [
-        f"  {key + ':':{width}}{indent.join(text.split(chr(10)))}"
-        for key, text in lines.items()
-        if text
-    ]
+    body = [f"  {key + ':':{width}}{text}" for key, text in lines.items() if text]
     return "\n".join([f"{claim.id} ({', '.join(claim.places)})", claim.says, *body])
 
 

@@ -60,7 +60,6 @@ def similar(reading: Reading) -> Finding:
         f"decaying less constant: {apart:+.2f}; the standard error of one point of the plot "
         f"({FEW} experiments) is {point:.1f}, and alike means within twice that",
         number=Estimated(value=apart, standard_error=error),
-        measures="points apart",
     )
 
 
@@ -202,8 +201,7 @@ def together(reading: Reading) -> Finding:
         within = within & each
         regrets.append(f"{name} {each.mean():.1%}, with all before {100 * within.mean():.2g} %")
     why = f"of all pairs of one run with each schedule: {'; '.join(regrets)}"
-    pairs = "pairs of runs"
-    return share(int(within.sum()), within.size, pairs, why, independent=min(within.shape))
+    return share(int(within.sum()), int(within.size), "pairs of runs", why)
 
 
 def told_together(reading: Reading) -> dict[str, np.ndarray]:
@@ -280,7 +278,6 @@ def first_status_unsettled(reading: Reading) -> Finding:
         f"with a step of 0.5 n^-0.7 {shares(fallen)}, over {total}: {kind} action. Model, chance "
         "and exploration are the same, so that the learning rate is the cause",
         number=Estimated(value=settled / total, standard_error=error),
-        measures="of the runs with a falling step end alike",
         details={"constant_step": constant.tolist(), "falling_step": fallen.tolist()},
     )
 

@@ -300,8 +300,7 @@ def final_is_optimal(reading: Reading) -> Finding:
         listed = ", ".join(f"{status} {cost:.2f}" for status, cost in costs.items())
         why += f"; {reading.order}, by status: {listed}"
     number = Certified(value=Fraction(audit.regret.at_start.value))
-    more = {"number": number, "measures": "points lost", "details": {"cost_by_status": costs}}
-    return statement(audit.passed, why, **more)
+    return statement(audit.passed, why, number=number, details={"cost_by_status": costs})
 
 
 @figure("cost_of_choices", title="What each choice costs")

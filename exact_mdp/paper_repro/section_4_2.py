@@ -84,28 +84,26 @@ def question_taken_for_forgetfulness(reading: Reading) -> Finding:
     )
 
 
-@claim("agents.confusion-supported", "Section 4.2", "Figure 12", rule="open")
+@claim("agents.confusion-supported", "Section 4.2", "Figure 12")
 def confusion_supported(reading: Reading) -> Finding:
     """Confusion is met with supportive assistance."""
     lost = losses(reading, "0100", 1)
-    return undecided(
-        "one example of the authors' model, in which the robot encourages a person who is "
-        "confused; what it perceived is not reported. In the decision model, where confusion is "
-        f"the only status, supportive assistance is optimal in {sum(x == 0 for x in lost)} of "
-        f"{len(lost)} states, and costs {float(min(lost)):.1f} to {float(max(lost)):.1f} points "
-        "each time, by the subtask and the trial"
+    return statement(
+        max(lost) == 0,
+        "in the example the robot encourages a person who is confused. Where confusion is the only "
+        f"status, that is optimal in {sum(x == 0 for x in lost)} of {len(lost)} states, and costs "
+        f"{float(min(lost)):.1f} to {float(max(lost)):.1f} points each time; what the robot "
+        "perceived in the example is not reported",
     )
 
 
-@claim("agents.anger-encouraged", "Section 4.2", "Section 4.1", rule="open")
+@claim("agents.anger-encouraged", "Section 4.2", "Section 4.1")
 def anger_encouraged(reading: Reading) -> Finding:
     """An angry person is met with encouragement."""
     best = [actions for status in ANGRY for actions in optimal_actions(reading, status)]
     right = sum("supportive" in actions for actions in best)
-    return undecided(
-        "one example of the authors' model. In the decision model supportive assistance is optimal "
-        f"in {right} of {len(best)} states with anger"
-    )
+    why = f"supportive assistance is optimal in {right} of {len(best)} states with anger"
+    return statement(right == len(best), why)
 
 
 @claim("agents.perception-errors", "Section 4.2", rule="open")

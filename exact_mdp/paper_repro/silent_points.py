@@ -64,26 +64,12 @@ POINTS: dict[str, dict[str, str]] = {  # the default first
         "no-subtask-skipped": "bonus if no subtask is skipped",
     },
 }
-QUESTIONS = {
-    "influence_orientation": "Table 3's headers run from row t to column t+1; the prose says that "
-    "anger weighs most on forgetfulness, which holds only the other way round",
-    "influence_on_present": "Table 3: whether another status adds to a persistence",
-    "status_cost": "Equation 1: whether s is the status before or after the transition",
-    "trial_cost": "Equation 1: whether the trial counts that completes a subtask",
-    "max_trial_rule": "whether the last trial allowed is followed by a skip, or by one more",
-    "skip_timestep": "whether a skip takes a timestep of its own",
-    "skip_onset": "the rule of skipping speaks only of statuses that are present",
-    "task_bonus": "whether a task is completed when a subtask of it was skipped",
-    "respectively": "Section 4.1, as quoted above: which action goes with which status",
-}
-"""What the text leaves open in each point."""
 TASKS = ((3, 1), (2,), (4,), (1, 1, 1), (6,))  # beside one task of three subtasks
 ELSEWHERE: dict[str, dict[str, Any]] = {  # one change that is none of the eight points
     **{f"subtasks of each task: {', '.join(map(str, each))}": {"tasks": each} for each in TASKS},
     "returns discounted by 0.95 a timestep": {"discount": "19/20"},
 }
 SWAPPED = "“respectively” swapped"
-RESPECTIVELY = "readings.respectively"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -252,15 +238,6 @@ def support(base: Reading, progress: Callable[[str], None] = lambda text: None) 
     return Support(readings=readings, choices=choices, weights=weights / weights.sum())
 
 
-def settings_of(reading: Reading) -> list[str]:
-    """Return what `--set` takes to choose a reading's options, those of the default left out."""
-    chosen = reading.scenario.readings
-    sets = [f"readings.{point}={chosen[point]}" for point in POINTS]
-    defaults = {f"readings.{point}={next(iter(options))}" for point, options in POINTS.items()}
-    swapped = [f"{RESPECTIVELY}={reading.order}"] if reading.order == "swapped" else []
-    return [each for each in sets if each not in defaults] + swapped
-
-
 def facts(evidence: Support, changed: Sequence[Reading]) -> dict[str, Any]:
     """Return what the report says of the readings: options, the best, and the one-change ones."""
     best = evidence.best
@@ -286,8 +263,7 @@ def facts(evidence: Support, changed: Sequence[Reading]) -> dict[str, Any]:
         "identified": [p for p, each in options.items() if max(each.values()) >= 0.95],
         "least_elsewhere": min(abs(error) for row in far for error in row["errors"].values()),
         "options": options,
-        "best": row(best, best.order)
-        | {"weight": float(evidence.weights.max()), "sets": settings_of(best)},
+        "best": row(best, best.order) | {"weight": float(evidence.weights.max())},
         "default_rank": evidence.rank,
         "default_weight": float(evidence.weights[0]),
         "one_change": rows,
