@@ -63,6 +63,9 @@ def main(context: click.Context, quick: bool, out: Path, readme: Path | None) ->
     off = run.disagreements(results["claims"])
     for line in off:
         click.echo(f"differs from expected.toml: {line}", err=True)
+    if not off:
+        agree = f"All {len(results['claims'])} claims are as pinned in expected.toml"
+        click.echo(f"{agree}: verdicts, and numbers within their tolerances")
     return FAILED if off else None
 
 
@@ -81,8 +84,8 @@ def listed() -> None:
     "sets",
     multiple=True,
     metavar="KEY=VALUE",
-    help="Another reading (readings.skip_timestep=own), parameter (base.anger=1/10) or setting of "
-    "the learner (training.ties=random); repeatable.",
+    help="Another reading (readings.skip_timestep=own, readings.respectively=swapped), parameter "
+    "(base.anger=1/10) or setting of the learner (training.ties=random); repeatable.",
 )
 @RUNS
 def claim(name: str, sets: tuple[str, ...], runs: int) -> None:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 Number = Certified | Bounded | Estimated
 CHANCE = 0.0027  # that a normal number is further off than three standard errors
 NEARLY_ALL = 0.95
+MEAN_RETURN = "mean return in points"
 
 
 class Verdict(StrEnum):
@@ -57,6 +58,7 @@ class Finding:
     why: str  # in a sentence or two
     says: str = ""  # the verdict with its number, "seen in 24 % of runs"; else the bare word
     number: Number | None = None  # the exact counterpart of the paper's number
+    number_is: str = ""  # what that number is
     paper: Fraction | float | None = None
     standard_error: float | None = None  # the exact one of the paper's average
     details: Mapping[str, Any] = field(default_factory=dict)  # more, for `numbers.json`
@@ -151,6 +153,7 @@ def entries(
         not off,
         why,
         number=Certified(value=Fraction(len(paper) - len(off))),
+        number_is="entries that agree",
         paper=Fraction(len(paper)),
         details={"entries": {name: str(value) for name, value in model.items()}},
     )
@@ -161,7 +164,7 @@ def about(paper: float, number: Number, why: str = "", **more: Any) -> Finding:
     near = abs(number.value - paper) <= ABOUT
     wording = f"{'within' if near else 'more than'} {ABOUT:g} {'of' if near else 'from'} {paper:g}"
     said = "; ".join(filter(None, [f"{wording}, which the text says approximately", why]))
-    return statement(near, said, paper=paper, number=number, **more)
+    return statement(near, said, paper=paper, number=number, number_is=MEAN_RETURN, **more)
 
 
 def average(paper: float, mean: float, sd: float, n: int, *, error: float, why: str) -> Finding:
@@ -169,7 +172,8 @@ def average(paper: float, mean: float, sd: float, n: int, *, error: float, why: 
     standard_error = sd / sqrt(n)
     chance = erfc(abs(mean - paper) / standard_error / sqrt(2))
     number = Bounded(value=mean, error=error)
-    return by_chance(chance, why, paper=paper, standard_error=standard_error, number=number)
+    numbers: dict[str, Any] = {"paper": paper, "number": number, "number_is": MEAN_RETURN}
+    return by_chance(chance, why, standard_error=standard_error, **numbers)
 
 
 def by_chance(chance: float, why: str, **more: Any) -> Finding:
@@ -186,11 +190,12 @@ def share(count: int, total: int, what: str, why: str, **more: Any) -> Finding:
     says = f"seen in {shown} of {total:,} {what}"
     verdict = Verdict.SEEN if count else Verdict.NOT_REPRODUCED
     if part >= NEARLY_ALL:
-        verdict, says = Verdict.REPRODUCED, f"reproduced, {says}"
+        verdict = Verdict.REPRODUCED
+    says = says if verdict is Verdict.SEEN else f"{verdict}, {says}"
     smooth = (count + 0.5) / (total + 1)  # not 0 where all runs are alike
     number = Estimated(value=part, standard_error=sqrt(smooth * (1 - smooth) / total))
     details = {"count": count, "runs": total, **more.pop("details", {})}
-    more = {"number": number, **more}
+    more = {"number": number, "number_is": f"share of the {what}", **more}
     return Finding(verdict=verdict, why=why, says=says, details=details, **more)
 
 
@@ -248,11 +253,13 @@ def entry_of(each: Claim, finding: Finding) -> dict[str, Any]:
         "says": each.says,
         "paper": None if paper is None else float(paper),
         "exact": None if exact is None else float(exact),
+        "exact_is": finding.number_is or None,
         "exact_rational": str(exact) if isinstance(exact, Fraction) else None,
         "difference": apart,
         "claim": None if number is None else str(number.claim),
         "error_bound": number.error if isinstance(number, Bounded) else None,
-        "estimate_standard_error": getattr(number, "standard_error", None),
+        # 0 where the sample shows no spread, which says nothing of the error.
+        "estimate_standard_error": getattr(number, "standard_error", None) or None,
         "standard_error": errors,
         "difference_in_standard_errors": apart / errors if apart is not None and errors else None,
         "approximate": each.rule == "about",

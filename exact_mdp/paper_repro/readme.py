@@ -21,6 +21,7 @@ from exact_mdp.paper_repro.paper import (
     AVERAGES,
     BITS,
     FINAL,
+    OPEN,
     ORDERS,
     PAPER,
     PLACES,
@@ -28,7 +29,7 @@ from exact_mdp.paper_repro.paper import (
 )
 from exact_mdp.paper_repro.section_2 import chance, effect
 from exact_mdp.paper_repro.section_3 import weights
-from exact_mdp.paper_repro.silent_points import POINTS, Reading, default
+from exact_mdp.paper_repro.silent_points import OPTIONS, Reading, default
 
 TEMPLATE = Path(__file__).parent / "README.md.j2"
 SECTIONS = ("Section 1", "Section 4.1", "Section 4.2")  # those with findings
@@ -159,7 +160,9 @@ def render(results: Mapping[str, Any], *, code: str = "") -> str:
         counted={kind: counted(claims, kind) for kind in ("input", "finding")},
         places=PLACES,
         document=PAPER,
-        points=POINTS,
+        points=OPTIONS,
+        not_reproduced=[e for e in claims if e["verdict"] == Verdict.NOT_REPRODUCED],
+        open_statuses=OPEN,
         averages=AVERAGES,
         orders=list(ORDERS),
         final=FINAL,

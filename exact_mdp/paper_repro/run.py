@@ -20,16 +20,17 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
-from exact_mdp import Estimated, ModelError, Scenario
+from exact_mdp import Estimated, ModelError, evaluate
 from exact_mdp.analysis.record import run_record
 from exact_mdp.mdp.errors import extra, known
 from exact_mdp.paper_repro import section_4_1_learning, section_4_1_policies, section_4_2
 from exact_mdp.paper_repro.claim import CLAIMS, Claim, Verdict, depends, judged
 from exact_mdp.paper_repro.drawing import FIGURES, save
 from exact_mdp.paper_repro.learner import SEED, settings
-from exact_mdp.paper_repro.paper import AVERAGES, ORDERS, write
+from exact_mdp.paper_repro.paper import AVERAGES, FINAL, OPEN, ORDERS, write
 from exact_mdp.paper_repro.readme import exact, paper, render
 from exact_mdp.paper_repro.silent_points import Reading, default, facts, one_change, support
 
@@ -37,6 +38,7 @@ PARTS = (section_4_1_learning, section_4_1_policies, section_4_2)  # importing t
 FULL, QUICK = 400, 100  # training runs of each schedule
 HERE = Path(__file__).parent
 EXPECTED = HERE / "expected.toml"
+WIDE = 100  # characters of a line
 
 
 def say(text: str) -> None:
@@ -107,10 +109,19 @@ def needs_matplotlib() -> None:
 
 
 def values(reading: Reading) -> dict[str, Any]:
-    """Return the exact values that the report names: each reported policy in both orders."""
+    """Return the exact values that the report names: each reported policy in both orders.
+
+    And the final one with directive assistance where the text says nothing.
+    """
     named = {name: reading.value(name).mean for name in ("optimal", "random")}
     orders = {o: {start: reading.value(start, o).mean for start in AVERAGES} for o in ORDERS}
-    return {**named, **orders}
+    silent = {
+        ", ".join(statuses): evaluate(
+            reading.mdp, reading.reported(FINAL) | dict.fromkeys(statuses, "directive")
+        ).mean
+        for statuses in (OPEN[1:], OPEN)
+    }
+    return {**named, **orders, "directive_in": silent}
 
 
 def chosen(name: str) -> Claim:
@@ -131,8 +142,8 @@ def draw(name: str, out: Path, runs: int) -> list[Path]:
 
 
 def changed_reading(base: Reading, sets: Sequence[str]) -> Reading:
-    """Return a reading with KEY=VALUE changes: of the scenario, or training.KEY of the learner."""
-    scenario: Scenario = base.scenario
+    """Return a reading with KEY=VALUE changes: of the text, the scenario or training.KEY."""
+    scenario, order = base.scenario, base.order
     training: dict[str, Any] = {}
     for each in sets:
         name, _, text = each.partition("=")
@@ -142,10 +153,12 @@ def changed_reading(base: Reading, sets: Sequence[str]) -> Reading:
             except ValueError:
                 value = text
             training[name.removeprefix("training.")] = value
+        elif name == "readings.respectively":
+            order = known(text.replace("-", " "), ORDERS, "order", name)
         else:
             scenario = scenario.set(each)
     label = ", ".join(sets) or base.label
-    reading = replace(base, scenario=scenario, training=training, label=label)
+    reading = replace(base, scenario=scenario, order=order, training=training, label=label)
     if training:
         settings("decaying", training)  # refuses what does not fit
     return reading
@@ -161,8 +174,9 @@ def one(name: str, sets: Sequence[str], runs: int) -> str:
     finding = claim.find(reading)
     number, here = finding.number, ""
     if number is not None:
-        error = f" ± {number.standard_error:.2g}" if isinstance(number, Estimated) else ""
-        here = f"{float(number.value):.10g}{error} ({number.claim})"
+        spread = number.standard_error if isinstance(number, Estimated) else 0
+        error = f" ± {spread:.2g}" if spread else ""
+        here = f"{float(number.value):.10g}{error} ({number.claim}), {finding.number_is}"
     lines = {
         "paper": "" if finding.paper is None else f"{float(finding.paper):g}",
         "here": here,
@@ -176,8 +190,8 @@ def one(name: str, sets: Sequence[str], runs: int) -> str:
     if claim.open and not sets:
         others = [(each.label, claim.find(each)) for each in one_change(reading)]
         differing = [f"{one.says}: {label}" for label, one in others if one.says != finding.says]
-        with_change = "; ".join(differing) or f"the same in all {len(others)} with one change"
-        lines["other readings"] = f"{with_change} (a full run tries the best supported one, too)"
+        same = f"{len(others) - len(differing)} of {len(others)} with one change come to the same"
+        lines["other readings"] = "\n    ".join([same, *differing])
         if depends(finding, [one.verdict for _, one in others]):
             lines["verdict"] = f"{Verdict.DEPENDS}; {finding.says} under the default one"
     width = max(map(len, lines)) + 2
@@ -187,11 +201,12 @@ def one(name: str, sets: Sequence[str], runs: int) -> str:
 
 def listed() -> str:
     """Return all claims with their places, one below the other, and the names of the figures."""
-    lines = [
-        f"{claim.id:42} {', '.join(claim.places):32} {claim.says}" for claim in CLAIMS.values()
-    ]
+    lines = []
+    for claim in CLAIMS.values():
+        says = fill(claim.says, WIDE, initial_indent="    ", subsequent_indent="    ")
+        lines.append(f"{claim.id} ({', '.join(claim.places)})\n{says}")
     named = [each.name + f" ({each.place})" * bool(each.place) for each in FIGURES.values()]
-    return "\n".join([*lines, f"figures: {', '.join(named)}"])
+    return "\n".join([*lines, fill(f"figures: {', '.join(named)}", WIDE, subsequent_indent="    ")])
 
 
 def table(results: Mapping[str, Any]) -> str:

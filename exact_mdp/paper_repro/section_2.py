@@ -140,7 +140,8 @@ def no_recovery_alone(reading: Reading) -> Finding:
     """
     leaves = max(1 - chance(reading.mdp, bit, 0, status) for status, bit in BITS.items())
     why = f"a status alone goes away with probability {float(leaves):.0%} at most"
-    return statement(leaves <= Fraction(1, 100), why, number=Certified(value=leaves))
+    number, number_is = Certified(value=leaves), "the largest of these probabilities"
+    return statement(leaves <= Fraction(1, 100), why, number=number, number_is=number_is)
 
 
 @claim("states.independent", "Section 2.1", kind="input", rule="open")
@@ -341,7 +342,7 @@ def trials(reading: Reading) -> Figure:
     arrow up that the trial completes the subtask; above under the optimal policy, below under
     random actions.
     """
-    fig, ax = drawing.axes(7.4, 3.4)
+    fig, ax = drawing.axes(7.4, 2.7)
     reached = [trial_flow(reading, name) for name in ("optimal", "random")]
     last, gap = reading.scenario.trials, 1.75
     end, wide, box = gap * last, gap * (last - 1), partial(Box, width=1.15, height=0.9)
@@ -358,7 +359,9 @@ def trials(reading: Reading) -> Figure:
         arrow(ax, (gap * t, 0.45), (gap * t, 1.575))
         ends = "\n".join(f"{1 - p[t + 1] / p[t]:.1%}" for p in reached)
         ax.text(gap * t + 0.07, 1.0, ends, fontsize=8, va="center")
-    ax.set(xlim=(-0.7, end + 0.7), ylim=(-0.55, 2.15))
+    key = "upper number: optimal policy; lower number: random actions"
+    ax.text(-0.6, -0.75, key, fontsize=8, va="top")
+    ax.set(xlim=(-0.7, end + 0.7), ylim=(-1.05, 2.15))
     return fig
 
 

@@ -88,8 +88,10 @@ def max_trial(reading: Reading) -> Finding:
     mdp, paper = reading.mdp, SETTINGS["max_trial"]
     trials = int(mdp.space.values("trial")[~mdp.forced & ~mdp.terminal].max()) + 1
     why = f"a subtask is skipped on failed trial {trials}"
-    number = Certified(value=Fraction(trials))
-    return statement(trials == paper, why, paper=Fraction(paper), number=number)
+    number, number_is = Certified(value=Fraction(trials)), "failed trials"
+    return statement(
+        trials == paper, why, paper=Fraction(paper), number=number, number_is=number_is
+    )
 
 
 # ---- rewards -------------------------------------------------------------------------------------

@@ -42,8 +42,8 @@ def converged(reading: Reading, schedule: str) -> Finding:
     low, high = np.quantile(tails, [0.05, 0.95]).tolist()
     why = (
         f"exact values of the greedy policies of the last {CONVERGED:,} epochs, mean of "
-        f"{len(tails)} runs; nine runs in ten lie between {low:.1f} and {high:.1f}, the optimum is "
-        f"{reading.value('optimal').mean:.1f}"
+        f"{len(tails)} runs; in nine runs in ten the mean over these epochs is {low:.1f} to "
+        f"{high:.1f}, and the optimum is {reading.value('optimal').mean:.1f}"
     )
     return about(REPORTED["converged"], mean_of(tails), why)
 
@@ -60,6 +60,7 @@ def similar(reading: Reading) -> Finding:
         f"decaying less constant: {apart:+.2f}; the standard error of one point of the plot "
         f"({FEW} experiments) is {point:.1f}, and alike means within twice that",
         number=Estimated(value=apart, standard_error=error),
+        number_is="decaying less constant, in points",
     )
 
 
@@ -77,7 +78,7 @@ def learning_curves(reading: Reading) -> Figure:
     """Above, as the paper draws it: one run of each strategy, the average return of 40 experiments
     with the greedy policy of each epoch; pale the range within 20 epochs, heavy the mean of 100.
     Below, exact values of the same policies over all runs: the mean, and the band of nine runs in
-    ten.
+    ten, for each epoch by itself.
     """
     fig, panels = drawing.axes(6.8, 6.2, nrows=2, ncols=2)
     grid = panels[0, 0].get_gridspec()
@@ -95,13 +96,23 @@ def learning_curves(reading: Reading) -> Figure:
     top.axhline(optimum, color="black", ls=":", lw=1, label=f"optimum {optimum:.1f}")
     top.legend(ncols=4, loc="lower center")
     top.set(ylim=(0, None), xlabel="epoch", ylabel="average return (points)")
-    top.set_title("One run of each: average of 40 experiments at each epoch")
+    top.set_title(
+        "One run of each: average of 40 experiments at each epoch\n"
+        "(pale: the range within 20 epochs; heavy: the mean of 100)"
+    )
     for ax, (name, shown), (colour, line) in zip(panels[1], SHOWN.items(), looks, strict=False):
         values = reading.learned(name).values
         low, high = np.quantile(values, [0.05, 0.95], axis=0)
         at, middle = drawing.smoothed(values.mean(axis=0), 25)
         band = (drawing.smoothed(each, 25)[1] for each in (low, high))
-        ax.fill_between(at, *band, color=colour, alpha=0.25, lw=0, label="nine runs in ten")
+        ax.fill_between(
+            at,
+            *band,
+            color=colour,
+            alpha=0.25,
+            lw=0,
+            label="nine runs in ten,\neach epoch by itself",
+        )
         ax.plot(at, middle, color=colour, ls=line, label="mean")
         ax.axhline(optimum, color="black", ls=":", lw=1, label="optimum")
         ax.legend(loc="lower right")
@@ -137,6 +148,7 @@ def unique(reading: Reading, schedule: str) -> Finding:
         paper=float(paper),
         details={"share": float((distinct == paper).mean())},
         number=number,
+        number_is="mean number of policies",
     )
 
 
@@ -192,8 +204,8 @@ def same_but_first(reading: Reading) -> Finding:
 
 @claim("learning.together", "Section 4.1", "Figure 10", rule="share", learns=True)
 def together(reading: Reading) -> Finding:
-    """All that is told of the two runs at once: their numbers of policies, that these differ in
-    0000 alone, the three actions there, the agreement elsewhere, and the stated actions.
+    """The two runs show all of this at once: the numbers of policies, that these differ in 0000
+    alone, the three actions there, the agreement elsewhere, and the stated actions.
     """
     parts = told_together(reading)
     within, regrets = np.array(True), []
@@ -201,7 +213,27 @@ def together(reading: Reading) -> Finding:
         within = within & each
         regrets.append(f"{name} {each.mean():.1%}, with all before {100 * within.mean():.2g} %")
     why = f"of all pairs of one run with each schedule: {'; '.join(regrets)}"
-    return share(int(within.sum()), int(within.size), "pairs of runs", why)
+    if not within.any():  # by Clopper and Pearson, from the pairs that are independent
+        apart = min(within.shape)
+        why += f". {apart} of the pairs have no run in common: with 95 % confidence the chance is "
+        why += f"below {1 - 0.05 ** (1 / apart):.2%}"
+    number = Estimated(value=float(within.mean()), standard_error=error_of_pairs(within))
+    return share(int(within.sum()), int(within.size), "pairs of runs", why, number=number)
+
+
+def error_of_pairs(shown: np.ndarray) -> float:
+    """Return the standard error of the share of (M, N) pairs that show something; 0 for one run.
+
+    Pairs with a run in common are not independent. By what two such pairs have in common, the
+    variance of the share is (ζ + (N - 1) a + (M - 1) b) / (M N), where ζ is the variance of one
+    pair, a and b the covariances of two in a row and of two in a column (Hoeffding, Annals of
+    Mathematical Statistics 19, 1948). The sample variance of the means of rows, over M, and that
+    of columns, over N, have the expectations (ζ + (N - 1) a - b) / (M N) and
+    (ζ + (M - 1) b - a) / (M N). So their sum is on average too large by (ζ - a - b) / (M N): not
+    too small, and by no more than the variance ζ / (M N) of as many independent pairs.
+    """
+    sides = [shown.mean(axis=axis) for axis in (0, 1)]
+    return sqrt(sum(each.var(ddof=1) / len(each) for each in sides if len(each) > 1))
 
 
 def told_together(reading: Reading) -> dict[str, np.ndarray]:
@@ -278,6 +310,7 @@ def first_status_unsettled(reading: Reading) -> Finding:
         f"with a step of 0.5 n^-0.7 {shares(fallen)}, over {total}: {kind} action. Model, chance "
         "and exploration are the same, so that the learning rate is the cause",
         number=Estimated(value=settled / total, standard_error=error),
+        number_is="share of the runs with a falling rate that end with the same action",
         details={"constant_step": constant.tolist(), "falling_step": fallen.tolist()},
     )
 

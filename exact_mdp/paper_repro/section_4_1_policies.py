@@ -108,8 +108,8 @@ def averages_together(reading: Reading) -> Finding:
     listed = ", ".join(f"{order} p = {chance:.2g}" for order, chance in chances.items())
     return by_chance(
         chances[reading.order],
-        f"chance of averages as far off, with 1000 and 0100 {listed}; judged {reading.order}, "
-        f"compatible from p = {CHANCE} on",
+        f"chance of averages as far off, with 1000 and 0100 {listed}; judged {reading.order}, and "
+        f"compatible if p is {CHANCE} or more",
         details={"probability": chances},
     )
 
@@ -136,6 +136,7 @@ def ranking_by_experiments(reading: Reading) -> Finding:
         "normal law with the exact means and variances, 1000 and 0100 as written; 95 % or more "
         "counts as told",
         number=Estimated(value=chance, standard_error=1e-5),
+        number_is="probability of this order",
     )
 
 
@@ -252,6 +253,7 @@ def best_action(reading: Reading, place: str) -> Finding:
         f"{action} is optimal in {right} of {len(best)} states with "
         f"{'this status' if len(statuses) == 1 else 'anger'}{instead}",
         number=Certified(value=Fraction(right, len(best))),
+        number_is="share of the states where it is optimal",
     )
 
 
@@ -299,8 +301,9 @@ def final_is_optimal(reading: Reading) -> Finding:
     if costs:
         listed = ", ".join(f"{status} {cost:.2f}" for status, cost in costs.items())
         why += f"; {reading.order}, by status: {listed}"
-    number = Certified(value=Fraction(audit.regret.at_start.value))
-    return statement(audit.passed, why, number=number, details={"cost_by_status": costs})
+    number, number_is = Certified(value=Fraction(audit.regret.at_start.value)), "regret in points"
+    details = {"cost_by_status": costs}
+    return statement(audit.passed, why, number=number, number_is=number_is, details=details)
 
 
 @figure("cost_of_choices", title="What each choice costs")

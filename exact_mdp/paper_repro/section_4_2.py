@@ -1,7 +1,8 @@
 """Section 4.2, the two agents together: what follows from the decision model, and what stays open.
 
 The paper gives no transcript in full. What rests on the wording of its authors' language model, or
-on people's judgement, stays not determined; what errors of perception would cost is computed.
+on people's judgement, stays not determined, whichever action is optimal in the decision model: that
+is computed and said beside it, and so is what errors of perception would cost.
 """
 
 from __future__ import annotations
@@ -84,26 +85,28 @@ def question_taken_for_forgetfulness(reading: Reading) -> Finding:
     )
 
 
-@claim("agents.confusion-supported", "Section 4.2", "Figure 12")
+@claim("agents.confusion-supported", "Section 4.2", "Figure 12", rule="open")
 def confusion_supported(reading: Reading) -> Finding:
     """Confusion is met with supportive assistance."""
     lost = losses(reading, "0100", 1)
-    return statement(
-        max(lost) == 0,
-        "in the example the robot encourages a person who is confused. Where confusion is the only "
-        f"status, that is optimal in {sum(x == 0 for x in lost)} of {len(lost)} states, and costs "
-        f"{float(min(lost)):.1f} to {float(max(lost)):.1f} points each time; what the robot "
-        "perceived in the example is not reported",
+    return undecided(
+        "needs the authors' model: one example is told, and not what the robot perceived in it. In "
+        "the decision model, where confusion is the only status, supportive assistance is optimal "
+        f"in {sum(x == 0 for x in lost)} of {len(lost)} states; taken once in one of them it costs "
+        f"{float(min(lost)):.1f} to {float(max(lost)):.1f} points counted from "
+        "there. (The figure of costs counts from the start, an action taken at every such time.)"
     )
 
 
-@claim("agents.anger-encouraged", "Section 4.2", "Section 4.1")
+@claim("agents.anger-encouraged", "Section 4.2", "Section 4.1", rule="open")
 def anger_encouraged(reading: Reading) -> Finding:
     """An angry person is met with encouragement."""
     best = [actions for status in ANGRY for actions in optimal_actions(reading, status)]
     right = sum("supportive" in actions for actions in best)
-    why = f"supportive assistance is optimal in {right} of {len(best)} states with anger"
-    return statement(right == len(best), why)
+    return undecided(
+        "needs the authors' model: one example is told. In the decision model supportive "
+        f"assistance is optimal in {right} of {len(best)} states with anger, as `policy.anger` says"
+    )
 
 
 @claim("agents.perception-errors", "Section 4.2", rule="open")

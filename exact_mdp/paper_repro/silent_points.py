@@ -1,8 +1,9 @@
 """What the text leaves open, and the model under one way to read it.
 
-Eight points of the text are silent, 576 combinations in all; "respectively" can be taken in two
-orders; the number of subtasks and the discount of the experiments' returns are not said. The
-default reading takes the words in their plain sense; it was not chosen by these returns.
+Eight points of the rules are open, 576 combinations in all; "respectively" can be taken in two
+orders; the number of subtasks, the discount of the experiments' returns and the actions in four
+statuses are not said. `paper.toml` has the words. The default reading takes them in their plain
+sense; it was not chosen by these returns.
 
 How far the reported returns support a reading r with an order o is the likelihood
 
@@ -29,47 +30,27 @@ import numpy as np
 from exact_mdp import MDP, Certificate, Policy, Scenario, certify, evaluate, solve
 from exact_mdp.mdp import ScenarioWarning
 from exact_mdp.paper_repro.learner import Learned, learn
-from exact_mdp.paper_repro.paper import ABOUT, ANGRY, AVERAGES, EXPERIMENTS, OPEN, ORDERS, REPORTED
+from exact_mdp.paper_repro.paper import (
+    ABOUT,
+    ANGRY,
+    AVERAGES,
+    EXPERIMENTS,
+    OPEN,
+    ORDERS,
+    PAPER,
+    REPORTED,
+)
 
-POINTS: dict[str, dict[str, str]] = {  # the default first
-    "influence_orientation": {
-        "row-to-column": "Table 3 from row to column",
-        "column-to-row": "Table 3 from column to row",
-    },
-    "influence_on_present": {
-        "none": "present statuses not influenced",
-        "additive": "present statuses influenced too",
-    },
-    "status_cost": {
-        "next": "statuses after the action cost",
-        "current": "statuses before the action cost",
-    },
-    "trial_cost": {"every-trial": "every trial costs", "failed-trials": "only failed trials cost"},
-    "max_trial_rule": {
-        "at": "skip after five failed trials",
-        "after": "skip after six failed trials",
-    },
-    "skip_timestep": {
-        "same": "a skip takes no timestep of its own",
-        "own": "a skip takes a timestep of its own",
-    },
-    "skip_onset": {
-        "none": "a skip brings on no status",
-        "base": "a skip may bring on statuses",
-        "reset": "a skip leaves no status",
-    },
-    "task_bonus": {
-        "always": "bonus at the end of every task",
-        "last-subtask-completed": "bonus if the last subtask is completed",
-        "no-subtask-skipped": "bonus if no subtask is skipped",
-    },
+OPTIONS: dict[str, dict[str, str]] = {  # of each point, the default first
+    name: point["options"] for name, point in PAPER["open_points"].items()
 }
+POINTS = {name: options for name, options in OPTIONS.items() if name != "respectively"}
 TASKS = ((3, 1), (2,), (4,), (1, 1, 1), (6,))  # beside one task of three subtasks
 ELSEWHERE: dict[str, dict[str, Any]] = {  # one change that is none of the eight points
     **{f"subtasks of each task: {', '.join(map(str, each))}": {"tasks": each} for each in TASKS},
     "returns discounted by 0.95 a timestep": {"discount": "19/20"},
 }
-SWAPPED = "“respectively” swapped"
+SWAPPED = OPTIONS["respectively"]["swapped"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -211,7 +192,7 @@ class Support:
                 option: float(self.weights[[c[point] == option for c in self.choices]].sum())
                 for option in options
             }
-            for point, options in {**POINTS, "respectively": dict.fromkeys(ORDERS, "")}.items()
+            for point, options in OPTIONS.items()
         }
 
 
@@ -257,13 +238,15 @@ def facts(evidence: Support, changed: Sequence[Reading]) -> dict[str, Any]:
         if each.order == "as written":
             rows.append(max((row(each, o) for o in ORDERS), key=lambda r: r["log_likelihood"]))
     far = [row for row in rows if row["label"] in ELSEWHERE]
+    chosen = evidence.choices[int(evidence.weights.argmax())].items()
+    changes = [f"readings.{p}={option}" for p, option in chosen if option != next(iter(OPTIONS[p]))]
     options = evidence.of_options()
     return {
         "combinations": len(evidence.readings) // len(ORDERS),
         "identified": [p for p, each in options.items() if max(each.values()) >= 0.95],
         "least_elsewhere": min(abs(error) for row in far for error in row["errors"].values()),
         "options": options,
-        "best": row(best, best.order) | {"weight": float(evidence.weights.max())},
+        "best": row(best, best.order) | {"weight": float(evidence.weights.max()), "set": changes},
         "default_rank": evidence.rank,
         "default_weight": float(evidence.weights[0]),
         "one_change": rows,

@@ -30,6 +30,7 @@ from exact_mdp.paper_repro.paper import (
 )
 from exact_mdp.paper_repro.section_2 import trial_flow
 from exact_mdp.paper_repro.section_3 import losses, weights
+from exact_mdp.paper_repro.section_4_1_learning import error_of_pairs
 from exact_mdp.paper_repro.section_4_1_policies import cost_of_each, ranked
 from exact_mdp.paper_repro.silent_points import (
     Reading,
@@ -140,6 +141,10 @@ def test_values_against_the_independent_model(
     optimum = reading.value("optimal")
     assert abs(Fraction(optimum.mean) - best) <= Fraction(optimum.start.error)
     assert RESULTS["values"]["optimal"] == pytest.approx(float(best), rel=1e-12)
+    for statuses, committed in RESULTS["values"]["directive_in"].items():
+        other = reading.reported(FINAL) | dict.fromkeys(statuses.split(", "), "directive")
+        known = oracle.evaluate(acting(other), distribution=False)["mean"]
+        assert committed == pytest.approx(float(known), rel=1e-12)
     final = oracle.evaluate(acting(reading.reported(FINAL)), distribution=False)["mean"]
     assert Fraction(claims["policy.final-is-optimal"]["exact_rational"]) == best - final
 
@@ -229,6 +234,40 @@ def test_reproduced_is_kept_for_nearly_all_runs() -> None:
     seen, reproduced = Verdict.SEEN, Verdict.REPRODUCED
     assert verdicts == [Verdict.NOT_REPRODUCED, seen, seen, reproduced, reproduced]
     assert share(24, 100, "runs", "").says == "seen in 24 % of 100 runs"
+    assert share(0, 100, "runs", "").says == "not reproduced, seen in none of 100 runs"
+
+
+def test_the_error_of_a_share_of_pairs_counts_runs() -> None:
+    """Over all samples the mean of the estimate is the variance, and what pairs add by themselves.
+
+    M runs are drawn from three kinds and N from two, all alike likely; `law` says which pairs show
+    it. Of shares in a whole population the sums are exact.
+    """
+    for law in ([[1, 0], [0, 1], [1, 1]], [[1, 0], [1, 0], [0, 0]], [[0, 1], [1, 0], [0, 0]]):
+        table, (m, n) = np.array(law, dtype=bool), (3, 2)
+        samples = [
+            table[np.ix_(rows, columns)]
+            for rows in itertools.product(range(3), repeat=m)
+            for columns in itertools.product(range(2), repeat=n)
+        ]
+        variance = np.var([each.mean() for each in samples])
+        alone = table - table.mean(0) - table.mean(1)[:, None] + table.mean()
+        estimates = [error_of_pairs(each) ** 2 for each in samples]
+        assert np.mean(estimates) == pytest.approx(variance + alone.var() / (m * n))
+
+
+def test_the_error_of_a_share_of_pairs_is_that_of_runs_drawn_again() -> None:
+    rng = np.random.default_rng(0)
+    shown = np.logical_and.outer(rng.random(100) < 0.3, rng.random(100) < 0.35)
+    drawn = [
+        shown[np.ix_(rng.integers(100, size=100), rng.integers(100, size=100))].mean()
+        for _ in range(4000)
+    ]
+    assert error_of_pairs(shown) == pytest.approx(np.std(drawn), rel=0.05)
+    independent = sqrt(shown.mean() * (1 - shown.mean()) / shown.size)
+    assert error_of_pairs(shown) > 5 * independent
+    assert error_of_pairs(np.zeros((4, 4), dtype=bool)) == 0
+    assert COMMITTED["learning.together"]["estimate_standard_error"] is None
 
 
 def test_an_average_is_compatible_within_three_standard_errors() -> None:

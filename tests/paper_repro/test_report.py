@@ -10,13 +10,14 @@ import pytest
 from cli_runner import ask
 from refusal_tables import entries
 
+from exact_mdp import READINGS, evaluate
 from exact_mdp.paper_repro import run
 from exact_mdp.paper_repro.__main__ import main
 from exact_mdp.paper_repro.claim import CLAIMS, Verdict
 from exact_mdp.paper_repro.drawing import FIGURES, save
-from exact_mdp.paper_repro.paper import PLACES
+from exact_mdp.paper_repro.paper import FINAL, ORDERS, PAPER, PLACES
 from exact_mdp.paper_repro.readme import render
-from exact_mdp.paper_repro.silent_points import default
+from exact_mdp.paper_repro.silent_points import OPTIONS, POINTS, default
 
 ROOT = Path(__file__).parents[2]
 RESULTS = json.loads((run.HERE / "results.json").read_text("utf-8"))
@@ -40,8 +41,11 @@ def test_the_committed_page_is_what_the_code_writes_of_all_that_the_paper_has() 
 
 def test_what_the_page_links_to_is_there_and_small() -> None:
     links = re.findall(r"\]\((?!http)([^)]+)\)", README)
-    assert {Path(link).suffix for link in links} == {".png", ".py"}
-    for link in links:
+    anchors = {link for link in links if link.startswith("#")}
+    assert anchors == {"#what-the-text-leaves-open"}
+    assert "\n## What the text leaves open\n" in README
+    assert {Path(link).suffix for link in {*links} - anchors} == {".png", ".py"}
+    for link in {*links} - anchors:
         assert (run.HERE / link).is_file(), link
     figures = sorted((run.HERE / "figures").iterdir())
     assert [path.stem for path in figures] == sorted(FIGURES)
@@ -59,6 +63,47 @@ def test_the_page_has_whole_tables_and_its_counts_and_values_first() -> None:
     for order in ("as written", "swapped"):
         assert f"{RESULTS['values'][order]['non-directive']:.2f} with its “respect" in README
     assert "142.07" in (ROOT / "README.md").read_text("utf-8")
+    for entry in RESULTS["claims"]:
+        failed = f"\n- {entry['says']} `{entry['name']}`: {entry['why']}.\n"
+        assert (failed in README) == (entry["verdict"] == Verdict.NOT_REPRODUCED), entry["name"]
+        assert bool(entry["exact_is"]) == (entry["exact"] is not None), entry["name"]
+        assert (
+            not entry["exact_is"] or f", {entry['exact_is']} | {entry['verdict_says']} |" in README
+        )
+
+
+def test_the_page_names_every_open_point_with_its_options_and_its_place() -> None:
+    assert [*OPTIONS] == [*READINGS, "respectively"]
+    assert {point: tuple(options) for point, options in POINTS.items()} == READINGS
+    assert [*OPTIONS["respectively"]] == [*ORDERS]
+    for name, options in OPTIONS.items():
+        (row,) = re.findall(rf"^\| `readings\.{name}` \|.*$", README, re.M)
+        point = PAPER["open_points"][name]
+        assert point["place"] in PLACES
+        assert f"{point['place']}: “{point['words']}”: {point['asks']} |" in row
+        for option, means in options.items():
+            assert f"`{option.replace(' ', '-')}`: {means}, " in row
+
+
+def test_the_command_on_the_page_works_out_a_claim_under_the_best_supported_reading() -> None:
+    (command,) = re.findall(r"exact_mdp\.paper_repro (claim return\.together [^`]*)\n```", README)
+    (together,) = (e for e in RESULTS["claims"] if e["name"] == "return.together")
+    says = together["verdict_under_best_supported_reading"]
+    assert says.startswith("compatible, p = 0.8")
+    assert f"verdict: {says}\n" in ask(main, command.replace("\\\n", "")).out
+
+
+@pytest.mark.parametrize(
+    ("file", "order"), [("reported.json", "as written"), ("reported_swapped.json", "swapped")]
+)
+def test_the_reported_policy_is_a_file_with_the_value_that_the_page_gives(
+    file: str, order: str
+) -> None:
+    policy = run.HERE / file
+    assert json.loads(policy.read_text("utf-8")) == default().reported(FINAL, order)
+    value = evaluate(default().mdp, policy).mean
+    assert value == pytest.approx(RESULTS["values"][order][FINAL], rel=1e-12)
+    assert file in README
 
 
 # ---- figures -------------------------------------------------------------------------------------
@@ -74,20 +119,24 @@ def test_figures_of_learning_are_drawn(tmp_path: Path) -> None:
 
 
 def test_claims_are_listed_with_their_places() -> None:
-    *lines, figures = ask(main, "list").out.splitlines()
+    printed = ask(main, "list").out
+    assert max(map(len, printed.splitlines())) <= 100
+    *claims, figures = re.sub(r"\n +", " ", printed).splitlines()
     assert figures.startswith("figures: ")
     assert "flow (Figure 2)" in figures
-    for line, claim in zip(lines, CLAIMS.values(), strict=True):
-        assert line.startswith(claim.id)
-        assert claim.says in line
-        assert all(place in line for place in claim.places)
+    for line, claim in zip(claims, CLAIMS.values(), strict=True):
+        assert line == f"{claim.id} ({', '.join(claim.places)}) {claim.says}"
 
 
 def test_one_claim_alone_and_under_another_reading() -> None:
     done = ask(main, "claim policy.0100")
     assert done.status == 0
     assert "not reproduced" in done.out
-    assert "the same in all 17 with one change" in done.out
+    assert "17 of 17 with one change come to the same\n" in done.out
+    together = ask(main, "claim return.together").out
+    assert "\n    compatible, p = 0.0085: “respectively” swapped\n" in together
+    swapped = ask(main, "claim return.together --set readings.respectively=swapped").out
+    assert re.search(r"verdict: +compatible, p = 0\.0085\n", swapped)
     change = "readings.task_bonus=no-subtask-skipped"
     verdict = r"verdict: +depends on the reading; not reproduced under the default one"
     assert re.search(verdict, ask(main, "claim return.random").out)
@@ -115,6 +164,7 @@ def test_the_main_job_writes_everything_it_names(tmp_path: Path) -> None:
     )
     assert all(row["exact"] is not None for row in rows)
     assert all(claim in done.stdout for claim in CLAIMS)
+    assert f"All {len(CLAIMS)} claims are as pinned in expected.toml" in done.stdout
     record = json.loads((tmp_path / "run.json").read_text("utf-8"))
     assert record["quick"]
     assert record["training_runs"] == run.QUICK
