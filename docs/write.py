@@ -25,6 +25,7 @@ from typing import Any
 import click
 
 import exact_mdp
+from exact_mdp.paper_repro.silent_points import OPTIONS
 
 DOCS = Path(__file__).resolve().parent
 GOLDEN = DOCS.parent / "tests" / "golden"
@@ -207,9 +208,17 @@ def methods(name: str) -> str:
 
 
 def readings(_: str) -> str:
-    """Return the options of each reading, the default first."""
-    rows = exact_mdp.READINGS.items()
-    return table("key, options", ((f"`readings.{key}`", ", ".join(each)) for key, each in rows))
+    """Return the options of each reading with what they mean, the default first."""
+    return table(
+        "key, options",
+        (
+            (
+                f"`readings.{key}`",
+                "; ".join(f"`{name.replace(' ', '-')}`: {means}" for name, means in each.items()),
+            )
+            for key, each in OPTIONS.items()
+        ),
+    )
 
 
 def text(module: str) -> str:

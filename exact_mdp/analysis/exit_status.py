@@ -54,7 +54,7 @@ KINDS = {
     ),
     "ImportError": (
         "a package cannot be loaded: {}",
-        "install the package again, with the extra that this needs",
+        "in a checkout of exact-mdp this installs it with all that it needs: pip install .",
     ),
     "BaseException": (
         "an error in the program, not in your input: {}",

@@ -94,6 +94,19 @@ def test_so_it_does_in_python(tmp_path: Path, code: str) -> None:
     assert f'pip install "exact-mdp[{IN_PYTHON[code]}]"' in done.stderr
 
 
+def test_a_missing_package_of_the_core_is_named_with_the_command_that_installs_it(
+    tmp_path: Path,
+) -> None:
+    hidden = WITHOUT.replace(f"in {sorted(OPTIONAL)!r}", "== 'tqdm'")
+    code = "from exact_mdp.paper_repro.__main__ import main; main(['list'])"
+    done = subprocess.run(
+        [sys.executable, "-c", hidden + code], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert (done.returncode, done.stdout) == (3, "")
+    assert "No module named 'tqdm'" in done.stderr
+    assert done.stderr.rstrip().endswith("pip install .")
+
+
 def test_so_it_does_in_the_reproduction(tmp_path: Path) -> None:
     done = run("from exact_mdp.paper_repro.__main__ import main; main(['--quick'])", tmp_path)
     assert done.returncode == 2, done.stderr
