@@ -350,3 +350,23 @@ def test_what_every_policy_earns_is_not_forgiven() -> None:
         assert audit.forgiven < F(loss) / 10**12
         assert [each.state for each in audit.disagreements] == [1]
         assert check(mdp, [0, 0, 0, 0]).passed
+
+
+def test_what_bounds_leave_open_goes_to_rational_arithmetic(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Where the model is too large for it, the verdict is open, fails, and says what to do."""
+    size = 210  # a cycle that is bounded unless asked for more
+    rows = [(s, 0, [(1, (s + 1) % size, F(1, 3))]) for s in range(size)]
+    learned = [1, *[0] * (size - 1)]
+    tie = (0, 1, [(F(1, 2), 1, 0), (F(1, 2), 1, F(2, 3))])
+    audit = check(MDP.from_outcomes([*rows, tie], "9/10"), learned)
+    assert (audit.passed, audit.claim) == (True, Claim.CERTIFIED)
+    worse = MDP.from_outcomes([*rows, (0, 1, [(1, 1, F(1, 3) - F(1, 10**30))])], "9/10")
+    audit = check(worse, learned)
+    assert (audit.passed, audit.claim) == (False, Claim.CERTIFIED)
+    assert [each.state for each in audit.disagreements] == [0]
+    monkeypatch.setattr("exact_mdp.analysis.gate.check.LAST_CYCLE", 10)
+    audit = check(worse, learned)
+    assert (audit.passed, audit.undecided) == (False, True)
+    assert "exact_values=True" in audit.message()

@@ -496,3 +496,21 @@ def test_the_forest_switches_where_two_of_its_policies_are_equal() -> None:
         gain = 1 + at * value[0] - at * (value[0] / 10 + F(9, 10) * value[2])
         assert gain * sign >= 0
     assert value_curve.pieces[-1].optimal[[mdp.pair(s, 0) for s in range(3)]].all()
+
+
+@pytest.mark.parametrize(
+    ("limit", "most", "name", "message"),
+    [
+        ("LARGEST", 1, "gain", "2 states with cycles among them(.|\n)*at most 1 state"),
+        ("CYCLIC_DEGREE", 0, "p", "2 states on cycles(.|\n)*degree 1(.|\n)*up to degree 0;"),
+    ],
+)
+def test_the_limit_that_was_hit_is_named(
+    limit: str, most: int, name: str, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = [(s, a, [("1/2", 0, 1), ("1/2", 1, a)]) for s in (0, 1) for a in (0, 1)]
+    family = moving(MDP.from_outcomes(rows, "9/10"), {"p": [(0, 1)]}, {"gain": 1})
+    assert curve(family, name).pieces
+    monkeypatch.setattr(f"exact_mdp.analysis.vary.curves.walk.{limit}", most)
+    with pytest.raises(ModelError, match=message):
+        curve(family, name)

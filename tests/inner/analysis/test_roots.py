@@ -1,4 +1,4 @@
-"""Roots and signs of polynomials, and where exact curves stop."""
+"""Roots and signs of polynomials."""
 
 from fractions import Fraction
 from itertools import pairwise
@@ -8,8 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exact_mdp import MDP, ModelError, curve, moving
-from exact_mdp.analysis.vary.curves import walk
 from exact_mdp.analysis.vary.curves.roots import (
     nonnegative,
     odd_part,
@@ -30,24 +28,6 @@ def product(numbers: list[Fraction]) -> flint.fmpq_poly:
     for number in numbers:
         poly *= flint.fmpq_poly([rational(-number), 1])
     return poly
-
-
-@pytest.mark.parametrize(
-    ("limit", "most", "name", "message"),
-    [
-        ("LARGEST", 1, "gain", "2 states with cycles among them(.|\n)*at most 1 state"),
-        ("CYCLIC_DEGREE", 0, "p", "2 states on cycles(.|\n)*degree 1(.|\n)*up to degree 0;"),
-    ],
-)
-def test_the_limit_that_was_hit_is_named(
-    limit: str, most: int, name: str, message: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rows = [(s, a, [("1/2", 0, 1), ("1/2", 1, a)]) for s in (0, 1) for a in (0, 1)]
-    family = moving(MDP.from_outcomes(rows, "9/10"), {"p": [(0, 1)]}, {"gain": 1})
-    assert curve(family, name).pieces
-    monkeypatch.setattr(walk, limit, most)
-    with pytest.raises(ModelError, match=message):
-        curve(family, name)
 
 
 @pytest.mark.parametrize(
