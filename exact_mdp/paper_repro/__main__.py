@@ -24,7 +24,7 @@ RUNS = click.option(
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-@click.option("--quick", is_flag=True, help="Fewer training runs; ends within two minutes.")
+@click.option("--quick", is_flag=True, help="Fewer training runs: half a minute on two cores.")
 @click.option(
     "--out",
     type=OUT,
