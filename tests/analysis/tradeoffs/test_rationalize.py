@@ -81,6 +81,8 @@ def test_the_checker_notices() -> None:
     place, own = next((k, own) for k, own in enumerate(best.intervals) if own.low)
     assert own.low is not None
 
+    cut = least_change.cuts[0]
+    negative = cut, replace(cut, multiplier=-cut.multiplier)  # which add nothing
     low = replace(least_change.dual, top=[v - 1 for v in least_change.dual.top])
 
     def other(**part: Any) -> Any:
@@ -93,6 +95,7 @@ def test_the_checker_notices() -> None:
         replace(least_change, multipliers=(F(1),) * len(least_change.multipliers)),
         replace(least_change, cuts=()),
         replace(least_change, cuts=least_change.cuts[:-1]),
+        replace(least_change, cuts=(*least_change.cuts, *negative)),
         replace(least_change, dual=low),
         replace(least_change, flow=best.flow),
         other(low=own.low / 2),
