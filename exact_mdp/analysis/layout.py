@@ -9,7 +9,7 @@ of ten.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import product
@@ -48,8 +48,7 @@ class Layout:
     columns: tuple[str, ...]
     down: str  # what goes down
     across: str
-    # One for each action; its name where an arrow would not point at the next cell.
-    signs: tuple[str, ...]
+    signs: dict[str, str]  # by action; its name where an arrow would not point at the next cell
     listed: bool = False  # whether places mean nothing: states stand in rows
 
     @property
@@ -61,6 +60,12 @@ class Layout:
     def shown(self) -> Integers:
         """The states that are in the map."""
         return np.flatnonzero(self.row >= 0)
+
+    def cell(self, actions: Sequence[str]) -> str:
+        """Return what a cell says of actions: up to two short signs side by side, else how many."""
+        text = "/".join(self.signs[action] for action in actions)
+        short = len(actions) < 2 or len(text) <= SHORT
+        return text if short else f"1 of {len(actions)}"
 
 
 def arrange(
@@ -185,7 +190,8 @@ def _heading(model: MDP, values: Mapping[str, Integers]) -> dict[str, float]:
 
     None where actions are no directions, or change one and the same.
     """
-    drift, signs = _drift(model, [*values.values()]), np.array(symbols(model.actions))
+    drift = _drift(model, [*values.values()])
+    signs = np.array([*symbols(model.actions).values()])
     left, down, right, up = (drift[:, signs == sign].sum(axis=1) for sign in ARROWS)
     most = {[*values][np.abs(each).argmax()]: each for each in (down - up, right - left)}
     signed = {name: float(each[np.abs(each).argmax()]) for name, each in most.items()}
@@ -201,7 +207,7 @@ def _listed(model: MDP) -> Layout:
     return Layout(
         row=states // wide,
         column=states % wide,
-        signs=tuple(symbols(model.actions)),
+        signs=symbols(model.actions),
         rows=tuple(names) if named else tuple(map(str, states[::wide].tolist())),
         columns=("",) if named else tuple(f"+{column}" for column in range(wide)),
         down="state",
@@ -224,40 +230,20 @@ def _drift(model: MDP, values: Sequence[Integers]) -> Floats:
     return np.array([np.bincount(action, each, model.n_actions) for each in weighted])
 
 
-def _signs(model: MDP, row: Integers, column: Integers) -> tuple[str, ...]:
+def _signs(model: MDP, row: Integers, column: Integers) -> dict[str, str]:
     """Return a sign for each action: an arrow only where its moves go that way more than aside."""
     right, down = _drift(model, [column, row])
     ways = {"←": (-right, down), "↓": (down, right), "→": (right, down), "↑": (-down, right)}
     signs = symbols(model.actions)
-    for number, sign in enumerate(signs):
-        ahead, aside = (float(each[number]) for each in ways.get(sign, (right, down)))
-        if sign in ways and (ahead or aside) and ahead <= abs(aside):
-            signs[number] = model.actions[number]
-    return tuple(signs)
+    for number, (action, sign) in enumerate(signs.items()):
+        if sign in ways:
+            ahead, aside = (float(each[number]) for each in ways[sign])
+            if (ahead or aside) and ahead <= abs(aside):
+                signs[action] = action
+    return signs
 
 
-COUNTED = {"mixed": "one of n actions is drawn", "tied": "n actions are optimal"}
-"""What a cell says of n actions, and what that means."""
-
-
-def joined(signs: Sequence[str], many: str) -> str:
-    """Return up to two short signs of actions side by side, else how many, by a word of COUNTED."""
-    text = "/".join(signs)
-    return text if len(signs) < 2 or len(text) <= SHORT else f"{len(signs)} {many}"
-
-
-def counts(texts: Iterable[str]) -> list[str]:
-    """Return what the words of COUNTED in some cells mean.
-
-    >>> counts([joined(["↓", "→"], "mixed"), joined(["a0", "a1", "a2"], "tied")])
-    ['n tied: n actions are optimal']
-    """
-    parts = (text.rpartition(" ") for text in texts)
-    words = {word for before, _, word in parts if before[-1:].isdigit()}
-    return [f"n {word}: {meaning}" for word, meaning in COUNTED.items() if word in words]
-
-
-def symbols(actions: Sequence[str]) -> list[str]:
+def symbols(actions: Sequence[str]) -> dict[str, str]:
     """Return a sign for each action: an arrow where its name is a direction, else a short name.
 
     Names stand for themselves where all are short.
@@ -266,10 +252,10 @@ def symbols(actions: Sequence[str]) -> list[str]:
     words = [*COMPASS, *(letters for letters in INITIALS if set(letters) <= set(names))]
     known = {word: arrow for each in words for word, arrow in zip(each, ARROWS, strict=True)}
     short = all(len(name) <= SHORT for name in actions)
-    return [
-        known.get(name) or (given if short else f"a{number}")
+    return {
+        given: known.get(name) or (given if short else f"a{number}")
         for number, (name, given) in enumerate(zip(names, actions, strict=True))
-    ]
+    }
 
 
 # ---- what an audit says of each state, in a figure and on a page ---------------------------------
@@ -291,7 +277,6 @@ class Cell:
 def cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
     """Return the cell at each row and column of the map; None where no state is."""
     mdp, choices = audit.mdp, actions_of(audit.mdp, audit.chain.chosen > 0)
-    sign = dict(zip(mdp.actions, layout.signs, strict=True))
     grid: list[list[Cell | None]] = [[None] * len(layout.columns) for _ in layout.rows]
     wrong = {each.state: each for each in audit.disagreements}
     most = max((each.cost for each in audit.disagreements), default=0.0) or 1.0
@@ -299,12 +284,12 @@ def cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
     for state in layout.shown.tolist():
         each, label = wrong.get(state), mdp.space.label(state)
         names = choices[state]
-        text, best = joined([sign[name] for name in names], "mixed"), ""
+        text, best = layout.cell(names), ""
         said = f"{either(names)}; {audit.visits[state]:.6g} expected visits"
         if mdp.over[state]:
             text, said = "∎", "an episode ends here"
         elif each is not None:
-            text, best = f"✗ {text}", joined([sign[name] for name in each.optimal], "tied")
+            text, best = f"✗ {text}", layout.cell(each.optimal)
             said = (
                 f"yours {each.learned}, optimal {either(each.optimal)}; "
                 f"{each.expected_visits:.6g} expected visits, loses {each.cost:.6g}"

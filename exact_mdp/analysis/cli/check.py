@@ -14,7 +14,7 @@ from exact_mdp.analysis.cli.render import markdown
 from exact_mdp.analysis.cli.words import limits_from, refuse, settings_of, typed
 from exact_mdp.analysis.gate import check as gate
 from exact_mdp.analysis.gate.audit import Audit
-from exact_mdp.analysis.layout import MOST_CELLS, arrange, cells, counts
+from exact_mdp.analysis.layout import MOST_CELLS, arrange, cells
 from exact_mdp.analysis.learning.trainers import TrainerAudit, check_trainer
 from exact_mdp.analysis.pages.page import ADVICE, render
 from exact_mdp.mdp.errors import known
@@ -173,10 +173,8 @@ def _write_junit(
 
 def _page(audit: Audit, report: Report, model: str, policy: str) -> str:
     """Return the page: verdict, what is lost, the policy with its wrong states, every table."""
-    layout, actions = arrange(audit.mdp), audit.mdp.actions
-    grid = cells(audit, layout) if layout.cells <= MOST_CELLS else []
-    texts = [text for row in grid for each in row if each for text in (each.text, each.small)]
-    legend = [f"{a} {b}" for a, b in zip(layout.signs, actions, strict=True) if a != b]
+    layout = arrange(audit.mdp)
+    legend = [f"{sign} {action}" for action, sign in layout.signs.items() if sign != action]
     return render(
         "audit.html.j2",
         model=model,
@@ -185,8 +183,8 @@ def _page(audit: Audit, report: Report, model: str, policy: str) -> str:
         verdict="; ".join(map(str, audit.verdicts)),
         facts=[each for each in report.lines().items() if each[0] not in AT_THE_TOP],
         layout=layout,
-        cells=grid,
-        legend=", ".join(legend + counts(texts)),
+        cells=cells(audit, layout) if layout.cells <= MOST_CELLS else [],
+        legend=", ".join(legend),
         tables=[replace(each, first=ON_PAGE) for each in report.shown_tables()],
         notes=[note for note in report.notes if note != ADVICE],  # at the foot of every page
         rerun=shlex.join(["exact-mdp", *typed()]),

@@ -232,7 +232,7 @@ def _data(explorer: Explorer) -> dict[str, Any]:
         "grid": [_exact(value) for value in explorer.grid],
         "curves": curves,
         "sets": [list(each) for each in known],
-        "signs": [*zip(mdp.actions, layout.signs, strict=True)],
+        "signs": [*layout.signs.items()],
         "taken": taken,
         "sense": mdp.sense,
         "idle": np.flatnonzero(~mdp.asked).tolist(),

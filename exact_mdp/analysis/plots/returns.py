@@ -25,7 +25,6 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.solvers.values.returns import ReturnDistribution
 from exact_mdp.solvers.values.simulate import Simulation
 
-NEAR = 0.02  # of an axis: marks that are nearer lie on each other
 MEAN: Look = {"color": "black", "linestyle": "--", "linewidth": 1}
 
 
@@ -73,20 +72,13 @@ def draw_front(
         raise ModelError(what, where="plot", fix="name two totals")
     ax, at = axes_or_new(ax), np.array(front.vertices, dtype=np.float64)
     ax.plot(*at.T, color=BLUE, marker="o", markersize=4, label="front", zorder=2)
-    beside = policies or {}
-    places = np.array([front.totals(policy) for policy in beside.values()], dtype=np.float64)
-    size = np.ptp(np.concatenate([at, places.reshape(-1, 2)]), axis=0)
-    size[size == 0] = 1.0
-    for number, (name, policy) in enumerate(beside.items()):
-        far = float(front.distance(policy))
+    for number, (name, policy) in enumerate((policies or {}).items()):
+        place, far = np.array(front.totals(policy), dtype=float), float(front.distance(policy))
         label = f"{name} (on the front)" if far == 0 else f"{name} (distance {far:.3g})"
-        # One that lies on others is an open mark around them.
-        apart = np.abs(places[:number] - places[number])
-        below = int((apart < NEAR * size).all(axis=1).sum())
-        form: dict[str, Any] = {"ms": 7 + 5 * below, "fillstyle": "none" if below else "full"}
-        _mark(ax, number, label, places[number], zorder=3, **form)
+        # Open, and larger than those before: all that lie on each other can be seen.
+        _mark(ax, number, label, place, zorder=3, markersize=7 + 3 * number, fillstyle="none")
         if far:
-            ends = np.array([places[number], places[number] + front.of.sign * far])
+            ends = np.array([place, place + front.of.sign * far])
             ax.plot(*ends.T, color=BLACK, linewidth=0.8, linestyle=":")
     first, second = front.names
     names = {"x": f"expected total of {first}", "y": f"expected total of {second}"}

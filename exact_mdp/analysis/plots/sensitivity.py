@@ -13,7 +13,6 @@ from textwrap import fill
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
-from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from exact_mdp.analysis.plots.style import (
     BLACK,
@@ -85,16 +84,14 @@ def plot_gradient(gradient: Gradient, *, most: int = 15, ax: Axes | None = None)
     Fills say where the value goes: a positive elasticity of a negative value lowers it.
     """
     table = gradient.frame().dropna(subset="elasticity (% per %)").head(most)
-    rises = (table["derivative (reward per unit)"] > 0).tolist()
-    looks = [HIGH if up else LOW for up in rises]
+    looks = [HIGH if slope > 0 else LOW for slope in table["derivative (reward per unit)"]]
     drawn = zip(range(len(table)), table["elasticity (% per %)"], looks, strict=True)
-    words = {True: ("raises the value", HIGH), False: ("lowers the value", LOW)}
     return described(
         bars(ax, table["parameter"].tolist(), drawn),
         "Which parameters move the value most",
         gradient.model,
         x="elasticity of the value at the start (% per %)",
-        handles=[swatch(*words[way]) for way in sorted({*rises}, reverse=True)],
+        handles=[swatch("raises the value", HIGH), swatch("lowers the value", LOW)],
         legend="a higher parameter",
     )
 
@@ -255,9 +252,7 @@ def plot_two_way(grid: TwoWay, *, ax: Axes | None = None) -> Axes:
     ax.pcolormesh(x, y, shown, cmap=colours, vmin=ends[0], vmax=ends[1], shading="nearest")
     for number in np.unique(shown).tolist():
         places = np.argwhere(shown == number)
-        row = places[len(places) // 3, 0]  # the middle may be today's
-        columns = places[places[:, 0] == row, 1]
-        column = columns[len(columns) // 3]
+        row, column = places[len(places) // 3]  # the middle may be today's
         ink = "black" if shades[number] > 0.5 else "white"
         ax.text(x[column], y[row], str(number), ha="center", va="center", color=ink, fontsize=7)
     today = (float(grid.x.value), float(grid.y.value))
@@ -338,23 +333,19 @@ def plot_acceptability(draws: PSA, *, ax: Axes | None = None) -> Axes:
     """
     ax = axes_or_new(ax)
     at = tolerances_of([draws.regret(number) for number in range(len(draws.candidates))], 201)
-    if len(at) > 1:
-        near = float(at[1])
-        ax.set_xscale("symlog", linthresh=near, linscale=0.3)
-        # Powers of 10 within the linear part would stand upon the 0.
-        powers = np.arange(np.ceil(np.log10(2 * near)), np.log10(at[-1]) + 1e-9)
-        ax.set_xticks([0.0, *10.0**powers])
-        ax.set_xticks([], minor=True)
-        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        ax.xaxis.set_minor_formatter(NullFormatter())
-        at = np.append(np.linspace(0, near, 21), at[2:])
     shares = {each.name: draws.acceptability(at, n) for n, each in enumerate(draws.candidates)}
     curves = {name: (at, share) for name, (share, _, _) in shares.items()}
     bands = {name: (at, low, high) for name, (_, low, high) in shares.items()}
     lines(ax, curves, bands, inks=INKS, marker="o" * (len(at) == 1))
     ax.set_ylim(-0.02, 1.02)
-    if at.max() > 0:
-        ax.set_xlim(0, at.max())
+    if len(at) > 1:
+        ax.set_xscale("symlog", linthresh=at[1], linscale=0.3)
+        # Powers of 10 within the linear part would stand upon the 0.
+        powers = np.arange(np.ceil(np.log10(2 * at[1])), np.log10(at[-1]) + 1e-9)
+        ax.set_xticks([0.0, *10.0**powers])
+        ax.minorticks_off()
+        ax.xaxis.set_major_formatter("{x:g}")
+        ax.set_xlim(0, at[-1])
     else:  # nothing is ever lost
         ax.set_xticks([0.0])
     x, y = "regret that is accepted, Δ (reward)", "probability that the regret is at most Δ"

@@ -8,8 +8,7 @@ for shape, down, across and the columns held fixed.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from textwrap import fill
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -30,8 +29,6 @@ from exact_mdp.analysis.layout import (
     Layout,
     arrange,
     cells,
-    counts,
-    joined,
 )
 from exact_mdp.analysis.optimum import actions_of
 from exact_mdp.analysis.plots.style import (
@@ -90,19 +87,19 @@ def plot_policy(model: MDP, policy: PolicyLike, *, ax: Axes | None = None, **pla
     ['∎', '∎', '∎', '∎', '∎', '←']
     """
     layout, ends, used = _placed(model, place), _ends(model), set[int]()
-    signs, choices = layout.signs, actions_of(model, policy_of(model, policy).weights(model) > 0)
+    choices = actions_of(model, policy_of(model, policy).weights(model) > 0)
     shown: dict[int, tuple[str, Look]] = {}
     for state in layout.shown.tolist():
-        numbers = [*map(model.actions.index, choices[state])]
+        text, number = layout.cell(choices[state]), model.actions.index(choices[state][0])
         if state in ends:
             shown[state] = ends[state][0], {"fill": "0.92", "ink": "0.2"}
-        elif len(numbers) > 1:
-            shown[state] = joined([signs[n] for n in numbers], "mixed"), {"font": 6}
+        elif len(choices[state]) > 1:
+            shown[state] = text, {"font": 6}
         else:
-            used.add(numbers[0])
-            shown[state] = signs[numbers[0]], fill_of(numbers[0])
-    names = dict(zip(signs, model.actions, strict=True))
-    handles = [swatch(_named(signs[n], names), fill_of(n)) for n in sorted(used)]
+            used.add(number)
+            shown[state] = text, fill_of(number)
+    names = [s if s == action else f"{s} {action}" for action, s in layout.signs.items()]
+    handles = [swatch(names[number], fill_of(number)) for number in sorted(used)]
     return _map(model, layout, ax, "What the policy does", shown, handles)
 
 
@@ -149,15 +146,14 @@ def plot_states(
         )
     layout, texts = _placed(model, place), [""] * model.n_states
     if policy is not None:
-        sign = dict(zip(model.actions, layout.signs, strict=True))
         choices = actions_of(model, policy_of(model, policy).weights(model) > 0)
-        texts = [joined([sign[name] for name in names], "mixed") for names in choices]
-    signs = [] if policy is None else _signs(model, layout)
+        texts = [*map(layout.cell, choices)]
+    signs = [] if policy is None else _signs(layout)
     acting = ", and what the policy does" if policy is not None else ""
     what = f"{label.partition(' (')[0].capitalize()} of each state{acting}"
     if layout.listed:
         ax = _bars(axes_or_new(ax), model, given, texts, label)
-        return described(ax, what, model.name, handles=[*signs, *_counts(texts)])
+        return described(ax, what, model.name, handles=signs)
     known = given[layout.shown][np.isfinite(given[layout.shown])]
     low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
     scale = Normalize(low, high if high > low else low + 1.0)
@@ -226,7 +222,7 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
     lost = float(audit.regret.at_start.value)
     what = f"Where the policy is not optimal; regret at the start {lost:.4g}"
     bar = (colours, "what the state loses (reward)") if losses else None
-    return _map(mdp, layout, ax, what, shown, [*map(_words, words), *_signs(mdp, layout)], bar)
+    return _map(mdp, layout, ax, what, shown, [*map(_words, words), *_signs(layout)], bar)
 
 
 @picture
@@ -316,7 +312,7 @@ def _ends(model: MDP) -> dict[int, tuple[str, str]]:
 
 
 def _signs_of_states(ax: Axes, model: MDP, layout: Layout) -> list[Any]:
-    """Frame the start; return a legend's entries for it, for ends and for numbers of actions."""
+    """Frame the start; return a legend's entries for it and for ends."""
     listed, ends = list[Any](), _ends(model)
     starts = [s for s, _ in model.start if layout.row[s] >= 0]
     if len(starts) < len(layout.shown) / 2:
@@ -326,24 +322,14 @@ def _signs_of_states(ax: Axes, model: MDP, layout: Layout) -> list[Any]:
         if starts:
             listed.append(Patch(facecolor="none", edgecolor=BLACK, lw=2, label="start"))
     shown = dict.fromkeys(ends[s] for s in layout.shown.tolist() if s in ends)
-    texts = (line for text in ax.texts for line in text.get_text().splitlines())
-    return [*listed, *(_words(f"{sign} {words}") for sign, words in shown), *_counts(texts)]
+    return [*listed, *(_words(f"{sign} {words}") for sign, words in shown)]
 
 
-def _counts(texts: Iterable[str]) -> list[Line2D]:
-    """Return a legend's entries for the numbers of actions in some cells."""
-    return [_words(fill(each, 20, subsequent_indent="   ")) for each in counts(texts)]
-
-
-def _signs(model: MDP, layout: Layout) -> list[Line2D]:
+def _signs(layout: Layout) -> list[Line2D]:
     """Return a legend's entries for the signs of actions that do not speak for themselves."""
-    names = dict(zip(layout.signs, model.actions, strict=True))
-    open_ = [sign for sign, name in names.items() if sign != name and sign not in ARROWS]
-    return [_words(_named(sign, names)) for sign in open_[: 2 * len(ARROWS)]]
-
-
-def _named(sign: str, names: Mapping[str, str]) -> str:
-    return sign if names[sign] == sign else f"{sign} {names[sign]}"
+    signs = layout.signs.items()
+    open_ = [f"{sign} {action}" for action, sign in signs if sign not in (action, *ARROWS)]
+    return [*map(_words, open_[: 2 * len(ARROWS)])]
 
 
 def _words(text: str) -> Line2D:
@@ -354,25 +340,17 @@ def _bars(ax: Axes, model: MDP, values: Floats, texts: list[str], label: str) ->
     """Draw a bar for each state, with what the policy does at its end."""
     count, finite = len(values), np.where(np.isfinite(values), values, 0.0)
     edge: Look = {"edgecolor": BLACK, "linewidth": 0.5} if count <= NUMBERED else {"width": 1.0}
-    ax.bar(range(count), finite, color=BLUE, **edge)
+    bars = ax.bar(range(count), finite, color=BLUE, **edge)
     names = [model.space.label(state).removeprefix("state ") for state in range(count)]
     step = -(-count // MOST_NAMES)
     upright = len("  ".join(names[::step])) > MOST_LETTERS
     ax.set_xticks(range(0, count, step), names[::step], rotation=90 if upright else 0)
     turned = 90 if count * max(map(len, texts)) > MOST_LETTERS else 0
-    for state, text in enumerate(texts if count <= MOST_NAMES else ()):
-        below = finite[state] < 0
-        shown = text if np.isfinite(values[state]) else f"{text}\n{values[state]:g}"
-        ax.annotate(
-            "" if model.over[state] else shown,
-            (state, finite[state]),
-            xytext=(0, -2 if below else 2),
-            textcoords="offset points",
-            ha="center",
-            va="top" if below else "bottom",
-            fontsize=8,
-            rotation=turned,
-        )
+    for state in np.flatnonzero(~np.isfinite(values)):
+        texts[state] += f"\n{values[state]:g}"
+    if count <= MOST_NAMES:
+        shown = ["" if over else text for over, text in zip(model.over, texts, strict=True)]
+        ax.bar_label(bars, shown, padding=2, fontsize=8, rotation=turned)
     ax.axhline(0, color=BLACK, linewidth=0.8)
     ax.margins(x=0.01, y=0.3 if turned and count <= MOST_NAMES else 0.12)
     ax.set(xlabel="state", ylabel=label)

@@ -14,7 +14,6 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.text import Text
 
@@ -72,21 +71,15 @@ def picture(function: Callable[Arguments, Axes]) -> Callable[Arguments, Axes]:
     @wraps(function)
     def drawn(*arguments: Arguments.args, **settings: Arguments.kwargs) -> Axes:
         given = settings.get("ax")
-        if isinstance(given, Axes):
-            _as_written(given)
         own = {"text.parse_math": False, "legend.frameon": False} if given else SETTINGS
         with _context(own):
             ax = named_options(function)(*arguments, **settings)
-        _as_written(ax)
+        for text in ax.findobj(Text):  # those of the axes that were given, too
+            assert isinstance(text, Text)
+            text.set_parse_math(False)
         return ax
 
     return drawn
-
-
-def _as_written(drawn: Axes | Figure) -> None:
-    for text in drawn.findobj(Text):
-        assert isinstance(text, Text)
-        text.set_parse_math(False)
 
 
 @contextmanager
