@@ -13,7 +13,6 @@ from exact_mdp.analysis.gate.data.off_policy import OffPolicy as OffPolicy
 from exact_mdp.analysis.gate.data.posterior import Posterior as Posterior
 from exact_mdp.analysis.gate.data.robust import Robust as Robust
 from exact_mdp.analysis.gate.regret import compare as compare
-from exact_mdp.analysis.graph import dot as dot
 from exact_mdp.analysis.learning.curves import learning_curve as learning_curve
 from exact_mdp.analysis.learning.outcomes import outcomes as outcomes
 from exact_mdp.analysis.learning.trainers import check_trainer as check_trainer
@@ -39,7 +38,6 @@ from exact_mdp.analysis.vary.psa import psa as psa
 from exact_mdp.analysis.vary.ranges import Range as Range
 from exact_mdp.analysis.vary.ranges import load_ranges as load_ranges
 from exact_mdp.analysis.vary.robust import robust as robust
-from exact_mdp.analysis.vary.robust import robust_curve as robust_curve
 from exact_mdp.analysis.vary.robust import worst_point as worst_point
 from exact_mdp.analysis.vary.sobol import sobol as sobol
 from exact_mdp.analysis.vary.study import study as study

@@ -120,8 +120,7 @@ VARY: dict[str, dict[str, Any]] = {
     "sobol": {"model": VARIED, "n": 2, "rng": 0, "names": 0, "ranges": 0, "confidence": 0},
     "worst_point": {"model": VARIED, "ranges": 0, "policy": 0},
     "study": {"model": VARIED, "points": {"p": [0.5]}, "policies": 0, "folder": 0},
-    "robust": {"model": MODEL, "ambiguity": 0, "policy": 0},
-    "robust_curve": {"model": MODEL, "kind": "l1", "radii": [0], "policy": 0},
+    "robust": {"model": MODEL, "ambiguity": 0, "radius": 0, "policy": 0},
     "cost_effectiveness": {"model": VARIED, "strategies": {"a": [0, 0]}, "n": 2, "uncertain": 0},
 }
 

@@ -20,14 +20,14 @@ POLICY = [1, 0, 0, 0]
 WORTH = re.compile(
     r"\b(value|\w+_value|\w*value_(low|high)|(\w+_)?upper_bound|exact|mean|cvar|CVaR|ordinary|weighted"
     r"|promised|components|totals|closest|vertices\.\d+\.values|(exact_)?derivatives|left|right"
-    r"|numerator|gain|bias|exact gain|exact bias|return|quantiles|bootstrap)\b|\(reward\)"
+    r"|numerator|gain|bias|exact gain|exact bias|return|quantiles)\b|\(reward\)"
     r"|\.interval(\.\d|$)"
 )
 SAME = re.compile(
     r"(error|error_bound|sd|probability|interval\.mean)$|error \(|expected_loss|evp|elasticit|price"
     r"|gain \(|worst_case_gain|regret|rows\.|drawn\.|[a-z]\.\d+\.interval"
 )
-SPREAD = {"interval", "quantiles", "bootstrap", "optimal_value", "learned_value"}
+SPREAD = {"interval", "quantiles", "optimal_value", "learned_value"}
 DIFFERENT = {"seconds", "limits", "checks", "assumptions", "mdp"}
 
 
@@ -158,7 +158,7 @@ TABLE: dict[str, Callable[[int], Any]] = {
     "check, robust": lambda s: with_interval(s, em.Robust(rewards=span(s, -3, 8))),
     "check, posterior": lambda s: with_interval(s, em.Posterior(n=100)),
     "check, off-policy": lambda s: with_interval(
-        s, em.OffPolicy(records=records(s), behaviour="random", rewards=span(s, -3, 8), n=100)
+        s, em.OffPolicy(records=records(s), behaviour="random", rewards=span(s, -3, 8))
     ),
     "compare": lambda s: em.compare(
         model(s), {"mine": POLICY, "coin": "random", "best": "optimal"}
@@ -181,7 +181,7 @@ TABLE: dict[str, Callable[[int], Any]] = {
     "psa": drawn,
     "sobol": lambda s: em.sobol(family(s), policy=POLICY, n=16, rng=0),
     "robust": lambda s: em.robust(model(s), policy=POLICY),
-    "robust curve": lambda s: em.robust_curve(model(s), "l1", [0, 0.1], policy=POLICY),
+    "robust by name": lambda s: em.robust(model(s), "l1", radius=0.1, policy=POLICY),
     "Q-learning": learned,
     "learning curve": lambda s: em.learning_curve(
         model(s), em.QLearning(epochs=5).train(model(s), rng=0), rng=0, n=20

@@ -80,7 +80,6 @@ MADE: dict[str, Callable[[], object]] = {
     "Rationalization": lambda: em.rationalize(care(), "always:directive"),
     "RegretInterval": lambda: recorded().interval,
     "Robust": lambda: em.robust(care()),
-    "RobustCurve": lambda: em.robust_curve(care(), "l1", [0, 0.1]),
     "RobustSolution": lambda: em.solve_robust(care(), em.Intervals.relative(care(), 0.1)),
     "Study": moved,
     "Simulation": lambda: em.simulate(care(), "random", 20, 0),

@@ -23,7 +23,6 @@ from exact_mdp import (
     SolverError,
     evaluate,
     robust,
-    robust_curve,
     solve,
     solve_robust,
 )
@@ -55,7 +54,7 @@ def interval_model(case: IntervalCase) -> tuple[MDP, Intervals]:
 
 def cases(mdp: MDP, kind: str, radius: float | F, policy: Any = "optimal") -> Any:
     """Both natures, against the best policy and a given one, in sets of one kind."""
-    return robust_curve(mdp, kind, [radius], policy=policy).points[0][1]
+    return robust(mdp, kind, radius=radius, policy=policy)
 
 
 def side(both: Any, nature: str) -> Any:

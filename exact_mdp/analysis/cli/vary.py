@@ -37,7 +37,7 @@ from exact_mdp.analysis.vary.ranges import (
     ranges_of,
     usual,
 )
-from exact_mdp.analysis.vary.robust import ambiguity_of, worst_point
+from exact_mdp.analysis.vary.robust import SETS, worst_point
 from exact_mdp.analysis.vary.robust import robust as robust_of
 from exact_mdp.analysis.vary.sobol import sobol as sobol_of
 from exact_mdp.analysis.vary.study import finite_worth, solver_of
@@ -50,12 +50,12 @@ from exact_mdp.solvers.solver import solve
 
 ROUNDED = "of the perception, and the probabilities of actions that it makes, as rounded to floats"
 """What is certified under a perception: a file may state 1/3, which no float is."""
-ROWS = {  # the radius of each kind of set unless one is given, and what is in the set
-    "interval": (RELATIVE, "each transition probability ± {} of itself, rows on their own"),
-    "absolute": ("0.02", "each transition probability ± {}, rows on their own"),
-    "l1": ("0.1", "rows within an L1 distance of {}, on their own"),
-    "kl": ("0.01", "rows that keep the tables likely, KL(p‖q) ≤ {}, on their own"),
-    "entropy": ("0.01", "rows of relative entropy KL(q‖p) ≤ {}, on their own"),
+ROWS = {  # what is in each kind of set
+    "interval": "each transition probability ± {} of itself, rows on their own",
+    "absolute": "each transition probability ± {}, rows on their own",
+    "l1": "rows within an L1 distance of {}, on their own",
+    "kl": "rows that keep the tables likely, KL(p‖q) ≤ {}, on their own",
+    "entropy": "rows of relative entropy KL(q‖p) ≤ {}, on their own",
 }
 BOX = "box"
 
@@ -94,8 +94,7 @@ def gradient(given: Given) -> Report:
     ----
     derivatives: {parameter: derivative of the value}; exact_derivatives: the derivatives, "p/q";
     elasticities: per cent of the value for one per cent of the parameter; left: the derivative from
-    the left; right: the derivative from the right, which differs where two policies are optimal;
-    steps: the value with one more and one less of each whole number.
+    the left; right: the derivative from the right, which differs where two policies are optimal.
     """
     result = gradient_of(given.family, policy=given.fixed, names=given.parameters or None)
     more = {"claim_of": ROUNDED} if given.perception else {}
@@ -342,10 +341,10 @@ def robust(given: Given, *, set_kind: str = "interval", radius: str | None = Non
     if set_kind == BOX:
         refuse({"--radius": radius}, "a box", "give --relative X or --range NAME=LOW:HIGH instead")
         return _box(given, any(boxed.values()))
-    usual_radius, meaning = ROWS[known(set_kind, [*ROWS, BOX], "set", "--set-kind")]
+    meaning = ROWS[known(set_kind, [*ROWS, BOX], "set", "--set-kind")]
     refuse(boxed, "rows on their own", "add --set-kind box, or give --radius instead")
-    size = exact(usual_radius if radius is None else radius, "radius")
-    result = robust_of(given.mdp, ambiguity_of(given.mdp, set_kind, size), policy=given.fixed)
+    size = exact(SETS[set_kind][1] if radius is None else radius, "radius")
+    result = robust_of(given.mdp, set_kind, radius=size, policy=given.fixed)
     kind = Shown(set_kind, meaning.format(f"{float(size):.4g}"))
     return _report(given, "robust", result.report(), set_kind=kind, radius=float(size))
 

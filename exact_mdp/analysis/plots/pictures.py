@@ -26,7 +26,6 @@ PICTURES: dict[str, Any] = {
     "PSA": sensitivity.plot_acceptability,
     "PolicyComparison": states.plot_comparison,
     "ReturnDistribution": returns.plot_return_distribution,
-    "RobustCurve": sensitivity.plot_robust_curve,
     "Simulation": returns.plot_simulation,
     "Sobol": sensitivity.plot_sobol,
     "Solution": states.plot_solution,

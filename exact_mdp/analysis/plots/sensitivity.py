@@ -39,7 +39,6 @@ from exact_mdp.analysis.vary.intervals import tolerances_of
 from exact_mdp.analysis.vary.one_way import Curve, Tornado, TwoWay
 from exact_mdp.analysis.vary.psa import PSA
 from exact_mdp.analysis.vary.ranges import unit_of
-from exact_mdp.analysis.vary.robust import RobustCurve
 from exact_mdp.analysis.vary.sobol import Sobol
 from exact_mdp.mdp.errors import ModelError, known
 from exact_mdp.mdp.parameter import Parameter
@@ -48,13 +47,6 @@ OUTPUT = {
     "optimal": "value at the start, policy re-optimised",
     "fixed": "value at the start, policy held fixed",
     "regret": "regret of the policy held fixed",
-}
-RADIUS = {
-    "interval": "radius: each transition probability p (1 ± x)",
-    "absolute": "radius: each transition probability p ± x",
-    "l1": "radius: L1 distance of each row",
-    "kl": "radius: KL(p‖q) of each row (nats)",
-    "entropy": "radius: KL(q‖p) of each row (nats)",
 }
 INKS = (BLACK, *INK)
 MOST_ROWS = 32
@@ -261,27 +253,6 @@ def plot_two_way(grid: TwoWay, *, ax: Axes | None = None) -> Axes:
     return described(
         ax, "Which policy is optimal", grid.mdp.name, handles=[*handles, mark], **names
     )
-
-
-@picture
-def plot_robust_curve(curve: RobustCurve, *, ax: Axes | None = None) -> Axes:
-    """Draw the start value of both policies against the radius: tables right, and worst case.
-
-    The distance of the upper lines is the price of robustness, that of the lower ones the gain.
-    """
-    ax, radii = axes_or_new(ax), [radius for radius, _ in curve.points]
-    every = [each for _, each in curve.points]
-    for label, values, dashes, marker, shade in (
-        ("robust policy, tables right", [each.robust_value for each in every], "-", "s", "0"),
-        ("nominal policy, tables right", [each.value for each in every], "--", "s", "0.55"),
-        ("robust policy, worst case", [each.robust.start for each in every], "-", "o", "0"),
-        ("nominal policy, worst case", [each.worst for each in every], "--", "o", "0.55"),
-    ):
-        form: Look = {"marker": marker, "markersize": 4, "color": shade, "label": label}
-        form["markerfacecolor"] = shade if shade == "0" else "white"
-        ax.plot(radii, [value.value for value in values], dashes, **form)
-    names = {"x": RADIUS[curve.kind], "y": "value at the start (reward)"}
-    return described(ax, "Values where the tables may be wrong", every[0].mdp.name, **names)
 
 
 @picture

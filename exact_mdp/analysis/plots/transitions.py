@@ -1,24 +1,27 @@
-"""The transition graph of a small model; a heat map where the graph would be a tangle."""
+"""The transition graph of a small model, with exact probabilities and rewards."""
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import matplotlib.pyplot as plt
-import numpy as np
 from matplotlib.axes import Axes
 
-from exact_mdp.analysis.graph import moves
-from exact_mdp.analysis.plots.style import described, picture, shaded
+from exact_mdp.analysis.plots.style import described, picture
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import extra
+from exact_mdp.mdp.errors import ModelError, extra
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.solvers.solver import mdp_of
-from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.policy_chain import policy_of
 
 MOST = 40  # states
 FEW = 8  # states up to which all actions are drawn beside the policy's
 MANY = 150  # outcomes above which no graph can be read
 CURVE = "arc3,rad=0.2"
+
+Move = tuple[int, str, list[tuple[int, str]], bool]
+"""A state, an action, its outcomes (next state, label), and whether a policy takes it."""
 
 
 @picture
@@ -30,11 +33,9 @@ def plot_transitions(
     Parameters
     ----------
     model : MDP or Scenario
-        Of at most 40 states; `exact_mdp.analysis.graph.dot` takes more. With more than 150 outcomes
-        to draw, it becomes a heat map of the probabilities from state to state.
+        Of at most 40 states, with at most 150 outcomes to draw.
     policy : PolicyLike, optional
-        Its actions are black, others grey; of over 8 states its actions alone are drawn. In a heat
-        map it chooses the actions; without one all are as likely.
+        Its actions are black, others grey; of over 8 states its actions alone are drawn.
     ax : Axes, optional
 
     Returns
@@ -51,12 +52,14 @@ def plot_transitions(
     with extra("plots"):
         import networkx as nx
     model = mdp_of(model)
-    listed, graph = moves(model, policy, most=MOST), nx.DiGraph()
+    listed, graph = _moves(model, policy), nx.DiGraph()
     plain = not any(taken for *_, taken in listed)
     few = plain or model.n_states <= FEW
     count = sum(len(outcomes) for *_, outcomes, taken in listed if few or taken)
     if count > MANY:
-        return _heat_map(model, policy, count, ax)
+        raise _too_much(
+            f"{count:,} outcomes", f"at most {MANY}: those of a policy, or fewer states"
+        )
     labels = dict[tuple[object, object], str]()
     graph.add_nodes_from(range(model.n_states))
     for number, (state, action, outcomes, taken) in enumerate(listed):
@@ -104,18 +107,32 @@ def plot_transitions(
     return described(ax, what, model.name)
 
 
-def _heat_map(model: MDP, policy: PolicyLike | None, outcomes: int, ax: Axes | None) -> Axes:
-    """Draw the probability of every next state, by shade."""
-    if ax is None:
-        side = 2.5 + 0.22 * model.n_states
-        ax = plt.subplots(figsize=(1.15 * side, side), layout="constrained")[1]
-    names = [name.removeprefix("state ") for name in model.space.labels(range(model.n_states))]
-    chain = PolicyChain.of(model, "random" if policy is None else policy)
-    chances = chain.transition.toarray() + np.diag(model.terminal * 1.0)  # an end stays
-    mesh = shaded(ax, chances, names, names, {}, most=None, fontsize=7)
-    ax.tick_params(axis="x", rotation=90)
-    ax.set_aspect("equal")
-    ax.figure.colorbar(mesh, ax=ax, label="probability", shrink=0.8)
-    acting = "all actions equally likely" if policy is None else "as the policy acts"
-    what = f"Transitions, {acting}; {outcomes:,} outcomes are too many for a graph"
-    return described(ax, what, model.name, x="next state", y="state")
+def _moves(model: MDP, policy: PolicyLike | None) -> list[Move]:
+    """Return the moves of every state in which not all is over; raises ModelError beyond 40."""
+    if model.n_states > MOST:
+        raise _too_much(f"{model.n_states:,} states", f"a model of at most {MOST} states")
+    chosen = None if policy is None else policy_of(model, policy).weights(model)
+    moves = list[Move]()
+    for pair in range(model.n_pairs):
+        state = int(model.pair_state[pair])
+        if model.over[state]:
+            continue
+        outcomes = [
+            (following, _number(chance) + (f", {_number(gain)}" if gain else ""))
+            for chance, following, gain in model.table.row(pair)
+        ]
+        taken = chosen is not None and bool(chosen[pair] > 0)
+        action = model.actions[int(model.pair_action[pair])]
+        moves.append((state, action, outcomes, taken))
+    return moves
+
+
+def _too_much(what: str, instead: str) -> ModelError:
+    fix = f"draw {instead}, or its values: solve(model).plot()"
+    return ModelError(f"a graph of {what}", where="graph", fix=fix)
+
+
+def _number(value: Fraction) -> str:
+    """Return a rational as it is where that is short, else four digits."""
+    exact = str(value) if value.denominator < 10**4 else ""
+    return exact if 0 < len(exact) < 12 else f"{float(value):.4g}"

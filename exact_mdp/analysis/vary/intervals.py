@@ -106,43 +106,16 @@ def mean_loss(values: Floats) -> MeanLoss:
 
 
 def mean_interval(values: Floats) -> tuple[float, float] | None:
-    """Return the bootstrap 95 % interval of a mean; None for fewer than ten values."""
+    """Return the bootstrap 95 % interval (BCa) of a mean; None for fewer than ten values."""
+    from scipy.stats import bootstrap
+
     if len(values) < 10:
         return None
     if np.ptp(values) == 0:
         return float(values[0]), float(values[0])
-    return bootstrap(np.ones(len(values)), values, 0.95, (0.0, 0.0), 2000, 0)
-
-
-def bootstrap(
-    weight: Floats, values: Floats, confidence: float, ends: tuple[float, float], n: int, seed: int
-) -> tuple[float, float]:
-    """Return the BCa interval (Efron, JASA 82, 1987, section 4) of a weighted mean Σ w x / Σ w.
-
-    It is too narrow where few carry most of the weight, so that no check rests on it. `ends` stand
-    for draws in which all weights are 0.
-    """
-    total, earned = float(weight.sum()), weight * values
-    if not total > 0:
-        return ends
-    rng, drawn = np.random.default_rng(seed), np.empty((n, 2))
-    for draw in range(n):
-        chosen = rng.integers(len(weight), size=len(weight))
-        drawn[draw] = weight[chosen].sum(), earned[chosen].sum()
-    some = drawn[:, 0] > 0
-    value = np.divide(drawn[:, 1], drawn[:, 0], out=np.zeros(n), where=some)
-    low, high = (np.where(some, value, end) for end in ends)
-    mean, left = float(earned.sum()) / total, total - weight
-    alone = np.divide(earned.sum() - earned, left, out=np.full(len(left), mean), where=left > 0)
-    apart = alone.mean() - alone
-    size = 6 * float(np.square(apart).sum()) ** 1.5
-    a = float((apart**3).sum()) / size if size > 0 else 0.0
-    below = ((low < mean).mean() + (low <= mean).mean()) / 2
-    z, u = special.ndtri([np.clip(below, 0.5 / n, 1 - 0.5 / n), (1 + confidence) / 2])
-    shares = []
-    for v in (z - u, z + u):  # beyond the pole of the correction an end is the farthest draw
-        shares.append(special.ndtr(z + v / (1 - a * v)) if a * v < 1 else float(v > z))
-    return float(np.quantile(low, shares[0])), float(np.quantile(high, shares[1]))
+    size = float(np.abs(values).max())  # cubes of values may be beyond the floats
+    ends = bootstrap((values / size,), np.mean, n_resamples=2000, rng=0).confidence_interval
+    return float(ends.low) * size, float(ends.high) * size
 
 
 def mean_at_least(sample: Floats, doubt: float) -> float:

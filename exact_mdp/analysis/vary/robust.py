@@ -15,7 +15,7 @@ parameters is hard to find (Wiesemann, Kuhn and Rustem, Mathematics of Operation
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -25,17 +25,17 @@ from exact_mdp.analysis.optimum import actions_of
 from exact_mdp.analysis.vary.ranges import spans_of
 from exact_mdp.analysis.vary.study import finite_worth, solver_of, study
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
-from exact_mdp.mdp.errors import ModelError, known, listed, named_options
+from exact_mdp.mdp.errors import ModelError, known, named_options
 from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, cell, claimed, plain
-from exact_mdp.mdp.result import DataFrame, Pictured, Result, data_frame
+from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.solvers.robust.divergence import Likelihood, RelativeEntropy
 from exact_mdp.solvers.robust.robust import Nature, RobustSolution, solve_robust
-from exact_mdp.solvers.robust.sets import Ambiguity, Intervals, L1Ball, radius_of
+from exact_mdp.solvers.robust.sets import Ambiguity, Intervals, L1Ball
 from exact_mdp.solvers.solution import Bounded, Claim, difference
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -139,51 +139,34 @@ class Robust(Result):
         return data_frame(table, columns=headings)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class RobustCurve(Pictured):
-    """How values move with the radius of the sets."""
-
-    kind: str  # as in `SETS`
-    points: tuple[tuple[float, Robust], ...]  # with the radius of each
-
-    def __repr__(self) -> str:
-        ends = " to ".join(f"{self.points[k][0]:g}" for k in (0, -1))
-        return f"RobustCurve({len(self.points)} radii of {self.kind}, {ends})"
-
-    def frame(self) -> DataFrame:
-        """Return values at the start (reward), one row for each radius, policy and law."""
-        import pandas
-
-        every = [each.frame().assign(set=self.kind, radius=radius) for radius, each in self.points]
-        return pandas.concat(every, ignore_index=True)
-
-
-SETS: Mapping[str, Callable[[MDP, object], Ambiguity]] = {
-    "interval": Intervals.relative,
-    "absolute": Intervals.absolute,
-    "l1": lambda mdp, radius: L1Ball(radius=radius),
-    "kl": lambda mdp, radius: Likelihood(radius=radius),
-    "entropy": lambda mdp, radius: RelativeEntropy(radius=radius),
+SETS: Mapping[str, tuple[Callable[[MDP, object], Ambiguity], str]] = {
+    "interval": (Intervals.relative, "1/5"),
+    "absolute": (Intervals.absolute, "1/50"),
+    "l1": (lambda mdp, radius: L1Ball(radius=radius), "1/10"),
+    "kl": (lambda mdp, radius: Likelihood(radius=radius), "1/100"),
+    "entropy": (lambda mdp, radius: RelativeEntropy(radius=radius), "1/100"),
 }
-"""Sets by name and radius: p (1 ± x), p ± x, L1 distance, KL(p‖q) and KL(q‖p) in nats."""
-
-
-def ambiguity_of(mdp: MDP, kind: str, radius: object) -> Ambiguity:
-    """Return a set of laws by name (see `SETS`); raises ModelError for others."""
-    return SETS[known(kind, SETS, "set", "robust")](mdp, radius)
+"""Sets by name, each with its usual radius."""
 
 
 @named_options
 def robust(
-    model: MDP, ambiguity: Ambiguity | None = None, *, policy: PolicyLike = "optimal"
+    model: MDP,
+    ambiguity: Ambiguity | str = "interval",
+    *,
+    radius: object | None = None,
+    policy: PolicyLike = "optimal",
 ) -> Robust:
     """Return the worst and the best case of a policy, and the best policy against the worst.
 
     Parameters
     ----------
     model : MDP
-    ambiguity : Ambiguity, optional
-        Sets of laws; p ± 20 % of itself unless given.
+    ambiguity : Ambiguity, or "interval", "absolute", "l1", "kl" or "entropy"
+        Sets of laws around the rows p: p (1 ± x), p ± x, those within an L1 distance of x, those
+        with KL(p‖q) ≤ x, and those with KL(q‖p) ≤ x.
+    radius : number, optional
+        x of a set that is named; 1/5, 1/50, 1/10, 1/100 and 1/100 unless given.
     policy : PolicyLike
         The nominal policy.
 
@@ -199,12 +182,21 @@ def robust(
     Examples
     --------
     >>> from exact_mdp import Scenario
-    >>> cases = robust(Scenario.load("yuan2025").compile())
-    >>> print(f"{cases.value.value:.4f} {cases.worst.value:.4f} {cases.robust.start.value:.4f}")
-    146.2359 140.7817 140.7817
+    >>> cases = robust(Scenario.load("yuan2025").compile(), "l1", radius="1/10")
+    >>> print(f"{cases.value.value:.3f} {cases.worst.value:.3f} {cases.robust.start.value:.3f}")
+    146.236 139.106 139.106
     """
     model = mdp_of(model)
-    sets = Intervals.relative(model, "1/5") if ambiguity is None else ambiguity
+    if isinstance(ambiguity, str):
+        make, usual = SETS[known(ambiguity, SETS, "set", "robust")]
+        ambiguity = make(model, usual if radius is None else radius)
+    elif radius is not None:
+        raise ModelError(
+            "a radius, and a set that has its own",
+            where="radius",
+            fix='name the set, as in robust(model, "l1", radius=0.1), or leave out the radius',
+        )
+    sets = ambiguity
     chain = PolicyChain.of(model, policy)
 
     def fixed(weights: Floats, nature: Nature) -> Bounded:
@@ -223,47 +215,6 @@ def robust(
         robust_value=finite_worth(model, own, "today's laws"),
         robust_best=fixed(own, "best"),
     )
-
-
-def robust_curve(
-    model: MDP, kind: str, radii: Iterable[object], *, policy: PolicyLike = "optimal"
-) -> RobustCurve:
-    """Return `robust` at each radius of one kind of set.
-
-    Parameters
-    ----------
-    model : MDP
-    kind : str
-        As in `SETS`.
-    radii : iterable of numbers
-    policy : PolicyLike
-        The nominal policy.
-
-    Returns
-    -------
-    RobustCurve
-
-    Raises
-    ------
-    ModelError
-        For an unknown kind, and where no radius or one that cannot be is given.
-
-    Examples
-    --------
-    >>> from exact_mdp import Scenario
-    >>> cases = robust_curve(Scenario.load("yuan2025").compile(), "l1", [0, 0.1])
-    >>> [round(each.robust.start.value, 3) for _, each in cases.points]
-    [146.236, 139.106]
-    """
-    model = mdp_of(model)
-    numbers = [radius_of(radius, "a radius") for radius in listed(radii, "radii")]
-    if not numbers:
-        raise ModelError(
-            "no radius is given", where="robust curve", fix="give some, such as [0, 0.1, 0.2]"
-        )
-    chain = PolicyChain.of(model, policy)
-    points = [(x, robust(model, ambiguity_of(model, kind, x), policy=chain)) for x in numbers]
-    return RobustCurve(kind=kind, points=tuple(points))
 
 
 # ---- one choice of the parameters for all states -------------------------------------------------

@@ -13,7 +13,7 @@ for some set J of other statuses (Yuan et al., 2025, Section 2.1).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
@@ -160,12 +160,3 @@ class ScenarioFamily(Parametric):
         sums = laws.sums[(laws.rules.terms == place).any(axis=1)].tolist()
         points = {1 - (Fraction(total, laws.one) - value) for total in sums}
         return tuple(sorted(point for point in points if 0 < point < 1))
-
-    def neighbours(self) -> Mapping[str, tuple[Parametric | None, Parametric]]:
-        """Return the scenarios with one trial less and one trial more."""
-
-        def beside(trials: int) -> ScenarioFamily:
-            return replace(self, scenario=self.scenario.with_(max_trial=trials), base=None)
-
-        trials = self.scenario.max_trial
-        return {"max_trial": (beside(trials - 1) if trials > 1 else None, beside(trials + 1))}

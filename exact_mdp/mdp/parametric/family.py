@@ -92,10 +92,6 @@ class Parametric(ABC):
     def breakpoints(self, name: str) -> tuple[Fraction, ...]:
         """Return the values at which a row may pass from one polynomial to another."""
 
-    def neighbours(self) -> Mapping[str, tuple[Parametric | None, Parametric]]:
-        """Return families a step below and above in whole-number settings; none below the least."""
-        return {}
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Family(Parametric):

@@ -204,7 +204,7 @@ def test_at_discount_1_ends_are_worth_nothing(kind: str, end: str | None) -> Non
     how: dict[str, Any] = {"rewards": "known", "returns": (-60, 0)}
     by: Kind = Robust(**how)
     if kind == "off-policy":
-        by = OffPolicy(records=frame, behaviour="random", n=10, **how)
+        by = OffPolicy(records=frame, behaviour="random", **how)
     interval = interval_of(by, mdp, "always:wait")
     assert interval.low <= 2.5 <= interval.high
     assert interval.high < (4 if kind == "robust" else 58)
@@ -237,7 +237,7 @@ def test_trajectories_count_up_to_the_horizon() -> None:
     rows = [(1, "a", "x", 1, "b"), (1, "b", "y", 2, "a"), (1, "a", "y", 4, None)]
     rows += [(2, "a", "x", 8, "b"), (2, "b", "x", 16, None), (3, "a", "y", 32, "b")]
     frame, mdp = records_of(rows)
-    by = OffPolicy(records=frame, behaviour="random", rewards=(0, 32), n=10)
+    by = OffPolicy(records=frame, behaviour="random", rewards=(0, 32))
     one, two = (interval_of(by, mdp, "always:x", horizon=n).found for n in (1, 2))
     # One step: x has weight 2 in the first two episodes, which earn 1 and 8; none was cut off.
     assert one["ordinary"] == pytest.approx((2 * 1 + 2 * 8) / 3)
@@ -256,15 +256,12 @@ def test_the_same_seed_gives_the_same_bytes_wherever(backend: str) -> None:
 
     def draws(seed: int = 3, **how: Any) -> bytes:
         models = interval_of(Posterior(n=600, rng=seed, **how), mdp).draws
-        by = OffPolicy(records=frame, rewards=(0, 1), n=600, rng=seed)
-        again = interval_of(by, mdp).found["bootstrap"]
-        return models.tobytes() + np.array(again).tobytes()
+        return bytes(models.tobytes())
 
     here = draws()
     with joblib.parallel_config(backend):
         assert draws(n_jobs=2) == here
-    assert draws(4)[-16:] != here[-16:]
-    assert draws(4)[:-16] != here[:-16]
+    assert draws(4) != here
 
 
 @pytest.mark.parametrize(("level", "least"), [("1/2", 6), (0.95, 72), (0.99, 368), (0.999, 3688)])

@@ -1,8 +1,6 @@
 """Pictures of any model: what stands in a cell, at a bar, at an edge is what was computed."""
 
-import re
 from fractions import Fraction
-from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -19,7 +17,6 @@ from exact_mdp import (
     check,
     compare,
     curve,
-    dot,
     evaluate,
     plots,
     return_distribution,
@@ -92,25 +89,12 @@ def test_a_value_function_is_drawn_by_its_exact_values() -> None:
     assert inside.lines[-1].get_xdata()[0] == 0.8
 
 
-LINE = re.compile(r'^  (\w+) -> (\w+) \[label="((?:[^"\\]|\\.)*)"(.*)\]$')
-NASTY = ['"]; evil [label="', "\\n\\", "$x^$ <b>", "a | {b}"]
-
-
-def test_dot_holds_every_transition_and_names_are_text() -> None:
+def test_names_in_a_graph_are_text() -> None:
+    names = ['"]; evil [label="', "\\n\\", "$x^$ <b>", "a | {b}"]
     rows = [(s, a, [("1/3", s, a), ("2/3", s + 1, 0)]) for s in range(3) for a in range(2)]
-    mdp = MDP.from_outcomes([*rows, (3, 0, [(1, 3, 0)])], states=NASTY, actions=NASTY[:2])
-    lines = dot(mdp, [1, 1, 1, 0]).splitlines()
-    assert (lines[0], lines[-1]) == ("digraph {", "}")
-    edges = [match.groups() for match in map(LINE.match, lines) if match]
-    assert len(edges) == 6 + 12
-    plain = [re.sub(r"\\(.)", r"\1", label) for _, _, label, _ in edges]
-    assert set(plain[::3]) == set(NASTY[:2])
-    assert set(plain) - set(NASTY) == {"1/3", "2/3", "1/3, 1"}
-    assert sum("penwidth" in rest for *_, rest in edges) == 9  # of one action in each state
-    for name in NASTY:
-        assert any(f"state {name}" in re.sub(r"\\(.)", r"\1", line) for line in lines)
+    mdp = MDP.from_outcomes([*rows, (3, 0, [(1, 3, 0)])], states=names, actions=names[:2])
     written = texts_of(plots.plot_transitions(mdp, "random").texts)
-    assert set(NASTY) <= set(written)
+    assert set(written) == {*names, "1/3", "2/3", "1/3, 1"}
 
 
 def test_a_graph_of_many_states_shows_what_the_policy_does_alone() -> None:
@@ -122,18 +106,6 @@ def test_a_graph_of_many_states_shows_what_the_policy_does_alone() -> None:
     assert all(box.get_alpha() is None for text in ax.texts if (box := text.get_bbox_patch()))
     few = texts_of(plots.plot_transitions(grid(2, 2), [1] * 4).texts)
     assert {"LEFT", "DOWN"} <= set(few)
-
-
-@pytest.mark.parametrize("policy", [None, "random", [0] * 16])
-def test_a_graph_that_would_be_a_tangle_is_a_heat_map(policy: Any) -> None:
-    """Its title says so; the shades are the probabilities from state to state."""
-    law = np.random.default_rng(3).dirichlet(np.ones(16), (4, 16))
-    mdp = MDP.from_arrays(law, np.zeros((16, 4)), "9/10")
-    ax = plots.plot_transitions(mdp, policy)
-    assert "outcomes are too many for a graph" in ax.get_title(loc="left")
-    shades = np.asarray(ax.collections[0].get_array())
-    each = [mdp.P(action).toarray() for action in range(mdp.n_actions)]
-    assert np.allclose(shades, each[0] if isinstance(policy, list) else np.mean(each, axis=0))
 
 
 def test_start_goal_and_holes_are_told_apart() -> None:
@@ -162,11 +134,3 @@ def test_a_law_without_finite_returns_is_drawn() -> None:
     ax = law.plot()
     assert not ax.patches
     assert "never ends, and is infinite, with probability 1" in ax.get_title(loc="left")
-
-
-def test_an_end_stays_in_a_heat_map() -> None:
-    law = np.full((1, 20, 20), 0.05)
-    law[0, -1] = np.eye(20)[-1]
-    ax = plots.plot_transitions(MDP.from_arrays(law, [1] * 19 + [0]))
-    shades = np.asarray(ax.collections[0].get_array()).reshape(20, 20)
-    assert np.allclose(shades.sum(axis=1), 1)

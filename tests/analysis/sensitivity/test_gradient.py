@@ -3,7 +3,7 @@
 from fractions import Fraction
 
 import pytest
-from care_oracle import ACTIONS, END, Oracle, State, oracle_of
+from care_oracle import ACTIONS, END, State, oracle_of
 from made_models import burning
 
 from exact_mdp import Scenario, gradient, parametric
@@ -113,13 +113,3 @@ def test_frames_say_units_and_whether_the_policy_is_fixed() -> None:
     assert set(frame["policy"]) == {"fixed"}
     assert END not in frame["parameter"].tolist()
     assert not frame.drop(columns=["left", "right"]).isna().any(axis=None)
-
-
-def test_max_trial_moves_in_whole_steps() -> None:
-    own = scenario({}, F(1))
-    less, more = gradient(own, names=[]).steps["max_trial"]
-    values = [
-        Oracle({}, [1], trials, F(1), own.values()).value((0, 0, 1, (0, 0, 0, 0)))
-        for trials in (1, 2, 3)
-    ]
-    assert (less.value, more.value) == (values[1] - values[0], values[2] - values[1])

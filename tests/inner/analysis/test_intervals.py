@@ -1,4 +1,4 @@
-"""What intervals from records are made of: sets of rows, drawn models, the bootstrap."""
+"""What intervals from records are made of: sets of rows, and drawn models."""
 
 from dataclasses import replace
 from math import exp, lgamma, log
@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from records import NAMES, POLICY, STAGES, estimated, recorded, staged_policy
-from scipy import integrate, optimize, stats
+from scipy import integrate, optimize
 
 from exact_mdp import MDP, ModelError, Policy, Robust, check, solve
 from exact_mdp.analysis.gate.data.posterior import drawn, drawn_regrets
 from exact_mdp.analysis.gate.data.robust import robust_bounds
 from exact_mdp.analysis.gate.data.sets import RowSets
-from exact_mdp.analysis.vary.intervals import bootstrap, mean_at_least
+from exact_mdp.analysis.vary.intervals import mean_at_least
 from exact_mdp.mdp.questions import by_time
 from exact_mdp.solvers import batch
 
@@ -236,22 +236,6 @@ def test_drawn_models_whose_policies_do_not_settle_are_refused(
 
 
 # ---- off-policy ----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("episodes", [40, 400])
-def test_the_bootstrap_is_that_of_another_library(episodes: int) -> None:
-    rng = np.random.default_rng(episodes)
-    weight = rng.exponential(size=episodes) * (rng.random(episodes) < 0.6)
-    returns = rng.normal(weight, 1.0)
-    other = stats.bootstrap(
-        (weight, returns),
-        lambda w, g, axis=-1: (w * g).sum(axis=axis) / w.sum(axis=axis),
-        paired=True, vectorized=True, n_resamples=6000, confidence_level=0.9, method="BCa",
-        random_state=np.random.default_rng(2),
-    ).confidence_interval  # fmt: skip
-    ends = bootstrap(weight, returns, 0.9, (-9.0, 9.0), 6000, 1)
-    assert np.allclose(ends, other, rtol=0, atol=0.06 * (other.high - other.low))
-    assert bootstrap(0 * weight, returns, 0.9, (-9.0, 9.0), 10, 1) == (-9, 9)
 
 
 @settings(max_examples=20)

@@ -25,17 +25,15 @@ from exact_mdp.analysis.gate.data.interval import (
 )
 from exact_mdp.analysis.gate.data.robust import Robust
 from exact_mdp.analysis.gate.data.sets import Given
-from exact_mdp.analysis.vary.intervals import bootstrap, mean_at_least, mean_of
+from exact_mdp.analysis.vary.intervals import mean_at_least, mean_of
 from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.questions import by_time
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.mdp.validate import RNG, Flags, counted, seed_of
+from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-
-DRAWS = 2000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,9 +52,6 @@ class OffPolicy:
         which the interval then takes for true.
     rewards, returns
         As in `Robust`; rewards have to be stated here, too, for the optimum.
-    n : int
-        Draws of the bootstrap of the weighted estimate, which is in `found` and decides nothing.
-    rng : int or Generator
 
     Examples
     --------
@@ -76,8 +71,6 @@ class OffPolicy:
     behaviour: PolicyLike | None = None
     rewards: Given = None
     returns: Ends | None = None
-    n: int = DRAWS
-    rng: RNG = 0
     by: ClassVar[str] = "off-policy"
 
     def interval(
@@ -97,8 +90,7 @@ class OffPolicy:
                 where="start",
                 fix="make the model without start=, or audit by robust sets or the posterior",
             )
-        doubt, seed = float(1 - confidence), seed_of(self.rng)
-        draws = counted(self.n, "the number of draws, n,", 2)
+        doubt = float(1 - confidence)
         robust = Robust(rewards=self.rewards, returns=self.returns)
         bounds = robust.bounds(mdp, doubt / 2, chain, horizon)
         seen = observations_of(mdp).astype(np.float64)
@@ -141,7 +133,6 @@ class OffPolicy:
         high = max(highest - mean_at_least(w * below, doubt / 4), lowest)
         best = bounds.at_start(mdp.maximised, bounds.best)
         terms, whole = w * returns, float(w.sum())
-        drawn = bootstrap(w, returns, float(confidence), bounds.range, draws, seed)
         return RegretInterval(
             low=max(best[0] - high, 0.0),
             high=max(best[1] - low, 0.0),
@@ -158,9 +149,6 @@ class OffPolicy:
                 "optimal_value": bounds.at_start(mdp, bounds.best),
                 "learned_value": of_sense(mdp, (low, high)),
                 "weighted": mdp.sign * float(terms.sum()) / whole if whole > 0 else float("nan"),
-                "bootstrap": of_sense(mdp, drawn),
-                "draws": draws,
-                "seed": seed,
                 "ordinary": mdp.sign * float(terms.mean()),
                 "standard_error": mean_of(terms).standard_error,
                 "effective_sample_size": whole**2 / float(w @ w) if whole > 0 else 0.0,

@@ -50,7 +50,7 @@ from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Integers, Numbers, common, integers
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains, gamma
 from exact_mdp.solvers.endless.quotient import of_pairs
-from exact_mdp.solvers.solution import Bounded, Certified, Claim, difference, in_float
+from exact_mdp.solvers.solution import Bounded, Certified, Claim, in_float
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -124,8 +124,6 @@ class Gradient(Pictured):
     model: str
     start: Number
     derivatives: dict[str, Derivative]
-    # Of whole-number settings such as max_trial: what the last unit adds, and one more would.
-    steps: dict[str, tuple[Number | None, Number]]
     reoptimised: bool  # or the policy is held fixed
 
     def __repr__(self) -> str:
@@ -158,10 +156,6 @@ class Gradient(Pictured):
             "elasticities": Shown({name: d.elasticity for name, d in each}),
             "exact_derivatives": Shown(exact),
             "error_bounds": Shown(errors),
-            "steps": {
-                name: {"one_less": _float(less), "one_more": _float(more)}
-                for name, (less, more) in self.steps.items()
-            },
         }
         del facts["error_bound"]
         rows = self._rows()
@@ -268,7 +262,6 @@ def gradient(
         model=family.name,
         start=start,
         derivatives={each.name: _derivative(family, mdp, passed, each) for each in parameters},
-        steps=_steps(family, start) if reoptimised else {},
         reoptimised=reoptimised,
     )
 
@@ -293,22 +286,6 @@ def _derivative(family: Parametric, mdp: MDP, passed: Pass, parameter: Parameter
         return each
     share = Fraction(each.value.value) * parameter.value / Fraction(start.value)
     return replace(each, elasticity=in_float(share))
-
-
-def _steps(family: Parametric, start: Number) -> dict[str, tuple[Number | None, Number]]:
-    """Return differences of the optimal value for whole-number settings."""
-
-    def optimum(there: Parametric) -> Number:
-        mdp = there.at({})
-        return proven(mdp).start if isinstance(start, Certified) else solve(mdp).start
-
-    return {
-        name: (
-            None if below is None else difference(start, optimum(below)),
-            difference(optimum(above), start),
-        )
-        for name, (below, above) in family.neighbours().items()
-    }
 
 
 # ---- one pass ------------------------------------------------------------------------------------
