@@ -7,9 +7,8 @@ values Q of the mixed policy π_C that it makes of the true status (`mdp.care.pe
     V^π - V^π_C = Σ_{s, z} C(s, z) Σ_x d(x, s) Σ_a (π(a | x, s) - π(a | x, z)) Q^π(x, s, a),
 
 where Q^π are the action values of whoever reads rightly from the next step on (performance
-difference: Kakade and Langford, ICML 2002, lemma 6.1). With D steps at most, n roundings in each
-and R the greatest reward of an outcome, a value is off by at most γ(D n) D R (Higham, Accuracy and
-Stability of Numerical Algorithms, 2002, section 3.1).
+difference: Kakade and Langford, ICML 2002, lemma 6.1). With d within e_d and Q within e_Q of the
+exact ones, a sum is off by at most Σ d e_Q + e_d (|Q| + e_Q) and its own rounding.
 """
 
 from __future__ import annotations
@@ -20,9 +19,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from exact_mdp.mdp.care.perception import by_place, checked, independent, status_names, status_size
+from exact_mdp.mdp.care.perception import (
+    by_place,
+    checked,
+    independent,
+    perceived,
+    status_names,
+    status_size,
+)
 from exact_mdp.mdp.errors import ModelError, known, listed
-from exact_mdp.mdp.graph import topological_levels
+from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, at_most
@@ -30,57 +36,23 @@ from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, float_of
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, gamma
 from exact_mdp.solvers.solution import Bounded
-from exact_mdp.solvers.values.layers import layers_of
+from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import policy_of
 
 ALL = "all"
 
 
-class Passes:
-    """Passes over the states of a model with statuses, of P places and Z statuses.
-
-    No value that is computed here is off by more than `rounding`.
-    """
-
-    def __init__(self, mdp: MDP, policy: PolicyLike) -> None:
-        self.mdp, self.statuses = mdp, status_size(mdp)
-        if topological_levels(mdp) is None:
-            raise ModelError(
-                "states come back to themselves, and what errors of perception cost is computed "
-                "where they do not",
-                where=f"model {mdp.name}".strip(),
-                fix="use a scenario, whose trials and subtasks are counted",
-            )
-        offered = by_place(mdp, np.ones(mdp.n_pairs)) > 0
-        differ = np.flatnonzero((offered != offered[:, :1]).any(axis=(1, 2)))
-        if len(differ):
-            raise ModelError(
-                "the available actions reveal the status",
-                where=f"{mdp.space.place(int(differ[0]) * self.statuses)} and its other statuses",
-                fix="offer the same actions in every status of a place",
-            )
-        self.table = by_place(mdp, policy_of(mdp, policy).weights(mdp))  # by *perceived* status
-        self.layers = layers_of(mdp)
-        steps, size = len(self.layers.blocks), self.statuses
-        widest = int(np.diff(mdp.table.offsets).max())
-        largest = steps * float(np.abs(mdp.table.gains()).max(initial=0.0)) * SLACK
-        terms = steps * (widest + 2 * size + 2 * mdp.n_actions + 12) + mdp.n_states + 4 * size
-        self.rounding = (float(gamma(terms)) * largest + TINY * terms) * SLACK
-
-    def weights(self, confusions: Floats) -> Floats:
-        """Return (L, N) probabilities of pairs in each *true* status, of confusions (N, Z, Z)."""
-        mdp, regular = self.mdp, self.mdp.space.regular
-        mixed = (confusions[:, None] @ self.table).reshape(-1, regular, mdp.n_actions)
-        inside = mdp.pair_state < regular  # the end has a single pair
-        weights = np.ones((mdp.n_pairs, len(confusions)))
-        weights[inside] = mixed[:, mdp.pair_state[inside], mdp.pair_action[inside]].T
-        total = np.add.reduceat(weights, mdp.pair_offsets[:-1])
-        return weights / total[mdp.pair_state]
-
-    def start_values(self, confusions: Floats) -> Floats:
-        """Return (N,) the start values of the policy under confusions (N, Z, Z)."""
-        value, _ = self.layers.mean(self.weights(confusions))
-        return self.mdp.start_distribution @ value
+def _check_actions(model: MDP) -> None:
+    """Raise ModelError where a place offers other actions in one of its statuses."""
+    offered = by_place(model, np.ones(model.n_pairs)) > 0
+    differ = np.flatnonzero((offered != offered[:, :1]).any(axis=(1, 2)))
+    if len(differ):
+        raise ModelError(
+            "the available actions reveal the status",
+            where=f"{model.space.place(int(differ[0]) * status_size(model))} and its other "
+            "statuses",
+            fix="offer the same actions in every status of a place",
+        )
 
 
 # ---- values along accuracies ---------------------------------------------------------------------
@@ -145,12 +117,15 @@ def accuracy_curves(
     grid = np.linspace(0.5, 1.0, 51)
     if levels is not None:
         grid = np.array([float_of(level, "levels") for level in listed(levels, "levels")])
-    passes, curves = Passes(model, policy), {}
     names = (*status_names(model), ALL)
+    _check_actions(model)
+    chosen, curves, error = policy_of(model, policy), dict[str, Floats](), 0.0
     for name in names if statuses is None else listed(statuses, "statuses"):
-        matrices = np.stack([confusion_at(model, x, name) for x in grid.tolist()])
-        curves[name] = passes.start_values(matrices)
-    return AccuracyCurves(levels=grid, values=curves, error=passes.rounding)
+        matrices = (confusion_at(model, x, name) for x in grid.tolist())
+        every = [evaluate(model, perceived(model, chosen, matrix)).start for matrix in matrices]
+        curves[name] = np.array([each.value for each in every])
+        error = max(error, *(each.error for each in every))
+    return AccuracyCurves(levels=grid, values=curves, error=error)
 
 
 # ---- the costly errors ---------------------------------------------------------------------------
@@ -268,21 +243,38 @@ def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCo
     >>> bool(abs(costs.loss.sum() - whole) < 1e-9), max(costs.by_status, key=costs.by_status.get)
     (True, 'disengagement')
     """
-    passes = Passes(model, policy)
-    size, table = passes.statuses, passes.table
+    size = status_size(model)
     matrix = checked(confusion, size=size, where="confusion matrix")
     matrix = matrix / matrix.sum(axis=1, keepdims=True)
-    weights = passes.weights(np.stack([matrix, np.eye(size)]))
-    value, q = passes.layers.mean(weights)
-    value_read, perfect = (model.start_distribution @ value).tolist()
-    met = passes.layers.visits(weights[:, :1])[:, 0][: model.space.regular].reshape(-1, size)
-    # (P, Z, Z): what acting by z is worth in s
-    by_seen, true_by_seen = (by_place(model, each) @ table.transpose(0, 2, 1) for each in q.T)
+    _check_actions(model)
+    chosen = policy_of(model, policy)
+    table = by_place(model, chosen.weights(model))  # by *perceived* status
+    both = [evaluate(model, each) for each in (perceived(model, chosen, matrix), chosen)]
+    reached, doubt, largest, tables = reachable(model), 0.0, 0.0, list[Floats]()
+    for each in both:
+        value = np.where(reached, each.value, 0.0)
+        if not np.isfinite(value).all():
+            raise ModelError(
+                "the policy may go on for ever, and what errors of perception cost is unknown",
+                where=model.space.place(int(np.flatnonzero(~np.isfinite(value))[0])),
+                fix="give a discount below 1, or a number of steps",
+            )
+        doubt = max(doubt, float(each.error[reached].max()))
+        ahead = np.abs(model.reward) + model.discount * (model.transition @ np.abs(value))
+        largest = max(largest, float(ahead.max()))
+        # (P, Z, Z): what acting by z is worth in s
+        tables.append(by_place(model, model.backup(value)) @ table.transpose(0, 2, 1))
+    by_seen, true_by_seen = tables
+    visits, regular = both[0].chain.discounted.visits, model.space.regular
+    met, unsure = (x[:regular].reshape(-1, size) for x in (visits.value, visits.error))
     derivative = np.einsum("ps,psz->sz", met, by_seen)
     short = np.diagonal(true_by_seen, axis1=1, axis2=2)[:, :, None] - true_by_seen
     loss = matrix * np.einsum("ps,psz->sz", met, short)
-    # Visits sum to the steps at most, and no difference of values exceeds twice the largest.
-    error = 4 * size * len(passes.layers.blocks) * passes.rounding * SLACK
+    # What is added to one number: outcomes, actions, places, then statuses true and perceived.
+    terms = int(np.diff(model.table.offsets).max()) + model.n_actions + len(met) + size**2 + 16
+    off = doubt + float(gamma(terms)) * largest + TINY * terms
+    # Entries and their sums over a row are differences of two, each in parts that sum to 1.
+    error = 2 * float(met.sum() * off + unsure.sum() * (largest + off)) * SLACK
     names, number = status_names(model), np.arange(size)
     rates = {}
     for name, flip in zip(names, 1 << np.arange(len(names))[::-1], strict=True):
@@ -292,8 +284,8 @@ def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCo
         rates[name] = float(gain[present].sum()), float(gain[~present].sum())
     return ErrorCosts(
         statuses=names,
-        value=Bounded(value=value_read, error=passes.rounding),
-        perfect=Bounded(value=perfect, error=passes.rounding),
+        value=both[0].start,
+        perfect=both[1].start,
         derivative=derivative,
         loss=loss,
         rates=rates,

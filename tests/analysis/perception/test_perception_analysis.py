@@ -15,7 +15,9 @@ from cli_runner import run
 
 from exact_mdp import (
     MDP,
+    Column,
     Scenario,
+    StateSpace,
     accuracy_curves,
     error_costs,
     evaluate,
@@ -80,6 +82,20 @@ def test_losses_add_up(care: MDP) -> None:
         assert sum(parts) == pytest.approx(whole, abs=2 * costs.error)
         assert np.diag(costs.loss).tolist() == [0.0] * 16
     assert costs.loss == pytest.approx(np.zeros((16, 16)), abs=costs.error)
+
+
+def test_states_may_come_back() -> None:
+    rows = [(s, a, [("1/2", 1 - s, 1 - s - a), ("1/2", 2, 0)]) for s in (0, 1) for a in (0, 1)]
+    space = StateSpace(columns=(Column(name="status", size=2, bits=1),), extra=("end",))
+    mdp = MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])]).with_(space=space)
+    seen = independent([0.75], [0.9])
+    costs = error_costs(mdp, [0, 1, 0], seen)
+    assert costs.value.value == pytest.approx(worth(mdp, seen, [0, 1, 0]))
+    lost = costs.perfect.value - costs.value.value
+    assert costs.loss.sum() == pytest.approx(lost, abs=2 * costs.error)
+    curves = accuracy_curves(mdp, [0, 1, 0], levels=[0.5, 1], statuses=["all"])
+    half = worth(mdp, independent([0.5], [0.5]), [0, 1, 0])
+    assert curves.values["all"] == pytest.approx([half, costs.perfect.value], abs=1e-12)
 
 
 def test_accuracy_curves_are_values_of_what_is_perceived(care: MDP) -> None:

@@ -82,7 +82,7 @@ def statuses(rows: list[Any]) -> MDP:
     return MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])]).with_(space=space)
 
 
-TURNING = statuses([(s, 0, [("1/2", 1 - s, 1), ("1/2", 2, 0)]) for s in (0, 1)])
+ROUNDABOUT = statuses([(s, a, [(1, 1 - s, a)]) for s in (0, 1) for a in (0, 1)])
 REVEALING = statuses([(0, 0, [(1, 2, 1)]), (0, 1, [(1, 2, 0)]), (1, 0, [(1, 2, 1)])])
 
 test_refused = table_of_refusals(__file__, globals())
