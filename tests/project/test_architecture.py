@@ -145,7 +145,6 @@ def test_the_compiler_is_loaded_for_large_models_alone(code: str, large: bool) -
             {"flint", "numpy", "scipy", "tqdm"},
         ),
         ("import exact_mdp.analysis.cli", {"click"}),
-        ("import exact_mdp.analysis.pytest_plugin", set()),
         ("from exact_mdp.analysis.cli import main; main(['solve', '--help'])", {"click"}),
         ("import exact_mdp.paper_repro.__main__", {"click"}),
     ],
