@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from exact_mdp import Estimated
-from exact_mdp.analysis.learning.curves import random_curve
+from exact_mdp.analysis.learning.curves import experiments
 from exact_mdp.analysis.vary.intervals import mean_of
 from exact_mdp.paper_repro import drawing
 from exact_mdp.paper_repro.claim import NEARLY_ALL, Finding, about, claim, share, statement
@@ -88,7 +88,8 @@ def learning_curves(reading: Reading) -> Figure:
     optimum = reading.value("optimal").mean
     curves = {shown: reading.learned(name).drawn.sampled for name, shown in SHOWN.items()}
     source = child(CURVES, len(SHOWN))
-    curves["random"] = random_curve(reading.mdp, QLearning().epochs, rng=source).sampled
+    returns, _ = experiments(reading.mdp, QLearning().epochs, rng=source)
+    curves["random"] = returns.mean(axis=1)
     looks = ((BLUE, "-"), (RED, "--"), (GREEN, "-."))
     for (label, values), (colour, line) in zip(curves.items(), looks, strict=True):
         drawing.strip(top, values, colour)

@@ -25,6 +25,7 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, known, named_options
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.questions import by_time
 from exact_mdp.solvers.solution import SolverError
 from exact_mdp.solvers.solver import Criterion, is_average, mdp_of, require_no_horizon
 from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
@@ -137,8 +138,9 @@ def check(
             result = audit(True)
     if evidence is None:
         return result
-    level = confidence_of(confidence)
-    return replace(result, interval=evidence.interval(recorded, chain, level, horizon))
+    level, own = confidence_of(confidence), chain.weights
+    own = own if horizon is None else by_time(recorded, own, horizon)
+    return replace(result, interval=evidence.interval(recorded, own, level))
 
 
 def _evidence(by: object) -> Evidence:

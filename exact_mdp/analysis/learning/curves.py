@@ -15,11 +15,10 @@ import numpy as np
 from exact_mdp.analysis.learning.outcomes import common_rows
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
-from exact_mdp.mdp.table import Floats, Numbers
+from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import counted
 from exact_mdp.solvers.learning.q_learning import TrainingRun
 from exact_mdp.solvers.learning.sampler import Seed, child, rows_of, stream, tables
-from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.layers import policy_values
 
 EXPERIMENTS = 40
@@ -80,16 +79,44 @@ def learning_curve(
     ((50,), True)
     """
     values = policy_values(model, common_rows(model, [run]), run.policies)
-    table = np.eye(model.n_actions)[run.policies].reshape(len(run.policies), -1)
-    value, error = values.value[run.snapshots], values.error[run.snapshots]
-    return _curve(model, run.space.names, table, run.snapshots, value, error, n, rng)
+    returns, cut_short = experiments(model, run, rng=rng, n=n)
+    return LearningCurve(
+        sampled=returns.mean(axis=1),
+        standard_error=returns.std(axis=1, ddof=1) / np.sqrt(returns.shape[1]),
+        value=values.value[run.snapshots],
+        error=values.error[run.snapshots],
+        experiments=returns.shape[1],
+        cut_short=cut_short,
+    )
 
 
-def random_curve(model: MDP, epochs: int, *, rng: Seed, n: int = EXPERIMENTS) -> LearningCurve:
-    """Return the same curve for actions drawn uniformly, the authors' baseline."""
-    mean, nothing = evaluate(model, "random"), np.zeros((1, rows_of(model).offered.size))
-    value, error = np.full((2, epochs), [[mean.mean], [mean.start.error]])
-    return _curve(model, None, nothing, np.zeros(epochs), value, error, n, rng)
+def experiments(
+    model: MDP, run: TrainingRun | int, *, rng: Seed, n: int = EXPERIMENTS
+) -> tuple[Floats, int]:
+    """Return (E, n) returns with the greedy policies of a run's E epochs, and how many are cut.
+
+    Of a number of epochs instead of a run, they are those of actions drawn uniformly.
+    """
+    if random := isinstance(run, int):
+        rows, which = rows_of(model), np.zeros(run, dtype=np.int64)
+        table = np.zeros((1, rows.offered.size))
+    else:
+        rows, which = rows_of(model, run.space.names), run.snapshots.astype(np.int64)
+        table = np.eye(model.n_actions)[run.policies].reshape(len(run.policies), -1)
+    returns = np.zeros((len(which), counted(n, "n", 2)))
+    from exact_mdp.solvers.kernels import learning as kernels
+
+    cut_short = kernels.rollouts(
+        tables(model, rows),
+        stream(child(rng, 0)),
+        table,
+        which,
+        float(random),
+        model.discount,
+        MAX_STEPS,
+        returns,
+    )
+    return returns, int(cut_short)
 
 
 def exact_curves(model: MDP, runs: Sequence[TrainingRun]) -> Floats:
@@ -97,38 +124,3 @@ def exact_curves(model: MDP, runs: Sequence[TrainingRun]) -> Floats:
     rows = common_rows(model, runs)
     curves = [policy_values(model, rows, run.policies).value[run.snapshots] for run in runs]
     return np.array(curves)
-
-
-def _curve(
-    model: MDP,
-    columns: Sequence[str] | None,
-    table: Floats,
-    which: Numbers,
-    value: Floats,
-    error: Floats,
-    n: int,
-    rng: Seed,
-) -> LearningCurve:
-    """Return the curve of the policies `which` of a table, which act at random without columns."""
-    n = counted(n, "n", 2)
-    returns = np.zeros((len(which), n))
-    from exact_mdp.solvers.kernels import learning as kernels
-
-    cut_short = kernels.rollouts(
-        tables(model, rows_of(model, columns)),
-        stream(child(rng, 0)),
-        table,
-        np.ascontiguousarray(which, dtype=np.int64),
-        float(columns is None),
-        model.discount,
-        MAX_STEPS,
-        returns,
-    )
-    return LearningCurve(
-        sampled=returns.mean(axis=1),
-        standard_error=returns.std(axis=1, ddof=1) / np.sqrt(n),
-        value=value,
-        error=error,
-        experiments=n,
-        cut_short=int(cut_short),
-    )

@@ -1,8 +1,9 @@
 """What records allow one to say of a regret: an interval at a stated confidence.
 
-`interval(model, chain, confidence)` of each kind of evidence, `Robust`, `Posterior` or `OffPolicy`,
-gives a `RegretInterval`. A limit is kept where its upper end keeps it, and broken where its lower
-end breaks it; in between more records decide.
+`interval(model, own, confidence)` of each kind of evidence, `Robust`, `Posterior` or `OffPolicy`,
+gives a `RegretInterval` for a policy's probabilities of pairs: (L,), or (N, L) by time in episodes
+of N steps. A limit is kept where its upper end keeps it, and broken where its lower end breaks it;
+in between more records decide.
 """
 
 from __future__ import annotations

@@ -30,7 +30,6 @@ from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.questions import by_time
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -56,12 +55,13 @@ class OffPolicy:
     Examples
     --------
     >>> import pandas as pd
+    >>> from exact_mdp import check
     >>> names = ["episode", "state", "action", "reward", "next_state"]
     >>> rows = [(n, "ill", ("wait", "treat")[n % 2], n % 2, None) for n in range(2000)]
     >>> table = pd.DataFrame(rows, columns=names)
     >>> mdp = MDP.from_transitions(table, discount="1/2")
     >>> by = OffPolicy(records=table, behaviour="random", rewards="known", returns=(0, 1))
-    >>> interval = by.interval(mdp, PolicyChain.of(mdp, "always:wait"), Fraction(19, 20))
+    >>> interval = check(mdp, "always:wait", confidence=0.95, by=by).interval
     >>> interval.found["effective_sample_size"], interval.low > 0.7, round(interval.high, 9)
     (1000.0, True, 1.0)
     """
@@ -73,9 +73,7 @@ class OffPolicy:
     returns: Ends | None = None
     by: ClassVar[str] = "off-policy"
 
-    def interval(
-        self, mdp: MDP, chain: PolicyChain, confidence: Fraction, horizon: int | None = None
-    ) -> RegretInterval:
+    def interval(self, mdp: MDP, own: Floats, confidence: Fraction) -> RegretInterval:
         """Return the interval; raises ModelError without records, or where they do not fit."""
         if self.records is None:
             raise ModelError(
@@ -92,14 +90,14 @@ class OffPolicy:
             )
         doubt = float(1 - confidence)
         robust = Robust(rewards=self.rewards, returns=self.returns)
-        bounds = robust.bounds(mdp, doubt / 2, chain, horizon)
+        bounds = robust.bounds(mdp, own, doubt / 2)
         seen = observations_of(mdp).astype(np.float64)
         if self.behaviour is not None:
             behaviour = PolicyChain.of(mdp, self.behaviour, kind="policy").weights
         else:
             total = np.add.reduceat(seen, mdp.pair_offsets[:-1])[mdp.pair_state]
             behaviour = np.divide(seen, total, out=np.ones_like(seen), where=total > 0)
-        own = chain.weights[None] if horizon is None else by_time(mdp, chain.weights, horizon)
+        horizon, own = len(own) if own.ndim > 1 else None, np.atleast_2d(own)
         if (never := ((own > 0) & (behaviour <= 0)).any(axis=0)).any():
             raise ModelError(
                 "the behaviour never does what the policy does, so that its trajectories tell "

@@ -30,14 +30,12 @@ from exact_mdp.analysis.gate.data.interval import (
 from exact_mdp.analysis.vary.intervals import quantiles, require_draws, upper_quantile
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.questions import by_time
 from exact_mdp.mdp.table import Floats, exact, shown
 from exact_mdp.mdp.validate import RNG, counted, seed_of
 from exact_mdp.solvers.batch import Batch
 from exact_mdp.solvers.bounds.gains import SLACK, gamma
 from exact_mdp.solvers.parallel import Arrays, joined, many, seeded
 from exact_mdp.solvers.solution import regrets
-from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 DRAWS = 2000
 BLOCK = 250  # draws in a piece of work
@@ -64,12 +62,12 @@ class Posterior:
     Examples
     --------
     >>> import pandas as pd
+    >>> from exact_mdp import check
     >>> names = ["episode", "state", "action", "reward", "next_state"]
     >>> rows = [(n, "ill", "wait", n % 2, None) for n in range(40)]
     >>> rows += [(n + 40, "ill", "treat", n % 4 > 0, None) for n in range(40)]
     >>> mdp = MDP.from_transitions(pd.DataFrame(rows, columns=names), discount="1/2")
-    >>> chain = PolicyChain.of(mdp, "always:treat")
-    >>> interval = Posterior(n=500).interval(mdp, chain, Fraction(19, 20))
+    >>> interval = check(mdp, "always:treat", confidence=0.95, by=Posterior(n=500)).interval
     >>> interval.low, interval.high < 0.1, interval.within(Fraction(0)).value > 0.95
     (0.0, True, True)
     """
@@ -81,9 +79,7 @@ class Posterior:
     progress: bool = False
     by: ClassVar[str] = "posterior"
 
-    def interval(
-        self, mdp: MDP, chain: PolicyChain, confidence: Fraction, horizon: int | None = None
-    ) -> RegretInterval:
+    def interval(self, mdp: MDP, own: Floats, confidence: Fraction) -> RegretInterval:
         """Return the interval; raises ModelError without counts, for a bad prior or few draws."""
         if (unknown := cut_off(mdp)).any():
             raise ModelError(
@@ -105,7 +101,6 @@ class Posterior:
         prior = float(given)
         n = counted(self.n, "the number of draws, n,", 2)
         require_draws(n, level)
-        own = chain.weights if horizon is None else by_time(mdp, chain.weights, horizon)
         blocks = many(
             partial(_block, mdp.maximised, observations_of(mdp) > 0, own, prior),
             seeded(seed, n, BLOCK),

@@ -40,12 +40,10 @@ from exact_mdp.analysis.gate.data.interval import (
 from exact_mdp.analysis.gate.data.sets import Given, RowSets, Step
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.questions import by_time
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, first_of
 from exact_mdp.solvers.bounds.linear import LinearSystem
 from exact_mdp.solvers.solution import Claim
-from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 IMPROVEMENTS = 50
 SWEEPS = 1000
@@ -69,12 +67,12 @@ class Robust:
     Examples
     --------
     >>> import pandas as pd
+    >>> from exact_mdp import check
     >>> names = ["episode", "state", "action", "reward", "next_state"]
     >>> rows = [(n, "ill", "wait", 0, None) for n in range(60)]
     >>> rows += [(n + 60, "ill", "treat", 1, None) for n in range(60)]
     >>> mdp = MDP.from_transitions(pd.DataFrame(rows, columns=names), discount="1/2")
-    >>> chain = PolicyChain.of(mdp, "always:treat")
-    >>> print(Robust(rewards="known").interval(mdp, chain, Fraction(19, 20)))
+    >>> print(check(mdp, "always:treat", confidence=0.95, by=Robust(rewards="known")).interval)
     [0, 0] at 95 % confidence, robust
     """
 
@@ -82,14 +80,9 @@ class Robust:
     returns: Ends | None = None
     by: ClassVar[str] = "robust"
 
-    def interval(
-        self, mdp: MDP, chain: PolicyChain, confidence: Fraction, horizon: int | None = None
-    ) -> RegretInterval:
-        """Return the interval; raises ModelError without counts or a range that is needed.
-
-        With a horizon `chain` is the policy in `mdp.within(horizon)`.
-        """
-        bounds = self.bounds(mdp, float(1 - confidence), chain, horizon)
+    def interval(self, mdp: MDP, own: Floats, confidence: Fraction) -> RegretInterval:
+        """Return the interval; raises ModelError without counts or a range that is needed."""
+        bounds = self.bounds(mdp, own, float(1 - confidence))
         low, high = bounds.regret
         return RegretInterval(
             low=low,
@@ -104,21 +97,17 @@ class Robust:
             claim=Claim.BOUNDED,
         )
 
-    def bounds(
-        self, mdp: MDP, doubt: float, chain: PolicyChain, horizon: int | None
-    ) -> RobustBounds:
+    def bounds(self, mdp: MDP, own: Floats, doubt: float) -> RobustBounds:
         """Return the bounds within sets of rows that some are outside of with this probability."""
         sets, returns = RowSets.of(mdp, doubt, self.rewards), range_of(self.returns, "returns")
-        if horizon is None:
-            if returns is not None:
-                _require_seen(mdp, returns)
-                returns = of_sense(mdp, returns)
-            return robust_bounds(sets, chain.weights, returns)
-        if returns is not None:
+        if returns is None:
+            return robust_bounds(sets, own)
+        if own.ndim > 1:
             what = "with a horizon rewards bound what totals can be"
             fix = "leave it out (--evidence returns=, returns=)"
             raise ModelError(what, where="returns", fix=fix)
-        return robust_bounds(sets, by_time(mdp, chain.weights, horizon))
+        _require_seen(mdp, returns)
+        return robust_bounds(sets, own, of_sense(mdp, returns))
 
     def assumptions(self, mdp: MDP, sets: RowSets) -> tuple[str, ...]:
         """Return what the sets rest on besides the records."""
