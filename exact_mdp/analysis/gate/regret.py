@@ -258,7 +258,13 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
     if not unending and not best.optimal_pairs[chain.pairs].all():
         level = chain.exact_value
         mine, learned = level.floats(), level.mean(mdp.start)
-    lost = _less(best.start_value, learned, mdp)
+    if isinstance(learned, float) and learned == best.start_value:
+        raise ModelError(
+            "the optimum and the policy are both infinite, so that nothing can be compared",
+            where="the total at discount 1",
+            fix=ways_out(mdp),
+        )
+    lost = best.start_value - learned
     ideal = taking(mdp, best.pairs if unending else first_of(mdp, best.optimal_pairs))
     known = (chain, rounded(mine)), (ideal, rounded(value))
     movable = partial(forgiven, mdp, *known) if isinstance(lost, Fraction) else Fraction
@@ -309,19 +315,6 @@ def tied(
     """
     both = optimal | near
     return optimal if both[chain.pairs].all() and lost > movable() else both
-
-
-def _less(best: Fraction | float, own: Fraction | float, mdp: MDP) -> Fraction | float:
-    """Return the optimum less a policy's value; ModelError where both are infinite."""
-    if isinstance(best, Fraction) and isinstance(own, Fraction):
-        return best - own
-    if best == own:
-        raise ModelError(
-            "the optimum and the policy are both infinite, so that nothing can be compared",
-            where="the total at discount 1",
-            fix=ways_out(mdp),
-        )
-    return inf
 
 
 # ---- bounds --------------------------------------------------------------------------------------
@@ -385,16 +378,14 @@ class ActionBounds:
     def __init__(self, mdp: MDP, optimum: Bounds) -> None:
         # Q*(l) - V(s) = d(l) + γ P_l (V* - V), and low · w ≤ V* - V ≤ high · w.
         self.mdp, added = mdp, gains(mdp, optimum.value)
-        value, error = added.value, added.error
-        flow = mdp.discount * (mdp.transition @ optimum.weight)
-        off = error + 4 * UNIT * (np.abs(value) + error) + TINY
-        low, high = _outward(optimum.low * flow, -1), _outward(optimum.high * flow, 1)
-        self.low = _outward(value - off + low, -1, 4 * UNIT)
-        self.high = _outward(value + off + high, 1, 4 * UNIT)
+        value, flow = added.value, mdp.discount * (mdp.transition @ optimum.weight)
+        off = (added.error + 8 * UNIT * np.abs(value)) * SLACK + TINY
+        off += (SLACK - 1) * max(abs(optimum.low), abs(optimum.high)) * flow
+        self.low, self.high = value - off + optimum.low * flow, value + off + optimum.high * flow
         first, state = mdp.pair_offsets[:-1], mdp.pair_state
         best = np.maximum.reduceat(self.low, first)[state]
         self.gap = np.maximum.reduceat(value, first)[state] - value
-        self.least_gap = _outward(best - self.high, -1, 4 * UNIT)
+        self.least_gap = np.nextafter(best - self.high, -inf)
         order, last = np.lexsort((self.high, state)), mdp.pair_offsets[1:] - 1
         other = self.high[order[last]][state]  # the greatest of the other pairs
         other[order[last]] = self.high[order[last - 1]]
@@ -410,7 +401,3 @@ class ActionBounds:
             for other in mdp.pairs_of(int(mdp.pair_state[pair]))
             if other != pair and self.high[other] > self.low[pair]
         )
-
-
-def _outward(values: Floats, sign: int, share: float = SLACK - 1) -> Floats:
-    return values + sign * (share * np.abs(values) + TINY)

@@ -170,17 +170,16 @@ class RowSets:
         """The reward of each entry of `counts`, where rewards are known."""
         mdp, table = self.mdp, self.mdp.table
         seen = (self.counted > 0)[table.pair]
-        row, then, gain = table.pair[seen], table.next[seen], table.gains()[seen]
-        order = np.lexsort([then, row])
-        row, then, gain = row[order], then[order], gain[order]
-        again = (row[1:] == row[:-1]) & (then[1:] == then[:-1])
-        if (unlike := again & (gain[1:] != gain[:-1])).any():
+        row, gain = table.pair[seen], table.gains()[seen]
+        entry = row.astype(np.int64) * mdp.n_states + table.next[seen]
+        _, first, place = np.unique(entry, return_index=True, return_inverse=True)
+        if (unlike := gain != gain[first][place]).any():
             raise ModelError(
                 "two rewards were seen for the same next state, so that rewards are not known",
-                where=mdp.where(int(row[1:][unlike][0])),
+                where=mdp.where(int(row[unlike][0])),
                 fix="state where rewards lie (--evidence rewards=LOW,HIGH, rewards=(low, high))",
             )
-        return np.asarray(gain[np.append(True, ~again)])
+        return np.asarray(gain[first])
 
     @cached_property
     def blocks(self) -> list[list[Block]]:
