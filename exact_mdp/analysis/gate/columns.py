@@ -23,18 +23,17 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, listed
 from exact_mdp.mdp.graph import reachable, topological_levels
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.arrays import rows_read, space_over
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
-from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import Flags, counted
 from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.bounds.gains import SLACK, first_of, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, policy_chain
-from exact_mdp.solvers.learning.sampler import Rows as TableRows
 from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.solver import mdp_of
-from exact_mdp.solvers.values.layers import layers_of
+from exact_mdp.solvers.values.layers import NUMBERS, layers_of
 
 WORK = 2**25  # transitions times relaxations, unless a limit is given
 PROVEN = 1e-9  # of |value|
@@ -141,10 +140,8 @@ class Rows:
     """
 
     def __init__(self, mdp: MDP, columns: Sequence[str]) -> None:
-        space = StateSpace(columns=tuple(mdp.space.column(name) for name in columns))
-        row = mdp.space.rows(space.columns)
-        if set(space.columns) == set(mdp.space.columns):
-            space, row = mdp.space, np.arange(mdp.n_states)
+        space = space_over(mdp, columns)
+        row = rows_read(mdp, space)
         free, met = ~mdp.forced, reachable(mdp)
         entry, size = row[mdp.pair_state] * mdp.n_actions + mdp.pair_action, space.size
         offers = np.bincount(entry[free[mdp.pair_state]], minlength=size * mdp.n_actions)
@@ -158,7 +155,6 @@ class Rows:
                 fix="let the policy read more columns",
             )
         self.mdp, self.space, self.key = mdp, space, row
-        self.table = TableRows(space=space, key=row, offered=self.available)
         self.asked = np.bincount(row[free & met], minlength=size) > 0
         # Pairs of states that have no choice, or are never reached, are always allowed.
         choosing = (free & met & ~mdp.terminal)[mdp.pair_state]
@@ -205,8 +201,10 @@ class Rows:
 
     def values(self, choices: Integers) -> FixedPoint:
         """Return the start values (N,) of policies (N, K)."""
-        _, _, _, value, error = self._solved(np.eye(self.mdp.n_actions, dtype=bool)[choices])
-        return FixedPoint(value=value, error=error)
+        parts = np.array_split(choices, -(-len(choices) * self.mdp.n_pairs // NUMBERS))
+        taken = (np.eye(self.mdp.n_actions, dtype=bool)[part] for part in parts)
+        value, error = zip(*(self._solved(allowed)[3:] for allowed in taken), strict=True)
+        return FixedPoint(value=np.concatenate(value), error=np.concatenate(error))
 
     def _solved(self, allowed: Flags) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         """Return V (S, N), Q (L, N), max Q over the pairs allowed, start values (N,), errors (N,).

@@ -29,7 +29,6 @@ from exact_mdp.mdp.report import Shown, cell
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.solution import Bounded, Certified, SolverError, difference, in_float
-from exact_mdp.solvers.values.layers import policy_values
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 LISTED = 4  # actions that a text names in one state
@@ -207,7 +206,7 @@ def _changes(rows: Rows, policy: Policy) -> tuple[dict[str, Any], ...]:
     row, action = np.nonzero(other)
     choices = np.repeat(own[None], len(row) + 1, axis=0)
     choices[np.arange(len(row)), row] = action
-    worth = policy_values(rows.mdp, rows.table, choices)
+    worth = rows.values(choices)
     gain, changes = worth.value[:-1] - worth.value[-1], dict[str, dict[str, Any]]()
     for k in np.lexsort((action, -gain)).tolist():  # the best of each row first
         label = rows.space.label(int(row[k])) or "all states"

@@ -19,7 +19,7 @@ NaN, +inf, and -inf for every action offered are refused. For costs the infiniti
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from fractions import Fraction
 from typing import Any
 
@@ -278,6 +278,13 @@ def space_of(model: MDP, rows: int) -> StateSpace | None:
     if not space.regular <= rows < space.size or not model.forced[space.regular :].all():
         return None
     return StateSpace(columns=space.columns, extra=space.extra[: rows - space.regular])
+
+
+def space_over(model: MDP, names: Collection[str]) -> StateSpace:
+    """Return what some columns say of the states: the states themselves where all are named."""
+    if set(names) >= set(model.space.names):
+        return model.space
+    return StateSpace(columns=tuple(map(model.space.column, names)))
 
 
 def rows_read(model: MDP, space: StateSpace) -> Integers:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.arrays import rows_read, space_over
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Integers, Numbers
 from exact_mdp.mdp.validate import RNG, seed_of
@@ -48,12 +49,8 @@ def rows_of(mdp: MDP, columns: Sequence[str] | None = None) -> Rows:
     names = mdp.space.names
     if columns is None:
         columns = ("status",) if "status" in names else names
-    chosen = tuple(columns)
-    if set(chosen) >= set(names):
-        space, key = mdp.space, np.arange(mdp.n_states)
-    else:
-        space = StateSpace(columns=tuple(mdp.space.column(name) for name in chosen))
-        key = mdp.space.rows(space.columns)
+    space = space_over(mdp, tuple(columns))
+    key = rows_read(mdp, space)
     mine = np.zeros((mdp.n_states, mdp.n_actions), dtype=bool)
     mine[mdp.pair_state, mdp.pair_action] = True
     offered = np.zeros((space.size, mdp.n_actions), dtype=bool)
