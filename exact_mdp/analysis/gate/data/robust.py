@@ -16,11 +16,10 @@ from above if T v ≤ v + e. At discount 1 T keeps a range that the user states 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property, partial
-from typing import ClassVar
+from functools import cached_property
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -49,7 +48,6 @@ IMPROVEMENTS = 50
 SWEEPS = 1000
 SMALL = 1e-10  # of the range: steps not worth another one; bounds hold wherever the search ends
 Sides = Floats  # (2, S) bounds from below and from above
-Operator = Callable[[Floats], Step]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,29 +177,13 @@ def robust_bounds(sets: RowSets, own: Floats, returns: Ends | None = None) -> Ro
     """
     if own.ndim == 1:
         ends = _totals(sets) if returns is None else returns
-        return _around(Operators(sets=sets, own=own, ends=ends))
-    later = (np.zeros((2, sets.mdp.n_states)),) * 3
+        return Operators(sets=sets, own=own, ends=ends).bounds()
+    none = np.zeros((2, sets.mdp.n_states))
+    bounds = RobustBounds(sets=sets, range=(0.0, 0.0), own=none, best=none, lost=none)
     for steps in tqdm.trange(1, len(own) + 1, desc="stages", disable=None, delay=2):
-        bounds = _around(Operators(sets=sets, own=own[-steps], ends=_totals(sets, steps)), *later)
-        later = bounds.own, bounds.best, bounds.lost
+        at = Operators(sets=sets, own=own[-steps], ends=_totals(sets, steps))
+        bounds = at.bounds(bounds)
     return bounds
-
-
-def _around(
-    at: Operators, own: Sides | None = None, best: Sides | None = None, lost: Sides | None = None
-) -> RobustBounds:
-    """Return the bounds before a step that these follow; unless given, it comes for ever."""
-    mine, top = (
-        np.array([at.settled(at.worth(most, mixing), most, then) for most in (0, 1)])
-        for mixing, then in ((at.mixing, own), (None, best))
-    )
-    low, high = mine if own is None else own
-    advantages, ahead, regret = at.advantages(low, high), top if best is None else best, []
-    for most in (0, 1):
-        apart = np.maximum(top[most] - mine[1 - most], 0.0)
-        gaining = at.gaining(most, advantages[most], ahead[most], mine[1 - most])
-        regret.append(at.settled(gaining, most, lost, apart))
-    return RobustBounds(sets=at.sets, range=at.ends, own=mine, best=top, lost=np.array(regret))
 
 
 def _totals(sets: RowSets, steps: int | None = None) -> Ends:
@@ -234,59 +216,63 @@ class Operators:
         offsets = self.sets.mdp.pair_offsets
         return sp.csr_array((self.own, np.arange(len(self.own)), offsets))
 
-    def worth(self, most: int, mixing: sp.csr_array | None = None) -> Operator:
-        """Return the operator of V^π, with its `mixing`, or of V*; from below or above."""
-        rows = partial(self.sets.worth, most=bool(most))
-        # A policy's mixture is a sum of products, each of them rounded, as is the sum.
-        off = 0.0 if mixing is None else (4 if most else -4) * UNIT * self.sets.mdp.n_actions
-        return partial(self._step, rows, mixing, self.ends[most], off)
+    def bounds(self, later: RobustBounds | None = None) -> RobustBounds:
+        """Return the bounds before a step that `later` follows; unless given, it comes for ever."""
+        then = dict.fromkeys(("own", "best", "lost")) if later is None else vars(later)
+        own, best = (
+            np.array([self.settled(most, then[whose], mixing=mixing) for most in (0, 1)])
+            for whose, mixing in (("own", self.mixing), ("best", None))
+        )
+        after, lost = {"own": own, "best": best} if later is None else vars(later), []
+        for most, advantage in enumerate(self.advantages(*after["own"])):
+            ahead = self.sets.worth(after["best"][most], most=bool(most)).bound
+            apart = ahead - own[1 - most][self.sets.mdp.pair_state]
+            first = np.maximum(best[most] - own[1 - most], 0.0)
+            lost.append(self.settled(most, then["lost"], first, losing=(advantage, apart)))
+        sides = {"own": own, "best": best, "lost": np.array(lost)}
+        return RobustBounds(sets=self.sets, range=self.ends, **sides)
 
-    def gaining(self, most: int, advantage: Floats, best: Floats, own: Floats) -> Operator:
-        """Return the operator of D: no action gains more than with a model for each side.
-
-        `best` (S,) bounds the V* that follows, and `own` (S,), from the other side, V^π here.
-        """
-        side = bool(most)
-        apart = self.sets.worth(best, most=side).bound - own[self.sets.mdp.pair_state]
-
-        def rows(value: Floats) -> Step:
-            nature = self.sets.worth(value, most=side, rewards=False)
-            joint = advantage + nature.bound
-            bound = np.minimum(joint, apart) if most else np.maximum(joint, apart)
-
-            def piece() -> tuple[sp.csr_array, Floats]:
-                alone = joint == bound
-                laws = nature.piece()[0].multiply(alone.astype(np.float64)[:, None])
-                return sp.csr_array(laws), np.where(alone, advantage, apart)
-
-            return Step(bound, piece)
-
-        return partial(self._step, rows, None, (self.ends[1] - self.ends[0]) * most, 0.0)
-
-    def _step(
-        self, rows: Operator, mixing: sp.csr_array | None, gain: float, off: float, value: Floats
+    def step(
+        self,
+        value: Floats,
+        *,
+        most: int,
+        mixing: sp.csr_array | None = None,
+        losing: tuple[Floats, Floats] | None = None,
     ) -> Step:
-        """Return what the policy, or the best pair, makes of states; `gain` where nobody knows."""
-        unknown, pairs = self.sets.unknown, rows(value)
-        mixing = self._best(pairs.bound) if mixing is None else mixing
-        bound = mixing @ pairs.bound + off * (mixing @ np.abs(pairs.bound))
+        """Return what V^π, with its `mixing`, or V* is before a step; from below or above.
+
+        Of D, no action gains more than its advantage (L,) and what it keeps of D, nor than with a
+        model for each side: what the best may be worth less what the policy is (L,).
+        """
+        mdp, unknown = self.sets.mdp, self.sets.unknown
+        nature = self.sets.worth(value, most=bool(most), rewards=losing is None)
+        pairs, gain, off = nature.bound, self.ends[most], 0.0
+        if losing is not None:
+            advantage, apart = losing
+            joint = advantage + nature.bound
+            pairs = (np.minimum if most else np.maximum)(joint, apart)
+            alone, gain = joint == pairs, (self.ends[1] - self.ends[0]) * most
+        if mixing is None:
+            best = np.maximum.reduceat(pairs, mdp.pair_offsets[:-1])
+            taken = first_of(mdp, pairs == best[mdp.pair_state])
+            each = np.ones(len(taken)), taken, np.arange(len(taken) + 1)
+            mixing = sp.csr_array(each, (len(taken), len(pairs)))
+        else:  # a policy's mixture is a sum of products, each of them rounded, as is the sum
+            off = (4 if most else -4) * UNIT * mdp.n_actions
+        bound = mixing @ pairs + off * (mixing @ np.abs(pairs))
 
         def piece() -> tuple[sp.csr_array, Floats]:
-            laws, constant = pairs.piece()
-            mixed = sp.csr_array(mixing @ laws)
+            laws, constant = nature.piece()
+            if losing is not None:
+                laws = laws.multiply(alone.astype(np.float64)[:, None])
+                constant = np.where(alone, advantage, apart)
+            mixed = sp.csr_array(mixing @ sp.csr_array(laws))
             if unknown.any():
                 mixed = sp.csr_array(mixed.multiply((~unknown).astype(np.float64)[:, None]))
             return mixed, np.where(unknown, gain, mixing @ constant)
 
         return Step(np.where(unknown, gain, bound), piece)
-
-    def _best(self, gain: Floats) -> sp.csr_array:
-        """Return (S, L) the choice of the best pair of each state."""
-        mdp = self.sets.mdp
-        best = np.maximum.reduceat(gain, mdp.pair_offsets[:-1])
-        taken = first_of(mdp, gain == best[mdp.pair_state])
-        chosen = np.ones(len(taken)), taken, np.arange(len(taken) + 1)
-        return sp.csr_array(chosen, (len(taken), len(gain)))
 
     def advantages(self, low: Floats, high: Floats) -> tuple[Floats, Floats]:
         """Return bounds (L,) of A_P(l) in every model P, with V^π that follows within bounds."""
@@ -308,34 +294,29 @@ class Operators:
         return advantages[0], advantages[1]
 
     def settled(
-        self, step: Operator, side: int, then: Sides | None, first: Floats | None = None
+        self, most: int, then: Sides | None, first: Floats | None = None, **of: Any
     ) -> Floats:
-        """Return (S,) bounds of an operator's fixed point, or of a step: from below at side 0.
+        """Return (S,) bounds of the fixed point of a step, or of one step: from below or above.
 
         `first` (S,) are such bounds, unless given the ends of the range, and 0 where all is over;
         `then` are those of what follows the step.
         """
-        sign, take = (1, np.minimum) if side else (-1, np.maximum)
+        mdp, (sign, take) = self.sets.mdp, (1, np.minimum) if most else (-1, np.maximum)
         if then is not None:
-            value = step(then[side]).bound
+            value = self.step(then[most], most=most, **of).bound
             return value if first is None else take(value, first)
-        known = np.where(over(self.sets.mdp), 0.0, self.ends[side]) if first is None else first
-        mdp = self.sets.mdp
+        known = np.where(over(mdp), 0.0, self.ends[most]) if first is None else first
         left, scale = float(1 - mdp.discount_exact), SMALL * (self.ends[1] - self.ends[0])
-        if not left:
-            for _ in range(SWEEPS):
-                value = take(known, step(known).bound)
-                if np.abs(value - known).max() <= scale:
-                    break
-                known = value
-            return value
         value = known
-        for _ in range(IMPROVEMENTS):
-            after = step(value)
-            beyond = max(float((sign * (after.bound - value)).max()), 0.0) / left * SLACK
-            known = take(known, value + sign * (beyond + 4 * UNIT * (np.abs(value) + beyond)))
-            chain, constant = after.piece()
-            target = LinearSystem(chain, mdp.discount).approximate(constant)
+        for _ in range(IMPROVEMENTS if left else SWEEPS):
+            after = self.step(value, most=most, **of)
+            if left:
+                beyond = max(float((sign * (after.bound - value)).max()), 0.0) / left * SLACK
+                known = take(known, value + sign * (beyond + 4 * UNIT * (np.abs(value) + beyond)))
+                chain, constant = after.piece()
+                target = LinearSystem(chain, mdp.discount).approximate(constant)
+            else:
+                target = known = take(known, after.bound)
             if np.abs(target - value).max() <= scale:
                 break
             value = target
