@@ -64,6 +64,10 @@ class Optimum:
     certificate: Certificate | None
     value: Floats  # (S,), of the certificate where there is one
     state_error: Floats  # (S,) bounds on its errors; rounding alone where it is certified
+    start: Certified | Bounded  # the value of the start distribution
+    error_bound: (
+        float  # on the error of the start value, and of the value of every state, as floats
+    )
 
     @property
     def best(self) -> Any:
@@ -77,22 +81,6 @@ class Optimum:
             return self.certificate.optimal_pairs
         lost = self.value[self.mdp.pair_state] - self.mdp.backup(self.value)
         return np.asarray(self.mdp.sign * lost <= 2 * self.best.error_bound)
-
-    @property
-    def start(self) -> Certified | Bounded:
-        """The value of the start distribution; the error bound is that of every state, too."""
-        start: Certified | Bounded = self.best.start
-        if isinstance(start, Certified):
-            return start
-        return replace(start, error=max(self.best.error_bound, start.error))
-
-    @property
-    def error_bound(self) -> float:
-        """A bound on the error of the start value, and of the value of every state, as floats."""
-        if isinstance(self.start, Bounded):
-            return self.start.error
-        rounding = np.nan_to_num(np.spacing(abs(float(self.start))))
-        return float(max(self.state_error.max(), rounding))
 
     def stationary(self) -> bool | None:
         """Return whether the optimum depends on the status alone; None where bounds leave it open.
@@ -284,25 +272,35 @@ def optimum(
             raise
         warn(f"{error} (the exact values stand)", PrecisionWarning)
     exact = sound(certified(model, criterion=criterion)) if certify else None
-    if exact is None:
-        assert solution is not None
-        value, off = solution.value, solution.state_error
-    else:
-        value = exact.value_float
-        off = np.nan_to_num(np.spacing(np.abs(value)))
-    if exact is not None and solution is not None:
-        same = solution.value == value  # infinite ones
-        apart = np.abs(np.where(same, 0.0, solution.value) - np.where(same, 0.0, value))
-        if not (apart <= solution.state_error + off).all():
-            raise Contradiction(
-                f"exact values differ from those of {solution.solver} by up to {apart.max():.3g}, "
-                f"which states an error of at most {solution.error_bound:.3g}"
+    start: Certified | Bounded
+    if exact is not None:
+        value, start = exact.value_float, exact.start
+        state_error, rounding = (
+            np.nan_to_num(np.spacing(np.abs(x))) for x in (value, float(start))
+        )
+        error_bound = float(max(state_error.max(), rounding))
+        if solution is not None:
+            same = np.isclose(
+                solution.value, value, rtol=0, atol=solution.state_error + state_error
             )
+            if not same.all():
+                apart = np.abs(solution.value - value)[~same].max()
+                raise Contradiction(
+                    f"exact values differ from those of {solution.solver} by up to {apart:.3g}, "
+                    f"which states an error of at most {solution.error_bound:.3g}"
+                )
+    else:
+        assert solution is not None
+        value, state_error = solution.value, solution.state_error
+        error_bound = max(solution.error_bound, solution.start.error)
+        start = replace(solution.start, error=error_bound)
     return Optimum(
         mdp=model,
         average=is_average(criterion),
         solution=solution,
         certificate=exact,
         value=value,
-        state_error=off,
+        state_error=state_error,
+        start=start,
+        error_bound=error_bound,
     )
