@@ -76,7 +76,7 @@ def tornado(given: Given) -> Report:
     bars: each parameter with both ends of its range, both values, both regrets; policy_value: the
     value of the policy held fixed; regret: loss of that policy at the start.
     """
-    spans, without = _moving(_ranges(given))
+    spans, without = _spans(given)
     result = tornado_of(given.family, policy=given.fixed, names=list(spans), ranges=spans)
     by = "fixed_swing" if given.perception else "swing"  # what it does to the policy
     return _report(given, "tornado", result.report(by), without_range=without)
@@ -113,7 +113,7 @@ def threshold(given: Given) -> Report:
     switches: each value at which an optimal action changes, and where; stable: for each parameter,
     the range around today's value without a change.
     """
-    spans, without = _moving(_ranges(given))
+    spans, without = _spans(given)
     steps = tqdm(spans, desc="thresholds", disable=None, leave=False)
     results = {name: thresholds(given.family, name, spans) for name in steps}
     start = claimed("start_value", optimum(given.family.at({}))[1])
@@ -151,7 +151,7 @@ def curve(
     intervals in which the policy keeps the limit.
     """
     (name,) = _named(parameters, 1, "curve")
-    spans = _ranges(given, [name]) if given.ranges or given.relative else None
+    spans = _spans(given, [name])[0] if given.ranges or given.relative else None
     limited = max_regret or max_relative_regret
     result = curve_of(given.family, name, spans, policy=given.fixed if limited else given.taken)
     within = result.within(max_regret, max_relative_regret) if limited else None
@@ -177,7 +177,7 @@ def one_way(given: Given, *, parameters: Sequence[str] = (), points: int = 21) -
     parameter: the parameter that varies; points: points with their values.
     """
     (name,) = _named(parameters, 1, "one-way")
-    spans = _ranges(given, [name])
+    spans, _ = _spans(given, [name])
     result = values_along(given.family, name, spans, policy=given.fixed, points=points)
     return _report(given, "one-way", result.report(), **_start(given))
 
@@ -200,7 +200,7 @@ def two_way(given: Given, *, parameters: Sequence[str] = (), points: int = 11) -
     that are optimal somewhere.
     """
     x, y = _named(parameters, 2, "two-way")
-    spans = _ranges(given, [x, y])
+    spans, _ = _spans(given, [x, y])
     result = values_over(given.family, x, y, policy=given.fixed, points=points, ranges=spans)
     return _report(given, "two-way", result.report(), **_start(given))
 
@@ -296,7 +296,7 @@ def sobol(
     total: share of the variance including all interactions with others; total_interval: interval of
     `total`; regret: the same indices, of the regret of a policy held fixed.
     """
-    spans, without = _moving(_ranges(given, _together(given)))
+    spans, without = _spans(given, _together(given))
     if not spans:
         raise ModelError(
             "every chosen parameter is 0, and a share of 0 gives no range",
@@ -353,7 +353,7 @@ def _box(given: Given, stated: bool) -> Report:
     """Return the worst point that is found for the policy over one shared box of parameters."""
     family = given.family
     chances = [each.name for each in family.parameters if is_probability(each)]
-    box, _ = _moving(_ranges(given, _together(given) if stated else chances))
+    box, _ = _spans(given, _together(given) if stated else chances)
     if not box:
         raise ModelError(
             "no parameter moves",
@@ -399,7 +399,7 @@ def explore(
     ----
     parameters: parameters that move; pieces: number of pieces on the page.
     """
-    spans, _ = _moving(_ranges(given, parameters))
+    spans, _ = _spans(given, parameters)
     page = explorer_of(given.family, *parameters, ranges=spans, policy=policy, n=points)
     page = replace(page, model=given.loaded.name, policy=given.policy)
     write_atomically(html, page.page(rerun=shlex.join(["exact-mdp", *typed()])))
@@ -429,8 +429,11 @@ def _start(given: Given) -> dict[str, Any]:
     return claimed("start_value", solve(given.mdp).start)
 
 
-def _ranges(given: Given, names: Sequence[str] | None = None) -> Ranges:
-    """Return the range of each parameter that the options name, or of `names`."""
+def _spans(given: Given, names: Sequence[str] | None = None) -> tuple[Ranges, list[str]]:
+    """Return the ranges of the parameters that the options name, or of `names`, and who has none.
+
+    Those that are 0 today have none, which is 0 ± 20 %.
+    """
     model, stated = given.family, Ranges()
     files = [each for each in given.ranges if each.lower().endswith(".toml") and "=" not in each]
     for file in files:
@@ -439,18 +442,14 @@ def _ranges(given: Given, names: Sequence[str] | None = None) -> Ranges:
     pairs = pairs_of(texts, "--range", "NAME=LOW:HIGH")
     stated.update(checked(model, {name: ends.split(":") for name, ends in pairs.items()}))
     names = given.parameters or None if names is None else names
-    return ranges_of(model, names, stated, given.relative)
+    every = ranges_of(model, names, stated, given.relative)
+    spans = Ranges({name: span for name, span in every.items() if span.low < span.high})
+    return spans, sorted(every.keys() - spans.keys())
 
 
 def _together(given: Given) -> Sequence[str] | None:
     """Return the parameters to vary together where none is named."""
     return None if given.parameters or given.ranges else usual(given.family)
-
-
-def _moving(ranges: Ranges) -> tuple[Ranges, list[str]]:
-    """Return the ranges, and the parameters without one: 0 today, so 0 ± 20 %."""
-    spans = Ranges({name: span for name, span in ranges.items() if span.low < span.high})
-    return spans, sorted(set(ranges) - set(spans))
 
 
 def _work(n_jobs: int | None, out: str | None) -> dict[str, Any]:
