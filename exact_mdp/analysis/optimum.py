@@ -170,7 +170,7 @@ class Optimum:
         write_atomically(path, content.getvalue())
 
 
-def limited_report(best: ConstrainedSolution, written: Sequence[str | None]) -> Report:
+def limited_report(best: ConstrainedSolution) -> Report:
     """Return what an optimum under limits is, or that no policy keeps them."""
     mdp, limits, feasible = best.of.mdp, best.limits, best.feasible
     drawn = [{mdp.actions[a]: c for a, c in enumerate(row) if c} for row in best.rule]
@@ -198,7 +198,6 @@ def limited_report(best: ConstrainedSolution, written: Sequence[str | None]) -> 
             [*labels.values()],
         ),
         "policy": Shown(of_every_state(mdp, drawn)),
-        "written": [path for path in written if path],
     }
     tables = {"moved": best.table(best.totals)}
     return Report(title="optimum under limits", facts=facts, tables=tables, passed=feasible)

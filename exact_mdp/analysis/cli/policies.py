@@ -93,33 +93,35 @@ def solve(
     loss of the policy.
     """
     mdp, average = given.mdp, given.criterion == "average"
+    proof: Any
     if subject_to:
         refused = {"--method": method != "auto", "--tol": tol, "--out": out}
         refuse(refused | {"--criterion average": average}, "limits")
-        limited = sound(solve_model(mdp, subject_to=limits_from(subject_to)))
-        if policy_out:
-            limited.policy.write(policy_out)
-        if certificate:
-            limited.save(certificate)
-        return given.report(limited_report(limited, [policy_out, certificate]))
-    if certificate and not certify and (average or endless(mdp)):
-        what = "bounds are proved of totals of rewards where every policy ends"
-        fix = "add --certify, which proves the exact values"
-        raise ModelError(what, where="--certificate", fix=fix)
-    error = None if tol is None else float_of(tol, "--tol")
-    best = optimum(mdp, method, error, certify=certify, criterion=given.criterion)
-    if certificate:
-        proof = best.certificate or certified(mdp, bounded=True, solution=best.solution)
-        proof.save(certificate)
+        proof = sound(solve_model(mdp, subject_to=limits_from(subject_to)))
+        policy: Policy = proof.policy
+        solver, report = "limits", limited_report(proof)
+    else:
+        if certificate and not certify and (average or endless(mdp)):
+            what = "bounds are proved of totals of rewards where every policy ends"
+            fix = "add --certify, which proves the exact values"
+            raise ModelError(what, where="--certificate", fix=fix)
+        error = None if tol is None else float_of(tol, "--tol")
+        best = optimum(mdp, method, error, certify=certify, criterion=given.criterion)
+        proof = best.certificate
+        if certificate and proof is None:
+            proof = certified(mdp, bounded=True, solution=best.solution)
+        if out:
+            best.save(out)
+        policy = Policy.from_choices(mdp, best.best.policy)
+        solver = best.solution.solver if best.solution else "exact"
+        report = best.report()
     if policy_out:
-        Policy.from_choices(mdp, best.best.policy).write(policy_out)
-    if out:
-        best.save(out)
+        policy.write(policy_out)
+    if certificate and proof:
+        proof.save(certificate)
     written = [path for path in (policy_out, out, certificate) if path]
-    solver = best.solution.solver if best.solution else "exact"
     for path in written:
         write_atomically(Path(path).with_suffix(".run.json"), given.record(solver))
-    report = best.report()
     return given.report(replace(report, facts={**report.facts, "written": written}))
 
 

@@ -19,6 +19,7 @@ def test_a_policy_that_keeps_limits_is_written_and_read(tmp_path: Path) -> None:
     """The exact shares of the whole model do not fit in 64 bits."""
     files, limit = (tmp_path / "p.csv", tmp_path / "p.json"), ("--subject-to", "anger >= -1/2")
     result = run("solve yuan2025 --json --policy-out", files[0], *limit).result
+    assert json.loads((tmp_path / "p.run.json").read_text("utf-8"))["solver"] == "limits"
     files[1].write_text(json.dumps(result["policy"]), "utf-8")
     (drawn,) = result["randomises"]
     assert result["policy"][drawn["state"]] == drawn["actions"]
