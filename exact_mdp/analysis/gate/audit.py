@@ -423,7 +423,7 @@ class Audit(Pictured):
             "regret_by_state": Shown(dict(by_state) if mdp.n_states <= LISTED_STATES else None),
             **self.criterion.facts(),
             **Representation.facts(why),
-            "q_error": Shown(self.q_error, self.q_error and str(self.q_error)),
+            "q_error": self.q_error,
         }
         columns = {"state": "state", "yours": "learned", "optimal": "either"}
         numbers = {"value lost": "cost:.6g", "visits": "expected_visits:.6g", "share": "share:.1%"}

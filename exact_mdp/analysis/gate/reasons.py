@@ -23,7 +23,7 @@ from exact_mdp.analysis.gate.regret import Regret, policy_regret
 from exact_mdp.analysis.gate.waiting import attaining, final_class, shares
 from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.arrays import by_time, rows_read
+from exact_mdp.mdp.policies.arrays import rows_read
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import Shown, cell
 from exact_mdp.mdp.table import Floats, Integers
@@ -242,13 +242,11 @@ def q_error(mdp: MDP, policy: Policy, optimal: Floats, used: Floats) -> QError |
     ever, only these have a weight, each the same.
     """
     assert policy.values is not None
-    # (K, A) over the states, or the columns that the policy reads; (N, S, A) by time
-    table = by_time(mdp, policy.values, np.nan, of_actions=True)
     keys = rows_read(mdp, policy.space)[mdp.pair_state]
     named = [policy.actions.index(name) if name in policy.actions else -1 for name in mdp.actions]
     column = np.array(named)[mdp.pair_action]
-    said, known = np.full(mdp.n_pairs, np.nan), (column >= 0) & (keys < len(table))
-    values = table[keys[known], column[known]]
+    said, known = np.full(mdp.n_pairs, np.nan), column >= 0
+    values = policy.values[keys[known], column[known]]
     with np.errstate(over="ignore"):
         exact = values.dtype == object
         said[known] = [in_float(x) for x in values] if exact else values.astype(np.float64)

@@ -312,3 +312,7 @@ def test_an_action_that_only_a_policy_without_gain_uses_for_ever_is_to_blame() -
     assert audit.value.value == F(5, 17)
     [found] = audit.disagreements
     assert (found.state, found.optimal, found.cost) == (0, ("0",), 5 / 17)
+    # The loop 0 -> 1 -> 2 -> 0: state 1 leaves where it should stay, and in 0 the actions are one.
+    rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, 0)]), (1, 1, [(1, 2, -1)])]
+    audit = check(MDP.from_outcomes([*rows, (2, 0, [(1, 0, 1)])]), [1, 1, 0])
+    assert [(each.state, each.cost) for each in audit.disagreements] == [(1, 1 / 3)]

@@ -7,9 +7,21 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from hypothesis import strategies as st
 from strategies import tables
 
-from exact_mdp import MDP, Policy, Scenario, best_policy, certify, check, evaluate, solve
+from exact_mdp import (
+    MDP,
+    Column,
+    Policy,
+    Scenario,
+    StateSpace,
+    best_policy,
+    certify,
+    check,
+    evaluate,
+    solve,
+)
 
 CARE = Scenario.load("yuan2025")
 TEMPTING = CARE.with_(
@@ -77,6 +89,42 @@ def test_what_a_status_policy_cannot_express() -> None:
     assert why.rows == ()
     assert why.loss == audit.regret.at_start
     assert check(mdp, others[-1].policy).representation is None
+
+
+@settings(max_examples=40)
+@given(tables(), st.data())
+def test_rows_whose_change_alone_gains_are_named(mdp: MDP, data: st.DataObject) -> None:
+    rows, numbers = mdp.space.column("row").size, range(mdp.n_actions)
+    own = [data.draw(st.sampled_from(numbers)) for _ in range(rows)]
+
+    def worth(row: int, action: int) -> float:
+        changed = [action if k == row else a for k, a in enumerate(own)]
+        return evaluate(mdp, Policy.by(mdp, ["row"], changed)).mean
+
+    now = worth(0, own[0])
+    most = {f"row {row}": max(worth(row, a) for a in numbers) - now for row in range(rows)}
+    why = check(mdp, Policy.by(mdp, ["row"], own)).representation
+    assert why is not None
+    gains = {each["row"]: each["gain"] for each in why.rows}
+    assert gains == pytest.approx({row: gain for row, gain in most.items() if gain > 1e-9})
+    assert [*gains.values()] == sorted(gains.values(), reverse=True)
+    for each in why.rows:
+        row = int(each["row"].removeprefix("row "))
+        assert each["learned"] == mdp.actions[own[row]]
+        assert worth(row, mdp.action(each["best"])) - now == pytest.approx(each["gain"])
+
+
+def test_a_row_is_changed_to_what_its_states_offer_alone() -> None:
+    """States 0 and 2 have two actions, 1 and 3 a third one; action a costs a + 1."""
+    rows = [(s, a, [(1, min(s + 2, 4), -a - 1)]) for s in range(4) for a in range(2 + s % 2)]
+    columns = (Column(name="time", size=2), Column(name="row", size=2))
+    mdp = MDP.from_outcomes([*rows, (4, 0, [(1, 4, 0)])], start=["1/2", "1/2", 0, 0, 0])
+    mdp = mdp.with_(space=StateSpace(columns=columns, extra=("end",)))
+    why = check(mdp, Policy.by(mdp, ["row"], [1, 2])).representation
+    assert why is not None
+    assert [(each["row"], each["best"], each["gain"]) for each in why.rows] == [
+        ("row 1", "0", pytest.approx(2)), ("row 0", "0", pytest.approx(1)),
+    ]  # fmt: skip
 
 
 REWARDS = [[0, -5, 0], [3, 2, 12], [-1, 0, -10], [-12, -5, -10]]

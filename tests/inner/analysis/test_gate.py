@@ -9,6 +9,8 @@ import pytest
 
 from exact_mdp import MDP, SolverError, assert_policy_optimal, check, evaluate
 from exact_mdp.analysis.gate import regret as regret_module
+from exact_mdp.analysis.gate.forgiveness import per_use, widest
+from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.values.policy_chain import Equations, PolicyChain, policy_of
 
 
@@ -47,3 +49,16 @@ def test_a_bounded_regret_keeps_the_errors_of_both_values(
     low, high = regret_module._bounded(mdp, chain, off).at_start.interval
     assert low <= true <= high
     assert high - low < 0.8  # no wider than twice both errors
+
+
+@pytest.mark.parametrize("exact", [False, True])
+@pytest.mark.parametrize("seed", range(10))
+def test_no_use_of_a_pair_is_forgiven_more_than_the_widest(exact: bool, seed: int) -> None:
+    """Of rewards that differ by orders of magnitude, beside exact rows and rows of floats."""
+    rng = np.random.default_rng(seed)
+    rows: Any = [[[F(1, 3)] * 3] * 3] * 2 if exact else rng.dirichlet(np.full(3, 0.5), size=(2, 3))
+    rewards = rng.normal(size=(2, 3, 3)) * 10.0 ** rng.integers(-9, 9, size=(2, 3, 1))
+    mdp = MDP.from_arrays(rows, rewards, discount="1/2")
+    value = rng.normal(size=3) * 10.0 ** rng.integers(-9, 9)
+    known = FixedPoint(value=value, error=np.abs(value) / 10.0 ** rng.integers(1, 16))
+    assert per_use(mdp, known).max() <= widest(mdp, known)
