@@ -83,6 +83,7 @@ def test_limits_fronts_and_gates_agree_with_every_policy(
     keeps = all(sign * (total[k] - bound) >= 0 for k, sign, bound in limits)
     assert audit.criterion.totals == {names[k]: total[k] for k, _, _ in limits}
     assert audit.passed == (keeps and total[0] == best)
+    assert audit.q_error is None  # under limits the optimal action values are not of the reward
 
     front = tradeoff(mdp.within(steps) if steps else mdp, ["c0", "c1"])
     assert {*front.vertices} == vertices([point[1:] for point in points], sense)

@@ -256,6 +256,20 @@ def test_an_optimum_with_margins_is_proven_without_rational_arithmetic() -> None
     assert check(tie, [1, 0, 0]).passed
 
 
+@pytest.mark.parametrize(("states", "claim"), [(200, Claim.CERTIFIED), (201, Claim.BOUNDED)])
+def test_long_cycles_are_bounded_unless_that_leaves_a_verdict_open(
+    states: int, claim: Claim
+) -> None:
+    rows: list[Row] = [(s, 0, [(1, (s + 1) % states, 1)]) for s in range(states)]
+    rows += [(0, 1, [(1, 1, 0)]), (0, 2, [(1, states, 0)]), (states, 0, [(1, states, 0)])]
+    mdp = MDP.from_outcomes(rows, "1/2")
+    audit, lost = check(mdp, {0: 1}), 1 / (1 - F(1, 2**states))
+    assert (audit.claim, audit.passed, audit.undecided) == (claim, False, False)
+    assert float(audit.value.value) == pytest.approx(1)
+    decided = check(mdp, {0: 1}, max_regret=lost)
+    assert (decided.claim, decided.passed) == (Claim.CERTIFIED, True)
+
+
 @pytest.mark.parametrize("exact_values", [None, True, False])
 def test_a_relative_regret_of_nothing_is_undefined(exact_values: bool | None) -> None:
     """At an optimum of 0 it is neither 0 nor infinite, and does not pass."""
