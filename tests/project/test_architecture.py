@@ -14,6 +14,7 @@ import exact_mdp
 PACKAGE = Path(exact_mdp.__file__).parent
 ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ["mdp", "solvers", "analysis", "paper_repro"]  # each imports itself and those before it
+USERS = (ROOMS[-1], "analysis/cli")
 NUMBA = ["mdp/forms/compiling.py", "mdp/forms/rows.py", "solvers/kernels/*.py"]
 HEAVY = {
     *("IPython", "certifi", "click", "cvxpy", "flint", "gymnasium", "httpx", "jinja2", "joblib"),
@@ -60,14 +61,14 @@ def module_of(path: str) -> str:
 def upward(listed: list[Import]) -> list[Import]:
     """Imports of a later room, and of the public names where a module is loaded.
 
-    The last room, the reproduction, is a user of the public names.
+    The last room, the reproduction, and the command line are users of the public names.
     """
     room = {name: place for place, name in enumerate(ROOMS)}
     return [
         (path, name, inside)
         for path, name, inside in listed
         if room.get(name.split(".")[0], -1) > room[path.split("/")[0]]
-        or not (name or inside or path.startswith(ROOMS[-1]) or path.endswith("__init__.py"))
+        or not (name or inside or path.startswith(USERS) or path.endswith("__init__.py"))
     ]
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 from time import perf_counter
 from typing import Any
 
+import exact_mdp
 from exact_mdp.analysis import ci
 from exact_mdp.analysis.cli.given import Given, advice
 from exact_mdp.analysis.cli.render import markdown
@@ -15,7 +16,7 @@ from exact_mdp.analysis.cli.words import limits_from, refuse, settings_of, typed
 from exact_mdp.analysis.gate import check as gate
 from exact_mdp.analysis.gate.audit import Audit
 from exact_mdp.analysis.layout import MOST_CELLS, arrange, cells
-from exact_mdp.analysis.learning.trainers import TrainerAudit, check_trainer
+from exact_mdp.analysis.learning.trainers import TrainerAudit
 from exact_mdp.analysis.pages.page import ADVICE, render
 from exact_mdp.mdp.errors import known
 from exact_mdp.mdp.io.files import write_atomically
@@ -141,7 +142,7 @@ def check(
         refuse(of_one, "several policies")
         asked |= {"share": share or "9/10", "alpha": alpha or "1/100", "prove": prove}
         policies = (given.policy_from(each) for each in learned)
-        audit = check_trainer(given.mdp, policies, runs=len(learned), **asked)
+        audit = exact_mdp.check_trainer(given.mdp, policies, runs=len(learned), **asked)
         report = given.report(audit.report(learned))
         name = f"{len(report.facts['policies'])} policies"
     passed = "passed" if audit.passed else "failed"

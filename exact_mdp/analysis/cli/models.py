@@ -10,17 +10,17 @@ from typing import Any
 
 import numpy as np
 
+import exact_mdp
 from exact_mdp.analysis.cli.given import Given, advice
 from exact_mdp.analysis.cli.words import pairs_of
 from exact_mdp.analysis.gate.data.interval import cut_off, entered, never_taken, observations_of
 from exact_mdp.analysis.pages.page import ADVICE
 from exact_mdp.mdp.care import lint as linter
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.graph import is_acyclic, reachable, termination
 from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.io.files import SMALL, STANDARD_INPUT, read_text, write_atomically
-from exact_mdp.mdp.io.load import read_model, save
+from exact_mdp.mdp.io.load import read_model
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Report, Shown, Table, ratio
 
@@ -150,7 +150,7 @@ def info(given: Given) -> Report:
             "readings": scenario.readings,
             "parameters": Shown(scenario.values(), [*scenario.values()]),
         }
-    facts["model_hash"] = fingerprint(mdp)
+    facts["model_hash"] = exact_mdp.fingerprint(mdp)
     return given.report(Report(title=f"model {given.loaded.name}", facts=facts))
 
 
@@ -204,7 +204,7 @@ def data(
     names = pairs_of(columns, "--column", "NAME=COLUMN")
     record = transitions.counted(file, names, progress=True)
     mdp = MDP(**record.parts(discount, unseen))
-    save(mdp, out)
+    exact_mdp.save(mdp, out)
     return _estimated(mdp, record, file, out, rare)
 
 
@@ -236,7 +236,7 @@ def _estimated(mdp: MDP, record: transitions.Record, file: str, out: str, rare: 
         "rare": rows,
         "cut_off": Shown(record.n_cut_off, record.n_cut_off or None),
         "cut_off_states": Shown(unknown, unknown and some(unknown, len(unknown))),
-        "model_hash": fingerprint(mdp),
+        "model_hash": exact_mdp.fingerprint(mdp),
     }
     keys = {key: key for key in ("state", "action", "observations")}
     table = Table(title=f"pairs observed fewer than {rare} times", columns=keys)
@@ -268,7 +268,7 @@ def convert(
         What a .prism or .jani file leaves open (extra models).
     """
     loaded = read_model(source, sets=sets, discount=discount, constants=constants)
-    save(loaded.mdp, target)
+    exact_mdp.save(loaded.mdp, target)
     sizes = {"states": loaded.mdp.n_states, "pairs": loaded.mdp.n_pairs}
     facts = {"written": target, "model": loaded.name, **sizes}
     facts["transitions"] = loaded.mdp.n_transitions

@@ -8,6 +8,7 @@ from math import ulp
 from pathlib import Path
 from typing import Any
 
+import exact_mdp
 from exact_mdp.analysis.cli.given import Given
 from exact_mdp.analysis.cli.words import limits_from, refuse
 from exact_mdp.analysis.optimum import limited_report, optimum, sound
@@ -21,13 +22,8 @@ from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.mdp.table import float_of
 from exact_mdp.solvers.exact import codec
 from exact_mdp.solvers.exact.certificate import BoundedCertificate, Certificate
-from exact_mdp.solvers.exact.certify import certify as certified
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution, bounds
 from exact_mdp.solvers.objectives.totals import TotalsProof
-from exact_mdp.solvers.solver import solve as solve_model
-from exact_mdp.solvers.values.evaluate import evaluate as value_of
-from exact_mdp.solvers.values.returns import return_distribution
-from exact_mdp.solvers.values.simulate import simulate as sample
 
 PROOFS = (Certificate, BoundedCertificate, Front, ConstrainedSolution, Rationalization)
 KINDS: dict[str, Any] = {kind: proof for proof in PROOFS for kind in proof.kinds}
@@ -97,7 +93,7 @@ def solve(
     if subject_to:
         refused = {"--method": method != "auto", "--tol": tol, "--out": out}
         refuse(refused | {"--criterion average": average}, "limits")
-        proof = sound(solve_model(mdp, subject_to=limits_from(subject_to)))
+        proof = sound(exact_mdp.solve(mdp, subject_to=limits_from(subject_to)))
         policy: Policy = proof.policy
         solver, report = "limits", limited_report(proof)
     else:
@@ -109,7 +105,7 @@ def solve(
         best = optimum(mdp, method, error, certify=certify, criterion=given.criterion)
         proof = best.certificate
         if certificate and proof is None:
-            proof = certified(mdp, bounded=True, solution=best.solution)
+            proof = exact_mdp.certify(mdp, bounded=True, solution=best.solution)
         if out:
             best.save(out)
         policy = Policy.from_choices(mdp, best.best.policy)
@@ -212,7 +208,7 @@ def evaluate(given: Given, policy: Policy) -> Report:
     expected return; by_state: gain, bias and share of time of each state, or null if there are
     many; recurrent_classes: number of classes of states in which the policy stays.
     """
-    return given.report(value_of(given.mdp, policy, criterion=given.criterion).report())
+    return given.report(exact_mdp.evaluate(given.mdp, policy, criterion=given.criterion).report())
 
 
 def returns(given: Given, policy: Policy, *, exact: bool = False) -> Report:
@@ -231,8 +227,8 @@ def returns(given: Given, policy: Policy, *, exact: bool = False) -> Report:
     distribution: {return: probability}; exact_distribution: the distribution with probabilities
     "p/q", or null; mean: expected return; sd: standard deviation of the return.
     """
-    law = return_distribution(given.mdp, policy, exact=exact)
-    moments = value_of(given.mdp, policy).report().facts
+    law = exact_mdp.return_distribution(given.mdp, policy, exact=exact)
+    moments = exact_mdp.evaluate(given.mdp, policy).report().facts
     mean, sd = moments["mean"], moments["sd"]
     bounds = {name: moments["error_bounds"].value[name] for name in ("mean", "sd")}
     return given.report(law.report(), mean=mean, sd=sd, error_bounds=Shown(bounds))
@@ -258,5 +254,5 @@ def simulate(given: Given, policy: Policy, *, episodes: int, seed: int = 0) -> R
     episode; truncated: truncated episodes; truncation_error: greatest effect of the truncated
     episodes on the mean.
     """
-    runs = sample(given.asked, policy, episodes, seed, horizon=given.horizon)
+    runs = exact_mdp.simulate(given.asked, policy, episodes, seed, horizon=given.horizon)
     return given.report(runs.report(), seed=seed)

@@ -5,11 +5,9 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 
+import exact_mdp
 from exact_mdp.analysis.cli.given import Given
-from exact_mdp.analysis.perception import confusion_at, error_costs
-from exact_mdp.analysis.tradeoffs.front import tradeoff as front_of
-from exact_mdp.analysis.tradeoffs.rationalize import rationalize as weights_for
-from exact_mdp.analysis.tradeoffs.risk import mean_cvar
+from exact_mdp.analysis.perception import confusion_at
 from exact_mdp.mdp.care.perception import read
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import write_atomically
@@ -17,7 +15,6 @@ from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import Report
 from exact_mdp.mdp.result import data_frame
 from exact_mdp.mdp.table import float_of
-from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.policy_chain import policy_of
 
 
@@ -50,7 +47,7 @@ def tradeoff(
     vertex of the front; edges: {from, to, rate}, what one total costs in terms of the other;
     policies: each policy with its values and its distance.
     """
-    front = front_of(given.mdp, names)
+    front = exact_mdp.tradeoff(given.mdp, names)
     if certificate:
         front.save(certificate)
     report = front.report({form: given.policy_from(form) for form in policies})
@@ -71,7 +68,7 @@ def rationalize(given: Given, policy: Policy) -> Report:
     Of Rationalization.
     change: the least such relative change, "p/q".
     """
-    return given.report(weights_for(given.mdp, policy).report())
+    return given.report(exact_mdp.rationalize(given.mdp, policy).report())
 
 
 def risk(
@@ -103,7 +100,7 @@ def risk(
     share; policies: each policy given, with its values.
     """
     beside = {form: given.policy_from(form) for form in policies}
-    report = mean_cvar(given.mdp, cvar, policies=beside).report()
+    report = exact_mdp.mean_cvar(given.mdp, cvar, policies=beside).report()
     if policy_out:  # what it does by state and reward so far, exactly
         rules = [{k: str(value) for k, value in rule.items()} for rule in report.facts["policy"]]
         content = json.dumps(rules, indent=2, ensure_ascii=False) + "\n"
@@ -155,9 +152,9 @@ def perception(
         matrix = confusion_at(mdp, float_of(accuracy, "accuracy"))
     else:
         matrix, counted = read(perception, mdp)
-    optimum = solve(mdp)
+    optimum = exact_mdp.solve(mdp)
     chosen = policy_of(mdp, optimum if policy == "optimal" else policy)
-    costs = error_costs(mdp, chosen, matrix)
+    costs = exact_mdp.error_costs(mdp, chosen, matrix)
     return given.report(
         costs.report(),
         policy=policy,

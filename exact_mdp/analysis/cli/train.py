@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+import exact_mdp
 from exact_mdp.analysis.cli.given import Given
 from exact_mdp.analysis.cli.words import settings_of
-from exact_mdp.analysis.learning.outcomes import outcomes
 from exact_mdp.mdp.errors import located
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.policies.policy import Policy
@@ -19,7 +19,6 @@ from exact_mdp.mdp.table import float_of
 from exact_mdp.solvers.learning import training
 from exact_mdp.solvers.learning.q_learning import QLearning
 from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING, Schedule
-from exact_mdp.solvers.solver import solve
 
 SCHEDULES: dict[str, Schedule] = {"constant": PAPER_CONSTANT, "decaying": PAPER_DECAYING}
 
@@ -80,9 +79,9 @@ def train(
     stated.setdefault("snapshot_episode", min(10, stated.get("episodes", 10)))
     with located("--learner"):
         settings = QLearning(**stated)
-    solve(mdp)  # a model that cannot be judged is refused before the work
+    exact_mdp.solve(mdp)  # a model that cannot be judged is refused before the work
     runs = training.train(mdp, settings, seeds, rng=seed, n_jobs=n_jobs, out=out, progress=True)
-    results = outcomes(mdp, runs)
+    results = exact_mdp.outcomes(mdp, runs)
     report = given.report(results.report(), settings=repr(settings), seed=seed)
     if out is None:
         return report

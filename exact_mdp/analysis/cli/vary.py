@@ -11,42 +11,30 @@ from typing import Any
 
 from tqdm import tqdm
 
+import exact_mdp
 from exact_mdp.analysis.cli.given import Given
 from exact_mdp.analysis.cli.words import pairs_of, refuse, typed
-from exact_mdp.analysis.pages.explorer import explore as explorer_of
-from exact_mdp.analysis.vary.curves.curve import curve as curve_of
-from exact_mdp.analysis.vary.curves.gradient import gradient as gradient_of
-from exact_mdp.analysis.vary.curves.thresholds import report_of, thresholds
+from exact_mdp.analysis.vary.curves.thresholds import report_of
 from exact_mdp.analysis.vary.curves.walk import optimum
 from exact_mdp.analysis.vary.distributions import (
     EFFECTIVE_SAMPLE_SIZE,
-    load_uncertainty,
     row_family,
-    uncertainty,
 )
-from exact_mdp.analysis.vary.one_way import one_way as values_along
-from exact_mdp.analysis.vary.one_way import tornado as tornado_of
-from exact_mdp.analysis.vary.one_way import two_way as values_over
-from exact_mdp.analysis.vary.psa import psa as psa_of
 from exact_mdp.analysis.vary.ranges import (
     RELATIVE,
     Ranges,
     checked,
     is_probability,
-    load_ranges,
     ranges_of,
     usual,
 )
-from exact_mdp.analysis.vary.robust import SETS, worst_point
-from exact_mdp.analysis.vary.robust import robust as robust_of
-from exact_mdp.analysis.vary.sobol import sobol as sobol_of
+from exact_mdp.analysis.vary.robust import SETS
 from exact_mdp.analysis.vary.study import finite_worth, solver_of
 from exact_mdp.mdp.errors import ModelError, known, located
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, claimed
 from exact_mdp.mdp.table import exact, float_of
-from exact_mdp.solvers.solver import solve
 
 ROUNDED = "of the perception, and the probabilities of actions that it makes, as rounded to floats"
 """What is certified under a perception: a file may state 1/3, which no float is."""
@@ -77,7 +65,7 @@ def tornado(given: Given) -> Report:
     value of the policy held fixed; regret: loss of that policy at the start.
     """
     spans, without = _spans(given)
-    result = tornado_of(given.family, policy=given.fixed, names=list(spans), ranges=spans)
+    result = exact_mdp.tornado(given.family, policy=given.fixed, names=list(spans), ranges=spans)
     by = "fixed_swing" if given.perception else "swing"  # what it does to the policy
     return _report(given, "tornado", result.report(by), without_range=without)
 
@@ -96,7 +84,7 @@ def gradient(given: Given) -> Report:
     elasticities: per cent of the value for one per cent of the parameter; left: the derivative from
     the left; right: the derivative from the right, which differs where two policies are optimal.
     """
-    result = gradient_of(given.family, policy=given.fixed, names=given.parameters or None)
+    result = exact_mdp.gradient(given.family, policy=given.fixed, names=given.parameters or None)
     more = {"claim_of": ROUNDED} if given.perception else {}
     return _report(given, "gradient", result.report(), **more)
 
@@ -115,7 +103,7 @@ def threshold(given: Given) -> Report:
     """
     spans, without = _spans(given)
     steps = tqdm(spans, desc="thresholds", disable=None, leave=False)
-    results = {name: thresholds(given.family, name, spans) for name in steps}
+    results = {name: exact_mdp.thresholds(given.family, name, spans) for name in steps}
     start = claimed("start_value", optimum(given.family.at({}))[1])
     report = report_of(results)
     return given.report(report, kind="threshold", **start, without_range=without)
@@ -153,7 +141,9 @@ def curve(
     (name,) = _named(parameters, 1, "curve")
     spans = _spans(given, [name])[0] if given.ranges or given.relative else None
     limited = max_regret or max_relative_regret
-    result = curve_of(given.family, name, spans, policy=given.fixed if limited else given.taken)
+    result = exact_mdp.curve(
+        given.family, name, spans, policy=given.fixed if limited else given.taken
+    )
     within = result.within(max_regret, max_relative_regret) if limited else None
     return given.report(result.report(within), kind="curve")
 
@@ -178,7 +168,7 @@ def one_way(given: Given, *, parameters: Sequence[str] = (), points: int = 21) -
     """
     (name,) = _named(parameters, 1, "one-way")
     spans, _ = _spans(given, [name])
-    result = values_along(given.family, name, spans, policy=given.fixed, points=points)
+    result = exact_mdp.one_way(given.family, name, spans, policy=given.fixed, points=points)
     return _report(given, "one-way", result.report(), **_start(given))
 
 
@@ -201,7 +191,7 @@ def two_way(given: Given, *, parameters: Sequence[str] = (), points: int = 11) -
     """
     x, y = _named(parameters, 2, "two-way")
     spans, _ = _spans(given, [x, y])
-    result = values_over(given.family, x, y, policy=given.fixed, points=points, ranges=spans)
+    result = exact_mdp.two_way(given.family, x, y, policy=given.fixed, points=points, ranges=spans)
     return _report(given, "two-way", result.report(), **_start(given))
 
 
@@ -253,15 +243,15 @@ def psa(
     evppi: expected value of knowing each parameter alone; evppi_details: how each was estimated.
     """
     model = row_family(given.mdp) if given.loaded.scenario is None else given.family
-    stated, size = ({}, None) if uncertain is None else load_uncertainty(Path(uncertain))
+    stated, size = ({}, None) if uncertain is None else exact_mdp.load_uncertainty(Path(uncertain))
     if effective_sample_size is not None:
         size = float_of(effective_sample_size, "--effective-sample-size")
     size = EFFECTIVE_SAMPLE_SIZE if size is None else size
     with nullcontext() if uncertain is None else located(uncertain):
-        chosen = uncertainty(model, stated, default=size, names=given.parameters or None)
+        chosen = exact_mdp.uncertainty(model, stated, default=size, names=given.parameters or None)
     n = samples or (10_000 if solver_of(model, ()).compiled else 500)
     how = _work(n_jobs, out)
-    result = psa_of(model, n, rng=seed, uncertain=chosen, policy=given.fixed, **how)
+    result = exact_mdp.psa(model, n, rng=seed, uncertain=chosen, policy=given.fixed, **how)
     report = result.report(given.policy or "optimal")
     report = _report(given, "psa", report, effective_sample_size=size)
     return given.saved(report, out, "psa.json", ("psa", seed))
@@ -304,7 +294,7 @@ def sobol(
             fix="give a range: --range NAME=LOW:HIGH",
         )
     how = _work(n_jobs, out) | {"n": samples, "rng": seed, "policy": given.fixed}
-    result = sobol_of(given.family, names=list(spans), ranges=spans, **how)
+    result = exact_mdp.sobol(given.family, names=list(spans), ranges=spans, **how)
     report = _report(given, "sobol", result.report(), **_start(given), without_range=without)
     return given.saved(report, out, "sobol.json", ("sobol", seed))
 
@@ -344,7 +334,7 @@ def robust(given: Given, *, set_kind: str = "interval", radius: str | None = Non
     meaning = ROWS[known(set_kind, [*ROWS, BOX], "set", "--set-kind")]
     refuse(boxed, "rows on their own", "add --set-kind box, or give --radius instead")
     size = exact(SETS[set_kind][1] if radius is None else radius, "radius")
-    result = robust_of(given.mdp, set_kind, radius=size, policy=given.fixed)
+    result = exact_mdp.robust(given.mdp, set_kind, radius=size, policy=given.fixed)
     kind = Shown(set_kind, meaning.format(f"{float(size):.4g}"))
     return _report(given, "robust", result.report(), set_kind=kind, radius=float(size))
 
@@ -360,7 +350,7 @@ def _box(given: Given, stated: bool) -> Report:
             where="--set-kind box",
             fix="give a range (--range NAME=LOW:HIGH), or another kind of set",
         )
-    report = worst_point(family, given.fixed, box).report()
+    report = exact_mdp.worst_point(family, given.fixed, box).report()
     start = claimed("start_value", finite_worth(given.mdp, given.fixed, "today's parameters"))
     ends = {name: [float(span.low), float(span.high)] for name, span in box.items()}
     radius = None if stated else float(RELATIVE)
@@ -400,7 +390,7 @@ def explore(
     parameters: parameters that move; pieces: number of pieces on the page.
     """
     spans, _ = _spans(given, parameters)
-    page = explorer_of(given.family, *parameters, ranges=spans, policy=policy, n=points)
+    page = exact_mdp.explore(given.family, *parameters, ranges=spans, policy=policy, n=points)
     page = replace(page, model=given.loaded.name, policy=given.policy)
     write_atomically(html, page.page(rerun=shlex.join(["exact-mdp", *typed()])))
     return given.report(page.report(), written=html)
@@ -426,7 +416,7 @@ def _named(parameters: Sequence[str], count: int, kind: str) -> Sequence[str]:
 
 
 def _start(given: Given) -> dict[str, Any]:
-    return claimed("start_value", solve(given.mdp).start)
+    return claimed("start_value", exact_mdp.solve(given.mdp).start)
 
 
 def _spans(given: Given, names: Sequence[str] | None = None) -> tuple[Ranges, list[str]]:
@@ -437,7 +427,7 @@ def _spans(given: Given, names: Sequence[str] | None = None) -> tuple[Ranges, li
     model, stated = given.family, Ranges()
     files = [each for each in given.ranges if each.lower().endswith(".toml") and "=" not in each]
     for file in files:
-        stated.update(load_ranges(model, file))
+        stated.update(exact_mdp.load_ranges(model, file))
     texts = [each for each in given.ranges if each not in files]
     pairs = pairs_of(texts, "--range", "NAME=LOW:HIGH")
     stated.update(checked(model, {name: ends.split(":") for name, ends in pairs.items()}))
