@@ -10,9 +10,13 @@ A page marks the place, and what stands between the marks is written again:
 
 from __future__ import annotations
 
+import ast
 import inspect
+import json
 import re
+import shlex
 import sys
+import tomllib
 from collections.abc import Iterable, Set
 from importlib import import_module
 from pathlib import Path
@@ -24,6 +28,7 @@ import exact_mdp
 from exact_mdp.paper_repro.silent_points import OPTIONS
 
 DOCS = Path(__file__).resolve().parent
+GOLDEN = DOCS.parent / "tests" / "golden"
 MARKED = re.compile(r"(<!-- made by `make docs`: (\w+)([^\n]*) -->\n).*?(<!-- end -->)", re.S)
 FIGURES = re.compile(r"^```python\n(.*?)^```\n\n((?:!\[[^\n]*\n)+)", re.M | re.S)
 
@@ -96,6 +101,84 @@ def options(group: str) -> str:
     return table("option, what it does, commands", rows)
 
 
+def pinned_keys() -> dict[str, set[str]]:
+    """Return the keys of the pinned answers, each with the commands that have it."""
+    keys: dict[str, set[str]] = {}
+    for part in tomllib.loads((GOLDEN / "cases.toml").read_text("utf-8")).values():
+        for name, case in part.items():
+            path = GOLDEN / "answers" / f"{name}.json"
+            if path.exists():
+                command = shlex.split(case if isinstance(case, str) else case[-1])[0]
+                for key in json.loads(path.read_text("utf-8"))["answer"]:
+                    keys.setdefault(key, set()).add(command)
+    return keys
+
+
+def meanings() -> dict[tuple[str, str], str]:
+    """Return what each key of a command means, {(command, key): meaning}.
+
+    The docstring of the command's function says it below "Keys", that of `Given` for all commands;
+    else it is what the class of the result, which the section names, says of its attribute.
+    """
+    shared, _ = said("analysis.cli.given:Given")
+    classes = {
+        node.name: node
+        for path in Path(exact_mdp.__file__).parent.rglob("*.py")
+        for node in ast.parse(path.read_text("utf-8")).body
+        if isinstance(node, ast.ClassDef)
+    }
+    pinned: dict[str, set[str]] = {}
+    for key, names in pinned_keys().items():
+        for name in names:
+            pinned.setdefault(name, set()).add(key)
+    known = {}
+    for made in named("exact_mdp.analysis.cli.commands:MADE").values():
+        for name, (target, _) in made.items():
+            own, results = said(f"analysis.cli.{target}")
+            attributes = {}
+            for each in reversed(results):
+                attributes |= documented(classes[each])
+            every = attributes | shared | own
+            keys = own.keys() | (every.keys() & pinned.get(name, set()))
+            known |= {(name, key): every[key] for key in keys}
+    return known
+
+
+def said(target: str) -> tuple[dict[str, str], list[str]]:
+    """Return the keys that the docstring of "module:name" explains, and the classes it names."""
+    _, _, section = (inspect.getdoc(named(f"exact_mdp.{target}")) or "").partition("Keys\n----\n")
+    results = re.match(r"Of (.*)\.\n", section)
+    entries = " ".join(section[results.end() if results else 0 :].split()).removesuffix(".")
+    pairs = (entry.partition(": ")[::2] for entry in filter(None, entries.split("; ")))
+    texts = {key: text[:1].upper() + text[1:] for key, text in pairs}
+    return texts, results[1].split(", ") if results else []
+
+
+def documented(kind: ast.ClassDef) -> dict[str, str]:
+    """Return the first sentence of what a class says of its attributes and properties."""
+    section = re.search(r"Attributes\n-+\n(.*?)(?:\n\n|$)", ast.get_docstring(kind) or "", re.S)
+    texts = {}
+    for block in re.split(r"\n(?=\S)", section[1]) if section else []:
+        head, _, text = block.partition("\n")
+        texts |= dict.fromkeys(head.partition(" : ")[0].split(", "), " ".join(text.split()))
+    for node in kind.body:
+        if isinstance(node, ast.FunctionDef) and node.decorator_list:
+            texts[node.name] = (ast.get_docstring(node) or "").partition("\n\n")[0]
+    return {key: re.split(r"\.(?: |$)", text)[0] for key, text in texts.items() if text}
+
+
+def answers(_: str) -> str:
+    """Return what each key of `--json` means."""
+    rows: dict[tuple[str, str], set[str]] = {}
+    everyone = set[str]()
+    for (command, key), meaning in sorted(meanings().items(), key=lambda item: item[0][::-1]):
+        rows.setdefault((f"`{key}`", meaning), set()).add(command)
+        everyone.add(command)
+    return table(
+        "key, meaning, commands", ((*row, who(names, everyone)) for row, names in rows.items())
+    )
+
+
 # ---- Python --------------------------------------------------------------------------------------
 
 
@@ -143,7 +226,9 @@ def text(module: str) -> str:
     return inspect.getdoc(import_module(module)) or ""
 
 
-MADE = {each.__name__: each for each in (commands, options, names, methods, readings, text)}
+MADE = {
+    each.__name__: each for each in (commands, options, answers, names, methods, readings, text)
+}
 
 
 def draw() -> None:

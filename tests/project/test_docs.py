@@ -6,7 +6,6 @@ import inspect
 import json
 import re
 import shlex
-import tomllib
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -137,28 +136,17 @@ def test_every_page_is_in_the_index() -> None:
 def test_the_front_is_short() -> None:
     assert len(text("README.md").split()) <= 800
     assert len(text("CONTRIBUTING.md").split()) <= 500
-    read = {name for name in PAGES if name == "README.md" or name.startswith("docs/")}
-    prose = "".join(map(text, read - {"docs/reference/json.md"}))  # which is looked up
+    prose = "".join(text(name) for name in PAGES if name == "README.md" or name.startswith("docs/"))
     by_hand = re.sub(r"<!-- made by.*?<!-- end -->", "", CODE.sub("", prose), flags=re.S)
     assert sum(bool(re.search(r"[A-Za-z0-9]", word)) for word in by_hand.split()) <= 10_000
 
 
 def test_every_key_has_a_meaning_and_every_meaning_a_key() -> None:
-    """The keys are those of the pinned answers; of most commands, the page names the others."""
-    keys, golden = set(), ROOT / "tests" / "golden"
-    for part in tomllib.loads((golden / "cases.toml").read_text("utf-8")).values():
-        for name, case in part.items():
-            command = shlex.split(case if isinstance(case, str) else case[-1])[0]
-            if (answer := golden / "answers" / f"{name}.json").exists():
-                keys |= {(command, key) for key in json.loads(answer.read_text("utf-8"))["answer"]}
-    everyone, explained = {command for command, _ in keys}, list[tuple[str, str]]()
-    for line in re.findall(r"^\| `.*", text("docs/reference/json.md"), re.M):
-        key, *_, cell = line.strip("| ").split(" | ")
-        named = {*cell.removeprefix("all but ").split(", ")} - {"all"}
-        commands = everyone - named if cell.startswith("all") else named
-        explained += [(command, key.strip("`")) for command in commands]
-    assert len(explained) == len(set(explained))
-    assert set(explained) == keys
+    """The keys are those of the pinned answers."""
+    keys = {(command, key) for key, names in write.pinned_keys().items() for command in names}
+    assert keys == write.meanings().keys()
+    shared, _ = write.said("analysis.cli.given:Given")
+    assert shared.keys() <= {key for _, key in keys}
 
 
 def test_the_certificate_shown_is_the_one_made(

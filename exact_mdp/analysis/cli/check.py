@@ -95,6 +95,25 @@ def check(
         A setting of that, as `Robust`, `Posterior` and `OffPolicy` take it in Python: rewards=known
         or rewards=LOW,HIGH, returns=LOW,HIGH, prior=1, n=2000 (models drawn), rng=0, n_jobs=1,
         records=FILE (trajectories), columns.state=NAME, behaviour=FILE (its probabilities).
+
+    Keys
+    ----
+    Of Audit, TrainerAudit, RegretInterval, UnderLimits.
+    checks: every check with its name, whether it passed, and why; regret: loss of the policy at the
+    start; exact_regret: the regret, "p/q", or null; regret_claim: claim of the regret;
+    regret_by_state: loss from each state; optimal_value: the optimal value at the start;
+    learned_value: the value of the policy at the start; learned: the policy that was checked;
+    limits: the limits, as they were given; kept: whether each limit is kept, or null; prices: gain
+    of the optimum for each unit by which a limit moves, "p/q"; closest: nearest values of the
+    limits that some policy keeps; by: `robust`, `posterior` or `off-policy`; disagreements: states
+    where it is not optimal, the costliest first, with state, learned, optimal, gap and
+    expected_visits; rows: rows of the policy that were learned badly, with the gain of changing
+    each; interval: intervals of both values and of the regret; max_regret: the limit given, or
+    null; max_relative_regret: the relative limit given, or null; alpha: greatest probability of a
+    failure by chance; share: the share that is required; share_interval: interval of the share,
+    which holds after every run at once; observed: share of the runs within the limits; runs: runs
+    judged; given: policies given; policies: each policy with its regret and whether it keeps the
+    limits; proven: whether the share of all seeds is at least `share`, or null where that is open.
     """
     started = perf_counter()
     ci.summarise("")  # where it cannot be written to, that is said before any work

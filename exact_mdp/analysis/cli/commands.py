@@ -13,7 +13,9 @@ and not imported, so that help comes at once. What a parameter becomes:
 
 What is not typed is not passed: the function's own default holds. In the docstring's type stand the
 word in capitals or the words in quotes that the help shows for the value, the limits of a whole
-number ("N, 1 to 100"), and the endings of a file that is written ("FILE, .csv or .json").
+number ("N, 1 to 100"), and the endings of a file that is written ("FILE, .csv or .json"). Below
+"Keys" it says what the keys of the JSON mean, "key: meaning; …", after the classes whose attributes
+others are.
 """
 
 from __future__ import annotations
@@ -167,9 +169,10 @@ def stubs(module: str) -> dict[str, Any]:
 
 def _documented(section: object) -> tuple[str, dict[str, tuple[str, str]]]:
     """Return a docstring's text, and type and text of each parameter."""
-    head, _, rest = (inspect.getdoc(section) or "").partition("\n\nParameters\n----------\n")
+    head, *sections = re.split(r"\n\n(?=Parameters\n-|Keys\n-)", inspect.getdoc(section) or "")
+    rest = next((each for each in sections if each.startswith("Parameters")), "\n\n")
     said: dict[str, tuple[str, str]] = {}
-    for block in re.split(r"\n(?=\S)", rest):
+    for block in re.split(r"\n(?=\S)", rest.split("\n", 2)[2]):
         form, _, below = block.partition("\n")
         names, _, kind = form.partition(" : ")
         said |= dict.fromkeys(names.split(", "), (kind, " ".join(below.split())))

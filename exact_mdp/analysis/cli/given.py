@@ -84,6 +84,23 @@ class Given:
         Change a scenario: base.anger=1/10, tasks=[3,1], readings.NAME=OPTION.
     discount : G, optional
         Discount instead of the model's own: 0.95 or 19/20.
+
+    Keys
+    ----
+    model: name of the model, or its file; sense: `max`, or `min` in a model of costs; question:
+    what `--reach` or `--until` asks, in words, or null; start: the state of `--start`, or null;
+    criterion: `total` reward, or `average` reward per step; read_as: how an array was read, as `q`
+    or `policy`; policy: the name of the policy given, or the policy of the answer (by status at
+    subtask 0 and trial 0 in scenarios, with probabilities if it is mixed); perception: the file of
+    `--perception`, or null; discount: the discount; horizon: steps after which an episode stops, or
+    null; claim: `certified`, `bounded`, `checked` or `estimated`; kind: the kind of analysis;
+    start_value: the optimal value at the start, "inf" or "-inf" where infinite; error_bound:
+    greatest error of the number before it; error_bounds: greatest errors of several numbers;
+    states: number of states; pairs: number of state-action pairs; transitions: number of
+    transitions of positive probability; model_hash: SHA-256 of the model's exact content; seconds:
+    time taken; seed: seed of the random numbers; written: files written; format: version of this
+    format, 2; notice: that this is research software and no medical advice; without_range:
+    parameters without a range to move in.
     """
 
     model: str

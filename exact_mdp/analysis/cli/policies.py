@@ -75,6 +75,18 @@ def solve(
     out : FILE, .npz
         Write values, policy and action values: .npz. Beside each file that is written stands a
         record of its making, FILE.run.json.
+
+    Keys
+    ----
+    Of Solution, ConstrainedSolution, UnderLimits.
+    exact_start_value: the optimal value at the start, "p/q", null unless certified; unique: whether
+    no other policy is optimal on the states reached, null unless certified; stationary: whether the
+    optimum depends on the status alone; policy_by_state: action of each state, if there are no
+    statuses; gain: average reward per step, state by state; bias: advantage of a start in the state
+    beyond its gain; feasible: whether some policy keeps the limits; method: the algorithm;
+    iterations: sweeps or improvements; status: how the solver ended; limits: the limits, as they
+    were given; totals: what the policy attains of each limited total, "p/q"; regret_bound: greatest
+    loss of the policy.
     """
     mdp, average = given.mdp, given.criterion == "average"
     proof: Any
@@ -120,6 +132,11 @@ def verify(certificate: str, given: Given) -> Report:
     Parameters
     ----------
     certificate : CERTIFICATE
+
+    Keys
+    ----
+    certificate: the certificate's file; holds: whether the certificate holds; violations: rules
+    that are broken, empty if all hold; objectives: the totals that a front or limits are about.
     """
     mdp = given.mdp
     proof = replace(codec.load(KINDS, certificate), mdp=mdp)
@@ -183,6 +200,13 @@ def evaluate(given: Given, policy: Policy) -> Report:
     """Compute a policy's mean return, its spread and its parts.
 
     Example: exact-mdp evaluate yuan2025 always:directive
+
+    Keys
+    ----
+    Of Evaluation.
+    components: expected total of each component of the reward, which sum to the mean; mean:
+    expected return; by_state: gain, bias and share of time of each state, or null if there are
+    many; recurrent_classes: number of classes of states in which the policy stays.
     """
     return given.report(exact_mdp.evaluate(given.mdp, policy, criterion=given.criterion).report())
 
@@ -196,6 +220,12 @@ def returns(given: Given, policy: Policy, *, exact: bool = False) -> Report:
     ----------
     exact : bool
         Give the probabilities as rationals, too.
+
+    Keys
+    ----
+    Of ReturnDistribution.
+    distribution: {return: probability}; exact_distribution: the distribution with probabilities
+    "p/q", or null; mean: expected return; sd: standard deviation of the return.
     """
     law = exact_mdp.return_distribution(given.mdp, policy, exact=exact)
     moments = exact_mdp.evaluate(given.mdp, policy).report().facts
@@ -215,6 +245,14 @@ def simulate(given: Given, policy: Policy, *, episodes: int, seed: int = 0) -> R
         Number of episodes.
     seed : S
         Seed of the random numbers.
+
+    Keys
+    ----
+    Of Simulation.
+    mean: mean of the returns; episodes: number of episodes; interval: 95 % interval of the mean;
+    steps: mean number of steps; event_probability: probability that each event happens in an
+    episode; truncated: truncated episodes; truncation_error: greatest effect of the truncated
+    episodes on the mean.
     """
     runs = exact_mdp.simulate(given.asked, policy, episodes, seed, horizon=given.horizon)
     return given.report(runs.report(), seed=seed)

@@ -39,6 +39,13 @@ def tradeoff(
         A policy to place beside the front, with its distance.
     certificate : FILE, .json
         Write the proof for `verify`: .json.
+
+    Keys
+    ----
+    Of Front.
+    names: the totals, in the order in which they were named; vertices: {values, policy} of each
+    vertex of the front; edges: {from, to, rate}, what one total costs in terms of the other;
+    policies: each policy with its values and its distance.
     """
     front = exact_mdp.tradeoff(given.mdp, names)
     if certificate:
@@ -55,6 +62,11 @@ def rationalize(given: Given, policy: Policy) -> Report:
     weights. A change of 1 can make all weights zero: no smaller change makes the policy optimal.
 
     Example: exact-mdp rationalize tea random --set tasks=[1]
+
+    Keys
+    ----
+    Of Rationalization.
+    change: the least such relative change, "p/q".
     """
     return given.report(exact_mdp.rationalize(given.mdp, policy).report())
 
@@ -78,6 +90,14 @@ def risk(
         A policy to place beside the best ones.
     policy_out : FILE, .csv or .json
         Write the policy: .csv or .json; by state and reward so far.
+
+    Keys
+    ----
+    Of MeanCVaR.
+    level: the share of the worst episodes; measure: `cvar`; value: the value of the best policy;
+    mean: expected return of the best policy; threshold: the return below which an episode is among
+    the worst; distribution: {return: probability}; points: policies from the mean to the worst
+    share; policies: each policy given, with its values.
     """
     beside = {form: given.policy_from(form) for form in policies}
     report = exact_mdp.mean_cvar(given.mdp, cvar, policies=beside).report()
@@ -117,6 +137,12 @@ def perception(
         Each status is read correctly with this probability instead.
     policy : POLICY
         The policy that takes what is perceived for true.
+
+    Keys
+    ----
+    perfect: the value if the status is known; taken_as_true: the value if what is perceived is
+    taken for true; errors: cost of each kind of error; confusions: cost of taking one status for
+    another; counted: number of examples, if the file holds them.
     """
     mdp, counted = given.mdp, None
     if (perception is None) == (accuracy is None):

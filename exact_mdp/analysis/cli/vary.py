@@ -58,6 +58,11 @@ def tornado(given: Given) -> Report:
 
     Example: exact-mdp tornado yuan2025 --relative 1/10
     Example: exact-mdp tornado tea --range base.anxiety=0.05:0.2 --policy random
+
+    Keys
+    ----
+    bars: each parameter with both ends of its range, both values, both regrets; policy_value: the
+    value of the policy held fixed; regret: loss of that policy at the start.
     """
     spans, without = _spans(given)
     result = exact_mdp.tornado(given.family, policy=given.fixed, names=list(spans), ranges=spans)
@@ -72,6 +77,12 @@ def gradient(given: Given) -> Report:
     at today's value, both one-sided derivatives are given.
 
     Example: exact-mdp gradient tea --parameter base.anxiety
+
+    Keys
+    ----
+    derivatives: {parameter: derivative of the value}; exact_derivatives: the derivatives, "p/q";
+    elasticities: per cent of the value for one per cent of the parameter; left: the derivative from
+    the left; right: the derivative from the right, which differs where two policies are optimal.
     """
     result = exact_mdp.gradient(given.family, policy=given.fixed, names=given.parameters or None)
     more = {"claim_of": ROUNDED} if given.perception else {}
@@ -84,6 +95,11 @@ def threshold(given: Given) -> Report:
     One parameter moves at a time. The policy is optimal knowing the state at every value.
 
     Example: exact-mdp threshold yuan2025 --parameter base.anger --relative whole
+
+    Keys
+    ----
+    switches: each value at which an optimal action changes, and where; stable: for each parameter,
+    the range around today's value without a change.
     """
     spans, without = _spans(given)
     steps = tqdm(spans, desc="thresholds", disable=None, leave=False)
@@ -115,6 +131,12 @@ def curve(
         Where the policy loses at most X: 0.1 or 1/10.
     max_relative_regret : X, optional
         The same, over the absolute optimal value.
+
+    Keys
+    ----
+    parameter: the parameter that varies; pieces: {from, to, numerator, denominator, policy}, where
+    the value is a ratio of polynomials with coefficients "p/q", from the constant up; within: the
+    intervals in which the policy keeps the limit.
     """
     (name,) = _named(parameters, 1, "curve")
     spans = _spans(given, [name])[0] if given.ranges or given.relative else None
@@ -139,6 +161,10 @@ def one_way(given: Given, *, parameters: Sequence[str] = (), points: int = 21) -
         The parameter that moves.
     points : N, 2 to 10000
         Values along each range, ends included.
+
+    Keys
+    ----
+    parameter: the parameter that varies; points: points with their values.
     """
     (name,) = _named(parameters, 1, "one-way")
     spans, _ = _spans(given, [name])
@@ -157,6 +183,11 @@ def two_way(given: Given, *, parameters: Sequence[str] = (), points: int = 11) -
     ----------
     parameters : NAME
         A parameter that moves.
+
+    Keys
+    ----
+    parameters: the parameters that vary; points: points with their values; policies: the policies
+    that are optimal somewhere.
     """
     x, y = _named(parameters, 2, "two-way")
     spans, _ = _spans(given, [x, y])
@@ -198,6 +229,18 @@ def psa(
         Number of processes, all cores unless given. Results do not change.
     out : DIR, optional
         Folder for finished work and the result; work that is there already is not repeated.
+
+    Keys
+    ----
+    Of PSA.
+    draws: number of draws; drawn: distribution of each parameter that is drawn; fixed: why each
+    other parameter is not drawn; effective_sample_size: observations behind each probability;
+    value: optimal value over the draws; regret: regret of the policy held fixed, over the draws;
+    acceptability: probability that the fixed policy loses at most each tolerance; candidates: the
+    policies that were optimal in some draw; p_optimal: how often each action is optimal, status by
+    status; evpi: expected value of perfect information; evpi_bounds: lower and upper estimates,
+    without the bias of the sample; evpi_of_candidates: EVPI if only the candidates can be chosen;
+    evppi: expected value of knowing each parameter alone; evppi_details: how each was estimated.
     """
     model = row_family(given.mdp) if given.loaded.scenario is None else given.family
     stated, size = ({}, None) if uncertain is None else exact_mdp.load_uncertainty(Path(uncertain))
@@ -233,6 +276,15 @@ def sobol(
     ----------
     samples : N, 2 to 16777216
         Points of the sequence, a power of 2.
+
+    Keys
+    ----
+    samples: points of the sequence; draws: number of models solved; ranges: the range of each
+    parameter; confidence: the confidence of the intervals; mean: mean of the optimal value over the
+    draws; sd: standard deviation of the optimal value over the draws; first_order: share of the
+    variance that a parameter explains alone; first_order_interval: interval of `first_order`;
+    total: share of the variance including all interactions with others; total_interval: interval of
+    `total`; regret: the same indices, of the regret of a policy held fixed.
     """
     spans, without = _spans(given, _together(given))
     if not spans:
@@ -265,6 +317,15 @@ def robust(given: Given, *, set_kind: str = "interval", radius: str | None = Non
         (l1, kl, entropy), or the tables' numbers (box).
     radius : X, optional
         How far it may move, except in a box.
+
+    Keys
+    ----
+    set_kind: what may move; radius: how far it may move; nature: who chooses the probabilities, and
+    when; worst_case: optimal value in the worst case, with its policy, or for `box`, the value of
+    the fixed policy at the worst point found, `point`; best_case: the optimal value in the best
+    case; worst_case_gain: gain of the robust policy in the worst case; robust_policy_value: value
+    of the robust policy if the tables are right; price_of_robustness: loss of the robust policy if
+    the tables are right; policy_changes: states in which the robust policy acts differently.
     """
     boxed = {"--parameter": given.parameters, "--range": given.ranges, "--relative": given.relative}
     if set_kind == BOX:
@@ -323,6 +384,10 @@ def explore(
         Write the page: .html.
     points : N, 2 to 101
         Values of the second parameter.
+
+    Keys
+    ----
+    parameters: parameters that move; pieces: number of pieces on the page.
     """
     spans, _ = _spans(given, parameters)
     page = exact_mdp.explore(given.family, *parameters, ranges=spans, policy=policy, n=points)
