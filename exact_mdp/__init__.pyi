@@ -17,12 +17,10 @@ from exact_mdp.analysis.learning.curves import learning_curve as learning_curve
 from exact_mdp.analysis.learning.outcomes import outcomes as outcomes
 from exact_mdp.analysis.learning.trainers import check_trainer as check_trainer
 from exact_mdp.analysis.pages.explorer import explore as explore
-from exact_mdp.analysis.perception import accuracy_curves as accuracy_curves
 from exact_mdp.analysis.perception import error_costs as error_costs
 from exact_mdp.analysis.plots.pictures import draw as draw
 from exact_mdp.analysis.tradeoffs.front import tradeoff as tradeoff
 from exact_mdp.analysis.tradeoffs.rationalize import rationalize as rationalize
-from exact_mdp.analysis.tradeoffs.risk import mean_cvar as mean_cvar
 from exact_mdp.analysis.vary.curves.curve import curve as curve
 from exact_mdp.analysis.vary.curves.gradient import gradient as gradient
 from exact_mdp.analysis.vary.curves.thresholds import thresholds as thresholds

@@ -1,4 +1,4 @@
-"""What errors of perception cost a policy: values under many confusions, and the costly errors.
+"""What errors of perception cost a policy, and which cost most.
 
 A policy π reads the perceived status z, drawn from C(s, ·). With the occupancy d and the action
 values Q of the mixed policy π_C that it makes of the true status (`mdp.care.perception`),
@@ -13,7 +13,6 @@ exact ones, a sum is off by at most Σ d e_Q + e_d (|Q| + e_Q) and its own round
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,24 +21,21 @@ from numpy.typing import ArrayLike
 from exact_mdp.mdp.care.perception import (
     by_place,
     checked,
-    independent,
     perceived,
     status_names,
     status_size,
 )
-from exact_mdp.mdp.errors import ModelError, known, listed
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, at_most
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
-from exact_mdp.mdp.table import Floats, float_of
+from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, gamma
 from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import policy_of
-
-ALL = "all"
 
 
 def _check_actions(model: MDP) -> None:
@@ -53,82 +49,6 @@ def _check_actions(model: MDP) -> None:
             "statuses",
             fix="offer the same actions in every status of a place",
         )
-
-
-# ---- values along accuracies ---------------------------------------------------------------------
-
-
-def confusion_at(model: MDP, accuracy: float, status: str = ALL) -> Floats:
-    """Return the confusion (Z, Z) at one accuracy of a status, the others perfect, or of all."""
-    if not 0 <= accuracy <= 1:
-        raise ModelError(f"accuracy is {accuracy}", where="accuracy", fix="choose from 0 to 1")
-    names = status_names(model)
-    known(status, (*names, ALL), "status", "accuracy")
-    rates = [accuracy if status in (name, ALL) else 1.0 for name in names]
-    return independent(rates, rates)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class AccuracyCurves(Pictured):
-    """Values of a policy on perceptions along accuracies, status by status and for all."""
-
-    levels: Floats  # (M,)
-    values: dict[str, Floats]  # (M,) where this status is perceived so and the others perfectly
-    error: float  # no value is off by more than this
-
-    def frame(self) -> DataFrame:
-        """Return one row for each accuracy, one column for each status and for all."""
-        return data_frame({"accuracy": self.levels} | self.values)
-
-
-def accuracy_curves(
-    model: MDP,
-    policy: PolicyLike = "optimal",
-    *,
-    levels: Iterable[float] | None = None,
-    statuses: Sequence[str] | None = None,
-) -> AccuracyCurves:
-    """Return the value of a policy that takes what it perceives for true, along accuracies.
-
-    With accuracy x a status is read rightly with probability x, present or absent, the statuses
-    independently.
-
-    Parameters
-    ----------
-    model : MDP
-        With a column `status`.
-    policy : PolicyLike
-    levels : iterable of float, optional
-        Accuracies; 51 from 0.5 to 1 unless given.
-    statuses : sequence of str, optional
-        The curves; one for each status and "all" unless given.
-
-    Returns
-    -------
-    AccuracyCurves
-
-    Examples
-    --------
-    >>> from exact_mdp import Scenario
-    >>> curves = accuracy_curves(Scenario.load("yuan2025").compile(), levels=[0.9, 1])
-    >>> curves.values["all"].round(4).tolist()
-    [140.7766, 146.2359]
-    """
-    grid = np.linspace(0.5, 1.0, 51)
-    if levels is not None:
-        grid = np.array([float_of(level, "levels") for level in listed(levels, "levels")])
-    names = (*status_names(model), ALL)
-    _check_actions(model)
-    chosen, curves, error = policy_of(model, policy), dict[str, Floats](), 0.0
-    for name in names if statuses is None else listed(statuses, "statuses"):
-        matrices = (confusion_at(model, x, name) for x in grid.tolist())
-        every = [evaluate(model, perceived(model, chosen, matrix)).start for matrix in matrices]
-        curves[name] = np.array([each.value for each in every])
-        error = max(error, *(each.error for each in every))
-    return AccuracyCurves(levels=grid, values=curves, error=error)
-
-
-# ---- the costly errors ---------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

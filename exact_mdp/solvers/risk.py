@@ -16,7 +16,6 @@ taken. All numbers are integers over one denominator for each state.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cache, cached_property, partial
@@ -31,6 +30,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import termination, topological_levels
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions import NO_DATA, ONE_COMPONENT
+from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
@@ -47,11 +47,13 @@ from exact_mdp.mdp.table import (
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.find import certificate
 from exact_mdp.solvers.exact.levels import Level
-from exact_mdp.solvers.solution import Claim
+from exact_mdp.solvers.solution import Certified, Claim
 from exact_mdp.solvers.solver import mdp_of
+from exact_mdp.solvers.values.returns import share_of, tail_mean
 
 CELLS = 20_000_000  # outcomes times returns
 WHERE = "risk of the return"
+RULES = 20  # rows of a policy with a memory that a table shows
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -331,12 +333,36 @@ class CVaROptimum(Result):
         claimed = (1 - self.weight) * value + self.weight * mean
         if not objective[int(threshold)] == claimed == max(objective.values()):
             wrong.append("another threshold gives more")
-        returns = sorted((z / self._unit, p) for z, p in self.distribution().items())
+        returns = {z / self._unit: p for z, p in self.distribution().items()}
         if tail_mean(returns, self.level) != value:
             wrong.append("the worst episodes of the policy have another mean")
-        if sum(z * p for z, p in returns) != mean:
+        if sum(z * p for z, p in returns.items()) != mean:
             wrong.append("the policy has another mean")
         return wrong
+
+    def report(self) -> Report:
+        """Return the mean of the worst episodes and of all, and what the policy does."""
+        label = self.mdp.space.label
+        facts = {
+            "claim": Shown(self.claim),
+            "measure": Shown("cvar"),
+            "value": Shown(self.value, Certified(value=self.value)),
+            "level": Shown(self.level, f"the worst {self.level} of the episodes"),
+            "mean": Shown(self.mean, Certified(value=self.mean)),
+            "threshold": self.threshold,
+            "distribution": Shown(self.distribution()),
+            "policy": [
+                {"state": label(state), "from": low, "to": high, "action": action}
+                for state, low, high, action in self.rules()
+            ],
+        }
+        rules = Table(
+            title="best policy for the worst episodes, by state and reward so far",
+            columns={"state": "state", "from": "from:.10g", "to": "to:.10g", "action": "action"},
+            first=RULES,
+            note="--policy-out FILE writes it",
+        )
+        return Report(title="mean of the worst episodes", facts=facts, tables={"policy": rules})
 
     def frame(self) -> DataFrame:
         """Return the distribution of the return."""
@@ -401,24 +427,3 @@ def best_cvar(model: MDP | Scenario, level: object, *, weight: object = 0) -> CV
         pairs=pairs,
         values=values,
     )
-
-
-def share_of(level: object) -> Fraction:
-    """Return the share of the worst episodes that counts."""
-    share = exact(level, "conditional value at risk")
-    if not 0 < share <= 1:
-        raise ModelError(
-            f"the level is {shown(share)}",
-            where="conditional value at risk",
-            fix="choose the share of the worst episodes: above 0, at most 1",
-        )
-    return share
-
-
-def tail_mean(returns: Iterable[tuple[Fraction, Fraction]], level: Fraction) -> Fraction:
-    """Return the mean of the worst share of returns, which rise, with their probabilities."""
-    left, total = level, Fraction(0)
-    for value, probability in returns:
-        part = min(left, probability)
-        total, left = total + part * value, left - part
-    return total / level

@@ -5,6 +5,7 @@ import json
 from dataclasses import replace
 from fractions import Fraction
 from itertools import product
+from math import inf
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exact_mdp import MDP, ModelError, best_cvar, certify
+from exact_mdp import MDP, ModelError, best_cvar, certify, return_distribution
 
 F = Fraction
 Distribution = tuple[tuple[Fraction, Fraction], ...]
@@ -95,6 +96,27 @@ def test_no_policy_with_a_memory_does_better(rows: Rows, level: Fraction, weight
     assert (turned.value, turned.mean) == (-optimum.value, -optimum.mean)
     assert turned.violations() == []
     assert {-value: p for value, p in turned.distribution().items()} == optimum.distribution()
+
+
+@settings(max_examples=30, deadline=None)
+@given(trees(), levels)
+def test_the_worst_episodes_of_a_policy(rows: Rows, level: Fraction) -> None:
+    mdp = model(rows)
+    law = return_distribution(mdp, "random", exact=True)
+    assert law.exact is not None
+    own = tuple(zip(law.values, law.exact, strict=True))
+    assert law.tail_mean(level) == worst(own, level)
+    turned = tuple((-value, p) for value, p in own)
+    assert law.tail_mean(level, highest=True) == -worst(turned, level)
+    floats = return_distribution(mdp, "random").tail_mean(level)
+    assert float(floats) == pytest.approx(float(worst(own, level)))
+
+
+def test_what_never_ends_has_infinite_tails() -> None:
+    rows = [(0, 0, [("1/2", 0, -1), ("1/4", 1, 0), ("1/4", 2, 2)]), (1, 0, [(1, 1, -1)])]
+    law = return_distribution(MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])]), "random")
+    assert law.tail_mean("1/4") == law.tail_mean(1) == -inf
+    assert law.tail_mean("1/4", highest=True) > -inf
 
 
 def test_what_is_false_is_found() -> None:

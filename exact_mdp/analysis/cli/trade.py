@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import exact_mdp
 from exact_mdp.analysis.cli.given import Given
-from exact_mdp.analysis.perception import confusion_at
-from exact_mdp.mdp.care.perception import read
+from exact_mdp.mdp.care.perception import read, status_names
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.report import Report
+from exact_mdp.mdp.report import Report, Table
 from exact_mdp.mdp.result import data_frame
 from exact_mdp.mdp.table import float_of
 from exact_mdp.solvers.values.policy_chain import policy_of
@@ -77,8 +78,7 @@ def risk(
     """Find the best policy for the worst share of the episodes.
 
     MODEL has discount 1 and no cycles, or a horizon. The answer is the policy with the greatest
-    mean of the worst episodes, which remembers the reward so far, and those with the most of a
-    weighted mean of this and the mean of all. In a model of costs, the least.
+    mean of the worst episodes, which remembers the reward so far. In a model of costs, the least.
 
     Example: exact-mdp risk yuan2025 --cvar 1/10 --set tasks=[1]
 
@@ -93,14 +93,23 @@ def risk(
 
     Keys
     ----
-    Of MeanCVaR.
+    Of CVaROptimum.
     level: the share of the worst episodes; measure: `cvar`; value: the value of the best policy;
     mean: expected return of the best policy; threshold: the return below which an episode is among
-    the worst; distribution: {return: probability}; points: policies from the mean to the worst
-    share; policies: each policy given, with its values.
+    the worst; distribution: {return: probability}; policies: each policy given, with its values.
     """
-    beside = {form: given.policy_from(form) for form in policies}
-    report = exact_mdp.mean_cvar(given.mdp, cvar, policies=beside).report()
+    report = exact_mdp.best_cvar(given.mdp, cvar).report()
+    beside = list[dict[str, Any]]()
+    for form in policies:
+        law = exact_mdp.return_distribution(given.mdp, given.policy_from(form), exact=True)
+        tail = law.tail_mean(cvar, highest=given.mdp.sense == "min")
+        beside.append({"policy": form, "mean": law.tail_mean(1), "cvar": tail})
+    table = Table(
+        title="the policies beside it",
+        columns={"policy": "policy", "mean": "mean:.10g", "of the worst": "cvar:.10g"},
+    )
+    facts, tables = {**report.facts, "policies": beside}, {"policies": table, **report.tables}
+    report = replace(report, facts=facts, tables=tables)
     if policy_out:  # what it does by state and reward so far, exactly
         rules = [{k: str(value) for k, value in rule.items()} for rule in report.facts["policy"]]
         content = json.dumps(rules, indent=2, ensure_ascii=False) + "\n"
@@ -149,7 +158,11 @@ def perception(
         what = "no perception, or two of them"
         raise ModelError(what, where="options", fix="give --perception or --accuracy")
     if perception is None:
-        matrix = confusion_at(mdp, float_of(accuracy, "accuracy"))
+        right = float_of(accuracy, "accuracy")
+        if not 0 <= right <= 1:
+            raise ModelError(f"accuracy is {right}", where="accuracy", fix="choose from 0 to 1")
+        rates = [right] * len(status_names(mdp))
+        matrix = exact_mdp.independent(rates, rates)
     else:
         matrix, counted = read(perception, mdp)
     optimum = exact_mdp.solve(mdp)

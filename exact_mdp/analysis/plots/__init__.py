@@ -7,11 +7,7 @@ the letters written into them, curves in line style. `result.plot()` calls the o
 from exact_mdp.mdp.errors import extra
 
 with extra("plots"):
-    from exact_mdp.analysis.plots.care import (
-        plot_confusion,
-        plot_influence,
-        plot_status_transitions,
-    )
+    from exact_mdp.analysis.plots.care import plot_influence
     from exact_mdp.analysis.plots.learning import (
         plot_distinct,
         plot_learning_curves,
@@ -24,7 +20,6 @@ with extra("plots"):
     from exact_mdp.analysis.plots.transitions import plot_transitions
 
 __all__ = [
-    "plot_confusion",
     "plot_distinct",
     "plot_influence",
     "plot_learning_curves",
@@ -32,7 +27,6 @@ __all__ = [
     "plot_policy",
     "plot_regrets",
     "plot_states",
-    "plot_status_transitions",
     "plot_thresholds",
     "plot_transitions",
     "plot_value_bands",

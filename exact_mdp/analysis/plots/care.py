@@ -1,14 +1,12 @@
-"""Pictures of a care model: who influences whom, how the status moves, what errors in it cost."""
+"""Pictures of a care model: who influences whom, and what errors in reading the status cost."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, FancyArrowPatch
 
-from exact_mdp.analysis.perception import AccuracyCurves, ErrorCosts
+from exact_mdp.analysis.perception import ErrorCosts
 from exact_mdp.analysis.plots.style import (
     HIGH,
     LOW,
@@ -16,9 +14,7 @@ from exact_mdp.analysis.plots.style import (
     axes_or_new,
     bars,
     described,
-    lines,
     picture,
-    shaded,
     swatch,
 )
 from exact_mdp.mdp.care.scenario import Scenario
@@ -87,61 +83,6 @@ def _influence(ax: Axes, start: Floats, end: Floats, amount: float) -> None:
 
 
 @picture
-def plot_status_transitions(
-    law: Floats, statuses: Sequence[str], *, ax: Axes | None = None
-) -> Axes:
-    """Draw the moves between status vectors as a map: the darker, the likelier.
-
-    Parameters
-    ----------
-    law : (2^n, 2^n)
-        Probabilities of the next vector (column) given the present one (row).
-    statuses : sequence of n str
-    ax : Axes, optional
-
-    Returns
-    -------
-    Axes
-
-    Examples
-    --------
-    >>> ax = plot_status_transitions(np.eye(4), ["anger", "confusion"])
-    >>> [text.get_text() for text in ax.texts], ax.get_ylabel()
-    (['100', '100', '100', '100'], 'status now: anger, confusion')
-    """
-    ax = _vector_map(ax, law, 0.1)
-    names = {"x": "status after the action", "y": f"status now: {', '.join(statuses)}"}
-    return described(ax, "How the status moves in one step (chances in %)", **names)
-
-
-def _vector_map(ax: Axes | None, shares: Floats, threshold: float) -> Axes:
-    """Draw shares (2^n, 2^n), from row to column, with numbers in per cent from a threshold on."""
-    ax, size = axes_or_new(ax, high=6.0), len(shares)
-    labels = [format(number, f"0{size.bit_length() - 1}b") for number in range(size)]
-    places = map(tuple, np.argwhere(shares >= threshold).tolist())
-    texts = {place: f"{100 * shares[place]:.0f}" for place in places}
-    shaded(ax, np.sqrt(shares), labels, labels, texts, fontsize=7, family="monospace")
-    ax.tick_params(axis="x", rotation=90)
-    ax.set_aspect("equal")
-    return ax
-
-
-@picture
-def plot_accuracy_curves(curves: AccuracyCurves, *, ax: Axes | None = None) -> Axes:
-    """Draw the value of a policy against the accuracy of one status, and of all."""
-    ax = axes_or_new(ax)
-    alike = {"all": "all four alike"} if len(curves.values) == 5 else {}
-    lines(ax, {alike.get(n, n): (curves.levels, each) for n, each in curves.values.items()})
-    return described(
-        ax,
-        "What a policy is worth by how well the status is read",
-        x="accuracy of perception (sensitivity = specificity)",
-        y="value at the start (reward)",
-        legend="read with this accuracy",
-    )
-
-
-@picture
 def plot_error_costs(costs: ErrorCosts, *, ax: Axes | None = None) -> Axes:
     """Draw the loss by status: missed where present, and seen where absent."""
     by_cost = sorted(costs.by_status.items(), key=lambda item: -sum(item[1]))
@@ -161,27 +102,3 @@ def plot_error_costs(costs: ErrorCosts, *, ax: Axes | None = None) -> Axes:
         x="loss against perfect perception (reward)",
         handles=[swatch("present, not seen", LOW), swatch("absent, but seen", HIGH)],
     )
-
-
-@picture
-def plot_confusion(confusion: Floats, *, ax: Axes | None = None) -> Axes:
-    """Draw a confusion matrix: the darker, the likelier; numbers where 5 % and more.
-
-    Parameters
-    ----------
-    confusion : (2^n, 2^n)
-        Probability of each perceived status (column) given the true one (row).
-    ax : Axes, optional
-
-    Returns
-    -------
-    Axes
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> plot_confusion(np.eye(4)).get_xlabel()
-    'perceived status'
-    """
-    ax, what = _vector_map(ax, confusion, 0.05), "How each status is perceived (chances in %)"
-    return described(ax, what, x="perceived status", y="true status")

@@ -10,7 +10,6 @@ from exact_mdp.analysis.plots import care, learning, returns, sensitivity, state
 from exact_mdp.mdp.errors import ModelError
 
 PICTURES: dict[str, Any] = {
-    "AccuracyCurves": care.plot_accuracy_curves,
     "Audit": states.plot_audit,
     "BoundedCertificate": states.plot_solution,
     "Certificate": states.plot_solution,
@@ -21,7 +20,6 @@ PICTURES: dict[str, Any] = {
     "Front": returns.draw_front,
     "Gradient": sensitivity.plot_gradient,
     "LearningCurve": learning.plot_learning_curves,
-    "MeanCVaR": returns.plot_mean_cvar,
     "Outcomes": learning.plot_regrets,
     "PSA": sensitivity.plot_acceptability,
     "PolicyComparison": states.plot_comparison,

@@ -19,7 +19,6 @@ from exact_mdp.analysis.plots.style import (
     picture,
 )
 from exact_mdp.analysis.tradeoffs.front import Front
-from exact_mdp.analysis.tradeoffs.risk import MeanCVaR
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.solvers.values.returns import ReturnDistribution
@@ -83,34 +82,6 @@ def draw_front(
     first, second = front.names
     names = {"x": f"expected total of {first}", "y": f"expected total of {second}"}
     return described(ax, f"The front of {second} against {first}", **names)
-
-
-@picture
-def plot_mean_cvar(points: MeanCVaR, *, ax: Axes | None = None) -> Axes:
-    """Draw the mean against the mean of the worst episodes: best policies, and given ones."""
-    ax = axes_or_new(ax)
-    at = [(float(each.mean), float(each.value)) for each in points.optima]
-    words = "best for a weight of the mean\n(written beside it)"
-    across, up = zip(*at, strict=True)
-    ax.plot(across, up, linestyle="", color=BLUE, marker="o", label=words)
-    weights = dict[tuple[float, float], list[str]]()
-    for point, best in zip(at, points.optima, strict=True):
-        weights.setdefault(point, []).append(f"{float(best.weight):.3g}")
-    for point, own in weights.items():
-        words = own[0] if len(own) == 1 else f"{own[0]} to {own[-1]}"
-        left = point[0] < (min(across) + max(across)) / 2
-        aside, side = ((4, -12), "left") if left else ((-4, -12), "right")
-        ax.annotate(words, point, textcoords="offset points", xytext=aside, ha=side)
-    for number, (name, place) in enumerate(points.policies.items()):
-        _mark(ax, number, name, place)
-    what = "return" if points.mdp.sense == "max" else "cost"
-    return described(
-        ax,
-        "The mean against the worst episodes",
-        points.mdp.name,
-        x=f"mean {what} of all episodes",
-        y=f"mean {what} of the worst {float(points.level):.3g} of them",
-    )
 
 
 def _mark(ax: Axes, number: int, label: str, place: Any, **form: Any) -> None:

@@ -16,7 +16,7 @@ functions and exponential utility maximization, SIAM J. Control and Optimization
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
@@ -32,7 +32,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, at_most, decimal
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
-from exact_mdp.mdp.table import Floats, Numbers, exact, integers, magnitude, multiply
+from exact_mdp.mdp.table import Floats, Numbers, exact, integers, magnitude, multiply, shown
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
 from exact_mdp.solvers.solution import Bounded, Certified, Claim
 from exact_mdp.solvers.solver import mdp_of
@@ -163,24 +163,43 @@ class ReturnDistribution(Pictured):
             return max(self.unending)
         return self.unit * int(self.multiples[min(index, last)])
 
+    def tail_mean(self, share: object, *, highest: bool = False) -> Fraction | float:
+        """Return the mean of the lowest share of the returns (CVaR), or of the highest.
+
+        It is exact where the probabilities are.
+        """
+        law = self.as_dict() if self.exact is None else self._law(self.exact, self._endless)
+        mean: Fraction | float = tail_mean(law, share_of(share), highest=highest)
+        return mean
+
     @cached_property
     def _cumulative(self) -> Floats:
         return self._infinite(-inf) + np.cumsum(self.probabilities)
 
     def as_dict(self) -> dict[Fraction | float, float]:
         """Return {return: probability}, infinite returns included."""
-        law: dict[Fraction | float, float] = {}
-        law |= {s: self._infinite(s) for s in self.unending if s < 0}
-        law |= zip(self.values, self.probabilities.tolist(), strict=True)
-        return law | {s: self._infinite(s) for s in self.unending if s > 0}
+        return self._law(
+            self.probabilities.tolist(), {s: float(p) for s, p in self._endless.items()}
+        )
+
+    @property
+    def _endless(self) -> dict[float, Any]:
+        return {sign: each.value for sign, each in self.unending.items()}
+
+    def _law(
+        self, listed: Sequence[Any], endless: Mapping[float, Any]
+    ) -> dict[Fraction | float, Any]:
+        """Return what is said of every return, in rising order, infinite ones included."""
+        law: dict[Fraction | float, Any] = {s: said for s, said in endless.items() if s < 0}
+        law |= zip(self.values, listed, strict=True)
+        return law | {s: said for s, said in endless.items() if s > 0}
 
     def frame(self) -> DataFrame:
         """Return the probability of every return, infinite ones included, and its error bound."""
         law = self.as_dict()
-        errors: dict[Fraction | float, float] = {}
-        errors |= zip(self.values, self.error.tolist(), strict=True)
-        errors |= {s: float(getattr(each, "error", 0.0)) for s, each in self.unending.items()}
-        columns = {"probability": [*law.values()], "error": [errors[value] for value in law]}
+        endless = {s: float(getattr(each, "error", 0.0)) for s, each in self.unending.items()}
+        errors = self._law(self.error.tolist(), endless)
+        columns = {"probability": [*law.values()], "error": [*errors.values()]}
         return data_frame(columns, index=[*law]).rename_axis("return")
 
     def report(self) -> Report:
@@ -195,13 +214,8 @@ class ReturnDistribution(Pictured):
             "distribution": law,
         }
         if self.exact is not None:
-            exactly: dict[Fraction | float, Any] = {
-                sign: each.value for sign, each in self.unending.items()
-            }
-            exactly |= zip(self.values, self.exact, strict=True)
-            facts["exact_distribution"] = {
-                decimal(value): exactly[value] for value in self.as_dict()
-            }
+            exactly = self._law(self.exact, self._endless).items()
+            facts["exact_distribution"] = {decimal(value): chance for value, chance in exactly}
         below = accumulate(law.values())
         rows = [
             {"return": value, "chance": chance, "sum": most}
@@ -218,6 +232,28 @@ class ReturnDistribution(Pictured):
             f"sd {self.sd:.6g}, remaining {self.remaining:.1g}"
             + (f", infinite with probability {self.never_ends:.6g})" if self.unending else ")")
         )
+
+
+def share_of(level: object) -> Fraction:
+    """Return the share of the worst episodes that counts."""
+    share = exact(level, "conditional value at risk")
+    if not 0 < share <= 1:
+        raise ModelError(
+            f"the level is {shown(share)}",
+            where="conditional value at risk",
+            fix="choose the share of the worst episodes: above 0, at most 1",
+        )
+    return share
+
+
+def tail_mean(law: Mapping[Any, Any], level: Fraction, *, highest: bool = False) -> Any:
+    """Return the mean of the lowest, or the highest, share of returns with their probabilities."""
+    left: Any = level
+    total: Any = Fraction(0)
+    for value in sorted(law, reverse=highest):
+        part = min(left, law[value])
+        total, left = total + (part * value if part else 0), left - part
+    return total / level
 
 
 def times(number: float, power: int) -> float:

@@ -18,7 +18,6 @@ from exact_mdp import (
     Column,
     Scenario,
     StateSpace,
-    accuracy_curves,
     error_costs,
     evaluate,
     independent,
@@ -93,19 +92,6 @@ def test_states_may_come_back() -> None:
     assert costs.value.value == pytest.approx(worth(mdp, seen, [0, 1, 0]))
     lost = costs.perfect.value - costs.value.value
     assert costs.loss.sum() == pytest.approx(lost, abs=2 * costs.error)
-    curves = accuracy_curves(mdp, [0, 1, 0], levels=[0.5, 1], statuses=["all"])
-    half = worth(mdp, independent([0.5], [0.5]), [0, 1, 0])
-    assert curves.values["all"] == pytest.approx([half, costs.perfect.value], abs=1e-12)
-
-
-def test_accuracy_curves_are_values_of_what_is_perceived(care: MDP) -> None:
-    levels = [0.5, 2 / 3, 1.0]
-    curves = accuracy_curves(care, PLAN, levels=levels, statuses=["all", "confusion"])
-    for status, bits in (("all", [0, 1, 2, 3]), ("confusion", [1])):
-        for level, value in zip(levels, curves.values[status], strict=True):
-            rates = np.ones(4)
-            rates[bits] = level
-            assert value == pytest.approx(worth(care, independent(rates, rates)), abs=1e-9)
 
 
 # ---- by command ----------------------------------------------------------------------------------
