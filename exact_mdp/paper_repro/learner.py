@@ -17,15 +17,12 @@ from typing import Any
 import numpy as np
 
 from exact_mdp import MDP, ModelError
-from exact_mdp.analysis.learning.curves import (
-    LearningCurve,
-    exact_curves,
-    learning_curve,
-)
-from exact_mdp.analysis.learning.outcomes import Outcomes, outcomes
+from exact_mdp.analysis.learning.curves import LearningCurve, learning_curve
+from exact_mdp.analysis.learning.outcomes import Outcomes, common_rows, outcomes
 from exact_mdp.solvers.learning.q_learning import QLearning, TrainingRun
 from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING, Constant
 from exact_mdp.solvers.learning.training import train
+from exact_mdp.solvers.values.layers import policy_values
 
 SEED = 20250101
 CURVES = 2**20  # the child of the seed that curves are drawn from
@@ -68,7 +65,9 @@ class Learned:
     @cached_property
     def values(self) -> np.ndarray:
         """(R, E) exact value of the greedy policy of every epoch of every run."""
-        return exact_curves(self.outcomes.mdp, self.runs)
+        mdp, runs = self.outcomes.mdp, self.runs
+        rows = common_rows(mdp, runs)
+        return np.array([policy_values(mdp, rows, r.policies).value[r.snapshots] for r in runs])
 
     @cached_property
     def converged(self) -> np.ndarray:

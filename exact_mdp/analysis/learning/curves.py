@@ -7,7 +7,6 @@ of the same policy; what is left of the noise in that curve comes from learning 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -117,10 +116,3 @@ def experiments(
         returns,
     )
     return returns, int(cut_short)
-
-
-def exact_curves(model: MDP, runs: Sequence[TrainingRun]) -> Floats:
-    """Return (R, E) exact values of the greedy policy of every epoch of every run."""
-    rows = common_rows(model, runs)
-    curves = [policy_values(model, rows, run.policies).value[run.snapshots] for run in runs]
-    return np.array(curves)

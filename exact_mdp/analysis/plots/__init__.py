@@ -12,7 +12,6 @@ with extra("plots"):
         plot_distinct,
         plot_learning_curves,
         plot_regrets,
-        plot_value_bands,
     )
     from exact_mdp.analysis.plots.sensitivity import plot_optimal_actions, plot_thresholds
     from exact_mdp.analysis.plots.states import plot_policy, plot_states
@@ -29,6 +28,5 @@ __all__ = [
     "plot_states",
     "plot_thresholds",
     "plot_transitions",
-    "plot_value_bands",
     "style",
 ]

@@ -80,45 +80,6 @@ def plot_learning_curves(
     return described(ax, what, x="epoch", y="return (reward)")
 
 
-@picture
-def plot_value_bands(
-    values: Mapping[str, Floats],
-    *,
-    optimum: float | None = None,
-    window: int = 25,
-    ax: Axes | None = None,
-) -> Axes:
-    """Draw exact values of greedy policies by epoch: mean over runs, 5 and 95 % quantiles.
-
-    Parameters
-    ----------
-    values : {label: (R, E)}
-        As `analysis.learning.curves.exact_curves` returns them.
-    optimum, window, ax
-        As in `plot_learning_curves`.
-
-    Returns
-    -------
-    Axes
-
-    Examples
-    --------
-    >>> values = np.linspace(0, 1, 40).reshape(2, 20)  # of two runs
-    >>> plot_value_bands({"two runs": values}, window=5).get_xlabel()
-    'epoch'
-    """
-    ax, means, bands = axes_or_new(ax), {}, {}
-    for label, curves in values.items():
-        low, high = np.quantile(curves, [0.05, 0.95], axis=0)
-        means[label] = smoothed(curves.mean(axis=0), window)
-        bands[label] = (*smoothed(low, window), smoothed(high, window)[1])
-    lines(ax, means, bands, words="5 to 95 % of the runs", linewidth=1.4)
-    if optimum is not None:
-        level(ax, optimum)
-    what = "Exact value of the greedy policy, mean over runs"
-    return described(ax, what, x="epoch", y="value (reward)")
-
-
 def smoothed(values: Floats, window: int) -> tuple[Floats, Floats]:
     """Return the middle of each window of epochs, and the mean of the values in it."""
     size = min(window, len(values))

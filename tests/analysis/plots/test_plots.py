@@ -145,11 +145,9 @@ def test_figures_of_learning() -> None:
         name: learning_curve(mdp, learner.train(mdp, k), rng=1) for k, name in enumerate(names)
     }
     learned = outcomes(mdp, train(mdp, learner, 12, rng=0))
-    values = np.random.default_rng(0).normal(size=(9, 30))
     with plots.style():
         drawn = [
             plots.plot_learning_curves(curves, optimum=146.2, window=5),
-            plots.plot_value_bands({"a": values, "b": values + 1}, window=1, optimum=3.0),
             plots.plot_regrets({"constant ε": learned}, ax=Figure().subplots()),
             plots.plot_distinct({"constant ε": learned, "again": learned}),
             plots.plot_learning_curves(curves),  # a window longer than the curve
@@ -157,12 +155,11 @@ def test_figures_of_learning() -> None:
     for ax in drawn:
         assert ax.get_ylabel()
         ax.figure.canvas.draw()
-    smoothed, bands, regrets, distinct, _ = drawn
+    smoothed, regrets, distinct, _ = drawn
     assert legend_of(smoothed) == [*names, "optimum"]
-    lines = {line.get_label(): line.get_ydata() for ax in (smoothed, bands) for line in ax.lines}
+    lines = {line.get_label(): line.get_ydata() for line in smoothed.lines}
     exact = curves["constant ε"].value
     assert lines["constant ε"] == pytest.approx([exact[i : i + 5].mean() for i in range(36)])
-    assert lines["a"] == pytest.approx(values.mean(axis=0))
     x, y = regrets.lines[0].get_data()
     assert (x[-1], y[-1]) == (learned.regret.max(), 1)
     assert f"{learned.regret.mean():.2f}" in legend_of(regrets)[0]
