@@ -36,7 +36,7 @@ from exact_mdp.mdp.table import Floats, Numbers, common, integers
 from exact_mdp.solvers.bounds.gains import SLACK
 from exact_mdp.solvers.endless.chain import ExactChain
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution, Limit, solve_under
-from exact_mdp.solvers.solution import Bounded, Certified, regret
+from exact_mdp.solvers.solution import Bounded, Certified
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.average import AverageEvaluation, average
 from exact_mdp.solvers.values.policy_chain import PolicyChain, flow_of
@@ -181,32 +181,17 @@ class Average(Total):
             moved += _movable(chain, own, mine.value, mine.bias)
             movable = partial(Fraction, moved * SLACK)
             optimal = tied(chain, optimal, near, whole, movable)
-        return Regret(
-            optimal=best.start,
-            learned=mine.start,
-            at_start=Certified(value=whole),
-            optimal_value=best.value_float,
-            learned_value=mine.value_float,
-            by_state=(best.value - mine.value).astype(np.float64),
-            optimal_pairs=optimal,
-            gap=np.where(optimal, 0.0, gap),
-            movable=movable,
-        )
+        both = (best.start, best.value_float), (mine.start, mine.value_float)
+        apart = (best.value - mine.value).astype(np.float64)
+        return Regret.between(*both, optimal, by_state=apart, gap=gap, movable=movable)
 
     def _bounded(self) -> Regret:
         mdp, own = self.chain.mdp.maximised, self.own
-        solution = solve(mdp, criterion="average")
-        return Regret(
-            optimal=solution.start,
-            learned=own.start,
-            at_start=regret(solution.start, own.start),
-            optimal_value=solution.value,
-            learned_value=own.value,
-            by_state=np.maximum(solution.value - own.value, 0.0),
-            optimal_pairs=np.ones(mdp.n_pairs, dtype=bool),
-            unclear=np.bincount(solution.pairs, minlength=mdp.n_pairs) == 0,
-            gap=np.zeros(mdp.n_pairs),
-        )
+        best, gap = solve(mdp, criterion="average"), np.zeros(mdp.n_pairs)
+        other = np.bincount(best.pairs, minlength=mdp.n_pairs) == 0
+        both = (best.start, best.value), (own.start, own.value)
+        apart = np.maximum(best.value - own.value, 0.0)
+        return Regret.between(*both, gap == 0, by_state=apart, gap=gap, unclear=other)
 
 
 def _visits(chain: PolicyChain, own: ExactChain) -> Floats:

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, partial
 from math import inf
+from typing import Any
 
 import numpy as np
 
@@ -42,6 +43,7 @@ from exact_mdp.solvers.solution import (
     Bounded,
     Certified,
     Claim,
+    Number,
     SolverError,
     at_start,
     in_decimals,
@@ -84,6 +86,22 @@ class Regret(Brief):
     unclear: Flags | bool = False  # (L,) which optimal ones the bounds do not prove to be
     optimum: Certificate | Bounds | None = None  # of a total, what vouches for the values
     movable: Callable[[], Fraction] = Fraction  # works out `forgiven`
+
+    @classmethod
+    def between(
+        cls, best: tuple[Number, Floats], own: tuple[Number, Floats], optimal: Flags, **parts: Any
+    ) -> Regret:
+        """Return the regret, by what both are worth at the start and in every state (S,)."""
+        parts["gap"] = np.where(optimal, 0.0, parts["gap"])
+        return cls(
+            optimal=best[0],
+            learned=own[0],
+            at_start=regret(best[0], own[0]),
+            optimal_value=best[1],
+            learned_value=own[1],
+            optimal_pairs=optimal,
+            **parts,
+        )
 
     def __repr__(self) -> str:
         optimal, learned = float(self.optimal.value), float(self.learned.value)
@@ -288,18 +306,8 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
         with suppress(SolverError):
             near = np.nextafter(gap, inf) <= ties(ideal, rounded(value))
             optimal = tied(chain, optimal, near, lost, movable)
-    return Regret(
-        optimal=best.start,
-        learned=Certified(value=learned),
-        at_start=Certified(value=lost),
-        optimal_value=value,
-        learned_value=mine,
-        by_state=by_state,
-        optimal_pairs=optimal,
-        gap=np.where(optimal, 0.0, gap),
-        optimum=best,
-        movable=movable,
-    )
+    both = (best.start, value), (Certified(value=learned), mine)
+    return Regret.between(*both, optimal, by_state=by_state, gap=gap, optimum=best, movable=movable)
 
 
 def tied(
@@ -325,22 +333,20 @@ def _bounded(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
     if not np.array_equal(chain.pairs, optimum.pairs):
         evaluation = evaluate(mdp, chain)
         own = FixedPoint(value=evaluation.value, error=evaluation.error)
-    near = ActionBounds(mdp, optimum)
-    best, mine, ideal = at_start(mdp, known), at_start(mdp, own), taking(mdp, optimum.pairs)
+    near, ideal = ActionBounds(mdp, optimum), taking(mdp, optimum.pairs)
     loses = _losing(ideal, known, near.least_gap)
-    return Regret(
-        optimal=best,
-        learned=mine,
-        at_start=Certified(value=Fraction(0)) if near.all_best(chain) else regret(best, mine),
-        optimal_value=known.value,
-        learned_value=own.value,
+    lost = Regret.between(
+        (at_start(mdp, known), known.value),
+        (at_start(mdp, own), own.value),
+        ~loses,
         by_state=np.maximum(known.value - own.value, 0.0),
-        optimal_pairs=~loses,
         unclear=~loses & near.open,
-        gap=np.where(loses, near.gap, 0.0),
+        gap=near.gap,
         optimum=optimum,
         movable=partial(forgiven, mdp, (chain, own), (ideal, known)),
     )
+    certain = near.all_best(chain)
+    return replace(lost, at_start=Certified(value=Fraction(0))) if certain else lost
 
 
 def _losing(ideal: PolicyChain, known: FixedPoint, least_gap: Floats) -> Flags:
