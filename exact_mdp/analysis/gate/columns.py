@@ -33,7 +33,7 @@ from exact_mdp.solvers.bounds.gains import SLACK, first_of, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, policy_chain
 from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.solver import mdp_of
-from exact_mdp.solvers.values.layers import NUMBERS, layers_of
+from exact_mdp.solvers.values.layers import NUMBERS, layers_of, taken
 
 WORK = 2**25  # transitions times relaxations, unless a limit is given
 PROVEN = 1e-9  # of |value|
@@ -187,12 +187,16 @@ class Rows:
         Its action in a row is the one that loses least at the visits of the relaxation's own
         policy; how much that is comes third, (N, K).
         """
-        mdp, (value, q, best, upper, error) = self.mdp, self._solved(allowed)
-        number = np.where(q >= best[mdp.pair_state], np.arange(mdp.n_pairs)[:, None], mdp.n_pairs)
-        first = np.minimum.reduceat(number, mdp.pair_offsets[:-1])
-        visits = self._passes.visits(number == first[mdp.pair_state])
-        gap = np.where(np.isinf(q), 0.0, value[mdp.pair_state] - q)
-        lost = visits[mdp.pair_state] * gap
+        mdp, flat = self.mdp, allowed.reshape(len(allowed), -1)
+        pairs = np.concatenate([flat, np.ones((len(flat), 1), dtype=bool)], axis=1).T[self._entry]
+        value, q, apart = self._passes.best(pairs)
+        upper, error = self._at_start(value, apart)
+        offsets, state = mdp.pair_offsets[:-1], mdp.pair_state
+        q = np.where(pairs, q, -np.inf)
+        best = np.maximum.reduceat(q, offsets)[state]
+        number = np.where(q >= best, np.arange(mdp.n_pairs)[:, None], mdp.n_pairs)
+        visits = self._passes.visits(number == np.minimum.reduceat(number, offsets)[state])
+        lost = visits[state] * np.where(pairs, value[state] - q, 0.0)
         lost = np.asarray((self._sums @ lost).T).reshape(allowed.shape)
         # What rounding leaves is not a loss: of equal actions, the lowest number is taken.
         lost[lost <= self._rounding(value)[:, None, None]] = 0.0
@@ -201,24 +205,16 @@ class Rows:
 
     def values(self, choices: Integers) -> FixedPoint:
         """Return the start values (N,) of policies (N, K)."""
-        parts = np.array_split(choices, -(-len(choices) * self.mdp.n_pairs // NUMBERS))
-        taken = (np.eye(self.mdp.n_actions, dtype=bool)[part] for part in parts)
-        value, error = zip(*(self._solved(allowed)[3:] for allowed in taken), strict=True)
+        parts = np.array_split(choices, -(-len(choices) * self.mdp.n_states // NUMBERS))
+        each = (self._passes.values(taken(self.mdp, self.key, part)) for part in parts)
+        value, error = zip(*(self._at_start(*solved) for solved in each), strict=True)
         return FixedPoint(value=np.concatenate(value), error=np.concatenate(error))
 
-    def _solved(self, allowed: Flags) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-        """Return V (S, N), Q (L, N), max Q over the pairs allowed, start values (N,), errors (N,).
-
-        Q is -inf of pairs that are not allowed.
-        """
-        mdp, flat = self.mdp, allowed.reshape(len(allowed), -1)
-        pairs = np.concatenate([flat, np.ones((len(flat), 1), dtype=bool)], axis=1).T[self._entry]
-        value, q = self._passes.best(pairs)
-        q = np.where(pairs, q, -np.inf)
-        best = np.maximum.reduceat(q, mdp.pair_offsets[:-1])
-        off = (np.abs(best - value).max(axis=0) + self._rounding(value)) * self._reach
-        summing = gamma(len(mdp.start) + 2) * np.abs(value).max(axis=0)
-        return value, q, best, mdp.start_distribution @ value, (off + summing) * SLACK
+    def _at_start(self, value: Floats, apart: Floats) -> tuple[Floats, Floats]:
+        """Return start values (N,) and their errors, of values (S, N) so far from a fixed point."""
+        off = (apart + self._rounding(value)) * self._reach
+        summing = gamma(len(self.mdp.start) + 2) * np.abs(value).max(axis=0)
+        return self.mdp.start_distribution @ value, (off + summing) * SLACK
 
     def _rounding(self, value: Floats) -> Floats:
         """Return (N,) how far a computed r + γPV - V may be from the exact one."""
@@ -232,11 +228,11 @@ class Cycles:
     def __init__(self, mdp: MDP) -> None:
         self.mdp = mdp
 
-    def best(self, allowed: Flags) -> tuple[Floats, Floats]:
-        """Return the optimal values (S, N) and action values (L, N) of the pairs allowed (L, N)."""
+    def best(self, allowed: Flags) -> tuple[Floats, Floats, Floats]:
+        """See `Layers.best`."""
         mdp, first = self.mdp, self.mdp.pair_offsets[:-1]
         values, actions = np.empty((mdp.n_states, allowed.shape[1])), np.empty(allowed.shape)
-        pairs = first
+        apart, pairs = np.empty(allowed.shape[1]), first
         for column, mask in enumerate(allowed.T):
             pairs = np.where(mask[pairs], pairs, first_of(mdp, mask))  # the one before is near
             for _ in range(ITERATIONS):
@@ -250,7 +246,15 @@ class Cycles:
                     break
                 pairs = np.where(better, first_of(mdp, mask & (q == best[mdp.pair_state])), pairs)
             values[:, column], actions[:, column] = value, q
-        return values, actions
+            apart[column] = np.abs(best - value).max()
+        return values, actions, apart
+
+    def values(self, taken: Integers) -> tuple[Floats, Floats]:
+        """See `Layers.values`."""
+        alone = np.zeros((self.mdp.n_pairs, taken.shape[1]), dtype=bool)
+        np.put_along_axis(alone, taken, True, axis=0)
+        value, _, apart = self.best(alone)
+        return value, apart
 
     def visits(self, taken: Flags) -> Floats:
         """Return (S, N) discounted visits from the start where the pairs (L, N) are taken."""

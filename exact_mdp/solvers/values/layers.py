@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from exact_mdp.mdp.graph import reachable, topological_levels
 from exact_mdp.mdp.model import MDP, once
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.table import Floats, Numbers, spans
+from exact_mdp.mdp.table import Floats, Integers, Numbers, spans
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint
@@ -45,23 +45,25 @@ class Layers:
             back = sp.csr_array((matrix.data, columns, matrix.indptr), shape).T.tocsr()
             self.blocks.append((states, pairs, offsets, matrix, targets, back))
 
-    def best(self, allowed: Flags) -> tuple[Floats, Floats]:
-        """Return the optimal values (S, N) and action values (L, N) of the pairs allowed (L, N)."""
-        return self._backward(np.where(allowed, 0.0, -np.inf), np.maximum, np.add)
-
-    def mean(self, weights: Floats, reward: Floats | None = None) -> tuple[Floats, Floats]:
-        """Return the same of policies that take pairs with these weights (L, N)."""
-        return self._backward(weights, np.add, np.multiply, reward)
-
-    def _backward(
-        self, by: Floats, over: np.ufunc, using: np.ufunc, reward: Floats | None = None
-    ) -> tuple[Floats, Floats]:
-        mdp, reward = self.mdp, self.mdp.reward if reward is None else reward
-        value, q = np.zeros((mdp.n_states, by.shape[1])), np.zeros(by.shape)
+    def best(self, allowed: Flags) -> tuple[Floats, Floats, Floats]:
+        """Return V (S, N) and Q (L, N) of the pairs allowed (L, N), and how far max Q is from V."""
+        mdp, worst = self.mdp, np.where(allowed, 0.0, -np.inf)
+        value, q = np.zeros((mdp.n_states, allowed.shape[1])), np.zeros(allowed.shape)
         for states, pairs, offsets, matrix, _, _ in self.blocks:
-            q[pairs] = reward[pairs, None] + mdp.discount * (matrix @ value)
-            value[states] = over.reduceat(using(q[pairs], by[pairs]), offsets)
-        return value, q
+            q[pairs] = mdp.reward[pairs, None] + mdp.discount * (matrix @ value)
+            value[states] = np.maximum.reduceat(q[pairs] + worst[pairs], offsets)
+        return value, q, np.zeros(allowed.shape[1])
+
+    def values(self, taken: Integers, reward: Floats | None = None) -> tuple[Floats, Floats]:
+        """Return V (S, N) of policies that take these pairs (S, N), and how far Q is from it."""
+        mdp, reward = self.mdp, self.mdp.reward if reward is None else reward
+        value, used = np.zeros(taken.shape), np.zeros(mdp.n_pairs, dtype=bool)
+        used[taken] = True
+        for states, pairs, _, _, _, _ in self.blocks:
+            here = pairs[used[pairs]]  # few of all, where policies differ in few states
+            q = reward[here, None] + mdp.discount * (mdp.transition[here] @ value)
+            value[states] = np.take_along_axis(q, np.searchsorted(here, taken[states]), axis=0)
+        return value, np.zeros(taken.shape[1])
 
     def visits(self, weights: Floats | Flags) -> Floats:
         """Return (S, N) discounted visits from the start where pairs have these weights (L, N)."""
@@ -79,6 +81,15 @@ def layers_of(mdp: MDP) -> Layers:
     return Layers(mdp)
 
 
+def taken(mdp: MDP, key: Integers, policies: Numbers) -> Integers:
+    """Return the pairs (S, N) of policies (N, K), by the row (S,) that each state reads of them."""
+    pair = mdp.by_action(np.arange(mdp.n_pairs), -1).astype(np.int64)
+    chosen = pair[np.arange(mdp.n_states)[:, None], policies[:, key].T]
+    # Where there is no choice the row says nothing.
+    alone = mdp.forced[:, None] | (chosen < 0)
+    return np.where(alone, mdp.pair_offsets[:-1][:, None], chosen)
+
+
 def policy_values(mdp: MDP, rows: Rows, policies: Numbers) -> FixedPoint:
     """Return the start values (U,) of policies (U, K), an action number for each of K rows."""
     if topological_levels(mdp) is None:
@@ -88,19 +99,13 @@ def policy_values(mdp: MDP, rows: Rows, policies: Numbers) -> FixedPoint:
             value=np.array([each.mean for each in evaluations]),
             error=np.array([each.start.error for each in evaluations]),
         )
-    pair = np.full((mdp.n_states, mdp.n_actions), -1, dtype=np.int64)
-    pair[mdp.pair_state, mdp.pair_action] = np.arange(mdp.n_pairs)
-    pair[mdp.forced] = mdp.pair_offsets[:-1][mdp.forced][:, None]
-    asked = np.flatnonzero(reachable(mdp) & ~mdp.terminal)
     layers, start = layers_of(mdp), mdp.start_distribution
     value, size = np.empty((2, len(policies)))
-    for first in range(0, len(policies), part := max(1, NUMBERS // mdp.n_pairs)):
+    for first in range(0, len(policies), part := max(1, NUMBERS // mdp.n_states)):
         here = slice(first, first + part)
-        taken = pair[asked[:, None], policies[here, rows.key[asked]].T]
-        weights = np.zeros((mdp.n_pairs, taken.shape[1]))
-        np.put_along_axis(weights, taken, 1.0, axis=0)
-        value[here] = start @ layers.mean(weights)[0]
-        size[here] = start @ layers.mean(weights, np.abs(mdp.reward))[0]
+        pairs = taken(mdp, rows.key, policies[here])
+        value[here] = start @ layers.values(pairs)[0]
+        size[here] = start @ layers.values(pairs, np.abs(mdp.reward))[0]
     longest = int(np.diff(mdp.transition.indptr).max())
     terms = len(layers.blocks) * (longest + 6) + mdp.n_states + 4
     return FixedPoint(value=value, error=(gamma(terms) * size + TINY * terms) * SLACK)
