@@ -168,18 +168,18 @@ class Audit(Pictured):
 
         `unclear` states count as agreement. NaN where no policy keeps the limits.
         """
-        states = int(self.mdp.asked.sum())
-        if not self.feasible:
-            return nan
-        return 1 - len(self.disagreements) / states if states else 1.0
+        return self._agreeing(np.ones(self.mdp.n_states))
 
     @property
     def agreement_by_visits(self) -> float:
         """The same share of the policy's visits to states with a choice."""
+        return self._agreeing(self.visits)
+
+    def _agreeing(self, weight: Floats) -> float:
         if not self.feasible:
             return nan
-        total = float(self.visits[self.mdp.asked].sum())
-        wrong = sum(each.expected_visits for each in self.disagreements)
+        total = float(weight[self.mdp.asked].sum())
+        wrong = float(sum(weight[each.state] for each in self.disagreements))
         return 1.0 if total == 0 else float(np.maximum(0.0, 1 - wrong / total))
 
     @cached_property
@@ -422,7 +422,7 @@ class Audit(Pictured):
             "disagreements": self._rows(),
             "regret_by_state": Shown(dict(by_state) if mdp.n_states <= LISTED_STATES else None),
             **self.criterion.facts(),
-            **Representation.facts(why),
+            **(dict.fromkeys(("representation", "rows")) if why is None else why.facts()),
             "q_error": self.q_error,
         }
         columns = {"state": "state", "yours": "learned", "optimal": "either"}

@@ -178,12 +178,9 @@ class Representation:
             f"{self.unseen}, {cell(self.learning_error)} because of what was learned"
         )
 
-    @staticmethod
-    def facts(why: Representation | None) -> dict[str, Any]:
-        """Return what a report says of it; null where there is nothing to say."""
-        if why is None:
-            return {"representation": None, "rows": None}
-        best = why.best
+    def facts(self) -> dict[str, Any]:
+        """Return what a report says of it."""
+        best = self.best
         details = {
             "columns": best.columns,
             "best_value": best.value.value,
@@ -191,12 +188,12 @@ class Representation:
             "upper_bound": best.upper_bound,
             "mixed_upper_bound": best.mixed_upper_bound,
             "proven": best.proven,
-            "loss": float(why.loss.value),
-            "learning_error": float(why.learning_error.value),
-            "uncertainty": why.uncertainty,
+            "loss": float(self.loss.value),
+            "learning_error": float(self.learning_error.value),
+            "uncertainty": self.uncertainty,
             "policy": best.actions,
         }
-        return {"representation": Shown(details, str(why)), "rows": Shown(why.rows)}
+        return {"representation": Shown(details, str(self)), "rows": Shown(self.rows)}
 
 
 def _changes(rows: Rows, policy: Policy) -> tuple[dict[str, Any], ...]:
