@@ -30,11 +30,10 @@ from exact_mdp.analysis.gate.reasons import Findings, findings, listed
 from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap, policy_regret, proven, tied
 from exact_mdp.analysis.gate.waiting import taking
 from exact_mdp.analysis.optimum import sound
-from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Shown, Table, cell
-from exact_mdp.mdp.table import Floats, Numbers, common, integers
+from exact_mdp.mdp.table import Floats, common, integers
 from exact_mdp.solvers.bounds.gains import SLACK
-from exact_mdp.solvers.endless.chain import ExactChain
+from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution, Limit, solve_under
 from exact_mdp.solvers.solution import Bounded, Certified
 from exact_mdp.solvers.solver import solve
@@ -141,10 +140,6 @@ class Average(Total):
     def _undiscounted(self) -> PolicyChain:
         return replace(self.chain, mdp=self.chain.mdp.maximised.undiscounted)
 
-    @cached_property
-    def _exactly(self) -> ExactChain:
-        return ExactChain(self._undiscounted.rows())
-
     def regret(self, exact: bool | None) -> Regret:
         """Return what the policy loses per step: exactly unless that takes long."""
         mdp = self.chain.mdp
@@ -155,7 +150,7 @@ class Average(Total):
         """Return where the policy loses what it loses; bounds do not tell."""
         chain = self._undiscounted
         certified = isinstance(lost.at_start, Certified)
-        visits = _visits(chain, self._exactly) if certified else self.own.visits
+        visits = _visits(chain) if certified else self.own.visits
         return listed(chain, lost, visits, np.full(chain.mdp.n_states, -1))
 
     def _certified(self) -> Regret:
@@ -166,19 +161,16 @@ class Average(Total):
         """
         chain = self._undiscounted
         step, best = chain.mdp, proven(self.chain.mdp.maximised, "average")
-        own, mine = self._exactly, proven(chain.model, "average")
-        lost, short = best.losses
-        gap = np.where(own.classes.recurrent[step.pair_state], lost + short, lost)
+        mine, (lost, short) = proven(chain.model, "average"), best.losses
+        gap = np.where(chain.exactly.classes.recurrent[step.pair_state], lost + short, lost)
         optimal = np.asarray(gap == 0, dtype=bool)
         gap, whole = gap.astype(np.float64), best.start_value - mine.start_value
         movable: Callable[[], Fraction] = Fraction
         if step.floats:
             # The rounding of a row, and of the best one, can cause the whole gap.
-            most = _per_use(step, own, best.value, best.bias)
+            most = _per_use(chain, best)
             near = gap * SLACK <= most + most[best.pairs][step.pair_state]
-            ideal = taking(step, best.pairs)
-            moved = _movable(ideal, ExactChain(ideal.rows()), best.value, best.bias)
-            moved += _movable(chain, own, mine.value, mine.bias)
+            moved = _movable(taking(step, best.pairs), best) + _movable(chain, mine)
             movable = partial(Fraction, moved * SLACK)
             optimal = tied(chain, optimal, near, whole, movable)
         both = (best.start, best.value_float), (mine.start, mine.value_float)
@@ -194,23 +186,23 @@ class Average(Total):
         return Regret.between(*both, gap == 0, by_state=apart, gap=gap, unclear=other)
 
 
-def _visits(chain: PolicyChain, own: ExactChain) -> Floats:
+def _visits(chain: PolicyChain) -> Floats:
     """Return (S,) the share of time; in transient states the expected visits from the start."""
-    share, met = own.shares(chain.mdp.start)
-    return np.where(own.classes.recurrent, share, met).astype(np.float64)
+    share, met = chain.exactly.shares(chain.mdp.start)
+    return np.where(chain.exactly.classes.recurrent, share, met).astype(np.float64)
 
 
-def _per_use(step: MDP, own: ExactChain, gain: Numbers, bias: Numbers) -> Floats:
+def _per_use(chain: PolicyChain, proof: Certificate) -> Floats:
     """Return (L,) what the rounding of a row moves of the bias; on the way, of the gain."""
-    stays = own.classes.recurrent[step.pair_state]
-    on_the_way = per_use(step, rounded(gain), rewards=False)
-    return np.where(stays, per_use(step, rounded(bias)), on_the_way)
+    step, stays = chain.mdp, chain.exactly.classes.recurrent[chain.mdp.pair_state]
+    on_the_way = per_use(step, rounded(proof.value), rewards=False)
+    return np.where(stays, per_use(step, rounded(proof.bias)), on_the_way)
 
 
-def _movable(chain: PolicyChain, own: ExactChain, gain: Numbers, bias: Numbers) -> float:
+def _movable(chain: PolicyChain, proof: Certificate) -> float:
     """Return what the rounding of floats can move of a policy's gain at the start."""
-    uses = _visits(chain, own)[chain.mdp.pair_state] * chain.weights
-    return float(uses @ _per_use(chain.mdp, own, gain, bias))
+    uses = _visits(chain)[chain.mdp.pair_state] * chain.weights
+    return float(uses @ _per_use(chain, proof))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

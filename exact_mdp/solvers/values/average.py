@@ -7,7 +7,6 @@ The gain is the same from all states of a recurrent class, the bias what a start
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from functools import cached_property
 from typing import ClassVar
 
@@ -17,7 +16,7 @@ from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.linear import FixedPoint
-from exact_mdp.solvers.endless.chain import Classes, ExactChain, expansion
+from exact_mdp.solvers.endless.chain import Classes, expansion
 from exact_mdp.solvers.solution import Bounded, Claim, SolverError, Status
 from exact_mdp.solvers.values.policy_chain import OfPolicy, PolicyChain, poor, require_few, rounded
 
@@ -107,7 +106,7 @@ def average(chain: PolicyChain) -> AverageEvaluation:
         require_few(mdp, error)
         exact = True
     if exact:
-        own = ExactChain(chain.rows(Fraction(1)))
+        own = chain.exactly
         classes, levels = own.classes, expansion(own, own.reward)[:2]
         gain, bias, share, arrivals = map(rounded, (*levels, *own.shares(mdp.start)))
     return AverageEvaluation(

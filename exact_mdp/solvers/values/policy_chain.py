@@ -397,11 +397,15 @@ class PolicyChain:
         (visits,) = visited(self.rows(), self.reached & ~self.mdp.terminal, self.mdp.start)
         return visits
 
+    @cached_property
+    def exactly(self) -> ExactChain:
+        """The chain in exact numbers, in which terminal states go on for ever, at discount 1."""
+        return ExactChain(self.rows(Fraction(1)))
+
     @property
     def exact_gain(self) -> Numbers:
         """(S,) the average reward per step as Fractions."""
-        chain = ExactChain(self.rows(Fraction(1)))
-        return long_run(chain, chain.reward)
+        return long_run(self.exactly, self.exactly.reward)
 
     def ended(self, states: Mask) -> PolicyChain:
         """Return the chain with some states (S,) made terminal."""
