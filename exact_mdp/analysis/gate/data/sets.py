@@ -135,14 +135,12 @@ class RowSets:
             size = 2 * UNIT * float(weights @ np.abs(value))
             rounding = (np.count_nonzero(weights) + 2) * size
             return float(weights @ value + (rounding if most else -rounding))
-        seen, first = np.flatnonzero(weights), np.array([0])
-        p, n = weights[seen] / weights[seen].sum(), len(seen) + 1
-        states = np.append(seen, self.mdp.n_states)  # the last one: any other state
-        outcomes = states, np.append(p, 0.0), np.zeros(n)
-        block = side_by_side(first, (first, np.array([n])), outcomes)
-        radius = _radius(p, 0 * seen, np.array([self.episodes]), self.mdp.n_states, self.share)
+        begun, one = sp.csr_array(weights[None] / weights.sum()), np.array([0])
+        n = np.array([self.episodes])
+        radius = _radius(begun.data, 0 * begun.indices, n, self.mdp.n_states, self.share)
+        blocks = _with_unseen(one, begun, np.zeros(begun.nnz), 0.0)
         values = np.append(value, value.max() if most else value.min())
-        worst = inner(Likelihood(radius=radius), block, values, discount=1.0, against=not most)
+        worst = inner(Likelihood(radius=radius), blocks, values, discount=1.0, against=not most)
         return float(worst.high[0] if most else worst.low[0])
 
     @cached_property
@@ -183,17 +181,15 @@ class RowSets:
 
     @cached_property
     def blocks(self) -> list[list[Block]]:
-        """The counted rows, each with one more outcome that nobody saw, of the least reward; most.
-
-        The states' numbers end with one for that outcome.
-        """
-        ends = self.counts.indptr
+        """The counted rows; with the least reward where nobody saw one, and with the most."""
         seen = self.gains if self.known else np.zeros(self.counts.nnz)
-        following = np.insert(self.counts.indices, ends[1:], self.mdp.n_states).astype(np.int64)
-        counts = np.insert(self.counts.data, ends[1:], 0.0)
-        rows = ends[:-1] + np.arange(len(self.pairs)), np.diff(ends) + 1
-        gains = (np.insert(seen, ends[1:], gain * self.known) for gain in self.rewards)
-        return [side_by_side(self.pairs, rows, (following, counts, each)) for each in gains]
+        never = (gain * self.known for gain in self.rewards)
+        return [_with_unseen(self.pairs, self.counts, seen, gain) for gain in never]
+
+    @cached_property
+    def laws(self) -> Likelihood:
+        """What rows may be."""
+        return Likelihood(radius=self.radius)
 
     def worth(self, value: Floats, *, most: bool, rewards: bool = True) -> Step:
         """Return what nature makes of every pair at values (S,): as much or as little as it can.
@@ -204,7 +200,7 @@ class RowSets:
         far = int(value.argmax() if most else value.argmin())
         blocks = self.blocks[most]
         values = inner(
-            Likelihood(radius=self.radius),
+            self.laws,
             blocks,
             np.append(value, value[far]),
             discount=mdp.discount,
@@ -233,6 +229,15 @@ class RowSets:
             return sp.csr_array(laws, mdp.transition.shape), total
 
         return Step(bound, piece)
+
+
+def _with_unseen(pairs: Integers, counts: sp.csr_array, gains: Floats, gain: float) -> list[Block]:
+    """Return rows of counts (U, S) with one more outcome that nobody saw, its state number S."""
+    ends = counts.indptr
+    following = np.insert(counts.indices, ends[1:], counts.shape[1]).astype(np.int64)
+    rows = ends[:-1] + np.arange(len(pairs)), np.diff(ends) + 1
+    seen = np.insert(counts.data, ends[1:], 0.0), np.insert(gains, ends[1:], gain)
+    return side_by_side(pairs, rows, (following, *seen))
 
 
 def _radius(p: Floats, row: Integers, n: Floats, states: int, doubt: float) -> Floats:
