@@ -1,10 +1,9 @@
 """A gate for a trainer that is random: how many of its seeds give a policy within the limits.
 
-Each policy is audited exactly, one run after the other. The share of seeds within the limits has an
-interval that holds after every run at once, so that the gate ends as soon as the share is proven to
-be below `share`, and fails, or at least that, and passes. A share that is open after all runs
-passes: a trainer that is good enough fails with probability α at most. With `prove`, what is open
-fails too. Runs so few that the gate could not fail are refused.
+Each policy is audited, one run after the other, until the share of seeds within the limits is
+proven to be below `share`, which fails, or at least that, which passes. A share that is open after
+all runs passes unless it has to be proven: a trainer that is good enough fails with probability α
+at most. Runs so few that the gate could not fail are refused.
 
 Of n independent trials k succeeded and m did not. If p is the chance of success, whoever bets
 against it, with stakes that follow the trials so far, has after n trials
@@ -12,11 +11,10 @@ against it, with stakes that follow the trials so far, has after n trials
     E_n(p) = ∫ q^k (1 - q)^m dBeta(1/2, 1/2)(q) / (p^k (1 - p)^m)
            = C(2k, k) C(2m, m) / (4^n C(n, k)) / (p^k (1 - p)^m)
 
-times what was there at first: E_n(p) is a martingale of mean 1. So P(E_n(p) ≥ 1/α at some n) ≤ α
-(Ville, Étude critique de la notion de collectif, 1939), and all p with E_n(p) < 1/α so far are an
-interval that holds at all n together with probability 1 - α (Robbins, Annals of Mathematical
-Statistics 41, 1970). An interval for a fixed n, looked at after each trial, misses the truth sooner
-or later. All is worked out in integers: no rounding decides what is excluded.
+times what was there at first, a martingale of mean 1. So P(E_n(p) ≥ 1/α at some n) ≤ α (Ville,
+Étude critique de la notion de collectif, 1939), and all p with E_n(p) < 1/α so far are an interval
+that holds at all n together with probability 1 - α (Robbins, Annals of Mathematical Statistics 41,
+1970). All is worked out in integers: no rounding decides what is excluded.
 """
 
 from __future__ import annotations
@@ -25,7 +23,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import count, islice
+from itertools import count, islice, tee
 from math import comb, log, log1p, pi
 from numbers import Number
 from typing import Any, ClassVar
@@ -237,20 +235,17 @@ def check_trainer(
     mdp = mdp_of(model)
     if (horizon := limits.pop("horizon", None)) is not None:
         mdp = mdp.within(horizon)
-    names, audits = list[Any](), list[Audit]()
-
-    def passes() -> Iterator[bool]:
-        for name, policy in islice(_policies(train, rng), runs):
-            audit = check(mdp, policy, **limits)
+    policies = islice(_policies(train, rng), runs)
+    each, same = tee((name, check(mdp, policy, **limits)) for name, policy in policies)
+    shares = share_intervals((audit.passed for _, audit in same), risk)
+    names, audits, intervals = list[Any](), list[Audit](), list[Interval]()
+    hits, proven = 0, None
+    with answering():
+        for (name, audit), interval in zip(each, shares, strict=True):
             names.append(name)
             audits.append(audit)
-            yield audit.passed
-
-    intervals, hits, proven = list[Interval](), 0, None
-    with answering():
-        for interval in share_intervals(passes(), risk):
             intervals.append(interval)
-            hits += audits[-1].passed
+            hits += audit.passed
             proven = _decided(hits, len(audits), wanted, risk)
             if proven is not None:
                 break
