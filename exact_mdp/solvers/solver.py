@@ -153,11 +153,12 @@ def solve(
         check_tolerance("solve", tol)
         chosen = PolicyIteration() if solver == "auto" else _set(solver, tol=tol)
         try:
-            return solve_average(mdp, _set(chosen, start=start), tol)
+            solution: Solution = solve_average(mdp, _set(chosen, start=start))
         except SolverError:  # the chain mixes too slowly for floats
             if solver != "auto" or mdp.n_transitions > COMPILED:
                 raise
-            return _within(rounded(mdp, "average"), tol)
+            solution = rounded(mdp, "average")
+        return _within(solution, tol)
     if horizon is not None:
         mdp = mdp.within(horizon, terminal_value=terminal_value)
     if subject_to is not None:

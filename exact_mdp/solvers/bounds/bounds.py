@@ -175,20 +175,37 @@ def margin_weights(mdp: MDP) -> Weights:
 
 
 def _expected_steps(mdp: MDP) -> Floats:
-    """Return about the greatest expected number of steps to the end, by policy iteration."""
-    live = np.where(mdp.terminal, 0.0, 1.0)
-    pairs = mdp.pair_offsets[:-1].copy()
+    """Return about the greatest expected number of steps to the end."""
+    one = np.where(mdp.terminal, 0.0, 1.0)[mdp.pair_state]
+    # A pair that adds less than half a step leaves a margin of over a half.
+    _, steps, gain = improved(mdp, mdp.pair_offsets[:-1], one, enough=0.5)
+    if gain.value.max() > 0.5:
+        raise SolverError(Status.NO_BOUND, "the end is too many steps away")
+    return steps
+
+
+def improved(
+    mdp: MDP, pairs: Integers, reward: Floats | None = None, *, enough: float = -np.inf
+) -> tuple[Integers, Floats, Gain]:
+    """Return pairs (S,) of a policy, its values (S,), and what pairs add: by policy iteration.
+
+    The first one takes `pairs`; the last one is improved on by no more than rounding, or `enough`.
+    """
     for _ in range(POLICIES):
-        chain, _ = policy_chain(mdp, pairs)
-        steps = live * LinearSystem(chain).approximate(live)
-        gain = gains(mdp, steps, reward=live[mdp.pair_state])
-        # A pair that adds less than half a step leaves a margin of over a half.
-        if not gain.value.max() > 0.5:
-            return steps
-        before, pairs = pairs, greedy(mdp, gain, keep=pairs)
-        if (pairs == before).all():
+        value = evaluated(mdp, pairs, reward)
+        gain = gains(mdp, value, reward=reward)
+        better = greedy(mdp, gain, keep=pairs)
+        if gain.value.max() <= enough or (better == pairs).all():
             break
-    raise SolverError(Status.NO_BOUND, "the end is too many steps away")
+        pairs = better
+    return pairs, value, gain
+
+
+def evaluated(mdp: MDP, pairs: Integers, reward: Floats | None = None) -> Floats:
+    """Return (S,) the values of the policy that takes `pairs` (S,), up to rounding."""
+    chain, earned = policy_chain(mdp, pairs, reward)
+    system = LinearSystem(chain, mdp.discount, order=topological_levels(mdp))
+    return np.where(mdp.terminal, 0.0, system.approximate(earned))
 
 
 def _margins(mdp: MDP, weight: Floats) -> tuple[Floats, float]:

@@ -77,26 +77,20 @@ class Weights:
         return np.asarray(gain / (self.margin - np.copysign(self.error, gain)))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class RoundingFacts:
     """What is known of a model's rounding errors before any values are."""
 
-    leak: float  # 1 - γ, rounded once
-    size: float  # the greatest |reward|
-    most: int  # the most roundings in a row
-    most_reward_error: float
+    def __init__(self, mdp: MDP) -> None:
+        self.leak = float(1 - mdp.discount_exact)  # rounded once
+        self.size = max(-float(mdp.reward.min()), float(mdp.reward.max()))  # the greatest |reward|
+        self.most = int(roundings(mdp).max())  # roundings in a row
+        self.most_reward_error = float(reward_errors(mdp).max())
 
 
 @once
 def rounding_facts(mdp: MDP) -> RoundingFacts:
     """Return the facts, computed once for each model."""
-    leak = float(1 - mdp.discount_exact)
-    return RoundingFacts(
-        leak=leak,
-        size=max(-float(mdp.reward.min()), float(mdp.reward.max())),
-        most=int(roundings(mdp).max()),
-        most_reward_error=float(reward_errors(mdp).max()),
-    )
+    return RoundingFacts(mdp)
 
 
 def roundings(mdp: MDP) -> Integers:

@@ -371,8 +371,13 @@ def part(
     return sp.csr_array(parts, (len(rows), len(rows)))
 
 
-def policy_chain(mdp: MDP, pairs: Integers) -> tuple[sp.csr_array, Floats]:
-    """Return the (S, S) transitions between states that are not terminal, and rewards (S,)."""
-    live = ~mdp.terminal
+def policy_chain(
+    mdp: MDP, pairs: Integers, reward: Floats | None = None
+) -> tuple[sp.csr_array, Floats]:
+    """Return the (S, S) transitions between states that are not terminal, and rewards (S,).
+
+    A `reward` (L,) takes the place of the model's.
+    """
+    live, earned = ~mdp.terminal, mdp.reward if reward is None else reward
     chain = part(mdp.transition, pairs, live, inner=True)
-    return chain, np.where(live, mdp.reward[pairs], 0.0)
+    return chain, np.where(live, earned[pairs], 0.0)

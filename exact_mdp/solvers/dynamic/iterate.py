@@ -26,13 +26,12 @@ import numpy as np
 from exact_mdp.mdp.errors import ModelError, ShapeError, located, of_type
 from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.forms.threads import block_ends, run_blocks
-from exact_mdp.mdp.graph import topological_levels
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import counted
 from exact_mdp.solvers.bounds import linear
-from exact_mdp.solvers.bounds.bounds import Bounds, margin_weights, verify
+from exact_mdp.solvers.bounds.bounds import Bounds, evaluated, margin_weights, verify
 from exact_mdp.solvers.bounds.gains import UNIT, largest_error, rounding_facts
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain, swept
 from exact_mdp.solvers.solution import Solution, SolverError, Status, least, warn_of_precision
@@ -424,13 +423,6 @@ def values_of(mdp: MDP, start: Any) -> Floats:
                 "for each state",
             )
         return evaluated(mdp, np.flatnonzero(policy.weights(mdp)))
-    return np.where(mdp.terminal, 0.0, value)
-
-
-def evaluated(mdp: MDP, pairs: Integers) -> Floats:
-    """Return (S,) the values of the policy that takes `pairs` (S,), up to rounding."""
-    chain, reward = policy_chain(mdp, pairs)
-    value = LinearSystem(chain, mdp.discount, order=topological_levels(mdp)).approximate(reward)
     return np.where(mdp.terminal, 0.0, value)
 
 

@@ -20,7 +20,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from time import perf_counter
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -40,13 +40,7 @@ from exact_mdp.solvers.dynamic.methods import (
 from exact_mdp.solvers.endless.chain import FloatChain, expansion
 from exact_mdp.solvers.endless.graph import Graph
 from exact_mdp.solvers.endless.quotient import derived
-from exact_mdp.solvers.solution import (
-    PrecisionWarning,
-    Solution,
-    SolverError,
-    Status,
-    warn_of_precision,
-)
+from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
 
 NEARNESS = Fraction(1, 2**12)  # 1 - γ of the policy to begin with
 
@@ -90,10 +84,10 @@ class AverageSolution(Solution):
         return frame
 
 
-def solve_average(mdp: MDP, solver: Solver, tol: float | None = None) -> AverageSolution:
+def solve_average(mdp: MDP, solver: Solver) -> AverageSolution:
     """Return the best average reward per step."""
     if mdp.sense == "min":
-        return solve_average(mdp.maximised, solver, tol).negated(mdp)
+        return solve_average(mdp.maximised, solver).negated(mdp)
     started = perf_counter()
     if solver.name not in METHODS:
         raise ModelError(
@@ -106,33 +100,28 @@ def solve_average(mdp: MDP, solver: Solver, tol: float | None = None) -> Average
             "an average reward has no use for start=", where="solve", fix="leave start out"
         )
     step = mdp.undiscounted
-    reached = METHODS[solver.name](step, solver)
-    gain, bias = FloatChain(step, _taking(step, reached.pairs)).evaluated()
-    above = _upper(step, reached.bias) - gain.value
-    error = np.maximum(gain.error, above * SLACK)
-    met = tol is None or float(error.max()) <= tol
-    solution = AverageSolution(
+    pairs, relative, iterations = METHODS[solver.name](step, solver)
+    gain, bias = FloatChain(step, pairs).evaluated()
+    above = _upper(step, relative) - gain.value
+    return AverageSolution(
         mdp=mdp,
         value=gain.value,
-        pairs=reached.pairs,
-        state_error=error,
+        pairs=pairs,
+        state_error=np.maximum(gain.error, above * SLACK),
         regret_bound=max(0.0, float((above + gain.error).max()) * SLACK),
-        status=reached.status if met else Status.PRECISION,
+        status=Status.CONVERGED if solver.name == ValueIteration.name else Status.DIRECT,
         method=solver.name,
         solver=repr(solver),
-        iterations=reached.iterations,
+        iterations=iterations,
         seconds=perf_counter() - started,
         bias=bias.value,
         bias_error=bias.error,
     )
-    if not met:
-        warn_of_precision(solution.error_bound)
-    return solution
 
 
 def _upper(step: MDP, bias: Floats) -> Floats:
     """Return (S,) what no policy earns more than per step, for any relative values (S,)."""
-    graph, added = Graph.of(step), gains(step, bias)
+    graph, added = Graph(step), gains(step, bias)
     label, inside = graph.end_components(np.ones(step.n_pairs, dtype=bool))
     own, most = label[step.pair_state], added.value + added.error * SLACK
     count = int(label.max()) + 1
@@ -153,13 +142,8 @@ def _upper(step: MDP, bias: Floats) -> Floats:
 # ---- methods ------------------------------------------------------------------------------------
 
 
-class Improved(NamedTuple):
-    """The pairs (S,) of a policy, relative values (S,), iterations, and how it ended."""
-
-    pairs: Integers
-    bias: Floats
-    iterations: int
-    status: Status = Status.DIRECT
+Improved = tuple[Integers, Floats, int]
+"""The pairs (S,) of a policy, relative values (S,), and iterations."""
 
 
 def improved(step: MDP, pairs: Integers | None = None, most: int = POLICIES) -> Improved:
@@ -173,7 +157,7 @@ def improved(step: MDP, pairs: Integers | None = None, most: int = POLICIES) -> 
     before: tuple[Floats, Floats] | None = None
     for iteration in range(1, most + 1):
         seen.add(pairs.tobytes())
-        chain = FloatChain(step, _taking(step, pairs))
+        chain = FloatChain(step, pairs)
         _, bias, second = expansion(chain, step.reward[pairs])
         added = gains(step, bias)
         own = FixedPoint(value=added.value[pairs], error=added.error[pairs])
@@ -182,7 +166,7 @@ def improved(step: MDP, pairs: Integers | None = None, most: int = POLICIES) -> 
             least = RELATIVE_TOLERANCE * float(np.abs(bias).max())
             risen = (gain.value - before[0] > gain.error).any() or (bias - before[1] > least).any()
             if not risen:
-                return Improved(pairs, bias, iteration)
+                return pairs, bias, iteration
         before = gain.value, bias
         # Gains that are equal come out of different equations: their whole error counts, not only
         # that of their differences.
@@ -196,15 +180,8 @@ def improved(step: MDP, pairs: Integers | None = None, most: int = POLICIES) -> 
             keep=pairs,
         )
         if pairs.tobytes() in seen:
-            return Improved(pairs, bias, iteration)
+            return pairs, bias, iteration
     raise SolverError(Status.ITERATION_LIMIT, f"{most} policies were evaluated")
-
-
-def _taking(step: MDP, pairs: Integers) -> Floats:
-    """Return (L,) the weight 1 of some pairs (S,)."""
-    taken = np.zeros(step.n_pairs)
-    taken[pairs] = 1.0
-    return taken
 
 
 def _patient(step: MDP) -> Integers:
@@ -222,7 +199,7 @@ def _patient(step: MDP) -> Integers:
 
 def _by_values(step: MDP, solver: Any) -> Improved:
     """Relative value iteration, until the span of T h - h is proven to be small."""
-    label, _ = Graph.of(step).end_components(np.ones(step.n_pairs, dtype=bool))
+    label, _ = Graph(step).end_components(np.ones(step.n_pairs, dtype=bool))
     if (count := int(label.max()) + 1) > 1:
         raise ModelError(
             f"relative value iteration needs one gain for all states: there are {count} sets of "
@@ -239,7 +216,7 @@ def _by_values(step: MDP, solver: Any) -> Improved:
         width, middle = float(high.max() - low.min()), float(high.max() + low.min()) / 2
         limit = solver.tol or RELATIVE_TOLERANCE * max(1.0, abs(middle))
         if width <= limit or width <= 4 * float(added.error.max()):
-            return Improved(greedy(step, added), bias, iteration, Status.CONVERGED)
+            return greedy(step, added), bias, iteration
         bias += (np.maximum.reduceat(added.value, first) - middle) / 2
         bias -= bias[0]
     detail = f"{width:.2g} is the error bound after {solver.max_iterations} iterations"
@@ -254,8 +231,9 @@ def _by_program(step: MDP, solver: Any) -> Improved:
     least, cost = np.zeros((2, step.n_pairs)), np.zeros((2, step.n_states))
     least[1], cost[0] = step.reward / scale, 1.0
     level, steps = least_above(cost.ravel(), matrix, least.ravel(), solver.solver)
-    solution = improved(step, greedy(step, gains(step, scale * level[step.n_states :])))
-    return solution._replace(iterations=steps + solution.iterations)
+    first = greedy(step, gains(step, scale * level[step.n_states :]))
+    pairs, bias, iterations = improved(step, first)
+    return pairs, bias, steps + iterations
 
 
 METHODS: dict[str, Callable[[MDP, Any], Improved]] = {

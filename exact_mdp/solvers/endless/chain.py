@@ -16,7 +16,6 @@ a reward: it is at most the residuals that are met on the way to a base, and the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 
@@ -35,31 +34,23 @@ from exact_mdp.solvers.solution import SolverError, Status
 STEPS = 64  # after which an often visited state shows
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Classes:
-    """The recurrent classes of a chain, C in number."""
+    """The recurrent classes of a chain, C in number: what is never left, once entered."""
 
-    label: Integers  # (S,) the class of each state; -1 where it is transient
-    base: Integers  # (C,) one state of each
-
-    @classmethod
-    def of(cls, graph: sp.csr_array) -> Classes:
-        """Return the classes of a graph (S, S): what is never left, once entered.
-
-        A base is where most come to in `STEPS` steps, of which half stay put, along the entries of
-        the graph.
-        """
+    def __init__(self, graph: sp.csr_array) -> None:
+        """Take the graph (S, S) of a chain, along whose entries states are visited."""
         part = strong_components(graph)
         source = np.repeat(np.arange(len(part)), np.diff(graph.indptr))
         closed = np.ones(int(part.max()) + 1, dtype=bool)
         closed[part[source[part[source] != part[graph.indices]]]] = False
-        label = np.where(closed, np.cumsum(closed) - 1, -1)[part]
+        # (S,) the class of each state; -1 where it is transient
+        self.label = np.where(closed, np.cumsum(closed) - 1, -1)[part]
         moves, often = graph.T.tocsr() / 2, np.ones(len(part))
         for _ in range(STEPS):
             often = often / 2 + moves @ often
-        order = np.lexsort((-often.astype(np.float32), label))
-        first = np.flatnonzero(np.diff(label[order], prepend=-1))
-        return cls(label=label, base=order[first])
+        order = np.lexsort((-often.astype(np.float32), self.label))
+        # (C,) a state of each: where most come to in `STEPS` steps, of which half stay put
+        self.base = order[np.flatnonzero(np.diff(self.label[order], prepend=-1))]
 
     @property
     def recurrent(self) -> Mask:
@@ -113,21 +104,23 @@ def long_run(chain: FloatChain | ExactChain, earned: Numbers) -> Numbers:
 
 
 class FloatChain:
-    """A chain in floats, of a policy given as probabilities of pairs (L,)."""
+    """A chain in floats, of a policy that takes pairs (U,) with these probabilities, or each."""
 
-    def __init__(self, mdp: MDP, weights: Floats, roundings: int = 1) -> None:
-        self.mdp, self.weights, self._roundings = mdp, weights, roundings
-        table, pairs = mdp.table, np.flatnonzero(weights)
+    def __init__(
+        self, mdp: MDP, pairs: Integers, weights: Floats | None = None, roundings: int = 1
+    ) -> None:
+        self.mdp, self._roundings, table = mdp, roundings, mdp.table
         shape, source = (mdp.n_states, mdp.n_states), mdp.pair_state[pairs]
         offsets = np.append(0, np.cumsum(np.bincount(source, minlength=mdp.n_states)))
-        taken = sp.csr_array((weights[pairs], pairs, offsets), (mdp.n_states, mdp.n_pairs))
-        self.transition = sp.csr_array(taken @ mdp.transition)
+        chances = np.ones(len(pairs)) if weights is None else weights
+        self.taken = sp.csr_array((chances, pairs, offsets), (mdp.n_states, mdp.n_pairs))
+        self.transition = sp.csr_array(self.taken @ mdp.transition)
         # However rarely: the matrix has lost what is below the range of floats.
         lengths = np.diff(table.offsets)[pairs]
         following = table.next[spans(table.offsets[pairs], table.offsets[pairs + 1])]
         rare = np.full(len(following), np.finfo(np.float64).tiny)
         entries = (rare, (np.repeat(source, lengths), following))
-        self.classes = Classes.of(self.transition + sp.csr_array(entries, shape))
+        self.classes = Classes(self.transition + sp.csr_array(entries, shape))
 
     def _until(self, stop: Mask) -> LinearSystem:
         """Return the equation y = c + P y, with empty rows where `stop`."""
@@ -190,17 +183,15 @@ class FloatChain:
 
         Raises SolverError where double precision cannot bound them.
         """
-        mdp, weights, classes = self.mdp, self.weights, self.classes
-        first = mdp.pair_offsets[:-1]
+        mdp, classes = self.mdp, self.classes
 
         def of_policy(added: Gain) -> FixedPoint:
             """Return (S,) what a step of the policy adds, from what each pair does."""
             terms = int(np.diff(mdp.pair_offsets).max()) + self._roundings + 2
             error = added.error + gamma(terms) * np.abs(added.value)
-            value, off = (np.add.reduceat(weights * each, first) for each in (added.value, error))
-            return FixedPoint(value=value, error=off * SLACK)
+            return FixedPoint(value=self.taken @ added.value, error=self.taken @ error * SLACK)
 
-        _, bias, second = expansion(self, np.add.reduceat(weights * mdp.reward, first))
+        _, bias, second = expansion(self, self.taken @ mdp.reward)
         step = of_policy(gains(mdp, bias))
         gain = self.bounded_gain(step)
         rest = np.abs(step.value - gain.value) * (1 + UNIT) + step.error + gain.error
@@ -246,7 +237,7 @@ class ExactChain:
         states, scale = len(rows.scale), rows.scale[rows.pair_state[rows.pair]]
         chance = (rows.weight / scale.astype(object)).astype(np.float64)
         graph = sp.csr_array((chance, rows.next, rows.offsets), (states, states))
-        self.classes, self.rows = Classes.of(graph), rows
+        self.classes, self.rows = Classes(graph), rows
 
     @cached_property
     def reward(self) -> Numbers:

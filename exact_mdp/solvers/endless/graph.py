@@ -9,7 +9,6 @@ connected components, and peeling off what cannot stay, in turn.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import count
 
@@ -18,27 +17,15 @@ import scipy.sparse as sp
 
 from exact_mdp.mdp.graph import Backward, Mask, strong_components
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Integers, Numbers, spans
+from exact_mdp.mdp.table import Integers, spans
 
 
-@dataclass(frozen=True, eq=False)
 class Graph:
-    """S states, L pairs and N transitions, pair by pair."""
+    """The graph of a model with S states and L pairs, from its exact outcomes."""
 
-    pair_state: Integers
-    pair_offsets: Integers
-    offsets: Integers
-    next: Numbers
-
-    @classmethod
-    def of(cls, mdp: MDP) -> Graph:
-        """Return the graph of a model, from its exact outcomes."""
-        return cls(mdp.pair_state, mdp.pair_offsets, mdp.table.offsets, mdp.table.next)
-
-    @property
-    def states(self) -> int:
-        """Number of states, S."""
-        return len(self.pair_offsets) - 1
+    def __init__(self, mdp: MDP) -> None:
+        self.states, self.pair_state = mdp.n_states, mdp.pair_state
+        self.offsets, self.next = mdp.table.offsets, mdp.table.next
 
     @cached_property
     def _backward(self) -> Backward:

@@ -19,8 +19,7 @@ from exact_mdp.mdp.graph import Mask, termination
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Integers, OutcomeTable, integers, ones
-from exact_mdp.solvers.bounds.gains import POLICIES, gains, greedy
-from exact_mdp.solvers.dynamic.iterate import evaluated
+from exact_mdp.solvers.bounds.bounds import improved
 from exact_mdp.solvers.endless.graph import Graph
 from exact_mdp.solvers.solution import SolverError, Status
 
@@ -44,14 +43,10 @@ class Derived:
         mdp = self.mdp
         if termination(mdp).proven:
             return self
-        graph, pairs = Graph.of(mdp), mdp.pair_offsets[:-1].copy()
+        graph, pairs = Graph(mdp), mdp.pair_offsets[:-1].copy()
         every = np.ones(mdp.n_pairs, dtype=bool)
         toward(graph, graph.distance(mdp.terminal, every), every, pairs)
-        for _ in range(POLICIES):
-            gain = gains(mdp, evaluated(mdp, pairs))
-            before, pairs = pairs, greedy(mdp, gain, keep=pairs)
-            if (pairs == before).all():
-                break
+        pairs, _, gain = improved(mdp, pairs)
         _, inside = graph.end_components(~mdp.terminal[mdp.pair_state])
         losing = inside & (gain.value < -CLEAR * gain.noise)
         losing[pairs] = False

@@ -15,8 +15,8 @@ Research 16, 1991).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from fractions import Fraction
 from math import inf
 from time import perf_counter
@@ -45,8 +45,8 @@ def solve_total(mdp: MDP, solved: Callable[[MDP], Solution]) -> Solution:
     values.
     """
     started = perf_counter()
-    parts = structure(mdp)
-    if parts is None:
+    parts = Structure(mdp)
+    if not parts.decided:
         return rounded(mdp)
     one_sign(mdp, parts.sign)
     whole = parts.finite()
@@ -111,7 +111,6 @@ def rounded(mdp: MDP, criterion: str = "total") -> Solution:
 # ---- where values are infinite -------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Structure:
     """What is known of a model's states before any finite value is.
 
@@ -119,14 +118,46 @@ class Structure:
     With a goal it is not allowed to stay there.
     """
 
-    mdp: MDP
-    graph: Graph
-    label: Integers  # (S,) the end component of each state, ends left out; or -1
-    within: Mask  # (L,) the pairs of the end components
-    sign: Integers  # (S,) 1 where the value is +∞, -1 where it is -∞, else 0
-    rest: Integers  # (S,) the number of each state's rest, or -1
-    inside: Mask  # (L,) the pairs with which one moves inside a rest
-    core: Integers  # the components where +∞ is earned, or a goal is missed if that is worth +∞
+    def __init__(self, mdp: MDP) -> None:
+        self.mdp, self.graph, ends, goal = mdp, Graph(mdp), over(mdp), mdp.goal
+        graph, every = self.graph, np.ones(mdp.n_pairs, dtype=bool)
+        # (S,) the end component of each state, ends left out, or -1; (L,) the pairs of these
+        self.label, self.within = graph.end_components(~ends[mdp.pair_state])
+        label, count = self.label, int(self.label.max(initial=-1)) + 1
+        # (S,) 1 where the value is +∞, -1 where it is -∞, else 0
+        self.sign = np.where(graph.distance(label >= 0, every) >= 0, 1, 0)
+        self.rest = np.full(mdp.n_states, -1)  # (S,) the number of each state's rest, or -1
+        self.inside = ~every  # (L,) the pairs with which one moves inside a rest
+        # The components where +∞ is earned, or a goal is missed if that is worth +∞.
+        self.core = np.arange(count)
+        self.decided = True  # False where signs do not say all
+        if _missing_pays(mdp):
+            return
+        rewards, owner = np.sign(mdp.table.expected_gain_exact()[0]), label[mdp.pair_state]
+        quiet, still = label, self.within
+        if rewards[self.within].any():
+            quiet, still = graph.end_components(self.within & (rewards == 0))
+
+        def any_of(where: Mask, of: Integers) -> Mask:
+            return np.bincount(of[where], minlength=count) > 0
+
+        gain = any_of(self.within & (rewards > 0), owner)
+        loss = any_of(self.within & (rewards < 0), owner)
+        best = np.where(gain, 1, np.where(any_of(quiet >= 0, label), 0, -1))
+        both = np.flatnonzero(gain & loss)
+        best[both] = self._signs(both)
+        value_sign = np.append(best, -1)[label]  # the sign of each state's component
+        safe = graph.rounds(ends | (value_sign >= 0) if goal is None else ends, every) == 0
+        win = safe & (graph.distance((value_sign > 0) & safe, graph.every(safe)) >= 0)
+        if goal is not None and (bad := win & (mdp.start_distribution > 0)).any():
+            raise falling_costs(mdp, bad)
+        sign = self.sign = np.where(win, 1, np.where(safe, 0, -1))
+        lost = goal is None and (graph.distance(value_sign > 0, every) >= 0) & ~win
+        cancels = np.isin(label, both[best[both] == 0]) & (sign == 0)
+        self.decided = not (np.any(lost) or cancels.any())  # +∞ and -∞ together, or rewards cancel
+        self.rest = np.where(sign == 0, quiet, -1)
+        self.inside = still & (sign == 0)[mdp.pair_state] & graph.every(sign == 0)
+        self.core = np.unique(label[win & (value_sign > 0)])
 
     def finite(self) -> Derived:
         """Return the model of the finite values, in which the value of a state is its label's.
@@ -166,7 +197,7 @@ class Structure:
             if _missing_pays(mdp):
                 first_of(graph, graph.every(above) & above[mdp.pair_state], pairs)
             else:
-                own = _among(self, self.core)
+                own = self._among(self.core)
                 best = _nearly(own)
                 sure = best is not None and bool((best.value > best.error)[:-1].all())
                 earning = best.pairs if best is not None and sure else best_average(own.mdp)[0]
@@ -174,6 +205,25 @@ class Structure:
             safe = graph.every(self.sign >= 0) & (self.sign > 0)[mdp.pair_state]
             toward(graph, graph.distance(above, safe), safe, pairs)
         return pairs
+
+    def _among(self, numbers: Integers) -> Derived:
+        """Return some end components as a model, whose end is far."""
+        chosen = np.isin(self.label, numbers)
+        names = np.where(chosen, np.cumsum(chosen) - 1, -1)
+        pairs = np.flatnonzero(self.within & chosen[self.mdp.pair_state])
+        return derived(self.mdp, pairs, names)
+
+    def _signs(self, numbers: Integers) -> Integers:
+        """Return the signs of the best mean rewards of components (C,), 0 where floats cannot.
+
+        Where that matters, all is solved exactly, as it is where rewards cancel.
+        """
+        signs = np.zeros(len(numbers), dtype=np.int64)
+        if len(numbers) and (best := _nearly(self._among(numbers))) is not None:
+            own = self.label[np.isin(self.label, numbers)]  # all of a component earn alike
+            above, below = (best.value > best.error)[:-1], (best.value < -best.error)[:-1]
+            signs[np.searchsorted(numbers, own)] = above.astype(np.int64) - below
+        return signs
 
 
 def over(mdp: MDP) -> Mask:
@@ -184,81 +234,6 @@ def over(mdp: MDP) -> Mask:
 def _missing_pays(mdp: MDP) -> bool:
     """Return whether a run that misses a goal is worth +∞."""
     return mdp.goal is not None and mdp.unreached == inf
-
-
-def structure(mdp: MDP) -> Structure | None:
-    """Return the structure of a model at discount 1; None where signs do not say all."""
-    graph, ends, goal = Graph.of(mdp), over(mdp), mdp.goal
-    every, none = np.ones(mdp.n_pairs, dtype=bool), np.zeros(mdp.n_pairs, dtype=bool)
-    label, inside = graph.end_components(~ends[mdp.pair_state])
-    count = int(label.max(initial=-1)) + 1
-    nowhere = np.full(mdp.n_states, -1)
-    parts = Structure(
-        mdp=mdp,
-        graph=graph,
-        label=label,
-        within=inside,
-        sign=np.where(graph.distance(label >= 0, every) >= 0, 1, 0),
-        rest=nowhere,
-        inside=none,
-        core=np.arange(count),
-    )
-    if _missing_pays(mdp):
-        return parts
-    rewards, owner = np.sign(mdp.table.expected_gain_exact()[0]), label[mdp.pair_state]
-    quiet, still = label, inside
-    if rewards[inside].any():
-        quiet, still = graph.end_components(inside & (rewards == 0))
-
-    def any_of(where: Mask, of: Integers) -> Mask:
-        return np.bincount(of[where], minlength=count) > 0
-
-    gain, loss = any_of(inside & (rewards > 0), owner), any_of(inside & (rewards < 0), owner)
-    best = np.where(gain, 1, np.where(any_of(quiet >= 0, label), 0, -1))
-    both = np.flatnonzero(gain & loss)
-    best[both] = _signs(parts, both)
-    value_sign = np.append(best, -1)[label]  # the sign of each state's component
-    safe = graph.rounds(ends | (value_sign >= 0) if goal is None else ends, every) == 0
-    win = safe & (graph.distance((value_sign > 0) & safe, graph.every(safe)) >= 0)
-    sign = np.where(win, 1, np.where(safe, 0, -1))
-    if goal is not None:
-        if (bad := win & (mdp.start_distribution > 0)).any():
-            raise falling_costs(mdp, bad)
-    elif ((graph.distance(value_sign > 0, every) >= 0) & ~win).any():
-        return None  # +∞ and -∞ together
-    if (np.isin(label, both[best[both] == 0]) & (sign == 0)).any():
-        return None  # rewards cancel
-    return replace(
-        parts,
-        sign=sign,
-        rest=np.where(sign == 0, quiet, -1),
-        inside=still & (sign == 0)[mdp.pair_state] & graph.every(sign == 0),
-        core=np.unique(label[win & (value_sign > 0)]),
-    )
-
-
-# ---- the best mean reward of end components ------------------------------------------------------
-
-
-def _among(parts: Structure, numbers: Sequence[int] | Integers) -> Derived:
-    """Return some end components as a model, whose end is far."""
-    chosen = np.isin(parts.label, numbers)
-    names = np.where(chosen, np.cumsum(chosen) - 1, -1)
-    pairs = np.flatnonzero(parts.within & chosen[parts.mdp.pair_state])
-    return derived(parts.mdp, pairs, names)
-
-
-def _signs(parts: Structure, numbers: Integers) -> Integers:
-    """Return the signs of the best mean rewards of some components (C,), 0 where floats cannot.
-
-    Where that matters, all is solved exactly, as it is where rewards cancel.
-    """
-    signs = np.zeros(len(numbers), dtype=np.int64)
-    if len(numbers) and (best := _nearly(_among(parts, numbers))) is not None:
-        own = parts.label[np.isin(parts.label, numbers)]  # all of a component earn alike
-        above, below = (best.value > best.error)[:-1], (best.value < -best.error)[:-1]
-        signs[np.searchsorted(numbers, own)] = above.astype(np.int64) - below
-    return signs
 
 
 def _nearly(own: Derived) -> Solution | None:

@@ -106,7 +106,7 @@ def expansion(mdp: MDP, kind: str) -> Certificate:
 def best_average(mdp: MDP) -> tuple[Integers, list[Level]]:
     """Return the pairs (S,) of a policy of greatest gain and bias, and the levels g, h and w."""
     try:
-        pairs = improved(mdp.maximised.undiscounted).pairs
+        pairs, *_ = improved(mdp.maximised.undiscounted)
     except SolverError:  # floats only suggest a policy to begin with
         pairs = mdp.pair_offsets[:-1]
     return expanded(exact_rows(mdp, average=True), pairs)
@@ -152,7 +152,7 @@ def reaching(mdp: MDP) -> Certificate:
     """Return the proof of a total until a goal that some policy never reaches."""
     prove = _missed if mdp.maximised.unreached == inf else _required
     assert mdp.goal is not None
-    return prove(mdp, exact_rows(mdp), Graph.of(mdp), mdp.goal)
+    return prove(mdp, exact_rows(mdp), Graph(mdp), mdp.goal)
 
 
 def _missed(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Mask) -> Certificate:

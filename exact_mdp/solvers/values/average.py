@@ -18,7 +18,7 @@ from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.endless.chain import Classes, expansion
 from exact_mdp.solvers.solution import Bounded, Claim, SolverError, Status
-from exact_mdp.solvers.values.policy_chain import OfPolicy, PolicyChain, poor, require_few, rounded
+from exact_mdp.solvers.values.policy_chain import OfPolicy, PolicyChain, floats_first, poor, rounded
 
 LISTED = 1000  # states in a report
 
@@ -37,10 +37,6 @@ class AverageEvaluation(OfPolicy, Result):
     arrivals: FixedPoint  # (S,) expected visits from the start until a base of the classes
 
     claim: ClassVar[Claim] = Claim.BOUNDED
-
-    def __post_init__(self) -> None:
-        for array in (self.value, self.error, self.bias, self.bias_error):
-            array.setflags(write=False)
 
     @property
     def visits(self) -> Floats:
@@ -96,15 +92,12 @@ def average(chain: PolicyChain) -> AverageEvaluation:
     """
     mdp = chain.mdp.undiscounted
     chain = replace(chain, mdp=mdp)
-    classes = chain.classes
-    try:
+    classes, exact = chain.classes, True
+    with floats_first(mdp):
         (gain, bias), (share, arrivals) = chain.going_on.evaluated(), chain.going_on.shares()
-        exact = poor(share, mdp) or poor(gain, mdp) or not np.isfinite(share.error).all()
         if chain.probability.min() < np.finfo(np.float64).tiny:  # errors are no longer relative
             raise SolverError(Status.NO_BOUND, "probabilities are below the range of floats")
-    except SolverError as error:
-        require_few(mdp, error)
-        exact = True
+        exact = poor(share, mdp) or poor(gain, mdp) or not np.isfinite(share.error).all()
     if exact:
         own = chain.exactly
         classes, levels = own.classes, expansion(own, own.reward)[:2]

@@ -18,7 +18,8 @@ finite or not, is the optimum of the model in which there is nothing else to do.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, partial
@@ -109,21 +110,22 @@ class PolicyChain:
     @cached_property
     def weights(self) -> Floats:
         """(L,) probability of each pair given its state; sums to 1 over the pairs of a state."""
-        given = self.chosen if self.shares is None else self.shares
-        total = np.add.reduceat(given, self.mdp.pair_offsets[:-1])
-        if self.shares is None and (total == 1).all():
-            return given
+        shares, floats = self._shares, self._shares.dtype == np.float64
+        total = np.add.reduceat(shares, self.mdp.pair_offsets[:-1])
+        if floats and (total == 1).all():
+            return shares
         total = total[self.mdp.pair_state]
-        return np.asarray(given / total) if self.shares is None else divide(given, total)
+        return np.asarray(shares / total) if floats else divide(shares, total)
 
     @cached_property
-    def shares(self) -> Numbers | None:
-        """(L,) whole numbers in proportion to the exact probabilities; None for floats."""
-        return None if self.policy is None else self.policy.weights_exact(self.mdp)
+    def _shares(self) -> Numbers:
+        """(L,) whole numbers in proportion to the exact probabilities, or floats that are."""
+        exactly = None if self.policy is None else self.policy.weights_exact(self.mdp)
+        return self.chosen if exactly is None else exactly
 
     def exact_weights(self, state: int) -> dict[int, Fraction]:
         """Return the exact probability of each pair that is taken in a state."""
-        given = self.chosen if self.shares is None else self.shares
+        given = self._shares
         shares = {pair: exact(given[pair]) for pair in self.mdp.pairs_of(state) if given[pair]}
         total = sum(shares.values(), Fraction(0))
         return {pair: weight / total for pair, weight in shares.items()}
@@ -260,7 +262,8 @@ class PolicyChain:
     @cached_property
     def going_on(self) -> FloatChain:
         """The chain at discount 1, in which terminal states go on for ever."""
-        return FloatChain(self.mdp.undiscounted, self.weights, self.roundings)
+        weights = self.weights[self.pairs]
+        return FloatChain(self.mdp.undiscounted, self.pairs, weights, self.roundings)
 
     @property
     def classes(self) -> Classes:
@@ -287,21 +290,19 @@ class PolicyChain:
         """Raise ModelError, naming where the policy stays, unless every episode ends."""
         if self.ends_from_start:
             return
-        trapped = np.flatnonzero(self.reached & self.stuck)
-        named = [self._named(state) for state in trapped[:SHOWN].tolist()]
+        mdp, trapped, named = self.mdp, np.flatnonzero(self.reached & self.stuck), list[str]()
+        for state in trapped[:SHOWN].tolist():
+            taken = [pair for pair in mdp.pairs_of(state) if self.weights[pair] > 0]
+            actions = " or ".join(mdp.actions[mdp.pair_action[pair]] for pair in taken)
+            named.append(f"({mdp.space.label(state)}) with action {actions}")
         more = len(trapped) - len(named)
         raise ModelError(
             "discount 1 needs a policy that ends, and this one may not",
             where="it can stay for ever in "
             + ", ".join(named)
             + (f" and {more} more" if more else ""),
-            fix=ways_out(self.mdp, "take a policy that leaves these states"),
+            fix=ways_out(mdp, "take a policy that leaves these states"),
         )
-
-    def _named(self, state: int) -> str:
-        taken = [pair for pair in self.mdp.pairs_of(state) if self.weights[pair] > 0]
-        actions = " or ".join(self.mdp.actions[self.mdp.pair_action[pair]] for pair in taken)
-        return f"({self.mdp.space.label(state)}) with action {actions}"
 
     # ---- equations ---------------------------------------------------------------------------
 
@@ -328,8 +329,7 @@ class PolicyChain:
     @cached_property
     def odds(self) -> tuple[Numbers, Numbers]:
         """(N,), (S,) integers: the exact probability of each outcome, over one for its state."""
-        given = self.chosen if self.shares is None else self.shares
-        share, (weight, below) = given[self.pairs], self.table.integer_weights()
+        share, (weight, below) = self._shares[self.pairs], self.table.integer_weights()
         if share.dtype == np.float64:
             share, _ = dyadic(share, self._first)
         unit, each = self._over_common(below)
@@ -470,8 +470,8 @@ class Equations:
     def visits(self) -> FixedPoint:
         """(S,) expected visits from the start, times rate^t at time t; arrivals at an end count."""
         chain, live, start = self.chain, self.live, self.chain.mdp.start_distribution
-        rate = self.system.discount
-        try:
+        rate, exact = self.system.discount, True
+        with floats_first(chain.mdp):
             point = transposed(self.system).solve(start, UNIT * start)
             onward = part(chain.transition, np.arange(len(live)), live).T.tocsr()
             came, size, off = (
@@ -482,9 +482,6 @@ class Equations:
             value = np.where(live, point.value, start + came)
             point = FixedPoint(value=value, error=np.where(live, point.error, off * SLACK))
             exact = poor(point, chain.mdp)
-        except SolverError as error:
-            require_few(chain.mdp, error)
-            exact = True
         if exact:
             (visits,) = visited(self.rows(), live, chain.mdp.start)
             point = rounded(visits.fractions())
@@ -497,13 +494,14 @@ class Equations:
         Raises SolverError where floats cannot bound it and rationals would take too long, or where
         x is beyond the range of floats.
         """
-        try:
-            return self.system.solve(constant, error)
-        except SolverError as error_of_floats:
-            doubt = np.broadcast_to(error, constant.shape)
-            require_few(self.chain.mdp, error_of_floats)
-            if not np.isfinite([constant, doubt]).all():
-                raise
+        exact = True
+        with floats_first(self.chain.mdp):
+            point, exact = self.system.solve(constant, error), False
+        if not exact:
+            return point
+        doubt = np.broadcast_to(error, constant.shape)
+        if not np.isfinite([constant, doubt]).all():
+            raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
         rows = self.rows()
         matrix = equations(rows, self.live)
         sides = ([*map(Fraction, side.tolist())] for side in (constant, doubt))
@@ -516,12 +514,16 @@ def poor(point: FixedPoint, mdp: MDP) -> bool:
     return mdp.n_states <= FEW and point.error.max() > HALF * np.abs(point.value).max()
 
 
-def require_few(mdp: MDP, error: SolverError) -> None:
-    """Raise SolverError, because of one of floats, where rationals would take too long."""
-    if mdp.n_states > MANY:
-        detail = f"{error.detail or 'double precision cannot bound the error'}, and rational "
-        detail += f"arithmetic takes up to {MANY:,} states"
-        raise SolverError(Status.TOO_LARGE, detail) from error
+@contextmanager
+def floats_first(mdp: MDP) -> Iterator[None]:
+    """Go on where floats bound nothing, and rationals would not take too long."""
+    try:
+        yield
+    except SolverError as error:
+        if mdp.n_states > MANY:
+            detail = f"{error.detail or 'double precision cannot bound the error'}, and rational "
+            detail += f"arithmetic takes up to {MANY:,} states"
+            raise SolverError(Status.TOO_LARGE, detail) from error
 
 
 def rounded(numbers: Iterable[Fraction]) -> FixedPoint:
@@ -618,10 +620,8 @@ def parted(chain: PolicyChain) -> Parted:
 
 def _signs(chain: PolicyChain, busy: Mask) -> Numbers:
     """Return (S,) the gains or their signs, sure in some states (S,)."""
-    try:
+    with floats_first(chain.mdp):
         gain, _ = chain.going_on.evaluated()
         if not (busy & (np.abs(gain.value) <= gain.error)).any():
             return gain.value
-    except SolverError as error:
-        require_few(chain.mdp, error)
     return np.sign(chain.exact_gain)
