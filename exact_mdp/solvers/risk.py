@@ -4,7 +4,7 @@
 
 (Rockafellar and Uryasev, Journal of Risk 2, 2000). A policy that is best for a threshold η has to
 know the state and what is still wanted of the return, η less the reward so far (Bäuerle and Ott,
-Mathematical Methods of Operations Research 74, 2011). `with_budget` writes this into the states,
+Mathematical Methods of Operations Research 74, 2011). `Budgeted` writes this into the states,
 and what results is a model of a total reward. It has no cycles, and `Certificate` proves its values
 for all thresholds at once.
 
@@ -36,7 +36,6 @@ from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     Integers,
     Numbers,
-    OutcomeTable,
     exact,
     integers,
     multiply,
@@ -56,17 +55,75 @@ WHERE = "risk of the return"
 RULES = 20  # rows of a policy with a memory that a table shows
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Budgeted:
-    """A model whose states hold what is still wanted of the return: see `with_budget`."""
+    """The model of λ E Z - E (η - Z)⁺, whose states hold what is still wanted of the return.
 
-    mdp: MDP  # without budgets, maximised
-    trade: Fraction  # λ
-    unit: Fraction
-    table: OutcomeTable  # of `mdp`, with rewards in units
-    order: list[int]  # states that are not terminal, from the end on
-    low: Numbers  # (S,)
-    high: Numbers  # (S,)
+    Rewards are multiples k of a unit, and returns from a state s lie between low(s) and high(s),
+
+        low(s) = min over pairs l, outcomes (p, s', k) of l:  k + low(s').
+
+    From (s, w) an outcome leads to (s', w - k) and earns λ k. Where less than low(s') is wanted
+    there is no shortage, whatever is done: the budget is low(s'). Where more than high(s') is
+    wanted, the surplus is lacking whatever is done: it is paid at once, and the budget is high(s').
+    """
+
+    def __init__(self, model: MDP, trade: Fraction) -> None:
+        """Take a model, and the weight λ of the mean."""
+        mdp = model.maximised
+        if mdp.discount_exact != 1:
+            raise ModelError(
+                f"the discount is {shown(mdp.discount_exact)}, and risks are found at discount 1",
+                where=WHERE,
+                fix="choose discount 1",
+            )
+        ends = mdp.terminal
+        if mdp.goal is not None and (ends & ~mdp.goal).any():
+            raise ModelError(
+                "episodes may end without the goal, at an infinite cost",
+                where=WHERE,
+                fix="state a model of rewards or costs, without a question of a goal",
+            )
+        level = topological_levels(mdp)
+        if level is None:
+            raise ModelError(
+                "states lead back to each other, so that returns have no end",
+                where=WHERE,
+                fix="give a horizon (--horizon N, mdp.within(N)), or a model without cycles",
+            )
+        table, pair = mdp.table, mdp.table.pair
+        (weight, denominator), (gain, below) = table.integer_weights(), table.integer_gains()
+        gain = gain[pair] if len(gain) == table.pairs else gain
+        shared = lcm(*below.tolist())
+        whole = [
+            g * (shared // b) for g, b in zip(gain.tolist(), below[pair].tolist(), strict=True)
+        ]
+        size = gcd(*whole) or shared
+        gain = integers(g // size for g in whole)
+        sort = np.lexsort((-gain, table.next, pair))  # new states rise within a pair
+        self.table = replace(
+            table,
+            weight=weight[sort],
+            denominator=denominator,
+            gain=gain[sort],
+            gain_denominator=ones(table.pairs),
+            event=None,
+        )
+        self.mdp, self.trade, self.unit = mdp, trade, Fraction(size, shared)
+        # States that are not terminal, from the end on.
+        self.order = [int(s) for s in np.argsort(level, kind="stable") if not ends[s]]
+        self.low, self.high = low, high = np.zeros((2, mdp.n_states), dtype=object)
+        cells = 0
+        for state in self.order:
+            here = self.outcomes(state)
+            to, gains = self.table.next[here], self.table.gain[here]
+            low[state], high[state] = min(gains + low[to]), max(gains + high[to])
+            cells += len(to) * (high[state] - low[state] + 1)
+        if cells > CELLS:
+            raise ModelError(
+                f"{cells:,} pairs of an outcome and a return, in steps of {shown(self.unit)}",
+                where=WHERE,
+                fix=f"use a model with at most {CELLS:,}: fewer states, or rounder rewards",
+            )
 
     @cached_property
     def first(self) -> Integers:
@@ -135,73 +192,6 @@ class Budgeted:
         return replace(old, **parts)
 
 
-def with_budget(model: MDP, trade: Fraction) -> Budgeted:
-    """Return the model of λ E Z - E (η - Z)⁺, whose states hold what is still wanted.
-
-    Rewards are multiples k of a unit, and returns from a state s lie between low(s) and high(s),
-
-        low(s) = min over pairs l, outcomes (p, s', k) of l:  k + low(s').
-
-    From (s, w) an outcome leads to (s', w - k) and earns λ k. Where less than low(s') is wanted
-    there is no shortage, whatever is done: the budget is low(s'). Where more than high(s') is
-    wanted, the surplus is lacking whatever is done: it is paid at once, and the budget is high(s').
-    """
-    mdp = model.maximised
-    if mdp.discount_exact != 1:
-        raise ModelError(
-            f"the discount is {shown(mdp.discount_exact)}, and risks are found at discount 1",
-            where=WHERE,
-            fix="choose discount 1",
-        )
-    ends = mdp.terminal
-    if mdp.goal is not None and (ends & ~mdp.goal).any():
-        raise ModelError(
-            "episodes may end without the goal, at an infinite cost",
-            where=WHERE,
-            fix="state a model of rewards or costs, without a question of a goal",
-        )
-    level = topological_levels(mdp)
-    if level is None:
-        raise ModelError(
-            "states lead back to each other, so that returns have no end",
-            where=WHERE,
-            fix="give a horizon (--horizon N, mdp.within(N)), or a model without cycles",
-        )
-    table, pair = mdp.table, mdp.table.pair
-    (weight, denominator), (gain, below) = table.integer_weights(), table.integer_gains()
-    gain = gain[pair] if len(gain) == table.pairs else gain
-    shared = lcm(*below.tolist())
-    whole = [g * (shared // b) for g, b in zip(gain.tolist(), below[pair].tolist(), strict=True)]
-    size = gcd(*whole) or shared
-    gain = integers(g // size for g in whole)
-    sort = np.lexsort((-gain, table.next, pair))  # new states rise within a pair
-    table = replace(
-        table,
-        weight=weight[sort],
-        denominator=denominator,
-        gain=gain[sort],
-        gain_denominator=ones(table.pairs),
-        event=None,
-    )
-    order = [int(s) for s in np.argsort(level, kind="stable") if not ends[s]]
-    low, high = np.zeros((2, mdp.n_states), dtype=object)
-    unit = Fraction(size, shared)
-    of = Budgeted(mdp=mdp, trade=trade, unit=unit, table=table, order=order, low=low, high=high)
-    cells = 0
-    for state in order:
-        here = of.outcomes(state)
-        to, gains = table.next[here], table.gain[here]
-        low[state], high[state] = min(gains + low[to]), max(gains + high[to])
-        cells += len(to) * (high[state] - low[state] + 1)
-    if cells > CELLS:
-        raise ModelError(
-            f"{cells:,} pairs of an outcome and a return, in steps of {shown(unit)}",
-            where=WHERE,
-            fix=f"use a model with at most {CELLS:,}: fewer states, or rounder rewards",
-        )
-    return of
-
-
 def _optimum(of: Budgeted) -> tuple[Integers, Level, Level]:
     """Return pairs of the old model for the new states, their values, and the means of returns."""
     first, table = of.first, of.table
@@ -258,7 +248,7 @@ class CVaROptimum(Result):
     @cached_property
     def budgeted(self) -> Budgeted:
         """The model whose states hold what is still wanted of the return."""
-        return with_budget(self.mdp, self.level * self.weight / (1 - self.weight))
+        return Budgeted(self.mdp, self.level * self.weight / (1 - self.weight))
 
     @property
     def _unit(self) -> Fraction:
@@ -411,7 +401,7 @@ def best_cvar(model: MDP | Scenario, level: object, *, weight: object = 0) -> CV
             where="weight of the mean",
             fix="choose 0 or more, below 1",
         )
-    of = with_budget(mdp, share * part / (1 - part))
+    of = Budgeted(mdp, share * part / (1 - part))
     pairs, values, means = _optimum(of)
     objective, mean, least = max(
         (of.objective(values, k, share), means.mean(of.start(k)), -k) for k in of.thresholds

@@ -224,7 +224,7 @@ def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
     if isinstance(names, str) or not isinstance(names, Sequence) or len(names) not in (2, 3):
         many = len(names) if isinstance(names, Sequence) and not isinstance(names, str) else names
         raise ModelError(f"a front of {many!r} totals", where="tradeoff", fix="name two or three")
-    of = Objectives.of(mdp_of(model), names)
+    of = Objectives(mdp_of(model), names)
     own = of.rows.pair_state[of.rows.pair]
     moves = sp.csr_array((np.ones(len(own)), (own, of.rows.next)), (of.mdp.n_states,) * 2)
     longest = int(np.bincount(strong_components(moves)).max())

@@ -169,7 +169,7 @@ def rationalize(model: MDP | Scenario, policy: PolicyLike) -> Rationalization:
     ({'gain': Fraction(1, 2), 'effort': Fraction(3, 2)}, (Fraction(3, 1), inf), [])
     """
     mdp = mdp_of(model)
-    of = Objectives.of(mdp, mdp.component_names)
+    of = Objectives(mdp, mdp.component_names)
     own = flow_of(of, policy)
     search = _Search(of, own.totals(of))
     multipliers, change, dual, cuts = search.least()

@@ -111,11 +111,8 @@ def certify(
         )
     if average or (endless(mdp) and mdp.goal is None):
         return expansion(mdp, "average" if average else "total")
-    return reaching(mdp) if endless(mdp) else _alone(mdp)
-
-
-def _alone(mdp: MDP) -> Certificate:
-    """Return the proof of values that are the one solution of their equations."""
+    if endless(mdp):
+        return reaching(mdp)
     _, (value,), sign = best(exact_rows(mdp))
     optimal = sign == 0
     rank = termination(mdp).rank if mdp.discount_exact == 1 else None

@@ -111,7 +111,10 @@ class Lifting:
         self, side: Sequence[Any], rows: Rows, known: fmpz | None
     ) -> tuple[list[fmpz], fmpz] | None:
         """Return the solution from digits of the present width; None where floats fail."""
-        size, width, lead = self.size, self.width, self._lead(side)
+        size, width = self.size, self.width
+        # Digits before the point, those of b and of its solution: where floats can start, that is
+        # less than 2^54 times as large as b.
+        lead = (max(int(number).bit_length() for number in side) + 54) // width + 1
 
         def enough(below: fmpz) -> int:
             return lead + (int(below.bit_length()) + LACKING) // width + 1
@@ -140,14 +143,6 @@ class Lifting:
             if count >= most:
                 return None
             below, taken, count = None, count, min(most, int(count * GROWTH) + 1)
-
-    def _lead(self, side: Sequence[Any]) -> int:
-        """Return how many digits stand before the point, those of b and of its solution.
-
-        A solution is less than 2^54 times as large as b, where floats can start.
-        """
-        longest = max(int(number).bit_length() for number in side)
-        return (longest + 54) // self.width + 1
 
     def _digits(self, side: Sequence[Any], lead: int) -> Iterator[Integers]:
         """Yield the digits (K,) of the solution, of which `lead` stand before the point."""

@@ -17,9 +17,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
-from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from exact_mdp.mdp.exact import BellmanRows, bellman_rows
 from exact_mdp.mdp.graph import SHOWN, components, reachable, termination, ways_out
 from exact_mdp.mdp.io import model_json
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Numbers, exact, integers, multiply, ones
+from exact_mdp.mdp.table import Numbers, common, exact, integers, multiply, ones
 from exact_mdp.solvers.exact.checker import Model
 from exact_mdp.solvers.exact.duals import Totals
 
@@ -37,20 +37,11 @@ FACTOR = r"\s*([+-])?\s*(?:([0-9./]+)\s*\*\s*)?"  # of a term in a sum
 Column = tuple[Numbers, Numbers]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Objectives:
     """Objectives of a model with S states and L pairs; more is better in all."""
 
-    mdp: MDP
-    texts: tuple[str, ...]  # as they were written
-    names: tuple[str, ...]
-    rows: BellmanRows  # the equations that all share, without constants
-    amounts: tuple[Numbers, ...]  # (L,) expected amounts times scale, negated in a model of costs
-    ending: MDP  # earns where an objective does: it says which states are terminal here
-
-    @classmethod
-    def of(cls, mdp: MDP, texts: Sequence[str]) -> Objectives:
-        """Return objectives by their texts; raises ModelError for what cannot be counted."""
+    def __init__(self, mdp: MDP, texts: Sequence[str]) -> None:
+        """Read objectives; raises ModelError for what cannot be counted."""
         if not all(isinstance(text, str) for text in texts):
             raise ModelError(
                 f"{list(texts)!r} names what is counted",
@@ -58,7 +49,8 @@ class Objectives:
                 fix='give texts: a name, or a sum such as "name=2*a-b"',
             )
         named = [_parsed(mdp, text) for text in texts]
-        names = tuple(name for name, _ in named)
+        self.mdp, self.texts, names = mdp, tuple(texts), tuple(name for name, _ in named)
+        self.names = names
         if len(set(names)) < len(names):
             raise ModelError(
                 f"{max(names, key=names.count)!r} is named twice",
@@ -66,28 +58,23 @@ class Objectives:
                 fix="name each once: name=2*a-b",
             )
         columns = [_combined(mdp, terms) for _, terms in named]
-        sign = mdp.sign
         earning = np.any([top != 0 for top, _ in columns], axis=0).astype(np.int64)
         below = integers(np.lcm.reduce([b.astype(object) for _, b in columns]).tolist())
         table = replace(mdp.table, gain=earning, gain_denominator=below)
-        ending = mdp.with_(table=table, goal=None, sense="max")
-        rows = bellman_rows(ending)  # over scales that amounts are whole numbers of
+        # Earns where an objective does: it says which states are terminal here.
+        self.ending = mdp.with_(table=table, goal=None, sense="max")
+        rows = bellman_rows(self.ending)  # over scales that amounts are whole numbers of
+        # The equations that all share, without constants.
+        self.rows = replace(rows, constant=np.zeros(mdp.n_pairs, dtype=np.int64))
         own = rows.scale[mdp.pair_state].astype(object)
-        objectives = cls(
-            mdp=mdp,
-            texts=tuple(texts),
-            names=names,
-            rows=replace(rows, constant=np.zeros(mdp.n_pairs, dtype=np.int64)),
-            amounts=tuple(
-                integers((sign * top.astype(object) * (own // bottom)).tolist())
-                for top, bottom in columns
-            ),
-            ending=ending,
+        # (L,) expected amounts times scale, negated in a model of costs
+        self.amounts = tuple(
+            integers((mdp.sign * top.astype(object) * (own // bottom)).tolist())
+            for top, bottom in columns
         )
-        objectives._require_finite()
-        return objectives
+        self._require_finite()
 
-    @cached_property
+    @property
     def sign(self) -> int:
         """1, or -1 where rewards are costs."""
         return self.mdp.sign
@@ -96,6 +83,11 @@ class Objectives:
         """Return (L,) the amounts added up, with weights."""
         total = sum(w * own.astype(object) for w, own in zip(weights, self.amounts, strict=True))
         return integers(np.asarray(total).tolist())
+
+    def rows_for(self, weights: Sequence[Any]) -> tuple[BellmanRows, int]:
+        """Return the equations of the objectives with rational weights, times a whole number."""
+        whole, unit = common([Fraction(weight) for weight in weights])
+        return replace(self.rows, constant=self.weighted(whole)), unit
 
     def counted(self) -> Totals:
         """Return what the checker of proofs looks at."""

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from operator import sub
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import flint
 import numpy as np
@@ -159,7 +159,7 @@ class ConstrainedSolution(TotalsProof):
     @property
     def weights(self) -> list[Fraction]:
         """The weight of each objective where limits have prices."""
-        return _Program(self.of, self.limits).weights((Fraction(self.feasible), *self.price))
+        return _weights(self.of, self.limits, (Fraction(self.feasible), *self.price))
 
     @cached_property
     def randomises(self) -> dict[int, dict[str, Fraction]]:
@@ -176,8 +176,7 @@ class ConstrainedSolution(TotalsProof):
         In states that are never visited, the first that is optimal for the reward and the prices.
         """
         of, mdp = self.of, self.of.mdp
-        whole, unit = common(self.weights)
-        rows = replace(of.rows, constant=of.weighted(whole))
+        rows, unit = of.rows_for(self.weights)
         best = first_of(mdp, signs(rows, combined([self.dual], [unit])) == 0)
         chances = {s: {pair: ONE} for s, pair in enumerate(best.tolist())} | self.flow.chances(of)
         rule = np.full((mdp.n_states, mdp.n_actions), ZERO, dtype=object)
@@ -263,100 +262,96 @@ def solve_under(mdp: MDP, subject_to: Mapping[str, Any]) -> ConstrainedSolution:
     title = "return"
     while title in (name.partition("=")[0].strip() for name in names):
         title += "'"
-    of = Objectives.of(mdp, [f"{title}={reward_name(mdp)}", *names])
+    of = Objectives(mdp, [f"{title}={reward_name(mdp)}", *names])
     limits = tuple(replace(x, name=of.names[1 + names.index(x.name)]) for x in given)
-    program = _Program(of, limits)
-    best = program.mixture()
+    shares, shift, price, dual = _mixture(of, limits)
     return ConstrainedSolution(
         limits=limits,
-        feasible=best.price[0] == 1,
-        flow=program.flow(best),
-        price=best.price[1:],
-        dual=best.dual,
-        shift=best.shift,
+        feasible=price[0] == 1,
+        flow=_as_one(of, limits, shares, shift),
+        price=price[1:],
+        dual=dual,
+        shift=shift,
         **about(of, "limits"),
     )
 
 
-class _Mixture(NamedTuple):
-    """Policies with shares; the step of the limits; prices, and values with these."""
+def _weights(of: Objectives, limits: Sequence[Limit], price: Sequence[Fraction]) -> list[Fraction]:
+    """Return the weight of each objective where the reward and the limits have prices."""
+    weights = [price[0]] + [ZERO] * (len(of.names) - 1)
+    for limit, own in zip(limits, price[1:], strict=True):
+        weights[of.names.index(limit.name)] += of.sign * limit.sign * own
+    return weights
 
-    shares: list[tuple[Attained, Fraction]]
-    shift: Fraction
-    price: tuple[Fraction, ...]  # of the reward, then of the limits
-    dual: Level
+
+def _kept(of: Objectives, limits: Sequence[Limit], totals: Point) -> list[Fraction]:
+    """Return what each limit is on, so that more is better."""
+    return [of.sign * limit.sign * totals[of.names.index(limit.name)] for limit in limits]
 
 
-class _Program:
-    """The linear program that mixes policies so that limits are kept."""
+Shares = list[tuple[Attained, Fraction]]
 
-    def __init__(self, of: Objectives, limits: Sequence[Limit]) -> None:
-        self.of, self.limits, self.size = of, limits, len(limits)
-        self.bounds = [limit.sign * limit.bound for limit in limits]
 
-    def weights(self, price: Sequence[Fraction]) -> list[Fraction]:
-        """Return the weight of each objective where the reward and the limits have prices."""
-        weights = [price[0]] + [ZERO] * (len(self.of.names) - 1)
-        for limit, own in zip(self.limits, price[1:], strict=True):
-            weights[self.of.names.index(limit.name)] += self.of.sign * limit.sign * own
-        return weights
+def _mixture(
+    of: Objectives, limits: Sequence[Limit]
+) -> tuple[Shares, Fraction, tuple[Fraction, ...], Level]:
+    """Return the best mixture of policies, or if none keeps the limits, one of least step.
 
-    def kept(self, totals: Point) -> list[Fraction]:
-        """Return what each limit is on, so that more is better."""
-        return [self.of.sign * x.sign * totals[self.of.names.index(x.name)] for x in self.limits]
+    These are policies with shares; the step; prices of the reward and of the limits; values with
+    these prices.
+    """
+    size, short = len(limits), True
+    policies = [extreme(of, [1] + [0] * (len(of.names) - 1))]
+    spare = [[ZERO, *(Fraction(-(i == k)) for i in range(size))] for k in range(size)]
+    bounds = [limit.sign * limit.bound for limit in limits]
+    while True:  # a column for each policy is 1 and the room that it leaves
+        columns = [[ONE, *map(sub, _kept(of, limits, own.total), bounds)] for own in policies]
+        columns += spare + [[ZERO] + [ONE] * size] * short
+        earned = [ZERO if short else policy.total[0] for policy in policies] + [ZERO] * size
+        x, (most, *due) = maximise(earned + [-ONE] * short, columns, [ONE] + [ZERO] * size)
+        shift = x[-1] if short else ZERO
+        if short and not shift:
+            short = False
+            continue
+        price = (Fraction(not short), *(-each for each in due))
+        pairs, dual = optimum(of, _weights(of, limits, price), policies[-1].pairs)
+        if dual.mean(of.mdp.start) == most + worth(price[1:], bounds):
+            shares = [each for each in zip(policies, x, strict=False) if each[1]]
+            return shares, shift, price, dual
+        policies.append(attained(of, pairs))
 
-    def mixture(self) -> _Mixture:
-        """Return the best mixture of policies, or if none keeps the limits, one of least step."""
-        of, size, short = self.of, self.size, True
-        policies = [extreme(of, [1] + [0] * (len(of.names) - 1))]
-        spare = [[ZERO, *(Fraction(-(i == k)) for i in range(size))] for k in range(size)]
-        while True:  # a column for each policy is 1 and the room that it leaves
-            columns = [[ONE, *map(sub, self.kept(own.total), self.bounds)] for own in policies]
-            columns += spare + [[ZERO] + [ONE] * size] * short
-            earned = [ZERO if short else policy.total[0] for policy in policies] + [ZERO] * size
-            x, (most, *due) = maximise(earned + [-ONE] * short, columns, [ONE] + [ZERO] * size)
-            shift = x[-1] if short else ZERO
-            if short and not shift:
-                short = False
-                continue
-            price = (Fraction(not short), *(-each for each in due))
-            pairs, dual = optimum(of, self.weights(price), policies[-1].pairs)
-            if dual.mean(of.mdp.start) == most + worth(price[1:], self.bounds):
-                shares = [each for each in zip(policies, x, strict=False) if each[1]]
-                return _Mixture(shares, shift, price, dual)
-            policies.append(attained(of, pairs))
 
-    def flow(self, best: _Mixture) -> Flow:
-        """Return the visits of one policy that earns as much as a mixture.
+def _as_one(of: Objectives, limits: Sequence[Limit], shares: Shares, shift: Fraction) -> Flow:
+    """Return the visits of one policy that earns as much as a mixture.
 
-        It has a pair for each state, and as many further ones as limits bind, at most: with more,
-        some change of their numbers leaves what these limits are on as it is. It goes on until a
-        pair is not taken any more, or another limit binds.
-        """
-        of, taken = self.of, dict[int, Fraction]()
-        for policy, share in best.shares:
-            for pair, number in flow_under(of, policy.pairs).numbers().items():
-                taken[pair] = taken.get(pair, ZERO) + share * number
-        own = best.shares[0][0].pairs.copy()
-        while True:
-            most = sorted(taken, key=lambda pair: (float(taken[pair]), -pair))
-            own[of.rows.pair_state[most]] = most
-            further, flow = sorted(taken.keys() - {*own.tolist()})[: self.size + 1], Flow.of(taken)
-            kept = self.kept(flow.totals(of))
-            room = [k - b + best.shift for k, b in zip(kept, self.bounds, strict=True)]
-            moves = [_instead(of, pair, own) for pair in further]
-            gains = [*zip(*(self.kept(Flow.of(x).totals(of)) for x in moves), strict=True)]
-            tight = [common(gain)[0] for gain, left in zip(gains, room, strict=False) if not left]
-            free, count = flint.fmpz_mat([[0] * len(further), *tight]).nullspace()
-            if not count:
-                return flow
-            times = [Fraction(int(free[i, 0])) for i in range(len(further))]
-            change = {l: worth(times, [x.get(l, ZERO) for x in moves]) for l in taken}
-            falling = [(left, worth(times, x)) for x, left in zip(gains, room, strict=True) if left]
-            falling += [(taken[pair], step) for pair, step in change.items()]
-            length = min(left / -step for left, step in falling if step < 0)
-            moved = {pair: left + length * change[pair] for pair, left in taken.items()}
-            taken = {pair: left for pair, left in moved.items() if left}
+    It has a pair for each state, and as many further ones as limits bind, at most: with more, some
+    change of their numbers leaves what these limits are on as it is. It goes on until a pair is not
+    taken any more, or another limit binds.
+    """
+    taken = dict[int, Fraction]()
+    for policy, share in shares:
+        for pair, number in flow_under(of, policy.pairs).numbers().items():
+            taken[pair] = taken.get(pair, ZERO) + share * number
+    own = shares[0][0].pairs.copy()
+    while True:
+        most = sorted(taken, key=lambda pair: (float(taken[pair]), -pair))
+        own[of.rows.pair_state[most]] = most
+        further, flow = sorted(taken.keys() - {*own.tolist()})[: len(limits) + 1], Flow.of(taken)
+        kept = _kept(of, limits, flow.totals(of))
+        room = [total - x.sign * x.bound + shift for total, x in zip(kept, limits, strict=True)]
+        moves = [_instead(of, pair, own) for pair in further]
+        gains = [*zip(*(_kept(of, limits, Flow.of(x).totals(of)) for x in moves), strict=True)]
+        tight = [common(gain)[0] for gain, left in zip(gains, room, strict=False) if not left]
+        free, count = flint.fmpz_mat([[0] * len(further), *tight]).nullspace()
+        if not count:
+            return flow
+        times = [Fraction(int(free[i, 0])) for i in range(len(further))]
+        change = {l: worth(times, [x.get(l, ZERO) for x in moves]) for l in taken}
+        falling = [(left, worth(times, x)) for x, left in zip(gains, room, strict=True) if left]
+        falling += [(taken[pair], step) for pair, step in change.items()]
+        length = min(left / -step for left, step in falling if step < 0)
+        moved = {pair: left + length * change[pair] for pair, left in taken.items()}
+        taken = {pair: left for pair, left in moved.items() if left}
 
 
 def _instead(of: Objectives, pair: int, own: Integers) -> dict[int, Fraction]:

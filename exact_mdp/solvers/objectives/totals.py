@@ -12,7 +12,7 @@ Processes, 1999, chapter 3).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from itertools import groupby
@@ -23,7 +23,7 @@ import numpy as np
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.graph import termination
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Integers, Numbers, common
+from exact_mdp.mdp.table import Integers, Numbers
 from exact_mdp.solvers.bounds.gains import first_of
 from exact_mdp.solvers.exact import codec, duals
 from exact_mdp.solvers.exact.certificate import Proof, model_of
@@ -87,9 +87,9 @@ class Attained:
 
     def optimal(self, of: Objectives, weights: Weights) -> bool:
         """Return whether no pair gains: then no policy exceeds the weighted values, in no state."""
-        whole, _ = common([Fraction(w) for w in weights])
-        rows = replace(of.rows, constant=of.weighted(whole))
-        return not (signs(rows, combined(self.values, whole), self.pairs) > 0).any()
+        rows, unit = of.rows_for(weights)
+        value = combined(self.values, [unit * weight for weight in weights])
+        return not (signs(rows, value, self.pairs) > 0).any()
 
 
 def flow_under(
@@ -118,8 +118,7 @@ def optimum(
 
     The search begins with the pairs `first` (S,), and keeps them where none is better.
     """
-    whole, unit = common([Fraction(w) for w in weights])
-    rows = replace(of.rows, constant=of.weighted(whole))
+    rows, unit = of.rows_for(weights)
     pairs, (value,), _ = best(rows, first)
     return pairs, combined([value], [Fraction(1, unit)])
 
@@ -131,8 +130,7 @@ def extreme(of: Objectives, weights: Weights, first: Integers | None = None) -> 
     """
     size = len(weights)
     ties = [[1] * size, *([int(i == k) for i in range(size)] for k in range(size))]
-    whole, _ = common([Fraction(w) for w in weights])
-    _, _, sign = best(of.rows, first, [of.weighted(each) for each in (whole, *ties)])
+    _, _, sign = best(of.rows, first, [of.rows_for(each)[0].constant for each in (weights, *ties)])
     return attained(of, first_of(of.mdp, sign == 0))
 
 
@@ -146,13 +144,13 @@ class TotalsProof(Proof):
     @cached_property
     def of(self) -> Objectives:
         """What is counted."""
-        return Objectives.of(model_of(None, self.mdp, self.kind), self.objectives)
+        return Objectives(model_of(None, self.mdp, self.kind), self.objectives)
 
     def _wrong(self, mdp: MDP) -> list[str]:
         if self.model != fingerprint(mdp):
             return ["the certificate is of another model"]
         proof = codec.checked(self)
-        return duals.violations(Objectives.of(mdp, proof.objectives).counted(), proof)
+        return duals.violations(Objectives(mdp, proof.objectives).counted(), proof)
 
 
 def about(of: Objectives, kind: str) -> dict[str, Any]:
