@@ -31,7 +31,12 @@ _SHORT.maxother = _SHORT.maxstring = 120
 
 
 class Brief:
-    """A dataclass whose text says its arrays' shapes, not their entries: give it `repr=False`."""
+    """A dataclass whose arrays are read-only; its text says their shapes: give it `repr=False`."""
+
+    def __post_init__(self) -> None:
+        for part in vars(self).values():
+            if isinstance(part, np.ndarray):
+                part.setflags(write=False)
 
     def __repr__(self) -> str:
         names = getattr(self, "__dataclass_fields__", {})

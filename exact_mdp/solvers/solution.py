@@ -113,6 +113,8 @@ class Certified:
     --------
     >>> print(Certified(value=Fraction(1, 3)))
     1/3 (certified)
+    >>> Certified(value=Fraction(10) ** 400).interval
+    (1.79...e+308, inf)
     """
 
     value: Fraction | float
@@ -124,7 +126,7 @@ class Certified:
         """The number itself, rounded outward by less than one part in 10^15."""
         if isinstance(self.value, float):
             return self.value, self.value
-        rounded = float(self.value)
+        rounded = float(self)
         return float(np.nextafter(rounded, -np.inf)), float(np.nextafter(rounded, np.inf))
 
     def __str__(self) -> str:
@@ -289,11 +291,6 @@ class Found(Valued):
     iterations: int
     seconds: float
     claim: Claim = Claim.BOUNDED
-
-    def __post_init__(self) -> None:
-        for part in vars(self).values():
-            if isinstance(part, np.ndarray):
-                part.setflags(write=False)
 
     @cached_property
     def policy(self) -> Any:

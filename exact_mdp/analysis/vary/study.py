@@ -61,11 +61,6 @@ class Study(Result):
     lost: Floats  # (D, A) cost of each first action, NaN if not offered; (D, 0): several starts
     cut: np.ndarray  # (D,) whether a chance was cut off at 1, of compiled solvers alone
 
-    def __post_init__(self) -> None:
-        for array in vars(self).values():
-            if isinstance(array, np.ndarray):
-                array.setflags(write=False)
-
     @property
     def regret(self) -> Floats:
         """(D, N) what holding each policy costs; 0 where the errors leave open whether it does."""

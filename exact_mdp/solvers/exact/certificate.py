@@ -181,11 +181,6 @@ class Certificate(Proof, Pictured):
 
     kinds: ClassVar[tuple[str, ...]] = ("total", "average")
 
-    def __post_init__(self) -> None:
-        for array in (self.policy, self.rank, self.infinite, self.order):
-            if isinstance(array, np.ndarray):
-                array.setflags(write=False)
-
     def __repr__(self) -> str:
         if self.kind == "average":
             return f"Certificate({len(self.policy)} states, gain at the start {self.start})"

@@ -218,10 +218,6 @@ class TrainingRun(Brief):
     steps: int
     cut_short: int
 
-    def __post_init__(self) -> None:
-        for array in (self.q, self.policies, self.snapshots, self.last, self.returns):
-            array.setflags(write=False)
-
     @property
     def final(self) -> Numbers:
         """(K,) the greedy action of each row at the end."""

@@ -24,9 +24,9 @@ import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property, wraps
 from math import inf, isfinite, nan, sqrt
-from typing import ClassVar, Literal, overload
+from typing import Any, ClassVar, Literal, overload
 
 import numpy as np
 import scipy.sparse as sp
@@ -67,6 +67,18 @@ from exact_mdp.solvers.values.returns import return_distribution, times
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 UNKNOWN = Bounded(value=nan, error=inf)
+
+
+def _or_unknown(number: Callable[..., Bounded]) -> Callable[..., Bounded]:
+    """Have a number be unknown where double precision cannot bound it."""
+
+    @wraps(number)
+    def known(*given: Any) -> Bounded:
+        with suppress(SolverError):
+            return number(*given)
+        return UNKNOWN
+
+    return known
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -264,11 +276,9 @@ class Evaluation(OfPolicy, Pictured):
         return FixedPoint(value=np.maximum(point.value, 0.0), error=point.error)
 
     @cached_property
+    @_or_unknown
     def _scaled_variance(self) -> Bounded:
         """The variance from the start over 4^power."""
-        return _known(self._variance_at_start)
-
-    def _variance_at_start(self) -> Bounded:
         if not self.settled:
             return UNKNOWN
         within = at_start(self.mdp, self._variance)
@@ -331,11 +341,12 @@ class Evaluation(OfPolicy, Pictured):
         return self._steps.value
 
     @cached_property
+    @_or_unknown
     def _steps(self) -> Bounded:
         if not self.ends:
             return Bounded(value=inf, error=0.0)
         going = (self.chain.ends & ~self.mdp.terminal).astype(np.float64)
-        return _known(lambda: at_start(self.mdp, self.chain.undiscounted.solve(going)))
+        return at_start(self.mdp, self.chain.undiscounted.solve(going))
 
     @property
     def occupancy(self) -> Floats:
@@ -354,12 +365,9 @@ class Evaluation(OfPolicy, Pictured):
         Undiscounted where every episode ends; arriving at a terminal state counts as one visit, so
         that its entry is the probability of ending there. Discounted where an episode may not end.
         """
-        return self._undiscounted.value if self.ends else self._discounted.value
-
-    @cached_property
-    def _undiscounted(self) -> FixedPoint:
-        whole = self.mdp.discount_exact == 1
-        return self._discounted if whole else self.chain.undiscounted.visits
+        if self.ends and self.mdp.discount_exact != 1:
+            return self.chain.undiscounted.visits.value
+        return self._discounted.value
 
     @cached_property
     def _discounted(self) -> FixedPoint:
@@ -388,13 +396,41 @@ class Evaluation(OfPolicy, Pictured):
         bits = self.chain.table.event
         if bits is None:
             return {}
-        return {
-            name: _known(partial(self._event, np.asarray(bits >> k & 1 == 1)))
-            for k, name in enumerate(self.mdp.events)
-        }
+        happened = (bits >> k & 1 == 1 for k in range(len(self.mdp.events)))
+        return dict(zip(self.mdp.events, map(self._event, happened), strict=True))
 
+    @_or_unknown
     def _event(self, happens: Mask) -> Bounded:
-        return at_start(self.mdp, _ever(self.chain, happens))
+        """Return the probability that one of the marked outcomes (N,) ever happens."""
+        chain, states = self.chain, self.mdp.n_states
+        source, following = chain.source, chain.table.next
+        live = ~self.mdp.terminal[source]  # nothing happens in an end
+        chance = chain.total(np.where(happens & live, chain.probability, 0.0))
+        # Elsewhere the probability is 0; among these states the equation has a single solution.
+        possible = closure(chain.graph.T.tocsr(), chance > 0)
+        on = ~happens & possible[source] & possible[following] & live
+        entries = (chain.probability[on], (source[on], following[on]))
+        matrix = sp.csr_array(entries, (states, states))
+        roundings = chain.roundings + int(chain.outcomes.max())
+        system = LinearSystem(matrix, 1.0, order=chain.order, roundings=roundings)
+
+        def rows() -> BellmanRows:
+            weight, below = chain.odds
+            return BellmanRows(
+                pair_offsets=np.arange(states + 1),
+                terminal=self.mdp.terminal,
+                scale=below,
+                constant=np.zeros_like(below),
+                offsets=np.append(0, np.cumsum(np.bincount(source[on], minlength=states))),
+                next=following[on],
+                weight=weight[on],
+            )
+
+        point = Equations(chain, possible, system, rows).solve(
+            chance, gamma(chain.outcomes + chain.roundings) * chance
+        )
+        ever = FixedPoint(value=np.clip(point.value, 0.0, 1.0), error=point.error)
+        return at_start(self.mdp, ever)
 
 
 def _pair_visits(chain: PolicyChain, visits: Floats) -> Floats:
@@ -402,45 +438,6 @@ def _pair_visits(chain: PolicyChain, visits: Floats) -> Floats:
     mdp = chain.mdp
     stay = 0.0 if mdp.discount_exact == 1 else float(1 / (1 - mdp.discount_exact))
     return (visits * np.where(mdp.terminal, stay, 1.0))[mdp.pair_state] * chain.weights
-
-
-def _ever(chain: PolicyChain, happens: Mask) -> FixedPoint:
-    """Return (S,) the probability that one of the marked outcomes (N,) ever happens."""
-    states, source, following = chain.mdp.n_states, chain.source, chain.table.next
-    live = ~chain.mdp.terminal[source]  # nothing happens in an end
-    chance = chain.total(np.where(happens & live, chain.probability, 0.0))
-    # Elsewhere the probability is 0; among these states the equation has a single solution.
-    possible = closure(chain.graph.T.tocsr(), chance > 0)
-    on = ~happens & possible[source] & possible[following] & live
-    entries = (chain.probability[on], (source[on], following[on]))
-    matrix = sp.csr_array(entries, (states, states))
-    roundings = chain.roundings + int(chain.outcomes.max())
-    system = LinearSystem(matrix, 1.0, order=chain.order, roundings=roundings)
-
-    def rows() -> BellmanRows:
-        weight, below = chain.odds
-        return BellmanRows(
-            pair_offsets=np.arange(states + 1),
-            terminal=chain.mdp.terminal,
-            scale=below,
-            constant=np.zeros_like(below),
-            offsets=np.append(0, np.cumsum(np.bincount(source[on], minlength=states))),
-            next=following[on],
-            weight=weight[on],
-        )
-
-    point = Equations(chain, possible, system, rows).solve(
-        chance, gamma(chain.outcomes + chain.roundings) * chance
-    )
-    return FixedPoint(value=np.clip(point.value, 0.0, 1.0), error=point.error)
-
-
-def _known(make: Callable[[], Bounded]) -> Bounded:
-    """Return a number, or that it is unknown where double precision cannot bound it."""
-    try:
-        return make()
-    except SolverError:
-        return UNKNOWN
 
 
 @overload
@@ -535,8 +532,6 @@ def evaluate(
             alone = solve(given.model)
             value = np.where(known, value, alone.value)
             bound = np.where(known, bound, alone.state_error)
-    value.setflags(write=False)
-    bound.setflags(write=False)
     return Evaluation(chain=chain, given=given, value=value, error=bound)
 
 

@@ -37,7 +37,7 @@ from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
 from exact_mdp.solvers.solution import Bounded, Certified, Claim
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain, parted
-from exact_mdp.solvers.values.return_mass import Flow, carried
+from exact_mdp.solvers.values.return_mass import Flow
 
 NEGLIGIBLE = 1e-280
 WIDE = 2**31  # of multiples, of which a return adds up to 2^32
@@ -86,10 +86,6 @@ class ReturnDistribution(Pictured):
     infinite_mean: float = 0.0
 
     claim: ClassVar[Claim] = Claim.BOUNDED
-
-    def __post_init__(self) -> None:
-        self.multiples.setflags(write=False)
-        self.probabilities.setflags(write=False)
 
     @property
     def never_ends(self) -> float:
@@ -314,10 +310,9 @@ def return_distribution(
     parts = parted(PolicyChain.of(mdp, policy, kind=kind))
     chain = parts.chain
     gain, unit = _lattice(chain)
-    flow = Flow.of(chain, gain, parts.ends)
     still = np.zeros(len(gain), dtype=np.int64)
-    flows = {sign: Flow.of(chain, still, ends) for sign, ends in parts.lost.items()}
-    multiples, masses, lost, roundings = carried(flow, exact=exact)
+    multiples, masses, lost, roundings = Flow(chain, gain, parts.ends, exact=exact).carried()
+    flows = {sign: Flow(chain, still, ends, exact=exact) for sign, ends in parts.lost.items()}
     shares = tuple(masses) if exact else None
     return ReturnDistribution(
         multiples=multiples,
@@ -326,15 +321,15 @@ def return_distribution(
         relative_error=UNIT if exact else float(gamma(roundings)) * SLACK,
         remaining=float(lost) * SLACK,
         exact=shares,
-        unending={sign: _share(each, exact) for sign, each in flows.items()},
+        unending={sign: _share(each) for sign, each in flows.items()},
         infinite_mean=parts.infinite_mean,
     )
 
 
-def _share(flow: Flow, exact: bool) -> Bounded | Certified:
+def _share(flow: Flow) -> Bounded | Certified:
     """Return the probability of the ends of a flow."""
-    _, masses, lost, roundings = carried(flow, exact=exact)
-    if exact:
+    _, masses, lost, roundings = flow.carried()
+    if masses.dtype == object:
         return Certified(value=sum(masses, Fraction(0)))
     value = float(masses.sum())
     error = (float(gamma(roundings)) * value + float(lost)) * SLACK + NEGLIGIBLE

@@ -76,10 +76,6 @@ class Simulation(Pictured):
 
     claim: ClassVar[Claim] = Claim.ESTIMATED
 
-    def __post_init__(self) -> None:
-        self.returns.setflags(write=False)
-        self.steps.setflags(write=False)
-
     @property
     def episodes(self) -> int:
         """Number of episodes, E."""
@@ -219,7 +215,12 @@ def simulate(
     given = unstopped if horizon is None else unstopped.within(horizon)
     parts = parted(PolicyChain.of(given, policy, kind=kind))
     chain, mdp = parts.chain, parts.chain.mdp
-    limit, size = _longest(chain, horizon if max_steps is None else max_steps)
+    size = float(np.abs(chain.gain[chain.reached[chain.source]]).max(initial=0.0))
+    missing = float(1 - mdp.discount_exact)
+    limit = horizon if max_steps is None else max_steps
+    if limit is None and missing:
+        # The greatest return is size / (1 - γ), and what follows t steps at most γ^t of it.
+        limit = 1 if missing == 1 else ceil(log(NEGLIGIBLE) / log1p(-missing))
     # What is added up over all states loses as many digits as their number has, which no sample can
     # tell: the chances of a state end where those of the next one begin.
     above, last = np.cumsum(chain.probability), np.cumsum(chain.outcomes) - 1
@@ -235,7 +236,7 @@ def simulate(
     happened = np.zeros(n, dtype=np.uint8)
     running, factor, step = np.flatnonzero(~mdp.terminal[state]), 1.0, 0
     with tqdm.tqdm(desc="simulating", unit="step", delay=2, disable=None) as bar:
-        while len(running) and step < limit:
+        while len(running) and (limit is None or step < limit):
             here = state[running]
             drawn = below[here] + generator.random(len(here)) * (below[here + 1] - below[here])
             outcome = np.minimum(np.searchsorted(above, drawn, side="right"), last[here])
@@ -264,7 +265,6 @@ def simulate(
     if horizon is not None:
         over = mdp.n_states - unstopped.n_states  # the first state of the time when all is over
         stopped = int((~unstopped.terminal[state[state >= over] - over]).sum())
-    missing = float(1 - mdp.discount_exact)
     rest = (size * factor / missing * SLACK + TINY) if len(running) and size else 0.0
     return Simulation(
         returns=returns,
@@ -275,14 +275,3 @@ def simulate(
         endless=int((mdp.terminal & ~given.terminal)[state].sum()),
         infinite_mean=parts.infinite_mean,
     )
-
-
-def _longest(chain: PolicyChain, max_steps: int | None) -> tuple[float, float]:
-    """Return the number of steps to simulate, and the greatest reward."""
-    mdp = chain.mdp
-    size = float(np.abs(chain.gain[chain.reached[chain.source]]).max(initial=0.0))
-    missing = float(1 - mdp.discount_exact)
-    if max_steps is None and missing:
-        # The greatest return is size / (1 - γ), and what follows t steps at most γ^t of it.
-        max_steps = 1 if missing == 1 else ceil(log(NEGLIGIBLE) / log1p(-missing))
-    return (inf if max_steps is None else max_steps), size
