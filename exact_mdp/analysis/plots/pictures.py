@@ -6,7 +6,7 @@ from typing import Any
 
 from matplotlib.axes import Axes
 
-from exact_mdp.analysis.plots import care, learning, returns, sensitivity, states
+from exact_mdp.analysis.plots import learning, models, returns, sensitivity, states
 from exact_mdp.mdp.errors import ModelError
 
 PICTURES: dict[str, Any] = {
@@ -15,7 +15,7 @@ PICTURES: dict[str, Any] = {
     "Certificate": states.plot_solution,
     "CostEffectiveness": sensitivity.plot_cost_effectiveness,
     "Curve": sensitivity.plot_value_curves,
-    "ErrorCosts": care.plot_error_costs,
+    "ErrorCosts": models.plot_error_costs,
     "Evaluation": states.plot_evaluation,
     "Front": returns.draw_front,
     "Gradient": sensitivity.plot_gradient,

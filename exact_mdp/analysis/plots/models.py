@@ -1,0 +1,211 @@
+"""Pictures of a model: its transitions; who influences whom, and what errors of perception cost."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from itertools import permutations
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+
+from exact_mdp.analysis.optimum import state_names
+from exact_mdp.analysis.perception import ErrorCosts
+from exact_mdp.analysis.plots.style import (
+    HIGH,
+    LOW,
+    axes_or_new,
+    bars,
+    described,
+    picture,
+    swatch,
+)
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.errors import ModelError, extra
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.solvers.solver import mdp_of
+from exact_mdp.solvers.values.policy_chain import policy_of
+
+MOST = 40  # states
+FEW = 8  # states up to which all actions are drawn beside the policy's
+MANY = 150  # outcomes above which no graph can be read
+
+
+@picture
+def plot_transitions(
+    model: MDP | Scenario, policy: PolicyLike | None = None, *, ax: Axes | None = None
+) -> Axes:
+    """Draw states as circles, actions as points, and where each leads with what probability.
+
+    Parameters
+    ----------
+    model : MDP or Scenario
+        Of at most 40 states, with at most 150 outcomes to draw.
+    policy : PolicyLike, optional
+        Its actions are black, others grey; of over 8 states its actions alone are drawn.
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+
+    Examples
+    --------
+    >>> from exact_mdp import MDP
+    >>> mdp = MDP.from_outcomes([(0, 0, [("1/3", 0, 0), ("2/3", 1, 5)]), (1, 0, [(1, 1, 0)])])
+    >>> sorted(text.get_text() for text in plot_transitions(mdp).texts)
+    ['0', '0', '1', '1/3', '2/3, 5']
+    """
+    with extra("plots"):
+        import networkx as nx
+    model = mdp_of(model)
+    if model.n_states > MOST:
+        raise _too_much(f"{model.n_states:,} states", f"a model of at most {MOST} states")
+    chosen = np.zeros(model.n_pairs)
+    if policy is not None:
+        chosen = policy_of(model, policy).weights(model)
+    listed = np.flatnonzero(~model.over[model.pair_state]).tolist()
+    plain = not (chosen[listed] > 0).any()
+    few = plain or model.n_states <= FEW
+    drawn = {pair for pair in listed if few or chosen[pair] > 0}
+    count = sum(len(model.table.row(pair)) for pair in drawn)
+    if count > MANY:
+        raise _too_much(
+            f"{count:,} outcomes", f"at most {MANY}: those of a policy, or fewer states"
+        )
+    graph, names = nx.DiGraph(), state_names(model.space)
+    size, font = 420 + 130 * min(max(map(len, names)), 12), 8 if model.n_states <= 20 else 6
+    for state, name in enumerate(names):
+        fill = "0.85" if model.over[state] else "white"
+        graph.add_node(state, label=name, size=size, fill=fill)
+    for number, pair in enumerate(listed):
+        point, look = f"a{number}", {"width": 1.0, "ink": "0.7"}
+        if plain or chosen[pair] > 0:
+            look["ink"] = "black"
+        graph.add_node(point, size=12, fill="black")
+        action = model.actions[model.pair_action[pair]]
+        graph.add_edge(int(model.pair_state[pair]), point, label=action, **look)
+        for chance, following, gain in model.table.row(pair):
+            text = _number(chance) + (f", {_number(gain)}" if gain else "")
+            before = graph.get_edge_data(point, following, {}).get("label")
+            text = text if before is None else f"{before}; {text}"
+            graph.add_edge(point, following, label=text, **look)
+    place = nx.kamada_kawai_layout(graph.to_undirected())
+    # Where they stand does not depend on the policy.
+    graph.remove_nodes_from([f"a{n}" for n, pair in enumerate(listed) if pair not in drawn])
+    if ax is None:
+        side = min(24.0, 2 + 1.4 * len(graph) ** 0.5)
+        ax = plt.subplots(figsize=(1.2 * side, side), layout="constrained")[1]
+    _draw_graph(ax, graph, place, font=font, head=9, bend=0.2, at=0.5)
+    ax.margins(0.05)
+    what = "Transitions; at an arrow its probability, and its reward if any"
+    return described(ax, what, model.name)
+
+
+def _too_much(what: str, instead: str) -> ModelError:
+    fix = f"draw {instead}, or its values: solve(model).plot()"
+    return ModelError(f"a graph of {what}", where="graph", fix=fix)
+
+
+def _number(value: Fraction) -> str:
+    """Return a rational as it is where that is short, else four digits."""
+    exact = str(value) if value.denominator < 10**4 else ""
+    return exact if 0 < len(exact) < 12 else f"{float(value):.4g}"
+
+
+def _draw_graph(
+    ax: Axes, graph: Any, place: Any, *, font: int, head: int, bend: float, at: float
+) -> None:
+    """Draw nodes with a size, a fill and perhaps a label, and edges with a label, ink and width."""
+    import networkx as nx
+
+    sizes, fills = ([own[key] for _, own in graph.nodes(data=True)] for key in ("size", "fill"))
+    inks, widths = ([own[key] for *_, own in graph.edges(data=True)] for key in ("ink", "width"))
+    names = nx.get_node_attributes(graph, "label")
+    curved = {"ax": ax, "connectionstyle": f"arc3,rad={bend}"}
+    nx.draw_networkx_nodes(
+        graph, place, ax=ax, node_size=sizes, node_color=fills, edgecolors="black"
+    )
+    nx.draw_networkx_labels(graph, place, names, ax=ax, font_size=font)
+    nx.draw_networkx_edges(
+        graph, place, node_size=sizes, edge_color=inks, width=widths, arrowsize=head, **curved
+    )
+    nx.draw_networkx_edge_labels(
+        graph,
+        place,
+        nx.get_edge_attributes(graph, "label"),
+        font_size=font - 1,
+        rotate=False,
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},
+        label_pos=at,
+        **curved,
+    )
+    ax.set_axis_off()
+
+
+# ---- care ----------------------------------------------------------------------------------------
+
+
+@picture
+def plot_influence(scenario: Scenario, *, ax: Axes | None = None) -> Axes:
+    """Draw who raises whom; widths and labels are percentage points per timestep.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+
+    Examples
+    --------
+    >>> from exact_mdp import Scenario
+    >>> ax = plot_influence(Scenario.load("yuan2025"))
+    >>> ax.texts[0].get_text().splitlines()[0]
+    'forgetfulness'
+    """
+    with extra("plots"):
+        import networkx as nx
+    ax, graph = axes_or_new(ax, high=6.0), nx.DiGraph()
+    for status in scenario.statuses:
+        numbers = [float(scenario[f"{kind}.{status}"]) for kind in ("base", "persistence")]
+        text = "{}\nsets in {:.0%}\nstays {:.0%}".format(status, *numbers)
+        graph.add_node(status, label=text, size=6500, fill="white")
+    forwards = scenario.readings["influence_orientation"] == "row-to-column"
+    for names in permutations(scenario.statuses, 2):
+        amount = float(scenario[f"influence.{'.'.join(names)}"])
+        if amount:
+            look = {"label": f"+{100 * amount:g}", "width": 0.6 + 16 * amount, "ink": "0.55"}
+            graph.add_edge(*(names if forwards else names[::-1]), **look)
+    angles = 3 * np.pi / 4 - 2 * np.pi * np.arange(len(graph)) / len(graph)  # four make a square
+    place = {status: (np.cos(at), np.sin(at)) for status, at in zip(graph, angles, strict=True)}
+    # Labels are nearer to where an arrow comes from, so that they do not meet.
+    _draw_graph(ax, graph, place, font=9, head=16, bend=0.11, at=0.35)
+    ax.margins(0.2)
+    return described(ax, "Who raises whom, in points of chance per timestep", scenario.name)
+
+
+@picture
+def plot_error_costs(costs: ErrorCosts, *, ax: Axes | None = None) -> Axes:
+    """Draw the loss by status: missed where present, and seen where absent."""
+    by_cost = sorted(costs.by_status.items(), key=lambda item: -sum(item[1]))
+    names = [name for name, _ in by_cost]
+    drawn = [
+        (row + aside, loss, look | {"height": 0.38})
+        for row, (_, losses) in enumerate(by_cost)
+        for aside, loss, look in zip((-0.2, 0.2), losses, (LOW, HIGH), strict=True)
+    ]
+    ax = bars(axes_or_new(ax, names * 2), names, drawn)
+    for place, loss, _ in drawn:
+        ax.text(loss, place, f" {loss:.2f}", va="center", fontsize=8)
+    ax.margins(x=0.12)
+    return described(
+        ax,
+        "What errors in reading each status cost",
+        x="loss against perfect perception (reward)",
+        handles=[swatch("present, not seen", LOW), swatch("absent, but seen", HIGH)],
+    )
