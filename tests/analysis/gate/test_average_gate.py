@@ -13,7 +13,7 @@ from made_models import forest
 from oracle import best_average, gain_and_bias
 from strategies import Rows, models
 
-from exact_mdp import MDP, Certified, assert_policy_optimal, check
+from exact_mdp import MDP, Certified, assert_policy_optimal, check, solve
 
 
 @given(models(discounts=[F(1, 2)]), st.randoms(use_true_random=False))
@@ -32,6 +32,8 @@ def test_the_regret_is_exact_and_has_its_price_in_each_state(rows: Rows, rng: Ra
     loose = check(rows.model(), policy, criterion="average", exact_values=False, max_regret=10**12)
     assert loose.value.interval[0] <= wanted <= loose.value.interval[1]
     assert loose.passed
+    elsewhere = policy != solve(rows.model(), criterion="average").policy
+    assert loose.unclear == (elsewhere & loose.mdp.asked).sum()
 
 
 def test_cutting_the_oldest_forest_costs_what_it_earns_less() -> None:
