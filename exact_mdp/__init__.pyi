@@ -26,7 +26,6 @@ from exact_mdp.analysis.vary.curves.gradient import gradient as gradient
 from exact_mdp.analysis.vary.curves.thresholds import thresholds as thresholds
 from exact_mdp.analysis.vary.distributions import Uncertain as Uncertain
 from exact_mdp.analysis.vary.distributions import Uncertainty as Uncertainty
-from exact_mdp.analysis.vary.distributions import load_uncertainty as load_uncertainty
 from exact_mdp.analysis.vary.distributions import uncertainty as uncertainty
 from exact_mdp.analysis.vary.economics import cost_effectiveness as cost_effectiveness
 from exact_mdp.analysis.vary.one_way import one_way as one_way
@@ -34,7 +33,6 @@ from exact_mdp.analysis.vary.one_way import tornado as tornado
 from exact_mdp.analysis.vary.one_way import two_way as two_way
 from exact_mdp.analysis.vary.psa import psa as psa
 from exact_mdp.analysis.vary.ranges import Range as Range
-from exact_mdp.analysis.vary.ranges import load_ranges as load_ranges
 from exact_mdp.analysis.vary.robust import robust as robust
 from exact_mdp.analysis.vary.robust import worst_point as worst_point
 from exact_mdp.analysis.vary.sobol import sobol as sobol

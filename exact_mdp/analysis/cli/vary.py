@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
-from contextlib import nullcontext
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
@@ -17,7 +15,6 @@ from exact_mdp.analysis.cli.words import pairs_of, refuse, typed
 from exact_mdp.analysis.vary.curves.thresholds import report_of
 from exact_mdp.analysis.vary.curves.walk import optimum
 from exact_mdp.analysis.vary.distributions import (
-    EFFECTIVE_SAMPLE_SIZE,
     row_family,
 )
 from exact_mdp.analysis.vary.ranges import (
@@ -30,7 +27,7 @@ from exact_mdp.analysis.vary.ranges import (
 )
 from exact_mdp.analysis.vary.robust import SETS
 from exact_mdp.analysis.vary.study import finite_worth, solver_of
-from exact_mdp.mdp.errors import ModelError, known, located
+from exact_mdp.mdp.errors import ModelError, known
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, claimed
@@ -243,17 +240,15 @@ def psa(
     evppi: expected value of knowing each parameter alone; evppi_details: how each was estimated.
     """
     model = row_family(given.mdp) if given.loaded.scenario is None else given.family
-    stated, size = ({}, None) if uncertain is None else exact_mdp.load_uncertainty(Path(uncertain))
+    size, names = None, given.parameters or None
     if effective_sample_size is not None:
         size = float_of(effective_sample_size, "--effective-sample-size")
-    size = EFFECTIVE_SAMPLE_SIZE if size is None else size
-    with nullcontext() if uncertain is None else located(uncertain):
-        chosen = exact_mdp.uncertainty(model, stated, default=size, names=given.parameters or None)
+    chosen = exact_mdp.uncertainty(model, uncertain, default=size, names=names)
     n = samples or (10_000 if solver_of(model, ()).compiled else 500)
     how = _work(n_jobs, out)
     result = exact_mdp.psa(model, n, rng=seed, uncertain=chosen, policy=given.fixed, **how)
     report = result.report(given.policy or "optimal")
-    report = _report(given, "psa", report, effective_sample_size=size)
+    report = _report(given, "psa", report, effective_sample_size=chosen.default)
     return given.saved(report, out, "psa.json", ("psa", seed))
 
 
@@ -427,7 +422,7 @@ def _spans(given: Given, names: Sequence[str] | None = None) -> tuple[Ranges, li
     model, stated = given.family, Ranges()
     files = [each for each in given.ranges if each.lower().endswith(".toml") and "=" not in each]
     for file in files:
-        stated.update(exact_mdp.load_ranges(model, file))
+        stated.update(checked(model, file))
     texts = [each for each in given.ranges if each not in files]
     pairs = pairs_of(texts, "--range", "NAME=LOW:HIGH")
     stated.update(checked(model, {name: ends.split(":") for name, ends in pairs.items()}))

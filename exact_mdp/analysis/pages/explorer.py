@@ -10,7 +10,7 @@ second parameter moves in steps: for each of its values the first one's pieces a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from html import escape
@@ -27,7 +27,7 @@ from exact_mdp.analysis.pages.page import render
 from exact_mdp.analysis.vary.curves import curve as exact_curves
 from exact_mdp.analysis.vary.curves.checker import RationalFunction
 from exact_mdp.analysis.vary.curves.curve import ValueFunction
-from exact_mdp.analysis.vary.ranges import ranges_of, unit_of
+from exact_mdp.analysis.vary.ranges import Stated, ranges_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.model import MDP
@@ -104,7 +104,7 @@ class Explorer(Result):
 def explore(
     model: Scenario | MDP | Parametric,
     *names: str,
-    ranges: Mapping[str, object] | None = None,
+    ranges: Stated | None = None,
     relative: object | None = None,
     policy: PolicyLike | None = None,
     n: int = GRID,

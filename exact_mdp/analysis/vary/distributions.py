@@ -43,7 +43,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 from zlib import crc32
 
 import numpy as np
@@ -298,11 +298,14 @@ class Uncertainty(Brief):
     fixed : {parameter name: reason}
     sample : (D, Q) or None
         One's own draws, in the order of `names`.
+    default : float
+        Effective sample size of probabilities of which nothing is stated.
     """
 
     parts: tuple[Uncertain, ...]
     fixed: Mapping[str, str]  # why, by the parameter's name
     sample: Floats | None = None  # (D, Q) one's own draws, in the order of `names`
+    default: float = EFFECTIVE_SAMPLE_SIZE
 
     def __post_init__(self) -> None:
         check_names(self.names, "drawn parameter", where="uncertainty")
@@ -317,11 +320,15 @@ class Uncertainty(Brief):
         return np.hstack([np.empty((count, 0)), *(p.draw(sequence, count) for p in self.parts)])
 
 
+Stated: TypeAlias = "Mapping[str, Settings] | DataFrame | Uncertainty | str | Path"
+"""Distributions by name, one's own sample, or the .toml file that states them."""
+
+
 def uncertainty(
     model: Parametric,
-    stated: Mapping[str, Settings] | DataFrame | Uncertainty | None = None,
+    stated: Stated | None = None,
     *,
-    default: float = EFFECTIVE_SAMPLE_SIZE,
+    default: float | None = None,
     names: Sequence[str] | None = None,
 ) -> Uncertainty:
     """Return the uncertainty of a model's parameters.
@@ -330,13 +337,15 @@ def uncertainty(
     ----------
     model : Parametric
         Parameters that share one of its `rows` are Dirichlet, instead of a Beta for each.
-    stated : {name, beginning of names, or label of a row: settings}, DataFrame or Uncertainty
+    stated : {name, beginning of names, or label of a row: settings}, DataFrame or file
         Settings say a distribution, as at the top of `analysis.vary.distributions`, or
         `fixed = True`. The longest beginning counts: `influence.anger` before `influence`. What is
         stated of the entries of a row must be the same for all. A table is a sample of one's own:
-        a column for each parameter that is drawn, a row for each draw.
-    default : float
-        Effective sample size of every probability of which nothing is stated.
+        a column for each parameter that is drawn, a row for each draw. Or the name of a .toml
+        file of settings.
+    default : float, optional
+        Effective sample size of every probability of which nothing is stated; that of the file, or
+        else 100.
     names : sequence of str, optional
         Draw these alone: parameters, or labels of rows.
 
@@ -360,10 +369,17 @@ def uncertainty(
     """
     if isinstance(stated, Uncertainty):
         return stated
+    if isinstance(stated, str | Path):
+        said, own = _read(stated)
+        with located(str(stated)):
+            return uncertainty(
+                model, said, default=own if default is None else default, names=names
+            )
     if stated is not None and not isinstance(stated, Mapping):
         return _of_sample(model, stated)
     stated = {name: _checked(name, settings) for name, settings in (stated or {}).items()}
-    default = _check_within(_float(default, "default", DEFAULT), SIZE, DEFAULT)
+    given = EFFECTIVE_SAMPLE_SIZE if default is None else _float(default, "default", DEFAULT)
+    size = _check_within(given, SIZE, DEFAULT)
     parameters = {parameter.name: parameter for parameter in model.parameters}
     rows = {label: tuple(row) for label, row in getattr(model, "rows", {}).items()}
     for name in stated:
@@ -389,14 +405,14 @@ def uncertainty(
         elif settings.get("fixed"):
             part = "stated to be fixed"
         elif label in rows:
-            part = _row([parameters[name] for name in members], label, settings, default)
+            part = _row([parameters[name] for name in members], label, settings, size)
         else:
-            part = _alone(parameters[label], settings, default)
+            part = _alone(parameters[label], settings, size)
         if isinstance(part, str):
             fixed |= dict.fromkeys(members, part)
         else:
             parts.append(part)
-    return Uncertainty(parts=tuple(parts), fixed=fixed)
+    return Uncertainty(parts=tuple(parts), fixed=fixed, default=size)
 
 
 def _of_sample(model: Parametric, frame: Any) -> Uncertainty:
@@ -505,31 +521,8 @@ def _float(value: object, key: str, name: str) -> float:
     return float_of(value, f"{where}, {key}")
 
 
-def load_uncertainty(path: str | Path) -> tuple[dict[str, dict[str, object]], float | None]:
-    """Return the distributions that a TOML file states, and the default sample size.
-
-    Parameters
-    ----------
-    path : str or Path
-
-    Returns
-    -------
-    {name or beginning of names: settings}, float or None
-
-    Raises
-    ------
-    ModelError
-        For broken TOML, a setting that is not known, and a file that states nothing.
-
-    Examples
-    --------
-    >>> from tempfile import TemporaryDirectory
-    >>> with TemporaryDirectory() as folder:
-    ...     file = Path(folder, "stated.toml")
-    ...     _ = file.write_text('"base.anger" = {effective_sample_size = 50}')
-    ...     load_uncertainty(file)
-    ({'base.anger': {'effective_sample_size': 50}}, None)
-    """
+def _read(path: str | Path) -> tuple[dict[str, Settings], float | None]:
+    """Return the distributions that a TOML file states, and the sample size of all others."""
     stated: dict[str, dict[str, object]] = {}
     content = toml_of(read_text(path, most=SMALL), str(path), number=float)
     for prefix, key, value in entries(content):
@@ -544,7 +537,7 @@ def load_uncertainty(path: str | Path) -> tuple[dict[str, dict[str, object]], fl
     if set(general) - {SIZE}:
         what, fix = f"[default] states more than {SIZE}", "state the rest for each parameter"
         raise ModelError(what, where=f"{path}, {DEFAULT}", fix=fix)
-    return stated, _float(general[SIZE], SIZE, DEFAULT) if general else None
+    return {**stated}, _float(general[SIZE], SIZE, DEFAULT) if general else None
 
 
 def row_family(mdp: MDP) -> Family:

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from exact_mdp.analysis.vary.distributions import Settings, Uncertainty, uncertainty
+from exact_mdp.analysis.vary.distributions import Stated, Uncertainty, uncertainty
 from exact_mdp.analysis.vary.information import PartialInformation, evpi, evppi
 from exact_mdp.analysis.vary.psa import drawn, groups_of
 from exact_mdp.analysis.vary.study import ModelSolver
@@ -162,7 +162,7 @@ def cost_effectiveness(
     effect: str = "qaly",
     cost: str = "cost",
     rng: RNG = 0,
-    uncertain: Uncertainty | Mapping[str, Settings] | DataFrame | None = None,
+    uncertain: Stated | None = None,
 ) -> CostEffectiveness:
     """Draw the parameters, and work out cost and effect of every strategy in every draw.
 
@@ -177,7 +177,7 @@ def cost_effectiveness(
     effect, cost : str
         Names of components; of costs, more is worse.
     rng : int or numpy.random.Generator
-    uncertain : {name: settings}, pandas.DataFrame or Uncertainty, optional
+    uncertain : {name: settings}, pandas.DataFrame, file or Uncertainty, optional
         As for `psa`. A table of one row, today's values, is the base case.
 
     Returns

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.analysis.vary.ranges import Range, checked, range_of, ranges_of, unit_of
+from exact_mdp.analysis.vary.ranges import Range, Stated, checked, range_of, ranges_of, unit_of
 from exact_mdp.analysis.vary.study import Study, study
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
@@ -138,7 +138,7 @@ class Curve(Pictured):
 def one_way(
     model: Scenario | MDP | Parametric,
     name: str,
-    ranges: Mapping[str, object] | Range | tuple[object, object] | None = None,
+    ranges: Stated | Range | tuple[object, object] | None = None,
     *,
     policy: PolicyLike = "optimal",
     relative: object | None = None,
@@ -186,7 +186,7 @@ def tornado(
     *,
     policy: PolicyLike = "optimal",
     names: Iterable[str] | None = None,
-    ranges: Mapping[str, object] | None = None,
+    ranges: Stated | None = None,
     relative: object | None = None,
 ) -> Tornado:
     """Return the tornado of the start value over the ranges of parameters.
@@ -200,8 +200,7 @@ def tornado(
         The policy held fixed, whose regret is given as well; "optimal" is today's optimum.
     names : iterable of str, optional
         The parameters; those of `ranges` where these are given, otherwise all.
-    ranges : {name: (low, high)}, optional
-        `load_ranges` reads a file of them.
+    ranges : {name: (low, high)} or the name of a .toml file of them, optional
     relative : number or "whole", optional
         Half the width of the other ranges, as a share of today's value (1/5 unless given), or all
         that a parameter may be. Such a range ends where the model does, and where the parameter
@@ -296,7 +295,7 @@ def two_way(
     y: str,
     *,
     policy: PolicyLike = "optimal",
-    ranges: Mapping[str, object] | None = None,
+    ranges: Stated | None = None,
     relative: object | None = None,
     points: int = 11,
 ) -> TwoWay:

@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from exact_mdp.analysis.vary.distributions import (
-    EFFECTIVE_SAMPLE_SIZE,
-    Settings,
+    Stated,
     Uncertainty,
     uncertainty,
 )
@@ -353,8 +352,8 @@ def psa(
     n: int | None = None,
     *,
     rng: RNG = 0,
-    uncertain: Uncertainty | Mapping[str, Settings] | DataFrame | None = None,
-    effective_sample_size: float = EFFECTIVE_SAMPLE_SIZE,
+    uncertain: Stated | None = None,
+    effective_sample_size: float | None = None,
     policy: PolicyLike = "optimal",
     **how: Unpack[How],
 ) -> PSA:
@@ -368,7 +367,7 @@ def psa(
     rng : int or numpy.random.Generator
         The same seed gives the same bytes for any number of workers, and the draws of a larger
         sample begin with those of a smaller one.
-    uncertain : {name: settings}, pandas.DataFrame or Uncertainty, optional
+    uncertain : {name: settings}, pandas.DataFrame, file or Uncertainty, optional
         Which parameters are drawn, and from what, or a sample of one's own: see `uncertainty`,
         which takes `effective_sample_size` for the probabilities of which nothing is said.
     policy : PolicyLike

@@ -76,6 +76,10 @@ class Ranges(dict[str, Range]):
     """Validated ranges by parameter name."""
 
 
+Stated = Mapping[str, object] | str | Path
+"""{name: (low, high)}, or the .toml file that states them."""
+
+
 def around(parameter: Parameter, relative: object = RELATIVE) -> Range:
     """Return a parameter's value ± a share of it, within what it may be.
 
@@ -125,12 +129,20 @@ def admitted(model: Parametric, parameter: Parameter, span: Range) -> Range:
     return Range(low=ends[0], high=ends[1])
 
 
-def checked(model: Parametric, ranges: Mapping[str, object] | None) -> Ranges:
-    """Return stated ranges, {name: (low, high)}; raises ModelError for what is no range."""
+def checked(model: Parametric, ranges: Stated | None) -> Ranges:
+    """Return stated ranges, or those of a file; raises ModelError for what is no range."""
     if isinstance(ranges, Ranges):
         return ranges
+    if isinstance(ranges, str | Path):
+        read = entries(toml_of(read_text(ranges, most=SMALL), str(ranges)))
+        flat = {f"{prefix}.{key}" if prefix else key: value for prefix, key, value in read}
+        if not flat:
+            fix = 'write "NAME" = [low, high]'
+            raise ModelError("no range in the file", where=str(ranges), fix=fix)
+        with located(str(ranges)):
+            return checked(model, flat)
     valid = Ranges()
-    stated = of_type(ranges or {}, Mapping, "ranges", "give {name: (low, high)}")
+    stated = of_type(ranges or {}, Mapping, "ranges", "give {name: (low, high)}, or a .toml file")
     for name, given in stated.items():
         parameter = parameter_of(model, name)
         where = f"range of {name}"
@@ -154,7 +166,7 @@ def checked(model: Parametric, ranges: Mapping[str, object] | None) -> Ranges:
 def ranges_of(
     model: Parametric,
     names: Iterable[str] | None = None,
-    ranges: Mapping[str, object] | None = None,
+    ranges: Stated | None = None,
     relative: object | None = None,
 ) -> Ranges:
     """Return the range of each parameter: the stated one, or that `around` today's value.
@@ -185,43 +197,9 @@ def ranges_of(
 
 def range_of(model: Parametric, name: str, ranges: object = None, relative: object = None) -> Range:
     """Return the range of one parameter; `ranges` may be (low, high) of it, or name it."""
-    if ranges is not None and not isinstance(ranges, Mapping):
+    if not isinstance(ranges, Mapping | str | Path | None):
         ranges = {name: ranges}
     return ranges_of(model, [name], ranges, relative)[name]
-
-
-def load_ranges(model: Parametric, path: str | Path) -> Ranges:
-    """Return the ranges that a TOML file states.
-
-    Parameters
-    ----------
-    model : Parametric
-        Whose parameters the file names; see `mdp.parametric.parametric`.
-    path : str or path
-
-    Returns
-    -------
-    {name: Range}
-
-    Raises
-    ------
-    ModelError
-        For any mistake in the file; the error names the place.
-
-    Examples
-    --------
-    >>> from exact_mdp.mdp.care.scenario import Scenario
-    >>> load_ranges(Scenario.load("tea").parametric(), "no-such-file.toml")
-    Traceback (most recent call last):
-    ...
-    exact_mdp.mdp.errors.ModelError: ...
-    """
-    read = entries(toml_of(read_text(path, most=SMALL), str(path)))
-    flat = {f"{prefix}.{key}" if prefix else key: value for prefix, key, value in read}
-    if not flat:
-        raise ModelError("no range in the file", where=str(path), fix='write "NAME" = [low, high]')
-    with located(str(path)):
-        return checked(model, flat)
 
 
 def entries(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str, Any]]:
@@ -245,7 +223,7 @@ def usual(model: Parametric) -> list[str]:
 def spans_of(
     model: Parametric,
     names: Iterable[str] | None = None,
-    ranges: Mapping[str, object] | None = None,
+    ranges: Stated | None = None,
     relative: object | None = None,
 ) -> dict[Parameter, Range]:
     """Return the parameters to vary together, with their ranges.

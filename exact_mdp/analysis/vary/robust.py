@@ -22,7 +22,7 @@ from fractions import Fraction
 import numpy as np
 
 from exact_mdp.analysis.optimum import actions_of
-from exact_mdp.analysis.vary.ranges import spans_of
+from exact_mdp.analysis.vary.ranges import Stated, spans_of
 from exact_mdp.analysis.vary.study import finite_worth, solver_of, study
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import ModelError, known, named_options
@@ -261,7 +261,7 @@ class WorstPoint(Result):
 def worst_point(
     model: Scenario | MDP | Parametric,
     policy: PolicyLike = "optimal",
-    ranges: Mapping[str, object] | None = None,
+    ranges: Stated | None = None,
     *,
     relative: object | None = None,
 ) -> WorstPoint:

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.random import default_rng
 
 from exact_mdp.analysis.vary.intervals import NORMAL
-from exact_mdp.analysis.vary.ranges import Range, spans_of, unit_of
+from exact_mdp.analysis.vary.ranges import Range, Stated, spans_of, unit_of
 from exact_mdp.analysis.vary.study import study
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, known, named_options
@@ -166,7 +166,7 @@ def sobol(
     *,
     policy: PolicyLike = "optimal",
     names: Iterable[str] | None = None,
-    ranges: Mapping[str, object] | None = None,
+    ranges: Stated | None = None,
     relative: Fraction | None = None,
     n: int = 1024,
     rng: RNG,

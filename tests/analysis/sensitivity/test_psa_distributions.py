@@ -17,7 +17,6 @@ from exact_mdp import (
     Parameter,
     Scenario,
     Uncertain,
-    load_uncertainty,
     moving,
     parametric,
     psa,
@@ -142,8 +141,8 @@ def test_the_longest_beginning_counts(tmp_path: Path) -> None:
         '["reward.trial"]\ndistribution = "gamma"\nrelative_sd = 0.2\n'
         "[reward.assist]\nrelative_sd = 0.5\n"
     )
-    stated, default = load_uncertainty(file)
-    distributions = uncertainty(YUAN, stated, default=default)
+    distributions = uncertainty(YUAN, file)
+    assert (distributions.default, uncertainty(YUAN, file, default=9).default) == (200, 9)
     sizes = {part.names[0]: (part.kind, part.size) for part in distributions.parts}
     assert sizes["base.anger"] == ("beta", 15)
     assert sizes["base.confusion"] == ("beta", 40)

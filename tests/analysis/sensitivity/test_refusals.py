@@ -17,10 +17,9 @@ from exact_mdp import (
     StateSpace,
     certify,
     curve,
-    load_ranges,
-    load_uncertainty,
     moving,
     parametric,
+    tornado,
     uncertainty,
 )
 
@@ -65,11 +64,11 @@ ROUND = MDP.from_outcomes(
 
 
 def stated(text: str) -> Any:
-    return uncertainty(CARE, of_file("stated.toml", text, load_uncertainty)[0])
+    return of_file("stated.toml", text, lambda path: uncertainty(CARE, path))
 
 
 def ranges(text: str) -> Any:
-    return of_file("stated.toml", text, lambda path: load_ranges(CARE, path))
+    return of_file("stated.toml", text, lambda path: tornado(CARE, ranges=path))
 
 
 def read_again(path: Any) -> Certificate:

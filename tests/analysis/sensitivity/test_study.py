@@ -23,11 +23,9 @@ from exact_mdp import (
     Parameter,
     Parametric,
     Policy,
-    Range,
     Scenario,
     certify,
     evaluate,
-    load_ranges,
     moving,
     parametric,
     solve,
@@ -180,9 +178,10 @@ def test_ranges_are_shares_of_today_that_end_where_the_parameter_does() -> None:
 def test_ranges_from_a_file(tmp_path: Path) -> None:
     file = tmp_path / "ranges.toml"
     file.write_text('"base.anger" = [0.02, "1/10"]\n[reward]\nanger = [-6, -4]\n', "utf-8")
-    assert load_ranges(parametric(YUAN), file) == {
-        "base.anger": Range(low=F(1, 50), high=F(1, 10)),
-        "reward.anger": Range(low=F(-6), high=F(-4)),
+    spans = tornado(YUAN, ranges=file).spans
+    assert {parameter.name: (span.low, span.high) for parameter, span in spans.items()} == {
+        "base.anger": (F(1, 50), F(1, 10)),
+        "reward.anger": (F(-6), F(-4)),
     }
 
 

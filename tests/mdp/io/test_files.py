@@ -26,9 +26,9 @@ from exact_mdp import (
     Scenario,
     fingerprint,
     load,
-    load_ranges,
-    load_uncertainty,
+    one_way,
     save,
+    uncertainty,
 )
 
 MODEL = MDP.from_outcomes([(0, 0, [(1, 0, 1)])], "1/2")
@@ -51,8 +51,8 @@ READERS: dict[str, Callable[[Path], object]] = {
     "perception.toml": perceived,
     "certificate.json": Certificate.load,
     "bounded.json": BoundedCertificate.load,
-    "ranges.toml": lambda path: load_ranges(Scenario.load("yuan2025"), path),
-    "uncertainty.toml": load_uncertainty,
+    "ranges.toml": lambda path: one_way(Scenario.load("yuan2025"), "base.anger", path, points=2),
+    "uncertainty.toml": lambda path: uncertainty(Scenario.load("yuan2025").parametric(), path),
 }
 
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from exact_mdp.analysis.optimum import actions_of
 from exact_mdp.analysis.vary.curves.curve import ValueFunction, curve
-from exact_mdp.analysis.vary.ranges import Range, range_of, unit_of
+from exact_mdp.analysis.vary.ranges import Range, Stated, range_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import named_options
 from exact_mdp.mdp.graph import reachable
@@ -199,7 +199,7 @@ def report_of(every: Mapping[str, Thresholds]) -> Report:
 def thresholds(
     model: Scenario | MDP | Parametric,
     name: str,
-    ranges: Mapping[str, object] | Range | tuple[object, object] | None = None,
+    ranges: Stated | Range | tuple[object, object] | None = None,
     *,
     relative: object | None = None,
 ) -> Thresholds:
