@@ -12,7 +12,6 @@ from exact_mdp.analysis.gate.columns import best_policy as best_policy
 from exact_mdp.analysis.gate.data.off_policy import OffPolicy as OffPolicy
 from exact_mdp.analysis.gate.data.posterior import Posterior as Posterior
 from exact_mdp.analysis.gate.data.robust import Robust as Robust
-from exact_mdp.analysis.gate.regret import compare as compare
 from exact_mdp.analysis.learning.curves import learning_curve as learning_curve
 from exact_mdp.analysis.learning.outcomes import outcomes as outcomes
 from exact_mdp.analysis.learning.trainers import check_trainer as check_trainer

@@ -167,9 +167,6 @@ TABLE: dict[str, Callable[[int], Any]] = {
     "check, off-policy": lambda s: with_interval(
         s, em.OffPolicy(records=records(s), behaviour="random", rewards=span(s, -3, 8))
     ),
-    "compare": lambda s: em.compare(
-        model(s), {"mine": POLICY, "coin": "random", "best": "optimal"}
-    ),
     "best policy of columns": lambda s: (
         (best := em.best_policy(model(s), [])),
         {"value": [best.value.value, best.upper_bound, best.mixed_upper_bound]},

@@ -73,7 +73,6 @@ MADE: dict[str, Callable[[], object]] = {
     "LearningCurve": lambda: em.learning_curve(care(), run(), rng=1),
     "Outcomes": lambda: em.outcomes(care(), em.train(care(), LEARNER, 3, rng=0)),
     "PSA": lambda: em.psa(SMALL, 50, rng=0),
-    "PolicyComparison": lambda: em.compare(care(), {"a": "random", "b": "optimal"}),
     "ReturnDistribution": lambda: em.return_distribution(care(), "random"),
     "Rationalization": lambda: em.rationalize(care(), "always:directive"),
     "RegretInterval": lambda: recorded().interval,
@@ -180,9 +179,8 @@ def test_a_table_has_names_and_decimals() -> None:
     assert proof.frame()["value"].tolist() == [float(value) for value in proof.value]
     assert proof.frame()["exact"].tolist() == list(proof.value)
     assert len(str(proof.value[0])) > 40
-    for result in (proof, em.compare(mdp, {"mine": [0, 0], "best": "optimal"})):
-        page = result._repr_html_()
-        assert max(len(cell) for cell in re.findall("<td>(.*?)</td>", page)) < 25
+    page = proof._repr_html_()
+    assert max(len(cell) for cell in re.findall("<td>(.*?)</td>", page)) < 25
 
 
 # ---- models, policies and scenarios --------------------------------------------------------------

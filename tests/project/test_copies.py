@@ -59,7 +59,6 @@ MODELS = {"line": line, "floats": floats, "scenario": scenario, "within": lambda
 QUESTIONS: dict[str, Callable[[MDP], Any]] = {
     "names": lambda mdp: (mdp.action(mdp.actions[-1]), mdp.space.number(mdp.space.label(1))),
     "policy": lambda mdp: Policy.of(mdp, by_name(mdp)),
-    "compare": lambda mdp: exact_mdp.compare(mdp, {"first": by_name(mdp), "best": "optimal"}),
     "average": lambda mdp: exact_mdp.solve(mdp, criterion="average"),
     "simulate": lambda mdp: exact_mdp.simulate(mdp, by_name(mdp), 20, 1),
     "plot": lambda mdp: plt.close(exact_mdp.solve(mdp).plot().figure),

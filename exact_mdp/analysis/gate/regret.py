@@ -10,7 +10,7 @@ gap is at most what their rounding can move (`analysis.gate.forgiveness`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -23,13 +23,10 @@ import numpy as np
 from exact_mdp.analysis.gate.forgiveness import forgiven, rounded, ties, widest
 from exact_mdp.analysis.gate.waiting import outcomes, taking, to_blame
 from exact_mdp.analysis.optimum import sound
-from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import components, endless, is_acyclic, ways_out
 from exact_mdp.mdp.model import MDP, once
-from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.report import ratio
-from exact_mdp.mdp.result import Brief, DataFrame, Pictured, data_frame
+from exact_mdp.mdp.result import Brief
 from exact_mdp.mdp.table import LARGEST, Floats, shown
 from exact_mdp.mdp.table import exact as exact_number
 from exact_mdp.mdp.validate import Flags
@@ -49,9 +46,9 @@ from exact_mdp.solvers.solution import (
     in_decimals,
     regret,
 )
-from exact_mdp.solvers.solver import mdp_of, solve
+from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
-from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
 def proven(mdp: MDP, criterion: str = "total") -> Certificate:
@@ -64,7 +61,6 @@ EXACT_IN_TIME = 250_000  # of a model of episodes that stop: no cycle, a stage f
 EXACT_CYCLE = 200  # states of the largest cycle
 LAST_CYCLE = 500  # states of the largest cycle, where bounds leave a verdict open: about a second
 CLOSE = 2.0**-36  # errors of values, as parts of the largest, that are little but rounding
-LONGEST = 40  # letters of an exact number in a table
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -196,69 +192,6 @@ def _longest_cycle(mdp: MDP) -> int:
 
 
 # ---- several policies side by side --------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class PolicyComparison(Pictured):
-    """What policies are worth at the start, in the order given."""
-
-    regrets: dict[str, Regret]  # `.learned` is a policy's value, `.at_start` its regret
-
-    @property
-    def value(self) -> Certified | Bounded:
-        """The optimal value at the start."""
-        return next(iter(self.regrets.values())).optimal
-
-    @property
-    def claim(self) -> Claim:
-        """What the values claim."""
-        return self.value.claim
-
-    def frame(self) -> DataFrame:
-        """Return a row for each policy, with its exact value where that is short."""
-        rows = []
-        for name, each in self.regrets.items():
-            value, claim = each.learned.value, each.learned.claim
-            short = claim == Claim.CERTIFIED and len(ratio(value)) <= LONGEST
-            exact, regret = value if short else None, float(each.at_start.value)
-            rows.append((name, float(value), regret, exact, str(claim)))
-        return data_frame(rows, columns=["policy", "value", "regret", "exact", "claim"])
-
-    def __repr__(self) -> str:
-        return f"PolicyComparison({len(self.regrets)} policies; optimal value {self.value})"
-
-
-def compare(model: MDP | Scenario, policies: Mapping[str, PolicyLike]) -> PolicyComparison:
-    """Return the start value and the loss of each of several policies.
-
-    Parameters
-    ----------
-    model : MDP or Scenario
-    policies : {name: PolicyLike}
-
-    Returns
-    -------
-    PolicyComparison
-
-    Raises
-    ------
-    ModelError
-        Without policies, and for one that does not fit the model.
-
-    Examples
-    --------
-    >>> from exact_mdp import MDP
-    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
-    >>> found = compare(mdp, {"mine": [0, 0], "coin": "random", "best": "optimal"})
-    >>> found.frame()["exact"].tolist()
-    [Fraction(1, 1), Fraction(2, 1), Fraction(3, 1)]
-    """
-    if not isinstance(policies, Mapping) or not policies:
-        what = "policies without names" if policies else "no policies"
-        raise ModelError(what, where="compare", fix="give {name: policy}, at least one")
-    mdp = mdp_of(model)
-    chains = {name: PolicyChain.of(mdp, policy_of(mdp, each)) for name, each in policies.items()}
-    return PolicyComparison(regrets={name: policy_regret(each) for name, each in chains.items()})
 
 
 # ---- rational arithmetic -----------------------------------------------------------------------

@@ -22,7 +22,6 @@ PICTURES: dict[str, Any] = {
     "LearningCurve": learning.plot_learning_curves,
     "Outcomes": learning.plot_regrets,
     "PSA": sensitivity.plot_acceptability,
-    "PolicyComparison": states.plot_comparison,
     "ReturnDistribution": returns.plot_return_distribution,
     "Simulation": returns.plot_simulation,
     "Sobol": sensitivity.plot_sobol,

@@ -22,7 +22,6 @@ from matplotlib.patches import Patch, Rectangle
 from numpy.typing import ArrayLike
 
 from exact_mdp.analysis.gate.audit import Audit
-from exact_mdp.analysis.gate.regret import PolicyComparison
 from exact_mdp.analysis.layout import (
     ARROWS,
     MOST_CELLS,
@@ -38,7 +37,6 @@ from exact_mdp.analysis.plots.style import (
     WHITE,
     Look,
     axes_or_new,
-    bars,
     described,
     fill_of,
     narrow,
@@ -223,21 +221,6 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
     what = f"Where the policy is not optimal; regret at the start {lost:.4g}"
     bar = (colours, "what the state loses (reward)") if losses else None
     return _map(mdp, layout, ax, what, shown, [*map(_words, words), *_signs(layout)], bar)
-
-
-@picture
-def plot_comparison(every: PolicyComparison, *, ax: Axes | None = None) -> Axes:
-    """Draw the value of each policy at the start, certified or bounded; the optimum is a line."""
-    own = {name: each.learned for name, each in every.regrets.items()}
-    best, look = float(every.value.value), {"color": BLUE, "height": 0.6}
-    names = [f"{name}\n{float(x.value):.6g} ({x.claim})" for name, x in own.items()]
-    lengths = np.array([float(each.value) for each in own.values()])
-    lengths[~np.isfinite(lengths)] = 0.0
-    drawn = ((row, length, look) for row, length in enumerate(lengths.tolist()))
-    ax = bars(axes_or_new(ax, list(own)), names, drawn)
-    if np.isfinite(best):
-        ax.axvline(best, color=BLACK, linestyle=":", label=f"optimum {best:.6g}\n({every.claim})")
-    return described(ax, "Policies compared with the optimum", x="value at the start (reward)")
 
 
 # ---- maps --------------------------------------------------------------------------------------

@@ -14,7 +14,6 @@ from exact_mdp import (
     QLearning,
     Scenario,
     check,
-    compare,
     curve,
     evaluate,
     gradient,
@@ -81,7 +80,6 @@ EVEN = MDP.from_arrays(np.full((6, 24, 24), 1 / 24), np.zeros((24, 6)), 0.9, sta
         lambda: check(MANY, [0] * 200).plot(),
         lambda: thresholds(SMALL, "reward.assist.directive", relative=1).plot(),
         lambda: curve(MAINTENANCE, "discount").plot(),
-        lambda: compare(MAINTENANCE, {"random": "random", "wait": "always:0"}).plot(),
         lambda: return_distribution(SMALL.compile(), "random").plot(),
     ],
 )

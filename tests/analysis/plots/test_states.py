@@ -1,7 +1,5 @@
 """Pictures of any model: what stands in a cell, at a bar, at an edge is what was computed."""
 
-from fractions import Fraction
-
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -13,9 +11,7 @@ from made_models import forest, grid
 from exact_mdp import (
     MDP,
     Scenario,
-    certify,
     check,
-    compare,
     curve,
     evaluate,
     plots,
@@ -59,17 +55,6 @@ def test_values_beyond_all_bounds_are_written() -> None:
     ax = plots.plot_states(grid(1, 3), [np.inf, -np.inf, 1.0])
     ax.figure.canvas.draw()
     assert [text.get_text().strip() for text in ax.texts] == ["inf", "-inf", ""]
-
-
-def test_policies_side_by_side_have_their_exact_values() -> None:
-    mdp = forest("24/25")
-    comparison = compare(mdp, {"wait": [0, 0, 0], "wrong": [0, 1, 1], "mixed": "random"})
-    exact = {row.policy: row.exact for row in comparison.frame().itertuples()}
-    assert exact["wait"] == certify(mdp).start_value == comparison.value.value
-    assert exact["wrong"] == Fraction(10800, 932)
-    assert float(exact["mixed"]) == pytest.approx(evaluate(mdp, "random").mean)
-    bars = [bar.get_width() for bar in comparison.plot().patches]
-    assert bars == pytest.approx([float(value) for value in exact.values()])
 
 
 def test_a_value_function_is_drawn_by_its_exact_values() -> None:
