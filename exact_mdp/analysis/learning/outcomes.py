@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.columns import BestPolicy, best_policy
-from exact_mdp.analysis.vary.intervals import mean_interval, wilson
+from exact_mdp.analysis.vary.intervals import mean_interval, share_of
 from exact_mdp.mdp.errors import ModelError, listed
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Report, Shown, Table, number
@@ -125,8 +125,8 @@ class Outcomes(Pictured):
 
     def _share(self, count: int) -> dict[str, Any]:
         """Return the share of so many runs, with Wilson's 95 % interval."""
-        interval = tuple(float(end) for end in wilson(count, self.runs))
-        return {"fraction": count / self.runs, "interval": interval}
+        share = share_of(count, self.runs)
+        return {"fraction": share.value, "interval": share.interval}
 
     def frame(self) -> DataFrame:
         """Return one row for each final policy, the most frequent first."""
@@ -142,11 +142,10 @@ class Outcomes(Pictured):
 
     def report(self) -> Report:
         """Return what the runs ended with."""
-        best, regret, learning = self.best, self.regret, self.learning_error
-        optimal, good, chosen = (
-            self._share(int((each == 0).sum())) for each in (regret, learning, self.selected_regret)
-        )
-        lost, ends = _spread(regret), self.regret_interval
+        best, ends = self.best, self.regret_interval
+        losses = self.regret, self.learning_error, self.selected_regret
+        optimal, good, chosen = (self._share(int((each == 0).sum())) for each in losses)
+        lost, learning, selected = map(_spread, losses)
         quantiles = ", ".join(f"{float(q):.0%}: {number(v)}" for q, v in lost["quantiles"].items())
         apart = "" if ends is None else f" (95 %: {_percent(ends, '.4g')})"
         mean = f"mean regret {number(lost['mean'])}{apart}; quantiles {quantiles}"
@@ -159,11 +158,8 @@ class Outcomes(Pictured):
         distinct = {
             str(n): {"count": k} | self._share(k) for n, k in zip(many, runs.tolist(), strict=True)
         }
-        changes = zip(
-            map(self.rows.space.label, range(len(self.changed.T))),
-            self.changed.sum(axis=0).tolist(),
-            strict=True,
-        )
+        labels = self.rows.space.labels(range(self.rows.space.size))
+        changes = zip(labels, self.changed.sum(axis=0).tolist(), strict=True)
         changed = {row: self._share(count) for row, count in changes if count}
         facts = {
             "seeds": self.runs,
@@ -183,14 +179,11 @@ class Outcomes(Pictured):
                 f"(95 %: {_percent(optimal['interval'])})",
             ),
             "optimal_fraction_interval": Shown(optimal["interval"]),
-            "learning_error": Shown(_spread(learning), f"mean {number(float(learning.mean()))}"),
+            "learning_error": Shown(learning, f"mean {number(learning['mean'])}"),
             "best_fraction": Shown(good["fraction"], f"{good['fraction']:.1%}"),
             "best_fraction_interval": Shown(good["interval"]),
             "selected": Shown(
-                {
-                    "regret": (selected := _spread(self.selected_regret)),
-                    "optimal_fraction": chosen["fraction"],
-                },
+                {"regret": selected, "optimal_fraction": chosen["fraction"]},
                 f"mean regret of the best of five {number(selected['mean'])}",
             ),
             "first_run": Shown(self.first_run),
