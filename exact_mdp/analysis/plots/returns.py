@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -75,17 +74,12 @@ def draw_front(
         place, far = np.array(front.totals(policy), dtype=float), float(front.distance(policy))
         label = f"{name} (on the front)" if far == 0 else f"{name} (distance {far:.3g})"
         # Open, and larger than those before: all that lie on each other can be seen.
-        _mark(ax, number, label, place, zorder=3, markersize=7 + 3 * number, fillstyle="none")
+        look: Look = {"color": INK[number % len(INK)], "fillstyle": "none", "zorder": 3}
+        mark = MARKS[1 + number % (len(MARKS) - 1)]
+        ax.plot(*place, mark, label=label, markersize=7 + 3 * number, **look)
         if far:
             ends = np.array([place, place + front.of.sign * far])
             ax.plot(*ends.T, color=BLACK, linewidth=0.8, linestyle=":")
     first, second = front.names
     names = {"x": f"expected total of {first}", "y": f"expected total of {second}"}
     return described(ax, f"The front of {second} against {first}", **names)
-
-
-def _mark(ax: Axes, number: int, label: str, place: Any, **form: Any) -> None:
-    """Draw the point of one of several policies."""
-    x, y = map(float, place)
-    look: Look = {"marker": MARKS[1 + number % (len(MARKS) - 1)], "color": INK[number % len(INK)]}
-    ax.plot([x], [y], linestyle="", label=label, **look, **form)

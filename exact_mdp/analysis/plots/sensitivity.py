@@ -28,7 +28,6 @@ from exact_mdp.analysis.plots.style import (
     lines,
     name_rows,
     picture,
-    shaded,
     swatch,
 )
 from exact_mdp.analysis.vary.curves.curve import ValueFunction
@@ -50,6 +49,7 @@ OUTPUT = {
 }
 INKS = (BLACK, *INK)
 MOST_ROWS = 32
+DARK = 0.59  # shade on which a text is white
 MOST_POLICIES = 8  # in a legend
 STEEP = 50  # times the usual value, beyond which values leave the picture
 
@@ -357,8 +357,15 @@ def plot_optimal_actions(draws: PSA, *, ax: Axes | None = None) -> Axes:
     4
     """
     ax, share = axes_or_new(ax), draws.probability_optimal()[0][:MOST_ROWS]
-    texts = {place: _share(float(value)) for place, value in np.ndenumerate(share)}
-    shaded(ax, share, draws.labels[:MOST_ROWS], draws.actions, texts)
+    # Cells, not one image: it stays sharp at any size.
+    ax.pcolormesh(share, vmin=0, vmax=1, cmap="Greys", edgecolors="0.9", linewidth=0.3)
+    for (row, column), value in np.ndenumerate(share):
+        look: Look = {"color": "white" if value > DARK else BLACK, "fontsize": 7}
+        ax.text(column + 0.5, row + 0.5, _share(value), ha="center", va="center", **look)
+    ax.set_xticks(np.arange(len(draws.actions)) + 0.5, draws.actions)
+    ax.set_yticks(np.arange(len(share)) + 0.5, draws.labels[:MOST_ROWS])
+    ax.tick_params(length=0)
+    ax.invert_yaxis()
     y = "status at subtask 0, trial 0" if draws.compiled else "state"
     what = "Share of draws in which each action is optimal"
     return described(ax, what, draws.model, x="action", y=y)

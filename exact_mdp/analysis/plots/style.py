@@ -12,13 +12,11 @@ from typing import Any, ParamSpec
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 from matplotlib.text import Text
 
 from exact_mdp.mdp.errors import named_options
-from exact_mdp.mdp.table import Floats
 
 Arguments = ParamSpec("Arguments")
 Look = dict[str, Any]  # settings of a function of matplotlib
@@ -31,7 +29,6 @@ MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")
 NARROW = 4.8  # inches
 WHITE, BLUE, ORANGE, BLACK = PALETTE[0], PALETTE[2], PALETTE[3], "#000000"
 INK = (PALETTE[6], PALETTE[3], PALETTE[4], PALETTE[7], PALETTE[5], "#8C6D1F")
-DARK = 0.59  # shade on which a text is white
 LOW: Look = {"color": WHITE, "hatch": ""}  # the looks of two kinds of bars
 HIGH: Look = {"color": BLUE, "hatch": "//"}
 
@@ -199,30 +196,6 @@ def lines(
             name = words if len(bands) == 1 else None
             ax.fill_between(*bands[label], color=look["color"], alpha=0.22, linewidth=0, label=name)
         ax.plot(*curve, label=label, **look, **form)
-
-
-def shaded(
-    ax: Axes,
-    shades: Floats,
-    rows: Sequence[str],
-    columns: Sequence[str],
-    texts: Mapping[tuple[int, ...], str],
-    most: float | None = 1,
-    **names: Any,
-) -> Any:
-    """Draw a map with a text in some cells, the darker the greater, and return its mesh."""
-    # Cells, not one image: it stays sharp at any size.
-    look: Look = {"cmap": "Greys", "edgecolors": "0.9", "linewidth": 0.3}
-    mesh = ax.pcolormesh(shades, vmin=0, vmax=most, **look)
-    for (row, column), text in texts.items():
-        ink = "white" if shades[row, column] > DARK else BLACK
-        centre: Look = {"ha": "center", "va": "center", "fontsize": 6 + (len(columns) < 10)}
-        ax.text(column + 0.5, row + 0.5, text, color=ink, **centre)
-    ax.set_xticks(np.arange(len(columns)) + 0.5, columns, **names)
-    ax.set_yticks(np.arange(len(rows)) + 0.5, rows, **names)
-    ax.tick_params(length=0)
-    ax.set_ylim(len(rows), 0)
-    return mesh
 
 
 def level(ax: Axes, value: float, label: str = "optimum") -> None:
