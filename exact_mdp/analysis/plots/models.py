@@ -1,7 +1,8 @@
-"""Pictures of a model: its transitions; who influences whom, and what errors of perception cost."""
+"""Pictures of a model: its transitions, the front of its totals, and what a model of care adds."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from fractions import Fraction
 from itertools import permutations
 from typing import Any
@@ -13,14 +14,20 @@ from matplotlib.axes import Axes
 from exact_mdp.analysis.optimum import state_names
 from exact_mdp.analysis.perception import ErrorCosts
 from exact_mdp.analysis.plots.style import (
+    BLACK,
+    BLUE,
     HIGH,
+    INK,
     LOW,
+    MARKS,
+    Look,
     axes_or_new,
     bars,
     described,
     picture,
     swatch,
 )
+from exact_mdp.analysis.tradeoffs.front import Front
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, extra
 from exact_mdp.mdp.model import MDP
@@ -143,6 +150,31 @@ def _draw_graph(
         **curved,
     )
     ax.set_axis_off()
+
+
+@picture
+def draw_front(
+    front: Front, *, policies: Mapping[str, PolicyLike] | None = None, ax: Axes | None = None
+) -> Axes:
+    """Draw a front of two totals, and policies by name with their distance from it."""
+    if len(front.names) != 2:
+        what = "a front of three totals has no flat picture"
+        raise ModelError(what, where="plot", fix="name two totals")
+    ax, at = axes_or_new(ax), np.array(front.vertices, dtype=np.float64)
+    ax.plot(*at.T, color=BLUE, marker="o", markersize=4, label="front", zorder=2)
+    for number, (name, policy) in enumerate((policies or {}).items()):
+        place, far = np.array(front.totals(policy), dtype=float), float(front.distance(policy))
+        label = f"{name} (on the front)" if far == 0 else f"{name} (distance {far:.3g})"
+        # Open, and larger than those before: all that lie on each other can be seen.
+        look: Look = {"color": INK[number % len(INK)], "fillstyle": "none", "zorder": 3}
+        mark = MARKS[1 + number % (len(MARKS) - 1)]
+        ax.plot(*place, mark, label=label, markersize=7 + 3 * number, **look)
+        if far:
+            ends = np.array([place, place + front.of.sign * far])
+            ax.plot(*ends.T, color=BLACK, linewidth=0.8, linestyle=":")
+    first, second = front.names
+    names = {"x": f"expected total of {first}", "y": f"expected total of {second}"}
+    return described(ax, f"The front of {second} against {first}", **names)
 
 
 # ---- care ----------------------------------------------------------------------------------------

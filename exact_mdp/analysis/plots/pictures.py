@@ -6,7 +6,7 @@ from typing import Any
 
 from matplotlib.axes import Axes
 
-from exact_mdp.analysis.plots import learning, models, returns, sensitivity, states
+from exact_mdp.analysis.plots import models, runs, sensitivity, states
 from exact_mdp.mdp.errors import ModelError
 
 PICTURES: dict[str, Any] = {
@@ -17,18 +17,18 @@ PICTURES: dict[str, Any] = {
     "Curve": sensitivity.plot_value_curves,
     "ErrorCosts": models.plot_error_costs,
     "Evaluation": states.plot_evaluation,
-    "Front": returns.draw_front,
+    "Front": models.draw_front,
     "Gradient": sensitivity.plot_gradient,
-    "LearningCurve": learning.plot_learning_curves,
-    "Outcomes": learning.plot_regrets,
+    "LearningCurve": runs.plot_learning_curves,
+    "Outcomes": runs.plot_regrets,
     "PSA": sensitivity.plot_acceptability,
-    "ReturnDistribution": returns.plot_return_distribution,
-    "Simulation": returns.plot_simulation,
+    "ReturnDistribution": runs.plot_return_distribution,
+    "Simulation": runs.plot_simulation,
     "Sobol": sensitivity.plot_sobol,
     "Solution": states.plot_solution,
     "Thresholds": sensitivity.plot_thresholds,
     "Tornado": sensitivity.plot_tornado,
-    "TrainerAudit": learning.plot_trainer,
+    "TrainerAudit": runs.plot_trainer,
     "TwoWay": sensitivity.plot_two_way,
     "ValueFunction": sensitivity.plot_value_function,
 }

@@ -1,4 +1,4 @@
-"""Figures of varied parameters: tornado, curves, thresholds, robust values, indices, draws.
+"""Figures of varied parameters: tornado, curves, thresholds, indices, draws.
 
 `output` is "optimal", the value with the policy re-optimised, "fixed", the value with it held, or
 "regret", that of the policy held; `most` is the number of bars.

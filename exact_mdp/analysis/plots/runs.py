@@ -1,4 +1,4 @@
-"""Learning curves, and final policies over seeds."""
+"""Pictures of episodes and of training runs: returns, learning curves, final policies."""
 
 from __future__ import annotations
 
@@ -25,8 +25,48 @@ from exact_mdp.analysis.plots.style import (
 )
 from exact_mdp.analysis.vary.intervals import wilson
 from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.values.returns import ReturnDistribution
+from exact_mdp.solvers.values.simulate import Simulation
 
+MEAN: Look = {"color": "black", "linestyle": "--", "linewidth": 1}
 BIN = 20  # epochs that a band of sampled values is drawn over
+
+
+@picture
+def plot_return_distribution(distribution: ReturnDistribution, *, ax: Axes | None = None) -> Axes:
+    """Draw the probability of each return, with the mean as a line."""
+    ax = axes_or_new(ax)
+    values = np.array([float(value) for value in distribution.values])
+    thick = 5 if len(values) < 20 else 1.3
+    ax.vlines(values, 0, distribution.probabilities, color="0.45", linewidth=thick)
+    if len(values) == 1:
+        ax.set_xlim(values[0] - 1, values[0] + 1)
+    ax.set_ylim(bottom=0)
+    title = f"mean {distribution.mean:.2f}, standard deviation {distribution.sd:.2f}"
+    if distribution.unending:
+        title = f"never ends, and is infinite, with probability {distribution.never_ends:.4g}"
+    else:
+        ax.axvline(distribution.mean, label="mean", **MEAN)
+    what = f"Distribution of the return: {title}"
+    return described(ax, what, x="return (reward)", y="probability")
+
+
+@picture
+def plot_simulation(simulation: Simulation, *, ax: Axes | None = None) -> Axes:
+    """Draw how many sampled episodes had which return, and the mean with its 95 % interval."""
+    ax = axes_or_new(ax)
+    finite = simulation.returns[np.isfinite(simulation.returns)]
+    ax.hist(finite, bins=min(40, len(np.unique(finite)) + 1), color="0.6", ec="0.3")
+    if simulation.never_ends:
+        ax.plot([], [], color="white", label=f"a share of {simulation.never_ends:.4g} never ends")
+    else:
+        ax.axvspan(*simulation.value.interval, color="0.85", zorder=0)
+        ax.axvline(simulation.mean, label=f"mean {simulation.value}", **MEAN)
+    what = f"Returns of {len(simulation.returns):,} simulated episodes"
+    return described(ax, what, x="return (reward)", y="episodes")
+
+
+# ---- learning ------------------------------------------------------------------------------------
 
 
 @picture
