@@ -112,9 +112,10 @@ class Model:
         keyed(dict.fromkeys(given.keys() & {*MODEL}), MODEL, "the model")
         states, discount, self.sense, start, pairs = map(given.get, MODEL)
         (self.states,), self.discount = integers([states], "states"), ratio(discount, "discount")
+        self.missing, self.sign = given.get("unreached", "inf"), 1 if self.sense == "max" else -1
         fits = 0 <= self.discount <= 1 and self.sense in ("max", "min")
         wanted(fits, "the discount is not from 0 to 1, or sense is neither max nor min")
-        self.sign = 1 if self.sense == "max" else -1
+        wanted(self.missing in ("inf", "-inf"), "unreached is neither inf nor -inf")
         fits = type(start) is dict and type(pairs) is list and self.states <= len(pairs)
         wanted(fits, "start is no object, or pairs no list with a pair of each state")
         odds = [ratio(share, "start") for share in start.values()]
@@ -129,8 +130,7 @@ class Model:
         wanted(fits, "two pairs have the same state and action, or the states are not 0, 1, …")
         moving = zip(self.state, self.top, self.next, strict=True)
         self.ends = {*range(self.states)} - {s for s, top, after in moving if top or after != [s]}
-        self.goal, self.missing = given.get("goal"), given.get("unreached", "inf")
-        self.goal = None if self.goal is None else {*integers(self.goal, "goal")}
+        self.goal = None if given.get("goal") is None else {*integers(given["goal"], "goal")}
         wanted(self.goal is None or (self.discount == 1 and self.goal <= self.ends), "the goal")
 
     def _row(self, given: Any) -> tuple[Any, ...]:

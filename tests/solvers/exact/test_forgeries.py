@@ -154,12 +154,14 @@ def test_what_says_nothing_is_not_read(
 ) -> None:
     same = {"h": level(1, 0), "rank": [1, 0]} if mdp is ONE else {}
     assert check_certificate.main(written(tmp_path, mdp, same)) == 0
-    assert check_certificate.main(written(tmp_path, mdp, change, of)) == 2
+    files = written(tmp_path, mdp, change, of)
+    assert check_certificate.main(files) == alone(*files)[0] == 2
 
 
 def test_a_start_may_name_states_in_which_no_episode_begins(tmp_path: Path) -> None:
     change = {"start": {"0": "1", "1": "0"}}
-    assert check_certificate.main(written(tmp_path, ONE, change, "model")) == 0
+    files = written(tmp_path, ONE, change, "model")
+    assert check_certificate.main(files) == alone(*files)[0] == 0
 
 
 # ---- the checker by itself -----------------------------------------------------------------------
@@ -167,7 +169,7 @@ def test_a_start_may_name_states_in_which_no_episode_begins(tmp_path: Path) -> N
 CHECKER = Path(exact_mdp.__file__).parent / "solvers" / "exact" / "checker.py"
 
 
-def alone(*words: Path) -> tuple[int, str]:
+def alone(*words: Path | str) -> tuple[int, str]:
     """Run the checker without the package; return its status and what it says."""
     done = subprocess.run(
         [sys.executable, "-I", CHECKER, *words], capture_output=True, text=True, check=False
