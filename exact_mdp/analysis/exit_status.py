@@ -100,9 +100,7 @@ def run(
     """
     context = None
     try:
-        if not _opened():
-            what = "standard output is closed, so the result could not be printed"
-            raise OSError(errno.EBADF, what)
+        _open()
         with _signals(), warnings.catch_warnings():
             warnings.showwarning = partial(_warn, told=set())
             with answering(), command.make_context(program, [*words], obj=[*words]) as context:
@@ -219,12 +217,11 @@ def _signals() -> Iterator[None]:
 # ---- standard streams ----------------------------------------------------------------------------
 
 
-def _opened() -> bool:
-    """Return whether there is a standard output; what is closed leads nowhere from now on.
+def _open() -> None:
+    """Let closed streams lead nowhere; raises OSError where standard output is closed.
 
     A file that is opened later would take the number of a closed stream, and get its text.
     """
-    open_before = sys.stdout is not None
     for number in range(3):
         try:
             os.fstat(number)
@@ -232,9 +229,11 @@ def _opened() -> bool:
             os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
     if sys.stderr is None:
         sys.stderr = os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8")
+    if sys.stdout is None:
+        what = "standard output is closed, so the result could not be printed"
+        raise OSError(errno.EBADF, what)
     if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal may lack a letter of a state's name
         sys.stdout.reconfigure(errors="backslashreplace")
-    return open_before
 
 
 def _silence(stream: TextIO) -> None:
