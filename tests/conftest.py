@@ -18,6 +18,6 @@ settings.load_profile("explore" if os.environ.get("EXPLORE") else "fixed")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Let chances be cut off at 1 in tests of other readings: verdict/ tests that it is said."""
+    """Ignore that a scenario cuts off chances at 1; mdp/care/test_scenario.py tests the warning."""
     for item in items:
         item.add_marker(pytest.mark.filterwarnings("ignore::exact_mdp.ScenarioWarning"))

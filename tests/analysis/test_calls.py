@@ -1,4 +1,4 @@
-"""What strangers call is taken where it can mean one thing; what is advised can be done.
+"""Calls as newcomers write them: taken where they have one meaning; advice that works.
 
 What is refused stands in the table beside this file.
 """
@@ -142,7 +142,7 @@ def rows(mdp: MDP) -> list[Any]:
     return [mdp.table.row(pair) for pair in range(mdp.n_pairs)]
 
 
-def test_taken() -> None:
+def test_what_has_one_meaning_is_taken() -> None:
     assert QLearning(exploration=0.2).exploration == Constant(0.2)
     assert QLearning(rate="1/4").rate == Constant(0.25)
     assert QLearning(epochs=np.int64(7)).epochs == 7

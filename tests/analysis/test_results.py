@@ -154,7 +154,7 @@ def test_a_result_shows_itself(name: str) -> None:
         lambda: em.parametric(SMALL),
     ],
 )
-def test_so_do_the_things_results_are_made_of(thing: Callable[[], object]) -> None:
+def test_the_things_results_are_made_of_show_themselves(thing: Callable[[], object]) -> None:
     text = repr(thing())
     assert len(text) <= LETTERS, text[:500]
     assert len(text.splitlines()) < LINES

@@ -1,4 +1,4 @@
-"""Run golden cases by the installed command, and compare what they print with pinned answers.
+"""Run golden cases in this process, and compare what they print with pinned answers.
 
 Every key is compared, and how a value is compared depends on what it claims:
 

@@ -1,4 +1,4 @@
-"""What is no model, at every door: the models of the table beside this file."""
+"""What no constructor takes for a model: the calls of the table beside this file."""
 
 from fractions import Fraction
 from functools import partial

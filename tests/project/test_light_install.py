@@ -88,7 +88,7 @@ def test_a_missing_package_names_its_extra(tmp_path: Path, command: str) -> None
 
 
 @pytest.mark.parametrize("code", IN_PYTHON)
-def test_so_it_does_in_python(tmp_path: Path, code: str) -> None:
+def test_in_python_a_missing_package_names_its_extra(tmp_path: Path, code: str) -> None:
     done = run(code, tmp_path)
     assert "exact_mdp.mdp.errors.ModelError: the package" in done.stderr
     assert f'pip install "exact-mdp[{IN_PYTHON[code]}]"' in done.stderr
@@ -107,7 +107,7 @@ def test_a_missing_package_of_the_core_is_named_with_the_command_that_installs_i
     assert done.stderr.rstrip().endswith("pip install .")
 
 
-def test_so_it_does_in_the_reproduction(tmp_path: Path) -> None:
+def test_in_the_reproduction_a_missing_package_names_its_extra(tmp_path: Path) -> None:
     done = run("from exact_mdp.paper_repro.__main__ import main; main(['--quick'])", tmp_path)
     assert done.returncode == 2, done.stderr
     assert 'pip install "exact-mdp[plots]"' in done.stderr

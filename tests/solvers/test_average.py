@@ -103,7 +103,7 @@ def test_shares_below_the_range_of_floats(digits: int) -> None:
     assert evaluation.start.value == pytest.approx(float(exact))
 
 
-def test_settings() -> None:
+def test_settings_of_the_average_reward() -> None:
     mdp = forest("9/10")
     policy = evaluate(mdp, "random", criterion="average").policy
     assert policy is not None

@@ -58,7 +58,7 @@ def test_its_matrices_are_the_same_model(env: Any, mdp: MDP) -> None:
     assert abs(mine.mean - theirs.mean) <= mine.start.error + theirs.start.error
 
 
-def test_commands(env: Any, mdp: MDP, tmp_path: Path) -> None:
+def test_the_commands_take_the_environment(env: Any, mdp: MDP, tmp_path: Path) -> None:
     model, file = f"gymnasium:{NAME}", str(tmp_path / "expert.npy")
     np.save(file, env.expert_policy)
     assert run("info", model, "--json").result["time_limit"] == 500

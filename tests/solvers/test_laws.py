@@ -1,7 +1,7 @@
 """Laws of every solver: its answers lie within its own bounds, in every form of every model.
 
-A view is another form of a drawn model, whose values follow from its own. A door is a way to ask
-for the optimum. What is right says the oracle: no policy has more, in rational arithmetic.
+A view is another form of a drawn model, whose values follow from its own. A method is a way to ask
+for the optimum. The oracle says what is right: in rational arithmetic no policy has more.
 """
 
 from collections.abc import Callable
@@ -128,10 +128,10 @@ VIEWS: list[View] = [as_drawn, renumbered, scaled, costs, shaped, leaking, copie
 views = st.sampled_from(VIEWS)
 
 
-# ---- doors ---------------------------------------------------------------------------------------
+# ---- methods -------------------------------------------------------------------------------------
 
 MOST = 600  # bounds hold wherever sweeps are stopped
-DOORS: dict[str, Callable[[MDP], Any]] = {
+METHODS: dict[str, Callable[[MDP], Any]] = {
     "default": solve,
     **{name: lambda mdp, name=name: solve(mdp, name) for name in SOLVERS},
     "value-iteration": lambda mdp: solve(mdp, ValueIteration(max_iterations=MOST)),
@@ -150,16 +150,16 @@ BACKWARD = ("backward-induction", "backwards")
 DIRECT = (*BACKWARD, "policy-iteration", "policies", "clarabel", "highs", "certify", "bounded")
 
 
-def asked(door: str, mdp: MDP) -> Any:
-    """The answer; that of a run that was stopped; None where the door is not for the model."""
+def asked(method: str, mdp: MDP) -> Any:
+    """The answer; that of a run that was stopped; None where the method is not for the model."""
     try:
-        return quietly(DOORS[door], mdp)
+        return quietly(METHODS[method], mdp)
     except SolverError as error:
-        if door in ("value-iteration", "gauss-seidel") and error.status is Status.ITERATION_LIMIT:
+        if method in ("value-iteration", "gauss-seidel") and error.status is Status.ITERATION_LIMIT:
             return error.solution
         raise
     except ModelError:
-        if door in BACKWARD and not is_acyclic(mdp):
+        if method in BACKWARD and not is_acyclic(mdp):
             return None
         raise
 
@@ -194,33 +194,33 @@ def proven(proof: Certificate, mdp: MDP) -> None:
     assert proof.value_float.tolist() == [float(x) for x in value]
 
 
-@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.parametrize("method", METHODS)
 @given(rows=models(), view=views)
-def test_the_optimum_lies_within_the_bounds(door: str, rows: Rows, view: View) -> None:
+def test_the_optimum_lies_within_the_bounds(method: str, rows: Rows, view: View) -> None:
     mdp, exact = view(rows, solve_exact(rows.n_states, rows.pairs, rows.discount)[0])
-    answer = asked(door, mdp)
+    answer = asked(method, mdp)
     if answer is None:
         return
     holds(answer, exact)
     best = at_start(mdp, exact)
-    if door == "certify":
+    if method == "certify":
         assert answer.start_value == best
         proven(answer, mdp)
     else:
         assert within(answer.start, best)
-    if door != "evaluate":
+    if method != "evaluate":
         over = set(np.flatnonzero(mdp.terminal).tolist())
         own = policy_values(rows_of(mdp, taken(mdp, answer)), mdp.discount_exact, over)
         holds(answer, own)
         if hasattr(answer, "regret_bound"):
             lost = max(abs(v - x) for v, x in zip(exact, own, strict=True))
             assert lost <= F(answer.regret_bound)
-    if door == "bounded":
+    if method == "bounded":
         assert answer.violations() == []
         ends = (own, exact) if mdp.sense == "max" else (exact, own)
         between = zip(answer.lower, *ends, answer.upper, strict=True)
         assert all(F(low) <= least <= most <= F(high) for low, least, most, high in between)
-    if door in DIRECT:
+    if method in DIRECT:
         size = max(map(abs, exact)) + max((abs(r) for _, _, r, _ in rows_of(mdp)), default=F(0))
         assert (
             max(errors_of(answer)) <= F(1, 10**9) * size + F(2) ** -900
@@ -248,7 +248,7 @@ def test_bounds_hold_around_any_values(kind: Any, rows: Rows, view: View, data: 
 # ---- horizons ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("door", ["default", "certify", "policy-iteration", "clarabel"])
+@pytest.mark.parametrize("method", ["default", "certify", "policy-iteration", "clarabel"])
 @settings(max_examples=40)
 @given(
     rows=models(),
@@ -256,7 +256,9 @@ def test_bounds_hold_around_any_values(kind: Any, rows: Rows, view: View, data: 
     steps=st.integers(1, 4),
     data=st.data(),
 )
-def test_a_horizon_is_a_recursion(door: str, rows: Rows, view: View, steps: int, data: Any) -> None:
+def test_a_horizon_is_a_recursion(
+    method: str, rows: Rows, view: View, steps: int, data: Any
+) -> None:
     """With what states are worth at its end, from every state at every time."""
     mdp, _ = view(rows, [F(0)] * rows.n_states)
     last = data.draw(st.lists(st.sampled_from([F(0), F(-3), F(22, 7)]), min_size=mdp.n_states,
@@ -268,7 +270,7 @@ def test_a_horizon_is_a_recursion(door: str, rows: Rows, view: View, steps: int,
         values.insert(0, [best(r + mdp.discount_exact * mean(law, after) for *_, r, law in each)
                           for each in rows_by_state(mdp)])  # fmt: skip
     unrolled = mdp.within(steps, terminal_value=last if any(last) else None)
-    answer, n = asked(door, unrolled), mdp.n_states
+    answer, n = asked(method, unrolled), mdp.n_states
     last_time = n * steps
     near(answer.value[:last_time], errors_of(answer)[:last_time], chain(*values[:-1]))
 
@@ -278,26 +280,26 @@ def test_a_horizon_is_a_recursion(door: str, rows: Rows, view: View, steps: int,
 ENDLESS: list[View] = [as_drawn, renumbered, scaled, costs, copied]
 
 
-@pytest.mark.parametrize("door", ["default", "certify"])
+@pytest.mark.parametrize("method", ["default", "certify"])
 @given(model=any_models(), view=st.sampled_from(ENDLESS))
-def test_totals_are_the_best_of_all_policies(door: str, model: Pairs, view: View) -> None:
+def test_totals_are_the_best_of_all_policies(method: str, model: Pairs, view: View) -> None:
     mdp, exact = view(Rows(n_states=model[0], pairs=model[1], discount=F(1)), best_total(model[1]))
-    answer = asked(door, mdp)
+    answer = asked(method, mdp)
     holds(answer, exact)
     holds(answer, total(rows_of(mdp, taken(mdp, answer))))
     assert max(errors_of(answer)) < F(1, 10**6)
-    if door == "certify":
+    if method == "certify":
         assert answer.violations() == []
         assert answer.start_value == exact[mdp.start[0][0]]
 
 
-@pytest.mark.parametrize("door", ["default", "certify"])
+@pytest.mark.parametrize("method", ["default", "certify"])
 @settings(max_examples=5)
 @given(model=any_models())
-def test_totals_of_large_models_are_those_of_their_parts(door: str, model: Pairs) -> None:
+def test_totals_of_large_models_are_those_of_their_parts(method: str, model: Pairs) -> None:
     small = model_of(*model, F(1))
     mdp, exact = in_copies(small, 1 + 22_000 // small.n_transitions)
-    holds(asked(door, mdp), exact)
+    holds(asked(method, mdp), exact)
 
 
 AVERAGE: dict[str, Callable[[MDP], Any]] = {
@@ -309,29 +311,29 @@ AVERAGE: dict[str, Callable[[MDP], Any]] = {
 }
 
 
-@pytest.mark.parametrize("door", AVERAGE)
+@pytest.mark.parametrize("method", AVERAGE)
 @settings(max_examples=40)
 @given(rows=models(discounts=[F(1, 2)]), view=st.sampled_from(ENDLESS[:-1]))
-def test_averages_are_the_best_of_all_policies(door: str, rows: Rows, view: View) -> None:
+def test_averages_are_the_best_of_all_policies(method: str, rows: Rows, view: View) -> None:
     counts = np.bincount([s for s, *_ in rows.pairs])
     assume(prod(counts.tolist()) <= 40 and rows.n_states <= 5)
-    if door in ("linear-program", "value-iteration"):
+    if method in ("linear-program", "value-iteration"):
         assume(max(abs(r) for _, _, r, _ in rows.pairs) < 10)
     gain, bias = best_average(rows.pairs)
     mdp, exact = view(rows, list(gain))
     try:
-        answer = AVERAGE[door](mdp)
+        answer = AVERAGE[method](mdp)
     except ModelError:
-        assert door == "value-iteration"  # several end components
+        assert method == "value-iteration"  # several end components
         return
     holds(answer, exact)
     size = 1 + max(abs(r) for _, _, r, _ in rows_of(mdp))
-    assert max(errors_of(answer)) <= F(1, 10 ** (6 if door == "value-iteration" else 9)) * size
-    if door == "evaluate":
+    assert max(errors_of(answer)) <= F(1, 10 ** (6 if method == "value-iteration" else 9)) * size
+    if method == "evaluate":
         return
     own, ahead = gain_and_bias(rows_of(mdp, taken(mdp, answer)))
     holds(answer, own)
-    if door == "certify":
+    if method == "certify":
         assert answer.violations() == []
         assert answer.bias.tolist() == view(rows, list(bias))[1] == list(ahead)
     else:

@@ -46,8 +46,8 @@ class Twin:
     actions: int
     learner: Any
 
-    def run(self, words: Sequence[int], kept: Collection[int]) -> None:
-        """Learn; keep the greedy policies after the episodes numbered in `kept`, from 1."""
+    def run(self, words: Sequence[int], numbers: Collection[int]) -> None:
+        """Learn; keep the greedy policies after the episodes of these numbers, from 1."""
         own = self.learner
         self.discount, self.power = float(own.discount), own.rate_power
         self.initial: float = own.initial
@@ -63,7 +63,7 @@ class Twin:
             for _ in range(own.episodes):
                 total = self.episode(eps, alpha, own.max_steps, total)
                 episode += 1
-                if episode in kept:
+                if episode in numbers:
                     self.policies[episode] = self.greedy_policy()
             self.returns.append(total / own.episodes)
 

@@ -14,8 +14,6 @@ from exact_mdp import MDP, Column, StateSpace
 F = Fraction
 Row = tuple[int, int, Fraction, Mapping[int, Fraction]]
 
-# How long an example takes says more of the machine than of the code.
-
 DISCOUNTS = (F(0), F(1, 2), F(9, 10), F(9999, 10_000))
 REWARDS = st.one_of(
     st.integers(-3, 3).map(F),

@@ -26,10 +26,10 @@ TWINS = (
 
 def test_settings_change_the_model() -> None:
     words = "--set tasks=[3,1] --set base.anger=1/10 --set discount=0.5 --discount 19/20"
-    found = run(f"info yuan2025 {words} --json").result
-    assert found["tasks"] == [3, 1]
-    assert found["parameters"]["base.anger"] == "1/10"
-    assert (found["discount"], found["discount_exact"]) == (0.95, "19/20")
+    info = run(f"info yuan2025 {words} --json").result
+    assert info["tasks"] == [3, 1]
+    assert info["parameters"]["base.anger"] == "1/10"
+    assert (info["discount"], info["discount_exact"]) == (0.95, "19/20")
 
 
 # ---- solve -----------------------------------------------------------------------------------
@@ -60,9 +60,9 @@ def test_solve_agrees_with_the_oracle(words: str) -> None:
     assert Fraction(exact["exact_start_value"]) == best
     assert abs(Fraction(exact["start_value"]) - best) <= Fraction(exact["error_bound"])
 
-    for found in (plain, exact):
-        assert list(found["policy"]) == [format(status, "04b") for status in range(16)]
-        for label, action in found["policy"].items():
+    for answer in (plain, exact):
+        assert list(answer["policy"]) == [format(status, "04b") for status in range(16)]
+        for label, action in answer["policy"].items():
             status = tuple(int(digit) for digit in label)
             assert action in oracle.optimal_actions((0, 0, 1, status))
     assert exact["stationary"] == is_stationary(oracle)
@@ -109,9 +109,9 @@ def test_solve_writes_policy_arrays_and_their_records(tmp_path: Path) -> None:
     assert solved["written"] == [str(policy), str(arrays)]
     mdp = load("yuan2025", sets=[COLUMN_TO_ROW])
     for path in (policy, arrays):
-        found = run(f"evaluate {words}", path).result
-        assert abs(found["mean"] - solved["start_value"]) <= (
-            found["error_bound"] + solved["error_bound"]
+        evaluation = run(f"evaluate {words}", path).result
+        assert abs(evaluation["mean"] - solved["start_value"]) <= (
+            evaluation["error_bound"] + solved["error_bound"]
         )
         record = json.loads(path.with_suffix(".run.json").read_text("utf-8"))
         assert record["model_hash"] == fingerprint(mdp)
@@ -120,15 +120,12 @@ def test_solve_writes_policy_arrays_and_their_records(tmp_path: Path) -> None:
         assert {"python", "numpy", "scipy", "exact-mdp"} <= set(record["versions"])
         assert record["seed"] is None
         assert bool(record["commit"]) == (ROOT / ".git").exists()
-    with np.load(arrays) as held:
-        assert held["value"][0] == solved["start_value"]
-        assert held["q"].shape == (241, 4)
-        assert np.nanmax(held["q"], axis=1) == pytest.approx(held["value"])
-        chosen = Policy.from_choices(mdp, held["policy"])
+    with np.load(arrays) as archive:
+        assert archive["value"][0] == solved["start_value"]
+        assert archive["q"].shape == (241, 4)
+        assert np.nanmax(archive["q"], axis=1) == pytest.approx(archive["value"])
+        chosen = Policy.from_choices(mdp, archive["policy"])
     assert (chosen.choices(mdp) == Policy.of(mdp, policy).choices(mdp)).all()
-
-
-# ---- evaluate, returns, simulate -------------------------------------------------------------
 
 
 def test_a_loose_tolerance_does_not_make_an_optimum_stationary() -> None:

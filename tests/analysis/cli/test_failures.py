@@ -51,7 +51,7 @@ FILES = [
 
 @pytest.mark.parametrize(("words", "text"), FILES, ids=map(str, range(len(FILES))))
 def test_long_numbers_and_deep_tables_are_bad_input(words: str, text: str, tmp_path: Path) -> None:
-    """Integers of 9,000 digits and keys of 3,000 parts are refused at the door, by name."""
+    """Integers of 9,000 digits and keys of 3,000 parts are refused where they are read, by name."""
     path = tmp_path / "file.toml"
     path.write_text(text, "utf-8")
     assert str(path) in run(words, path).refusal()

@@ -82,7 +82,9 @@ def test_simulations_and_returns_of_questions(
         (["--until", "home", "--horizon", "2"], "inf", None),
     ],
 )
-def test_solve(land: str, words: list[str], exact: str, policy: str | None) -> None:
+def test_every_question_has_the_answer_worked_out_by_hand(
+    land: str, words: list[str], exact: str, policy: str | None
+) -> None:
     result = run("solve", land, *words, "--certify", "--json").result
     assert result["exact_start_value"] == exact
     assert result["sense"] == ("min" if "--minimize" in words else "max")

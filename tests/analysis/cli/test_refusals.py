@@ -71,7 +71,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(("line", "said"), entries(__file__, BEYOND="<nan|1e400|1e999|NINES>"))
-def test_refused(line: str, said: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_command_of_the_table_is_refused(
+    line: str, said: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     before = sorted(folder.iterdir())
     monkeypatch.chdir(folder)
     for short, whole in SHORT.items():

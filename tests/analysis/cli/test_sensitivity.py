@@ -82,9 +82,6 @@ def test_a_box_tells_the_worst_point_found() -> None:
     assert "discount" not in wide["box"]
 
 
-# ---- derivatives, bars and thresholds -----------------------------------------------------------
-
-
 # ---- psa ----------------------------------------------------------------------------------------
 
 

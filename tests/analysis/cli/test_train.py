@@ -86,7 +86,7 @@ def test_the_files_can_be_used(tmp_path: Path) -> None:
         "--set tasks=[1,1] --learner=max_steps=3",
     ],
 )
-def test_options(words: str, tmp_path: Path) -> None:
+def test_every_setting_of_the_learner_may_be_given(words: str, tmp_path: Path) -> None:
     quick = f"{QUICK} --seeds 3 --learner=epochs=10 {words}"
     trained = run(quick, "--out", tmp_path).result
     assert trained["regret"]["mean"] >= 0

@@ -30,7 +30,7 @@ WALK = MDP.from_outcomes(
     states=["first", "second", "end"],
 )  # fmt: skip
 BOTH = [[0.5, 0.5], [0.1, 0.9]]
-WORTH: dict[str, Callable[..., Any]] = {  # of a policy, by each reader
+READERS: dict[str, Callable[..., Any]] = {  # each way to ask what a policy is worth
     "check": lambda form, **how: check(WALK, form, **how).regret.learned.value,
     "assert": lambda form, **how: assert_policy_optimal(WALK, form, 9, **how).regret.learned.value,
     "evaluate": lambda form, **how: evaluate(WALK, form, **how).mean,
@@ -51,13 +51,13 @@ def test_an_array_that_fits_both_readings_is_refused_everywhere(tmp_path: Path) 
     np.savez(tmp_path / "q.npz", q=whole(BOTH))
     save(WALK, model)
     for form in (whole(BOTH), whole(BOTH).tolist(), file, str(tmp_path / "q.npz")):
-        for worth in WORTH.values():
+        for value_of in READERS.values():
             with pytest.raises(ModelError, match="are these probabilities or a Q-table") as error:
-                worth(form)
+                value_of(form)
             assert "first" in error.value.where
             assert "--kind" in error.value.fix
-            assert worth(form, kind="q") == 3
-            assert float(worth(form, kind="policy")) == pytest.approx(2.3, abs=0.02)
+            assert value_of(form, kind="q") == 3
+            assert float(value_of(form, kind="policy")) == pytest.approx(2.3, abs=0.02)
         assert [check(WALK, form, kind=kind).read_as for kind in ("q", "policy")] == ["q", "policy"]
     for words in ("check", "evaluate", "returns", "simulate --episodes 5"):
         assert "are these probabilities or a Q-table" in run(words, model, file).refusal()

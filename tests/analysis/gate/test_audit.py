@@ -310,8 +310,8 @@ def test_an_action_that_only_a_policy_without_gain_uses_for_ever_is_to_blame() -
     rows += [(0, a, [("2/3", 0, 0), ("1/3", 1, -1)]) for a in (1, 2)] + [(1, 1, [(1, 1, 0)])]
     audit = check(MDP.from_outcomes(rows), [2, 0])
     assert audit.value.value == F(5, 17)
-    [found] = audit.disagreements
-    assert (found.state, found.optimal, found.cost) == (0, ("0",), 5 / 17)
+    [wrong] = audit.disagreements
+    assert (wrong.state, wrong.optimal, wrong.cost) == (0, ("0",), 5 / 17)
     # The loop 0 -> 1 -> 2 -> 0: state 1 leaves where it should stay, and in 0 the actions are one.
     rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, 0)]), (1, 1, [(1, 2, -1)])]
     audit = check(MDP.from_outcomes([*rows, (2, 0, [(1, 0, 1)])]), [1, 1, 0])

@@ -119,7 +119,7 @@ def test_trainer():
 """
 
 
-def test_in_a_test(mdp: MDP, tmp_path: Path) -> None:
+def test_the_assertions_in_a_users_tests(mdp: MDP, tmp_path: Path) -> None:
     best = by_status(mdp)
     mdp.save(tmp_path / "small.npz")
     Policy.of(mdp, best).write(tmp_path / "best.json")

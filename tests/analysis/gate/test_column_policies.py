@@ -97,12 +97,12 @@ def test_rows_whose_change_alone_gains_are_named(mdp: MDP, data: st.DataObject) 
     rows, numbers = mdp.space.column("row").size, range(mdp.n_actions)
     own = [data.draw(st.sampled_from(numbers)) for _ in range(rows)]
 
-    def worth(row: int, action: int) -> float:
+    def changed_mean(row: int, action: int) -> float:
         changed = [action if k == row else a for k, a in enumerate(own)]
         return evaluate(mdp, Policy.by(mdp, ["row"], changed)).mean
 
-    now = worth(0, own[0])
-    most = {f"row {row}": max(worth(row, a) for a in numbers) - now for row in range(rows)}
+    now = changed_mean(0, own[0])
+    most = {f"row {row}": max(changed_mean(row, a) for a in numbers) - now for row in range(rows)}
     why = check(mdp, Policy.by(mdp, ["row"], own)).representation
     assert why is not None
     gains = {each["row"]: each["gain"] for each in why.rows}
@@ -111,7 +111,7 @@ def test_rows_whose_change_alone_gains_are_named(mdp: MDP, data: st.DataObject) 
     for each in why.rows:
         row = int(each["row"].removeprefix("row "))
         assert each["learned"] == mdp.actions[own[row]]
-        assert worth(row, mdp.action(each["best"])) - now == pytest.approx(each["gain"])
+        assert changed_mean(row, mdp.action(each["best"])) - now == pytest.approx(each["gain"])
 
 
 def test_a_row_is_changed_to_what_its_states_offer_alone() -> None:

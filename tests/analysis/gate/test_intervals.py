@@ -75,7 +75,7 @@ KINDS: dict[str, Callable[[pd.DataFrame, int], Kind]] = {
 }
 
 
-def held(kind: str, episodes: int, sets: int, case: str = "") -> int:
+def covering(kind: str, episodes: int, sets: int, case: str = "") -> int:
     """Return how many of `sets` data sets give an interval that holds the true regret."""
     count = 0
     for seed in range(sets):
@@ -102,12 +102,12 @@ MANY = [pytest.param(episodes, 400, "", marks=pytest.mark.slow) for episodes in 
 @pytest.mark.parametrize(("episodes", "sets", "case"), [*SETS, *MANY])
 def test_intervals_hold_the_truth(kind: str, episodes: int, sets: int, case: str) -> None:
     """The stated share is not above the Wilson interval of the share that hold it."""
-    assert wilson(held(kind, episodes, sets, case), sets)[1] >= float(LEVEL)
+    assert wilson(covering(kind, episodes, sets, case), sets)[1] >= float(LEVEL)
 
 
 @pytest.mark.parametrize("episodes", [12, 40])
 def test_the_posterior_holds_with_few_records(episodes: int) -> None:
-    assert wilson(held("posterior", episodes, 60), 60)[1] >= float(LEVEL)
+    assert wilson(covering("posterior", episodes, 60), 60)[1] >= float(LEVEL)
 
 
 def test_where_actions_tie_every_kind_holds_0() -> None:

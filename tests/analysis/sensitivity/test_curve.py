@@ -85,9 +85,9 @@ def test_puterman_leaves_at_ten_elevenths() -> None:
     assert high.value.numerator == (5, F(-11, 2))
     assert high.value.denominator == (1, F(-3, 2), F(1, 2))
     assert low.high == high.low
-    (kept,) = value_curve.within()  # where action 0 is optimal
-    assert kept.low[0] <= F(10, 11) <= kept.low[1]
-    assert (kept.low, kept.high) == (low.high, (F(99, 100),) * 2)
+    (best,) = value_curve.within()  # where action 0 is optimal
+    assert best.low[0] <= F(10, 11) <= best.low[1]
+    assert (best.low, best.high) == (low.high, (F(99, 100),) * 2)
     switches = thresholds(PUTERMAN, "discount", (0, F(999, 1000)))
     (one,) = switches.found
     assert one.low <= F(10, 11) <= one.high <= one.low + WIDTH
@@ -132,9 +132,9 @@ def test_where_one_action_of_several_becomes_best(name: str) -> None:
         return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])])
 
     switches = thresholds(lone(build, HALF, 0, **more), "p", (0, 1))
-    for found, (at, before, after) in zip(switches.found, wanted, strict=True):
-        assert found.low <= at <= found.high <= found.low + WIDTH
-        assert ["".join(found.switches[0].before), "".join(found.switches[0].after)] == [
+    for threshold, (at, before, after) in zip(switches.found, wanted, strict=True):
+        assert threshold.low <= at <= threshold.high <= threshold.low + WIDTH
+        assert ["".join(threshold.switches[0].before), "".join(threshold.switches[0].after)] == [
             before,
             after,
         ]
@@ -158,7 +158,7 @@ def cyclic(draw: st.DrawFn) -> tuple[MDP, list[int]]:
     return MDP.from_outcomes(rows, discount="9/10", start=start, sense=sense), rewards
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(cyclic(), st.fractions(0, 1, max_denominator=50), st.sampled_from(["p", "discount", "gain"]))
 def test_random_models_with_cycles(
     drawn: tuple[MDP, list[int]], place: Fraction, name: str
@@ -214,7 +214,7 @@ def test_scenarios_against_certificates_at_single_points(
             assert (set(own[0].before), set(own[-1].after)) == (one[label], two[label])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(cyclic(), st.fractions(0, 2, max_denominator=10), st.booleans())
 def test_where_a_policy_keeps_a_limit(
     drawn: tuple[MDP, list[int]], limit: Fraction, relative: bool
@@ -309,7 +309,7 @@ def test_what_is_false_between_breakpoints_is_found() -> None:
         assert message in faults(first, second)
 
 
-def test_the_command() -> None:
+def test_the_command_says_what_the_function_says() -> None:
     line = "curve tea --set tasks=[1] --set max_trial=2 --parameter"
     limit = ("base.anxiety", "--max-relative-regret", "1/100")
     within = run(line, *limit, "--policy", "always:prompt", "--json").result["within"]
@@ -344,8 +344,8 @@ def test_a_table_is_followed_where_nothing_is_earned_today(sense: str) -> None:
     value_curve = curve(lone(build), "p", (-1, 1), policy=table)
     for p in (F(-1), F(-1, 2), F(0), F(1)):
         assert value_curve.fixed_at(p) == p  # action 1 in state 0, and nothing after that
-    [kept] = value_curve.within(0)  # what it earns is good in state 0, and bad in state 1
-    assert (float(kept.low[0]), float(kept.high[1])) == pytest.approx((0, 0))
+    [best] = value_curve.within(0)  # what it earns is good in state 0, and bad in state 1
+    assert (float(best.low[0]), float(best.high[1])) == pytest.approx((0, 0))
 
 
 def test_a_policy_that_is_silent_where_it_matters_elsewhere_is_refused() -> None:
@@ -404,7 +404,7 @@ def test_rows_of_floats_have_a_curve_of_the_discount() -> None:
     assert by_discount.at("1/2") == certify(floats.with_(discount="1/2")).start_value
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(rows=models(discounts=(F(1, 2),)))
 def test_the_last_piece_has_the_best_gain_and_of_these_the_best_bias(rows: Rows) -> None:
     """V = g / (1 - γ) + h + …: its first two terms (Puterman 1994, theorem 10.1.5)."""

@@ -39,7 +39,7 @@ def number(text: str) -> Fraction:
     return F(int(top, 16), int(below, 16))
 
 
-def worth(ratio: list[list[str]], at: Fraction) -> Fraction:
+def ratio_at(ratio: list[list[str]], at: Fraction) -> Fraction:
     top, below = (sum(int(c, 16) * at**k for k, c in enumerate(part)) for part in ratio)
     return F(top) / below
 
@@ -55,7 +55,7 @@ def check_at(data: dict[str, Any], row: int, at: Fraction, mdp: MDP, policy: str
         low, high = (number(piece[end][k]) for k, end in enumerate(("low", "high")))
         if low <= at <= high:
             around.append((piece, list(sets)))
-    assert max(worth(piece["value"], at) for piece, _ in around) == certificate.start_value
+    assert max(ratio_at(piece["value"], at) for piece, _ in around) == certificate.start_value
     value = check(mdp, policy, exact_values=True).regret.learned.value
     taken = [data["sets"][number] for number in data["taken"]]
     weights = Policy.of(mdp, policy).weights(mdp)
@@ -64,7 +64,7 @@ def check_at(data: dict[str, Any], row: int, at: Fraction, mdp: MDP, policy: str
         for s in range(mdp.n_states)
     ]
     assert taken == chosen
-    assert worth(curve["fixed"][around[0][0]["fixed"]], at) == value
+    assert ratio_at(curve["fixed"][around[0][0]["fixed"]], at) == value
     if len(around) == 1:
         for state in np.flatnonzero(~mdp.terminal).tolist():
             best = [p for p in mdp.pairs_of(state) if certificate.optimal_pairs[p]]

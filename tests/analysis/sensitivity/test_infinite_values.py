@@ -84,7 +84,7 @@ def test_infinite_values_are_refused(name: str, mdp: MDP, policy: str, what: str
     ("mdp", "more"),
     [(GAINS, "--policy always:1"), (LOSES, "--until g --policy always:0"), (BOTH, "")],
 )
-def test_commands(kind: str, mdp: MDP, more: str, tmp_path: Path) -> None:
+def test_commands_refuse_infinite_values(kind: str, mdp: MDP, more: str, tmp_path: Path) -> None:
     """Exit status 2, with what, where and fix; no word of the range of floats."""
     mdp.save(tmp_path / "model.npz")
     refused = run(kind, tmp_path / "model.npz", *more.split()).refusal()

@@ -147,7 +147,7 @@ def test_workers_and_sample_sizes_change_no_byte(tmp_path: Path) -> None:
 
 
 def test_a_folder_is_not_used_for_models_that_are_the_same_today_alone(tmp_path: Path) -> None:
-    def worth(slope: int) -> np.ndarray:
+    def optima(slope: int) -> np.ndarray:
         model = Family(
             parameters={"x": 1},
             build=lambda at: MDP.from_arrays([[[1]]], [1 + slope * (at["x"] - 1)], "1/2"),
@@ -155,9 +155,9 @@ def test_a_folder_is_not_used_for_models_that_are_the_same_today_alone(tmp_path:
         stated = {"x": {"distribution": "uniform", "low": 0, "high": 2}}
         return psa(model, 30, uncertain=stated, folder=tmp_path).table.optimal
 
-    assert worth(1).tolist() == worth(1).tolist()
+    assert optima(1).tolist() == optima(1).tolist()
     with pytest.raises(ModelError, match="record differs in first_draw"):
-        worth(5)
+        optima(5)
 
 
 def test_a_policy_is_told_by_status_where_it_depends_on_nothing_else() -> None:

@@ -15,7 +15,7 @@ PI = np.pi
 BETS = wager("1/2", "1/2")  # V = max(p, q)
 
 
-def told(f: Callable[..., float], *names: str) -> Family:
+def function_model(f: Callable[..., float], *names: str) -> Family:
     """Return a model whose value is a function of its parameters."""
 
     def build(at: Any) -> MDP:
@@ -26,7 +26,7 @@ def told(f: Callable[..., float], *names: str) -> Family:
 
 def test_the_indices_of_ishigami() -> None:
     """Ishigami and Homma (1990): Var = 49/8 + π⁴/50 + π⁸/1800 + 1/2; x3 weighs with x1 alone."""
-    model = told(
+    model = function_model(
         lambda x, y, z: np.sin(x) + 7 * np.sin(y) ** 2 + z**4 * np.sin(x) / 10, "x", "y", "z"
     )
     shares = sobol(model, ranges=dict.fromkeys("xyz", (-PI, PI)), n=2**11, rng=0).optimal
@@ -40,7 +40,7 @@ def test_the_indices_of_ishigami() -> None:
 
 def test_intervals_cover_as_often_as_they_say() -> None:
     """Of x + 2 y, both indices are 1/5 and 4/5; intervals are those of a random sample."""
-    model = told(lambda x, y: x + 2 * y, "x", "y")
+    model = function_model(lambda x, y: x + 2 * y, "x", "y")
     for seed in range(20):
         shares = sobol(model, ranges={"x": (0, 1), "y": (0, 1)}, n=64, rng=seed).optimal
         for index, half in ((shares.first, shares.first_half), (shares.total, shares.total_half)):

@@ -46,21 +46,21 @@ def test_three_totals_bound_all_policies_and_are_attained(mdp: MDP, data: Any) -
     names = ["c0", "c1", "c2"]
     every = [tuple(sign * v for v in point) for point in totals(mdp, names)]
     front = tradeoff(mdp, names)
-    found = [tuple(sign * v for v in point) for point in front.vertices]
+    attained = [tuple(sign * v for v in point) for point in front.vertices]
     assert front.violations() == []
-    assert set(found) <= set(every)
+    assert set(attained) <= set(every)
     for weights in product(range(1, 5), repeat=3):
-        assert best(weights, found) == best(weights, every)
-    for vertex in found:  # none is dominated
+        assert best(weights, attained) == best(weights, every)
+    for vertex in attained:  # none is dominated
         assert not any(
             p != vertex and all(a >= b for a, b in zip(p, vertex, strict=True)) for p in every
         )
-    assert {i for _, tight in front.facets for i in tight} <= set(range(len(found)))
+    assert {i for _, tight in front.facets for i in tight} <= set(range(len(attained)))
     point = data.draw(st.sampled_from(every))
     number = every.index(point)
     policy = list(product(*(mdp.pairs_of(s) for s in range(mdp.n_states))))[number]
     far = front.distance(mdp.pair_action[list(policy)])
-    assert far == min((best(c.weights, found) - best(c.weights, [point])) for c in front.corners)
+    assert far == min((best(c.weights, attained) - best(c.weights, [point])) for c in front.corners)
 
 
 def best(weights: Any, points: list[Point]) -> Fraction:
@@ -159,7 +159,7 @@ def test_components_that_an_end_earns_for_ever_are_infinite() -> None:
     assert evaluate(two.with_(start=1), [0, 0, 0]).components["a"] == math.inf
 
 
-def test_the_checker_notices() -> None:
+def test_the_checker_notices_false_fronts() -> None:
     """A lost vertex, a lost bound, another total and values too low are all found."""
     front = tradeoff(Scenario.load("yuan2025").with_(tasks=[1]), ["anger", "subtask-complete"])
     assert len(front.vertices) > 3

@@ -72,7 +72,7 @@ def test_a_mixed_policy_and_one_that_is_never_right() -> None:
     assert never.violations() == drawn.violations() == []
 
 
-def test_the_checker_notices() -> None:
+def test_the_checker_notices_false_answers() -> None:
     scenario = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
     least_change = rationalize(scenario, "always:directive")
     assert least_change.violations() == []

@@ -130,9 +130,9 @@ def test_a_policy_is_counted_in_every_draw_whose_optimum_it_was(model) -> None:
     solver, counts = solver_of(model, draws.names), np.bincount(draws.table.which)
     assert len(counts) > 2 * POOL
     for number in (int(np.flatnonzero(counts == counts.min())[-1]), int(counts.argmax())):
-        held = solver.held(draws.table.rows[number])
-        assert np.array_equal(solver.row(held), draws.table.rows[number])
-        assert psa(model, 300, policy=held, **how).candidates[0].frequency == counts[number]
+        policy = solver.held(draws.table.rows[number])
+        assert np.array_equal(solver.row(policy), draws.table.rows[number])
+        assert psa(model, 300, policy=policy, **how).candidates[0].frequency == counts[number]
 
 
 def test_rows_are_drawn_together_whatever_is_asked_of_their_model() -> None:

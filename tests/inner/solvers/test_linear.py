@@ -25,8 +25,8 @@ def matrix_of(size: int, entries: Entries) -> Matrix:
 def eliminated(size: int, entries: Entries, side: list[int]) -> list[F] | None:
     """The solution in fractions, None where there is not just one."""
     rows = [{j: F(a) for (k, j), a in entries.items() if k == i and a} for i in range(size)]
-    found = solved(rows, [*map(F, side)])
-    return found and found[0]
+    solutions = solved(rows, [*map(F, side)])
+    return solutions and solutions[0]
 
 
 def solution(matrix: Matrix, side: list[int]) -> list[F]:
@@ -51,7 +51,7 @@ def systems(draw: st.DrawFn) -> tuple[int, Entries]:
 
 
 @pytest.mark.parametrize("few", [120, 1])
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(systems(), st.data())
 def test_elimination_in_fractions_agrees(
     few: int, system: tuple[int, Entries], data: st.DataObject

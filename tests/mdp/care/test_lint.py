@@ -226,7 +226,7 @@ def test_unsafe_names_are_problems(name: str, odd: str, tmp_path: Path) -> None:
 # ---- commands ---------------------------------------------------------------------------------
 
 
-def test_commands(tmp_path: Path) -> None:
+def test_new_writes_the_template_and_lint_finds_what_is_changed(tmp_path: Path) -> None:
     path = tmp_path / "own.toml"
     made = run("new", path, "--json")
     assert made.result.keys() == {"format", "written", "notice"}

@@ -166,7 +166,7 @@ def test_scenarios_of_other_statuses_and_actions(
         ("readings.evaluation_discount=0.95", "discount", Fraction(19, 20)),
     ],
 )
-def test_settings(assignment: str, attribute: str, value: object) -> None:
+def test_a_setting_changes_one_attribute(assignment: str, attribute: str, value: object) -> None:
     assert getattr(BASE.set(assignment), attribute) == value
 
 

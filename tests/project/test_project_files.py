@@ -1,4 +1,4 @@
-"""What stands around the code says what is so: workflows, versions, hooks, requirements, locks."""
+"""The files around the code agree: pages, workflows, versions, hooks, requirements, locks."""
 
 import ast
 import re

@@ -1,4 +1,4 @@
-"""Graphs and rows: the same compiled or not, as by definition; work on threads."""
+"""Graphs, against their definition; rows, the same compiled or not; work on threads."""
 
 from fractions import Fraction as F
 from functools import cache
@@ -96,6 +96,26 @@ def test_models_end_as_they_say_and_a_policy_that_does_not_is_named() -> None:
     assert proves(care, termination(care).rank)
 
 
+@given(st.integers(1, 12), st.lists(st.tuples(st.integers(0, 11), st.integers(0, 11))), st.data())
+def test_components_and_closures_are_those_of_networkx(size: int, ends, data) -> None:
+    """Components are numbered by their first nodes, or so that no edge leads to a higher one."""
+    known = nx.DiGraph([(source % size, target % size) for source, target in ends])
+    known.add_nodes_from(range(size))
+    edges = sp.csr_array(nx.to_scipy_sparse_array(known, nodelist=range(size), dtype=float))
+    edges.indices = np.repeat(edges.indices, 2)[::2]  # a strided view
+    first = np.array(data.draw(st.lists(st.booleans(), min_size=size, max_size=size)))
+    parts, order = graph.strong_components(edges), graph.components_in_order(edges)
+    expected = {frozenset(part) for part in nx.strongly_connected_components(known)}
+    for label in (parts, order):
+        numbers = range(label.max() + 1)
+        assert {frozenset(np.flatnonzero(label == number)) for number in numbers} == expected
+    assert all(order[source] >= order[target] for source, target in known.edges)
+    assert [*dict.fromkeys(parts.tolist())] == [*range(len(expected))]
+    begins = np.flatnonzero(first).tolist()
+    reached = set(begins).union(*(nx.descendants(known, node) for node in begins))
+    assert set(np.flatnonzero(graph.closure(edges, first))) == reached
+
+
 # ---- rows ----------------------------------------------------------------------------------------
 
 FAULTS: dict[str, list[tuple[str, int, float]]] = {  # array, place, number
@@ -171,23 +191,3 @@ def test_work_on_threads_raises_and_ignores_as_its_caller_does() -> None:
     assert np.isinf(seen).all()
     with pytest.raises(ValueError, match=r"^\d+ \d+$"):
         threads.run_blocks([0, 1, 2, 3], fails)
-
-
-@given(st.integers(1, 12), st.lists(st.tuples(st.integers(0, 11), st.integers(0, 11))), st.data())
-def test_components_and_closures_are_those_of_networkx(size: int, ends, data) -> None:
-    """Components are numbered by their first nodes, or so that no edge leads to a higher one."""
-    known = nx.DiGraph([(source % size, target % size) for source, target in ends])
-    known.add_nodes_from(range(size))
-    edges = sp.csr_array(nx.to_scipy_sparse_array(known, nodelist=range(size), dtype=float))
-    edges.indices = np.repeat(edges.indices, 2)[::2]  # a strided view
-    first = np.array(data.draw(st.lists(st.booleans(), min_size=size, max_size=size)))
-    parts, order = graph.strong_components(edges), graph.components_in_order(edges)
-    expected = {frozenset(part) for part in nx.strongly_connected_components(known)}
-    for label in (parts, order):
-        numbers = range(label.max() + 1)
-        assert {frozenset(np.flatnonzero(label == number)) for number in numbers} == expected
-    assert all(order[source] >= order[target] for source, target in known.edges)
-    assert [*dict.fromkeys(parts.tolist())] == [*range(len(expected))]
-    begins = np.flatnonzero(first).tolist()
-    reached = set(begins).union(*(nx.descendants(known, node) for node in begins))
-    assert set(np.flatnonzero(graph.closure(edges, first))) == reached

@@ -41,7 +41,7 @@ def care() -> MDP:
     return SMALL.with_(tasks=[2]).compile()
 
 
-def worth(mdp: MDP, matrix: np.ndarray, policy: object = PLAN) -> float:
+def mean_return(mdp: MDP, matrix: np.ndarray, policy: object = PLAN) -> float:
     return evaluate(mdp, perceived(mdp, policy, matrix)).mean
 
 
@@ -54,7 +54,7 @@ def test_what_one_more_misreading_costs(care: MDP) -> None:
             matrix = ROUGH.copy()
             matrix[true, true] -= sign * step
             matrix[true, seen] += sign * step
-            moved.append(worth(care, matrix))
+            moved.append(mean_return(care, matrix))
         slope = (moved[1] - moved[0]) / (2 * step)
         assert costs.marginal[true, seen] == pytest.approx(slope, rel=1e-5, abs=1e-6)
 
@@ -67,7 +67,7 @@ def test_what_a_rate_is_worth(care: MDP) -> None:
             for step in (1e-5, -1e-5):
                 rates = np.array([HITS, CLEARS])
                 rates[which, bit] += step
-                ends.append(worth(care, independent(*rates)))
+                ends.append(mean_return(care, independent(*rates)))
             slope = (ends[0] - ends[1]) / 2e-5
             assert costs.rates[name][which] == pytest.approx(slope, rel=1e-5, abs=1e-6)
 
@@ -75,7 +75,7 @@ def test_what_a_rate_is_worth(care: MDP) -> None:
 def test_losses_add_up(care: MDP) -> None:
     for policy in (PLAN, "random", "always:directive"):
         costs = error_costs(care, policy, ROUGH)
-        whole = evaluate(care, policy).mean - worth(care, ROUGH, policy)
+        whole = evaluate(care, policy).mean - mean_return(care, ROUGH, policy)
         assert costs.loss.sum() == pytest.approx(whole, abs=2 * costs.error)
         parts = [part for both in costs.by_status.values() for part in both]
         assert sum(parts) == pytest.approx(whole, abs=2 * costs.error)
@@ -89,7 +89,7 @@ def test_states_may_come_back() -> None:
     mdp = MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])]).with_(space=space)
     seen = independent([0.75], [0.9])
     costs = error_costs(mdp, [0, 1, 0], seen)
-    assert costs.value.value == pytest.approx(worth(mdp, seen, [0, 1, 0]))
+    assert costs.value.value == pytest.approx(mean_return(mdp, seen, [0, 1, 0]))
     lost = costs.perfect.value - costs.value.value
     assert costs.loss.sum() == pytest.approx(lost, abs=2 * costs.error)
 

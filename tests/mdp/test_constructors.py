@@ -1,4 +1,4 @@
-"""Every door gives the same model: arrays of all layouts, pairs, outcomes, functions, files."""
+"""Every constructor gives the same model: arrays of all layouts, pairs, outcomes and functions."""
 
 import pickle
 from collections import defaultdict, namedtuple
@@ -456,7 +456,7 @@ def test_a_component_that_is_the_reward_is_taken_where_its_mean_is_0() -> None:
 def test_components_are_kept_exactly_and_what_is_left_is_the_rest(
     tmp_path_factory: pytest.TempPathFactory, parts: list[list[Any]], order: list[int]
 ) -> None:
-    """By every door, in any order of the pairs, in a file, of costs and within some steps."""
+    """By every constructor, in any order of the pairs, in a file, of costs, within some steps."""
     chances = np.array([[0, 1, 0], [0, 0, 1], [0, 0, 1]])
     reward, folder = ["1/7", 5, 0], tmp_path_factory.mktemp("kept")
     named = {f"c{number}": row for number, row in enumerate(parts)}
@@ -466,7 +466,7 @@ def test_components_are_kept_exactly_and_what_is_left_is_the_rest(
     outcomes = [(i, 0, [(1, int(chances[i].argmax()), reward[i])]) for i in order]
     table = {s: {0: [(1.0, int(chances[s].argmax()), 0.0, False)]} for s in range(3)}
     plain = SimpleNamespace(P=table)
-    doors = [
+    models = [
         arrays,
         MDP.from_pairs(order, [0] * 3, chances[order], [reward[i] for i in order], "1/2",
                        components=turned),
@@ -476,7 +476,7 @@ def test_components_are_kept_exactly_and_what_is_left_is_the_rest(
         negated(negated(arrays)),
     ]  # fmt: skip
     left = [Fraction(r) - sum(Fraction(row[s]) for row in parts) for s, r in enumerate(reward)]
-    for mdp in doors:
+    for mdp in models:
         assert all(amounts(mdp, name) == [Fraction(x) for x in row] for name, row in named.items())
         assert ("rest" in mdp.component_names) is any(left)
         assert not any(left) or amounts(mdp, "rest") == left

@@ -1,4 +1,4 @@
-"""The guide's workflow and pre-commit hook, run as far as a shell can: every script they start."""
+"""The workflow and the pre-commit hook of docs/gate.md, run as far as a shell can."""
 
 import os
 import re
@@ -90,13 +90,13 @@ def filled(text: str, inputs: dict[str, Any], temp: Path) -> str:
     return str(ROOT) if match[2] else inputs[match[1]]
 
 
-def test_the_workflow_of_the_readme_reports_a_policy_that_loses_too_much(project: Path) -> None:
-    status, said, annotations = act(project, **GATE)
+def test_the_workflow_of_the_guide_reports_a_policy_that_loses_too_much(project: Path) -> None:
+    status, said, installed = act(project, **GATE)
     assert status == 1, said
-    assert annotations.splitlines()[-1] == str(ROOT)
-    (annotations,) = (line for line in said.splitlines() if line.startswith("::"))
-    assert annotations.startswith("::error title=q_table.npy in tea%3A failed::")
-    assert "%0Afailed: the regret is not at most 0.5: it is " in annotations
+    assert installed.splitlines()[-1] == str(ROOT)
+    (annotation,) = (line for line in said.splitlines() if line.startswith("::"))
+    assert annotation.startswith("::error title=q_table.npy in tea%3A failed::")
+    assert "%0Afailed: the regret is not at most 0.5: it is " in annotation
     assert "| state | yours | optimal |" in (project.parent / "summary.md").read_text("utf-8")
     root = ElementTree.parse(project / "policy-report.xml").getroot()
     assert (root.get("failures"), root.get("errors")) == ("1", "0")
@@ -118,7 +118,7 @@ def test_an_input_is_no_command(project: Path, name: str) -> None:
     assert not list(project.parent.rglob("owned"))
 
 
-def test_the_hook_of_the_readme(project: Path) -> None:
+def test_the_hook_of_the_guide(project: Path) -> None:
     (hook,) = yaml.safe_load((ROOT / ".pre-commit-hooks.yaml").read_text("utf-8"))
     (used,) = HOOKS["repos"][0]["hooks"]
     assert used["id"] == hook["id"]

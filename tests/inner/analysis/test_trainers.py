@@ -1,4 +1,4 @@
-"""The interval of a share that holds at every moment, what stops by it, and curves of runs."""
+"""The interval of a share that holds after every run at once, and the verdict that stops by it."""
 
 from fractions import Fraction as F
 from itertools import count
