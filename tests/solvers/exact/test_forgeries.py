@@ -84,6 +84,11 @@ FORGED: dict[str, tuple[MDP, dict[str, Any], str]] = {
         until_goal([(0, 0, [(1, 1, 1)]), *MAY_MISS], 3, sense="min"),
         *NOT_UNIQUE,
     ),
+    "levels of a mean reward, below discount 1": (
+        MDP.from_outcomes([(0, 0, [(1, 0, 1)])], "1/2"),
+        {"g": level(0), "w": level(-4)},
+        "g, h, w prove no total of such a model",
+    ),
     "two ways to the end, called the only one": (MDP.from_outcomes(CHOICE), *UNIQUE),
     "the only way to the end, called one of two": (
         MDP.from_outcomes([(0, 0, [(1, 1, -1)]), (0, 1, [(1, 1, -2)]), END]),
