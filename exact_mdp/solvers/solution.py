@@ -353,8 +353,7 @@ class Solution(Found, Pictured):
     def q(self) -> Floats:
         """(S, A) action values r + γ P V; -inf (of costs inf) where an action is not offered."""
         never = np.inf if self.mdp.sense == "min" else -np.inf
-        table: Floats = MDP.by_action(self.mdp, self.mdp.backup(self.value), never)
-        return table
+        return self.mdp.by_action(self.mdp.backup(self.value), never)
 
     @property
     def gap_table(self) -> Floats:
@@ -362,8 +361,7 @@ class Solution(Found, Pictured):
         here, there = self.value[self.mdp.pair_state], self.mdp.backup(self.value)
         with np.errstate(invalid="ignore"):  # two infinite values that are alike differ by nothing
             lost = np.where(here == there, 0.0, self.mdp.sign * (here - there))
-        table: Floats = MDP.by_action(self.mdp, lost)
-        return table
+        return self.mdp.by_action(lost)
 
     def negated(self, mdp: MDP) -> Self:
         """Return the solution of `mdp`, of which this solution's model is the negation."""

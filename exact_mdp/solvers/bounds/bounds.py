@@ -132,9 +132,7 @@ def backward(mdp: MDP, reward: Floats) -> Floats:
     if mdp.n_transitions >= COMPILED:
         from exact_mdp.solvers.kernels import bellman
 
-        leak = float(1 - mdp.discount_exact)
-        model = bellman.model_of(mdp, reward, np.ones(1), leak)
-        bellman.relax(order[::-1], model, value, 0.0)
+        bellman.relax(order[::-1], bellman.model_of(mdp, reward, np.ones(1)), value, 0.0)
         return value
     if level is None:
         cuts = runs_in_order(mdp)

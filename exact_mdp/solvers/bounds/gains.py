@@ -87,10 +87,7 @@ class RoundingFacts:
         self.most_reward_error = float(reward_errors(mdp).max())
 
 
-@once
-def rounding_facts(mdp: MDP) -> RoundingFacts:
-    """Return the facts, computed once for each model."""
-    return RoundingFacts(mdp)
+rounding_facts = once(RoundingFacts)
 
 
 def roundings(mdp: MDP) -> Integers:

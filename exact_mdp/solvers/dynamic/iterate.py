@@ -14,7 +14,6 @@ that are beaten, as values have not risen enough since they were looked at to ma
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from contextlib import suppress
 from functools import cached_property
 from numbers import Real
@@ -293,21 +292,13 @@ class Values:
     def _model(self) -> Any:
         from exact_mdp.solvers.kernels import bellman
 
-        return bellman.model_of(self.mdp, self.mdp.reward, self.weights.margin, self.facts.leak)
+        return bellman.model_of(self.mdp, self.mdp.reward, self.weights.margin)
 
 
-def iterate(
-    mdp: MDP,
-    solver: Any,
-    step: Callable[[Values, float], None],
-    *,
-    tol: float | None = None,
-    evaluates: bool = False,
-    exact: bool = False,
-) -> Solution:
-    """Return the optimum within `tol`: passes, and a `step` of the solver after each.
+def iterate(mdp: MDP, solver: Any) -> Solution:
+    """Return the optimum within the solver's `tol`, if any: passes, and a `step` of it after each.
 
-    `step` gets the values, and how near those of a policy should come: a tenth of the least error
+    The step gets the values, and how near those of a policy should come: a tenth of the least error
     yet, and ever less where that has not fallen for some passes. Where it `evaluates` policies and
     no tolerance is asked for, values are brought as near as floats can be at last, so that ties
     show as ties. Where it does so in `exact` steps, a policy that comes back ends it, once that
@@ -320,7 +311,8 @@ def iterate(
     each. Where steps do not evaluate policies and `FEW` passes bring nothing, or `MANY` were too
     few, every second one gives way to an evaluation of its policy.
     """
-    started, status = perf_counter(), None
+    started, status, tol = perf_counter(), None, getattr(solver, "tol", None)
+    evaluates, exact = solver.evaluates, solver.exact
     values = Values(mdp, values_of(mdp, solver.start))
     weight = float(values.weights.value.max(initial=0.0))
     doubt, hurried, seen = 1.0, False, set[bytes]()
@@ -361,7 +353,7 @@ def iterate(
             with suppress(SolverError):
                 values.correct()
         else:
-            step(values, goal)
+            solver.step(values, goal)
     if status in (None, Status.NO_BOUND):
         status = status or Status.ITERATION_LIMIT
         reached = verify(mdp, values.value).centred()

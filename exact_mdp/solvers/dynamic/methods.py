@@ -53,6 +53,7 @@ class Improving(Solver):
     start: Any = field(default=None, repr=False, compare=False)
 
     evaluates: ClassVar[bool] = False
+    exact: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         check_tolerance(type(self).__name__, self.tol)
@@ -64,7 +65,7 @@ class Improving(Solver):
 
     def best(self, model: MDP) -> Solution:
         """Return the optimum within `tol`."""
-        return iterate(model, self, self.step, tol=self.tol, evaluates=self.evaluates)
+        return iterate(model, self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,17 +164,19 @@ class PolicyIteration(Solver):
     start: Any = field(default=None, repr=False, compare=False)
 
     name: ClassVar[str] = "policy-iteration"
+    evaluates: ClassVar[bool] = True
+    exact: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         check_counts(type(self).__name__, max_iterations=self.max_iterations)
 
     def best(self, model: MDP) -> Solution:
         """Return the optimum up to rounding."""
+        return iterate(model, self)
 
-        def step(values: Values, goal: float) -> None:
-            values.correct(closely=True)
-
-        return iterate(model, self, step, evaluates=True, exact=True)
+    def step(self, values: Values, goal: float) -> None:
+        """Solve the equations of the policy."""
+        values.correct(closely=True)
 
 
 @dataclass(frozen=True, kw_only=True)

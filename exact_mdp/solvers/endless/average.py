@@ -27,6 +27,7 @@ import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.result import DataFrame
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.gains import POLICIES, SLACK, gains, greedy
 from exact_mdp.solvers.bounds.linear import FixedPoint
@@ -76,7 +77,7 @@ class AverageSolution(Solution):
         """See `Solution.negated`."""
         return replace(super().negated(mdp), bias=0.0 - self.bias)
 
-    def frame(self) -> Any:
+    def frame(self) -> DataFrame:
         """Return gain, bias, their error bounds, and the action of each state."""
         frame = super().frame().rename(columns={"value": "gain"})
         frame.insert(3, "bias", self.bias)

@@ -125,8 +125,9 @@ class Lifting:
         taken, count = 0, lead + FIRST if known is None else enough(known)
         below = known
         while True:
-            fresh = self._taken(coming, count - taken)
-            if fresh is None:
+            with np.errstate(all="ignore"):
+                fresh = np.array(list(islice(coming, count - taken)))
+            if fresh.max() > 1 << width or fresh.min() < -(1 << width):  # floats fail
                 return None
             parts.append(fresh)
             mixed.append(fresh @ share)
@@ -166,13 +167,6 @@ class Lifting:
                 carry = own >> limb
                 own -= carry << limb
                 after += carry
-
-    def _taken(self, digits: Iterator[Integers], count: int) -> Integers | None:
-        """Return the next digits (count, K); None where they are too large, as floats fail."""
-        with np.errstate(all="ignore"):
-            listed = np.array(list(islice(digits, count)))
-        limit = 1 << self.width
-        return None if listed.max() > limit or listed.min() < -limit else listed
 
 
 def _factored(matrix: sp.csc_array) -> Any:

@@ -35,12 +35,11 @@ class Model(NamedTuple):
     leak: float
 
 
-def model_of(mdp: MDP, reward: Floats, margin: Floats, leak: float) -> Model:
+def model_of(mdp: MDP, reward: Floats, margin: Floats) -> Model:
     """Return what compiled loops take of a model."""
     matrix = mdp.transition
-    rows = matrix.indptr, matrix.indices, matrix.data
-    ended = mdp.terminal
-    return Model(mdp.pair_offsets, *rows, reward, margin, ended, mdp.discount, leak)
+    rows, leak = (matrix.indptr, matrix.indices, matrix.data), float(1 - mdp.discount_exact)
+    return Model(mdp.pair_offsets, *rows, reward, margin, mdp.terminal, mdp.discount, leak)
 
 
 @inlined

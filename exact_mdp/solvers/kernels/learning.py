@@ -129,18 +129,10 @@ def outcome(rng: Numbers, offsets: Numbers, cut: Floats, pair: int) -> int:
 def largest(q: Floats, entry: Numbers, low: int, high: int) -> tuple[float, int]:
     """Return the largest value among the positions low … high-1, and the first that has it."""
     best, where = q[at(entry[at(low)])], low
-    if high - low == 4:  # two by two is faster, and four actions are what the care model has
-        b, c, d = q[at(entry[at(low + 1)])], q[at(entry[at(low + 2)])], q[at(entry[at(low + 3)])]
-        where = low + 1 if b > best else low
-        best = b if b > best else best
-        later = d if d > c else c
-        where = (low + 3 if d > c else low + 2) if later > best else where
-        best = later if later > best else best
-    else:
-        for i in range(low + 1, high):
-            value = q[at(entry[at(i)])]
-            where = i if value > best else where
-            best = value if value > best else best
+    for i in range(low + 1, high):
+        value = q[at(entry[at(i)])]
+        where = i if value > best else where
+        best = value if value > best else best
     return best, where
 
 

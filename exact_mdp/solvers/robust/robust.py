@@ -2,19 +2,17 @@
 
     V(s) = max over pairs l of s of  min over laws q in U_l of  Σ q_i (r_i + γ V(s_i))
 
-or with either side turned round. Sets are (s, a)-rectangular: nature chooses for each pair on its
-own, and may choose anew in every step. The equations of the present policy and laws are solved in
-turn with choosing both anew; where that does not bring the bounds closer, a step of value iteration
-does (Iyengar, Mathematics of Operations Research 30, 2005; Kaufman and Schaefer, INFORMS Journal on
-Computing 25, 2013). If both go round, nature settles before the agent chooses anew (Hoffman and
-Karp, Management Science 12, 1966). T is the robust Bellman operator, and w is positive but for
-terminal states:
+or with either side turned round; nature chooses for each pair on its own. The equations of the
+present policy and laws are solved in turn with choosing both anew, or where that brings the bounds
+no closer, a step of value iteration is taken (Iyengar, Mathematics of Operations Research 30, 2005;
+Kaufman and Schaefer, INFORMS Journal on Computing 25, 2013). If both go round, nature settles first
+(Hoffman and Karp, Management Science 12, 1966). With T the right side, and w > 0 but at ends,
 
     m(s) = w(s) - γ max over the pairs l of s, and the laws q of l, of Σ q w  > 0,
     T V - V ≤ c m  gives  V* ≤ V + c w   (c ≥ 0),     T V - V ≥ c m  gives  V* ≥ V + c w   (c ≤ 0),
 
-on either side, as nature's optimum σ satisfies σ(V + c w) ≤ σ(V) + c γ max Σ q w for c ≥ 0. A
-margin proves that episodes end under every policy and every choice of nature.
+as nature's optimum σ satisfies σ(V + c w) ≤ σ(V) + c γ max Σ q w for c ≥ 0. A margin m proves that
+episodes end under every policy and every choice of nature.
 """
 
 from __future__ import annotations
@@ -22,7 +20,7 @@ from __future__ import annotations
 from copy import copy
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import scipy.sparse as sp
@@ -32,7 +30,7 @@ from exact_mdp.mdp.graph import closure, topological_levels
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
-from exact_mdp.mdp.table import Floats
+from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.gains import POLICIES, SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import LinearSystem
 from exact_mdp.solvers.dynamic.iterate import RELATIVE_TOLERANCE, check_counts, check_tolerance
@@ -192,7 +190,7 @@ class Game:
         """Return (T,) what the agent makes of pair values (U,)."""
         return self.mean(self.choice(q), q)
 
-    def solved(self, asked: Inner, share: Floats, order: Any) -> Floats:
+    def solved(self, asked: Inner, share: Floats, order: Integers | None) -> Floats:
         """Return about the values (S,) under what nature chose and shares (U,)."""
         chain, earned = self.chain(asked.laws, share)
         return LinearSystem(chain, self.mdp.discount, order=order).approximate(earned)

@@ -75,10 +75,7 @@ class Layers:
         return visits
 
 
-@once
-def layers_of(mdp: MDP) -> Layers:
-    """Return the passes over a model, made once for each."""
-    return Layers(mdp)
+layers_of = once(Layers)
 
 
 def taken(mdp: MDP, key: Integers, policies: Numbers) -> Integers:
