@@ -2,19 +2,17 @@
 
     Q(k, a) ← Q(k, a) + α (r + γ U - Q(k, a)),   k, k' the rows that s and s' read,
 
-where a is ε-greedy in Q(k, ·) and U is, at the state s' that follows,
+where a is ε-greedy in Q(k, ·) and U is, at the state s' that follows, 0 at the end or
 
     max_b Q(k', b)                                   Q-learning (Watkins and Dayan 1992)
     Q(k', b) of the action b taken next              SARSA (Rummery and Niranjan 1994)
     (1-ε) max_b Q(k', b) + ε mean_b Q(k', b)         expected SARSA (van Seijen et al. 2009)
     Q₂(k', argmax_b Q₁(k', b)), tables by a coin     double Q-learning (van Hasselt 2010)
 
-and 0 at the end, unless `bootstrap_end` is set. Costs are learned as rewards, which they are times
--1: so are action values and returns. Where several states share a row, this is no longer
-the solution of an MDP, and a constant α leaves noise that never settles: give it a `rate_power`.
-
-The defaults are those of Yuan et al. (2025), "Learning Algorithm Design and Training": 6,000 epochs
-of 30 episodes, α = 0.05, γ = 0.95, one row for each status, ε = 0.1.
+Costs are learned as rewards, which they are times -1. Where several states share a row, a constant
+α leaves noise that never settles: give it a `rate_power`. Defaults are those of Yuan et al. (2025),
+"Learning Algorithm Design and Training": 6,000 epochs of 30 episodes, α = 0.05, γ = 0.95, ε = 0.1,
+one row for each status.
 """
 
 from __future__ import annotations

@@ -1,21 +1,17 @@
 """The return of a policy: its mean, its spread, what it is made of, and where it comes from.
 
-    V(s)   = E[r + γ V(s')]
-    Var(s) = E[(r + γ V(s') - V(s))²] + γ² E[Var(s')]
+    V(s)   = E[r + γ V(s')]                              mean return
+    Var(s) = E[(r + γ V(s') - V(s))²] + γ² E[Var(s')]    its variance
+    d(s')  = μ(s') + γ Σ_s d(s) P(s, s')                 expected discounted visits
+    τ(s)   = 1 + Σ_s' P(s, s') τ(s')                     expected steps until a terminal state
+    h(s)   = Σ p + Σ' p h(s')                            probability that an event ever happens
 
-V is the mean return from s and Var its variance. The expectations run over the joint law of reward
-and next state, which a table of expected rewards does not hold. The second equation adds up squares
-and so loses no digits to cancellation (Sobel, The variance of discounted Markov decision processes,
-Journal of Applied Probability 19, 1982). Components are expected visits times what each pair earns,
-
-    d(s') = μ(s') + γ Σ_s d(s) P(s, s')         expected discounted visits
-    τ(s)  = 1 + Σ_s' P(s, s') τ(s')             expected steps until a terminal state
-    h(s)  = Σ p + Σ' p h(s')                    probability that an event ever happens
-
-where the first sum of the last line runs over the outcomes with the event and the second over the
-others (Puterman, Markov Decision Processes, 1994, section 6.9; Kemeny and Snell, Finite Markov
-Chains, 1960, chapter 3). Every number comes with a bound on its error that is sound in floating
-point.
+Expectations run over the joint law of reward and next state, which a table of expected rewards does
+not hold. The second equation adds up squares and so loses no digits to cancellation (Sobel, Journal
+of Applied Probability 19, 1982). In the last one the first sum runs over the outcomes with the
+event, the second over the others (Puterman, Markov Decision Processes, 1994, section 6.9; Kemeny
+and Snell, Finite Markov Chains, 1960, chapter 3). Components are visits times what each pair earns.
+Every number comes with a bound on its error that is sound in floating point.
 """
 
 from __future__ import annotations
@@ -356,7 +352,7 @@ class Evaluation(OfPolicy, Pictured):
     @property
     def occupancy_table(self) -> Floats:
         """(S, A) the same by state and action; NaN where an action is not offered."""
-        return np.asarray(self.mdp.by_action(self.occupancy))
+        return self.mdp.by_action(self.occupancy)
 
     @property
     def visits(self) -> Floats:

@@ -2,18 +2,16 @@
 
     P_π(s, s') = Σ_l π(l | s) P(l, s'),     l over the pairs of s that π takes,
 
-together with the outcomes behind it, one entry for each (state, pair, next state, reward), because
-the spread of a return depends on the joint law of next state and reward. Probabilities of actions
-are the exact numbers given (a float is the number that it is), divided by their exact sum. Whether
-a policy ends is a question about its own chain; other policies of the model need not end.
+together with the outcomes behind it, as the spread of a return depends on the joint law of next
+state and reward. Probabilities of actions are the exact numbers given (a float is the number that
+it is), divided by their exact sum. A state *ends* where a terminal state is reached with
+probability 1, which is where no state is reached from which the terminal ones cannot be (Puterman,
+Markov Decision Processes, 1994, A.2); other policies of the model need not end.
 
-A state *ends* where a terminal state is reached with probability 1, which is where no state is
-reached from which the terminal ones cannot be (Puterman, Markov Decision Processes, 1994, A.2). A
-policy has come to rest in classes of states that it never leaves and in which nothing is earned,
-nor any event happens. These count as ends for its return, of which nothing else is changed; only
-its steps have no end. Where it goes round for ever and earns something else than 0 a step on
-average, its return is +∞ or -∞; so it is where a run misses its goal. What any policy is worth,
-finite or not, is the optimum of the model in which there is nothing else to do.
+A policy has come to rest in classes of states that it never leaves, without a reward or an event.
+These count as ends for its return; only its steps have no end. Where it goes round for ever and
+earns something else than 0 a step on average, its return is +∞ or -∞; so it is where a run misses
+its goal. What any policy is worth is the optimum of the model in which there is nothing else to do.
 """
 
 from __future__ import annotations
