@@ -33,15 +33,15 @@ MARKED = re.compile(r"(<!-- made by `make docs`: (\w+)([^\n]*) -->\n).*?(<!-- en
 FIGURES = re.compile(r"^```python\n(.*?)^```\n\n((?:!\[[^\n]*\n)+)", re.M | re.S)
 
 
-def written(page: str) -> str:
-    """Return a page with what is made from the code."""
+def with_made_parts(page: str) -> str:
+    """Return a page whose made parts are those of today's code."""
     return MARKED.sub(
         lambda mark: f"{mark[1]}\n{MADE[mark[2]](mark[3].strip())}\n\n{mark[4]}", page
     )
 
 
-def named(place: str) -> Any:
-    """Return what "module:name" names."""
+def imported(place: str) -> Any:
+    """Return what "module:name" stands for."""
     module, _, name = place.partition(":")
     return getattr(import_module(module), name)
 
@@ -53,7 +53,7 @@ def table(head: str, rows: Iterable[tuple[str, ...]]) -> str:
     return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
-def who(names: Set[str], everyone: Set[str]) -> str:
+def commands_in_short(names: Set[str], everyone: Set[str]) -> str:
     """Return the commands concerned; of most of them, the others."""
     others = ", ".join(sorted(everyone - names))
     if 2 * len(names) <= len(everyone):
@@ -66,13 +66,11 @@ def who(names: Set[str], everyone: Set[str]) -> str:
 
 def commands_of(group: str) -> dict[str, tuple[click.Command, click.Context]]:
     """Return the commands of a group, "module:name", by name."""
-    made = {
-        name: named(group).get_command(None, name)
-        for name in sorted(named(group).list_commands(None))
-    }
-    return {
-        name: (each, click.Context(each, **each.context_settings)) for name, each in made.items()
-    }
+    pairs = {}
+    for name in sorted(imported(group).list_commands(None)):
+        command = imported(group).get_command(None, name)
+        pairs[name] = command, click.Context(command, **command.context_settings)
+    return pairs
 
 
 def commands(words: str) -> str:
@@ -95,7 +93,7 @@ def options(group: str) -> str:
             if isinstance(option, click.Option) and record and "--help" not in option.opts:
                 takers.setdefault(record, set()).add(name)
     rows = (
-        (f"`{option}`", " ".join(help.split()), who(names, everyone.keys()))
+        (f"`{option}`", " ".join(help.split()), commands_in_short(names, everyone.keys()))
         for (option, help), names in sorted(takers.items())
     )
     return table("option, what it does, commands", rows)
@@ -120,7 +118,7 @@ def meanings() -> dict[tuple[str, str], str]:
     The docstring of the command's function says it below "Keys", that of `Given` for all commands;
     else it is what the class of the result, which the section names, says of its attribute.
     """
-    shared, _ = said("analysis.cli.given:Given")
+    shared, _ = explained_keys("analysis.cli.given:Given")
     classes = {
         node.name: node
         for path in Path(exact_mdp.__file__).parent.rglob("*.py")
@@ -132,21 +130,23 @@ def meanings() -> dict[tuple[str, str], str]:
         for name in names:
             pinned.setdefault(name, set()).add(key)
     known = {}
-    for made in named("exact_mdp.analysis.cli.commands:MADE").values():
-        for name, (target, _) in made.items():
-            own, results = said(f"analysis.cli.{target}")
+    for group in imported("exact_mdp.analysis.cli.commands:MADE").values():
+        for name, (target, _) in group.items():
+            own, results = explained_keys(f"analysis.cli.{target}")
             attributes = {}
             for each in reversed(results):
-                attributes |= documented(classes[each])
+                attributes |= explained_attributes(classes[each])
             every = attributes | shared | own
             keys = own.keys() | (every.keys() & pinned.get(name, set()))
             known |= {(name, key): every[key] for key in keys}
     return known
 
 
-def said(target: str) -> tuple[dict[str, str], list[str]]:
+def explained_keys(target: str) -> tuple[dict[str, str], list[str]]:
     """Return the keys that the docstring of "module:name" explains, and the classes it names."""
-    _, _, section = (inspect.getdoc(named(f"exact_mdp.{target}")) or "").partition("Keys\n----\n")
+    _, _, section = (inspect.getdoc(imported(f"exact_mdp.{target}")) or "").partition(
+        "Keys\n----\n"
+    )
     results = re.match(r"Of (.*)\.\n", section)
     entries = " ".join(section[results.end() if results else 0 :].split()).removesuffix(".")
     pairs = (entry.partition(": ")[::2] for entry in filter(None, entries.split("; ")))
@@ -154,7 +154,7 @@ def said(target: str) -> tuple[dict[str, str], list[str]]:
     return texts, results[1].split(", ") if results else []
 
 
-def documented(kind: ast.ClassDef) -> dict[str, str]:
+def explained_attributes(kind: ast.ClassDef) -> dict[str, str]:
     """Return the first sentence of what a class says of its attributes and properties."""
     section = re.search(r"Attributes\n-+\n(.*?)(?:\n\n|$)", ast.get_docstring(kind) or "", re.S)
     texts = {}
@@ -175,7 +175,8 @@ def answers(_: str) -> str:
         rows.setdefault((f"`{key}`", meaning), set()).add(command)
         everyone.add(command)
     return table(
-        "key, meaning, commands", ((*row, who(names, everyone)) for row, names in rows.items())
+        "key, meaning, commands",
+        ((*row, commands_in_short(names, everyone)) for row, names in rows.items()),
     )
 
 
@@ -250,6 +251,6 @@ def draw() -> None:
 
 if __name__ == "__main__":
     for path in DOCS.rglob("*.md"):
-        path.write_text(written(path.read_text("utf-8")), "utf-8")
+        path.write_text(with_made_parts(path.read_text("utf-8")), "utf-8")
     if sys.argv[1:] == ["figures"]:
         draw()

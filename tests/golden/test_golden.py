@@ -4,17 +4,14 @@
 """
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from golden import sources
-from golden.runner import ANSWERS, CASES, FOLDER, QVBS, answer, differences, run, trimmed
+from golden.runner import ANSWERS, CASES, QVBS, answer, differences, run
 
-ROOT = FOLDER.parents[1]
 FAST = CASES["fast"] | (CASES["qvbs"] if QVBS else {})
 FAST |= {
     f"verify-{name}": f"verify certificates/{name}.json {model}"
@@ -72,18 +69,3 @@ def test_the_models_are_still_built_as_they_were_saved(tmp_path: Path) -> None:
             assert set(before) == set(after)
             for key in before:
                 np.testing.assert_array_equal(before[key], after[key], key)
-
-
-# ---- the reproduction ----------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(1800)
-def test_the_quick_reproduction_gives_the_pinned_numbers(tmp_path: Path) -> None:
-    words = [sys.executable, "-m", "exact_mdp.paper_repro", "--quick", "--out", tmp_path]
-    subprocess.run(words, cwd=ROOT, check=True)
-    content = json.loads((tmp_path / "numbers.json").read_text("utf-8"))
-    pinned = json.loads((FOLDER / "numbers.json").read_text("utf-8"))
-    assert [entry["name"] for entry in content] == [entry["name"] for entry in pinned]
-    for old, new in zip(pinned, content, strict=True):
-        assert differences({"answer": old}, {"answer": trimmed(new)}) == [], old["name"]

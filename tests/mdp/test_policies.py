@@ -9,7 +9,7 @@ from collections import defaultdict
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
-from types import SimpleNamespace  # noqa: F401
+from types import SimpleNamespace  # noqa: F401 - the table names it
 from typing import Any
 
 import numpy as np

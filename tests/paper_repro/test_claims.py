@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from care_oracle import ACTIONS, CLEAR, Oracle, acting
+from scipy import stats
 
 from exact_mdp import Bounded, ModelError, return_distribution
 from exact_mdp.paper_repro import run
@@ -280,7 +281,6 @@ def test_an_average_is_compatible_within_three_standard_errors() -> None:
 
 
 def test_the_three_together_are_a_chi_squared_test(reading: Reading) -> None:
-    stats = pytest.importorskip("scipy.stats")
     chances = CLAIMS["return.together"].find(reading).details["probability"]
     for order in ORDERS:
         errors = [

@@ -105,7 +105,7 @@ def test_a_page_imports_public_names_and_needs_no_build(name: str) -> None:
 @pytest.mark.parametrize("name", [name for name in PAGES if name.startswith("docs/")])
 def test_what_is_made_from_the_code_is_new(name: str) -> None:
     """Where it is not: `make docs` writes it again."""
-    assert text(name) == write.written(text(name))
+    assert text(name) == write.with_made_parts(text(name))
 
 
 def anchors(page: Path) -> set[str]:
@@ -145,7 +145,7 @@ def test_every_key_has_a_meaning_and_every_meaning_a_key() -> None:
     """The keys are those of the pinned answers."""
     keys = {(command, key) for key, names in write.pinned_keys().items() for command in names}
     assert keys == write.meanings().keys()
-    shared, _ = write.said("analysis.cli.given:Given")
+    shared, _ = write.explained_keys("analysis.cli.given:Given")
     assert shared.keys() <= {key for _, key in keys}
 
 

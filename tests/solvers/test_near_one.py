@@ -1,5 +1,4 @@
-"""Discounts next to 1, chains that mix slowly, large models: no run that gains nothing goes on, and
-no bound is untrue."""
+"""Discounts next to 1, slowly mixing chains, large models: runs end, and every bound is true."""
 
 import os
 import tracemalloc

@@ -3,7 +3,7 @@
 from fractions import Fraction as F
 
 from made_models import garnet
-from policy_cases import coin, geometric  # noqa: F401
+from policy_cases import coin, geometric  # noqa: F401 - the table names it
 from refusal_tables import table_of_refusals
 
 from exact_mdp import MDP, SOLVERS, Intervals, QLearning, Scenario

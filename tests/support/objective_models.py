@@ -10,7 +10,7 @@ import pytest
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from oracle import each_choice, policy_values, rows_of, solved, until
-from strategies import models
+from strategies import Rows, models
 
 from exact_mdp import MDP, ConstrainedSolution, evaluate
 
@@ -39,8 +39,8 @@ def with_components(draw: st.DrawFn, count: int, *, for_ever: bool = False) -> M
     )
 
 
-def few(rows: object) -> bool:
-    mdp = rows.model()  # type: ignore[attr-defined]
+def few(rows: Rows) -> bool:
+    mdp = rows.model()
     return int(np.prod(np.diff(mdp.pair_offsets))) <= 48
 
 

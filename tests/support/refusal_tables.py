@@ -45,7 +45,8 @@ def table_of_refusals(
 ) -> Callable[..., None]:
     """Return a test of every call of the table beside it, in public names and its own.
 
-    Each error says where; or it is of the kind in `kinds` whose key is in what is said.
+    An error is of the type in `kinds` whose key occurs in its words, else a ModelError. Without
+    `kinds` each error says where.
     """
 
     @pytest.mark.parametrize(("call", "said"), entries(test, **words))

@@ -10,11 +10,11 @@ from xml.etree import ElementTree
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from cell_texts import legend_of, texts, texts_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_models import grid
 from matplotlib.axes import Axes
+from picture_texts import legend_of, texts, texts_of
 
 from exact_mdp import MDP, ModelError, Scenario, check, load, plots, solve
 

@@ -6,8 +6,8 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from cell_texts import legend_of, texts_of
 from matplotlib.figure import Figure
+from picture_texts import legend_of, texts_of
 
 from exact_mdp import (
     MDP,

@@ -3,10 +3,10 @@
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from cell_texts import legend_of, texts, texts_of
 from hypothesis import given
 from hypothesis import strategies as st
 from made_models import forest, grid
+from picture_texts import legend_of, texts, texts_of
 
 from exact_mdp import (
     MDP,

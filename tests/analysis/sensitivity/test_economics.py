@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas
 import pytest
-from cell_texts import legend_of, texts_of
+from picture_texts import legend_of, texts_of
 
 from exact_mdp import (
     MDP,

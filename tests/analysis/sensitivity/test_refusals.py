@@ -4,7 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 import pandas as pd
-from made_models import grid  # noqa: F401
+from made_models import grid  # noqa: F401 - the table names it
 from refusal_tables import of_file, table_of_refusals
 
 from exact_mdp import (

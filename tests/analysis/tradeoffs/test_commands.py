@@ -6,8 +6,8 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import pytest
-from cell_texts import legend_of
 from cli_runner import run
+from picture_texts import legend_of
 
 from exact_mdp import Scenario, tradeoff
 

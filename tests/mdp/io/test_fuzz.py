@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from archives import array_header, tarred, untarred, unzipped, zipped
-from certificates import MODELS, certified
+from certified_models import MODELS, certified
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from own_scenarios import SHIPPED

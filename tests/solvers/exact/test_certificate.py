@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from answers import holds
-from certificates import CYCLE, MODELS, certified
+from certified_models import CYCLE, MODELS, certified
 from flint import fmpz
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from certificates import MODELS, certified
+from certified_models import MODELS, certified
 from strategies import model_of
 
 from exact_mdp import MDP, BoundedCertificate, Certificate, ModelError, certify, fingerprint
