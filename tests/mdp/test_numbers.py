@@ -199,7 +199,7 @@ def test_every_row_sums_to_1_exactly_whatever_the_order(parts, off, random) -> N
 
 @given(CHANCES, OFF)
 def test_a_model_keeps_the_floats_next_to_what_its_rows_mean(tmp_path_factory, parts, off) -> None:
-    """So that it is the same when it is told, built again from its rows, or saved and loaded."""
+    """A model built again from its rows, or saved and loaded, is the same."""
     row = nearly_one(parts, off)
     mdp = MDP.from_arrays([[row] * len(row)], [1] * len(row), "9/10")
     floats, exact = mdp.transition[[0]].toarray()[0], row_of(row)

@@ -25,7 +25,7 @@ Import = tuple[str, str, bool]  # the file, the module, whether inside a functio
 
 
 def imports(files: dict[str, str]) -> list[Import]:
-    """What files import anywhere, own modules by their names below exact_mdp; its names are ""."""
+    """Return all imports of the files; ours by the name below exact_mdp, which itself is ""."""
     modules = {module_of(path) for path in files}
     listed: list[Import] = []
 

@@ -77,7 +77,7 @@ def model(rows: Rows, sense: str = "max") -> MDP:
 levels = st.sampled_from([F(1, 10), F(1, 3), F(1, 2), F(9, 10), F(1)])
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(trees(), levels, st.sampled_from([F(0), F(1, 3), F(9, 10)]))
 def test_no_policy_with_a_memory_does_better(rows: Rows, level: Fraction, weight: Fraction) -> None:
     every = distributions(rows, max(s for s, *_ in rows))
@@ -98,7 +98,7 @@ def test_no_policy_with_a_memory_does_better(rows: Rows, level: Fraction, weight
     assert {-value: p for value, p in turned.distribution().items()} == optimum.distribution()
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(trees(), levels)
 def test_the_worst_episodes_of_a_policy(rows: Rows, level: Fraction) -> None:
     mdp = model(rows)

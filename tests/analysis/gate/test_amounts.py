@@ -49,7 +49,7 @@ def test_within_n_steps_an_amount_is_counted_n_times() -> None:
     assert solve(WORK, horizon=3, subject_to={"effort": ["<= 1/2", ">= 1/2"]}).feasible
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(quiet_models(), st.sampled_from([None, None, 1, 2]), st.data())
 def test_limits_fronts_and_gates_agree_with_every_policy(
     mdp: MDP, steps: int | None, data: st.DataObject

@@ -299,7 +299,7 @@ CASES: list[tuple[MDP, Any, F]] = [
 def test_the_verdict_is_given_where_floats_cannot_bound_visits(
     model: MDP, policy: Any, lost: F, exact: bool | None
 ) -> None:
-    """The exact regret is told, a limit of just that passes, and none below it."""
+    """The exact regret is given; it passes a limit of just that amount, and fails any below."""
     audit = check(model, policy, exact_values=exact)
     assert (audit.regret.at_start.value, audit.passed) == (lost, lost == 0)
     assert audit.claim == "certified"

@@ -56,7 +56,7 @@ def world(
     return MDP.from_function(made(0, 0, False), actions, outcomes, "9/10")
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(
     size=st.tuples(st.integers(2, 4), st.integers(2, 4)),
     signs=st.tuples(st.sampled_from([-1, 1]), st.sampled_from([-1, 1])),

@@ -72,7 +72,7 @@ def check_at(data: dict[str, Any], row: int, at: Fraction, mdp: MDP, policy: str
             assert said == [mdp.actions[mdp.pair_action[p]] for p in best]
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(k=st.integers(0, 60), row=st.integers(0, 2))
 def test_the_page_holds_what_is_true_at_any_value(k: int, row: int) -> None:
     data = data_of(tea().page())
