@@ -2,9 +2,9 @@
 
     call -> what; where; fix
 
-is a row of a table: words of each part of the error, or =all of them; the last parts may be left
-out. Indented lines go on; # opens a comment. <one|other> in a call stands for a row with each, and
-* in what is said for the first of these.
+is a row of a table: words of each part of the error, or =all of them. The last parts, or all, may
+be left out. Indented lines continue a row; # opens a comment. <one|other> in a call stands for a
+row with each, and * in the words for the first of these.
 """
 
 import re
