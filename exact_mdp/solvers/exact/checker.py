@@ -193,7 +193,7 @@ class Check:
         of_sign = ({s for s, sign in enumerate(self.infinite) if sign == x} for x in (0, -1, 1))
         self.finite, self.never, self.above = of_sign
         self.arriving, self.lost = set[int](), (model.missing == "-inf") is (model.sense == "max")
-        self.unique, start = given.get("unique", True), given.get("start_value", 0)
+        self.unique, start = given.get("unique"), given.get("start_value", 0)
         self.start = float(start) if start in ("inf", "-inf") else ratio(start, "start_value")
 
     def violations(self) -> Iterator[str]:
