@@ -58,8 +58,23 @@ def test_a_goal_that_is_missed(model: Pairs, missed: float, sense: str) -> None:
             elif value[s] != missed:
                 assert most[s] <= sign * value[s] + 1e-9
     assert optimum.value.tolist() == value
+    for s, a, r, law in pairs:
+        worth = sum((p * value[t] for t, p in law.items()), r)
+        wanted = value[s] in (worth, -sign * inf)  # nothing is worth less than that
+        assert optimum.optimal_pairs[mdp.pair(s, a)] == wanted
     holds(solution := solve(mdp), value)
     assert solution.error_bound < 1e-6
+
+
+def test_no_action_is_optimal_that_may_miss_the_goal() -> None:
+    """Not for the same costs on the way to it, nor where costs may fall for ever."""
+    rows = [(0, 0, [(1, 1, 1)]), (0, 1, [("1/2", 1, 1), ("1/2", 2, 1)]), (1, 0, [(1, 1, 0)])]
+    rows += [(2, 0, [(1, 2, 0)]), (3, 0, [(1, 3, -1)]), (3, 1, [("1/2", 3, -1), ("1/2", 2, 0)])]
+    rows.append((3, 2, [(1, 1, 0)]))
+    goal = [False, True, False, False]
+    optimum = certify(MDP.from_outcomes(rows, sense="min", labels={"goal": goal}).until("goal"))
+    assert optimum.value.tolist() == [1, 0, inf, -inf]
+    assert optimum.optimal_pairs.tolist() == [True, False, True, True, True, False, False]
 
 
 def rising(pairs: tuple[Row, ...], value: list, sign: int) -> list[float]:

@@ -283,7 +283,7 @@ class Certificate(Proof, Pictured):
         own, after, first = infinite[mdp.pair_state], infinite[mdp.table.next], mdp.table.offsets
         if self.g is None:
             least, most = (f.reduceat(after, first[:-1]) for f in (np.minimum, np.maximum))
-            best &= (least == 0) & (most == 0)
+            best &= least == 0  # no finite state has a pair that leads to +∞ without -∞
             above = (least >= 0) & (most > 0)
         else:  # the pairs after which the mean reward still is positive
             (tops, belows), g = self._gains[0], self.g.fractions()[mdp.pair_state]
