@@ -9,6 +9,7 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from made_models import under
 from model_contents import negated
@@ -217,3 +218,10 @@ def test_no_change_of_a_proof_is_accepted_that_makes_it_false(name: str, tmp_pat
         refused += bool(wrong)
         assert wrong or true(forged, made), {k: v for k, v in mutant.items() if v != content[k]}
     assert refused > 0.5 * tried > 25
+
+
+def test_bounds_that_floats_do_not_prove_are_widened(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("exact_mdp.solvers.exact.certify.WIDER", (0.0, 1.0))
+    rng = np.random.default_rng(0)
+    mdp = MDP.from_arrays(rng.dirichlet(np.ones(9), (2, 9)), rng.random((9, 2)), 0.9)
+    assert certify(mdp, bounded=True).violations() == []
