@@ -17,19 +17,24 @@ from exact_mdp import MDP, ModelError, certify, check, rationalize, solve, trade
 
 
 def test_actions_are_drawn_where_the_first_ones_alone_do_not_lead() -> None:
-    """The mixture takes both actions in states 0, 1 and 2; the first of each never visit 1."""
+    """The mixture takes both actions in states 0, 1 and 2; the first of each never visit 1.
+
+    In state 4, where no run comes, it takes the best one.
+    """
     rows = [
         (0, 0, [(1, 2, 1)]),
         (0, 1, [("1/2", 1, 0), ("1/2", 2, 0)]),
         *[(state, action, [(1, 3, action)]) for state, action in ((1, 0), (1, 1), (2, 0))],
         (2, 1, [(1, 1, 1)]),
         (3, 0, [(1, 3, 0)]),
+        *[(4, action, [(1, 3, action)]) for action in (0, 1)],
     ]
-    mdp = MDP.from_outcomes(rows, components={"cost": [1, 0, 0, 1, 0, 1, 0]})
+    mdp = MDP.from_outcomes(rows, components={"cost": [1, 0, 0, 1, 0, 1, 0, 0, 0]})
     for bound in ("3/2", "5/4"):
         solution = solve(mdp, subject_to={"cost": f"<= {bound}"})
         sound(solution, 1)
         assert solution.start_value == F(bound)
+        assert solution.rule[4].tolist() == [0, 1]
 
 
 def test_of_many_states_that_are_alike_no_more_draw_than_limits_bind() -> None:
