@@ -191,6 +191,8 @@ def test_bounds_around_a_poor_solution_are_wide_and_hold() -> None:
     between = zip(bounds.lower.tolist(), taken, best, bounds.upper.tolist(), strict=True)
     assert all(low <= own <= right <= high for low, own, right, high in between)
     holds(bounds, best)
+    ends = zip(bounds.lower, bounds.value, bounds.upper, bounds.error, strict=True)
+    assert all(middle - off <= low <= high <= middle + off for low, middle, high, off in ends)
     assert bounds.error_bound > 1
 
 
