@@ -141,8 +141,8 @@ def learned(sign: int) -> Any:
 
 def limited(sign: int) -> Any:
     best = em.solve(model(sign), subject_to=limits(sign))
-    said = {"value": best.start_value, "totals": best.totals, "closest": best.closest}
-    return said, best.prices, best.rule, best.violations()
+    amounts = {"value": best.start_value, "totals": best.totals, "closest": best.closest}
+    return amounts, best.prices, best.rule, best.violations()
 
 
 TABLE: dict[str, Callable[[int], Any]] = {

@@ -106,12 +106,12 @@ class Browser:
             if key not in KEYS:
                 self.send("Input.insertText", text=key)
                 continue
-            said = {"key": key, "code": key, "windowsVirtualKeyCode": KEYS[key]}
+            event = {"key": key, "code": key, "windowsVirtualKeyCode": KEYS[key]}
             text = {"text": "\r"} if key == "Enter" else {}
             self.send(
-                "Input.dispatchKeyEvent", type="keyDown" if text else "rawKeyDown", **said, **text
+                "Input.dispatchKeyEvent", type="keyDown" if text else "rawKeyDown", **event, **text
             )
-            self.send("Input.dispatchKeyEvent", type="keyUp", **said)
+            self.send("Input.dispatchKeyEvent", type="keyUp", **event)
 
     def picture(self, path: Path, *, whole: bool = True) -> None:
         data = self.send("Page.captureScreenshot", captureBeyondViewport=whole)["data"]

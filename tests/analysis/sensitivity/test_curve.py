@@ -314,8 +314,8 @@ def test_the_command_says_what_the_function_says() -> None:
     limit = ("base.anxiety", "--max-relative-regret", "1/100")
     within = run(line, *limit, "--policy", "always:prompt", "--json").result["within"]
     wanted = curve(TEA, "base.anxiety", policy="always:prompt").within(max_relative_regret="1/100")
-    for said, each in zip(within, wanted, strict=True):
-        assert [tuple(map(F, said[end])) for end in ("from_bracket", "to_bracket")] == [
+    for answer, each in zip(within, wanted, strict=True):
+        assert [tuple(map(F, answer[end])) for end in ("from_bracket", "to_bracket")] == [
             each.low,
             each.high,
         ]

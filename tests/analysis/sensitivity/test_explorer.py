@@ -68,8 +68,8 @@ def check_at(data: dict[str, Any], row: int, at: Fraction, mdp: MDP, policy: str
     if len(around) == 1:
         for state in np.flatnonzero(~mdp.terminal).tolist():
             best = [p for p in mdp.pairs_of(state) if certificate.optimal_pairs[p]]
-            said = data["sets"][around[0][1][state]]
-            assert said == [mdp.actions[mdp.pair_action[p]] for p in best]
+            shown = data["sets"][around[0][1][state]]
+            assert shown == [mdp.actions[mdp.pair_action[p]] for p in best]
 
 
 @settings(max_examples=15)

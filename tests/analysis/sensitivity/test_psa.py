@@ -162,9 +162,9 @@ def test_a_folder_is_not_used_for_models_that_are_the_same_today_alone(tmp_path:
 
 def test_a_policy_is_told_by_status_where_it_depends_on_nothing_else() -> None:
     second = SMALL.compile().space.values("trial") == 1
-    for policy, said in (("always:directive", {"directive"}), (second.astype(int), None)):
+    for policy, expected in (("always:directive", {"directive"}), (second.astype(int), None)):
         actions = psa(SMALL, 5, rng=0, policy=policy).candidates[0].actions
-        assert (actions and {*actions.values()}) == said
+        assert (actions and {*actions.values()}) == expected
         assert actions is None or len(actions) == 16
 
 

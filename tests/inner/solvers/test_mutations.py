@@ -159,8 +159,8 @@ def mutants(content: dict[str, Any]) -> Iterator[dict[str, Any]]:
             yield content | {key: [1] * states}
 
 
-def said(proof: Any) -> list[Any]:
-    """What a proof says."""
+def claims_of(proof: Any) -> list[Any]:
+    """Return what a proof claims."""
     if proof.kind == "front":
         return [proof.vertices, proof.edges, sorted(proof.facets)]
     if proof.kind == "weights":
@@ -172,14 +172,14 @@ def said(proof: Any) -> list[Any]:
     return [proof.value.tolist(), bias, proof.start_value, proof.unique]
 
 
-def true(proof: Any, made: Any) -> bool:
+def is_true(proof: Any, made: Any) -> bool:
     """Whether it is so, also of the policy and of the limits that the proof names."""
     mdp, kind = made.mdp, proof.kind
     if kind == "limits":
         named = {limit.name: str(limit).removeprefix(limit.name) for limit in proof.limits}
         made = solve(mdp, subject_to=named)
     if kind in ("front", "weights", "limits"):
-        return said(proof) == said(made)
+        return claims_of(proof) == claims_of(made)
     asked = {"criterion": "average"} if kind == "average" else {}
     own = certify(under(mdp, proof.policy), **asked)
     if kind == "bounds":
@@ -187,11 +187,11 @@ def true(proof: Any, made: Any) -> bool:
         each = zip(signed, proof.low.fractions(), own.value, certify(mdp).value,
                    proof.high.fractions(), strict=True)  # fmt: skip
         return all(low <= sign * x <= sign * v <= high for sign, low, x, v, high in each)
-    values, bias = said(own)[:2]
+    values, bias = claims_of(own)[:2]
     if proof.infinite is not None:  # +∞ may be no policy's
         both = zip(values, made.value, strict=True)
         values = [v if abs(v) == inf else x for x, v in both]
-    return said(proof) == said(made) and said(proof)[:2] == [values, bias]
+    return claims_of(proof) == claims_of(made) and claims_of(proof)[:2] == [values, bias]
 
 
 @pytest.mark.parametrize("name", PROOFS)
@@ -216,7 +216,7 @@ def test_no_change_of_a_proof_is_accepted_that_makes_it_false(name: str, tmp_pat
         except (ModelError, checker.Unreadable):
             wrong = ["it cannot be read"]
         refused += bool(wrong)
-        assert wrong or true(forged, made), {k: v for k, v in mutant.items() if v != content[k]}
+        assert wrong or is_true(forged, made), {k: v for k, v in mutant.items() if v != content[k]}
     assert refused > 0.5 * tried > 25
 
 

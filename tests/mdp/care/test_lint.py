@@ -114,20 +114,20 @@ MORE = [  # names, numbers that are missing, tables
 HIDING = ("[assistance.p", "[bases]", "readings = 3", "other =", "[skip.frustration]\n")
 
 
-def said(text: str) -> set[str]:
+def problems_of(text: str) -> set[str]:
     return {re.sub(r"\d+", "N", each["what"]) for each in lint(text)}
 
 
 def test_no_fault_hides_another_one() -> None:
     """Except that names cannot be judged where the list of them, or the table, is wrong."""
     faults = [*((old, new) for old, new, *_ in FAULTS if '"' not in f"{old}{new}"), *MORE]
-    alone = {fault: said(TEMPLATE.replace(*fault, 1)) for fault in faults}
+    alone = {fault: problems_of(TEMPLATE.replace(*fault, 1)) for fault in faults}
     assert all(alone.values())
     pairs = 0
     for fault, other in permutations(faults, 2):
         text = TEMPLATE.replace(*fault, 1)
         if other[0] in text and not other[1].startswith(HIDING):
-            assert alone[fault] <= said(text.replace(*other, 1)), (fault, other)
+            assert alone[fault] <= problems_of(text.replace(*other, 1)), (fault, other)
             pairs += 1
     assert pairs > 0.8 * len(faults) * (len(faults) - 1)
 

@@ -125,9 +125,9 @@ def test_what_nobody_tried_is_left_out_or_worth_what_is_said() -> None:
     dear = MDP.from_transitions(table(rows), discount="3/4", unseen="pessimistic", sense="min")
     assert dear.table.row(dear.pair(0, "y")) == [(F(1), 2, F(12))]  # costs of 3 for ever
     assert certify(dear).policy[0] == dear.action("x")
-    said = MDP.from_transitions(table(rows), unseen="1/3")
-    assert said.table.row(said.pair(1, "x")) == [(F(1), 2, F(1, 3))]
-    assert said.observations.tolist() == [1, 0, 0, 1, 0]  # type: ignore[union-attr]
+    stated = MDP.from_transitions(table(rows), unseen="1/3")
+    assert stated.table.row(stated.pair(1, "x")) == [(F(1), 2, F(1, 3))]
+    assert stated.observations.tolist() == [1, 0, 0, 1, 0]  # type: ignore[union-attr]
     for unseen in ("pessimistic", "worse"):
         with pytest.raises(ModelError, match=r"discount 1|worse"):
             MDP.from_transitions(table(rows), unseen=unseen)

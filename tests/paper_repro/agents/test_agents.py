@@ -80,9 +80,9 @@ def test_prompts_have_every_component_in_the_papers_order_and_hold_what_they_are
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_the_four_variants(variant: str) -> None:
-    detailed, brief = VARIANTS[variant]
+    detailed, with_status = VARIANTS[variant]
     request = requests(variant)["execution"]
-    assert ("<status>" in text(request)) == brief == ("status" in request.facts)
+    assert ("<status>" in text(request)) == with_status == ("status" in request.facts)
     assert ("You are doing well, take all the time you need." in text(request)) == detailed
 
 
