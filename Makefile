@@ -14,7 +14,7 @@ unexport PYTHONDONTWRITEBYTECODE # without bytecode each process of the tests co
 INSTALL = -m pip --disable-pip-version-check --no-input install -qq --no-compile --no-deps
 # The processes share the cores, so that each computes with one thread.
 TESTS   = OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(1)/bin/python -m pytest -n $(WORKERS) --dist loadgroup
-# UPGRADE is always on for the lowest versions: otherwise a bound that falls would keep the locked one.
+# The lowest versions are always locked with --upgrade: else a lowered bound would keep the old version.
 COMPILE = $(PY) -m uv pip compile -q --universal --python-version 3.11 --fork-strategy fewest \
     --generate-hashes --no-emit-index-url --custom-compile-command "make lock"
 # The model of notebook 7, whose package is no wheel: everything else works without it.
