@@ -31,6 +31,7 @@ MOST_CELLS = 4000
 WIDE = 10  # states in a row where nothing says how many
 MOST_NAMED = 40  # states that are listed by their names, one in a row
 SHORT = 5  # letters of an action's name that fit into a cell
+END = "∎"
 SPARSE = 4  # cells for each state of a map of tuples, at most
 ARROWS = "←↓→↑"
 COMPASS = (("left", "down", "right", "up"), ("west", "south", "east", "north"))
@@ -271,7 +272,18 @@ class Cell:
     small: str  # the optimal action then
     name: str  # the state's number or name, where states are only listed
     title: str  # the state in full, with its numbers
+    start: bool  # whether episodes begin there
     shade: float  # its loss as a share of the costliest state's, which may be infinite
+
+
+def ends_of(model: MDP) -> dict[int, tuple[str, str]]:
+    """Return the sign and the words of each state in which an episode ends."""
+    signs = dict.fromkeys(np.flatnonzero(model.over).tolist(), (END, "an episode ends"))
+    for name, states in model.labels.items():
+        own = np.flatnonzero(states)
+        if 0 < len(own) < len(signs) and model.over[own].all():
+            signs |= dict.fromkeys(own.tolist(), (name[:1].upper(), name))
+    return signs
 
 
 def cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
@@ -280,14 +292,15 @@ def cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
     grid: list[list[Cell | None]] = [[None] * len(layout.columns) for _ in layout.rows]
     wrong = {each.state: each for each in audit.disagreements}
     most = max((each.cost for each in audit.disagreements), default=0.0) or 1.0
-    idle = ~mdp.asked | (audit.visits == 0)
+    idle, ends = ~mdp.asked | (audit.visits == 0), ends_of(mdp)
+    begins = {state for state, _ in mdp.start}
     for state in layout.shown.tolist():
         each, label = wrong.get(state), mdp.space.label(state)
         names = choices[state]
         text, best = layout.cell(names), ""
         said = f"{either(names)}; {audit.visits[state]:.6g} expected visits"
         if mdp.over[state]:
-            text, said = "∎", "an episode ends here"
+            text, said = ends[state]
         elif each is not None:
             text, best = f"✗ {text}", layout.cell(each.optimal)
             said = (
@@ -300,7 +313,8 @@ def cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
             text=text,
             small=best,
             name=label.removeprefix("state ") if layout.listed and len(layout.columns) > 1 else "",
-            title=f"{label}: {said}",
+            title=f"{label}: {said}" + ", start" * (state in begins),
+            start=state in begins,
             shade=0.0 if each is None else 1.0 if each.cost == most else each.cost / most,
         )
     return grid

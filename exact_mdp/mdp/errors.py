@@ -153,8 +153,8 @@ def short(text: str, most: int = LONGEST) -> str:
 def suggest(name: str, known: Iterable[str]) -> str:
     """Return advice that names the known spelling nearest to `name`."""
     options = list(known)
-    close = get_close_matches(str(name)[:LONGEST], options, n=1, cutoff=0.6)
-    if close:
+    close = [option for option in options if option.casefold() == str(name).casefold()]
+    if close := close or get_close_matches(str(name)[:LONGEST], options, n=1, cutoff=0.6):
         return f"did you mean {close[0]}?"
     if len(options) <= 12:
         return f"choose one of {', '.join(options)}"

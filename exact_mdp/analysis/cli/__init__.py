@@ -29,7 +29,7 @@ COMPLETE = "_EXACT_MDP_COMPLETE"  # set by the shell's line that completes words
     cls=Commands,
     context_settings={"help_option_names": HELP},
     epilog="MODEL is a shipped scenario (yuan2025, tea), a .toml scenario, a saved "
-    ".npz, .json or .umb model, or gymnasium:ID.",
+    ".npz, .json or .umb model, gymnasium:ID, or - for a .json model on standard input.",
 )
 @click.version_option(package_name=PROGRAM, message="%(prog)s %(version)s")
 def cli() -> None:

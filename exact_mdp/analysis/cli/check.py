@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from time import perf_counter
 from typing import Any
@@ -129,13 +129,7 @@ def check(
         of_many = {"--share": share, "--alpha": alpha, "--prove": prove}
         refuse(of_many, "a single policy", "name the policy of each run, as in runs/*.npy")
         (name,), asked = learned, asked | _evidence(given, confidence, by, evidence)
-        mdp = given.mdp if confidence is None else given.asked
-        policy = given.policy_from(name)
-        audit = gate.check(mdp, policy, **asked)
-        report = audit.report(explain=not no_explain)
-        report = given.report(report, policy=Shown(name), learned=name)
-        read_as = Shown(policy.read_as, policy.source or None)
-        report = replace(report, facts={"read_as": read_as, **report.facts})
+        audit, report = _of_one(given, name, asked, explain=not no_explain)
     else:
         of_one: dict[str, Any] = {"--html": html, "--no-explain": no_explain}
         of_one |= {"--confidence": confidence, "--by": by, "--evidence": evidence}
@@ -156,6 +150,19 @@ def check(
     if not report.passed:
         ci.annotate(report.title, text)
     return report
+
+
+def _of_one(
+    given: Given, name: str, asked: Mapping[str, Any], *, explain: bool
+) -> tuple[Audit, Report]:
+    """Return the audit of one policy, and its report, which begins with what was read."""
+    policy = given.policy_from(name)
+    audit = gate.check(given.asked if "by" in asked else given.mdp, policy, **asked)
+    report = given.report(audit.report(explain=explain), policy=Shown(name), learned=name)
+    horizon = "none" if given.horizon is None else f"{given.horizon:,} steps"
+    facts = {"read_as": Shown(policy.read_as, policy.source or "a policy"), **report.facts}
+    facts |= {"horizon": Shown(given.horizon, horizon), "start": Shown(given.start, audit.begins)}
+    return audit, replace(report, facts=facts)
 
 
 def _write_junit(

@@ -17,7 +17,7 @@ from exact_mdp.analysis.gate.data.interval import cut_off, entered, never_taken,
 from exact_mdp.analysis.pages.page import ADVICE
 from exact_mdp.mdp.care import lint as linter
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.graph import is_acyclic, reachable, termination
+from exact_mdp.mdp.graph import Termination, is_acyclic, reachable, termination
 from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.io.files import SMALL, STANDARD_INPUT, read_text, write_atomically
 from exact_mdp.mdp.io.load import read_model
@@ -128,7 +128,7 @@ def info(given: Given) -> Report:
         "discount_exact": Shown(mdp.discount_exact),
         "start": Shown(start, some(begins, len(start))),
         "terminates": Shown(ending.proven, "every policy ends" if ending.proven else "no"),
-        "never_ends": None,
+        "never_ends": _never_ends(mdp, ending),
         "acyclic": is_acyclic(mdp),
         "time_limit": mdp.time_limit,
         "sense": Shown(mdp.sense, "min: rewards are costs" if mdp.sense == "min" else None),
@@ -136,12 +136,6 @@ def info(given: Given) -> Report:
         "reward_components": mdp.component_names,
         "events": mdp.events,
     }
-    if ending.policy is not None:  # one that never ends, by the first of the states it never leaves
-        trapped, choice = ending.trapped.tolist(), ending.policy
-        policy = {mdp.space.label(s): mdp.actions[choice[s]] for s in trapped[:SHOWN]}
-        states = some((f"{state}: {action}" for state, action in policy.items()), len(trapped))
-        content = {"states": len(trapped), "policy": policy}
-        facts["never_ends"] = Shown(content, f"a policy that stays for ever: {states}")
     if scenario:
         facts |= {
             "statuses": scenario.statuses,
@@ -152,6 +146,17 @@ def info(given: Given) -> Report:
         }
     facts["model_hash"] = exact_mdp.fingerprint(mdp)
     return given.report(Report(title=f"model {given.loaded.name}", facts=facts))
+
+
+def _never_ends(mdp: MDP, ending: Termination) -> Shown | None:
+    """Return a policy that never ends, by the first of the states that it never leaves, if any."""
+    if ending.policy is None:
+        return None
+    trapped, choice = ending.trapped.tolist(), ending.policy
+    policy = {mdp.space.label(s): mdp.actions[choice[s]] for s in trapped[:SHOWN]}
+    states = some((f"{state}: {action}" for state, action in policy.items()), len(trapped))
+    content = {"states": len(trapped), "policy": policy}
+    return Shown(content, f"a policy that stays for ever: {states}")
 
 
 def some(texts: Iterable[str], count: int) -> str:

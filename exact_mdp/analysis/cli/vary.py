@@ -15,7 +15,7 @@ from exact_mdp.analysis.cli.words import pairs_of, refuse, typed
 from exact_mdp.analysis.vary.curves.thresholds import report_of
 from exact_mdp.analysis.vary.curves.walk import optimum
 from exact_mdp.analysis.vary.distributions import (
-    row_family,
+    drawn_family,
 )
 from exact_mdp.analysis.vary.ranges import (
     RELATIVE,
@@ -142,7 +142,8 @@ def curve(
         given.family, name, spans, policy=given.fixed if limited else given.taken
     )
     within = result.within(max_regret, max_relative_regret) if limited else None
-    return given.report(result.report(within), kind="curve")
+    start = claimed("start_value", optimum(given.family.at({}))[1])
+    return given.report(result.report(within), kind="curve", **start)
 
 
 def one_way(given: Given, *, parameters: Sequence[str] = (), points: int = 21) -> Report:
@@ -239,7 +240,8 @@ def psa(
     without the bias of the sample; evpi_of_candidates: EVPI if only the candidates can be chosen;
     evppi: expected value of knowing each parameter alone; evppi_details: how each was estimated.
     """
-    model = row_family(given.mdp) if given.loaded.scenario is None else given.family
+    plain = given.loaded.scenario is None
+    model = drawn_family(given.mdp, uncertain) if plain else given.family
     size, names = None, given.parameters or None
     if effective_sample_size is not None:
         size = float_of(effective_sample_size, "--effective-sample-size")
@@ -369,7 +371,7 @@ def explore(
     The pieces between the switching points are worked out beforehand, in rational arithmetic, so
     that the page needs no server and shows exact values; it says which of them are certified.
 
-    Example: exact-mdp explore yuan2025 --parameter base.anger --html page.html
+    Example: exact-mdp explore yuan2025 --parameter base.anger --relative whole --html page.html
 
     Parameters
     ----------

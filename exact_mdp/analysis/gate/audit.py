@@ -336,7 +336,8 @@ class Audit(Pictured):
             lost = f"regret in {self.interval}; estimated {number(self.value)}"
         word = "passed" if self.passed else "failed, left open" if self.undecided else "failed"
         best = float(self.regret.optimal.value)
-        return f"{word}: {lost} of {best:.6g}, {len(self.disagreements)} disagreements"
+        count = len(self.disagreements)
+        return f"{word}: {lost} of {best:.6g}, {count} disagreement{'s' * (count != 1)}"
 
     def __str__(self) -> str:
         lines = [self.question, self._outcome, *self._costliest(AT_A_GLANCE)]

@@ -28,6 +28,7 @@ from exact_mdp.analysis.layout import (
     Layout,
     arrange,
     cells,
+    ends_of,
 )
 from exact_mdp.analysis.optimum import actions_of
 from exact_mdp.analysis.plots.style import (
@@ -55,7 +56,6 @@ MOST_TEXTS = 700  # cells that have room for a text
 NUMBERED = 60  # cells that have room for a number, too
 MOST_NAMES = 40  # rows, columns or bars that are named
 MOST_LETTERS = 70  # of names side by side
-END = "∎"
 SHADES = LinearSegmentedColormap.from_list("value", ["#F7FBFF", "#2171B5"])
 LOSSES = LinearSegmentedColormap.from_list("loss", ["#FFF1E8", ORANGE])
 
@@ -84,7 +84,7 @@ def plot_policy(model: MDP, policy: PolicyLike, *, ax: Axes | None = None, **pla
     >>> [text.get_text() for text in ax.texts]
     ['∎', '∎', '∎', '∎', '∎', '←']
     """
-    layout, ends, used = _placed(model, place), _ends(model), set[int]()
+    layout, ends, used = _placed(model, place), ends_of(model), set[int]()
     choices = actions_of(model, policy_of(model, policy).weights(model) > 0)
     shown: dict[int, tuple[str, Look]] = {}
     for state in layout.shown.tolist():
@@ -146,8 +146,9 @@ def plot_states(
     if policy is not None:
         choices = actions_of(model, policy_of(model, policy).weights(model) > 0)
         texts = [*map(layout.cell, choices)]
-    signs = [] if policy is None else _signs(layout)
-    acting = ", and what the policy does" if policy is not None else ""
+    acts = policy is not None and not (layout.listed and model.n_states > MOST_NAMES)
+    signs = _signs(layout) if acts else []
+    acting = ", and what the policy does" if acts else ""
     what = f"{label.partition(' (')[0].capitalize()} of each state{acting}"
     if layout.listed:
         ax = _bars(axes_or_new(ax), model, given, texts, label)
@@ -155,7 +156,7 @@ def plot_states(
     known = given[layout.shown][np.isfinite(given[layout.shown])]
     low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
     scale = Normalize(low, high if high > low else low + 1.0)
-    ends, shown = _ends(model), dict[int, Any]()
+    ends, shown = ends_of(model), dict[int, Any]()
     for state in layout.shown.tolist():
         value, finite = given[state], np.isfinite(given[state])
         share = float(scale(value)) if finite else 0.0
@@ -203,7 +204,7 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
     """
     layout, mdp = _placed(audit.mdp, place), audit.mdp
     drawn = [each for row in cells(audit, layout) for each in row if each is not None]
-    ends, shown = _ends(mdp), dict[int, tuple[str, Look]]()
+    ends, shown = ends_of(mdp), dict[int, tuple[str, Look]]()
     for each in drawn:
         text = ends[each.state][0] if each.state in ends else f"{each.text}\n{each.small}".strip()
         look: Look = {"edgecolor": "0.8", "ink": "0.5" if each.kind == "idle" else BLACK}
@@ -284,19 +285,9 @@ def _map(
     return described(ax, what, model.name, handles=handles)
 
 
-def _ends(model: MDP) -> dict[int, tuple[str, str]]:
-    """Return the sign and the words of each state in which an episode ends."""
-    signs = dict.fromkeys(np.flatnonzero(model.over).tolist(), (END, "an episode ends"))
-    for name, states in model.labels.items():
-        own = np.flatnonzero(states)
-        if 0 < len(own) < len(signs) and model.over[own].all():
-            signs |= dict.fromkeys(own.tolist(), (name[:1].upper(), name))
-    return signs
-
-
 def _signs_of_states(ax: Axes, model: MDP, layout: Layout) -> list[Any]:
     """Frame the start; return a legend's entries for it and for ends."""
-    listed, ends = list[Any](), _ends(model)
+    listed, ends = list[Any](), ends_of(model)
     starts = [s for s, _ in model.start if layout.row[s] >= 0]
     if len(starts) < len(layout.shown) / 2:
         for s in starts:

@@ -540,6 +540,17 @@ def _read(path: str | Path) -> tuple[dict[str, Settings], float | None]:
     return {**stated}, _float(general[SIZE], SIZE, DEFAULT) if general else None
 
 
+def drawn_family(model: Any, stated: object | None = None) -> Parametric:
+    """Return the parameters that are drawn of a model; of a plain one, those of its random rows.
+
+    Of a plain model with more than 2,000 of these, only what is stated is drawn.
+    """
+    if not isinstance(model, MDP):
+        return parametric(model)
+    random = np.count_nonzero(np.diff(model.transition.indptr) > 1)
+    return parametric(model) if stated is not None and random > MOST_ROWS else row_family(model)
+
+
 def row_family(mdp: MDP) -> Family:
     """Return any model with the probabilities of its random rows as parameters; at most 2,000 rows.
 

@@ -24,14 +24,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from exact_mdp.analysis.vary.distributions import Stated, Uncertainty, uncertainty
+from exact_mdp.analysis.vary.distributions import Stated, Uncertainty, drawn_family, uncertainty
 from exact_mdp.analysis.vary.information import PartialInformation, evpi, evppi
 from exact_mdp.analysis.vary.psa import drawn, groups_of
 from exact_mdp.analysis.vary.study import ModelSolver
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, known
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric import Parametric, parametric
+from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats
@@ -198,7 +198,7 @@ def cost_effectiveness(
     >>> analysis.frontier([4, 10])
     [('wait', 1.0), ('treat', 1.0)]
     """
-    family, seed = parametric(model), seed_of(rng)
+    family, seed = drawn_family(model, uncertain), seed_of(rng)
     if not isinstance(strategies, Mapping) or not strategies:
         what = "no strategy" if isinstance(strategies, Mapping) else "strategies without names"
         raise ModelError(what, where="strategies", fix="give {name: policy}, at least one")

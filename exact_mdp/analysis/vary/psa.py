@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Unpack
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 from exact_mdp.analysis.vary.distributions import (
     Stated,
     Uncertainty,
+    drawn_family,
     uncertainty,
 )
 from exact_mdp.analysis.vary.information import FEWEST, PartialInformation, evpi, evppi
@@ -40,7 +41,7 @@ from exact_mdp.analysis.vary.study import Draws, Study, checked, digest, solver_
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, known, named_options
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric import Parametric, parametric
+from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.parametric.family import place_of
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, cell, claimed, plain
@@ -334,6 +335,8 @@ def drawn(family: Parametric, chosen: Uncertainty, n: int | None, seed: int, blo
             "row: uncertain=pandas.DataFrame([{NAME: number}])",
         )
     sample = chosen.sample
+    if n is None and sample is None:
+        raise ModelError("nothing says how many draws", where="n", fix="say n=1000")
     n = counted(len(sample) if n is None and sample is not None else n, "n")
     if sample is not None and n > len(sample):
         raise ModelError(
@@ -355,13 +358,16 @@ def psa(
     uncertain: Stated | None = None,
     effective_sample_size: float | None = None,
     policy: PolicyLike = "optimal",
-    **how: Unpack[How],
+    n_jobs: int | None = None,
+    folder: str | Path | None = None,
+    progress: bool = False,
 ) -> PSA:
     """Draw the parameters, solve every draw, and evaluate policies in every draw.
 
     Parameters
     ----------
     model : Scenario, MDP or Parametric
+        Of an MDP the probabilities of each random row are parameters, too.
     n : int, optional
         D, the number of draws; of a sample of one's own its first n rows, all unless given.
     rng : int or numpy.random.Generator
@@ -372,9 +378,9 @@ def psa(
         which takes `effective_sample_size` for the probabilities of which nothing is said.
     policy : PolicyLike
         The policy that is held fixed; "optimal" is the optimum at today's values.
-    **how
-        n_jobs, folder and progress; see `solvers.parallel.many`. A larger sample with the same seed
-        uses the whole pieces of an earlier one in the folder again.
+    n_jobs, folder, progress : optional
+        See `solvers.parallel.many`. A larger sample with the same seed uses the whole pieces of an
+        earlier one in the folder again.
 
     Returns
     -------
@@ -391,8 +397,7 @@ def psa(
     >>> len(analysis), analysis.candidates[0].actions["0000"]
     (200, 'non-directive')
     """
-    family = parametric(model)
-    seed = seed_of(rng)
+    family, seed = drawn_family(model, uncertain), seed_of(rng)
     chosen = uncertainty(family, uncertain, default=effective_sample_size)
     solver = solver_of(family, chosen.names)
     points = drawn(family, chosen, n, seed, solver.block)
@@ -401,6 +406,7 @@ def psa(
     given = [(TODAY, today)] if same else [(HELD, fixed_policy), (TODAY, today)]
     own = [[*part.names, part.kind, *part.numbers] for part in chosen.parts]
     key = {"seed": seed, "drawn": own if chosen.sample is None else digest(chosen.sample)}
+    how = How(n_jobs=n_jobs, folder=folder, progress=progress)
     draws = Draws(solver, points, solver.block, key, how)
     table = draws.with_policies(draws.study(()), [weights for _, weights in given])
     picked, table = _selected(draws, table, given)

@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Unpack
+from pathlib import Path
 
 import numpy as np
 from numpy.random import default_rng
@@ -170,7 +170,9 @@ def sobol(
     relative: Fraction | None = None,
     n: int = 1024,
     rng: RNG,
-    **how: Unpack[How],
+    n_jobs: int | None = None,
+    folder: str | Path | None = None,
+    progress: bool = False,
 ) -> Sobol:
     """Return first-order and total Sobol indices over the ranges of parameters.
 
@@ -184,8 +186,8 @@ def sobol(
     n : int
         A power of 2; the model is solved at n (P + 2) points.
     rng : int or numpy.random.Generator
-    **how
-        n_jobs, folder and progress; see `solvers.parallel.many`.
+    n_jobs, folder, progress : optional
+        See `solvers.parallel.many`.
 
     Returns
     -------
@@ -217,6 +219,7 @@ def sobol(
         )
     family, seed = parametric(model), seed_of(rng)
     spans = spans_of(family, names, ranges, relative)
+    how = How(n_jobs=n_jobs, folder=folder, progress=progress)
     draws = _design(list(spans.values()), n, default_rng(child(seed, 0)))
     table = study(family, dict(zip((p.name for p in spans), draws.T, strict=True)), [policy], **how)
     resamples = default_rng(child(seed, 1)).integers(n, size=(RESAMPLES, n))

@@ -60,10 +60,15 @@ def _kind(path: str | Path, verb: str) -> str:
 
 
 def _all_of(file: BinaryIO, path: str | Path, most: int) -> bytes:
-    data = file.read(most + 1)
-    if len(data) > most:
+    pieces, left = list[bytes](), most
+    while left >= 0 and (
+        piece := file.read(min(left + 1, LARGE))
+    ):  # room is made for a whole piece
+        pieces.append(piece)
+        left -= len(piece)
+    if left < 0:
         raise _too_large(path, most)
-    return data
+    return b"".join(pieces)
 
 
 def read_bytes(path: str | Path, *, most: int = LARGE) -> bytes:

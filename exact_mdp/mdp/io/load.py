@@ -2,7 +2,7 @@
 
 A model is a shipped scenario (`yuan2025`), a scenario file (`.toml`), a saved model (`.npz`,
 `.json`), a model checker's file (`.umb`; `.umb#NAME` chooses among its reward models), its source
-(`.prism`, `.jani`, which Storm builds), or `gymnasium:ID`.
+(`.prism`, `.jani`, which Storm builds), `gymnasium:ID`, or `-`: a `.json` on standard input.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.care.toml import shipped
 from exact_mdp.mdp.errors import ModelError, located, of_type, suggest
 from exact_mdp.mdp.io import model_json, npz, storm, umb
+from exact_mdp.mdp.io.files import STANDARD_INPUT
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import exact
 
@@ -72,7 +73,7 @@ def read_model(
         mdp = umb.load(file, discount=discount, reward=reward, start=start)
     elif suffix in SOURCES:
         mdp = storm.load(text, constants=_assigned(constants), discount=discount, start=start)
-    elif suffix in (".npz", ".json"):
+    elif suffix in (".npz", ".json") or text == STANDARD_INPUT:
         mdp = npz.load(text) if suffix == ".npz" else model_json.load(text)
         mdp = mdp if discount is None else mdp.with_(discount=discount)
     else:

@@ -160,7 +160,10 @@ class Family(Parametric):
 
     def made(self, moved: Mapping[str, Fraction]) -> MDP:
         """See `Parametric.made`."""
-        return self.build({**{p.name: p.value for p in self.parameters}, **moved})
+        built = self.build({**{p.name: p.value for p in self.parameters}, **moved})
+        fix = "end it with: return MDP.from_arrays(P, R)"
+        mdp: MDP = of_type(built, MDP, "what build returns", fix)
+        return mdp
 
     def degree(self, name: str) -> int:
         """See `Parametric.degree`."""
@@ -172,9 +175,14 @@ class Family(Parametric):
 
 
 def _parameters(given: Any) -> tuple[Parameter, ...]:
-    """Return parameters that are given as such, or as {name: value}."""
+    """Return parameters that are given as such, or as {name: value or parameter}."""
     if isinstance(given, Mapping):
-        return tuple(Parameter(name=name, value=value) for name, value in given.items())
+        return tuple(
+            replace(each, name=name)
+            if isinstance(each, Parameter)
+            else Parameter(name=name, value=each)
+            for name, each in given.items()
+        )
     if not isinstance(given, list | tuple) or not all(isinstance(p, Parameter) for p in given):
         raise ModelError(
             f"parameters are {given!r}",
