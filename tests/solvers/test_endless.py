@@ -58,10 +58,6 @@ def test_a_goal_that_is_missed(model: Pairs, missed: float, sense: str) -> None:
             elif value[s] != missed:
                 assert most[s] <= sign * value[s] + 1e-9
     assert optimum.value.tolist() == value
-    for s, a, r, law in pairs:
-        worth = sum((p * value[t] for t, p in law.items()), r)
-        wanted = value[s] in (worth, -sign * inf)  # nothing is worth less than that
-        assert optimum.optimal_pairs[mdp.pair(s, a)] == wanted
     holds(solution := solve(mdp), value)
     assert solution.error_bound < 1e-6
 
@@ -75,6 +71,7 @@ def test_no_action_is_optimal_that_may_miss_the_goal() -> None:
     optimum = certify(MDP.from_outcomes(rows, sense="min", labels={"goal": goal}).until("goal"))
     assert optimum.value.tolist() == [1, 0, inf, -inf]
     assert optimum.optimal_pairs.tolist() == [True, False, True, True, True, False, False]
+    assert optimum.gaps.tolist() == [None] * 4  # what is lost is infinite
 
 
 def rising(pairs: tuple[Row, ...], value: list, sign: int) -> list[float]:

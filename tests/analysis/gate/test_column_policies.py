@@ -107,11 +107,6 @@ def test_rows_whose_change_alone_gains_are_named(mdp: MDP, data: st.DataObject) 
     assert why is not None
     gains = {each["row"]: each["gain"] for each in why.rows}
     assert gains == pytest.approx({row: gain for row, gain in most.items() if gain > 1e-9})
-    assert [*gains.values()] == sorted(gains.values(), reverse=True)
-    for each in why.rows:
-        row = int(each["row"].removeprefix("row "))
-        assert each["learned"] == mdp.actions[own[row]]
-        assert changed_mean(row, mdp.action(each["best"])) - now == pytest.approx(each["gain"])
 
 
 def test_a_row_is_changed_to_what_its_states_offer_alone() -> None:

@@ -17,10 +17,7 @@ from exact_mdp import MDP, ModelError, certify, check, rationalize, solve, trade
 
 
 def test_actions_are_drawn_where_the_first_ones_alone_do_not_lead() -> None:
-    """The mixture takes both actions in states 0, 1 and 2; the first of each never visit 1.
-
-    In state 4, where no run comes, it takes the best one.
-    """
+    """It takes both in states 0, 1 and 2; the first of each never visit 1; no run comes to 4."""
     rows = [
         (0, 0, [(1, 2, 1)]),
         (0, 1, [("1/2", 1, 0), ("1/2", 2, 0)]),
