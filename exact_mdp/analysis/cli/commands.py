@@ -46,6 +46,8 @@ POLICY = """POLICY is optimal, random, always:ACTION, or a file: .json {"0000": 
 choice is a distribution, and refuses it if its greedy policy would differ)."""
 
 SETS = ("sets", "discount")
+WORK = "Records and parallel work"
+OF_WORK = ("confidence", "by", "evidence", "n_jobs", "out")  # options that stand last
 QUESTION = ("reach", "until", "reward", "allowed", "minimize", "start")
 ASKED = (*QUESTION, *SETS)
 OF_POLICY = ("kind", "perception", "horizon")
@@ -180,19 +182,21 @@ def _documented(section: object) -> tuple[str, dict[str, tuple[str, str]]]:
 
 
 class Command(click.Command):
-    """A command whose options stand in sections: its own, those of the model, those of all."""
+    """A command whose options stand in sections: its own, the model's, those of work, of all."""
 
     shared: Sequence[str] = ()
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the sections."""
-        sections: dict[str, list[tuple[str, str]]] = {"Options": [], "Model": [], "Output": []}
+        sections: dict[str, list[tuple[str, str]]]
+        sections = {title: [] for title in ("Options", "Model", WORK, "Output")}
         for each in self.get_params(ctx):
             record = each.get_help_record(ctx)
             if record is None or isinstance(each, click.Argument):
                 continue
             last = bool({"--json", "--markdown", "--help"} & {*each.opts})
-            title = "Output" if last else "Model" if each.name in self.shared else "Options"
+            title = "Model" if each.name in self.shared else "Options"
+            title = "Output" if last else WORK if each.name in OF_WORK else title
             sections[title].append(record)
         for title, records in sections.items():
             if records:

@@ -142,14 +142,17 @@ def test_a_file_may_be_standard_input(tmp_path: Path, monkeypatch: pytest.Monkey
     run("solve tea --certify --certificate", proof)
     records.write_text("episode,state,action,reward,next_state\n0,a,stay,1,\n", "utf-8")
     policy = json.dumps({f"{status:03b}": "wait" for status in range(8)})
+    run("convert tea", whole := tmp_path / "tea.json")
     for words, text, status in (
+        (("info", "-"), whole.read_text("utf-8"), 0),
         (("evaluate", "tea", "-"), policy, 0),
         (("check", "tea", "-"), policy, 1),
         (("verify", "-", "tea"), proof.read_text("utf-8"), 0),
         (("data", "-", "--out", model), records.read_text("utf-8"), 0),
         (("lint", "-"), "tasks = [0]", 1),
     ):
-        monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(text.encode())))
+        pipe = io.BufferedReader(io.BytesIO(text.encode()))  # which makes room for all it may read
+        monkeypatch.setattr("sys.stdin", io.TextIOWrapper(pipe))
         done = run(*words, "--json")
         assert done.status == status, (words, done.err)
         assert json.loads(done.out)

@@ -182,6 +182,14 @@ def test_cut_off_chances_are_counted() -> None:
     assert few.value == few.interval[0] == 0 < 0.1 < few.interval[1]
 
 
+def test_the_random_rows_of_a_model_are_drawn() -> None:
+    mdp = MDP.from_arrays([[["1/4", "3/4"], [0, 1]]], [1, 0], "1/2")
+    analysis = psa(mdp, 50, rng=0)
+    assert analysis.names == ("(state 0, 0): to state 0",)
+    stay = analysis.table.points[:, 0]
+    assert analysis.table.optimal == pytest.approx(1 / (1 - stay / 2))
+
+
 def test_a_state_that_cannot_be_reached_makes_no_action_optimal() -> None:
     """In every draw the second action gives up 5, whatever another state is worth."""
     rows = [(0, a, [("1/2", s, gain) for s in (1, 2)]) for a, gain in enumerate((5, 0))]
