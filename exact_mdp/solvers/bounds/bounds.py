@@ -189,11 +189,13 @@ def improved(
 
     The first one takes `pairs`; the last one is improved on by no more than rounding, or `enough`.
     """
+    before = set[int]()  # policies: where rounding alone tells two apart, they would come again
     for _ in range(POLICIES):
+        before.add(hash(pairs.tobytes()))
         value = evaluated(mdp, pairs, reward)
         gain = gains(mdp, value, reward=reward)
         better = greedy(mdp, gain, keep=pairs)
-        if gain.value.max() <= enough or (better == pairs).all():
+        if gain.value.max() <= enough or hash(better.tobytes()) in before:
             break
         pairs = better
     return pairs, value, gain
