@@ -358,7 +358,7 @@ def psa(
     uncertain: Stated | None = None,
     effective_sample_size: float | None = None,
     policy: PolicyLike = "optimal",
-    n_jobs: int | None = None,
+    n_jobs: int | None = 1,
     folder: str | Path | None = None,
     progress: bool = False,
 ) -> PSA:

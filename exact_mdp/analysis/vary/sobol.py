@@ -170,7 +170,7 @@ def sobol(
     relative: Fraction | None = None,
     n: int = 1024,
     rng: RNG,
-    n_jobs: int | None = None,
+    n_jobs: int | None = 1,
     folder: str | Path | None = None,
     progress: bool = False,
 ) -> Sobol:
