@@ -63,7 +63,7 @@ def check_places(matrix: Any, where: str) -> None:
 
 def as_given(value: object) -> Fraction | float:
     """Return an exact number, or the double itself where one was given."""
-    if isinstance(value, Fraction) or type(value) is float:
+    if type(value) in (float, Fraction):  # isinstance would ask an abstract class, for each number
         return value
     if isinstance(value, np.floating) and float(value) == value:
         return float(value)
