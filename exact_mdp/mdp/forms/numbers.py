@@ -63,7 +63,8 @@ def check_places(matrix: Any, where: str) -> None:
 
 def as_given(value: object) -> Fraction | float:
     """Return an exact number, or the double itself where one was given."""
-    if type(value) in (float, Fraction):  # isinstance would ask an abstract class, for each number
+    # isinstance would ask an abstract class, for each number
+    if type(value) is float or type(value) is Fraction:
         return value
     if isinstance(value, np.floating) and float(value) == value:
         return float(value)
