@@ -126,13 +126,13 @@ def chain() -> MDP:
 def test_a_policy_is_counted_in_every_draw_whose_optimum_it_was(model) -> None:
     """However seldom that is."""
     how = {"uncertain": uncertainty(model, default=4), "rng": 0}
-    draws = psa(model, 300, **how)
+    draws = psa(model, 150, **how)
     solver, counts = solver_of(model, draws.names), np.bincount(draws.table.which)
     assert len(counts) > 2 * POOL
     for number in (int(np.flatnonzero(counts == counts.min())[-1]), int(counts.argmax())):
         policy = solver.held(draws.table.rows[number])
         assert np.array_equal(solver.row(policy), draws.table.rows[number])
-        assert psa(model, 300, policy=policy, **how).candidates[0].frequency == counts[number]
+        assert psa(model, 150, policy=policy, **how).candidates[0].frequency == counts[number]
 
 
 def test_rows_are_drawn_together_whatever_is_asked_of_their_model() -> None:
