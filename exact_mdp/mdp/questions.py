@@ -217,8 +217,8 @@ class Questions(Parts):
                 fix="unroll the model that it was made from, or name that column differently",
             )
         rows = _kept(self, offsets, over)
-        kept = self.table.of_pairs(rows)
-        _check_size(self, own, count, len(kept.next))
+        table = self.table.of_pairs(rows)
+        _check_size(self, own, count, len(table.next))
 
         def layers(values: Numbers, last: Numbers) -> Numbers:
             """Return what each of the times 0 … N-1 has, and what the last one has."""
@@ -227,11 +227,11 @@ class Questions(Parts):
         def ending(name: str, values: Numbers) -> Numbers:
             return layers(values, _certain(name, values, states))
 
-        lengths = layers(np.diff(kept.offsets), np.ones(states, np.int64))
+        lengths = layers(np.diff(table.offsets), np.ones(states, np.int64))
         layered = replace(
-            kept.mapped(ending, ending),
+            table.mapped(ending, ending),
             offsets=np.concatenate([[0], np.cumsum(lengths)]),
-            next=_following(self, own, over, rows, kept, count),
+            next=_following(self, own, over, rows, table, count),
         )
         time = np.repeat(np.arange(count + 1), [*[len(rows)] * count, states])
 
@@ -240,7 +240,7 @@ class Questions(Parts):
 
         names = self.component_names
         if any(values):
-            later = [self.discount_exact * values[state] for state in kept.next]
+            later = [self.discount_exact * values[state] for state in table.next]
             names, layered = _paid(layered, len(rows) * (count - 1), later, names)
         parts = {
             "table": layered,
@@ -407,11 +407,11 @@ def _check_size(model: Parts, own: int, count: int, outcomes: int) -> None:
 
 
 def _following(
-    model: Parts, own: int, over: Flags, rows: Integers, kept: OutcomeTable, count: int
+    model: Parts, own: int, over: Flags, rows: Integers, table: OutcomeTable, count: int
 ) -> Numbers:
     """Return the next states: a step later, but where all is over and at time N."""
-    lengths = np.diff(kept.offsets)
-    after, time = kept.next.astype(np.int64), np.arange(count)
+    lengths = np.diff(table.offsets)
+    after, time = table.next.astype(np.int64), np.arange(count)
     later = np.repeat(~over[model.pair_state[rows]], lengths).astype(np.int64)
     shift = np.where(after < own, own * (time[:, None] + later), own * count)
     following = np.concatenate([(after + shift).ravel(), np.arange(model.n_states) + own * count])

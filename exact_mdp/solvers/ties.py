@@ -43,14 +43,14 @@ def settled(solution: Solution) -> Solution:
     for number in range(int(turn.max()) + 1):  # each state's first rival, then its second, …
         rival = rivals[turn == number]
         holder = pairs[state[rival]]
-        held, earned = matrix[holder], mdp.reward[rival] - mdp.reward[holder]
-        apart = matrix[rival] - held
+        rows, earned = matrix[holder], mdp.reward[rival] - mdp.reward[holder]
+        apart = matrix[rival] - rows
         row, share = np.repeat(np.arange(len(rival)), np.diff(apart.indptr)), apart.data
         # Both rows sum to 1: values may be counted from any other. Counted from that of the
         # likeliest next state, the number that was rounded to make the row sum to 1 drops out.
-        most = np.repeat(np.maximum.reduceat(held.data, held.indptr[:-1]), np.diff(held.indptr))
-        places = np.where(held.data == most, np.arange(held.nnz), held.nnz)
-        likeliest = held.indices[np.minimum.reduceat(places, held.indptr[:-1])]
+        most = np.repeat(np.maximum.reduceat(rows.data, rows.indptr[:-1]), np.diff(rows.indptr))
+        places = np.where(rows.data == most, np.arange(rows.nnz), rows.nnz)
+        likeliest = rows.indices[np.minimum.reduceat(places, rows.indptr[:-1])]
         step = share * (value[apart.indices] - value[likeliest][row])
         unknown = np.abs(share) * error[apart.indices]
         sums = [np.bincount(row, each, len(rival)) for each in (step, np.abs(step), unknown)]

@@ -203,11 +203,11 @@ def _changes(rows: Rows, policy: Policy) -> tuple[dict[str, Any], ...]:
     row, action = np.nonzero(other)
     choices = np.repeat(own[None], len(row) + 1, axis=0)
     choices[np.arange(len(row)), row] = action
-    worth = rows.values(choices)
-    gain, changes = worth.value[:-1] - worth.value[-1], dict[str, dict[str, Any]]()
+    values = rows.values(choices)
+    gain, changes = values.value[:-1] - values.value[-1], dict[str, dict[str, Any]]()
     for k in np.lexsort((action, -gain)).tolist():  # the best of each row first
         label = rows.space.label(int(row[k])) or "all states"
-        if gain[k] > 2 * worth.error.max() and label not in changes:
+        if gain[k] > 2 * values.error.max() and label not in changes:
             taken = {"learned": names[own[row[k]]], "best": names[action[k]]}
             changes[label] = {"row": label, **taken, "gain": float(gain[k])}
     return tuple(changes.values())

@@ -287,8 +287,8 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
     candidates = [[number(run.policies[i]) for i in run.last_counts()][:CANDIDATES] for run in runs]
     final = np.array([number(run.final) for run in runs])
     values = policy_values(mdp, rows, policies := np.array([*known]))
-    worth = mdp.sign * values.value
-    selected = np.array([max(tried, key=lambda i: worth[i]) for tried in candidates])
+    reward = mdp.sign * values.value
+    selected = np.array([max(tried, key=lambda i: reward[i]) for tried in candidates])
     used = np.union1d(final, selected)
     used = used[np.argsort(-np.bincount(final, minlength=len(known))[used], kind="stable")]
     place = np.empty(len(known), dtype=np.int64)

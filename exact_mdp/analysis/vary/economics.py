@@ -131,8 +131,8 @@ class CostEffectiveness(Pictured):
         table = data_frame(self.acceptability(at), columns=list(self.strategies))
         table.insert(0, WTP, at)
         table["best on average"] = [name for name, _ in self.frontier(at)]
-        worth = [(each.value, each.standard_error) for each in self.evpi(at)]
-        table[["EVPI", "EVPI s.e."]] = np.array(worth)
+        gains = [(each.value, each.standard_error) for each in self.evpi(at)]
+        table[["EVPI", "EVPI s.e."]] = np.array(gains)
         table["EVPI s.e."] = table["EVPI s.e."].replace(np.inf, np.nan)  # of one draw, unknown
         table["claim"] = str(self.claim)
         return table

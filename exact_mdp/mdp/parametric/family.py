@@ -367,12 +367,12 @@ class Moved:
             by_pair=False,
             own=True,
         )
-        kept: dict[str, Any] = {}
+        own: dict[str, Any] = {}
         if self._kept and not moved:
             parts = "components", "component_denominator"
             table = replace(table, **{part: getattr(model.table, part) for part in parts})
-            kept["component_names"] = model.component_names
-        return model.with_(table=table, discount=rate, events=(), **kept)
+            own["component_names"] = model.component_names
+        return model.with_(table=table, discount=rate, events=(), **own)
 
     def _row(
         self, pair: int, values: Mapping[str, Fraction]

@@ -148,8 +148,8 @@ def _parsed(mdp: MDP, text: str) -> tuple[str, Terms]:
     each = "|".join(map(re.escape, sorted(known, key=len, reverse=True)))
     term = re.compile(rf"{FACTOR}({each})\s*(?=[+-]|$)")
     while at < len(body):
-        found = term.match(body, at)
-        if found is None or (terms and found[1] is None):
+        match = term.match(body, at)
+        if match is None or (terms and match[1] is None):
             rest = re.sub(f"^{FACTOR}", "", body[at:])
             part = re.split(r"[-+*]", rest)[0].strip() or body
             written = part in known
@@ -162,9 +162,9 @@ def _parsed(mdp: MDP, text: str) -> tuple[str, Terms]:
                 if written
                 else f"{suggest(part, known)}; a sum is written name=2*a-b",
             )
-        factor = exact(found[2] or "1", f"objective {text!r}")
-        terms.append((-factor if found[1] == "-" else factor, found[3]))
-        at = found.end()
+        factor = exact(match[2] or "1", f"objective {text!r}")
+        terms.append((-factor if match[1] == "-" else factor, match[3]))
+        at = match.end()
     if not terms:
         raise ModelError(
             "the objective names nothing to count",

@@ -337,8 +337,8 @@ def _as_one(of: Objectives, limits: Sequence[Limit], shares: Shares, shift: Frac
         most = sorted(taken, key=lambda pair: (float(taken[pair]), -pair))
         own[of.rows.pair_state[most]] = most
         further, flow = sorted(taken.keys() - {*own.tolist()})[: len(limits) + 1], Flow.of(taken)
-        kept = _kept(of, limits, flow.totals(of))
-        room = [total - x.sign * x.bound + shift for total, x in zip(kept, limits, strict=True)]
+        totals = _kept(of, limits, flow.totals(of))
+        room = [total - x.sign * x.bound + shift for total, x in zip(totals, limits, strict=True)]
         moves = [_instead(of, pair, own) for pair in further]
         gains = [*zip(*(_kept(of, limits, Flow.of(x).totals(of)) for x in moves), strict=True)]
         tight = [common(gain)[0] for gain, left in zip(gains, room, strict=False) if not left]

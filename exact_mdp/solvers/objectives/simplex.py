@@ -42,10 +42,10 @@ def maximise(
         column = inverse * flint.fmpq_mat([[matrix[i, entering]] for i in range(rows)])
         falling = ((x[i, 0] / column[i, 0], basis[i], i) for i in range(rows) if column[i, 0] > 0)
         basis[min(falling)[-1]] = entering
-    found = dict(zip(basis, x.entries(), strict=True))
+    basic = dict(zip(basis, x.entries(), strict=True))
     # What is enough in place of "more than any number".
     each = ((due[j], cost[j][1]) for j in range(size) if due[j][0] > 0)
     enough = max(((own - later) / first for (first, later), own in each), default=flint.fmpq(0))
     first, later = price.tolist()
     y = [fraction(then + enough * now) for now, then in zip(first, later, strict=True)]
-    return [fraction(found.get(j, flint.fmpq(0))) for j in range(size)], y
+    return [fraction(basic.get(j, flint.fmpq(0))) for j in range(size)], y
