@@ -40,7 +40,7 @@ from exact_mdp.mdp.forms.numbers import grouped, has_floats, one_kind
 from exact_mdp.mdp.io.files import opened
 from exact_mdp.mdp.io.structured import csv_of
 from exact_mdp.mdp.space import Column, StateSpace
-from exact_mdp.mdp.table import EXACT_IN_INT64, Integers, OutcomeTable, exact
+from exact_mdp.mdp.table import EXACT_IN_INT64, MOST_DIGITS, Integers, OutcomeTable, exact
 from exact_mdp.mdp.validate import Flags, as_discount, as_start, check_options
 
 if TYPE_CHECKING:
@@ -508,7 +508,7 @@ def _sums(keys: Integers, count: Integers) -> tuple[Integers, Integers]:
 def _sorted(numbers: Mapping[Any, int]) -> tuple[Integers, tuple[str, ...]]:
     """Return the place of each number, and the names in order: whole numbers by size."""
     names = [str(name) for name in numbers]
-    whole = all(name.removeprefix("-").isdecimal() for name in names)
+    whole = all(map(_is_whole, names))
     order = sorted(range(len(names)), key=lambda n: (int(names[n]) if whole else 0, names[n]))
     for name, count in Counter(names).items():
         if count > 1:
@@ -517,9 +517,14 @@ def _sorted(numbers: Mapping[Any, int]) -> tuple[Integers, tuple[str, ...]]:
     return np.argsort(order), tuple(names[n] for n in order)
 
 
+def _is_whole(name: str) -> bool:
+    """Return whether a name is a whole number, of no more digits than Python converts."""
+    return name.removeprefix("-").isdecimal() and len(name) <= MOST_DIGITS
+
+
 def _column(names: tuple[str, ...]) -> Column:
     """Return the column of states by their names, which are numbers where all of them are whole."""
-    whole = [int(n) for n in names if n.removeprefix("-").isdecimal() and str(int(n)) == n]
+    whole = [int(name) for name in names if _is_whole(name) and str(int(name)) == name]
     if whole == [*range(len(names))]:
         return Column(name="state", size=len(whole))
     things = tuple(whole) if len(whole) == len(names) else ()

@@ -266,3 +266,9 @@ def test_changed_tables_have_no_observations() -> None:
     refused(lambda: mdp.with_(episodes=0), "0 episodes")
     refused(lambda: mdp.with_(observations=np.array([2, 0])), "not counts over the observations")
     refused(lambda: mdp.with_(observations=np.array([1])), "for 2 pairs")
+
+
+def test_a_name_of_very_many_digits_is_too_long_a_name() -> None:
+    row = {"episode": 1, "state": "9" * 5000, "action": "a", "reward": 1, "next_state": None}
+    with pytest.raises(ModelError, match="has 5,000 characters"):
+        MDP.from_transitions(pd.DataFrame([row]))
