@@ -66,7 +66,7 @@ class Layout:
         """Return what a cell says of actions: up to two short signs side by side, else how many."""
         text = "/".join(self.signs[action] for action in actions)
         short = len(actions) < 2 or len(text) <= SHORT
-        return text if short else f"1 of {len(actions)}"
+        return text if short else f"any of {len(actions)}"
 
 
 def arrange(

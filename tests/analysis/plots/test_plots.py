@@ -96,7 +96,7 @@ def test_no_text_is_cut_or_covered(draw) -> None:
     drawn, (wide, high) = figure.get_tightbbox(), figure.get_size_inches()
     assert -0.01 <= drawn.x0 < drawn.x1 <= wide + 0.01
     assert -0.01 <= drawn.y0 < drawn.y1 <= high + 0.01
-    mixed = [text for text in figure.axes[0].texts if "1 of" in text.get_text()]
+    mixed = [text for text in figure.axes[0].texts if "any of" in text.get_text()]
     written = [text.get_window_extent() for text in mixed]
     assert not any(one.overlaps(other) for one, other in itertools.combinations(written, 2))
     legend = figure.axes[0].get_legend()
