@@ -339,6 +339,7 @@ class CVaROptimum(Result):
             "value": Shown(self.value, Certified(value=self.value)),
             "level": Shown(self.level, f"the worst {self.level} of the episodes"),
             "mean": Shown(self.mean, Certified(value=self.mean)),
+            **({"weight_of_the_mean": self.weight} if self.weight else {}),
             "threshold": self.threshold,
             "distribution": Shown(self.distribution()),
             "policy": [

@@ -241,7 +241,7 @@ def psa(
     evppi: expected value of knowing each parameter alone; evppi_details: how each was estimated.
     """
     plain = given.loaded.scenario is None
-    model = drawn_family(given.mdp, uncertain) if plain else given.family
+    model = drawn_family(given.mdp) if plain else given.family
     size, names = None, given.parameters or None
     if effective_sample_size is not None:
         size = float_of(effective_sample_size, "--effective-sample-size")

@@ -191,9 +191,6 @@ def _longest_cycle(mdp: MDP) -> int:
     return 1 if is_acyclic(mdp) else int(np.bincount(components(mdp)[1]).max())
 
 
-# ---- several policies side by side --------------------------------------------------------------
-
-
 # ---- rational arithmetic -----------------------------------------------------------------------
 
 

@@ -540,15 +540,9 @@ def _read(path: str | Path) -> tuple[dict[str, Settings], float | None]:
     return {**stated}, _float(general[SIZE], SIZE, DEFAULT) if general else None
 
 
-def drawn_family(model: Any, stated: object | None = None) -> Parametric:
-    """Return the parameters that are drawn of a model; of a plain one, those of its random rows.
-
-    Of a plain model with more than 2,000 of these, only what is stated is drawn.
-    """
-    if not isinstance(model, MDP):
-        return parametric(model)
-    random = np.count_nonzero(np.diff(model.transition.indptr) > 1)
-    return parametric(model) if stated is not None and random > MOST_ROWS else row_family(model)
+def drawn_family(model: Any) -> Parametric:
+    """Return the parameters that are drawn of a model: of an MDP those of its random rows, too."""
+    return row_family(model) if isinstance(model, MDP) else parametric(model)
 
 
 def row_family(mdp: MDP) -> Family:
@@ -576,8 +570,8 @@ def row_family(mdp: MDP) -> Family:
         raise ModelError(
             f"{len(rows):,} rows of the model are random",
             where="rows as parameters",
-            fix="name the parameters that matter (mdp.parametric.moving), or take a model with at "
-            f"most {MOST_ROWS:,} of them",
+            fix="name the parameters that matter (mdp.parametric.moving), or draw no rows: "
+            f"parametric(model); or take a model with at most {MOST_ROWS:,} of them",
         )
     rewards = {p.name: p.value for p in parametric(mdp).parameters if p.name != DISCOUNT}
     return replace(moving(mdp, entries, rewards), rows=rows)

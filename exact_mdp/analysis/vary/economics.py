@@ -198,7 +198,7 @@ def cost_effectiveness(
     >>> analysis.frontier([4, 10])
     [('wait', 1.0), ('treat', 1.0)]
     """
-    family, seed = drawn_family(model, uncertain), seed_of(rng)
+    family, seed = drawn_family(model), seed_of(rng)
     if not isinstance(strategies, Mapping) or not strategies:
         what = "no strategy" if isinstance(strategies, Mapping) else "strategies without names"
         raise ModelError(what, where="strategies", fix="give {name: policy}, at least one")

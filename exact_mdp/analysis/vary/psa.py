@@ -367,7 +367,7 @@ def psa(
     Parameters
     ----------
     model : Scenario, MDP or Parametric
-        Of an MDP the probabilities of each random row are parameters, too.
+        Of an MDP the probabilities of its random rows are parameters, too, up to 2,000 rows.
     n : int, optional
         D, the number of draws; of a sample of one's own its first n rows, all unless given.
     rng : int or numpy.random.Generator
@@ -397,7 +397,7 @@ def psa(
     >>> len(analysis), analysis.candidates[0].actions["0000"]
     (200, 'non-directive')
     """
-    family, seed = drawn_family(model, uncertain), seed_of(rng)
+    family, seed = drawn_family(model), seed_of(rng)
     chosen = uncertainty(family, uncertain, default=effective_sample_size)
     solver = solver_of(family, chosen.names)
     points = drawn(family, chosen, n, seed, solver.block)

@@ -61,9 +61,8 @@ def _kind(path: str | Path, verb: str) -> str:
 
 def _all_of(file: BinaryIO, path: str | Path, most: int) -> bytes:
     pieces, left = list[bytes](), most
-    while left >= 0 and (
-        piece := file.read(min(left + 1, LARGE))
-    ):  # room is made for a whole piece
+    # Room is made for a whole piece, however little comes.
+    while left >= 0 and (piece := file.read(min(left + 1, LARGE))):
         pieces.append(piece)
         left -= len(piece)
     if left < 0:

@@ -162,7 +162,30 @@ class ReturnDistribution(Pictured):
     def tail_mean(self, share: object, *, highest: bool = False) -> Fraction | float:
         """Return the mean of the lowest share of the returns (CVaR), or of the highest.
 
-        It is exact where the probabilities are.
+        Parameters
+        ----------
+        share : number or "p/q"
+            Above 0, at most 1, which gives the mean of all.
+        highest : bool
+            Take the highest returns, the worst where they are costs.
+
+        Returns
+        -------
+        Fraction or float
+            Exact where the probabilities are; else as good as these are, returns that are not
+            listed (`remaining`) left out. Infinite where such returns are among them.
+
+        Raises
+        ------
+        ModelError
+            For another share.
+
+        Examples
+        --------
+        >>> rows = [(0, 0, [("1/2", 1, 10), ("1/2", 1, 0)]), (1, 0, [(1, 1, 0)])]
+        >>> law = return_distribution(MDP.from_outcomes(rows), [0, 0], exact=True)
+        >>> str(law.tail_mean("3/4")), str(law.tail_mean(1))
+        ('10/3', '5')
         """
         law = self.as_dict() if self.exact is None else self._law(self.exact, self._endless)
         mean: Fraction | float = tail_mean(law, share_of(share), highest=highest)
