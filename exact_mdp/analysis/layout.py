@@ -217,6 +217,16 @@ def _listed(model: MDP) -> Layout:
     )
 
 
+def shortened(names: Sequence[str], most: int) -> list[str]:
+    """Return names of at most so many letters, different where they are: ends, else numbers."""
+    half = most // 2
+    for first, last in ((most - 1, 0), (0, most - 1), (most - 1 - half, half)):
+        short = [n if len(n) <= most else f"{n[:first]}…{n[len(n) - last :]}" for n in names]
+        if len({*short}) == len({*names}):
+            return short
+    return [*map(str, range(len(names)))]
+
+
 def _drift(model: MDP, values: Sequence[Integers]) -> Floats:
     """Return (C, A) where each action leads along some coordinates (C, S), -1 outside of them.
 

@@ -29,6 +29,7 @@ from exact_mdp.analysis.layout import (
     arrange,
     cells,
     ends_of,
+    shortened,
 )
 from exact_mdp.analysis.optimum import actions_of
 from exact_mdp.analysis.plots.style import (
@@ -56,6 +57,9 @@ MOST_TEXTS = 700  # cells that have room for a text
 NUMBERED = 60  # cells that have room for a number, too
 MOST_NAMES = 40  # rows, columns or bars that are named
 MOST_LETTERS = 70  # of names side by side
+LONGEST = 26  # letters of a name beside the axes
+IN_AN_INCH = 7.2  # names that stand upright side by side
+IN_A_CORNER = 12  # letters of a name in a cell
 SHADES = LinearSegmentedColormap.from_list("value", ["#F7FBFF", "#2171B5"])
 LOSSES = LinearSegmentedColormap.from_list("loss", ["#FFF1E8", ORANGE])
 
@@ -205,13 +209,13 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
     layout, mdp = _placed(audit.mdp, place), audit.mdp
     drawn = [each for row in cells(audit, layout) for each in row if each is not None]
     ends, shown = ends_of(mdp), dict[int, tuple[str, Look]]()
-    for each in drawn:
+    names = shortened([each.name for each in drawn], IN_A_CORNER)
+    for each, name in zip(drawn, names, strict=True):
         text = ends[each.state][0] if each.state in ends else f"{each.text}\n{each.small}".strip()
         look: Look = {"edgecolor": "0.8", "ink": "0.5" if each.kind == "idle" else BLACK}
         if each.kind == "wrong":
             look |= {"fill": LOSSES(min(each.shade, 1.0)), "edgecolor": ORANGE}
             look |= {"linewidth": 1.6, "zorder": 2}
-        name = each.name if len(each.name) <= 9 else f"{each.name[:8]}…"
         shown[each.state] = text, look | {"corner": name}
     losses = [each.cost for each in audit.disagreements if np.isfinite(each.cost)]
     colours = ScalarMappable(Normalize(0.0, max(losses, default=0.0)), LOSSES)
@@ -255,7 +259,7 @@ def _map(
     ax.set(xlim=(0, wide), ylim=(high, 0), xlabel=layout.across, ylabel=layout.down)
     for ticks, labels in ((ax.set_xticks, layout.columns), (ax.set_yticks, layout.rows)):
         step = -(-len(labels) // MOST_NAMES)
-        ticks(np.arange(0, len(labels), step) + 0.5, labels[::step])
+        ticks(np.arange(0, len(labels), step) + 0.5, shortened(labels, LONGEST)[::step])
     if max(map(len, layout.columns)) > 4:
         ax.tick_params(axis="x", rotation=90)
     ax.tick_params(length=0)
@@ -315,8 +319,10 @@ def _bars(ax: Axes, model: MDP, values: Floats, texts: list[str], label: str) ->
     count, finite = len(values), np.where(np.isfinite(values), values, 0.0)
     edge: Look = {"edgecolor": BLACK, "linewidth": 0.5} if count <= NUMBERED else {"width": 1.0}
     bars = ax.bar(range(count), finite, color=BLUE, **edge)
-    names = [model.space.label(state).removeprefix("state ") for state in range(count)]
-    step = -(-count // MOST_NAMES)
+    names = [name.removeprefix("state ") for name in model.space.labels(range(count))]
+    names = shortened(names, LONGEST)
+    wide = ax.bbox.width / ax.figure.dpi
+    step = -(-count // min(MOST_NAMES, max(1, int(IN_AN_INCH * wide))))
     upright = len("  ".join(names[::step])) > MOST_LETTERS
     ax.set_xticks(range(0, count, step), names[::step], rotation=90 if upright else 0)
     turned = 90 if count * max(map(len, texts)) > MOST_LETTERS else 0

@@ -6,6 +6,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from picture_texts import legend_of, texts_of
 
@@ -65,6 +66,13 @@ def test_a_fill_says_where_the_value_goes(model: MDP | Scenario) -> None:
 LONG = [f"a machine in condition {k}" for k in range(24)]
 MANY = MDP.from_arrays(np.eye(200)[np.newaxis], np.arange(200.0), 0.9)
 EVEN = MDP.from_arrays(np.full((6, 24, 24), 1 / 24), np.zeros((24, 6)), 0.9, states=LONG)
+HALLS = [f"a machine in the northern hall of the factory in condition {k}" for k in range(200)]
+HALL = MANY.with_(states=HALLS)
+FEW = MDP.from_arrays(np.eye(30)[np.newaxis], np.arange(30.0), 0.9, states=HALLS[:30])
+
+
+def _small() -> Axes:
+    return plt.subplots(figsize=(5.5, 3.8), layout="constrained")[1]
 
 
 @pytest.mark.parametrize(
@@ -78,6 +86,11 @@ EVEN = MDP.from_arrays(np.full((6, 24, 24), 1 / 24), np.zeros((24, 6)), 0.9, sta
         lambda: plots.plot_policy(EVEN, "random"),
         lambda: solve(MANY).plot(),
         lambda: check(MANY, [0] * 200).plot(),
+        lambda: solve(HALL).plot(),
+        lambda: solve(HALL).plot(_small()),
+        lambda: solve(FEW).plot(_small()),
+        lambda: check(FEW, [0] * 30).plot(),
+        lambda: plots.plot_policy(FEW, [0] * 30),
         lambda: thresholds(SMALL, "reward.assist.directive", relative=1).plot(),
         lambda: curve(MAINTENANCE, "discount").plot(),
         lambda: return_distribution(SMALL.compile(), "random").plot(),

@@ -113,6 +113,28 @@ def test_named_states_keep_their_names() -> None:
         assert texts_of(ax.get_yticklabels()) == names
 
 
+@pytest.mark.parametrize(
+    ("form", "written"),
+    [
+        ("a machine in the northern hall in condition {k}", "…ondition 42"),
+        ("{k}: a machine in the northern hall", "42: a machi…"),
+        ("{a}th machine of those in hall {b}", "2th m…hall 2"),
+        ("the big machine {k} in the northern hall", "42"),
+        ("m{k}", "m42"),
+    ],
+)
+def test_names_that_differ_are_cut_to_texts_that_differ(form: str, written: str) -> None:
+    """A name is cut at the end, at the start, or in the middle; else the state has its number."""
+    names = [form.format(k=k, a=k // 20, b=k % 20) for k in range(200)]
+    mdp = MDP.from_arrays(np.eye(200)[np.newaxis], np.zeros(200), 0.9, states=names)
+    corners = texts_of(check(mdp, [0] * 200).plot().texts)
+    assert written in corners
+    assert len({*corners}) == 201  # and the sign of an end
+    ticks = texts_of(solve(mdp).plot().get_xticklabels())
+    assert len({*ticks}) == len(ticks) == 40
+    assert max(map(len, ticks)) <= 26
+
+
 def test_a_law_without_finite_returns_is_drawn() -> None:
     """Every run goes on for ever: nothing stands in the picture but the title."""
     law = return_distribution(MDP.from_outcomes([(0, 0, [(1, 0, 1)])]), "always:0")
