@@ -6,9 +6,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from textwrap import fill
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -51,6 +52,7 @@ INKS = (BLACK, *INK)
 MOST_ROWS = 32
 DARK = 0.59  # shade on which a text is white
 MOST_POLICIES = 8  # in a legend
+IN_AN_INCH = 4  # lines of a legend
 STEEP = 50  # times the usual value, beyond which values leave the picture
 
 
@@ -64,6 +66,11 @@ def _number(value: float | Fraction) -> str:
     return f"{number:,.0f}" if 1000 <= abs(number) < 1e9 else f"{number:.3g}"
 
 
+def _of(shown: int, every: int, what: str = "parameters") -> str:
+    """Return what a title says where not all are shown."""
+    return f", {shown} of {every} {what}" * (shown < every)
+
+
 def _axis(parameter: Parameter) -> str:
     unit = unit_of(parameter)
     return parameter.name if unit == "number" else f"{parameter.name} ({unit})"
@@ -75,12 +82,13 @@ def plot_gradient(gradient: Gradient, *, most: int = 15, ax: Axes | None = None)
 
     Fills say where the value goes: a positive elasticity of a negative value lowers it.
     """
-    table = gradient.frame().dropna(subset="elasticity (% per %)").head(most)
+    every = gradient.frame().dropna(subset="elasticity (% per %)")
+    table = every.head(most)
     looks = [HIGH if slope > 0 else LOW for slope in table["derivative (reward per unit)"]]
     drawn = zip(range(len(table)), table["elasticity (% per %)"], looks, strict=True)
     return described(
         bars(ax, table["parameter"].tolist(), drawn),
-        "Which parameters move the value most",
+        f"Which parameters move the value most{_of(len(table), len(every))}",
         gradient.model,
         x="elasticity of the value at the start (% per %)",
         handles=[swatch("raises the value", HIGH), swatch("lowers the value", LOW)],
@@ -113,7 +121,7 @@ def plot_tornado(
     what = "regret" if output == "regret" else "value"
     return described(
         bars(ax, names, drawn, middle),
-        f"Tornado: the {what} at both ends of each range",
+        f"Tornado: the {what} at both ends of each range{_of(len(rows), len(table))}",
         tornado.model,
         x=f"{OUTPUT[output]} (reward)",
         handles=[swatch("at the low end", LOW), swatch("at the high end", HIGH)],
@@ -222,24 +230,19 @@ def plot_thresholds(
 def plot_two_way(grid: TwoWay, *, ax: Axes | None = None) -> Axes:
     """Draw which policy is optimal over two parameters.
 
-    Shades have no order; a number stands in each region. The legend says the first actions in which
-    the policies differ, or those of the only one.
+    Shades have no order; a number stands in each region. The legend says what each of the first
+    policies alone does, or the first actions of the only one.
     """
     ax, shown = axes_or_new(ax), grid.policy
     x, y = (np.unique(column) for column in grid.table.points.T.astype(float))
-    chosen = [grid.chosen(number) for number in range(int(shown.max()) + 1)]
-    count, handles = len(chosen), []
+    count, room = int(shown.max()) + 1, IN_AN_INCH * ax.figure.bbox.height / ax.figure.dpi
+    listed = [grid.chosen(number) for number in range(min(count, MOST_POLICIES))]
+    entries = _entries(listed)
+    while len(listed) > 2 and "\n".join(entries).count("\n") > room:
+        entries = _entries(listed := listed[:-1])
     shades = np.linspace(0.95, 0.35, count)[np.argsort(np.arange(count) % 2, kind="stable")]
-    for number, own in enumerate(chosen[:MOST_POLICIES]):
-        differing = [
-            f"{label}: {action}"
-            for label, action in own.items()
-            if count == 1 or any(other.get(label) != action for other in chosen)
-        ]
-        most = max(1, min(3, 12 // count))
-        text = ", ".join(differing[:most]) + ", …" * (len(differing) > most)
-        look = {"color": str(shades[number]), "hatch": ""}
-        handles.append(swatch(fill(f"policy {number}: {text}", 30), look))
+    looks = [{"color": str(shade), "hatch": ""} for shade in shades]
+    handles: list[Any] = [swatch(*each) for each in zip(entries, looks, strict=False)]
     colours, ends = ListedColormap([*map(str, shades)]), (-0.5, count - 0.5)
     ax.pcolormesh(x, y, shown, cmap=colours, vmin=ends[0], vmax=ends[1], shading="nearest")
     for number in np.unique(shown).tolist():
@@ -250,9 +253,26 @@ def plot_two_way(grid: TwoWay, *, ax: Axes | None = None) -> Axes:
     today = (float(grid.x.value), float(grid.y.value))
     (mark,) = ax.plot(*today, "D", color=BLACK, markersize=5, label="today")
     names = {"x": _axis(grid.x), "y": _axis(grid.y)}
-    return described(
-        ax, "Which policy is optimal", grid.mdp.name, handles=[*handles, mark], **names
-    )
+    handles.append(mark)
+    legend = "how the policies differ" * (count > 1)
+    legend += f" ({len(listed)} of {count})" * (count > len(listed))
+    what = "Which policy is optimal"
+    return described(ax, what, grid.mdp.name, handles=handles, legend=legend, **names)
+
+
+def _entries(listed: Sequence[Mapping[str, str]]) -> list[str]:
+    """Say of each policy what no other of them does; of only one its first actions."""
+    entries = []
+    for number, own in enumerate(listed):
+        states, others = list[str](), [each for each in listed if each is not own]
+        while others:
+            apart = {state: sum(each.get(state) != own[state] for each in others) for state in own}
+            states.append(max(apart, key=apart.__getitem__))
+            others = [each for each in others if each.get(states[-1]) == own[states[-1]]]
+        said = [f"{state}: {own[state]}" for state in states or [*own][:3]]
+        more = ["…"] * (not states and len(own) > len(said))
+        entries.append(fill(f"policy {number}: {'; '.join(said + more)}", 36))
+    return entries
 
 
 @picture
@@ -284,7 +304,7 @@ def plot_sobol(
     ax.set_xlim(right=max(1.0, ax.get_xlim()[1]))
     return described(
         ax,
-        f"Variance of the {OUTPUT[output]}",
+        f"Variance of the {OUTPUT[output]}{_of(len(order), len(every))}",
         indices.model,
         x="share of the variance",
         handles=[swatch("first order: alone", HIGH), swatch("total: alone and with others", LOW)],
@@ -367,7 +387,8 @@ def plot_optimal_actions(draws: PSA, *, ax: Axes | None = None) -> Axes:
     ax.tick_params(length=0)
     ax.invert_yaxis()
     y = "status at subtask 0, trial 0" if draws.compiled else "state"
-    what = "Share of draws in which each action is optimal"
+    more = _of(len(share), len(draws.labels), "states")
+    what = f"Share of draws in which each action is optimal{more}"
     return described(ax, what, draws.model, x="action", y=y)
 
 

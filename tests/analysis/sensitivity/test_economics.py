@@ -1,6 +1,7 @@
 """Cost-effectiveness against loops and closed forms, and pictures of one's own parameters."""
 
 import re
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,10 @@ from exact_mdp import (
     Parameter,
     cost_effectiveness,
     evaluate,
+    gradient,
     one_way,
     psa,
+    sobol,
     tornado,
     tradeoff,
     two_way,
@@ -156,6 +159,47 @@ def test_a_map_of_two_parameters_says_what_its_policies_do() -> None:
         every = [over.chosen(number) for number in range(int(over.policy.max()) + 1)]
         said = [f"policy {n}: state 0: {own['state 0']}" for n, own in enumerate(every)]
         assert legend_of(over.plot()) == [*said, "today"]
+
+
+def test_policies_in_a_map_are_told_apart() -> None:
+    """Eleven states turn at values of x of their own, one at a value of y."""
+
+    def steps(at):
+        rows = [(0, 0, [("1/13", k, 0) for k in range(1, 14)])]
+        choices = [(at["x"], k) if k < 12 else (at["y"], 3) for k in range(1, 13)]
+        for k, (gain, least) in enumerate(choices, 1):
+            rows += [(k, 0, [(1, 13, least + Fraction(1, 2))]), (k, 1, [(1, 13, gain)])]
+        return MDP.from_outcomes([*rows, (13, 0, [(1, 13, 0)])], 1)
+
+    model = Family(parameters={"x": 1, "y": 1}, build=steps)
+    ends = {"x": (0, 12), "y": (0, 12)}
+    over = two_way(model, "x", "y", ranges=ends, points=13)
+    ax = over.plot()
+    *entries, today = [" ".join(text.split()) for text in legend_of(ax)]
+    said = [entry.partition(": ")[2] for entry in entries]
+    assert (today, len({*said})) == ("today", len(said))
+    assert ax.get_legend().get_title().get_text() == f"how the policies differ ({len(said)} of 24)"
+    every = [over.chosen(number) for number in range(len(said))]
+    for own, entry in zip(every, said, strict=True):
+        told = dict(part.rsplit(": ", 1) for part in entry.split("; "))
+        assert told.items() <= own.items()
+        assert sum(told.items() <= other.items() for other in every) == 1
+    ax.figure.canvas.draw()
+    assert ax.get_legend().get_window_extent().y0 >= 0
+
+
+def test_a_title_says_how_many_parameters_are_left_out() -> None:
+    model = Family(parameters={f"r{k}": k for k in range(1, 21)}, build=_sum)
+    with_most = {"tornado": tornado(model), "gradient": gradient(model)}
+    with_most["sobol"] = sobol(model, n=64, rng=0)
+    for result in with_most.values():
+        assert "7 of 20 parameters" in result.plot(most=7).get_title(loc="left")
+        assert " of 20 " not in result.plot(most=20).get_title(loc="left")
+    assert "15 of 20 parameters" in tornado(model).plot().get_title(loc="left")
+
+
+def _sum(at):
+    return MDP.from_outcomes([(0, 0, [(1, 1, sum(at.values()))]), (1, 0, [(1, 1, 0)])])
 
 
 def test_a_tornado_has_no_exponents_beside_its_bars() -> None:
