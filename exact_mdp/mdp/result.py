@@ -84,8 +84,8 @@ class Pictured(Result):
         ax : Axes, optional
         **settings
             As the function takes them that draws it, such as `most` and `output` ("optimal",
-            "fixed", "regret") of a tornado; an unknown one is refused with a list of those that
-            there are.
+            "fixed", "regret") of a tornado, or a `wtp` to mark in acceptability curves; an unknown
+            one is refused with a list of those that there are.
 
         Returns
         -------

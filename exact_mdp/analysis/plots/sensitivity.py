@@ -34,7 +34,7 @@ from exact_mdp.analysis.plots.style import (
 from exact_mdp.analysis.vary.curves.curve import ValueFunction
 from exact_mdp.analysis.vary.curves.gradient import Gradient
 from exact_mdp.analysis.vary.curves.thresholds import Thresholds
-from exact_mdp.analysis.vary.economics import CostEffectiveness
+from exact_mdp.analysis.vary.economics import WTP, CostEffectiveness, price
 from exact_mdp.analysis.vary.intervals import tolerances_of
 from exact_mdp.analysis.vary.one_way import Curve, Tornado, TwoWay
 from exact_mdp.analysis.vary.psa import PSA
@@ -344,15 +344,27 @@ def plot_acceptability(draws: PSA, *, ax: Axes | None = None) -> Axes:
 
 
 @picture
-def plot_cost_effectiveness(analysis: CostEffectiveness, *, ax: Axes | None = None) -> Axes:
-    """Draw acceptability curves over the willingness to pay; the frontier is the wide grey line."""
-    ax, at = axes_or_new(ax), analysis.grid()
+def plot_cost_effectiveness(
+    analysis: CostEffectiveness, *, wtp: float | None = None, ax: Axes | None = None
+) -> Axes:
+    """Draw acceptability curves over the willingness to pay; the frontier is the wide grey line.
+
+    A willingness to pay `wtp` is marked by an upright line.
+    """
+    at, marked = analysis.grid(), None if wtp is None else price(wtp)
+    if marked is not None:
+        at = np.union1d(at, np.linspace(0, 1.1 * marked, len(at)))
+    ax = axes_or_new(ax)
     frontier = [share for _, share in analysis.frontier(at)]
     ax.plot(at, frontier, color="0.8", linewidth=7, solid_capstyle="butt", label="frontier")
     shares = zip(analysis.strategies, analysis.acceptability(at).T, strict=True)
     lines(ax, {name: (at, share) for name, share in shares}, inks=INKS)
+    if marked is not None:
+        ax.axvline(marked, color="0.5", linewidth=1, label=f"{WTP} {marked:,.10g}")
     ax.set_ylim(-0.02, 1.02)
-    x, y = "willingness to pay for one unit of effect", "share of draws in which it is the best"
+    ax.xaxis.set_major_formatter("{x:,.10g}")
+    effect, cost = analysis.components
+    x, y = f"{WTP} ({cost} per {effect})", "share of draws in which it is the best"
     return described(ax, "Cost-effectiveness acceptability curves", x=x, y=y)
 
 

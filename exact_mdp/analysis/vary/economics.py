@@ -52,6 +52,7 @@ class CostEffectiveness(Pictured):
     draws: Floats
     effect: Floats
     cost: Floats
+    components: tuple[str, str]  # names of effect and cost
     seed: int
 
     claim = Claim.ESTIMATED
@@ -85,9 +86,7 @@ class CostEffectiveness(Pictured):
         self, wtp: float, groups: Mapping[str, Sequence[str]] | None = None
     ) -> dict[str, PartialInformation]:
         """Return what knowing groups of parameters would be worth; those of `PSA` unless given."""
-        if _prices(wtp).ndim:
-            raise ModelError("several numbers", where=WTP, fix="ask for the EVPPI at each of them")
-        value = self.net_benefit(wtp)
+        value = self.net_benefit(price(wtp))
         return {
             label: evppi(value, self.draws[:, columns], names)
             for label, names, columns in groups_of(self.uncertainty, groups)
@@ -152,6 +151,13 @@ def _prices(wtp: ArrayLike) -> Floats:
     if prices.ndim > 1 or not np.isfinite(prices).all():
         raise ModelError(f"{wtp!r:.60} is given", where=WTP, fix="give a number, or a list of them")
     return prices
+
+
+def price(wtp: ArrayLike) -> float:
+    """Return one willingness to pay, checked."""
+    if (prices := _prices(wtp)).ndim:
+        raise ModelError("several numbers", where=WTP, fix="give one of them at a time")
+    return float(prices)
 
 
 def cost_effectiveness(
@@ -219,5 +225,6 @@ def cost_effectiveness(
         draws=draws,
         effect=effects,
         cost=costs,
+        components=(effect, cost),
         seed=seed,
     )

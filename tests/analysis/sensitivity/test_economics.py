@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas
 import pytest
+from matplotlib.figure import Figure
 from picture_texts import legend_of, texts_of
 
 from exact_mdp import (
@@ -193,8 +194,9 @@ def test_a_title_says_how_many_parameters_are_left_out() -> None:
     with_most = {"tornado": tornado(model), "gradient": gradient(model)}
     with_most["sobol"] = sobol(model, n=64, rng=0)
     for result in with_most.values():
-        assert "7 of 20 parameters" in result.plot(most=7).get_title(loc="left")
-        assert " of 20 " not in result.plot(most=20).get_title(loc="left")
+        for most in (7, 20):
+            title = result.plot(Figure().subplots(), most=most).get_title(loc="left")
+            assert ("7 of 20 parameters" in title) == (most == 7)
     assert "15 of 20 parameters" in tornado(model).plot().get_title(loc="left")
 
 
@@ -213,6 +215,29 @@ def test_a_picture_of_draws_shows_every_candidate() -> None:
     same = psa(MODEL, 5, uncertain=SAID)  # all choices earn nothing
     (line,) = same.plot().lines
     assert [*line.get_xdata(), *line.get_ydata(), line.get_marker()] == [0, 1, "o"]
+
+
+@pytest.mark.parametrize("wtp", [4, "12.5", 1_000, -3])
+def test_a_willingness_to_pay_is_marked(analysis, wtp) -> None:
+    """Curves reach it; they are the shares of draws, in units of cost per effect."""
+    ax, number = analysis.plot(Figure().subplots(), wtp=wtp), float(wtp)
+    assert ax.get_xlabel() == "willingness to pay (cost per qaly)"
+    assert legend_of(ax)[-1] == f"willingness to pay {number:,.10g}"
+    *curves, mark = ax.lines
+    assert [*mark.get_xdata()] == [number] * 2
+    for n, curve in enumerate(curves[1:]):
+        at, shares = curve.get_data()
+        assert at.min() <= number <= at.max()
+        assert shares == pytest.approx(analysis.acceptability(at)[:, n])
+    low, high = ax.get_xlim()
+    assert low < number < high
+
+
+@pytest.mark.parametrize("wtp", ["much", [4, 10], float("nan"), {"a": 1}])
+def test_what_is_no_willingness_to_pay_is_not_drawn(analysis, wtp) -> None:
+    with pytest.raises(ModelError) as caught:
+        analysis.plot(wtp=wtp)
+    assert caught.value.where == "willingness to pay"
 
 
 def test_several_willingnesses_to_pay_are_taken_one_by_one(analysis) -> None:
