@@ -299,7 +299,8 @@ def iterate(mdp: MDP, solver: Any) -> Solution:
     """Return the optimum within the solver's `tol`, if any: passes, and a `step` of it after each.
 
     The step gets the values, and how near those of a policy should come: a tenth of the least error
-    yet, and ever less where that has not fallen for some passes. Where it `evaluates` policies and
+    yet, and ever less where that has not fallen for some passes; half of the tolerance where the
+    policy is the same as before. Where it `evaluates` policies and
     no tolerance is asked for, values are brought as near as floats can be at last, so that ties
     show as ties. Where it does so in `exact` steps, a policy that comes back ends it, once that
     brings its values no nearer.
@@ -346,7 +347,8 @@ def iterate(mdp: MDP, solver: Any) -> Solution:
         if status is not None:
             break
         part = 10.0 ** min(max(1, idle - 3), 12)
-        goal = 0.0 if close else max(values.best / part, limit / 2 / (weight or 1.0))
+        left = 0.0 if values.stable else values.best / part
+        goal = 0.0 if close else max(left, limit / 2 / (weight or 1.0))
         ready = ready or close
         hurried = hurried or (not evaluates and (idle >= FEW or iteration >= MANY))
         if hurried and iteration % 2:
