@@ -210,11 +210,11 @@ def evaluated(mdp: MDP, pairs: Integers, reward: Floats | None = None) -> Floats
 
 def _margins(mdp: MDP, weight: Floats) -> tuple[Floats, float]:
     """Return the margins w - γ P w, as `Weights` holds them, and their error."""
-    open_pairs = ~mdp.terminal[mdp.pair_state]
     if mdp.discount < 1 and _closed(mdp, weight):
         facts = rounding_facts(mdp)
         error = ((FEW + UNIT) * facts.leak + TINY) * SLACK
         return np.array([facts.leak]), error
+    open_pairs = ~mdp.terminal[mdp.pair_state]
     margin = gains(mdp, weight, reward=np.zeros(mdp.n_pairs))
     error = margin.error.max(where=open_pairs, initial=0.0)
     return np.where(open_pairs, -margin.value, 1.0), float(error)
