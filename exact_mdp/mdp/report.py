@@ -264,9 +264,9 @@ def number(value: float | None, error: float = 0.0) -> str:
     if value is None or math.isnan(value):
         return "-"
     digits = DIGITS
-    if 0 < error < abs(value) < math.inf:
+    if 0 < error < math.inf and 0 < abs(value) < math.inf:
         places = math.floor(math.log10(abs(value))) - math.floor(math.log10(error)) + 1
-        digits = min(DIGITS, places)
+        digits = min(DIGITS, max(places, 1))
     # Python writes 1e+02 for 117 at one digit; people read 100 more easily.
     rounded = float(f"{value:.{digits}g}")
     return f"{rounded:.{DIGITS}g}"

@@ -148,6 +148,8 @@ def test_printed_numbers_are_as_good_as_their_error(
 ) -> None:
     assert abs(float(number(value, error)) - value) <= max(error / 2, 1e-9 * abs(value))
     assert re.fullmatch(r"-?[0-9.]+(e[-+][0-9]+)?", number(value, error))
+    if error > abs(value):
+        assert re.fullmatch(r"-?[0.]*[1-9]?0*(\.0)?(e[-+][0-9]+)?", number(value, error))
     assert Fraction(at_most(bound)) >= Fraction(bound)
     assert float(at_most(bound)) <= 1.1 * bound + 1e-320
 
