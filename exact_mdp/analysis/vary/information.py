@@ -112,17 +112,32 @@ def evppi(values: Floats, draws: Floats, names: tuple[str, ...]) -> PartialInfor
         and abs(astray) > MOST_ASTRAY * sure,
         "the fit misses a pattern along a parameter": surprising
         and missed > max(LEAST_MISS * sure, ROUNDED * value),
-        f"{carried.carried:.0f} draws carry it": carried.few,
+        f"few draws carry it: {carried.carried:.0f}": carried.few,
         "cut at EVPI of the candidates": promised > most * (1 + ROUNDED),
     }
-    doubts = tuple(reason for reason, holds in reasons.items() if holds)
+    doubts = [reason for reason, holds in reasons.items() if holds]
     error = float(np.sqrt(sure**2 + apart**2 + missed**2 + (2 * astray) ** 2))
+    wide = too_wide(error, most, count)
     return PartialInformation(
         parameters=names,
         regression=Estimated(value=value, standard_error=error),
         lower=lower,
-        doubts=doubts if value else ("the fit changes the choice in no draw",),
+        doubts=(*(doubts if value else ["the fit changes the choice in no draw"]), *wide),
     )
+
+
+def too_wide(error: float, evpi: float, count: int) -> list[str]:
+    """Say what it means that the standard error of an EVPPI is above EVPI, and what to do."""
+    if not error > evpi > 0:
+        return []
+    needed = float(f"{count * (2 * error / evpi) ** 2:.1g}")
+    fix = f"take about n={needed:,.0f} to bring it to half of EVPI"
+    if needed > REGRESSED:
+        fix = f"take n={REGRESSED:,}, as a regression uses no more"
+    return [
+        f"the standard error is above EVPI ({evpi:.3g}), so EVPPI may be anything from 0 to EVPI; "
+        f"it falls with the root of the number of draws: {fix}"
+    ]
 
 
 def _longest(draws: Floats, residuals: Floats) -> tuple[float, bool]:

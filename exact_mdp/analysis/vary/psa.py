@@ -27,7 +27,7 @@ from exact_mdp.analysis.vary.distributions import (
     drawn_family,
     uncertainty,
 )
-from exact_mdp.analysis.vary.information import FEWEST, PartialInformation, evpi, evppi
+from exact_mdp.analysis.vary.information import FEWEST, PartialInformation, evpi, evppi, too_wide
 from exact_mdp.analysis.vary.intervals import (
     MeanLoss,
     mean_loss,
@@ -181,6 +181,11 @@ class PSA(Pictured):
         accepted = [self.acceptability(tolerances, n) for n in numbers]
         within, least, most = accepted[0]
         means = {"regret": losses[0], "EVPI": information.high, "EVPI's lower end": information.low}
+        among = self.evpi_of_candidates()
+        errors = {name: each.regression.standard_error for name, each in partly.items()}
+        wide = too_wide(max(errors.values(), default=0.0), among.value, len(self))
+        of = [name for name, error in errors.items() if error > among.value]
+        more = f" and {len(of) - 3} more" * (len(of) > 3)
         few = [f"{name} by {m.carried:.0f}" for name, m in means.items() if m.few and m.value]
         share, low, high = self.probability_optimal()
         reach = float(np.maximum(high - share, share - low).max(initial=0.0))
@@ -230,7 +235,7 @@ class PSA(Pictured):
                     information.high.value, f"{between} (best policy: {information.best})"
                 ),
                 "evpi_bounds": Shown(ends | {"best_policy": information.best}),
-                "evpi_of_candidates": Shown(_loss(self.evpi_of_candidates())),
+                "evpi_of_candidates": Shown(_loss(among)),
                 "evppi": Shown({name: each.regression.value for name, each in partly.items()}),
                 "evppi_details": Shown(
                     {n: vars(each) | {"reliable": each.reliable} for n, each in partly.items()}
@@ -275,7 +280,10 @@ class PSA(Pictured):
                     first=LISTED,
                 ),
             },
-            notes=[f"carried by few draws: {', '.join(few)}; take more to rely on it"] * bool(few),
+            notes=[
+                *[f"carried by few draws: {', '.join(few)}; take more to rely on it"] * bool(few),
+                *(f"EVPPI of {', '.join(of[:3])}{more}: {each}" for each in wide),
+            ],
         )
 
     def frame(self) -> DataFrame:

@@ -85,6 +85,15 @@ def test_a_box_tells_the_worst_point_found() -> None:
 # ---- psa ----------------------------------------------------------------------------------------
 
 
+def test_psa_says_which_evppi_need_more_draws() -> None:
+    line = "psa yuan2025 --samples 100 --effective-sample-size 50"
+    details = run(f"{line} --json").result["evppi_details"]
+    doubts = [name for name, each in details.items() if "0 to EVPI" in each["doubts"][-1]]
+    (note,) = (each for each in run(line).err.splitlines() if "EVPPI of" in each)
+    assert f"{doubts[2]} and {len(doubts) - 3} more: the standard error is above EVPI" in note
+    assert "take about n=8,000" in note
+
+
 def test_psa_takes_any_model(tmp_path: Path) -> None:
     file = tmp_path / "wager.npz"
     rows = [(0, 0, [("3/10", 1, 1), ("7/10", 2, 0)]), (0, 1, [("2/5", 1, 1), ("3/5", 2, 0)])]

@@ -1,5 +1,6 @@
 """Cost-effectiveness against loops and closed forms, and pictures of one's own parameters."""
 
+import itertools
 import re
 from fractions import Fraction
 from pathlib import Path
@@ -215,6 +216,25 @@ def test_a_picture_of_draws_shows_every_candidate() -> None:
     same = psa(MODEL, 5, uncertain=SAID)  # all choices earn nothing
     (line,) = same.plot().lines
     assert [*line.get_xdata(), *line.get_ydata(), line.get_marker()] == [0, 1, "o"]
+
+
+def test_an_evppi_less_certain_than_evpi_says_how_many_draws_to_take() -> None:
+    """The error falls with the root of n, and a regression uses 20,000 draws at most."""
+    noisy, needs = SAID | {"price": {"distribution": "uniform", "low": 4, "high": 6}}, []
+    for seed, wtp in itertools.product(range(5), (2.4, 2.5, 10)):
+        few = cost_effectiveness(MODEL, POLICIES, 100, uncertain=noisy, rng=seed)
+        evpi = few.evpi(wtp).value
+        for each in few.evppi(wtp).values():
+            error, doubts = each.regression.standard_error, " ".join(each.doubts)
+            assert ("anything from 0 to EVPI" in doubts) == (error > evpi > 0)
+            if error > evpi > 0:
+                need = 100 * (2 * error / evpi) ** 2
+                take = int(
+                    re.findall(r"take (?:about )?n=([\d,]+)", repr(each))[0].replace(",", "")
+                )
+                assert take == pytest.approx(min(need, 20_000), rel=0.5)
+                needs.append(need)
+    assert min(needs) < 20_000 < max(needs)
 
 
 @pytest.mark.parametrize("wtp", [4, "12.5", 1_000, -3])
