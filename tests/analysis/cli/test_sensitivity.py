@@ -82,6 +82,23 @@ def test_a_box_tells_the_worst_point_found() -> None:
     assert "discount" not in wide["box"]
 
 
+def test_states_that_change_alike_are_one_row_for_people() -> None:
+    """One row for each change of a status; JSON has every state."""
+    line = f"threshold {SET} --parameter base.anger --relative whole"
+    changes: dict[tuple, list[dict]] = {}
+    for each in run(f"{line} --json").result["switches"]:
+        change = (each["columns"]["status"], *each["before"], *each["after"])
+        changes.setdefault(change, []).append(each)
+    table = run(line).out.partition("optimal actions that change")[2]
+    rows = table.partition("\n\n")[0].count("base.anger")
+    assert rows == len(changes) < sum(map(len, changes.values()))
+    (status, *_), members = max(changes.items(), key=lambda item: len(item[1]))
+    assert f"{len(members)} states:" in table
+    assert f"status {status}" in table
+    for end in (0, -1):
+        assert f" {members[end]['threshold']:.6g} " in table
+
+
 # ---- psa ----------------------------------------------------------------------------------------
 
 

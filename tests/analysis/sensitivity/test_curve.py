@@ -123,6 +123,29 @@ SWITCHES: dict[str, tuple[Callable[[F], list[F]], dict[str, Any], list[Any], tup
 }  # fmt: skip
 
 
+def test_states_that_change_at_once_share_a_row_of_the_report() -> None:
+    """Four of five named states change at 1/4; JSON has a row for each of them."""
+
+    def build(p: F) -> MDP:
+        limits = [F(1, 4), F(1, 4), F(3, 4), F(1, 4), F(1, 4)]
+        gains = [gain for limit in limits for gain in (p, limit)]
+        rows = [(n // 2, n % 2, [(1, 5, gain)]) for n, gain in enumerate(gains)]
+        names = [f"s{k}" for k in range(5)] + ["end"]
+        return MDP.from_outcomes([*rows, (5, 0, [(1, 5, 0)])], states=names)
+
+    report = thresholds(lone(build, HALF, 0), "p", (0, 1)).report()
+    assert [each["state"] for each in report.facts["switches"]] == [
+        *("state s0", "state s1", "state s3", "state s4"),
+        "state s2",
+    ]
+    shown = report.tables["switches"].rows
+    assert [each["state"] for each in shown] == [
+        "4 states: s0, s1, s3, …",
+        "state s2",
+    ]
+    assert [each["threshold"] for each in shown] == [0.25, 0.75]
+
+
 @pytest.mark.parametrize("name", SWITCHES)
 def test_where_one_action_of_several_becomes_best(name: str) -> None:
     gains, more, wanted, stable = SWITCHES[name]

@@ -9,7 +9,7 @@ et al., Medical Decision Making 32, 2012).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
@@ -121,9 +121,7 @@ class Thresholds(Pictured):
         """
         low, high = self.curve.range.low, self.curve.range.high
         today = self.curve.parameter.value
-        for each in self.found:
-            if reached and not each.reached:
-                continue
+        for each in (one for one in self.found if one.reached or not reached):
             if each.high < today:
                 low = max(low, each.high)
             elif each.low > today:
@@ -160,12 +158,13 @@ def report_of(every: Mapping[str, Thresholds]) -> Report:
         }
     rows = [stable[name] | {"name": name, "found": len(each.found)} for name, each in every.items()]
     claims = [each.claim for each in every.values()]
+    switches = [switch for each in every.values() for switch in each.switches()]
     return Report(
         title="thresholds",
         facts={
             "claim": Claim.CHECKED if Claim.CHECKED in claims else Claim.CERTIFIED,
             "stable": stable,
-            "switches": [switch for each in every.values() for switch in each.switches()],
+            "switches": switches,
         },
         tables={
             "stable": Table(
@@ -183,16 +182,38 @@ def report_of(every: Mapping[str, Thresholds]) -> Report:
             ),
             "switches": Table(
                 title="optimal actions that change",
+                rows=_alike(switches),
                 columns={
                     "parameter": "parameter",
                     "state": "state",
-                    "threshold": "threshold:.12g",
+                    "threshold": "threshold:.6g",
+                    "to": "to:.6g",
                     "below": "before",
                     "above": "after",
                 },
             ),
         },
     )
+
+
+def _alike(switches: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return a row for states that change alike, all of one status (or last column), or at once."""
+    groups: dict[Any, list[Mapping[str, Any]]] = {}
+    for each in switches:
+        *others, last = each["columns"].items()
+        shared = last if others else each["threshold"]
+        change = (each["parameter"], each["before"], each["after"], shared)
+        groups.setdefault(change, []).append(each)
+    rows = []
+    for (*_, shared), members in groups.items():
+        states = [*dict.fromkeys(each["state"] for each in members)]
+        names = [each.removeprefix("state ") for each in states]
+        names = [" ".join(shared)] if isinstance(shared, tuple) else names
+        text = ", ".join(names[:3]) + ", …" * (len(names) > 3)
+        text = f"{len(states):,} states: {text}" if len(states) > 1 else states[0]
+        first, last = (members[end]["threshold"] for end in (0, -1))
+        rows.append({**members[0], "state": text, "to": last if last > first else None})
+    return rows
 
 
 @named_options
