@@ -65,9 +65,7 @@ class Optimum:
     value: Floats  # (S,), of the certificate where there is one
     state_error: Floats  # (S,) bounds on its errors; rounding alone where it is certified
     start: Certified | Bounded  # the value of the start distribution
-    error_bound: (
-        float  # on the error of the start value, and of the value of every state, as floats
-    )
+    error_bound: float  # on the error of the start value and of every state's, as floats
 
     @property
     def best(self) -> Any:

@@ -18,13 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from exact_mdp.mdp.care.perception import (
-    by_place,
-    checked,
-    perceived,
-    status_names,
-    status_size,
-)
+from exact_mdp.mdp.care.perception import by_place, checked, perceived, status_names, status_size
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP

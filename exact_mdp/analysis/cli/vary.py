@@ -14,9 +14,7 @@ from exact_mdp.analysis.cli.given import Given
 from exact_mdp.analysis.cli.words import pairs_of, refuse, typed
 from exact_mdp.analysis.vary.curves.thresholds import report_of
 from exact_mdp.analysis.vary.curves.walk import optimum
-from exact_mdp.analysis.vary.distributions import (
-    drawn_family,
-)
+from exact_mdp.analysis.vary.distributions import drawn_family
 from exact_mdp.analysis.vary.ranges import (
     RELATIVE,
     Ranges,

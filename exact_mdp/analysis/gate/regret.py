@@ -147,10 +147,7 @@ def kept(within: tuple[Fraction | float, Fraction | float], limit: Fraction) -> 
     return False if low > limit else None
 
 
-@once
-def proven_optimum(mdp: MDP) -> Certificate:
-    """Return what proves the optimum of the total reward, found once for each model."""
-    return proven(mdp)
+proven_optimum = once(proven)  # of the total reward, found once for each model
 
 
 def policy_regret(chain: PolicyChain, *, exact: bool | None = None) -> Regret:
@@ -172,9 +169,8 @@ def limit_of(name: str, limit: object) -> Fraction:
     """Return a limit of the regret, checked."""
     value = exact_number(limit, name)
     if not 0 <= value <= LARGEST:
-        beyond, fix = ("", "choose 0 or more")
-        if value > 0:
-            beyond, fix = (", beyond the floats", "choose less")
+        large = value > 0
+        beyond, fix = (", beyond the floats", "choose less") if large else ("", "choose 0 or more")
         raise ModelError(f"{name} is {shown(value)}{beyond}", where=name, fix=fix)
     return value
 

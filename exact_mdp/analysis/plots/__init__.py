@@ -8,11 +8,7 @@ from exact_mdp.mdp.errors import extra
 
 with extra("plots"):
     from exact_mdp.analysis.plots.models import plot_influence, plot_transitions
-    from exact_mdp.analysis.plots.runs import (
-        plot_distinct,
-        plot_learning_curves,
-        plot_regrets,
-    )
+    from exact_mdp.analysis.plots.runs import plot_distinct, plot_learning_curves, plot_regrets
     from exact_mdp.analysis.plots.sensitivity import plot_optimal_actions, plot_thresholds
     from exact_mdp.analysis.plots.states import plot_policy, plot_states
     from exact_mdp.analysis.plots.style import style

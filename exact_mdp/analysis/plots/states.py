@@ -22,15 +22,7 @@ from matplotlib.patches import Patch, Rectangle
 from numpy.typing import ArrayLike
 
 from exact_mdp.analysis.gate.audit import Audit
-from exact_mdp.analysis.layout import (
-    ARROWS,
-    MOST_CELLS,
-    Layout,
-    arrange,
-    cells,
-    ends_of,
-    shortened,
-)
+from exact_mdp.analysis.layout import ARROWS, MOST_CELLS, Layout, arrange, cells, ends_of, shortened
 from exact_mdp.analysis.optimum import actions_of
 from exact_mdp.analysis.plots.style import (
     BLACK,
@@ -196,8 +188,7 @@ def plot_evaluation(
 ) -> Axes:
     """Draw the values of a policy, or its expected visits to each state from the start."""
     values, label = (own.visits, "expected visits") if visits else (own.value, "value (reward)")
-    policy = own.policy
-    return plot_states(own.mdp, values, policy=policy, label=label, ax=ax, **place)
+    return plot_states(own.mdp, values, policy=own.policy, label=label, ax=ax, **place)
 
 
 @picture

@@ -29,14 +29,7 @@ from exact_mdp.solvers.exact.duals import allowed, worth
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.simplex import maximise
-from exact_mdp.solvers.objectives.totals import (
-    Flow,
-    Point,
-    TotalsProof,
-    about,
-    flow_under,
-    optimum,
-)
+from exact_mdp.solvers.objectives.totals import Flow, Point, TotalsProof, about, flow_under, optimum
 from exact_mdp.solvers.solution import Certified
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import flow_of

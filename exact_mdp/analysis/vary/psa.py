@@ -21,12 +21,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from exact_mdp.analysis.vary.distributions import (
-    Stated,
-    Uncertainty,
-    drawn_family,
-    uncertainty,
-)
+from exact_mdp.analysis.vary.distributions import Stated, Uncertainty, drawn_family, uncertainty
 from exact_mdp.analysis.vary.information import FEWEST, PartialInformation, evpi, evppi, too_wide
 from exact_mdp.analysis.vary.intervals import (
     MeanLoss,

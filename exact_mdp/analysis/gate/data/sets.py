@@ -24,13 +24,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy import special
 
-from exact_mdp.analysis.gate.data.interval import (
-    Ends,
-    cut_off,
-    observations_of,
-    of_sense,
-    range_of,
-)
+from exact_mdp.analysis.gate.data.interval import Ends, cut_off, observations_of, of_sense, range_of
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
