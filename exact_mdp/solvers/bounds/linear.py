@@ -41,6 +41,7 @@ REFINEMENTS = 5
 FIRST, CORRECTION = 1e-11, 1e-4  # residuals to iterate for, as parts of the constant
 SWEEPS, TRIED = 100, 6  # at most; after which to ask how fast they are
 STEPS, PATIENT = 400, 8000  # of BiCGSTAB, where elimination is possible, and where it is not
+LEAST = 1e-14  # a cosine that is nothing but rounding
 CLOSE = 1e-12  # how far a sum of floats that means 1 may be from it
 ALIKE = 2  # how much greater than need be an error bound may be that takes no equations
 
@@ -103,8 +104,7 @@ class LinearSystem(ByFields):
     def _leak(self) -> Floats:
         """(S,) lower bounds of 1 - γ P 1."""
         every = np.ones(self.transition.shape[0])
-        nothing = np.zeros_like(every)
-        return np.asarray(-self._residual(nothing, every) - self._rounding(nothing, every))
+        return np.asarray(-self._residual(0 * every, every) - self._rounding(0 * every, every))
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def _refined(self, constant: Floats) -> tuple[Floats, Floats]:
@@ -214,38 +214,62 @@ class LinearSystem(ByFields):
 
         To look for a band takes as long as many sweeps, which are therefore tried before.
         """
-        from exact_mdp.solvers.kernels import linear as loops
-
-        chain = self.transition
         entries = sum(self._band[1:]) * len(constant)
         if not self.work and "_within_band" not in vars(self):
-            chain.sort_indices()
-            rows = loops.Rows(chain.indptr, chain.indices, chain.data)
-            steps = STEPS if entries <= MOST_ENTRIES else PATIENT
-            value, room = np.empty(len(constant)), np.empty((6, len(constant)))
-            done = loops.bicgstab(rows, float(self.discount), constant, rtol, steps, value, room)
-            if done >= 0 and np.isfinite(value).all():
+            value = self._stepped(constant, rtol, STEPS if entries <= MOST_ENTRIES else PATIENT)
+            if value is not None and np.isfinite(value).all():
                 return value
         if entries > MOST_ENTRIES:
             detail = f"iteration does not converge, and the factors of {len(constant):,} equations "
-            detail += f"with {chain.nnz:,} transitions may have {entries:.1e} entries"
+            detail += f"with {self.transition.nnz:,} transitions may have {entries:.1e} entries"
             raise SolverError(Status.TOO_LARGE, detail)
         return self._within_band(constant)
+
+    def _stepped(self, constant: Floats, rtol: float, steps: int) -> Floats | None:
+        """Return x (S,) by BiCGSTAB; None where `steps` do not suffice."""
+        from exact_mdp.solvers.kernels import linear as loops
+
+        chain, rate = self.transition, float(self.discount)
+        chain.sort_indices()
+        rows = loops.Rows(chain.indptr, chain.indices, chain.data)
+
+        def nearly(given: Floats) -> Floats:
+            out = np.empty_like(given)
+            loops.preconditioned(rows, rate, given, out)
+            return out
+
+        def left(given: Floats) -> Floats:
+            near = nearly(given)
+            near -= rate * (chain @ near)
+            return near
+
+        value = _bicgstab(left, constant, rtol, steps)
+        return None if value is None else nearly(value)
 
     @cached_property
     def _direct(self) -> Solve | None:
         """Elimination, where it costs little."""
         chain = self.transition
         if chain.shape[0] <= FEW:
-            lower, upper = _reach(chain)
-            narrow = 6 * (lower + 1) * (lower + upper + 1) < chain.shape[0] ** 2  # S³ / 3 for all
-            if narrow:
+            lower, upper = self._reach
+            if 6 * (lower + 1) * (lower + upper + 1) < chain.shape[0] ** 2:  # S³ / 3 for all
                 return _banded(self.discount, lower, upper, chain)
             return _dense(self.discount, chain)
         if self.order is not None or (chain.nnz <= SPARSE and not self.work):
             order = None if self.order is None else np.argsort(self.order, kind="stable")
             return self._ordered(self._sparse, order)
-        return self._within_band if chain.nnz <= SPARSE or _narrow(chain) else None
+        return self._within_band if chain.nnz <= SPARSE or self._narrow else None
+
+    @cached_property
+    def _reach(self) -> tuple[int, int]:
+        """How far transitions lead down and up in number, at most."""
+        return _furthest(self.transition, np.arange(self.transition.shape[0]))
+
+    @property
+    def _narrow(self) -> bool:
+        """Whether a band around the diagonal, states as numbered, has few entries of its own."""
+        chain = self.transition
+        return bool(sum(self._reach) * chain.shape[0] <= NARROW * chain.nnz)
 
     @cached_property
     def work(self) -> float:
@@ -258,13 +282,12 @@ class LinearSystem(ByFields):
     @cached_property
     def _band(self) -> tuple[Numbers | None, int, int]:
         """An order of the states, None for that of their numbers; how far ways lead down and up."""
-        chain = self.transition
-        lower, upper = _reach(chain)
-        if _narrow(chain):
+        chain, (lower, upper) = self.transition, self._reach
+        if self._narrow:
             return None, lower, upper
         one = sp.csr_array((np.ones(chain.nnz, np.int8), chain.indices, chain.indptr), chain.shape)
         order = csgraph.reverse_cuthill_mckee((one + one.T).tocsr(), symmetric_mode=True)
-        down, up = _reach(chain[order][:, order])
+        down, up = _furthest(chain, np.argsort(order))
         return (order, down, up) if down + up < lower + upper else (None, lower, upper)
 
     @cached_property
@@ -289,6 +312,50 @@ class LinearSystem(ByFields):
         return lambda constant: inner(constant[order])[place]
 
 
+def _bicgstab(moves: Solve, constant: Floats, rtol: float, steps: int) -> Floats | None:
+    """Return y whose `moves` are the constant (S,), or None where `steps` do not suffice.
+
+    Where a step breaks down, because the residual is orthogonal to the shadow that it is compared
+    with, the method starts again from what it has. Sums are NumPy's own, and so depend on no
+    number of threads.
+    """
+    dot, value, fresh = partial(np.einsum, "s,s->"), np.zeros_like(constant), True
+    goal = rtol * np.sqrt(dot(constant, constant))
+    for _ in range(steps):
+        if fresh:
+            shadow = rest = constant - moves(value)
+            step = onward = np.zeros_like(rest)
+            rho = alpha = omega = 1.0
+            length = size = np.sqrt(dot(rest, rest))
+        if size <= goal:
+            return value
+        before, rho = rho, dot(shadow, rest)
+        step = rest + rho / before * (alpha / omega) * (step - omega * onward)
+        onward = moves(step)
+        along, far = dot(shadow, onward), np.sqrt(dot(onward, onward))
+        fresh = not (abs(rho) > LEAST * length * size and abs(along) > LEAST * length * far)
+        if fresh:
+            continue
+        alpha = rho / along
+        value += alpha * step
+        rest = rest - alpha * onward
+        size = np.sqrt(dot(rest, rest))
+        if size <= goal:
+            return value
+        turn = moves(rest)
+        square = dot(turn, turn)
+        omega = dot(turn, rest) / square
+        fresh = not abs(omega) * np.sqrt(square) > LEAST * size
+        if fresh:
+            continue
+        value += omega * rest
+        rest = rest - omega * turn
+        size = np.sqrt(dot(rest, rest))
+        if not np.isfinite(size):
+            return None
+    return None
+
+
 def _dense(discount: float, chain: sp.csr_array) -> Solve:
     """Return LAPACK's elimination of all entries, by columns and so of the transpose."""
     matrix = -discount * chain.toarray()
@@ -311,15 +378,10 @@ def _banded(discount: float, lower: int, upper: int, chain: sp.csr_array) -> Sol
     return lambda constant: np.asarray(lapack.dgbtrs(factors, lower, upper, constant, exchanged)[0])
 
 
-def _reach(chain: sp.csr_array) -> tuple[int, int]:
-    """Return how far transitions (S, S) lead down and up in number, at most."""
-    ahead = chain.indices - np.repeat(np.arange(chain.shape[0]), np.diff(chain.indptr))
+def _furthest(chain: sp.csr_array, place: Integers) -> tuple[int, int]:
+    """Return how far transitions lead down and up in place (S,), at most."""
+    ahead = place[chain.indices] - np.repeat(place, np.diff(chain.indptr))
     return int(-ahead.min(initial=0)), int(ahead.max(initial=0))
-
-
-def _narrow(chain: sp.csr_array) -> bool:
-    """Return whether a band around the diagonal, states as numbered, has few entries of its own."""
-    return bool(sum(_reach(chain)) * chain.shape[0] <= NARROW * chain.nnz)
 
 
 def swept(

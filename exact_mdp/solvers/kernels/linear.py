@@ -1,13 +1,12 @@
-"""Linear systems x = c + γ P x: sweeps, and BiCGSTAB.
+"""Linear systems x = c + γ P x: sweeps, and what BiCGSTAB is preconditioned by.
 
-BiCGSTAB is preconditioned by Gauss-Seidel up and down,
+That is Gauss-Seidel up and down,
 
     M = (D - L) D⁻¹ (D - U),   I - γ P = D - L - U
 
 (van der Vorst, SIAM J. Sci. Stat. Comput. 13, 1992; Saad, Iterative Methods for Sparse Linear
-Systems, 2003, algorithm 7.7 and section 10.2). A sweep carries values along a whole chain of states
-numbered in order, either way, so that queues and grids take few steps. Columns are sorted within
-each row. All sums are formed in one order: the answer depends on no library.
+Systems, 2003, section 10.2). A sweep carries values along a whole chain of states numbered in
+order, either way, so that queues and grids take few steps. Columns are sorted within each row.
 """
 
 from __future__ import annotations
@@ -18,8 +17,6 @@ import numpy as np
 
 from exact_mdp.mdp.forms.compiling import at, compiled, inlined, span
 from exact_mdp.mdp.table import Floats, Integers, Numbers
-
-LEAST = 1e-14  # a cosine that is nothing but rounding
 
 
 class Rows(NamedTuple):
@@ -88,14 +85,6 @@ def swept(
 
 
 @compiled
-def residual(rows: Rows, discount: float, value: Floats, out: Floats) -> None:
-    """Write x - γ P x (S,) of `value` x (S,) into `out`."""
-    for number in span(0, len(value)):
-        state = at(number)
-        out[state] = value[state] - discount * ahead(rows, state, value)
-
-
-@compiled
 def preconditioned(rows: Rows, discount: float, given: Floats, out: Floats) -> None:
     """Write y = M⁻¹ x (S,) of a `given` x (S,) into `out`."""
     (indptr, indices, data), states = rows, len(given)
@@ -119,84 +108,3 @@ def preconditioned(rows: Rows, discount: float, given: Floats, out: Floats) -> N
                 break
             total += data[i] * out[at(indices[i])]
         out[state] += total * (discount / diagonal)
-
-
-@compiled
-def dot(left: Floats, right: Floats) -> float:
-    """Return the inner product of two vectors (S,), from four sums, which do not wait."""
-    one, two, three, four = 0.0, 0.0, 0.0, 0.0
-    whole = len(left) // 4 * 4
-    for i in range(0, whole, 4):
-        one += left[at(i)] * right[at(i)]
-        two += left[at(i + 1)] * right[at(i + 1)]
-        three += left[at(i + 2)] * right[at(i + 2)]
-        four += left[at(i + 3)] * right[at(i + 3)]
-    for i in range(whole, len(left)):
-        one += left[i] * right[i]
-    return (one + two) + (three + four)
-
-
-@compiled
-def bicgstab(
-    rows: Rows,
-    discount: float,
-    constant: Floats,
-    rtol: float,
-    steps: int,
-    value: Floats,
-    room: Floats,
-) -> int:
-    """Write x into `value` (S,); return the steps taken, or -1 where `steps` do not suffice.
-
-    Where a step breaks down, because the residual is orthogonal to the shadow that it is compared
-    with, the method starts again from what it has, with the present residual for a shadow.
-    """
-    states = len(constant)
-    r, shadow, p, v, t, y = room[0], room[1], room[2], room[3], room[4], room[5]
-    for i in range(states):
-        value[i] = 0.0
-    goal = rtol * np.sqrt(dot(constant, constant))
-    rho, alpha, omega, length, size, fresh = 1.0, 1.0, 1.0, 0.0, 0.0, True
-    for step in range(steps):
-        if fresh:
-            residual(rows, discount, value, v)
-            for i in range(states):
-                r[i] = constant[i] - v[i]
-                shadow[i], p[i], v[i] = r[i], 0.0, 0.0
-            rho, alpha, omega, fresh = 1.0, 1.0, 1.0, False
-            length = size = np.sqrt(dot(r, r))
-        if size <= goal:
-            return step
-        before, rho = rho, dot(shadow, r)
-        beta = (rho / before) * (alpha / omega)
-        for i in range(states):
-            p[i] = r[i] + beta * (p[i] - omega * v[i])
-        preconditioned(rows, discount, p, y)
-        residual(rows, discount, y, v)
-        along = dot(shadow, v)
-        fresh = not (
-            abs(rho) > LEAST * length * size and abs(along) > LEAST * length * np.sqrt(dot(v, v))
-        )
-        if fresh:
-            continue
-        alpha = rho / along
-        for i in range(states):
-            value[i] += alpha * y[i]
-            r[i] -= alpha * v[i]
-        size = np.sqrt(dot(r, r))
-        if size <= goal:
-            return step + 1
-        preconditioned(rows, discount, r, y)
-        residual(rows, discount, y, t)
-        square = dot(t, t)
-        omega = dot(t, r) / square
-        fresh = not abs(omega) * np.sqrt(square) > LEAST * size
-        if fresh:
-            continue
-        for i in range(states):
-            value[i] += omega * y[i]
-            r[i] -= omega * t[i]
-        size = np.sqrt(dot(r, r))
-        if not np.isfinite(size):
-            return -1
-    return -1
