@@ -36,7 +36,6 @@ from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.layers import NUMBERS, layers_of, taken
 
 WORK = 2**25  # transitions times relaxations, unless a limit is given
-PROVEN = 1e-9  # of |value|
 ITERATIONS = 1000
 
 
@@ -49,7 +48,7 @@ class BestPolicy(Result):
     value: Bounded  # at the start
     upper_bound: float  # of any deterministic policy that reads them; of costs, a lower one
     mixed_upper_bound: float  # the same of any policy that reads them, mixed or not
-    proven: bool  # whether `upper_bound` is the value itself, up to 1e-9 of it, or to rounding
+    proven: bool  # whether the search ended: rounding alone is between value and `upper_bound`
     nodes: int  # relaxations solved
 
     @property
@@ -119,15 +118,13 @@ def best_policy(
     search.split(limit)
     value = Bounded(value=search.value, error=search.error)
     upper = max(search.upper, value.interval[0])
-    # Small rewards are rewards: beside a value of 0 alone the error counts.
-    left, size = upper - (value.value - value.error), abs(value.value)
     return BestPolicy(
         columns=rows.space.names,
         policy=rows.policy(search.choice),
         value=value if mdp.sense == "max" else -value,
         upper_bound=0.0 + mdp.sign * upper,
         mixed_upper_bound=0.0 + mdp.sign * search.mixed,
-        proven=left <= PROVEN * max(1.0, size) and left <= max(PROVEN * size, 8 * value.error),
+        proven=search.ended,
         nodes=search.nodes,
     )
 
@@ -276,14 +273,17 @@ class _Search:
         self._expand(np.where(asked, rows.available, alone[self.choice])[None])
         self.mixed = self.upper = -self.heap[0][0]
 
+    @property
+    def ended(self) -> bool:
+        """Whether no node is left whose bound is above the best value by more than rounding."""
+        return not self.heap or -self.heap[0][0] <= self.value + 4 * self.error
+
     def split(self, limit: int) -> None:
         """Split the nodes that may hold a better policy, until `limit` relaxations are solved."""
         alone = -np.inf  # the greatest bound of a node of one policy
         words = {"desc": "policies", "unit": " nodes", "delay": 1, "disable": None, "leave": False}
         with tqdm.tqdm(**words) as bar:
-            while self.heap and self.nodes < limit:
-                if -self.heap[0][0] <= self.value + 4 * self.error + 1e-13 * abs(self.value):
-                    break
+            while not self.ended and self.nodes < limit:
                 bound, _, node, row = heappop(self.heap)
                 if node[row].sum() == 1:
                     alone = max(alone, -bound)

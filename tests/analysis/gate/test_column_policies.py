@@ -67,6 +67,18 @@ def test_the_best_policy_is_the_best_of_all(mdp: MDP) -> None:
     assert best.mixed_upper_bound == pytest.approx(exact, abs=1e-9)
 
 
+def test_little_beside_a_large_value_is_not_proven_to_be_nothing() -> None:
+    """Cut short, the search leaves 1/4000 beside 10⁶ open: far more than rounding."""
+    ways = [("1/2", 1, 10**6), ("1/2", 2, 10**6)]
+    rows = [(0, 0, ways), (0, 1, ways), (1, 0, [(1, 3, "1/2000")]), (1, 1, [(1, 3, 0)])]
+    rows += [(2, 0, [(1, 3, 0)]), (2, 1, [(1, 3, "3/5000")]), (3, 0, [(1, 3, 0)])]
+    mdp = MDP.from_outcomes(rows)
+    cut, best = best_policy(mdp, (), node_limit=1), best_policy(mdp, ())
+    assert (cut.proven, best.proven) == (False, True)
+    assert cut.upper_bound - 10**6 == pytest.approx(0.00055, abs=1e-7)
+    assert best.upper_bound - 10**6 == pytest.approx(0.0003, abs=1e-7)
+
+
 def test_what_a_status_policy_cannot_express() -> None:
     mdp = TEMPTING.compile()
     best = best_policy(mdp)
