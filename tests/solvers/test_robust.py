@@ -319,6 +319,10 @@ def test_the_price_of_robustness() -> None:
     assert both.changed.tolist() == [0]
     taken = both.mdp.pair_action[both.robust.pairs[both.changed]]
     assert [both.mdp.actions[action] for action in taken] == ["safe"]
+    rare = Fraction(1, 10**13)
+    mixed = {0: {"safe": 1 - rare, "risky": rare}, 1: "safe", 2: "safe"}
+    held = robust(RISKY, Intervals.relative(RISKY, "1/2"), policy=mixed)
+    assert held.changed.tolist() == [0]
     values = [1.5, 0.75, 2.25, 1, 1, 1, 2.25]
     assert both.frame()["value (reward)"].tolist() == pytest.approx(values)
     costs = robust(RISKY.with_(sense="min"), Intervals.relative(RISKY, "1/2"))

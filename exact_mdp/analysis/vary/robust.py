@@ -79,8 +79,7 @@ class Robust(Result):
     def changed(self) -> Numbers:
         """(K,) states in which the policies differ, of those that either of them reaches."""
         mdp, taken = self.mdp, self.robust.policy.weights(self.mdp)
-        apart = np.abs(taken - self.policy) > 1e-12
-        differs = np.logical_or.reduceat(apart, mdp.pair_offsets[:-1])
+        differs = np.logical_or.reduceat(taken != self.policy, mdp.pair_offsets[:-1])
         seen = reachable(mdp, pairs=taken > 0) | reachable(mdp, pairs=self.policy > 0)
         return np.flatnonzero(differs & seen & ~mdp.terminal)
 

@@ -42,7 +42,6 @@ from exact_mdp.solvers.parallel import How
 
 OUTPUTS = ("optimal", "fixed", "regret")
 RESAMPLES = 200
-NOISE = 1e-9  # share of the values below which a spread is called rounding
 TITLES = {
     "optimal": "the start value, policy re-optimised",
     "regret": "the regret of the policy held fixed",
@@ -223,7 +222,8 @@ def sobol(
     draws = _design(list(spans.values()), n, default_rng(child(seed, 0)))
     table = study(family, dict(zip((p.name for p in spans), draws.T, strict=True)), [policy], **how)
     resamples = default_rng(child(seed, 1)).integers(n, size=(RESAMPLES, n))
-    noise = max(NOISE * float(np.abs(table.optimal).max()), 2 * float(table.error.max()))
+    # A regret is off by up to two errors, and may be so much more than the 0 it is given for them.
+    noise = 6 * float(table.error.max())
     every = (table.optimal, table.fixed, table.regret)
     indices = (_indices(each.reshape(n, -1), noise, resamples) for each in every)
     return Sobol(

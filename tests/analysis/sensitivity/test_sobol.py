@@ -66,6 +66,14 @@ def test_the_maximum_of_two_and_the_regret_of_one_have_known_indices() -> None:
     assert other.total == pytest.approx(one.total)
 
 
+def test_what_varies_little_beside_a_large_value_varies() -> None:
+    """V = 10¹² + x + 2 y, of which x decides a fifth of the variance, 5/12."""
+    model = function_model(lambda x, y: 1e12 + x + 2 * y, "x", "y")
+    shares = sobol(model, ranges={"x": (0, 1), "y": (0, 1)}, n=256, rng=0).optimal
+    np.testing.assert_allclose(shares.total, [0.2, 0.8], atol=0.02)
+    assert shares.sd == pytest.approx((5 / 12) ** 0.5, rel=0.02)
+
+
 def same(a: Any, b: Any) -> bool:
     return all(
         np.array_equal(value, getattr(getattr(b, output), name), equal_nan=True)
