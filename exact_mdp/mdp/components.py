@@ -21,6 +21,7 @@ import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, ShapeError
 from exact_mdp.mdp.forms.numbers import array_of, grouped, picked
+from exact_mdp.mdp.forms.rows import NEXT
 from exact_mdp.mdp.table import (
     Floats,
     Numbers,
@@ -104,7 +105,9 @@ def wrong_rows(table: OutcomeTable, reward: Floats) -> Numbers:
         size = replace(table, gain=np.abs(table.gain)).expected_gain()
         scale = np.abs(floats).sum(axis=1) + size
     lost = (floats.shape[1] + 1) * 2.0**-1074  # below the range, rounding is no longer relative
-    return np.asarray(~(np.abs(total - reward) <= 1e-12 * scale + lost))
+    # A product and a sum for each outcome, a sum for each component; twice: here, and by the user.
+    roundings = 2 * np.diff(table.offsets) + floats.shape[1] + 4
+    return np.asarray(~(np.abs(total - reward) <= roundings * NEXT * scale + lost))
 
 
 def each_component(names: dict[str, Any], change: Callable[[Any, str], Any]) -> None:

@@ -448,6 +448,13 @@ def test_a_component_that_is_the_reward_is_taken_where_its_mean_is_0() -> None:
     assert mdp.component_names == ("x",)
 
 
+@pytest.mark.parametrize(("total", "part"), [(1e12 + 0.5, 1e12), (1 + 1e-13, 1.0)])
+def test_little_that_is_left_of_a_large_reward_is_left(total: float, part: float) -> None:
+    mdp = MDP.from_pairs([0], [0], [[1]], [total], "1/2", components={"x": [part]})
+    assert mdp.component_names == ("x", "rest")
+    assert mdp.components[0].tolist() == [part, total - part]
+
+
 @settings(max_examples=30)
 @given(
     st.lists(st.lists(AMOUNTS, min_size=3, max_size=3), min_size=1, max_size=3),
