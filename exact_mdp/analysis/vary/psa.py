@@ -140,8 +140,7 @@ class PSA(Pictured):
         lost = self.table.lost
         if lost.shape[1]:
             lost = lost[:, int(np.nanargmin(lost.mean(axis=0)))]
-            noise = 3 * self.table.error[:, 0] + self.table.error[:, best + 1]
-            noise += 1e-12 * np.abs(self.table.optimal)
+            noise = self.table.error[:, 0] + self.table.error[:, best + 1]  # as of a regret
             low = mean_loss(np.where(lost > noise, lost, 0.0))
         return Information(low=low, high=high, best=self.candidates[best].name)
 

@@ -58,7 +58,7 @@ class Study(Result):
     rows: Integers  # (U, S) the optimal policies that were found, as action numbers
     which: Integers  # (D,) that of each point
     counts: Integers  # (X, A) points in which an action is optimal up to rounding, by label
-    lost: Floats  # (D, A) cost of each first action, NaN if not offered; (D, 0): several starts
+    lost: Floats  # (D, A) each first action's cost, 0 if rounding, NaN if none; (D, 0): many starts
     cut: np.ndarray  # (D,) whether a chance was cut off at 1, of compiled solvers alone
 
     @property
@@ -422,7 +422,7 @@ class ModelSolver:
         lost = np.full((len(gap), mdp.n_actions if len(begins) == 1 else 0), np.nan)
         if len(begins) == 1:
             here = mdp.pair_state == begins[0]
-            lost[:, mdp.pair_action[here]] = np.maximum(gap[:, here], 0.0)
+            lost[:, mdp.pair_action[here]] = np.where(gap > doubt, gap, 0.0)[:, here]
         return {
             "start": start,
             "start_error": error,
@@ -480,14 +480,15 @@ class CareSolver(ModelSolver):
     def solved(self, draws: Numbers, first: int = 0) -> Arrays:
         """See `ModelSolver.solved`."""
         mdp, optima = self.mdp, optimal(self.scenario, self.names, draws.astype(float))
+        gaps = np.where(optima.gaps > 2 * optima.error[:, None, None], optima.gaps, 0.0)
         taken, which = distinct(optima.actions.reshape(len(draws), -1))
         rows = np.tile(mdp.pair_action[mdp.pair_offsets[:-1]].astype(np.int32), (len(taken), 1))
         rows[:, self.tried] = taken
         return {
             "start": optima.start,
             "start_error": optima.error,
-            "counts": (optima.gaps <= 2 * optima.error[:, None, None]).sum(axis=0),
-            "lost": optima.gaps[:, 0],
+            "counts": (gaps == 0).sum(axis=0),
+            "lost": gaps[:, 0],
             "rows": rows,
             "which": which,
             "cut": optima.cut,

@@ -89,6 +89,10 @@ def test_a_policy_that_is_often_best_by_little_is_a_candidate() -> None:
     moved = moving(MDP.from_outcomes(rows, 1), {"p": [(1, 3), (2, 3)]})
     analysis = psa(moved, 400, rng=5, uncertain=uncertainty(moved, default=2))
     assert len(analysis.candidates) == 3
+    rich = [(s, a, [(q, to, r + 10**12 * (s == 0)) for q, to, r in each]) for s, a, each in rows]
+    offset = moving(MDP.from_outcomes(rich, 1), {"p": [(1, 3), (2, 3)]})
+    low = psa(offset, 400, rng=5, uncertain=uncertainty(offset, default=2)).evpi().low
+    assert low.value == pytest.approx(analysis.evpi().low.value, abs=0.01)
     among, evpi, known = analysis.evpi_of_candidates(), analysis.evpi(), analysis.evppi()["p"]
     assert among.value == pytest.approx(evpi.high.value, rel=1e-9)
     assert evpi.low.value == pytest.approx(evpi.high.value)
