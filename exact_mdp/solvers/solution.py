@@ -26,6 +26,7 @@ from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, Integers
 
+NORMAL = 1.959963984540054  # the 97.5 % quantile of the standard normal distribution
 OWN = (__name__.partition(".")[0], "numpy")  # whose decorators stand between two calls
 
 
@@ -232,7 +233,7 @@ class Estimated:
     @property
     def interval(self) -> tuple[float, float]:
         """The normal 95 % interval, wider by what was cut off."""
-        half = 1.959963984540054 * self.standard_error + self.cut_off
+        half = NORMAL * self.standard_error + self.cut_off
         return self.value - half, self.value + half
 
     def __float__(self) -> float:

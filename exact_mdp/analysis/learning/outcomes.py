@@ -29,10 +29,9 @@ from exact_mdp.solvers.learning.q_learning import TrainingRun
 from exact_mdp.solvers.learning.sampler import Rows, rows_of
 from exact_mdp.solvers.solution import Bounded, regrets
 from exact_mdp.solvers.solver import solve
-from exact_mdp.solvers.values.evaluate import evaluate
+from exact_mdp.solvers.values.evaluate import QUANTILES, evaluate
 from exact_mdp.solvers.values.layers import policy_values
 
-QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 CANDIDATES = 5
 LISTED_ROWS = 1000  # policies over more rows are left to files
 SHOWN = 10  # policies in the table

@@ -27,9 +27,8 @@ from scipy import special
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.table import Floats, exact
-from exact_mdp.solvers.solution import Estimated
+from exact_mdp.solvers.solution import NORMAL, Estimated
 
-NORMAL = 1.959963984540054
 SURE = 0.975  # that an end of order statistics is beyond the quantile
 FEW = 50.0  # draws that carry a mean
 HELD_OUT = 20  # one part in so many chooses the threshold

@@ -24,7 +24,6 @@ from pathlib import Path
 import numpy as np
 from numpy.random import default_rng
 
-from exact_mdp.analysis.vary.intervals import NORMAL
 from exact_mdp.analysis.vary.ranges import Range, Stated, spans_of, unit_of
 from exact_mdp.analysis.vary.study import study
 from exact_mdp.mdp.care.scenario import Scenario
@@ -39,6 +38,7 @@ from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import RNG, counted, seed_of
 from exact_mdp.solvers.learning.sampler import child
 from exact_mdp.solvers.parallel import How
+from exact_mdp.solvers.solution import NORMAL
 
 OUTPUTS = ("optimal", "fixed", "regret")
 RESAMPLES = 200
