@@ -26,13 +26,15 @@ from exact_mdp.mdp.table import Integers, Numbers, spans
 from exact_mdp.solvers.bounds.gains import TINY
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
-REMAINING = 1e-12
-# Of what may be left in a cycle anyway: without it, a slow one would drag long tails along.
-SLOW_EDGE = 1e-12
-EDGE = 1e-290  # masses below are dropped before they lose their digits, and the processor its speed
-STEPS, CELLS = 10**9, 2**25  # masses times outcomes: in all, and at once
-DENSE = 8  # numbers of an array for each mass that it may hold
-SWEEPS, MERGED = 1_000_000, 64  # sweeps of a block, and those whose masses are kept apart
+# What is left out is counted, whatever these are: what cycles have left, at most REMAINING, and
+# masses below the part SLOW_EDGE of that, or a slow cycle would drag long tails along.
+REMAINING, SLOW_EDGE = 1e-12, 1e-12
+EDGE = 1e-290  # masses below are left out: above 2⁻¹⁰²² / UNIT, where underflow costs no digit
+# More is refused. 10⁹ masses times outcomes take half a minute; 2²⁵ at once, a gigabyte.
+STEPS, CELLS, SWEEPS = 10**9, 2**25, 1_000_000
+# For speed alone: numbers of an array for each mass in it (2 to 32 take as long), and the sweeps
+# whose masses are kept apart (64 and 512 take as long, 8 longer).
+DENSE, MERGED = 8, 64
 
 
 Mass = tuple[Integers, Numbers, Numbers]  # states, multiples and masses (K,)

@@ -33,14 +33,13 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, at_most, decimal
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, Numbers, exact, integers, magnitude, multiply, shown
-from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.solution import Bounded, Certified, Claim
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain, parted
 from exact_mdp.solvers.values.return_mass import Flow
 
-NEGLIGIBLE = 1e-280
-WIDE = 2**31  # of multiples, of which a return adds up to 2^32
+WIDE = 2**31  # of multiples: a return adds up fewer than 2³² of them, which 64 bits hold
 LISTED = 1000  # returns that people see
 
 
@@ -58,7 +57,7 @@ class ReturnDistribution(Pictured):
         Each probability is off by at most this part of itself, and by `remaining` more.
     remaining : float
         Probability of the returns that are not listed, at most: what was still moving when the
-        sweeps stopped, and tails below 10⁻²⁸⁰. 0 where all are listed.
+        sweeps stopped, and parts below 10⁻²⁹⁰. 0 where all are listed.
     exact : tuple of Fraction, optional
         The probabilities as exact rationals, where these were asked for.
     unending : {inf: Bounded or Certified, -inf: …}
@@ -99,7 +98,7 @@ class ReturnDistribution(Pictured):
     @property
     def error(self) -> Floats:
         """(K,) bounds on the errors of the probabilities."""
-        return self.relative_error * self.probabilities + self.remaining + NEGLIGIBLE
+        return self.relative_error * self.probabilities + self.remaining + TINY
 
     @cached_property
     def values(self) -> tuple[Fraction, ...]:
@@ -117,7 +116,10 @@ class ReturnDistribution(Pictured):
 
     @cached_property
     def mean(self) -> float:
-        """Mean of the returns; infinite where some are, and beyond the range of floats."""
+        """Mean of the returns; infinite where some are, and beyond the range of floats.
+
+        Of those listed: `evaluate` bounds the mean of all, of which rare ones may be a large part.
+        """
         if self.unending:
             return self.infinite_mean
         scaled, power = self._scaled
@@ -125,7 +127,7 @@ class ReturnDistribution(Pictured):
 
     @cached_property
     def sd(self) -> float:
-        """Standard deviation; NaN where a return is infinite, ∞ beyond the range of floats."""
+        """Standard deviation of those listed; NaN where one is infinite, ∞ beyond the floats."""
         if self.unending:
             return nan
         scaled, power = self._scaled
@@ -178,7 +180,7 @@ class ReturnDistribution(Pictured):
         Raises
         ------
         ModelError
-            For another share.
+            For another share, and where no listed return need be among the share.
 
         Examples
         --------
@@ -188,7 +190,14 @@ class ReturnDistribution(Pictured):
         ('10/3', '5')
         """
         law = self.as_dict() if self.exact is None else self._law(self.exact, self._endless)
-        mean: Fraction | float = tail_mean(law, share_of(share), highest=highest)
+        part = share_of(share)
+        if part <= self.remaining:
+            raise ModelError(
+                f"returns with a probability of up to {self.remaining:.2g} are not listed",
+                where="conditional value at risk",
+                fix="choose a greater share, or a horizon, which ends cycles",
+            )
+        mean: Fraction | float = tail_mean(law, part, highest=highest)
         return mean
 
     @cached_property
@@ -355,7 +364,7 @@ def _share(flow: Flow) -> Bounded | Certified:
     if masses.dtype == object:
         return Certified(value=sum(masses, Fraction(0)))
     value = float(masses.sum())
-    error = (float(gamma(roundings)) * value + float(lost)) * SLACK + NEGLIGIBLE
+    error = (float(gamma(roundings)) * value + float(lost)) * SLACK + TINY
     return Bounded(value=value, error=error)
 
 

@@ -201,3 +201,8 @@ def test_a_loop_is_followed_until_little_is_left() -> None:
     assert 0 < law.remaining <= 1e-12
     assert law.probabilities.sum() + law.remaining == pytest.approx(1, abs=1e-15)
     assert max(steps) == 39  # 2^-40 < 10^-12
+    assert law.tail_mean("1/1024") == pytest.approx(
+        -11, abs=1e-6
+    )  # at least 10: one more on average
+    with pytest.raises(ModelError, match="are not listed"):
+        law.tail_mean(law.remaining)
