@@ -121,7 +121,7 @@ def certify(
 
 # ---- bounds --------------------------------------------------------------------------------------
 
-WIDER = (1.0, 4.0, 16.0, 64.0)  # times the rounding errors, tried one after the other
+ATTEMPTS = 3  # as values move, so do their rounding errors: the second has always been enough
 
 
 def _bounded(mdp: MDP, solution: Solution | None) -> BoundedCertificate:
@@ -139,17 +139,19 @@ def _bounded(mdp: MDP, solution: Solution | None) -> BoundedCertificate:
     lost = gains(mdp, weight, reward=np.zeros(mdp.n_pairs))
     margin, value = -(lost.value + lost.error), np.array(solution.value)
     near = gains(mdp, value)
-    gain, error = near.value, near.error + 8 * UNIT * np.abs(value).max()
+    gain, first = near.value, near.error + 8 * UNIT * np.abs(value).max()
 
     def widen(pairs: Integers, sign: int) -> Level:
         """Return values proven not to gain (1), or not to lose (-1), by any of the pairs."""
-        for times in WIDER:
-            surplus = sign * gain[pairs] + times * error[pairs]
+        error = first
+        for _ in range(ATTEMPTS):
+            surplus = sign * gain[pairs] + error[pairs]
             step = max(0.0, float((surplus / margin[pairs]).max(initial=0.0)))
             moved = value + sign * step * weight
             after = gains(mdp, moved)
             if (sign * after.value[pairs] <= -after.error[pairs]).all():
                 return Level.of([Fraction(number) for number in moved.tolist()])
+            error = 2 * (after.error + 8 * UNIT * np.abs(moved).max())
         raise SolverError(Status.NO_BOUND)
 
     live = ~mdp.terminal

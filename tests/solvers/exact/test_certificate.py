@@ -196,6 +196,18 @@ def test_bounds_around_a_poor_solution_are_wide_and_hold() -> None:
     assert bounds.error_bound > 1
 
 
+@pytest.mark.parametrize("part", [0.001, 0.1, 100])
+def test_bounds_count_the_roundings_of_the_values_that_they_move(part: float) -> None:
+    """Near discount 1 bounds of values far off are 10¹⁰ times as wide: so are their roundings."""
+    rows = [[[0.5, 0.5], [0.25, 0.75]], [[0.9, 0.1], [0.5, 0.5]]]
+    mdp = MDP.from_arrays(rows, [[1, 0], [0, 2]], 1 - F(1, 10**10), layout="ass")
+    solution = solve(mdp)
+    poor = replace(solution, value=solution.value * [1 + part, 1 - part])
+    bounds = certify(mdp, bounded=True, solution=poor)
+    assert bounds.violations() == []
+    holds(bounds, certify(mdp).value)
+
+
 def test_many_states() -> None:
     mdp = Scenario.load("yuan2025").with_(tasks=[400]).compile()
     optimum = certify(mdp, bounded=True)
