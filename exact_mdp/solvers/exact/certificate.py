@@ -28,7 +28,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, evenly
 from exact_mdp.mdp.result import DataFrame, Pictured, Result
 from exact_mdp.mdp.table import Floats, Integers, Numbers
-from exact_mdp.solvers.bounds.gains import SLACK, UNIT
+from exact_mdp.solvers.bounds.gains import UNIT
 from exact_mdp.solvers.exact import checker, codec
 from exact_mdp.solvers.exact.levels import Level, fraction, surplus
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, by_state, in_decimals, in_float
@@ -418,7 +418,7 @@ class BoundedCertificate(Proof, Pictured):
     def error(self) -> Floats:
         """(S,) |value - V| and |value - V^π| are at most this."""
         rounding = 4 * UNIT * float(np.abs([self.lower, self.upper]).max())
-        return (self.upper - self.lower) / 2 * SLACK + rounding
+        return (self.upper - self.lower) / 2 + rounding
 
     @property
     def start(self) -> Bounded:
