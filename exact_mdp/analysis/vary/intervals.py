@@ -145,14 +145,19 @@ def tolerances_of(regrets: Sequence[Floats], count: int = 51) -> Floats:
 
 
 def quantiles(values: Floats, probabilities: Sequence[float] = QUANTILES) -> list[dict[str, float]]:
-    """Return quantiles of a sample with 95 % intervals of order statistics."""
-    ordered, count = np.sort(values), len(values)
-    listed = []
+    """Return quantiles of a sample with 95 % intervals of order statistics.
+
+    The k-th smallest of n is above a quantile only where fewer than k draws are below it. An end is
+    infinite where no draw is beyond the quantile surely enough.
+    """
+    ordered, count, listed = np.sort(values), len(values), []
+    within = np.concatenate([[-np.inf], ordered, [np.inf]])
     for p in probabilities:
-        reach = NORMAL * np.sqrt(count * p * (1 - p))
-        low, high = int(np.floor(count * p - reach)) - 1, int(np.ceil(count * p + reach))
-        ends = {"low": float(ordered[max(low, 0)]), "high": float(ordered[min(high, count - 1)])}
-        listed.append({"probability": p, "value": float(np.quantile(ordered, p)), **ends})
+        chance = special.bdtr(np.arange(count), count, p)  # of at most so many below
+        low = float(within[np.searchsorted(chance, 1 - SURE, side="right")])
+        high = float(within[np.searchsorted(chance, SURE) + 1])
+        own = float(np.quantile(ordered, p))
+        listed.append({"probability": p, "value": own, "low": low, "high": high})
     return listed
 
 

@@ -102,7 +102,12 @@ def test_intervals_of_quantiles_end_at_order_statistics_that_cover() -> None:
         assert 0.95 <= below(high) - below(low) < 0.97
         assert interval["value"] == 999 * p + 1
     (least,) = quantiles(np.arange(1.0, 11.0), [0.025])
-    assert (least["low"], least["high"]) == (1, 3)
+    assert (least["low"], least["high"]) == (-np.inf, 2)  # the least of ten is above it in 78 %
+    for count in (1, 10, 100, 146, 2000):  # both ends are beyond by 97.5 %, or there is none
+        for each in quantiles(np.arange(1.0, count + 1)):
+            below = binom(count, each["probability"]).cdf
+            assert below(each["low"] - 1) <= 1 - 0.975
+            assert below(each["high"] - 1) >= 0.975
 
 
 @pytest.mark.parametrize("count", [72, 73, 150, 2000])
