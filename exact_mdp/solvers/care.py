@@ -32,7 +32,7 @@ from exact_mdp.mdp.parametric import DISCOUNT
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
 
-MOST_STATUSES = 6
+MOST_STATUSES = 6  # a law has 4^6 numbers for each action; beyond, models are built one by one
 MOST_ACTIONS = 127  # optimal actions are int8
 TOGETHER = 2**9  # draws whose chances and gains are worked out together
 
@@ -123,7 +123,8 @@ def _values(
         every[:, columns] = drawn[some]
         laws = Laws.drawn(scenario, every[:, :-1])
         beside.error[some] = _errors(scenario, laws)
-        beside.cut[some] = (laws.sums > 1 + 2.0**-50).any(axis=1)
+        # Above what eight roundings make of a sum that is 1.
+        beside.cut[some] = (laws.sums > 1 + 8 * UNIT).any(axis=1)
         draws = loops.Draws(
             which=which,
             gains=rules.gains,

@@ -36,7 +36,7 @@ from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.layers import NUMBERS, layers_of, taken
 
 WORK = 2**25  # transitions times relaxations, unless a limit is given
-ITERATIONS = 1000
+ITERATIONS = 1000  # of policies; a bound counts what is left to gain wherever they end
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -237,6 +237,7 @@ class Cycles:
                 value = LinearSystem(chain, mdp.discount).approximate(reward)
                 q = mdp.reward + mdp.discount * (mdp.transition @ value)
                 best = np.maximum.reduceat(np.where(mask, q, -np.inf), first)
+                # More than rounding; `apart` counts what is not gained for it.
                 noise = 2.0**-44 * (np.abs(mdp.reward).max() + np.abs(value).max())
                 better = best > q[pairs] + noise
                 if not better.any():

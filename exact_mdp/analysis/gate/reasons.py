@@ -32,7 +32,7 @@ from exact_mdp.solvers.solution import Bounded, Certified, SolverError, differen
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 LISTED = 4  # actions that a text names in one state
-CLOSE = 2.0**-40  # errors of visits, as parts of the most, that are little but rounding
+CLOSE = 2.0**-40  # errors of visits, as parts of the most, that leave ten digits right
 
 
 @dataclass(frozen=True, kw_only=True)

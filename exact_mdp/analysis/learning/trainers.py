@@ -47,7 +47,7 @@ from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.solver import mdp_of
 
 GRID = 2**20  # ends of intervals are multiples of 1 / GRID, outwards
-FEW, MOST = 1000, 2**62  # trials
+FEW, MOST = 1000, 2**62  # runs needed to fail: beyond the first, logarithms tell how many
 
 Interval = tuple[Fraction, Fraction]
 

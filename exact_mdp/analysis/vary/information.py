@@ -29,10 +29,11 @@ FOLDS = 5
 MOST_TERMS = 400  # columns of a regression
 FEWEST = 20  # draws
 REGRESSED = 20_000  # draws of a regression: its error is far below that of this many draws
+# What is doubtful was chosen so that intervals cover, as said above; no estimate rests on it.
 MOST_APART = 1.0  # standard errors between the estimates that are not doubted
 MOST_ASTRAY = 0.5  # standard errors between what a fit promises and what its choices earn
 LEAST_MISS = 0.1  # standard errors that a pattern in the residuals must move the estimate by
-ROUNDED = 1e-9  # relative, for what rounding alone makes differ
+ROUNDED = 1e-9  # relative; a doubt below it would be one about rounding
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

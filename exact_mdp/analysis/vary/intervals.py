@@ -29,11 +29,11 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.table import Floats, exact
 from exact_mdp.solvers.solution import NORMAL, Estimated
 
-SURE = 0.975  # that an end of order statistics is beyond the quantile
+SURE = 0.975  # how likely it is that an end of order statistics is beyond the quantile
 FEW = 50.0  # draws that carry a mean
 HELD_OUT = 20  # one part in so many chooses the threshold
-FEWEST = 60  # numbers: of fewer nothing is said of the mean
-THRESHOLDS = 200
+FEWEST = 60  # numbers: of fewer nothing is said of the mean, as three do not choose a threshold
+THRESHOLDS = 200  # that are tried; the bound holds for any, as other numbers prove it
 QUANTILES = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 
 
@@ -91,7 +91,7 @@ def mean_loss(values: Floats) -> MeanLoss:
     if sd > 0:
         skewness = float((((scaled - scaled.mean()) / sd) ** 3).mean())
         ends = np.array([NORMAL, -NORMAL]) / count**0.5
-        if abs(skewness) > 1e-6:
+        if abs(skewness) > 1e-6:  # below, no end moves by a millionth of itself
             inner = 1 + skewness * (ends - skewness / (6 * count))
             ends = 3 / skewness * (np.cbrt(inner) - 1)
         low, high = (plain.value - plain.standard_error * count**0.5 * ends).tolist()

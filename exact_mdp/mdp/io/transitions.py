@@ -57,7 +57,7 @@ NO_NAMES = frozenset(
 )
 OVER, NOWHERE = -1, -2  # the next state of a row that has none: the end, or cut off
 ROWS = 2**13  # of a chunk, whose texts stay in the cache
-LARGEST_FILE = 2**40
+LARGEST_FILE = 2**40  # bytes: read in chunks, so that it guards against endless input alone
 WHOLE = re.compile(r"(-?[0-9]+)\.0+")  # as pandas writes 1 in a column where a value is missing
 END, UNSEEN = "end", "unseen"
 UNAVAILABLE, PESSIMISTIC = "unavailable", "pessimistic"

@@ -30,7 +30,7 @@ from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.solution import Solution, SolverError, Status
 
 OPTIMISERS = ("CLARABEL", "HIGHS")
-AGREEMENT = 1e-5  # of objectives; optimisers stop at parts of 1e-8 of their own scale
+AGREEMENT = 1e-5  # of objectives; optimisers stop at 1e-8 of their scale. No value rests on it
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -39,7 +39,7 @@ from exact_mdp.solvers.exact.levels import Level, Step, fraction, gains, signs_o
 from exact_mdp.solvers.exact.linear import evaluated
 from exact_mdp.solvers.solution import SolverError
 
-NOISE = 2.0**-40  # of the numbers added up: what floats take for no gain
+NOISE = 2.0**-40  # of the numbers added up: no gain. For speed: 2⁻⁵⁰ to 2⁻³⁰ take as long
 
 
 def certificate(

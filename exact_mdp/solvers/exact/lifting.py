@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 WIDTHS = (40, 32, 24)  # bits of a digit, in whole bytes; the first that floats can tell is taken
 FIRST, GROWTH = 24, 1.2  # digits before a denominator is looked for, and before the next attempt
-SPARE = 40  # bits by which a fraction has to be closer than chance would make it
+SPARE = 40  # bits that a fraction is closer than by chance; a wrong one, one in 2⁴⁰, is found out
 LACKING = 160  # bits beyond a known denominator, for factors that it may lack
 NEAR = 2.0**-44  # what moves a matrix that is singular in floats
 CHUNK = 256  # unknowns whose digits are joined at once

@@ -34,7 +34,7 @@ from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, Schedule, as_sc
 
 METHODS = ("q-learning", "sarsa", "expected-sarsa", "double-q-learning")
 TIES = ("first", "last", "random")
-MOST_RECORDED = 2**28
+MOST_RECORDED = 2**28  # actions that snapshots of policies hold, 4 bytes each: a gigabyte
 
 
 @dataclass(frozen=True, kw_only=True)

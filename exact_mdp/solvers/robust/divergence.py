@@ -25,7 +25,7 @@ from exact_mdp.solvers.bounds.gains import UNIT, gamma
 from exact_mdp.solvers.robust.sets import Ball, Block
 
 STEPS = 200  # of Newton's method, each of which at least halves the bracket or stays inside it
-NEAR = 1e-12  # of the divergence, relative
+NEAR = 1e-12  # of the divergence, relative: how narrow bounds are, not whether they hold
 FARTHEST = 500.0  # |log s / max d| at most: e^500 is within the range of floats, twice over
 
 

@@ -31,7 +31,7 @@ from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain, parted
 from exact_mdp.solvers.values.returns import times
 
-NEGLIGIBLE = 1e-12
+NEGLIGIBLE = 1e-12  # of the greatest return: what follows counts in the error, however small
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

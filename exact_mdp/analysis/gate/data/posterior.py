@@ -38,9 +38,9 @@ from exact_mdp.solvers.parallel import Arrays, joined, many, seeded
 from exact_mdp.solvers.solution import regrets
 
 DRAWS = 2000
-BLOCK = 250  # draws in a piece of work
+BLOCK = 250  # draws in a piece of work, each with its own seed
 ROOM = 2**22  # numbers that are worked on at once
-MOST_ROOM = 10**8  # of one draw
+MOST_ROOM = 10**8  # of one draw: a gigabyte
 
 
 @dataclass(frozen=True, kw_only=True)

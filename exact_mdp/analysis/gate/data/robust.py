@@ -44,9 +44,9 @@ from exact_mdp.solvers.bounds.gains import SLACK, UNIT, first_of
 from exact_mdp.solvers.bounds.linear import LinearSystem
 from exact_mdp.solvers.solution import Claim
 
-IMPROVEMENTS = 50
-SWEEPS = 1000
-SMALL = 1e-10  # of the range: steps not worth another one; bounds hold wherever the search ends
+# Bounds hold wherever the search ends, and are wider where it ends early.
+IMPROVEMENTS, SWEEPS = 50, 1000  # below discount 1, and at it
+SMALL = 1e-10  # of the range: steps not worth another one
 Sides = Floats  # (2, S) bounds from below and from above
 
 

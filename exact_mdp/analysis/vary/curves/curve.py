@@ -43,8 +43,8 @@ from exact_mdp.mdp.table import exact, shown
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
-WIDTH = Fraction(1, 10**12)  # of the brackets of limits
-NEARLY_ONE = 1 - Fraction(1, 2**40)
+WIDTH = Fraction(1, 10**12)  # of the brackets in which limits are proven to lie, at most
+NEARLY_ONE = 1 - Fraction(1, 2**40)  # where a range ends that may not hold 1: 10¹² steps count
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -55,6 +55,7 @@ from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
+# Up to these numbers derivatives are certified, in about a second; beyond, they have bounds.
 EXACT_TRANSITIONS = 100_000
 EXACT_CYCLIC_STATES = 64
 EXACT_SPARSE_STATES, EXACT_SPARSE_TRANSITIONS = 200, 10_000  # of small integers over one number
