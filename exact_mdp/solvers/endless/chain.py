@@ -31,7 +31,7 @@ from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, part, tran
 from exact_mdp.solvers.exact.linear import Matrix, equations, solved, visited
 from exact_mdp.solvers.solution import SolverError, Status
 
-STEPS = 64  # after which an often visited state shows
+STEPS = 64  # after which an often visited state shows; after 8, bounds are 20 times as wide
 
 
 class Classes:
