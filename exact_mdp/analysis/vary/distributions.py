@@ -253,7 +253,10 @@ class Uncertain:
         own = (*sequence.spawn_key, crc32(" ".join(self.names).encode()))
         rng = np.random.default_rng(SeedSequence(sequence.entropy, spawn_key=own))
         if self.kind == "dirichlet":
-            return rng.dirichlet(self.numbers, size=count)[:, :-1]
+            shares: Floats = rng.dirichlet(self.numbers, size=count)[:, :-1]
+            units = shares.shape[1] * 2.0**-52  # twice what rounding may add to a sum of 1
+            shares[shares.sum(axis=1) > 1 - units] *= 1 - 2 * units
+            return shares
         if self.kind == "gamma":
             shape, scale = self.numbers
             return math.copysign(1.0, scale) * rng.gamma(shape, abs(scale), size=(count, 1))

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -205,3 +206,13 @@ def test_rows_of_any_model_are_dirichlet_and_stay_distributions(row: tuple[objec
         chance = {s: p for p, s, _ in family.at({ONE: one, TWO: two}).table.row(0)}
         assert sum(chance.values()) == 1
         assert (float(chance[1]), float(chance[2])) == pytest.approx((one, two))
+
+
+@pytest.mark.parametrize("size", [1e-6, 1e-3, 1])
+def test_a_row_of_which_little_is_known_stays_a_distribution(size: float) -> None:
+    """All of its mass is on one outcome in most draws, and rounding alone is left of the others."""
+    ends = [(state, 0, [(1, 4, state)]) for state in (1, 2, 3)] + [(4, 0, [(1, 4, 0)])]
+    mdp = MDP.from_outcomes([(0, 0, [("1/3", s, 0) for s in (1, 2, 3)]), *ends])
+    analysis = psa(mdp, 1000, rng=0, effective_sample_size=size)
+    assert max(sum(map(Fraction, row)) for row in analysis.table.points.tolist()) <= 1
+    assert abs(analysis.value.value - 2) < 4 * analysis.value.standard_error
