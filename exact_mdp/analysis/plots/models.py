@@ -163,12 +163,14 @@ def draw_front(
     ax, at = axes_or_new(ax), np.array(front.vertices, dtype=np.float64)
     ax.plot(*at.T, color=BLUE, marker="o", markersize=4, label="front", zorder=2)
     for number, (name, policy) in enumerate((policies or {}).items()):
-        place, far = np.array(front.totals(policy), dtype=float), float(front.distance(policy))
-        label = f"{name} (on the front)" if far == 0 else f"{name} (distance {far:.3g})"
+        own, far = np.array(front.totals(policy)), float(front.distance(policy))
+        place, gains = own.astype(float), front.of.sign * (np.array(front.vertices) - own)
+        dominated = ((gains >= 0).all(axis=1) & (gains > 0).any(axis=1)).any()
+        where = f"distance {far:.3g}" if far else "dominated" if dominated else "on the front"
         # Open, and larger than those before: all that lie on each other can be seen.
         look: Look = {"color": INK[number % len(INK)], "fillstyle": "none", "zorder": 3}
         mark = MARKS[1 + number % (len(MARKS) - 1)]
-        ax.plot(*place, mark, label=label, markersize=7 + 3 * number, **look)
+        ax.plot(*place, mark, label=f"{name} ({where})", markersize=7 + 3 * number, **look)
         if far:
             ends = np.array([place, place + front.of.sign * far])
             ax.plot(*ends.T, color=BLACK, linewidth=0.8, linestyle=":")

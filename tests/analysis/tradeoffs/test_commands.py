@@ -9,7 +9,7 @@ import pytest
 from cli_runner import run
 from picture_texts import legend_of
 
-from exact_mdp import Scenario, tradeoff
+from exact_mdp import MDP, Scenario, tradeoff
 
 SMALL = ("--set", "tasks=[1]", "--set", "max_trial=2")
 CARE = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).compile()
@@ -66,6 +66,27 @@ def test_the_picture_shows_vertices_and_policies() -> None:
     assert above.get_fillstyle() == "none"
     assert above.get_markersize() > below.get_markersize()
     plt.close(twice[0].figure)
+
+
+def test_a_policy_beside_the_front_is_not_on_it() -> None:
+    """One that is level with a vertex in one total and worse in the other is dominated."""
+    totals = {"wait": (0, 0), "treat": (1, -5), "dear": (1, -9), "late": (Fraction(1, 2), -7)}
+    gain, saved = ([*part, 0] for part in zip(*totals.values(), strict=True))
+    rows = [(0, action, [(1, 1, 0)]) for action in range(4)]
+    parts = {"gain": gain, "saved": saved}
+    mdp = MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])], components=parts)
+    policies = {name: [action, 0] for action, name in enumerate(totals)}
+    for sense in ("max", "min"):
+        # Costs are the same numbers below 0, and the best are the lowest.
+        model = mdp if sense == "max" else mdp.negated()
+        ax = tradeoff(model, ["gain", "saved"]).plot(policies=policies)
+        assert legend_of(ax)[1:] == [
+            "wait (on the front)",
+            "treat (on the front)",
+            "dear (dominated)",
+            "late (distance 0.5)",
+        ]
+        plt.close(ax.figure)
 
 
 PROVEN = {
