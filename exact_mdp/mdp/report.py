@@ -217,7 +217,7 @@ def cell(value: Any, form: str = "") -> str:
         return text if len(text) <= SHORT else shown(value, DIGITS)
     if _claims(value) and hasattr(value, "standard_error"):
         error = value.standard_error
-        off = f" ± {error:.1g}" if math.isfinite(error) else ""
+        off = f" ± {number(float(f'{error:.1g}'))}" if math.isfinite(error) else ""
         return f"{number(value.value, error if off else 0.0)}{off}"
     if _claims(value):
         return number(float(value.value), error_of(value))

@@ -243,7 +243,8 @@ class Estimated:
         cut = f" ± {self.cut_off:.2g} cut off" if self.cut_off else ""
         if isinf(self.standard_error):
             return f"{self.value:.6g}{cut} ({self.claim}, of one draw)"
-        return f"{self.value:.6g} ± {self.standard_error:.1g} s.e.{cut} ({self.claim})"
+        error = float(f"{self.standard_error:.1g}")
+        return f"{self.value:.6g} ± {error:g} s.e.{cut} ({self.claim})"
 
 
 class Valued:
