@@ -64,13 +64,16 @@ class Candidate:
     actions: Mapping[str, str] | None  # by label; None where it mixes, or says several things
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Information:
     """EVPI over all policies, between two estimates; `high` is that of the candidate `best`."""
 
     low: MeanLoss
     high: MeanLoss
     best: str
+
+    def __repr__(self) -> str:
+        return f"{cell(self.low)} to {cell(self.high)} (best policy: {self.best})"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -209,7 +212,6 @@ class PSA(Pictured):
             "candidates": {name: each for name, (each, *_) in zip(names, accepted, strict=True)},
         }
         ends = {"low": _loss(information.low), "high": _loss(information.high)}
-        between = f"{cell(information.low)} to {cell(information.high)}"
         return Report(
             title="probabilistic sensitivity analysis",
             facts={
@@ -225,9 +227,7 @@ class PSA(Pictured):
                 "acceptability": Shown(
                     acceptability, f"the policy held is optimal in {within[0]:.1%} of draws"
                 ),
-                "evpi": Shown(
-                    information.high.value, f"{between} (best policy: {information.best})"
-                ),
+                "evpi": Shown(information.high.value, repr(information)),
                 "evpi_bounds": Shown(ends | {"best_policy": information.best}),
                 "evpi_of_candidates": Shown(_loss(among)),
                 "evppi": Shown({name: each.regression.value for name, each in partly.items()}),

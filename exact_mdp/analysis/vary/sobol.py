@@ -168,7 +168,7 @@ def sobol(
     ranges: Stated | None = None,
     relative: Fraction | None = None,
     n: int = 1024,
-    rng: RNG,
+    rng: RNG = 0,
     n_jobs: int | None = 1,
     folder: str | Path | None = None,
     progress: bool = False,

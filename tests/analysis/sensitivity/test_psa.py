@@ -46,6 +46,8 @@ def test_no_candidate_beats_the_optimum_and_evpi_lies_between_its_ends(care: Any
     table, evpi = care.table, care.evpi()
     assert (table.fixed - table.optimal[:, None] <= table.error[:, :1] + table.error[:, 1:]).all()
     assert 0 <= evpi.low.value <= evpi.high.value
+    assert repr(evpi).endswith(f"(best policy: {evpi.best})")
+    assert repr(evpi) == care.report().facts["evpi"].text
     assert care.evpi_of_candidates().value <= evpi.high.value + 1e-9
     best = table.fixed.mean(axis=0).max()
     assert evpi.high.value == pytest.approx(table.optimal.mean() - best)
