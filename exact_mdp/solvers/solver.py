@@ -63,8 +63,8 @@ def mdp_of(model: object) -> MDP:
     raise ModelError(
         f"{type(model).__name__} is not a model",
         where="model",
-        fix="give what MDP.from_arrays, MDP.from_gymnasium or another MDP.from_… returns, or a "
-        "Scenario; MDP.load reads a file",
+        fix="give what MDP.from_arrays, MDP.from_gymnasium or another MDP.from_… returns, a "
+        "Scenario, or family.at({}) of a Family; MDP.load reads a file",
     )
 
 

@@ -149,7 +149,7 @@ def _prices(wtp: ArrayLike) -> Floats:
     except (TypeError, ValueError):
         prices = np.array(np.nan)
     if prices.ndim > 1 or not np.isfinite(prices).all():
-        raise ModelError(f"{wtp!r:.60} is given", where=WTP, fix="give a number, or a list of them")
+        raise ModelError(f"{wtp!r:.60} is no finite number", where=WTP, fix="give one, or a list")
     return prices
 
 

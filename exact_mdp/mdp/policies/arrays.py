@@ -146,7 +146,9 @@ def numbers_of(given: object) -> Numbers:
         return whole
     if not kinds <= {int, float, Fraction} or not kinds:
         raise ModelError(
-            f"{type(given).__name__} of shape {array.shape} does not hold real numbers alone",
+            "the policy is None"
+            if given is None
+            else f"{type(given).__name__} of shape {array.shape} does not hold real numbers alone",
             where="policy",
             fix="give action numbers, probabilities or action values",
         )

@@ -154,9 +154,7 @@ def _parsed(mdp: MDP, text: str) -> tuple[str, Terms]:
             part = re.split(r"[-+*]", rest)[0].strip() or body
             written = part in known
             raise ModelError(
-                f"{body[at:]!r} is no part of a sum"
-                if written
-                else f"nothing to count is called {part!r}",
+                f"{body[at:]!r} is no part of a sum" if written else f"no total is called {part!r}",
                 where=f"objective {text!r}",
                 fix="write each term as NAME or NUMBER*NAME, with + or - between: name=2*a-b"
                 if written
