@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from textwrap import fill
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -242,7 +241,7 @@ def plot_two_way(grid: TwoWay, *, ax: Axes | None = None) -> Axes:
         entries = _entries(listed := listed[:-1])
     shades = np.linspace(0.95, 0.35, count)[np.argsort(np.arange(count) % 2, kind="stable")]
     looks = [{"color": str(shade), "hatch": ""} for shade in shades]
-    handles: list[Any] = [swatch(*each) for each in zip(entries, looks, strict=False)]
+    handles = [swatch(*each) for each in zip(entries, looks, strict=False)]
     colours, ends = ListedColormap([*map(str, shades)]), (-0.5, count - 0.5)
     ax.pcolormesh(x, y, shown, cmap=colours, vmin=ends[0], vmax=ends[1], shading="nearest")
     for number in np.unique(shown).tolist():
@@ -253,11 +252,10 @@ def plot_two_way(grid: TwoWay, *, ax: Axes | None = None) -> Axes:
     today = (float(grid.x.value), float(grid.y.value))
     (mark,) = ax.plot(*today, "D", color=BLACK, markersize=5, label="today")
     names = {"x": _axis(grid.x), "y": _axis(grid.y)}
-    handles.append(mark)
     legend = "how the policies differ" * (count > 1)
     legend += f" ({len(listed)} of {count})" * (count > len(listed))
     what = "Which policy is optimal"
-    return described(ax, what, grid.mdp.name, handles=handles, legend=legend, **names)
+    return described(ax, what, grid.mdp.name, handles=[*handles, mark], legend=legend, **names)
 
 
 def _entries(listed: Sequence[Mapping[str, str]]) -> list[str]:

@@ -75,11 +75,10 @@ class Thresholds(Pictured):
     found: tuple[Threshold, ...]
 
     def __repr__(self) -> str:
-        low, high = shown(self.curve.range.low), shown(self.curve.range.high)
+        name, span = self.curve.parameter.name, self.curve.range
         count = f"{len(self.found)} threshold{'s' * (len(self.found) != 1)}"
-        return (
-            f"Thresholds({self.curve.parameter.name} from {low} to {high}: {count}, {self.claim})"
-        )
+        ends = f"from {shown(span.low)} to {shown(span.high)}"
+        return f"Thresholds({name} {ends}: {count}, {self.claim})"
 
     @property
     def claim(self) -> Claim:
