@@ -259,8 +259,9 @@ def _map(
     sizes = ((30, 10), (2 * NUMBERED, 8), (MOST_TEXTS, 6 if wide > 20 else 7))
     font = next((size for most, size in sizes if len(shown) <= most), 0)
     usual: Look = {"fill": WHITE, "ink": BLACK, "hatch": "", "font": font, "corner": ""}
+    thin: Look = {} if font else {"linewidth": 0.2}  # a frame would cover a cell without a text
     for state, (text, own) in shown.items():
-        look = usual | {"edgecolor": BLACK} | own
+        look = usual | {"edgecolor": BLACK} | own | thin
         x, y = int(layout.column[state]), int(layout.row[state])
         fill, ink, hatch, most, corner = map(look.pop, usual)
         ax.add_patch(Rectangle((x, y), 1, 1, facecolor=fill, hatch=hatch, **look))

@@ -135,6 +135,15 @@ def test_names_that_differ_are_cut_to_texts_that_differ(form: str, written: str)
     assert max(map(len, ticks)) <= 26
 
 
+def test_the_frames_of_many_cells_do_not_cover_them() -> None:
+    """Of 1,600 cells the colour says what is lost; of 16 a frame says that it is."""
+    lake = MDP.from_gymnasium("FrozenLake-v1")
+    for horizon, widest in ((None, 1.6), (100, 0.2)):
+        ax = check(lake, [1] * 16, horizon=horizon).plot()
+        frames = {patch.get_linewidth() for patch in ax.patches if patch.get_fill()}
+        assert max(frames) == widest
+
+
 def test_a_law_without_finite_returns_is_drawn() -> None:
     """Every run goes on for ever: nothing stands in the picture but the title."""
     law = return_distribution(MDP.from_outcomes([(0, 0, [(1, 0, 1)])]), "always:0")

@@ -76,9 +76,8 @@ class Thresholds(Pictured):
 
     def __repr__(self) -> str:
         name, span = self.curve.parameter.name, self.curve.range
-        count = f"{len(self.found)} threshold{'s' * (len(self.found) != 1)}"
-        ends = f"from {shown(span.low)} to {shown(span.high)}"
-        return f"Thresholds({name} {ends}: {count}, {self.claim})"
+        found = f"{len(self.found)} threshold{'s' * (len(self.found) != 1)}, {self.claim}"
+        return f"Thresholds({name} from {shown(span.low)} to {shown(span.high)}: {found})"
 
     @property
     def claim(self) -> Claim:
