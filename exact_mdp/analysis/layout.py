@@ -27,7 +27,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import Floats, Integers
 
-MOST_CELLS = 4000
+MOST_CELLS = 4000  # that a picture has room for
 WIDE = 10  # states in a row where nothing says how many
 MOST_NAMED = 40  # states that are listed by their names, one in a row
 SHORT = 5  # letters of an action's name that fit into a cell

@@ -63,13 +63,13 @@ from exact_mdp.mdp.table import Floats, float_of
 Numbers = tuple[float, ...]
 Settings = Mapping[str, object]
 
-EFFECTIVE_SAMPLE_SIZE = 100.0
+EFFECTIVE_SAMPLE_SIZE = 100.0  # where nothing is stated: an assumption, which results name
 SIZE, SPREAD, DEFAULT = "effective_sample_size", "relative_sd", "default"
 WITHIN = {  # what floats can draw from
     SIZE: ("effective sample size", 1e-6, 1e15),
     SPREAD: ("relative standard deviation", 1e-9, 1e3),
 }
-MOST_ROWS = 2000
+MOST_ROWS = 2000  # random ones; a draw of so many takes half a second
 
 
 def _beta(mean: float, size: float) -> Numbers:

@@ -50,7 +50,7 @@ READINGS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 
 SKIP = "skip"
 MAPPINGS = ("readings", "others", "weights")
-MOST_STATUSES = 10
+MOST_STATUSES = 10  # 2^10 vectors of them at each trial, and as many may follow each
 MOST_STATES = 200_000_000  # 27 bytes for each while solving without a matrix: 5.4 GB
 SHARED_WEIGHTS = ("trial", "subtask-complete", "subtask-skip", "timestep", "task-complete")
 BONUSES = ("subtask-complete", "task-complete")  # the weights that are gains; others are costs

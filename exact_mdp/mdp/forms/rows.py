@@ -31,7 +31,7 @@ Integers = NDArray[np.int64]
 Numbers = NDArray[Any]
 
 WHOLE = 2**6 * 3**2 * 5**6 * 7
-FLOAT_ROW_TOLERANCE = 1e-9  # how far from 1 the floats of a row may sum
+FLOAT_ROW_TOLERANCE = 1e-9  # how far from 1 floats of a row may sum: LONG roundings are 5e-10
 NEXT = 2.0**-52  # of a number: no farther from it are its neighbours among the floats
 COARSE, FINEST, LONG = 2.0**-40, -93, 2**22  # of sums: their units, and the most terms of a row
 

@@ -122,8 +122,8 @@ def _no_polynomial(what: str, name: str, degree: int, where: str = "") -> ModelE
     )
 
 
-EXTRA = 4  # points at which a degree that is not known is checked, beside those that it needs
-SHRINKS = 64  # how often points are moved closer to θ0 where there is no model
+EXTRA = 4  # points beyond those that a degree needs, which check it; the result says how many
+SHRINKS = 64  # halvings of the distance to θ0 where there is no model, before that is refused
 
 
 def _sampled(
