@@ -186,10 +186,7 @@ def improved(step: MDP, pairs: Integers | None = None, most: int = POLICIES) -> 
 
 
 def _patient(step: MDP) -> Integers:
-    """Return the pairs (S,) that are best with a discount near 1: few are left to improve.
-
-    From any other policy, news of a better class may travel one step in each iteration.
-    """
+    """Return the pairs (S,) that are best with a discount near 1: few are left to improve."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PrecisionWarning)
         try:

@@ -44,7 +44,7 @@ class Derived:
             return self
         graph, pairs = Graph(mdp), mdp.pair_offsets[:-1].copy()
         every = np.ones(mdp.n_pairs, dtype=bool)
-        toward(graph, graph.distance(mdp.terminal, every), every, pairs)
+        toward(graph, mdp.terminal, every, pairs)
         pairs, _, gain = improved(mdp, pairs)
         _, inside = graph.end_components(~mdp.terminal[mdp.pair_state])
         losing = inside & (gain.value < -gain.noise)
@@ -123,8 +123,9 @@ def derived(
     return Derived(mdp=model, label=label, source=source)
 
 
-def toward(graph: Graph, distance: Integers, pairs: Mask, chosen: Integers) -> None:
-    """Write into `chosen` (S,) one of some pairs (L,) that may fall, where the distance is > 0."""
+def toward(graph: Graph, target: Mask, pairs: Mask, chosen: Integers) -> None:
+    """Write into `chosen` (S,) one of some pairs (L,) that leads nearer to the target (S,)."""
+    distance = graph.distance(target, pairs)
     first_of(graph, graph.falling(distance) & pairs & (distance > 0)[graph.pair_state], chosen)
 
 

@@ -32,7 +32,7 @@ from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.endless.average import AverageSolution, solve_average
 from exact_mdp.solvers.endless.graph import Graph
 from exact_mdp.solvers.endless.quotient import Derived, derived, first_of, toward
-from exact_mdp.solvers.exact.find import best_average, expansion, falling_costs, one_sign, reaching
+from exact_mdp.solvers.exact.find import best_average, expansion, no_falling, one_sign, reaching
 from exact_mdp.solvers.solution import Solution, SolverError, Status
 
 
@@ -149,8 +149,8 @@ class Structure:
         value_sign = np.append(best, -1)[label]  # the sign of each state's component
         safe = graph.rounds(ends | (value_sign >= 0) if goal is None else ends, every) == 0
         win = safe & (graph.distance((value_sign > 0) & safe, graph.every(safe)) >= 0)
-        if goal is not None and (bad := win & (mdp.start_distribution > 0)).any():
-            raise falling_costs(mdp, bad)
+        if goal is not None:
+            no_falling(mdp, win)
         sign = self.sign = np.where(win, 1, np.where(safe, 0, -1))
         lost = goal is None and (graph.distance(value_sign > 0, every) >= 0) & ~win
         cancels = np.isin(label, both[best[both] == 0]) & (sign == 0)
@@ -191,7 +191,7 @@ class Structure:
         ways = taken[(rest >= 0) & leaves]
         pairs[mdp.pair_state[ways]] = ways
         target[mdp.pair_state[ways]] = True
-        toward(graph, graph.distance(target, self.inside), self.inside, pairs)
+        toward(graph, target, self.inside, pairs)
         if len(self.core):
             above = np.isin(self.label, self.core)
             if _missing_pays(mdp):
@@ -203,7 +203,7 @@ class Structure:
                 earning = best.pairs if best is not None and sure else best_average(own.mdp)[0]
                 pairs[above] = own.source[earning[:-1]]
             safe = graph.every(self.sign >= 0) & (self.sign > 0)[mdp.pair_state]
-            toward(graph, graph.distance(above, safe), safe, pairs)
+            toward(graph, above, safe, pairs)
         return pairs
 
     def _among(self, numbers: Integers) -> Derived:
@@ -214,10 +214,7 @@ class Structure:
         return derived(self.mdp, pairs, names)
 
     def _signs(self, numbers: Integers) -> Integers:
-        """Return the signs of the best mean rewards of components (C,), 0 where floats cannot.
-
-        Where that matters, all is solved exactly, as it is where rewards cancel.
-        """
+        """Return the signs of the best mean rewards of components (C,), 0 where floats cannot."""
         signs = np.zeros(len(numbers), dtype=np.int64)
         if len(numbers) and (best := _nearly(self._among(numbers))) is not None:
             own = self.label[np.isin(self.label, numbers)]  # all of a component earn alike

@@ -125,13 +125,10 @@ def expanded(rows: BellmanRows, pairs: Integers) -> tuple[Integers, list[Level]]
 def _iterated(
     rows: BellmanRows, pairs: Integers, evaluate: Callable[[Integers], list[Step]]
 ) -> tuple[Integers, list[Level], Integers]:
-    """Return pairs (S,) that no other beats, their levels, and the sign (L,) of what each gains.
-
-    One level after the other settles ties of those before.
-    """
+    """Return pairs (S,) that no other beats, their levels, and the sign (L,) of what each gains."""
     while True:
         levels, sign = evaluate(pairs), np.zeros(len(rows.constant), dtype=np.int64)
-        for step in levels:
+        for step in levels:  # each settles ties of those before
             sign = np.where(sign == 0, signs_of(rows, step, pairs), sign)
         gaining = np.flatnonzero((sign > 0) & ~rows.terminal[rows.pair_state])
         if not len(gaining):
@@ -191,8 +188,7 @@ def _required(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Mask) -> Certific
         above, policy = arriving & [mean > 0 for mean in gain.top], number[pairs]
         used = np.isin(every_pair, policy[above])
         order = np.where(above, graph.distance(recurrent & above, used), order)
-    if (bad := above & (mdp.start_distribution > 0)).any():
-        raise falling_costs(mdp, bad)
+    no_falling(mdp, above)
     finite = arriving & ~above
     part, number = _closed(rows, finite)
     among = np.isin(every_pair, number) & finite[state]
@@ -215,20 +211,18 @@ def _required(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Mask) -> Certific
     )
 
 
-def falling_costs(mdp: MDP, states: Mask) -> ModelError:
-    """Return the error to raise where the costs of some states (S,) of the start have no least."""
-    return ModelError(
-        "at discount 1 no policy has the best value: costs fall without end before the goal",
-        where=mdp.space.place(int(np.flatnonzero(states)[0])),
-        fix=ways_out(mdp),
-    )
+def no_falling(mdp: MDP, states: Mask) -> None:
+    """Raise ModelError where the costs of some states (S,) have no least, and one is a start."""
+    if len(bad := np.flatnonzero(states & (mdp.start_distribution > 0))):
+        raise ModelError(
+            "at discount 1 no policy has the best value: costs fall without end before the goal",
+            where=mdp.space.place(int(bad[0])),
+            fix=ways_out(mdp),
+        )
 
 
 def _closed(rows: BellmanRows, states: Mask) -> tuple[BellmanRows, Integers]:
-    """Return the equations between some states (S,), and the pairs (K,) that these have.
-
-    Pairs that lead elsewhere are left out; another state counts as an end, with its first pair.
-    """
+    """Return the equations between some states (S,), the others being ends, and the pairs (K,)."""
     owner, inside = rows.pair_state, np.logical_and.reduceat(states[rows.next], rows.offsets[:-1])
     stays = states[owner] & inside
     stays[rows.pair_offsets[:-1][~states]] = True

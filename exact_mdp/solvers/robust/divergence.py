@@ -71,10 +71,7 @@ class Divergence(Ball):
         return q, short
 
     def _scale(self, p: Floats, d: Floats, scale: Floats, edge: Floats) -> Floats:
-        """Return t (K,) where s = scale e^t has a divergence just below `edge` (K,).
-
-        The divergence falls in t; where it stays below `edge` for all t, the lowest t is returned.
-        """
+        """Return t (K,) where s = scale e^t diverges just below `edge` (K,), or the lowest t."""
 
         def at(t: Floats, rows: Integers) -> tuple[Floats, Floats]:
             return self.at(p[rows], d[rows], scale[rows] * np.exp(t)[:, None])
@@ -131,7 +128,8 @@ class Likelihood(Divergence):
         share = p / (1 + u)
         inside, lost = share.sum(axis=1), (share * u).sum(axis=1)  # they add up to 1
         log = np.where(lost > 0.5, np.log(inside), np.log1p(-np.minimum(lost, 0.75)))
-        return log + _mean_log(p, u), (share * u / (1 + u)).sum(axis=1) / inside - lost
+        mean, falling = (p * np.log1p(u)).sum(axis=1), (share * u / (1 + u)).sum(axis=1)
+        return log + mean, falling / inside - lost
 
     def law(self, p: Floats, d: Floats, s: Floats) -> Floats:
         """See `Divergence.law`."""
@@ -139,7 +137,7 @@ class Likelihood(Divergence):
 
     def bound(self, p: Floats, d: Floats, s: Floats, beta: Floats) -> Floats:
         """See `Divergence.bound`."""
-        mean, scale = _mean_log(p, d / s), s[:, 0]
+        mean, scale = (p * np.log1p(d / s)).sum(axis=1), s[:, 0]
         bound = scale * np.expm1(mean - beta)
         doubt = gamma(2 * d.shape[1] + 16) * scale * (mean + beta) * np.exp(mean - beta)
         return np.asarray(bound - doubt - 4 * UNIT * np.abs(bound))
@@ -174,12 +172,10 @@ class RelativeEntropy(Divergence):
 
 
 def _leaving(p: Floats, payoff: Floats, beta: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Return laws (K, n), tolerances (K,), and where (K,) they hold: where s is 0.
-
-    An outcome of frequency 0 may happen, too. Where all of the least value have frequency 0, and
-    the q_i = p_i / d_i · e^-β Π d_i^p_i of the others add up to no more than 1, what they leave of
-    1 goes to such an outcome.
-    """
+    """Return laws (K, n), tolerances (K,), and where (K,) they hold: where s is 0."""
+    # An outcome of frequency 0 may happen, too. Where all of the least value have frequency 0, and
+    # the q_i = p_i / d_i · e^-β Π d_i^p_i of the others add up to no more than 1, what they leave
+    # of 1 goes to such an outcome.
     apart = payoff - payoff.min(axis=1, keepdims=True)
     q, short = p.copy(), np.zeros(len(p))
     left = ~((p > 0) & (apart == 0)).any(axis=1)
@@ -195,10 +191,6 @@ def _leaving(p: Floats, payoff: Floats, beta: Floats) -> tuple[Floats, Floats, N
         q[rows], left[rows] = share, total <= 1
         short[rows] = gamma(4 * p.shape[1] + 64) * size * np.exp(mean)
     return q, short, left
-
-
-def _mean_log(p: Floats, u: Floats) -> Floats:
-    return np.asarray((p * np.log1p(u)).sum(axis=1))
 
 
 def _log_total(p: Floats, u: Floats, total: Floats) -> Floats:

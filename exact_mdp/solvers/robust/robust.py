@@ -197,12 +197,13 @@ class Game:
 
     def chain(self, laws: list[Floats], share: Floats) -> tuple[sp.csr_array, Floats]:
         """Return transitions (S, S) and expected rewards (S,) under laws and shares (U,)."""
-        place, following, probability, earned = entries(self.blocks, laws, share > 0)
-        probability, source = probability * share[place], self.live[self.row_state]
-        shape = (self.mdp.n_states, self.mdp.n_states)
-        matrix = sp.csr_array((probability, (source[place], following)), shape)
-        total = np.bincount(source, weights=earned * share, minlength=self.mdp.n_states)
-        return matrix, np.asarray(total, dtype=np.float64)
+        place, following, probability, earned = entries(self.blocks, laws)
+        source, states = self.live[self.row_state], self.mdp.n_states
+        taken = share[place] > 0
+        place, following, probability = place[taken], following[taken], probability[taken]
+        parts = (probability * share[place], (source[place], following))
+        total = np.bincount(source, weights=earned * share, minlength=states)
+        return sp.csr_array(parts, (states, states)), np.asarray(total, dtype=np.float64)
 
 
 def margins(game: Game) -> tuple[Floats, Floats]:

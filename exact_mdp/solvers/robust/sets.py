@@ -334,21 +334,16 @@ def inner(
 
 
 def entries(
-    blocks: Sequence[Block], laws: Sequence[Floats], chosen: NDArray[np.bool_] | None = None
+    blocks: Sequence[Block], laws: Sequence[Floats]
 ) -> tuple[Integers, Integers, Floats, Floats]:
-    """Return place, next state and probability (N,) of laws, and the expected gain of rows (U,).
-
-    With `chosen` (U,) only these places; the gain of others is 0.
-    """
+    """Return place, next state and probability (N,) of laws, and the expected gain of rows (U,)."""
     earned = np.zeros(sum(len(block.place) for block in blocks))
     nothing: Integers = np.zeros(0, dtype=np.int64)
     place, following, weight = [nothing], [nothing], [np.zeros(0)]
-    for block, q in zip(blocks, laws, strict=True):
-        chosen_rows = slice(None) if chosen is None else chosen[block.place]
-        used, law = block.place[chosen_rows], q[chosen_rows]
-        earned[used] = np.einsum("kn,kn->k", law, block.gain[chosen_rows])
+    for block, law in zip(blocks, laws, strict=True):
+        earned[block.place] = np.einsum("kn,kn->k", law, block.gain)
         positive = law > 0
-        place.append(np.repeat(used, positive.sum(axis=1)))
-        following.append(block.next[chosen_rows][positive])
+        place.append(np.repeat(block.place, positive.sum(axis=1)))
+        following.append(block.next[positive])
         weight.append(law[positive])
     return np.concatenate(place), np.concatenate(following), np.concatenate(weight), earned
