@@ -84,10 +84,7 @@ def policy_values(
 def _values(
     scenario: Scenario, names: Sequence[str], given: ArrayLike, shares: Floats
 ) -> tuple[Floats, CareValues]:
-    """Return what policies (N, G, V, A) are worth (D, N), or the optimum (D, 1), and the rest.
-
-    Gaps and actions are those of an optimum.
-    """
+    """Return what policies (N, G, V, A) are worth (D, N), or the optimum (D, 1), and the rest."""
     from exact_mdp.solvers.kernels import care as loops
 
     rules, drawn = rules_of(scenario), np.asarray(given, dtype=np.float64)
@@ -145,11 +142,7 @@ def _values(
 
 
 def _errors(scenario: Scenario, laws: Laws) -> Floats:
-    """Return (D,) bounds on the errors of start values.
-
-    Numbers so large that sums of them may overflow are refused: a bound is more than u times the
-    largest number on the way, which is R H.
-    """
+    """Return (D,) bounds on the errors of start values; raises ModelError where sums overflow."""
     rules = rules_of(scenario)
     bits = rules.bits.shape[1]
     # At most one of completing, with its own reward, and failing, with status costs and a skip.
@@ -162,6 +155,7 @@ def _errors(scenario: Scenario, laws: Laws) -> Floats:
     unit = (2 * law + float(gamma(2 * rules.vectors + 4 * rules.assistive + 24))) * SLACK
     steps = len(rules.places) * (rules.trials + 1)
     error = reward * unit * (steps * (steps + 1) / 2) * SLACK + UNIT
+    # A bound is more than u times the largest number on the way, which is R H.
     if not error.max() < UNIT * np.finfo(float).max / 16:
         raise ModelError(
             "reward weights so large that returns overflow",

@@ -215,10 +215,7 @@ def require_no_horizon(horizon: object) -> None:
 
 
 def _set(solver: Any, **settings: Any) -> Solver:
-    """Return the solver, or that of a name, with what was given to `solve`.
-
-    Raises ModelError for what is no solver, and where it does not take a setting.
-    """
+    """Return the solver, or that of a name, with what was given to `solve`."""
     if isinstance(solver, str):
         solver = SOLVERS[known(solver, [*SOLVERS, "auto"], "solver", "solve")]()
     if isinstance(solver, type):

@@ -210,10 +210,8 @@ class LinearSystem(ByFields):
         return bool(max(total.max() - 1, 1 - total.min()) < CLOSE)
 
     def _iterated(self, constant: Floats, rtol: float) -> Floats:
-        """Return x (S,) by elimination in a band, by BiCGSTAB, or where that fails by elimination.
-
-        To look for a band takes as long as many sweeps, which are therefore tried before.
-        """
+        """Return x (S,) by BiCGSTAB, or by elimination in a band, narrow or as the last resort."""
+        # To look for a band takes as long as many sweeps, which are therefore tried before.
         entries = sum(self._band[1:]) * len(constant)
         if not self.work and "_within_band" not in vars(self):
             value = self._stepped(constant, rtol, STEPS if entries <= MOST_ENTRIES else PATIENT)
@@ -313,16 +311,12 @@ class LinearSystem(ByFields):
 
 
 def _bicgstab(moves: Solve, constant: Floats, rtol: float, steps: int) -> Floats | None:
-    """Return y whose `moves` are the constant (S,), or None where `steps` do not suffice.
-
-    Where a step breaks down, because the residual is orthogonal to the shadow that it is compared
-    with, the method starts again from what it has. Sums are NumPy's own, and so depend on no
-    number of threads.
-    """
+    """Return y whose `moves` are the constant (S,), or None where `steps` do not suffice."""
+    # Such sums are the same for any number of threads.
     dot, value, fresh = partial(np.einsum, "s,s->"), np.zeros_like(constant), True
     goal = rtol * np.sqrt(dot(constant, constant))
     for _ in range(steps):
-        if fresh:
+        if fresh:  # at first, and where the residual came to be orthogonal to its shadow
             shadow = rest = constant - moves(value)
             step = onward = np.zeros_like(rest)
             rho = alpha = omega = 1.0

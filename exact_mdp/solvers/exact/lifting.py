@@ -227,10 +227,8 @@ def _over_one_denominator(
 
 
 def _denominator(number: fmpz, bits: int, excess: int = 0) -> fmpz | None:
-    """Return q such that q · number / 2^bits is far closer to an integer than by chance, or None.
-
-    That distance may be `excess` bits longer than q is.
-    """
+    """Return q with q · number / 2^bits far closer to an integer than by chance, or None."""
+    # That distance may be `excess` bits longer than q is.
     basis = flint.fmpz_mat(2, 2, [number, flint.fmpz(1) << excess, flint.fmpz(1) << bits, 0]).lll()
     rest, below = basis[0, 0], abs(basis[0, 1]) >> excess
     return below if below and below.bit_length() + rest.bit_length() < bits - SPARE else None

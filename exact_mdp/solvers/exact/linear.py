@@ -202,10 +202,7 @@ def visited(
 
 
 class _Solution:
-    """Solutions of A x = b: x(s) = tops[k][s] / below[group[s]] for the right side k.
-
-    Unknowns of a step share a denominator unless it would be far longer than their own.
-    """
+    """Solutions of A x = b: x(s) = tops[k][s] / below[group[s]] for the right side k."""
 
     def __init__(self, matrix: Matrix, sides: Sequence[Sequence[Any]]) -> None:
         zero, self.sides = flint.fmpz(0), sides
@@ -257,6 +254,7 @@ class _Solution:
         if not all(pivots):
             raise ZeroDivisionError("the matrix is singular")
         sides, places = self._right_sides(base, states), range(len(states))
+        # They share a denominator unless it would be far longer than their own.
         far = 2 * max(pivot.bit_length() for pivot in pivots) + FAR
         apart = _lcm(pivots).bit_length() > far
         for some in [[i] for i in places] if apart else [places]:

@@ -295,11 +295,7 @@ Shares = list[tuple[Attained, Fraction]]
 def _mixture(
     of: Objectives, limits: Sequence[Limit]
 ) -> tuple[Shares, Fraction, tuple[Fraction, ...], Level]:
-    """Return the best mixture of policies, or if none keeps the limits, one of least step.
-
-    These are policies with shares; the step; prices of the reward and of the limits; values with
-    these prices.
-    """
+    """Return the best mixture, the step of the limits, prices of reward and limits, and values."""
     size, short = len(limits), True
     policies = [extreme(of, [1] + [0] * (len(of.names) - 1))]
     spare = [[ZERO, *(Fraction(-(i == k)) for i in range(size))] for k in range(size)]
@@ -322,12 +318,10 @@ def _mixture(
 
 
 def _as_one(of: Objectives, limits: Sequence[Limit], shares: Shares, shift: Fraction) -> Flow:
-    """Return the visits of one policy that earns as much as a mixture.
-
-    It has a pair for each state, and as many further ones as limits bind, at most: with more, some
-    change of their numbers leaves what these limits are on as it is. It goes on until a pair is not
-    taken any more, or another limit binds.
-    """
+    """Return the visits of one policy that earns as much as a mixture."""
+    # It has a pair for each state, and at most as many further ones as limits bind: with more, some
+    # change of their numbers leaves what these limits are on as it is. It goes on until a pair is
+    # not taken any more, or another limit binds.
     taken = dict[int, Fraction]()
     for policy, share in shares:
         for pair, number in flow_under(of, policy.pairs).numbers().items():

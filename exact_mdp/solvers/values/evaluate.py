@@ -239,10 +239,7 @@ class Evaluation(OfPolicy, Pictured):
 
     @cached_property
     def _power(self) -> int:
-        """The power of two that rewards and values are divided by before they are squared.
-
-        That is exact, and keeps their squares within the range of floats.
-        """
+        """The power of two over which squares of rewards and values are within the floats."""
         known = self.value[np.isfinite(self.value)]
         size = max(np.abs(self.chain.gain).max(initial=0.0), np.abs(known).max(initial=0.0))
         return int(np.frexp(size)[1])
@@ -532,10 +529,7 @@ def evaluate(
 
 
 def _closest(chain: PolicyChain, reward: Floats, error: Floats) -> FixedPoint:
-    """Return a policy's values by its equations, next to discount 1 by improving them in rounds.
-
-    Rounds are of models: those that a mixed policy leaves are put together exactly.
-    """
+    """Return a policy's values by its equations, next to discount 1 by improving them in rounds."""
     mdp = chain.mdp
     near = mdp.discount > NEARLY_ONE and mdp.discount_exact != 1
     if near and (chain.pure or mdp.n_transitions < COMPILED):

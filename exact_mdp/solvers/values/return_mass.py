@@ -48,11 +48,7 @@ class Flow:
     """
 
     def __init__(self, chain: PolicyChain, gain: Numbers, ends: Mask, *, exact: bool) -> None:
-        """Take a chain that ends, with (N,) rewards as multiples of a unit.
-
-        What comes to other ends than `ends` (S,) is left out. Masses are floats, or Fractions if
-        they are `exact`.
-        """
+        """Take a chain that ends, rewards (N,) as multiples of a unit, and the ends that count."""
         mdp = chain.mdp
         inside = chain.reached & ~mdp.terminal
         members = np.flatnonzero(inside)
