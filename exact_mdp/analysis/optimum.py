@@ -9,7 +9,6 @@ optimal in all states of that status that have a choice and are reached by some 
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar
@@ -20,8 +19,8 @@ from exact_mdp.mdp.errors import known
 from exact_mdp.mdp.graph import reachable, ways_out
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.choices import state_names
 from exact_mdp.mdp.report import Report, Shown, Table, ratio
-from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.dynamic.iterate import check_tolerance
@@ -101,13 +100,14 @@ class Optimum:
         status = "status" in mdp.space.names and not self.average
         stationary = self.stationary() if status else None
         policy = [mdp.actions[action] for action in np.asarray(self.best.policy)]
-        words: dict[str, Any] = {"policy": None, "policy_by_state": None}
+        key, reads, where, chosen = "policy_by_state", "state", "", None
         if {"subtask", "trial", "status"} <= set(mdp.space.names):
             column = mdp.space.column("status")
             first = {column.label(n): mdp.space.index(status=n) for n in range(column.size)}
-            words["policy"] = {label: policy[state] for label, state in first.items()}
+            key, reads, where = "policy", "status", " at subtask 0, trial 0"
+            chosen = {label: policy[state] for label, state in first.items()}
         elif mdp.n_states <= LISTED:
-            words["policy_by_state"] = dict(zip(state_names(mdp.space), policy, strict=True))
+            chosen = dict(zip(state_names(mdp.space), policy, strict=True))
         facts = {
             "claim": Shown(self.start.claim),
             "start_value": Shown(float(self.start), self.start),
@@ -126,7 +126,9 @@ class Optimum:
             "seconds": Shown(solution.seconds, f"{solution.seconds:.2g}") if solution else None,
             "status": Shown(str(solution.status) if solution else None),
             "solver": Shown(solution.solver if solution else None),
-            **words,
+            "policy": None,
+            "policy_by_state": None,
+            key: chosen,
         }
         if self.average:
             labels = state_names(mdp.space)
@@ -138,9 +140,6 @@ class Optimum:
             notes.append(
                 "the total reward is infinite, so policies cannot be compared: " + ways_out(mdp)
             )
-        key, reads, where = ("policy", "status", " at subtask 0, trial 0")
-        if not words["policy"]:
-            key, reads, where = ("policy_by_state", "state", "")
         columns = {reads: "", "action": "value"}
         table = Table(title=f"optimal action{where}, by {reads}", columns=columns, first=LISTED)
         return Report(title="optimum", facts=facts, tables={key: table}, notes=notes)
@@ -168,71 +167,12 @@ class Optimum:
         write_atomically(path, content.getvalue())
 
 
-def limited_report(best: ConstrainedSolution) -> Report:
-    """Return what an optimum under limits is, or that no policy keeps them."""
-    mdp, limits, feasible = best.of.mdp, best.limits, best.feasible
-    drawn = [{mdp.actions[a]: c for a, c in enumerate(row) if c} for row in best.rule]
-    said = ["they can be kept" if feasible else "no policy keeps them all (proven)"]
-    said += [
-        f"{low} and {high} contradict each other, whatever the model"
-        for low in limits
-        for high in limits
-        if (low.name, low.sign, high.sign) == (high.name, 1, -1) and low.bound > high.bound
-    ]
-    labels = {state: mdp.space.label(state) for state in best.randomises}
-    facts = {
-        "method": "limits",
-        "claim": Shown(best.claim),
-        "feasible": Shown(feasible, "; ".join(said)),
-        "start_value": Shown(best.start and float(best.start), best.start),
-        "error_bound": Shown(0.0 if feasible else None),
-        "exact_start_value": best.start_value,
-        "limits": [str(limit) for limit in limits],
-        "totals": Shown(best.totals),
-        "prices": Shown(best.prices),
-        "closest": Shown(best.closest),
-        "randomises": Shown(
-            [{"state": labels[s], "actions": each} for s, each in best.randomises.items()],
-            [*labels.values()],
-        ),
-        "policy": Shown(of_every_state(mdp, drawn)),
-    }
-    tables = {"moved": best.table(best.totals)}
-    return Report(title="optimum under limits", facts=facts, tables=tables, passed=feasible)
-
-
-def state_names(space: StateSpace) -> list[str]:
-    """Return a name for each state."""
-    if len(space.columns) == 1:
-        column = space.columns[0]
-        return [*(column.label(value) for value in range(column.size)), *space.extra]
-    return space.labels(range(space.size))
-
-
 def actions_of(mdp: MDP, pairs: Flags) -> list[tuple[str, ...]]:
     """Return the names of the actions that a set of pairs (L,) has in each state."""
     names: list[list[str]] = [[] for _ in range(mdp.n_states)]
     for pair in np.flatnonzero(pairs).tolist():
         names[mdp.pair_state[pair]].append(mdp.actions[mdp.pair_action[pair]])
     return [tuple(each) for each in names]
-
-
-def of_every_state(mdp: MDP, said: Sequence[Any]) -> dict[str, Any]:
-    """Return what is said of every state: by status where that alone decides, else by state.
-
-    Both are policies that a file may hold.
-    """
-    if "status" in mdp.space.names:
-        column = mdp.space.column("status")
-        status = mdp.space.values("status")
-        asked = np.flatnonzero(mdp.asked & (status >= 0)).tolist()
-        by_label = {
-            column.label(value): said[mdp.space.index(status=value)] for value in range(column.size)
-        }
-        by_label |= {column.label(int(status[state])): said[state] for state in asked}
-        if all(by_label[column.label(int(status[state]))] == said[state] for state in asked):
-            return by_label
-    return dict(zip(state_names(mdp.space), said, strict=True))
 
 
 def _serves_each_status(mdp: MDP, optimal: Flags) -> bool:

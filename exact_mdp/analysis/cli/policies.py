@@ -11,7 +11,7 @@ from typing import Any
 import exact_mdp
 from exact_mdp.analysis.cli.given import Given
 from exact_mdp.analysis.cli.words import limits_from, refuse
-from exact_mdp.analysis.optimum import limited_report, optimum, sound
+from exact_mdp.analysis.optimum import optimum, sound
 from exact_mdp.analysis.tradeoffs.front import Front
 from exact_mdp.analysis.tradeoffs.rationalize import Rationalization
 from exact_mdp.mdp.errors import ModelError
@@ -95,7 +95,7 @@ def solve(
         refuse(refused | {"--criterion average": average}, "limits")
         proof = sound(exact_mdp.solve(mdp, subject_to=limits_from(subject_to)))
         policy: Policy = proof.policy
-        solver, report = "limits", limited_report(proof)
+        solver, report = "limits", proof.report()
     else:
         if certificate and not certify and (average or endless(mdp)):
             what = "bounds are proved of totals of rewards where every policy ends"

@@ -11,7 +11,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from exact_mdp.analysis.optimum import state_names
 from exact_mdp.analysis.perception import ErrorCosts
 from exact_mdp.analysis.plots.style import (
     BLACK,
@@ -31,6 +30,7 @@ from exact_mdp.analysis.tradeoffs.front import Front
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, extra
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.choices import state_names
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import policy_of

@@ -27,11 +27,11 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.analysis.optimum import of_every_state
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.graph import strong_components
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.choices import of_every_state
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame

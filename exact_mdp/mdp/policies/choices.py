@@ -286,6 +286,33 @@ def _of_csv(model: MDP, text: str) -> Parts:
     return _of_chances(model, space, chances)
 
 
+def state_names(space: StateSpace) -> list[str]:
+    """Return a name for each state."""
+    if len(space.columns) == 1:
+        column = space.columns[0]
+        return [*(column.label(value) for value in range(column.size)), *space.extra]
+    return space.labels(range(space.size))
+
+
+def of_every_state(mdp: MDP, said: Sequence[Any]) -> dict[str, Any]:
+    """Return what is said of every state: by status where that alone decides, else by state.
+
+    Both are policies that a file may hold.
+    """
+    if "status" in mdp.space.names:
+        column = mdp.space.column("status")
+        status = mdp.space.values("status")
+        asked = np.flatnonzero(mdp.asked & (status >= 0)).tolist()
+        each = [(column.label(int(status[state])), said[state]) for state in asked]
+        by_label = {
+            column.label(value): said[mdp.space.index(status=value)] for value in range(column.size)
+        }
+        by_label |= dict(each)
+        if all(by_label[label] == one for label, one in each):
+            return by_label
+    return dict(zip(state_names(mdp.space), said, strict=True))
+
+
 def write(
     path: str | Path,
     space: StateSpace,

@@ -28,8 +28,9 @@ import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.choices import of_every_state
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.report import Table
+from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, data_frame
 from exact_mdp.mdp.table import Integers, Numbers, common, exact, shown
 from exact_mdp.solvers.bounds.gains import first_of
@@ -190,6 +191,38 @@ class ConstrainedSolution(TotalsProof):
         """The policy, with its exact probabilities."""
         mdp = self.of.mdp
         return Policy(space=mdp.space, actions=mdp.actions, rule=self.rule)
+
+    def report(self) -> Report:
+        """Return what the optimum under limits is, or that no policy keeps them."""
+        mdp, limits, feasible = self.of.mdp, self.limits, self.feasible
+        drawn = [{mdp.actions[a]: c for a, c in enumerate(row) if c} for row in self.rule]
+        said = ["they can be kept" if feasible else "no policy keeps them all (proven)"]
+        said += [
+            f"{low} and {high} contradict each other, whatever the model"
+            for low in limits
+            for high in limits
+            if (low.name, low.sign, high.sign) == (high.name, 1, -1) and low.bound > high.bound
+        ]
+        labels = {state: mdp.space.label(state) for state in self.randomises}
+        facts = {
+            "method": "limits",
+            "claim": Shown(self.claim),
+            "feasible": Shown(feasible, "; ".join(said)),
+            "start_value": Shown(self.start and float(self.start), self.start),
+            "error_bound": Shown(0.0 if feasible else None),
+            "exact_start_value": self.start_value,
+            "limits": Shown([str(limit) for limit in limits]),
+            "totals": Shown(self.totals),
+            "prices": Shown(self.prices),
+            "closest": Shown(self.closest),
+            "randomises": Shown(
+                [{"state": labels[s], "actions": each} for s, each in self.randomises.items()],
+                [*labels.values()],
+            ),
+            "policy": Shown(of_every_state(mdp, drawn)),
+        }
+        tables = {"moved": self.table(self.totals)}
+        return Report(title="optimum under limits", facts=facts, tables=tables, passed=feasible)
 
     def table(self, totals: Mapping[str, Fraction], keeps: Sequence[str] = ()) -> Table:
         """Return each limit with a policy's total of it, and its price or the closest to be kept.

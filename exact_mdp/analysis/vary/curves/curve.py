@@ -23,7 +23,7 @@ import numpy as np
 from flint import fmpq_poly
 
 from exact_mdp.analysis.gate.regret import limit_of
-from exact_mdp.analysis.optimum import actions_of, of_every_state
+from exact_mdp.analysis.optimum import actions_of
 from exact_mdp.analysis.vary.curves.checker import Bracket, CurvePiece, piece_violations
 from exact_mdp.analysis.vary.curves.equations import Mix, weighed
 from exact_mdp.analysis.vary.curves.roots import roots, roots_on, sign, simple
@@ -36,6 +36,7 @@ from exact_mdp.mdp.graph import endless
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, parametric
+from exact_mdp.mdp.policies.choices import of_every_state
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
@@ -251,7 +252,7 @@ class ValueFunction(Pictured):
                 "value to": "value_high:.10g",
                 "degree": "degree",
             },
-            note="each is a ratio of polynomials, whose exact coefficients --json prints",
+            note="each is a ratio of polynomials with exact coefficients",
         )
         return Report(title="curve", facts=facts, tables={"pieces": table})
 
