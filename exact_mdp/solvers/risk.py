@@ -27,6 +27,7 @@ import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.exact import fraction, rational
 from exact_mdp.mdp.graph import termination, topological_levels
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions import NO_DATA, ONE_COMPONENT
@@ -275,19 +276,20 @@ class CVaROptimum(Result):
         pair = self.pairs[self.budgeted.place(state, int(wanted))]
         return str(self.mdp.actions[self.mdp.pair_action[pair]])
 
+    @cached_property
     def _met(self) -> dict[int, dict[Fraction, Fraction]]:
         """Return how likely each reward so far is in each state under the policy."""
         of, aim = self.budgeted, int(self.threshold / self._unit)
-        met = [defaultdict[int, Fraction](Fraction) for _ in range(of.mdp.n_states)]
+        met = [defaultdict[int, Any](int) for _ in range(of.mdp.n_states)]
         for state, weight in of.mdp.start:
-            met[state][0] += weight
-        row = cache(of.table.row)
+            met[state][0] += rational(weight)
+        row = cache(lambda l: [(rational(p), to, int(k)) for p, to, k in of.table.row(l)])
         for state in reversed(of.order):
             for so_far, mass in met[state].items():
                 for p, to, k in row(int(self.pairs[of.place(state, aim - so_far)])):
-                    met[to][so_far + int(k)] += mass * p
+                    met[to][so_far + k] += mass * p
         return {
-            state: dict(sorted((self._unit * k, mass) for k, mass in own.items()))
+            state: dict(sorted((self._unit * k, fraction(mass)) for k, mass in own.items()))
             for state, own in enumerate(met)
             if own
         }
@@ -296,7 +298,7 @@ class CVaROptimum(Result):
         """Return what the policy does as (state, from, to, action), for rewards so far it meets."""
         groups = (
             (state, action, [*group])
-            for state, so_far in self._met().items()
+            for state, so_far in self._met.items()
             if self.mdp.asked[state]
             for action, group in groupby(so_far, partial(self.action, state))
         )
@@ -305,7 +307,7 @@ class CVaROptimum(Result):
     def distribution(self) -> dict[Fraction, Fraction]:
         """Return the exact probability of every return under the policy, in rising order."""
         total = defaultdict[Fraction, Fraction](Fraction)
-        for state, masses in self._met().items():
+        for state, masses in self._met.items():
             for value, mass in masses.items() if self.mdp.terminal[state] else ():
                 total[value] += mass
         return dict(sorted(total.items()))
@@ -351,7 +353,6 @@ class CVaROptimum(Result):
             title="best policy for the worst episodes, by state and reward so far",
             columns={"state": "state", "from": "from:.10g", "to": "to:.10g", "action": "action"},
             first=RULES,
-            note="--policy-out FILE writes it",
         )
         return Report(title="mean of the worst episodes", facts=facts, tables={"policy": rules})
 
