@@ -13,7 +13,7 @@ exact ones, a sum is off by at most Σ d e_Q + e_d (|Q| + e_Q) and its own round
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,7 +24,7 @@ from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, at_most
-from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
+from exact_mdp.mdp.result import DataFrame, Pictured, data_frame, framed
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, gamma
 from exact_mdp.solvers.solution import Bounded
@@ -94,11 +94,8 @@ class ErrorCosts(Pictured):
     def report(self) -> Report:
         """Return the value, what the errors of each status cost, and the costliest confusions."""
         names = ("missed", "seen", "by_sensitivity", "by_specificity")
-        frame, digits = self.frame(), ".4f"
-        true, seen, loss, marginal = frame.columns
         headings = ("missed", "seen wrongly", "per unit of sensitivity", "of specificity")
-        each = {title: f"{name}:{digits}" for title, name in zip(headings, names, strict=True)}
-        costs = {"loss": f"{loss}:{digits}", "per unit of probability": f"{marginal}:{digits}"}
+        each = {title: f"{name}:.4f" for title, name in zip(headings, names, strict=True)}
         confusions = {"loss": self.loss, "marginal": self.marginal, "error_bound": self.error}
         return Report(
             title="errors of perception",
@@ -117,12 +114,7 @@ class ErrorCosts(Pictured):
                     f"{at_most(self.error)})",
                     columns={"status": "", **each},
                 ),
-                "costliest": Table(
-                    title="the costliest confusions",
-                    rows=frame,
-                    columns={"true": true, "perceived": seen, **costs},
-                    first=12,
-                ),
+                "costliest": replace(framed(self.frame(), "the costliest confusions"), first=12),
             },
         )
 

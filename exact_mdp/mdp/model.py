@@ -37,7 +37,7 @@ from exact_mdp.mdp.forms.numbers import whole_numbers
 from exact_mdp.mdp.io.gymnasium import FromGymnasium
 from exact_mdp.mdp.io.transitions import FromTransitions
 from exact_mdp.mdp.questions import Questions
-from exact_mdp.mdp.result import ROWS_SHOWN, ByFields, DataFrame, as_html, data_frame
+from exact_mdp.mdp.result import ROWS_SHOWN, ByFields, DataFrame, data_frame, plain_report
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats, Integers, Numbers, OutcomeTable, distinct, divide
 from exact_mdp.mdp.validate import (
@@ -238,7 +238,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
 
     def _repr_html_(self) -> str:
         few = self._outcomes(range(min(self.n_pairs, ROWS_SHOWN)))
-        return as_html(repr(self), few, rows=len(self.table.next))
+        return plain_report(self, few, len(self.table.next)).html(ROWS_SHOWN)
 
     @property
     def _rate(self) -> str:

@@ -1,4 +1,4 @@
-"""What a result says of itself, once: text, JSON, Markdown and pages are made from it.
+"""What a result says of itself, once: text, JSON, Markdown and HTML are made from it.
 
     type                in JSON                                  for people
     Certified, Bounded  {"value": x, "error_bound": e}           117.07 (bounded, within 2e-12)
@@ -21,11 +21,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from decimal import ROUND_UP, Context, Decimal, Inexact, localcontext
 from fractions import Fraction
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import flint
 import numpy as np
 
+from exact_mdp.mdp.errors import shown_text
 from exact_mdp.mdp.table import shown
 
 FORMAT = 2  # of the JSON: another number where a key changes its meaning or goes
@@ -33,6 +36,7 @@ DIGITS = 10  # significant digits of a number in a table
 SHORT = 12  # letters of an exact number; of a longer one, its digits
 SHOWN = 40  # rows of a table
 ON_A_LINE = 6  # entries of a mapping that is a fact, not a table
+TEMPLATE = Path(__file__).with_suffix(".html.j2")
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,7 @@ class Table:
     rows: Any = ()
     first: int = SHOWN
     note: str = ""
+    count: int = 0  # rows that there are, where `rows` are only the first
 
     def heading(self) -> str:
         """Return the title, with the number of rows where not all are shown."""
@@ -129,6 +134,10 @@ class Report:
                 tables.append(replace(table, rows=rows))
         return tables
 
+    def html(self, first: int) -> str:
+        """Return what a notebook shows: title, notes, lines, and the first rows of tables."""
+        return str(template(TEMPLATE).module.notebook(self, first))
+
     def _seen(self) -> Iterator[tuple[str, Any]]:
         for key, value in self.facts.items():
             value = value.text if isinstance(value, Shown) else value
@@ -159,6 +168,26 @@ def _table(title: str, value: Any) -> Table:
 
     shown = [key for key in keys if all(flat(row.get(key)) for row in rows)]
     return Table(title=title, rows=rows, columns={key.replace("_", " "): key for key in shown})
+
+
+@cache
+def template(path: Path) -> Any:
+    r"""Return a template of HTML, which may import that of reports; an undefined name is an error.
+
+    Names stay text: jinja2 escapes what stands in elements and attributes, `tojson` what a script
+    reads, and characters that steer a terminal or turn text around are written as `\x1b`.
+    """
+    import jinja2
+
+    return jinja2.Environment(
+        loader=jinja2.FileSystemLoader([path.parent, TEMPLATE.parent]),
+        undefined=jinja2.StrictUndefined,
+        autoescape=True,
+        finalize=lambda value: shown_text(value, lines=True) if type(value) is str else value,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    ).get_template(path.name)
 
 
 def claimed(key: str, number: Any) -> dict[str, Any]:

@@ -1,21 +1,19 @@
 """What every result offers: `frame()`, a table; `plot()`, where there is a picture; a short text.
 
 A result says what it found in `value`, with its claim, and how far it may be off in `error`; it has
-a `policy` where there is one. In a notebook it shows the first rows of its table.
+a `policy` where there is one. A notebook shows its report.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import fields
-from fractions import Fraction
-from html import escape
 from reprlib import Repr
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from exact_mdp.mdp.report import cell
+from exact_mdp.mdp.report import Report, Table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -65,12 +63,12 @@ class Result(Brief, ABC):
     def frame(self) -> DataFrame:
         """Return the result as a table, one row for each thing found."""
 
+    def report(self) -> Report:
+        """Return what the result says: its text with its claim, and its table."""
+        return plain_report(self, self.frame())
+
     def _repr_html_(self) -> str:
-        said, claim = repr(self), getattr(self, "claim", "")
-        frame = self.frame()
-        return as_html(
-            said + (f" ({claim})" if str(claim) not in said else ""), frame, rows=len(frame)
-        )
+        return self.report().html(ROWS_SHOWN)
 
 
 class Pictured(Result):
@@ -109,15 +107,22 @@ def data_frame(*content: Any, **settings: Any) -> DataFrame:
     return pandas.DataFrame(*content, **settings)
 
 
-def as_html(said: str, frame: DataFrame, *, rows: int) -> str:
-    """Return a line and the first rows of a table of so many, as a notebook shows them."""
-    head = frame.head(ROWS_SHOWN).copy()
-    for name, kind in head.dtypes.items():
-        if kind.kind == "O":
-            head[name] = [cell(each) if isinstance(each, Fraction) else each for each in head[name]]
-    more = rows - len(head)
-    rest = f"<p>… and {more:,} rows more: <code>.frame()</code></p>" if more else ""
-    return f"<p>{escape(said)}</p>{head.to_html(border=0)}{rest}"
+def plain_report(thing: object, frame: DataFrame, count: int = 0) -> Report:
+    """Return a report of something's text and table, as `framed` takes it."""
+    said, claim = repr(thing), str(getattr(thing, "claim", ""))
+    title = said if claim in said else f"{said} ({claim})"
+    return Report(title=title, facts={}, tables={"rows": framed(frame, count=count)})
+
+
+def framed(frame: DataFrame, title: str = "", count: int = 0) -> Table:
+    """Return a table of a frame; of so many rows where these are only the first."""
+    frame = frame.reset_index() if frame.index.name else frame
+    columns: dict[str, str] = {}
+    for key, (name, kind) in enumerate(frame.dtypes.items()):
+        again = " " * (name in columns)  # a parameter may have the name of another column
+        columns[f"{name}{again}"] = f"{key}:.6g" if kind.kind == "f" else f"{key}"
+    rows = frame.set_axis([*map(str, range(len(columns)))], axis=1)
+    return Table(title=title, columns=columns, rows=rows, count=count)
 
 
 def _text(value: Any) -> str:

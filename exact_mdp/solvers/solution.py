@@ -23,7 +23,8 @@ import numpy as np
 
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
+from exact_mdp.mdp.report import Report
+from exact_mdp.mdp.result import ROWS_SHOWN, DataFrame, Pictured, data_frame, plain_report
 from exact_mdp.mdp.table import Floats, Integers
 
 NORMAL = 1.959963984540054  # the 97.5 % quantile of the standard normal distribution
@@ -309,9 +310,16 @@ class Found(Valued):
 
     def frame(self) -> DataFrame:
         """Return the value, its error bound and the action of each state."""
-        columns = {"value": self.value, "error": self.error}
-        taken = {} if self.policy is None else {"action": self.policy}
+        return self._states(self.mdp.n_states)
+
+    def _states(self, n: int) -> DataFrame:
+        columns = {"value": self.value[:n], "error": self.error[:n]}
+        taken = {} if self.pairs is None else {"action": self.mdp.pair_action[self.pairs[:n]]}
         return by_state(self.mdp, columns | taken)
+
+    def report(self) -> Report:
+        """Return its text, and the first states."""
+        return plain_report(self, self._states(ROWS_SHOWN), self.mdp.n_states)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -388,10 +396,11 @@ def least(mdp: MDP, solved: Callable[[MDP], Any]) -> Any:
 
 
 def by_state(mdp: MDP | None, columns: Mapping[str, Any]) -> DataFrame:
-    """Return columns (S,) beside the states, and `action` by name; by number without a model."""
+    """Return columns beside the first states, and `action` by name; by number without a model."""
+    states = range(len(next(iter(columns.values()))))
     if mdp is None:
-        return data_frame({"state": range(len(columns["action"])), **columns})
-    names = {"state": mdp.space.labels(range(mdp.n_states)), **columns}
+        return data_frame({"state": states, **columns})
+    names = {"state": mdp.space.labels(states), **columns}
     if "action" in columns:
         names["action"] = [mdp.actions[action] for action in columns["action"].tolist()]
     return data_frame(names)

@@ -212,8 +212,8 @@ def plain(result: Any) -> Any:
         return {str(name): plain(each) for name, each in result.items()}
     if hasattr(result, "violations"):
         assert result.violations() == []
-    if hasattr(result, "report"):
-        return json.loads(result.report().json())
+    if hasattr(result, "report") and (report := result.report()).facts:
+        return json.loads(report.json())
     frame = result.frame() if hasattr(result, "frame") else result
     return frame.to_dict("list") if isinstance(frame, pd.DataFrame) else result
 

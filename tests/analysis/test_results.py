@@ -5,8 +5,11 @@ import inspect
 import pkgutil
 import re
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from fractions import Fraction as F
 from functools import cache
+from html import unescape
+from typing import Any
 from xml.etree import ElementTree
 
 import matplotlib as mpl
@@ -14,6 +17,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas
 import pytest
+import scipy.sparse as sparse
 from matplotlib.axes import Axes
 
 import exact_mdp as em
@@ -52,7 +56,7 @@ def recorded() -> em.Audit:
 
 
 # One of each kind of result. A new kind is added here; the first test says so.
-MADE: dict[str, Callable[[], object]] = {
+MADE: dict[str, Callable[[], Any]] = {
     "Audit": lambda: em.check(care(), "always:directive"),
     "AverageEvaluation": lambda: em.evaluate(care(), "random", criterion="average"),
     "AverageSolution": lambda: em.solve(care(), criterion="average"),
@@ -129,7 +133,8 @@ def test_a_result_shows_itself(name: str) -> None:
     frame = result.frame()
     assert len(frame.columns) > 0
     page = result._repr_html_()
-    assert page.count("<tr") <= LINES + 2
+    tables = page.split("<table")[1:]
+    assert all(table.count("<tr") <= LINES + 1 for table in tables)
     assert str(getattr(result, "claim", "")) in page
     assert len(ElementTree.fromstring(f"<div>{page}</div>"))  # every element is closed
     if hasattr(result, "plot"):
@@ -179,8 +184,79 @@ def test_a_table_has_names_and_decimals() -> None:
     assert proof.frame()["value"].tolist() == [float(value) for value in proof.value]
     assert proof.frame()["exact"].tolist() == list(proof.value)
     assert len(str(proof.value[0])) > 40
-    page = proof._repr_html_()
-    assert max(len(cell) for cell in re.findall("<td>(.*?)</td>", page)) < 25
+    assert max(len(cell) for row in cells(proof._repr_html_()) for cell in row) < 25
+
+
+# ---- a notebook shows the report -----------------------------------------------------------------
+
+
+def cells(page: str) -> list[list[str]]:
+    """Return the cells of each row, as people see them."""
+    rows = re.findall("<tr>(.*?)</tr>", page, re.DOTALL)
+    return [[*map(unescape, re.findall("<t[dh][^>]*>(.*?)</t[dh]>", row))] for row in rows]
+
+
+@pytest.mark.parametrize("name", [name for name in MADE if name != "Explorer"])
+def test_a_notebook_shows_all_that_a_report_says(name: str) -> None:
+    """Only rows are left out, and then the view says how many."""
+    result = MADE[name]()
+    report, page = result.report(), result._repr_html_()
+    text = "".join(ElementTree.fromstring(f"<div>{page}</div>").itertext())
+    lines = [word for line in report.lines().items() for word in line]
+    assert all(said in text for said in [report.title, *report.notes, *lines])
+    more = []
+    for table in report.shown_tables():
+        assert table.title in text
+        assert table.note in text
+        shown = replace(table, first=min(table.first, 20)).cells()
+        assert all(row in cells(page) for row in [[*map(str.rstrip, table.columns)], *shown])
+        more.append(max(table.count, len(table.rows)) - len(shown))
+    assert re.findall(r"([\d,]+) rows more", text) == [f"{rows:,}" for rows in more if rows]
+
+
+def test_names_are_shown_as_they_are() -> None:
+    names = ["<script>alert(1)</script>", "a & b", "&lt;", "'\""]
+    ways = np.eye(4)[[1, 2, 3, 3]]
+    mdp = em.MDP.from_arrays(
+        [ways, ways[::-1]], np.eye(4)[:, :2], 0.5, states=names, actions=names[:2]
+    )
+    mixed = {names[0]: "1/2", names[1]: "1/2"}
+    given = {name: names[1] if name == names[3] else mixed for name in names}
+    audit = em.check(mdp, given)
+    for result in (mdp, em.Policy.of(mdp, given), em.solve(mdp), em.certify(mdp), audit):
+        page = result._repr_html_()
+        seen = ElementTree.fromstring(f"<div>{page}</div>")
+        assert not seen.findall(".//script")
+        assert names[0] in " ".join(seen.itertext())
+
+
+def test_few_states_of_a_large_model_are_made_for_a_notebook() -> None:
+    size = 100_000
+    to = np.minimum(np.arange(size) + 1, size - 1)
+    walk = sparse.csr_array((np.ones(size), (np.arange(size), to)), shape=(size, size))
+    mdp = em.MDP.from_arrays([walk, walk], np.eye(2)[np.arange(size) % 2], discount=0.5)
+    for result in (em.solve(mdp), em.solve(mdp, criterion="average")):
+        (table,) = result.report().shown_tables()
+        assert (len(table.rows), table.count) == (20, size)
+        assert len(cells(page := result._repr_html_())) == 21
+        assert "99,980 rows more" in page
+        assert [*map(str, table.rows["0"])] == result.frame()["state"][:20].tolist()
+
+
+def test_a_parameter_may_be_called_as_a_column_is() -> None:
+    mdp = em.MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
+    table = em.study(em.moving(mdp, {"value": [(0, 0)]}), {"value": [0.5]})
+    head, row = cells(table._repr_html_())
+    assert [word.strip() for word in head[:2]] == ["value", "value"]
+    assert row[:2] == ["0.5", "2"]
+
+
+def test_what_each_parameter_is_worth_to_know_is_left_to_those_who_ask() -> None:
+    draws = MADE["PSA"]()
+    assert [bool(draws.report(evppi=asked).facts["evppi"].value) for asked in (False, True)] == [
+        False,
+        True,
+    ]
 
 
 # ---- models, policies and scenarios --------------------------------------------------------------
@@ -227,6 +303,6 @@ def test_a_scenario_is_a_table_of_its_parameters() -> None:
     frame = scenario.frame()
     assert dict(zip(frame["parameter"], frame["value"], strict=True)) == scenario.values()
     page = scenario._repr_html_()
-    assert page.startswith("<p>Scenario(yuan2025: 4 statuses")
-    assert "<td>base.anger</td>\n      <td>1/7</td>" in page
+    assert page.startswith("<p><strong>Scenario(yuan2025: 4 statuses")
+    assert ["base.anger", "1/7", "0", "1"] in cells(page)
     assert f"and {len(frame) - 20} rows more" in page

@@ -17,7 +17,7 @@ from exact_mdp.analysis.gate import check as gate
 from exact_mdp.analysis.gate.audit import Audit
 from exact_mdp.analysis.layout import MOST_CELLS, arrange, cells
 from exact_mdp.analysis.learning.trainers import TrainerAudit
-from exact_mdp.analysis.pages.page import ADVICE, render
+from exact_mdp.analysis.pages import ADVICE, render
 from exact_mdp.mdp.errors import known
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.report import Report, Shown

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from exact_mdp.analysis.cli.words import typed
-from exact_mdp.analysis.pages.page import ADVICE
+from exact_mdp.analysis.pages import ADVICE
 from exact_mdp.analysis.record import run_record
 from exact_mdp.mdp.care import perception as seeing
 from exact_mdp.mdp.care.scenario import ScenarioFamily

@@ -14,7 +14,7 @@ import exact_mdp
 from exact_mdp.analysis.cli.given import Given, advice
 from exact_mdp.analysis.cli.words import pairs_of
 from exact_mdp.analysis.gate.data.interval import cut_off, entered, never_taken, observations_of
-from exact_mdp.analysis.pages.page import ADVICE
+from exact_mdp.analysis.pages import ADVICE
 from exact_mdp.mdp.care import lint as linter
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import Termination, is_acyclic, reachable, termination

@@ -228,10 +228,10 @@ def returns(given: Given, policy: Policy, *, exact: bool = False) -> Report:
     "p/q", or null; mean: expected return; sd: standard deviation of the return.
     """
     law = exact_mdp.return_distribution(given.mdp, policy, exact=exact)
-    moments = exact_mdp.evaluate(given.mdp, policy).report().facts
-    mean, sd = moments["mean"], moments["sd"]
+    report, moments = law.report(), exact_mdp.evaluate(given.mdp, policy).report().facts
     bounds = {name: moments["error_bounds"].value[name] for name in ("mean", "sd")}
-    return given.report(law.report(), mean=mean, sd=sd, error_bounds=Shown(bounds))
+    more = {name: moments[name] for name in bounds} | {"error_bounds": Shown(bounds)}
+    return given.report(replace(report, facts={**report.facts, **more}))
 
 
 def simulate(given: Given, policy: Policy, *, episodes: int, seed: int = 0) -> Report:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Any, Literal
 
 from exact_mdp.analysis import ci
-from exact_mdp.analysis.pages.page import ADVICE
+from exact_mdp.analysis.pages import ADVICE
 from exact_mdp.mdp.errors import ModelError, shown_text
 from exact_mdp.mdp.report import Report
 

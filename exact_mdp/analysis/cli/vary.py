@@ -247,7 +247,7 @@ def psa(
     n = samples or (10_000 if solver_of(model, ()).compiled else 500)
     how = _work(n_jobs, out)
     result = exact_mdp.psa(model, n, rng=seed, uncertain=chosen, policy=given.fixed, **how)
-    report = result.report(given.policy or "optimal")
+    report = result.report(given.policy or "optimal", evppi=True)
     report = _report(given, "psa", report, effective_sample_size=chosen.default)
     return given.saved(report, out, "psa.json", ("psa", seed))
 

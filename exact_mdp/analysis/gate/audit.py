@@ -196,13 +196,14 @@ class Audit(Pictured):
             row
             | {"label": row["state"], "state": row["number"]}
             | {"optimal": " or ".join(row["optimal_actions"])}
-            for row in self._rows()
+            for row in self._listed
         ]
         names = ["state", "label", "learned", "optimal", "cost", "share", "gap", "expected_visits"]
         return data_frame(rows, columns=names[: 8 if full else 7]).set_index("state")
 
-    def _rows(self) -> list[dict[str, Any]]:
-        """Return each disagreement with its share of all that is lost, where that is finite."""
+    @cached_property
+    def _listed(self) -> list[dict[str, Any]]:
+        """Each disagreement with its share of all that is lost, where that is finite."""
         lost = sum(each.cost for each in self.disagreements)
         return [
             {
@@ -386,7 +387,8 @@ class Audit(Pictured):
         """Return the verdicts, what is lost, where, and why; `explain` as in `message`."""
         mdp, lost, by_visits = self.mdp, self.regret, self.agreement_by_visits
         why = self.representation if explain else None
-        by_state = zip(mdp.space.labels(range(mdp.n_states)), lost.by_state.tolist(), strict=True)
+        labels = map(mdp.space.label, range(mdp.n_states))  # made where they are read
+        by_state = zip(labels, lost.by_state.tolist(), strict=True)
         infinite = "infinite" if isinf(lost.optimal.value) else "0, or may be"
         undefined = f"undefined: the optimal value is {infinite}"
         ratio = self.relative_regret
@@ -394,7 +396,7 @@ class Audit(Pictured):
         agree = f"{self.agreement:.1%} of the states with a choice, {share} of the visits to them"
         if self.never_reached:
             agree += f"; {self.never_reached} wrong states are never reached from {self.begins}, "
-            agree += "and cost nothing: --start STATE begins elsewhere"
+            agree += "and cost nothing: mdp.with_(start=…), or --start, begins elsewhere"
 
         def claimed(value: Certified | Bounded) -> Shown:
             return Shown(float(value.value), value if self.feasible else None)
@@ -420,7 +422,7 @@ class Audit(Pictured):
             "agreement": Shown(self.agreement, agree),
             "agreement_by_visits": Shown(by_visits),
             "unclear": Shown(self.unclear, self.unclear or None),
-            "disagreements": self._rows(),
+            "disagreements": self._listed,
             "regret_by_state": Shown(dict(by_state) if mdp.n_states <= LISTED_STATES else None),
             **self.criterion.facts(),
             **(dict.fromkeys(("representation", "rows")) if why is None else why.facts()),
@@ -443,7 +445,7 @@ class Audit(Pictured):
         )
         notes = [UNEXPLAINED] if explain and self._partial and why is None else []
         if self.interval is not None:
-            notes += [f"assumed: {each}" for each in self.interval.assumptions]
+            notes += self.interval.report().notes
         return Report(
             title="audit",
             facts=facts,

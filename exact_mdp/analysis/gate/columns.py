@@ -66,6 +66,10 @@ class BestPolicy(Result):
             if chances.max() > 0
         }
 
+    def __repr__(self) -> str:
+        read = ", ".join(self.columns)
+        return f"BestPolicy({read}: value {self.value}; bound on others {self.upper_bound:.6g})"
+
     def frame(self) -> DataFrame:
         """Return the policy, one row for each combination of values of the columns."""
         return data_frame([*self.actions.items()], columns=["row", "action"])

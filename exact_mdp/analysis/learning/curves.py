@@ -35,6 +35,9 @@ class LearningCurve(Pictured):
     experiments: int
     cut_short: int  # experiments that did not end; they are counted as far as they went
 
+    def __repr__(self) -> str:
+        return f"LearningCurve({len(self.value)} epochs, {self.experiments} experiments in each)"
+
     def frame(self) -> DataFrame:
         """Return one row for each epoch."""
         return data_frame(

@@ -147,7 +147,7 @@ class TrainerAudit(Pictured):
 
     def report(self, policies: Sequence[str] | None = None) -> Report:
         """Return the verdict and the runs, with the names of their policies where given."""
-        names = self.names if policies is None else [policies[run] for run in self.names]
+        names = [str(run) if policies is None else policies[run] for run in self.names]
         rows = self.frame().drop(columns="run").assign(policy=names).to_dict("records")
         facts = {
             "passed": Shown(self.passed, self.message()),

@@ -23,7 +23,7 @@ import numpy as np
 from exact_mdp.analysis.gate.regret import proven
 from exact_mdp.analysis.layout import MOST_CELLS, arrange
 from exact_mdp.analysis.optimum import actions_of
-from exact_mdp.analysis.pages.page import render
+from exact_mdp.analysis.pages import render
 from exact_mdp.analysis.vary.curves import curve as exact_curves
 from exact_mdp.analysis.vary.curves.checker import RationalFunction
 from exact_mdp.analysis.vary.curves.curve import ValueFunction
@@ -34,8 +34,8 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Family, Parametric, parameter_of, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.report import Report, Table
-from exact_mdp.mdp.result import DataFrame, Result
+from exact_mdp.mdp.report import Report
+from exact_mdp.mdp.result import DataFrame, Result, framed
 from exact_mdp.mdp.table import shown
 from exact_mdp.mdp.validate import Flags, counted
 
@@ -74,11 +74,8 @@ class Explorer(Result):
     def report(self) -> Report:
         """Return the pieces of the optimal value."""
         also = [self.second.name] if self.second else []
-        columns = {name: f"{name}:.6g" for name in also}
-        columns |= {"from": "low:.10g", "to": "high:.10g"}
-        columns |= {"value": "value_low:.10g", "": "value_high:.10g"}
         facts = {"parameters": [self.curves[0].parameter.name, *also], "pieces": len(self.frame())}
-        table = Table(title="pieces of the optimal value", rows=self.frame(), columns=columns)
+        table = framed(self.frame(), "pieces of the optimal value")
         return Report(title="explorer", facts=facts, tables={"listed": table})
 
     def page(self, *, rerun: str = "") -> str:

@@ -33,7 +33,8 @@ from exact_mdp.mdp.errors import ModelError, known
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
+from exact_mdp.mdp.report import Report
+from exact_mdp.mdp.result import DataFrame, Pictured, data_frame, framed
 from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import RNG, seed_of
 from exact_mdp.solvers.solution import Claim
@@ -123,6 +124,13 @@ class CostEffectiveness(Pictured):
         for one, other in pairwise(efficient):
             rows.loc[other, list(STEP)] = step(one, other)
         return rows
+
+    def report(self) -> Report:
+        """Return cost, effect and ICER of every strategy, and its chance to be the best."""
+        chances = framed(self.frame(self.grid(11)), "shares of draws in which each is the best")
+        strategies = framed(self.icers(), "strategies, the cheapest first")
+        tables = {"strategies": strategies, "chances": chances}
+        return Report(title=repr(self), facts={}, tables=tables)
 
     def frame(self, wtp: ArrayLike | None = None) -> DataFrame:
         """Return one row for each willingness to pay: CEAC, frontier, EVPI."""

@@ -168,9 +168,9 @@ class PSA(Pictured):
             by_group[label] = replace(each, doubts=(*each.doubts, *doubt))
         return by_group
 
-    def report(self, policy: str = "optimal") -> Report:
-        """Return what the draws show; `policy` is what the policy held fixed is called."""
-        partly = self.evppi() if len(self) >= FEWEST else {}
+    def report(self, policy: str = "optimal", *, evppi: bool = False) -> Report:
+        """Return what the draws show, with EVPPI if asked; `policy` names the one held fixed."""
+        partly = self.evppi() if evppi and len(self) >= FEWEST else {}
         partly = dict(sorted(partly.items(), key=lambda item: -item[1].regression.value))
         information, regret, numbers = self.evpi(), self.regret(), range(len(self.candidates))
         names = [candidate.name for candidate in self.candidates]

@@ -31,7 +31,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, cell, claimed, plain
-from exact_mdp.mdp.result import DataFrame, Result, data_frame
+from exact_mdp.mdp.result import DataFrame, Result, data_frame, framed
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.solvers.robust.divergence import Likelihood, RelativeEntropy
 from exact_mdp.solvers.robust.robust import Nature, RobustSolution, solve_robust
@@ -85,9 +85,9 @@ class Robust(Result):
 
     def report(self) -> Report:
         """Return the values under the tables, and under nature's worst and best."""
-        label = self.mdp.space.label
-        before = actions_of(self.mdp, self.policy > 0)
-        after = actions_of(self.mdp, self.robust.policy.weights(self.mdp) > 0)
+        label, moved = self.mdp.space.label, np.isin(self.mdp.pair_state, self.changed)
+        both = self.policy, self.robust.policy.weights(self.mdp)
+        before, after = (actions_of(self.mdp, moved & (weights > 0)) for weights in both)
         changes = [
             {"state": label(s), "before": " or ".join(before[s]), "after": after[s][0]}
             for s in self.changed.tolist()
@@ -242,13 +242,7 @@ class WorstPoint(Result):
                 "nature": "one choice of the parameters for all states",
                 "worst_case": Shown(value | {"point": point, "optimum": self.optimum}, said),
             },
-            tables={
-                "point": Table(
-                    title=f"the worst of {self.corners:,} corners",
-                    rows=self.frame(),
-                    columns={"parameter": "parameter", "at the worst point": "at:.6g"},
-                )
-            },
+            tables={"point": framed(self.frame(), f"the worst of {self.corners:,} corners")},
         )
 
     def frame(self) -> DataFrame:

@@ -61,6 +61,9 @@ class Study(Result):
     lost: Floats  # (D, A) each first action's cost, 0 if rounding, NaN if none; (D, 0): many starts
     cut: np.ndarray  # (D,) whether a chance was cut off at 1, of compiled solvers alone
 
+    def __repr__(self) -> str:
+        return f"Study({len(self.points):,} points of {', '.join(self.names[:3])})"
+
     @property
     def regret(self) -> Floats:
         """(D, N) what holding each policy costs; 0 where the errors leave open whether it does."""

@@ -26,7 +26,7 @@ import numpy as np
 
 from exact_mdp.mdp.errors import LONGEST_TEXT, ModelError, check_names, known
 from exact_mdp.mdp.parameter import Parameter
-from exact_mdp.mdp.result import as_html
+from exact_mdp.mdp.result import ROWS_SHOWN, plain_report
 from exact_mdp.mdp.table import Integers, exact
 from exact_mdp.mdp.validate import as_discount, counted
 
@@ -130,7 +130,7 @@ class Tables:
         return pandas.DataFrame(rows, columns=["parameter", "value", "low", "high"], dtype=object)
 
     def _repr_html_(self) -> str:
-        return as_html(repr(self), self.frame(), rows=len(self.parameters))
+        return plain_report(self, self.frame(), len(self.parameters)).html(ROWS_SHOWN)
 
     def __reduce__(self) -> tuple[Any, ...]:
         parts = {each.name: getattr(self, each.name) for each in fields(self)}

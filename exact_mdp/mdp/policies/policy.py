@@ -34,7 +34,7 @@ from exact_mdp.mdp.policies.arrays import (
     rows_read,
     space_read,
 )
-from exact_mdp.mdp.result import ROWS_SHOWN, ByFields, as_html
+from exact_mdp.mdp.result import ROWS_SHOWN, ByFields, plain_report
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     FLOAT_ROW_TOLERANCE,
@@ -238,7 +238,8 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         return [Fraction(int(share), total) for share in self.shares[row]] if total else []
 
     def _repr_html_(self) -> str:
-        return as_html(repr(self), self._rows(min(len(self), ROWS_SHOWN)), rows=len(self))
+        few = self._rows(min(len(self), ROWS_SHOWN))
+        return plain_report(self, few, len(self)).html(ROWS_SHOWN)
 
     def weights(self, model: MDP) -> Floats:
         """Return (L,) the probability of each pair given its state.

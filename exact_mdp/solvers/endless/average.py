@@ -79,9 +79,12 @@ class AverageSolution(Solution):
 
     def frame(self) -> DataFrame:
         """Return gain, bias, their error bounds, and the action of each state."""
-        frame = super().frame().rename(columns={"value": "gain"})
-        frame.insert(3, "bias", self.bias)
-        frame.insert(4, "bias error", self.bias_error)
+        return super().frame()
+
+    def _states(self, n: int) -> DataFrame:
+        frame = super()._states(n).rename(columns={"value": "gain"})
+        frame.insert(3, "bias", self.bias[:n])
+        frame.insert(4, "bias error", self.bias_error[:n])
         return frame
 
 

@@ -135,11 +135,8 @@ class Evaluation(OfPolicy, Pictured):
 
     def report(self) -> Report:
         """Return the mean and what it is made of, with quantiles."""
-        parts = self._components.items()
-        totals = [{"name": name, "total": number} for name, number in parts]
-        shares = self.quantiles or {}
+        shares, finite = self.quantiles or {}, isfinite(self.mean)
         rows = [{"share": share, "return": value} for share, value in shares.items()]
-        finite = isfinite(self.mean)
         return Report(
             title="value of a policy",
             facts={
@@ -157,8 +154,8 @@ class Evaluation(OfPolicy, Pictured):
             tables={
                 "totals": Table(
                     title="expected total of each reward component",
-                    rows=totals,
-                    columns={"component": "name", "total": "total"},
+                    rows=self._components,
+                    columns={"component": "", "total": "value"},
                 ),
                 "returns": Table(
                     title="quantiles of the return",

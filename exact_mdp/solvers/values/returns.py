@@ -236,7 +236,9 @@ class ReturnDistribution(Pictured):
         error = float(self.frame()["error"].max())
         facts: dict[str, Any] = {
             "claim": Shown(self.claim),
-            "error_bound": Shown(error, f"{at_most(error)} of each probability"),
+            "mean": self.mean,
+            "sd": self.sd,
+            "error_bound": Shown(error, f"{at_most(error)} of each probability ({self.claim})"),
             "remaining": Shown(self.remaining, self.remaining or None),
             "never_ends": Shown(self.never_ends, self.never_ends or None),
             "distribution": law,

@@ -20,7 +20,7 @@ from exact_mdp.analysis.vary.intervals import Ranged, share_of
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.transitions import CUT_OFF
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.report import Shown
+from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import Floats, Integers, exact, float_of
 from exact_mdp.mdp.validate import Flags
@@ -81,6 +81,11 @@ class RegretInterval(Result):
             "interval": found,
             "assumptions": Shown(self.assumptions),
         }
+
+    def report(self) -> Report:
+        """Return the interval, what else was found, and what it rests on."""
+        notes = [f"assumed: {each}" for each in self.assumptions]
+        return Report(title="interval of the regret", facts=self.facts(None), notes=notes)
 
     def frame(self) -> DataFrame:
         """Return the interval, and what else was found, in one row."""
