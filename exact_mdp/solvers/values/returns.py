@@ -16,6 +16,7 @@ functions and exponential utility maximization, SIAM J. Control and Optimization
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -144,7 +145,7 @@ class ReturnDistribution(Pictured):
         """Return the least return whose cdf is at least `share`; it may be infinite.
 
         A cdf that misses `share` by no more than its error bound counts as reaching it, so that
-        the median of a fair coin is tails, whatever the roundings.
+        the median of a fair coin is tails, whatever the roundings. Exact probabilities have none.
         """
         if not 0 <= share <= 1:
             raise ModelError(
@@ -152,10 +153,14 @@ class ReturnDistribution(Pictured):
                 where="quantile",
                 fix="choose a probability from 0 to 1",
             )
-        slack = (self.relative_error + self.remaining + len(self.multiples) * UNIT) * SLACK
-        if -inf in self.unending and share - slack <= self._infinite(-inf):
+        least, wanted = self._endless.get(-inf, 0), Fraction(str(share))  # the decimal of a float
+        sums: Any = [*accumulate(self.exact or (), initial=least)][1:]
+        if self.exact is None:
+            slack = (self.relative_error + self.remaining + len(self.multiples) * UNIT) * SLACK
+            sums, wanted = self._cumulative, wanted - Fraction(slack)
+        if -inf in self.unending and wanted <= least:
             return -inf
-        index = int(np.searchsorted(self._cumulative, share - slack))
+        index = bisect_left(sums, wanted)
         last = len(self.multiples) - 1
         if index > last and (inf in self.unending or last < 0):
             return max(self.unending)

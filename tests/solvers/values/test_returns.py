@@ -183,6 +183,15 @@ def test_runs_that_miss_a_goal() -> None:
     assert (law.as_dict(), law.quantile(1), law.mean) == ({-inf: 1.0}, -inf, -inf)
 
 
+def test_exact_quantiles_know_a_coin_that_is_hardly_unfair() -> None:
+    rare = F(1, 10**17)
+    rows = [(0, 0, [(F(1, 2) - rare, 1, 0), (F(1, 2) + rare, 1, 1)]), (1, 0, [(1, 1, 0)])]
+    law = return_distribution(MDP.from_outcomes(rows), "random", exact=True)
+    assert [law.quantile(share) for share in (0, 0.5, 0.4999999999999999, 1)] == [0, 1, 0, 1]
+    fair = return_distribution(coin(1, 0), "random", exact=True)
+    assert fair.quantile(0.5) == 0
+
+
 def test_few_returns_on_a_fine_lattice_are_found() -> None:
     law = return_distribution(coin(10**9, F(1, 10**9), ways=3), "random")
     assert law.probabilities.tolist() == [0.125, 0.375, 0.375, 0.125]
