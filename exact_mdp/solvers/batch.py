@@ -93,11 +93,12 @@ class Batch:
         alive = self.live[:, self.state]
         return np.where(alive, gain, 0.0), np.where(alive, error * SLACK, 0.0)
 
-    def solved(self, rows: Floats, reward: Floats) -> Floats:
-        """Return (D, S) the values of chains (D, S, S) with rewards (D, S)."""
-        rows = np.where(self.live[:, :, None], rows * self.rate[:, None, None], 0.0)
-        side = np.where(self.live, reward, 0.0)[:, :, None]
-        return np.asarray(np.linalg.solve(np.eye(rows.shape[1]) - rows, side)[:, :, 0])
+    def solved(self, rows: Floats, rewards: Floats) -> Floats:
+        """Return (D, S, C) the values of chains (D, S, S) with several rewards (D, S, C)."""
+        live = self.live[:, :, None]
+        rows = np.where(live, rows * self.rate[:, None, None], 0.0)
+        earned = np.where(live, rewards, 0.0)
+        return np.asarray(np.linalg.solve(np.eye(rows.shape[1]) - rows, earned))
 
     def improved(self, reward: Floats) -> tuple[Floats, Integers] | None:
         """Return values (D, S) and pairs (D, S), that no pair improves by more than rounding."""
@@ -105,7 +106,8 @@ class Batch:
         number = np.arange(len(self.state))
         for _ in range(POLICIES):
             try:
-                value = self.solved(self.rows[draw, pairs], reward[draw, pairs])
+                rewards = reward[draw, pairs][:, :, None]
+                value = self.solved(self.rows[draw, pairs], rewards)[:, :, 0]
             except np.linalg.LinAlgError:
                 return None
             if not np.isfinite(value).all():
@@ -153,11 +155,7 @@ class Batch:
         """Return the values at the start (D,) of a policy (L,), and bounds on their errors."""
         assert self.weights is not None
         weight, least = self.weights
-        share = chosen[None, :, None]
-        value = self.solved(
-            np.add.reduceat(self.rows * share, self.first, axis=1),
-            np.add.reduceat(self.reward * chosen, self.first, axis=1),
-        )
+        value = self._under(chosen, self.reward[:, :, None])[:, :, 0]
         gain, noise = self.gains(value)
         noise = noise + gamma(len(self.state) + 16) * np.abs(gain)
         off = np.abs(np.add.reduceat(gain * chosen, self.first, axis=1))
@@ -166,11 +164,12 @@ class Batch:
 
     def totals(self, chosen: Floats, amounts: Floats) -> Floats:
         """Return (D, C) the expected totals of amounts (D, L, C) under a policy (L,)."""
-        share = chosen[None, :, None]
-        rows = np.add.reduceat(self.rows * share, self.first, axis=1)
-        earned = np.add.reduceat(amounts * share, self.first, axis=1)
-        values = [self.solved(rows, earned[:, :, c]) for c in range(earned.shape[2])]
-        return np.asarray(np.einsum("ds,cds->dc", self.start, np.array(values)))
+        return np.asarray(np.einsum("ds,dsc->dc", self.start, self._under(chosen, amounts)))
+
+    def _under(self, chosen: Floats, amounts: Floats) -> Floats:
+        """Return (D, S, C) what a policy (L,) earns of amounts (D, L, C) from each state."""
+        each = (np.add.reduceat(x * chosen[:, None], self.first, 1) for x in (self.rows, amounts))
+        return self.solved(*each)
 
     def at_start(self, value: Floats, error: Floats) -> tuple[Floats, Floats]:
         """Return values (D, S) and their errors at the start, (D,) each."""

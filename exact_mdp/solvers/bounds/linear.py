@@ -430,10 +430,7 @@ def part(
 def policy_chain(
     mdp: MDP, pairs: Integers, reward: Floats | None = None
 ) -> tuple[sp.csr_array, Floats]:
-    """Return the (S, S) transitions between states that are not terminal, and rewards (S,).
-
-    A `reward` (L,) takes the place of the model's.
-    """
+    """Return transitions (S, S) between states that are not terminal, and rewards (S,)."""
     live, earned = ~mdp.terminal, mdp.reward if reward is None else reward
     chain = part(mdp.transition, pairs, live, inner=True)
     return chain, np.where(live, earned[pairs], 0.0)

@@ -151,10 +151,7 @@ Improved = tuple[Integers, Floats, int]
 
 
 def improved(step: MDP, pairs: Integers | None = None, most: int = POLICIES) -> Improved:
-    """Return a policy that is optimal up to rounding, from `pairs` (S,) or from a patient policy.
-
-    `step` is a model at discount 1 with rows that sum to 1.
-    """
+    """Return a policy that is optimal up to rounding, from `pairs` (S,) or a patient policy."""
     if pairs is None:
         pairs = _patient(step)
     seen: set[bytes] = set()

@@ -179,10 +179,7 @@ class FloatChain:
         return low, high
 
     def evaluated(self) -> tuple[FixedPoint, FixedPoint]:
-        """Return gain and bias (S,), in a model at discount 1 whose rows sum to 1.
-
-        Raises SolverError where double precision cannot bound them.
-        """
+        """Return gain and bias (S,); raises SolverError where floats cannot bound them."""
         mdp, classes = self.mdp, self.classes
 
         def of_policy(added: Gain) -> FixedPoint:

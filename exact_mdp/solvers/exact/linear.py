@@ -47,10 +47,7 @@ FAR = 128  # bits that a shared denominator may be longer than twice the longest
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Matrix:
-    """A square integer matrix of K rows with M entries.
-
-    What is worked out for one right side is kept for the next one.
-    """
+    """A square integer matrix of K rows with M entries, and what right sides have in common."""
 
     offsets: Integers  # (K+1,) where the rows begin
     column: Integers  # (M,) rising in each row

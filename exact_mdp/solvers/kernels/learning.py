@@ -104,8 +104,9 @@ def uniform(rng: Numbers) -> float:
 
 
 @inlined
-def first_state(rng: Numbers, start: Numbers, total: Floats) -> int:
+def first_state(rng: Numbers, tables: Tables) -> int:
     """Return a first state; where there is only one, nothing is drawn."""
+    start, total = tables.start, tables.start_total
     if len(start) == 1:
         return int(start[0])
     drawn = uniform(rng)
@@ -215,7 +216,7 @@ def learn(
     for epoch in range(len(epsilon)):
         chance, alpha, total = epsilon[epoch], rate[epoch], 0.0
         for episode in range(episodes):
-            state = first_state(rng, tables.start, tables.start_total)
+            state = first_state(rng, tables)
             planned, step = -1, 0
             while not terminal[at(state)]:
                 if step == max_steps:
@@ -285,7 +286,7 @@ def rollouts(
     for row in range(len(which)):
         q = scores[which[row]]
         for episode in range(returns.shape[1]):
-            state = first_state(rng, tables.start, tables.start_total)
+            state = first_state(rng, tables)
             total, weight, step = 0.0, 1.0, 0
             while not tables.terminal[state]:
                 if step == max_steps:

@@ -71,7 +71,7 @@ class Divergence(Ball):
         return q, short
 
     def _scale(self, p: Floats, d: Floats, scale: Floats, edge: Floats) -> Floats:
-        """Return t (K,) where s = scale e^t diverges just below `edge` (K,), or the lowest t."""
+        """Return about the least t (K,) where s = scale e^t has a divergence below `edge` (K,)."""
 
         def at(t: Floats, rows: Integers) -> tuple[Floats, Floats]:
             return self.at(p[rows], d[rows], scale[rows] * np.exp(t)[:, None])

@@ -207,11 +207,7 @@ class Game:
 
 
 def margins(game: Game) -> tuple[Floats, Floats]:
-    """Return weights (S,), and verified margins (T,) of the states that are not terminal.
-
-    Weights are levels where the model is acyclic, else 1 where γ < 1, else the greatest expected
-    number of steps.
-    """
+    """Return weights (S,), and verified margins (T,) of the states that are not terminal."""
     late = copy(game)  # both sides are after steps
     late.against, late.most, late.rewards = False, True, False
     if (order := topological_levels(game.mdp)) is not None:

@@ -244,11 +244,9 @@ class PolicyChain:
     @cached_property
     def stuck(self) -> Mask:
         """(S,) True where no terminal state can be reached any more."""
-        if not self.mdp.terminal.any():
-            return np.ones(self.mdp.n_states, dtype=bool)
-        if self.order is not None:
-            return np.zeros(self.mdp.n_states, dtype=bool)
-        return ~closure(self.graph.T.tocsr(), self.mdp.terminal)
+        if self.order is None and self.mdp.terminal.any():
+            return ~closure(self.graph.T.tocsr(), self.mdp.terminal)
+        return np.full(self.mdp.n_states, self.order is None)
 
     @cached_property
     def ends(self) -> Mask:
@@ -282,7 +280,7 @@ class PolicyChain:
     @property
     def ends_from_start(self) -> bool:
         """True where every episode ends with probability 1."""
-        return not (self.stuck.all() or (self.reached & self.stuck).any())
+        return not (self.reached & self.stuck).any()
 
     def require_end(self) -> None:
         """Raise ModelError, naming where the policy stays, unless every episode ends."""
@@ -401,9 +399,9 @@ class PolicyChain:
         return ExactChain(self.rows(Fraction(1)))
 
     @property
-    def exact_gain(self) -> Numbers:
-        """(S,) the average reward per step as Fractions."""
-        return long_run(self.exactly, self.exactly.reward)
+    def gain_sign(self) -> Numbers:
+        """(S,) the sign of the average reward per step."""
+        return np.sign(long_run(self.exactly, self.exactly.reward))
 
     def ended(self, states: Mask) -> PolicyChain:
         """Return the chain with some states (S,) made terminal."""
@@ -606,7 +604,7 @@ def parted(chain: PolicyChain) -> Parted:
     lost = {sign: each for sign, each in lost.items() if each.any()}
     value = sum(lost)
     if len(lost) == 2:
-        if not (sign := one_sign(mdp, np.sign(chain.exact_gain))):
+        if not (sign := one_sign(mdp, chain.gain_sign)):
             raise ModelError(
                 "gains and losses for ever have a mean of 0, and the mean return has no value",
                 where="policy",
@@ -622,4 +620,4 @@ def _signs(chain: PolicyChain, busy: Mask) -> Numbers:
         gain, _ = chain.going_on.evaluated()
         if not (busy & (np.abs(gain.value) <= gain.error)).any():
             return gain.value
-    return np.sign(chain.exact_gain)
+    return chain.gain_sign
