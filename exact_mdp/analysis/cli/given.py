@@ -233,7 +233,9 @@ class Given:
         """Return what was found, after what was asked; `more` are facts that stand between."""
         facts = {**self.head, **more, **report.facts}
         stops = "horizon" in self.has and not is_average(self.criterion)
-        notes = (*report.notes, *unlimited(self.mdp, "--horizon {}" * stops))
+        in_python = unlimited(self.mdp, "horizon={}" * stops)
+        notes = [each for each in report.notes if each not in in_python]
+        notes += unlimited(self.mdp, "--horizon {}" * stops)
         return replace(report, facts=facts, notes=(*notes, *advice(self.loaded)))
 
     def record(self, solver: str, seed: int | None = None) -> str:

@@ -403,7 +403,7 @@ class Audit(Pictured):
 
         checks = [{"name": v.name, "passed": v.passed, "text": v.text} for v in self.verdicts]
         facts: dict[str, Any] = {
-            "passed": Shown(self.passed, "yes" if self.passed else "FAILED"),
+            "passed": Shown(self.passed, "yes" if self.passed else "no: FAILED"),
             "checks": Shown(checks, "; ".join(each.told for each in self.verdicts)),
             **(self.interval.facts(self.max_regret) if self.interval is not None else {}),
             "claim": Shown(self.claim),
@@ -447,11 +447,11 @@ class Audit(Pictured):
         if self.interval is not None:
             notes += self.interval.report().notes
         return Report(
-            title="audit",
+            title=f"audit: {self.question}",
             facts=facts,
             tables=self.criterion.tables()
             | {"disagreements": wrong, "rows of the policy": changes},
-            notes=notes,
+            notes=[*notes, *self._unlimited],
             passed=self.passed,
         )
 
