@@ -61,9 +61,7 @@ EXACT_TRANSITIONS = 100_000
 EXACT_IN_TIME = 250_000  # of a model of episodes that stop: no cycle, a stage for each time
 EXACT_CYCLE = 200  # states of the largest cycle
 LAST_CYCLE = 500  # states of the largest cycle, where bounds leave a verdict open: about a second
-# Errors, as parts of the largest value, at which bounds are not tried again: between those of
-# solvers that stop at 1e-9, and of rounding. Bounds hold anyway; narrow ones decide more verdicts.
-CLOSE = 2.0**-36
+CLOSE = 2.0**-36  # of the largest value: wider bounds, of a solver that stops at 1e-9, are redone
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

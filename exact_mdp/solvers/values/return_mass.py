@@ -32,9 +32,7 @@ REMAINING, SLOW_EDGE = 1e-12, 1e-12
 EDGE = 1e-290  # masses below are left out: above 2⁻¹⁰²² / UNIT, where underflow costs no digit
 # More is refused. 10⁹ masses times outcomes take half a minute; 2²⁵ at once, a gigabyte.
 STEPS, CELLS, SWEEPS = 10**9, 2**25, 1_000_000
-# For speed alone: numbers of an array for each mass in it (2 to 32 take as long), and the sweeps
-# whose masses are kept apart (64 and 512 take as long, 8 longer).
-DENSE, MERGED = 8, 64
+DENSE, MERGED = 8, 64  # numbers of an array for each mass in it; sweeps kept apart; for speed
 
 
 Mass = tuple[Integers, Numbers, Numbers]  # states, multiples and masses (K,)

@@ -117,9 +117,9 @@ class ReturnDistribution(Pictured):
 
     @cached_property
     def mean(self) -> float:
-        """Mean of the returns; infinite where some are, and beyond the range of floats.
+        """Mean of the returns listed; `evaluate` bounds that of all, rare ones included.
 
-        Of those listed: `evaluate` bounds the mean of all, of which rare ones may be a large part.
+        Infinite where one is, and beyond the range of floats.
         """
         if self.unending:
             return self.infinite_mean
@@ -197,11 +197,9 @@ class ReturnDistribution(Pictured):
         law = self.as_dict() if self.exact is None else self._law(self.exact, self._endless)
         part = share_of(share)
         if part <= self.remaining:
-            raise ModelError(
-                f"returns with a probability of up to {self.remaining:.2g} are not listed",
-                where="conditional value at risk",
-                fix="choose a greater share, or a horizon, which ends cycles",
-            )
+            what = f"returns with a probability of up to {self.remaining:.2g} are not listed"
+            fix = "choose a greater share, or a horizon, which ends cycles"
+            raise ModelError(what, where="conditional value at risk", fix=fix)
         mean: Fraction | float = tail_mean(law, part, highest=highest)
         return mean
 
