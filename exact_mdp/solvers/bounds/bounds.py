@@ -105,20 +105,12 @@ def verify(mdp: MDP, value: Floats, *, strict: bool = False) -> Bounds:
     if live.any():
         above = weights.ratio(gain.value + gain.error)
         high = float(above.max(where=live[mdp.pair_state], initial=-np.inf))
-        low = lower(mdp, gain, pairs)
+        low = -float(weights.ratio(gain.error - gain.value)[pairs[live]].max())
     if not np.isfinite(high - low):
         raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
-    high += 4 * UNIT * abs(high)  # outward by more than a few roundings
+    # Outward by more than a few roundings.
+    low, high = low - 4 * UNIT * abs(low), high + 4 * UNIT * abs(high)
     return Bounds(value=value, weight=weights.value, pairs=pairs, low=low, high=high)
-
-
-def lower(mdp: MDP, gain: Gain, pairs: Integers) -> float:
-    """Return c' with V + c' w ≤ V^π for the policy of `pairs` (S,), from what pairs add to V."""
-    live = pairs[~mdp.terminal]
-    if not len(live):
-        return 0.0
-    low = -float(margin_weights(mdp).ratio(gain.error - gain.value)[live].max())
-    return low - 4 * UNIT * abs(low)
 
 
 def backward(mdp: MDP, reward: Floats) -> Floats:

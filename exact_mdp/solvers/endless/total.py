@@ -119,7 +119,8 @@ class Structure:
     """
 
     def __init__(self, mdp: MDP) -> None:
-        self.mdp, self.graph, ends, goal = mdp, Graph(mdp), over(mdp), mdp.goal
+        self.mdp, self.graph, goal = mdp, Graph(mdp), mdp.goal
+        ends = self.ends = mdp.terminal if goal is None else goal  # (S,) where all is over
         graph, every = self.graph, np.ones(mdp.n_pairs, dtype=bool)
         # (S,) the end component of each state, ends left out, or -1; (L,) the pairs of these
         self.label, self.within = graph.end_components(~ends[mdp.pair_state])
@@ -165,7 +166,7 @@ class Structure:
         Rests are merged, each a state with a pair to the end where staying is allowed.
         """
         mdp, rest, finite, free = self.mdp, self.rest, self.sign == 0, self.mdp.goal is None
-        pairs = (finite & ~over(mdp))[mdp.pair_state] & self.graph.every(finite) & ~self.inside
+        pairs = (finite & ~self.ends)[mdp.pair_state] & self.graph.every(finite) & ~self.inside
         count = int(rest.max(initial=-1)) + 1
         merged = np.bincount(rest[rest >= 0], minlength=count) > 0
         if free:  # those that cannot be left are at an end
@@ -173,14 +174,14 @@ class Structure:
             merged &= np.bincount(rest[leaving], minlength=count) > 0
         label = np.append(np.where(merged, np.cumsum(merged) - 1, -1), -1)[rest]
         rests = [(k, Fraction(0)) for k in range(int(merged.sum()))] if free else []
-        single = finite & ~over(mdp) & (rest < 0)
+        single = finite & ~self.ends & (rest < 0)
         label[single] = int(merged.sum()) + np.arange(int(single.sum()))
         return derived(mdp, np.flatnonzero(pairs), label, rests=rests)
 
     def lifted(self, label: Integers, chosen: Integers) -> Integers:
         """Return the pairs (S,) of the model for the sources `chosen` (S',) in the finite one."""
         graph, mdp, rest = self.graph, self.mdp, self.rest
-        pairs, target = mdp.pair_offsets[:-1].copy(), over(mdp) & (self.sign == 0)
+        pairs, target = mdp.pair_offsets[:-1].copy(), self.ends & (self.sign == 0)
         taken = chosen[label]  # of each state's merged one
         leaves = (taken >= 0) & (taken < mdp.n_pairs)
         single = (self.sign == 0) & leaves & (rest < 0)
@@ -221,11 +222,6 @@ class Structure:
             above, below = (best.value > best.error)[:-1], (best.value < -best.error)[:-1]
             signs[np.searchsorted(numbers, own)] = above.astype(np.int64) - below
         return signs
-
-
-def over(mdp: MDP) -> Mask:
-    """Return (S,) True where all is over: terminal states, or the goal."""
-    return mdp.terminal if mdp.goal is None else mdp.goal
 
 
 def _missing_pays(mdp: MDP) -> bool:

@@ -179,7 +179,7 @@ def _required(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Mask) -> Certific
     order = graph.rounds(goal, every)
     arriving, every_pair = order == 0, np.arange(mdp.n_pairs)
     above, policy = np.zeros(mdp.n_states, dtype=bool), mdp.pair_offsets[:-1]
-    bias = Level.over([0] * mdp.n_states, 1)
+    bias = Level.of([Fraction(0)] * mdp.n_states)
     part, number = _closed(rows, arriving)
     _, staying = graph.end_components(graph.every(arriving & ~goal) & (arriving & ~goal)[state])
     if (rows.constant[staying] > 0).any():  # going round may pay without end

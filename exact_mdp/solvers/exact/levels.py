@@ -59,15 +59,10 @@ class Level:
     )
 
     @classmethod
-    def over(cls, top: Iterable[int], below: int) -> Level:
-        """Return integers over one denominator."""
-        listed = list(top)
-        return cls.grouped(listed, [below], np.zeros(len(listed), dtype=np.int64))
-
-    @classmethod
     def of(cls, numbers: Sequence[Fraction]) -> Level:
         """Return rationals over one denominator."""
-        return cls.over(*common(numbers))
+        top, below = common(numbers)
+        return cls.grouped(top, [below], np.zeros(len(top), dtype=np.int64))
 
     @classmethod
     def grouped(cls, top: list[int], below: Sequence[int], group: Integers) -> Level:
@@ -99,8 +94,6 @@ class Level:
         if len(self.below) == 1:
             return [top[s] for s in states], self.below[0]
         groups = frozenset([group[s] for s in states])
-        if len(groups) == 1:
-            return [top[s] for s in states], self.below[group[states[0]]]
         if groups not in self._times:
             unit = lcm(*(self.below[each] for each in groups))
             self._times[groups] = unit, {each: unit // self.below[each] for each in groups}

@@ -34,7 +34,7 @@ from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.gains import POLICIES, SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import LinearSystem
 from exact_mdp.solvers.dynamic.iterate import RELATIVE_TOLERANCE, check_counts, check_tolerance
-from exact_mdp.solvers.robust.sets import Ambiguity, Inner, blocks_of, entries, inner
+from exact_mdp.solvers.robust.sets import Ambiguity, Inner, entries, inner, side_by_side
 from exact_mdp.solvers.solution import Found, SolverError, Status, warn_of_precision
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -158,7 +158,10 @@ class Game:
         state = mdp.pair_state[self.pairs]
         self.first = np.searchsorted(state, self.live)  # (T,) of each state's pairs
         self.row_state = np.searchsorted(self.live, state)  # (U,)
-        self.blocks = blocks_of(mdp, self.pairs)
+        table = mdp.table
+        rows = table.offsets[self.pairs], np.diff(table.offsets)[self.pairs]
+        outcomes = table.next, table.probabilities(), table.gains()
+        self.blocks = side_by_side(self.pairs, rows, outcomes)
 
     def ask(self, value: Floats) -> Inner:
         """Return what nature makes of each of `pairs`, at values (S,)."""

@@ -256,13 +256,6 @@ class Inner:
     laws: list[Floats]  # (K, n) of each block
 
 
-def blocks_of(model: MDP, pairs: Integers) -> list[Block]:
-    """Return the rows of some pairs (U,), in blocks."""
-    table = model.table
-    start, length = table.offsets[pairs], np.diff(table.offsets)[pairs]
-    return side_by_side(pairs, (start, length), (table.next, table.probabilities(), table.gains()))
-
-
 def side_by_side(
     pairs: Integers, rows: tuple[Integers, Integers], outcomes: tuple[Integers, Floats, Floats]
 ) -> list[Block]:

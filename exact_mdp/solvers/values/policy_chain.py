@@ -108,12 +108,9 @@ class PolicyChain:
     @cached_property
     def weights(self) -> Floats:
         """(L,) probability of each pair given its state; sums to 1 over the pairs of a state."""
-        shares, floats = self._shares, self._shares.dtype == np.float64
-        total = np.add.reduceat(shares, self.mdp.pair_offsets[:-1])
-        if floats and (total == 1).all():
-            return shares
-        total = total[self.mdp.pair_state]
-        return np.asarray(shares / total) if floats else divide(shares, total)
+        shares, mdp = self._shares, self.mdp
+        total = np.add.reduceat(shares, mdp.pair_offsets[:-1])[mdp.pair_state]
+        return np.asarray(shares / total) if shares.dtype == np.float64 else divide(shares, total)
 
     @cached_property
     def _shares(self) -> Numbers:
