@@ -17,6 +17,7 @@ from model_contents import negated
 from exact_mdp import MDP, ModelError, best_cvar, certify, rationalize, solve, tradeoff
 from exact_mdp.analysis.cli.policies import KINDS
 from exact_mdp.mdp.io import model_json
+from exact_mdp.solvers.bounds.gains import gains
 from exact_mdp.solvers.exact import checker, codec
 
 LOOP = [
@@ -221,7 +222,17 @@ def test_no_change_of_a_proof_is_accepted_that_makes_it_false(name: str, tmp_pat
 
 
 def test_bounds_that_floats_do_not_prove_are_widened(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("exact_mdp.solvers.exact.certify.WIDER", (0.0, 1.0))
+    """What the values that are given add seems free of roundings, and so is not enough."""
+    errors = list[Any]()
+
+    def free_at_first(*given: Any, **more: Any) -> Any:
+        added = gains(*given, **more)
+        errors.append(added.error)
+        return replace(added, error=0 * added.error) if len(errors) == 2 else added
+
+    monkeypatch.setattr("exact_mdp.solvers.exact.certify.gains", free_at_first)
+    monkeypatch.setattr("exact_mdp.solvers.exact.certify.UNIT", 0.0)
     rng = np.random.default_rng(0)
     mdp = MDP.from_arrays(rng.dirichlet(np.ones(9), (2, 9)), rng.random((9, 2)), 0.9)
     assert certify(mdp, bounded=True).violations() == []
+    assert len(errors) > 4  # of weights, of these values, and more than once for the bounds
