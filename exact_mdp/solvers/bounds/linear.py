@@ -387,11 +387,7 @@ def swept(
     enough: float,
     fine: float,
 ) -> tuple[Floats, bool]:
-    """Return x (S,) and whether its residual is `enough`; if not, sweeps would be too many.
-
-    Rows of states are those of that number in a matrix, and all sum to 1 in a `closed` chain. With
-    `fine` above 0 sweeps go on to a residual of that part of the values.
-    """
+    """Return x (S,) and whether its residual is `enough`; see `kernels.linear.swept`."""
     from exact_mdp.solvers.kernels import linear as loops
 
     value, room = np.zeros((2, len(constant)))

@@ -222,7 +222,7 @@ class Certificate(Proof, Pictured):
 
     @property
     def _values(self) -> Level:
-        return self._average(self.g) if self.kind == "average" else self.h
+        return self.g if self.kind == "average" and self.g is not None else self.h
 
     def _with_infinite(self, values: Numbers) -> Numbers:
         extended = values.copy()
@@ -231,19 +231,15 @@ class Certificate(Proof, Pictured):
         extended.setflags(write=False)
         return extended
 
-    def _average(self, level: Level | None) -> Level:
-        if level is None or self.kind != "average":
+    @cached_property
+    def bias(self) -> Numbers:
+        """(S,) the greatest bias of the policies with this gain, as Fractions."""
+        if self.kind != "average":
             raise ModelError(
                 "a total reward has neither gain nor bias",
                 where="certificate",
                 fix='ask for certify(mdp, criterion="average")',
             )
-        return level
-
-    @cached_property
-    def bias(self) -> Numbers:
-        """(S,) the greatest bias of the policies with this gain, as Fractions."""
-        self._average(self.g)
         return self.h.fractions(self.sign)
 
     @property

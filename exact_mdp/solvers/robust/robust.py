@@ -114,9 +114,9 @@ def solve_robust(
     check_tolerance("robust", tol)
     check_counts("robust", max_iterations=max_iterations)
     game = Game(
-        model,
+        model.maximised,
         ambiguity,
-        against=(nature == "worst") == (model.sense == "max"),
+        against=nature == "worst",
         weights=None if policy is None else PolicyChain.of(model, policy).weights,
     )
     with np.errstate(over="ignore", invalid="ignore"):
@@ -131,11 +131,11 @@ def solve_robust(
     return RobustSolution(
         mdp=model,
         nature=nature,
-        value=value,
+        value=model.sign * value + 0.0,
         state_error=error,
         pairs=pairs,
         transition=chain,
-        reward=earned,
+        reward=model.sign * earned + 0.0,
         status=status,
         iterations=iterations,
         seconds=perf_counter() - started,
@@ -150,7 +150,6 @@ class Game:
     ) -> None:
         """Nature is `against` high values of rows, or for them; `weights` (L,) fix a policy."""
         self.mdp, self.ambiguity, self.against, self.weights = mdp, ambiguity, against, weights
-        self.most = mdp.sense == "max"  # whether the agent takes the best pair, not the least
         self.rewards = True  # whether they count
         self.live = np.flatnonzero(~mdp.terminal)
         taken = ~mdp.terminal[mdp.pair_state]
@@ -179,7 +178,7 @@ class Game:
         if self.weights is not None:
             share = self.weights[self.pairs]
             return np.asarray(share / np.add.reduceat(share, self.first)[self.row_state])
-        best = (np.maximum if self.most else np.minimum).reduceat(q, self.first)
+        best = np.maximum.reduceat(q, self.first)
         number = np.where(q == best[self.row_state], np.arange(len(q)), len(q))
         share = np.zeros(len(q))
         share[np.minimum.reduceat(number, self.first)] = 1.0
@@ -212,7 +211,7 @@ class Game:
 def margins(game: Game) -> tuple[Floats, Floats]:
     """Return weights (S,), and verified margins (T,) of the states that are not terminal."""
     late = copy(game)  # both sides are after steps
-    late.against, late.most, late.rewards = False, True, False
+    late.against, late.rewards = False, False
     if (order := topological_levels(game.mdp)) is not None:
         weight = order.astype(np.float64)
     elif game.mdp.discount < 1:
