@@ -195,7 +195,7 @@ def _patient(step: MDP) -> Integers:
             return step.pair_offsets[:-1]
 
 
-def _by_values(step: MDP, solver: Any) -> Improved:
+def _by_values(step: MDP, solver: ValueIteration) -> Improved:
     """Relative value iteration, until the span of T h - h is proven to be small."""
     label, _ = Graph(step).end_components(np.ones(step.n_pairs, dtype=bool))
     if (count := int(label.max()) + 1) > 1:
@@ -221,7 +221,7 @@ def _by_values(step: MDP, solver: Any) -> Improved:
     raise SolverError(Status.ITERATION_LIMIT, detail)
 
 
-def _by_program(step: MDP, solver: Any) -> Improved:
+def _by_program(step: MDP, solver: LinearProgram) -> Improved:
     """Take pairs that are greedy for the program's bias, and improve them by policy iteration."""
     scale, own = float(np.abs(step.reward).max()) or 1.0, own_states(step)
     stays = own - step.transition

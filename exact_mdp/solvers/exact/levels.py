@@ -15,7 +15,7 @@ from fractions import Fraction
 from math import lcm
 from numbers import Rational
 from operator import mul
-from typing import Any, cast
+from typing import cast
 
 import flint
 import numpy as np
@@ -108,7 +108,7 @@ class Level:
         return fraction(sum(map(mul, values, parts)), unit * below)
 
 
-def combined(levels: Sequence[Level], weights: Sequence[Any]) -> Level:
+def combined(levels: Sequence[Level], weights: Sequence[int | Fraction]) -> Level:
     """Return Σ weight · x of levels with the same denominators, for rational weights."""
     whole, unit = common([Fraction(weight) for weight in weights])
     tops = zip(*(level.top for level in levels), strict=True)

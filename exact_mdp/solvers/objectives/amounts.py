@@ -19,7 +19,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 
@@ -84,7 +83,7 @@ class Objectives:
         total = sum(w * own.astype(object) for w, own in zip(weights, self.amounts, strict=True))
         return integers(np.asarray(total).tolist())
 
-    def rows_for(self, weights: Sequence[Any]) -> tuple[BellmanRows, int]:
+    def rows_for(self, weights: Sequence[int | Fraction]) -> tuple[BellmanRows, int]:
         """Return the equations of the objectives with rational weights, times a whole number."""
         whole, unit = common([Fraction(weight) for weight in weights])
         return replace(self.rows, constant=self.weighted(whole)), unit

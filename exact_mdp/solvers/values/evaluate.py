@@ -22,7 +22,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, wraps
 from math import inf, isfinite, nan, sqrt
-from typing import Any, ClassVar, Literal, overload
+from typing import ClassVar, Literal, overload
 
 import numpy as np
 import scipy.sparse as sp
@@ -69,7 +69,7 @@ def _or_unknown(number: Callable[..., Bounded]) -> Callable[..., Bounded]:
     """Have a number be unknown where double precision cannot bound it."""
 
     @wraps(number)
-    def known(*given: Any) -> Bounded:
+    def known(*given: object) -> Bounded:
         with suppress(SolverError):
             return number(*given)
         return UNKNOWN

@@ -214,7 +214,7 @@ class ReturnDistribution(Pictured):
         )
 
     @property
-    def _endless(self) -> dict[float, Any]:
+    def _endless(self) -> dict[float, Fraction | float]:
         return {sign: each.value for sign, each in self.unending.items()}
 
     def _law(
