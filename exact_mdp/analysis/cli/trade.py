@@ -29,7 +29,8 @@ def tradeoff(
     """Compute the exact front of two or three expected totals.
 
     Each is a component of the reward, steps, an event, a label that is not left again, or a sum:
-    name=2*a-b. The front maximises all of them; in a model of costs it minimises them.
+    name=2*a-b, or saved=-cost where less is better. The front maximises all of them; in a model of
+    costs it minimises them.
 
     Example: exact-mdp tradeoff yuan2025 anger subtask-complete --set tasks=[1]
 
