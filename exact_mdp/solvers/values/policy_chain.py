@@ -277,7 +277,7 @@ class PolicyChain:
     @property
     def ends_from_start(self) -> bool:
         """True where every episode ends with probability 1."""
-        return not (self.reached & self.stuck).any()
+        return not (self.stuck.all() or (self.reached & self.stuck).any())
 
     def require_end(self) -> None:
         """Raise ModelError, naming where the policy stays, unless every episode ends."""
