@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from functools import cached_property, partial
 from hashlib import sha256
 from math import inf, isinf
@@ -22,13 +21,14 @@ from typing import Any, TypeVar, Unpack
 import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
-from exact_mdp.mdp.errors import ModelError, listed, located
+from exact_mdp.mdp.errors import DistributionError, ModelError, listed, located
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.forms.numbers import float_array
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.policies.arrays import distinct
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.report import cell
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import Floats, Integers, Numbers, exact
 from exact_mdp.solvers.batch import Batch
@@ -395,8 +395,13 @@ class ModelSolver:
         if key not in self.built:
             models, at = [], partial(self._where, draws, first)
             for d, row in enumerate(draws.tolist()):
-                with located(at(d)):
-                    models.append(self.model.at(dict(zip(self.names, row, strict=True))))
+                try:
+                    with located(at(d)):
+                        models.append(self.model.at(dict(zip(self.names, row, strict=True))))
+                except DistributionError as error:
+                    fix = "choose ranges, or distributions, all of whose numbers make a model: a "
+                    fix += "beta stays in [0, 1], a gamma and a log-normal above 0"
+                    raise type(error)(error.what, where=error.where, fix=fix) from error
             made = _Built(models, at)
             if sum(each.size for each in (made, *self.built.values())) > KEPT:
                 return made
@@ -407,7 +412,7 @@ class ModelSolver:
         """Return the number of a draw and the parameters that it moves, the first few of many."""
         today = {parameter.name: parameter.value for parameter in self.model.parameters}
         moved = [
-            f"{name} = {x if isinstance(x, Fraction) else f'{x:g}'}"
+            f"{name} = {cell(x)}"
             for name, x in zip(self.names, draws[d].tolist(), strict=True)
             if x != today[name]
         ]
