@@ -192,27 +192,26 @@ class Evaluation(OfPolicy, Pictured):
         used, doubt = (_pair_visits(chain, x) for x in (discounted.value, discounted.error))
         with np.errstate(over="ignore", invalid="ignore"):
             total, error = self._earned(used, doubt)
-        if mdp.discount_exact == 1:
-            stays = (mdp.terminal & chain.reached)[mdp.pair_state] & (chain.weights > 0)
-            for number, own in enumerate(mdp.components[stays].T):
-                if own.any():
-                    signs = {float(sign) * inf for sign in np.sign(own[own != 0])}
-                    total[number], error[number] = (
-                        (signs.pop(), 0.0) if len(signs) == 1 else (0.0, inf)
-                    )
-        return {
+        numbers = {
             name: Bounded(value=float(value), error=float(bound)) if bound < inf else UNKNOWN
             for name, value, bound in zip(mdp.component_names, total, error, strict=True)
         }
+        if mdp.discount_exact == 1:  # what is counted where all is over, or at rest, is so for ever
+            given = self.given
+            stays = (mdp.terminal & given.reached)[mdp.pair_state] & (given.weights > 0)
+            counted = given.mdp.components[stays].any(axis=0)
+            names = (name for name, often in zip(numbers, counted, strict=True) if often)
+            numbers |= {name: self._endless(name) for name in names}
+        return numbers
 
     def _endless(self, name: str) -> Bounded:
         """Return the total of a component where a policy goes on for ever."""
-        mdp = self.mdp
+        mdp, given = self.given.mdp, self.given
         if mdp.goal is not None:  # a run that misses it is infinite in all, not in its parts
             return UNKNOWN
         table = mdp.table.earning(*mdp.component(name))
         alone = mdp.with_(table=table, component_names=(name,))
-        chain = PolicyChain(mdp=alone, chosen=self.chain.chosen, policy=self.chain.policy)
+        chain = PolicyChain(mdp=alone, chosen=given.chosen, policy=given.policy)
         with suppress(SolverError, ModelError):
             best: Solution = solve(chain.model)
             return best.start
@@ -383,7 +382,7 @@ class Evaluation(OfPolicy, Pictured):
 
     @cached_property
     def _events(self) -> dict[str, Bounded]:
-        bits = self.chain.table.event
+        bits = self.given.table.event
         if bits is None:
             return {}
         happened = (bits >> k & 1 == 1 for k in range(len(self.mdp.events)))
@@ -392,9 +391,9 @@ class Evaluation(OfPolicy, Pictured):
     @_or_unknown
     def _event(self, happens: Mask) -> Bounded:
         """Return the probability that one of the marked outcomes (N,) ever happens."""
-        chain, states = self.chain, self.mdp.n_states
+        chain, states = self.given, self.mdp.n_states
         source, following = chain.source, chain.table.next
-        live = ~self.mdp.terminal[source]  # nothing happens in an end
+        live = ~chain.mdp.terminal[source]  # nothing happens in an end
         chance = chain.total(np.where(happens & live, chain.probability, 0.0))
         # Elsewhere the probability is 0; among these states the equation has a single solution.
         possible = closure(chain.graph.T.tocsr(), chance > 0)
@@ -408,7 +407,7 @@ class Evaluation(OfPolicy, Pictured):
             weight, below = chain.odds
             return BellmanRows(
                 pair_offsets=np.arange(states + 1),
-                terminal=self.mdp.terminal,
+                terminal=chain.mdp.terminal,
                 scale=below,
                 constant=np.zeros_like(below),
                 offsets=np.append(0, np.cumsum(np.bincount(source[on], minlength=states))),

@@ -192,6 +192,24 @@ def test_parts_of_what_is_earned_for_ever_are_infinite_or_finite() -> None:
     assert solve(evaluation.mdp).gap_table.tolist() == [[0.0], [0.0], [0.0]]
 
 
+def test_what_goes_on_in_states_of_rest_is_counted() -> None:
+    """They earn nothing in all: their components and events go on, as the discount tends to 1."""
+    rows = [(0, 0, [(1, 1, 1)]), (1, 0, [(1, 2, 0)]), (1, 1, [(1, 3, 0)]), (2, 0, [(1, 1, 0)]),
+            (3, 0, [(1, 3, 0)])]  # fmt: skip
+    parts = {"life": [1, 3, 0, -1, 0], "turns": [0, 1, 0, -1, 0], "once": [5, 0, 0, 0, 0]}
+    mdp = MDP.from_outcomes(rows, components=parts, events=("back", "never"))
+    event = np.array([0, 0, 0, 1, 2], dtype=np.uint8)
+    mdp = mdp.with_(table=replace(mdp.table, event=event), components=parts)
+    law = evaluate(mdp, [0, 0, 0, 0])
+    assert law.mean == 1
+    wanted = {"life": inf, "turns": 0.5, "once": 5.0, "rest": -inf}
+    assert law.components == pytest.approx(wanted)
+    assert law.event_probability == {"back": 1.0, "never": 0.0}
+    near_one = evaluate(mdp.with_(discount=1 - F(1, 10**9)), [0, 0, 0, 0]).components
+    assert near_one["life"] > 10**8
+    assert near_one["turns"] == pytest.approx(0.5, abs=1e-8)
+
+
 def test_quantiles_say_why_they_are_missing() -> None:
     evaluation = evaluate(two_rewards().with_(discount="9/10"), "random")
     assert evaluation.quantiles is None
