@@ -60,7 +60,7 @@ def read_model(
             scenario = scenario.set(of_type(assignment, str, "sets", 'give "KEY=VALUE"'))
         scenario = scenario if discount is None else scenario.with_(discount=discount)
         mdp = scenario.compile()
-    elif sets and (text.startswith(GYMNASIUM) or suffix in FILES):
+    elif sets and (text.startswith(GYMNASIUM) or text == STANDARD_INPUT or suffix in FILES):
         raise ModelError(
             f"{sets[0]!r} cannot be set: the model is not a scenario",
             where=text,

@@ -47,6 +47,11 @@ def test_a_saved_model(tmp_path: Path, name: str) -> None:
     assert load(str(tmp_path / name), discount="1/3").discount_exact == Fraction(1, 3)
 
 
+@pytest.mark.parametrize("name", ["-", "model.npz", "m.json", "gymnasium:FrozenLake-v1"])
+def test_only_a_scenario_has_values_to_set(name: str) -> None:
+    refused(lambda: load(name, sets=["base.anger=1/5"]), "cannot be set", name, "")
+
+
 def test_without_storm_the_error_names_the_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
