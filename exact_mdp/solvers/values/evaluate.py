@@ -199,8 +199,8 @@ class Evaluation(OfPolicy, Pictured):
         if mdp.discount_exact == 1:  # what is counted where all is over, or at rest, is so for ever
             given = self.given
             stays = (mdp.terminal & given.reached)[mdp.pair_state] & (given.weights > 0)
-            counted = given.mdp.components[stays].any(axis=0)
-            names = (name for name, often in zip(numbers, counted, strict=True) if often)
+            counted = np.flatnonzero(given.mdp.components[stays].any(axis=0)).tolist()
+            names = (mdp.component_names[number] for number in counted)
             numbers |= {name: self._endless(name) for name in names}
         return numbers
 
