@@ -52,7 +52,7 @@ QUESTION = ("reach", "until", "reward", "allowed", "minimize", "start")
 ASKED = (*QUESTION, *SETS)
 OF_POLICY = ("kind", "perception", "horizon")
 VARIED = ("parameters", "ranges", "relative", "policy")  # listed beside a command's own
-HELD = (*VARIED, "perception", *ASKED)
+HELD = (*VARIED, "kind", "perception", *ASKED)
 
 MADE: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
     "Check": {
@@ -67,12 +67,12 @@ MADE: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
     },
     "Vary": {
         "tornado": ("vary:tornado", HELD),
-        "gradient": ("vary:gradient", ("parameters", "policy", "perception", *ASKED)),
+        "gradient": ("vary:gradient", ("parameters", *HELD[3:])),
         "threshold": ("vary:threshold", (*VARIED[:3], *ASKED)),
         "curve": ("vary:curve", HELD),
         "one-way": ("vary:one_way", HELD),
         "two-way": ("vary:two_way", HELD),
-        "psa": ("vary:psa", ("parameters", "policy", "perception", *ASKED)),
+        "psa": ("vary:psa", ("parameters", *HELD[3:])),
         "sobol": ("vary:sobol", HELD),
         "robust": ("vary:robust", HELD),
         "explore": ("vary:explore", ("ranges", "relative", "kind", *ASKED)),

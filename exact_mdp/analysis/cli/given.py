@@ -177,7 +177,7 @@ class Given:
         if "policy" not in self.has or (self.policy or self.perception) is None:
             return None
         form = self.policy or "optimal"
-        if (form, self.perception) == ("optimal", None) and "kind" not in self.has:
+        if (form, self.perception) == ("optimal", None) and {"parameters", "ranges"} & {*self.has}:
             return form
         return self.policy_from(form)
 
@@ -217,8 +217,10 @@ class Given:
         if "criterion" in has:
             average = "reward per step" if is_average(self.criterion) else None
             head["criterion"] = Shown(self.criterion, average)
-        if "kind" in has and self.taken is not None:
-            read = Shown(self.taken.read_as, self.taken.source or None)
+        if "kind" in has and (taken := self.taken) is not None:
+            read = (
+                "policy" if isinstance(taken, str) else Shown(taken.read_as, taken.source or None)
+            )
             head = {"read_as": read} | head | {"policy": self.policy}
         if "perception" in has:
             path = self.perception

@@ -34,7 +34,10 @@ from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, Numbers
 
 Flags = NDArray[np.bool_]
 KINDS = ("auto", "q", "policy")
-SAY = 'say which: kind="policy" (--kind policy) or kind="q" (--kind q); the answers differ'
+SAY = (
+    'say which, as the answers differ: Policy.of(model, array, kind="policy") or kind="q"; in '
+    "commands --kind policy or --kind q"
+)
 UNIT_32 = 2.0**-24  # the unit roundoff of float32
 Q_TABLE, PROBABILITIES = "a Q-table: its greedy policy", "action probabilities"
 
@@ -323,7 +326,8 @@ def of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
                     f"an array of shape {array.shape} may be action numbers by time and state, or "
                     "a table of states and actions, which differ",
                     where="policy",
-                    fix='give probabilities (N, S, A), or say kind="q" (--kind q) of a Q-table',
+                    fix='give probabilities (N, S, A), or say kind="q" of a Q-table: '
+                    'Policy.of(model, array, kind="q"), in commands --kind q',
                 )
     if array.ndim == 2 or (timed and array.ndim == 3):
         return policy_of_array(model, array, kind)

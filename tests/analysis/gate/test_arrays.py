@@ -66,6 +66,25 @@ def test_an_array_that_fits_both_readings_is_refused_everywhere(tmp_path: Path) 
             assert line in run(words, model, file, "--kind", kind).out.splitlines()[0]
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        *("tornado", "gradient", "robust", "curve --parameter discount", "sobol --samples 2"),
+        *("one-way --parameter discount --points 2", "psa --samples 2 --n-jobs 1"),
+        "two-way --parameter discount --parameter reward.1 --points 2",
+    ],
+)
+def test_where_parameters_vary_one_says_what_an_array_is(words: str, tmp_path: Path) -> None:
+    rows = [(0, 0, [("1/2", 1, 1), ("1/2", 0, 1)]), (0, 1, [(1, 1, 0)])]
+    rows += [(1, 0, [(1, 1, 0)]), (1, 1, [(1, 0, 2)])]
+    save(MDP.from_outcomes(rows, "9/10"), tmp_path / "m.npz")
+    np.save(tmp_path / "q.npy", BOTH)
+    line = (words, tmp_path / "m.npz", "--policy", tmp_path / "q.npy", "--json")
+    assert "--kind policy" in run(*line).refusal()
+    for kind in ("q", "policy"):
+        assert run(*line, "--kind", kind).result["read_as"] == kind
+
+
 def test_the_rule_of_auto() -> None:
     """No distributions: a Q-table. Ones and noughts: the same policy either way."""
     q = check(WALK, whole([[3, 1], [1, 2]]))
