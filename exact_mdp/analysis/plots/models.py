@@ -176,7 +176,7 @@ def draw_front(
             ax.plot(*ends.T, color=BLACK, linewidth=0.8, linestyle=":")
     first, second = front.names
     names = {"x": f"expected total of {first}", "y": f"expected total of {second}"}
-    return described(ax, f"The front of {second} against {first}", **names)
+    return described(ax, f"The front of {second} against {first}", front.mdp.name, **names)
 
 
 # ---- care ----------------------------------------------------------------------------------------
