@@ -37,7 +37,7 @@ from exact_mdp.solvers.values.policy_chain import policy_of
 
 MOST = 40  # states
 FEW = 8  # states up to which all actions are drawn beside the policy's
-MANY = 150  # outcomes above which no graph can be read
+MANY = 80  # outcomes above which no graph can be read
 
 
 @picture
@@ -176,7 +176,8 @@ def draw_front(
             ax.plot(*ends.T, color=BLACK, linewidth=0.8, linestyle=":")
     first, second = front.names
     names = {"x": f"expected total of {first}", "y": f"expected total of {second}"}
-    return described(ax, f"The front of {second} against {first}", front.mdp.name, **names)
+    model = "" if front.mdp is None else front.mdp.name
+    return described(ax, f"The front of {second} against {first}", model, **names)
 
 
 # ---- care ----------------------------------------------------------------------------------------

@@ -52,6 +52,8 @@ MOST_LETTERS = 70  # of names side by side
 LONGEST = 26  # letters of a name beside the axes
 IN_AN_INCH = 7.2  # names that stand upright side by side
 IN_A_CORNER = 12  # letters of a name in a cell
+LETTER, LINE = 0.85, 1.3  # room of a letter and a line, in sizes of the font, a legend beside it
+LEAST_FONT = 3.5  # that can be read
 SHADES = LinearSegmentedColormap.from_list("value", ["#F7FBFF", "#2171B5"])
 LOSSES = LinearSegmentedColormap.from_list("loss", ["#FFF1E8", ORANGE])
 
@@ -258,6 +260,12 @@ def _map(
     # The size of the text in a cell; 0 where there is no room for one.
     sizes = ((30, 10), (2 * NUMBERED, 8), (MOST_TEXTS, 6 if wide > 20 else 7))
     font = next((size for most, size in sizes if len(shown) <= most), 0)
+    texts = [text.split("\n") for text, _ in shown.values()]
+    letters = max(1, *(len(each) for text in texts for each in text))
+    deep = max(map(len, texts))
+    room = 72 / ax.figure.dpi * np.array([ax.bbox.width / wide / letters, ax.bbox.height / high])
+    font = min(font, *(room / [LETTER, LINE * deep]).tolist())
+    font = 0 if font < LEAST_FONT else font
     usual: Look = {"fill": WHITE, "ink": BLACK, "hatch": "", "font": font, "corner": ""}
     thin: Look = {} if font else {"linewidth": 0.2}  # a frame would cover a cell without a text
     for state, (text, own) in shown.items():

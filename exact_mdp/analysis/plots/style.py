@@ -176,8 +176,9 @@ def name_rows(ax: Axes, names: Sequence[str]) -> None:
 
 
 def line(number: int, inks: Sequence[str] = INK) -> Look:
-    """Return colour and dashes of one of several lines."""
-    return {"color": inks[number % len(inks)], "linestyle": LINES[number % len(LINES)]}
+    """Return colour and dashes of one of several lines, both alike in no two of them."""
+    turn, place = divmod(number, len(inks))
+    return {"color": inks[place], "linestyle": LINES[(place + turn) % len(LINES)]}
 
 
 def lines(

@@ -10,6 +10,7 @@ from picture_texts import legend_of, texts, texts_of
 
 from exact_mdp import (
     MDP,
+    ModelError,
     Scenario,
     check,
     curve,
@@ -91,6 +92,9 @@ def test_a_graph_of_many_states_shows_what_the_policy_does_alone() -> None:
     assert all(box.get_alpha() is None for text in ax.texts if (box := text.get_bbox_patch()))
     few = texts_of(plots.plot_transitions(grid(2, 2), [1] * 4).texts)
     assert {"LEFT", "DOWN"} <= set(few)
+    dense = MDP.from_arrays(np.full((1, 12, 12), 1 / 12), np.zeros(12), 0.9)
+    with pytest.raises(ModelError, match="144 outcomes"):
+        plots.plot_transitions(dense, [0] * 12)
 
 
 def test_start_goal_and_holes_are_told_apart() -> None:
@@ -142,6 +146,17 @@ def test_the_frames_of_many_cells_do_not_cover_them() -> None:
         ax = check(lake, [1] * 16, horizon=horizon).plot()
         frames = {patch.get_linewidth() for patch in ax.patches if patch.get_fill()}
         assert max(frames) == widest
+
+
+@pytest.mark.parametrize("size", [(9, 7), (4.5, 3.2), (3.3, 2.5), (1.5, 1.2)])
+def test_texts_fit_into_their_cells_or_are_left_out(size: tuple[float, float]) -> None:
+    ax = plt.subplots(figsize=size)[1]
+    check(MDP.from_gymnasium("FrozenLake-v1"), "random").plot(ax=ax)
+    ax.figure.draw_without_rendering()
+    cell = ax.transData.transform((1, 0))[0] - ax.transData.transform((0, 0))[0]
+    assert bool(ax.texts) == (size[0] > 2)
+    assert all(text.get_window_extent().width <= cell for text in ax.texts if "any of" in str(text))
+    plt.close("all")
 
 
 def test_a_law_without_finite_returns_is_drawn() -> None:

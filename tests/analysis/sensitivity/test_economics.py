@@ -272,3 +272,11 @@ def test_several_willingnesses_to_pay_are_taken_one_by_one(analysis) -> None:
                 each.evpi(wrong)
         with pytest.raises(ModelError, match="several numbers"):
             each.evppi([4.0, 10.0])
+
+
+def test_curves_of_many_strategies_look_different() -> None:
+    """By colour and dashes, as the legend shows them."""
+    many = {key: [0, 0] for key in map(str, range(11))}
+    analysis = cost_effectiveness(MODEL, many, 4, uncertain=SAID, rng=0)
+    lines = [line for line in analysis.plot().get_lines() if line.get_label() != "frontier"]
+    assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == len(lines) == 11
