@@ -190,6 +190,8 @@ def _described(
         return BROKEN, ModelError(what, where=where, fix=fix)
     kind = next(kind for kind in kinds if kind in KINDS)
     what, fix = KINDS[kind]
+    if kind == "MemoryError" and "--horizon" in {word.partition("=")[0] for word in words}:
+        fix = "choose fewer steps"
     text = " ".join(str(error).split())
     text = text or ("not enough memory" if kind == "MemoryError" else "no message")
     said = ModelError(what.format(text, kind=kinds[0]), where=usage if fix else "", fix=fix)

@@ -45,6 +45,8 @@ from exact_mdp.mdp.table import (
 from exact_mdp.mdp.validate import Flags, Parts, by_state, counted
 
 REACHED, TERMINAL_VALUE = "reached", "terminal value"
+FLOATS, OF_PAIR, OF_STATE = 20, 250, 560
+"""Bytes beside the table for each outcome, pair and state that an audit takes, as measured."""
 ONE_COMPONENT = {"component_names": ("reward",)}
 # Other rows than those that were observed; a pair has no number of them for each time either.
 NO_DATA: dict[str, Any] = {"observations": None, "episodes": None}
@@ -218,7 +220,7 @@ class Questions(Parts):
             )
         rows = _kept(self, offsets, over)
         table = self.table.of_pairs(rows)
-        _check_size(self, own, count, len(table.next))
+        _check_size(table, own, count)
 
         def layers(values: Numbers, last: Numbers) -> Numbers:
             """Return what each of the times 0 … N-1 has, and what the last one has."""
@@ -391,15 +393,16 @@ def _in_columns(model: Parts, over: Flags) -> StateSpace:
     return StateSpace.plain(space.size, space.labels(range(space.size)))
 
 
-def _check_size(model: Parts, own: int, count: int, outcomes: int) -> None:
-    table = model.table
+def _check_size(table: OutcomeTable, own: int, count: int) -> None:
+    """Raise ModelError where the table of one step is too large to be repeated so often."""
     wide = object in (table.weight.dtype, table.gain.dtype, table.denominator.dtype)
-    each, states = WIDE if wide else NARROW, own * (count + 1)
-    most = outcomes * count + states
-    if most * each > MOST_BYTES:
+    each, states = FLOATS + (WIDE if wide else NARROW), own * (count + 1)
+    outcomes, pairs = len(table.next) * count + states, table.pairs * count + states
+    size = each * outcomes + OF_PAIR * pairs + OF_STATE * states
+    if size > MOST_BYTES:
         raise ModelError(
-            f"{count:,} steps of this model make {states:,} states and {most:,} outcomes of {each} "
-            f"bytes each, more than {MOST_BYTES / 1e9:g} GB",
+            f"{count:,} steps of this model make {states:,} states and {outcomes:,} outcomes: "
+            f"{size / 1e9:,.0f} GB of memory, more than {MOST_BYTES / 1e9:g} GB",
             where="horizon",
             fix="choose fewer steps, or none where the process ends by itself or the discount "
             "leaves late steps no weight",

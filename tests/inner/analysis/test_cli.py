@@ -47,7 +47,8 @@ CHECK = "check yuan2025 optimal"
 FAULTS: list[tuple[str, Any, str, int, str]] = [
     (READ, OverflowError("too large for a float"), CHECK, 3, "OverflowError: "),
     (READ, RecursionError("maximum recursion depth"), CHECK, 3, ""),
-    (READ, MemoryError(), CHECK, 3, ""),
+    (READ, MemoryError(), CHECK, 3, "MemoryError: not enough memory\n"),
+    (READ, MemoryError(), f"{CHECK} --horizon=9", 3, "MemoryError: not enough memory\n"),
     (READ, OSError(errno.EMFILE, "Too many open files"), CHECK, 3, ""),
     (READ, ImportError("no such library"), CHECK, 3, ""),
     (READ, ValueError("a slip"), CHECK, 3, "ValueError: an error in the program, not in your inp"),
@@ -77,6 +78,7 @@ def test_what_is_neither_bad_input_nor_a_failed_check_ends_with_3(
     err = done.err if status == 130 or place == SOLVE else done.refusal(status)
     assert (done.status, done.out, "Traceback" in err) == (status, "", False)
     assert err.startswith(said)
+    assert ("fix:   choose fewer steps" in err) == ("--horizon" in words)
     if "in the program" in said:
         assert "where: exact-mdp check\n" in err
         assert "EXACT_MDP_TRACEBACK=1" in err
