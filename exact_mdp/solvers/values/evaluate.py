@@ -199,9 +199,13 @@ class Evaluation(OfPolicy, Pictured):
         if mdp.discount_exact == 1:  # what is counted where all is over, or at rest, is so for ever
             given = self.given
             stays = (mdp.terminal & given.reached)[mdp.pair_state] & (given.weights > 0)
-            counted = np.flatnonzero(given.mdp.components[stays].any(axis=0)).tolist()
-            names = (mdp.component_names[number] for number in counted)
-            numbers |= {name: self._endless(name) for name in names}
+            over = stays & given.mdp.terminal[mdp.pair_state]
+            for name, often, ends in zip(
+                numbers, *(given.mdp.components[each].T for each in (stays, over)), strict=True
+            ):
+                if often.any():
+                    apart = ends.min(initial=0) < 0 < ends.max(initial=0)
+                    numbers[name] = UNKNOWN if apart else self._endless(name)
         return numbers
 
     def _endless(self, name: str) -> Bounded:
