@@ -386,7 +386,7 @@ class Evaluation(OfPolicy, Pictured):
 
     @cached_property
     def _events(self) -> dict[str, Bounded]:
-        bits = self.given.table.event
+        bits = self.chain.table.event
         if bits is None:
             return {}
         happened = (bits >> k & 1 == 1 for k in range(len(self.mdp.events)))
@@ -395,9 +395,9 @@ class Evaluation(OfPolicy, Pictured):
     @_or_unknown
     def _event(self, happens: Mask) -> Bounded:
         """Return the probability that one of the marked outcomes (N,) ever happens."""
-        chain, states = self.given, self.mdp.n_states
+        chain, states = self.chain, self.mdp.n_states
         source, following = chain.source, chain.table.next
-        live = ~chain.mdp.terminal[source]  # nothing happens in an end
+        live = ~self.mdp.terminal[source]  # nothing happens in an end
         chance = chain.total(np.where(happens & live, chain.probability, 0.0))
         # Elsewhere the probability is 0; among these states the equation has a single solution.
         possible = closure(chain.graph.T.tocsr(), chance > 0)
@@ -411,7 +411,7 @@ class Evaluation(OfPolicy, Pictured):
             weight, below = chain.odds
             return BellmanRows(
                 pair_offsets=np.arange(states + 1),
-                terminal=chain.mdp.terminal,
+                terminal=self.mdp.terminal,
                 scale=below,
                 constant=np.zeros_like(below),
                 offsets=np.append(0, np.cumsum(np.bincount(source[on], minlength=states))),
