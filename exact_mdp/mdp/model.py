@@ -145,9 +145,9 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
             fill(self, "observations", whole_numbers(self.observations, "observations"))
         if self.time_limit is not None:
             fill(self, "time_limit", counted(self.time_limit, "time_limit"))
-        fill(self, "labels", as_labels(self.labels, self.n_states))
+        fill(self, "labels", as_labels(self.labels, self.space))
         if self.goal is not None:
-            fill(self, "goal", as_flags(self.goal, self.n_states, "goal"))
+            fill(self, "goal", as_flags(self.goal, self.space, "goal"))
         offsets = np.zeros(self.n_states + 1, dtype=np.int64)
         np.cumsum(np.bincount(self.pair_state, minlength=self.n_states), out=offsets[1:])
         fill(self, "pair_offsets", offsets)
@@ -173,7 +173,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(state)
-        object.__setattr__(self, "labels", as_labels(self.labels, self.n_states))
+        object.__setattr__(self, "labels", as_labels(self.labels, self.space))
         self._lock()
 
     def __eq__(self, other: object) -> bool:

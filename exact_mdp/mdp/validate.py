@@ -184,25 +184,24 @@ def _check_observations(model: Parts) -> None:
         )
 
 
-def as_labels(labels: object, size: int) -> dict[str, Flags]:
+def as_labels(labels: object, space: StateSpace) -> dict[str, Flags]:
     """Return labels as read-only arrays (S,) of truth values by name."""
     if not isinstance(labels, Mapping):
         raise ModelError(
             f"labels are a {type(labels).__name__}",
             where="labels",
-            fix="give {name: (S,) truth values}",
+            fix="give {name: (S,) truth values}, or {name: states}",
         )
     check_names(map(str, labels), "label", where="labels")
-    return {str(name): as_flags(values, size, f"label {name}") for name, values in labels.items()}
+    return {str(name): as_flags(values, space, f"label {name}") for name, values in labels.items()}
 
 
-def as_flags(values: object, size: int, where: str) -> Flags:
-    """Return one truth value for each state (S,), read-only; a list may number the states."""
-    array = np.asarray(values)
-    numbers = array.dtype.kind in "iu" and array.ndim == 1 and np.isin(array, range(size)).all()
-    # As many noughts and ones as there are states may be truth values.
-    if numbers and not (array.shape == (size,) and array.max() <= 1):
-        array = np.isin(np.arange(size), array)
+def as_flags(values: object, space: StateSpace, where: str) -> Flags:
+    """Return one truth value for each state (S,), read-only; states may be named instead."""
+    array, size = np.asarray(values), space.size
+    if array.dtype != bool and not isinstance(values, Mapping):
+        with located(where):
+            array = np.isin(np.arange(size), _states(values, array, space))
     if array.shape != (size,) or array.dtype != bool:
         raise ModelError(
             f"an array of type {array.dtype} and shape {array.shape} for {size} states",
@@ -213,6 +212,22 @@ def as_flags(values: object, size: int, where: str) -> Flags:
         array = array.copy()
         array.setflags(write=False)
     return array
+
+
+def _states(values: object, array: NDArray[Any], space: StateSpace) -> Integers | list[int]:
+    """Return the numbers of states that are named; an array, and only that, goes by numbers."""
+    if array.shape == (space.size,) and array.dtype.kind in "iuf" and np.isin(array, (0, 1)).all():
+        raise ModelError(
+            f"noughts and ones for {space.size} states may be truth values, or numbers of states",
+            fix="give one truth value, True or False, for each state; or a set of states: {0, 1}",
+        )
+    if isinstance(values, np.ndarray) and array.dtype.kind in "iu":
+        outside = array[(array < 0) | (array >= space.size)]
+        if len(outside):
+            raise no_such("state", outside[0], space.size)
+        return array
+    alone = isinstance(values, tuple) and space.lookup.knows(values)
+    return [space.number(values)] if alone else space.numbers(values)
 
 
 def counted(number: object, where: str, least: int = 1) -> int:

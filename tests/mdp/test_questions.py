@@ -158,3 +158,11 @@ LABELLED = MDP.from_arrays(
     labels={"goal": [False, True, False], "start": [True, False, False], "no": [False] * 3},
 )
 test_bad_questions = table_of_refusals(__file__, globals())
+
+
+@pytest.mark.parametrize("states", ["c", ["c"], {"c"}, 2, [2], {2}, np.array([2]), ("c",)])
+def test_a_label_names_states_or_numbers_them(states: object) -> None:
+    mdp = MDP.from_outcomes([(s, 0, [(1, s, 0)]) for s in range(3)], states=["a", "b", "c"])
+    assert mdp.with_(labels={"goal": states}).labels["goal"].tolist() == [False, False, True]
+    assert not mdp.with_(labels={"goal": []}).labels["goal"].any()
+    assert mdp.with_(labels={"goal": {0, 1}}).labels["goal"].tolist() == [True, True, False]
