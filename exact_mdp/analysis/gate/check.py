@@ -106,8 +106,11 @@ def check(
     if evidence is None and by != "robust":
         fix = "give confidence=0.95"
         raise ModelError("no confidence is given for the interval", where="by", fix=fix)
-    if evidence is not None and (max_relative_regret is not None or limited or average):
-        fix = "give max_regret, without a relative limit, limits on totals or an average reward"
+    others = {"max_relative_regret": max_relative_regret is not None, "subject_to": limited}
+    others["criterion"] = average
+    if evidence is not None and any(others.values()):
+        without = " and ".join(name for name, given in others.items() if given)
+        fix = f"leave out {without}, or confidence; to limit what is lost, give max_regret"
         raise ModelError("records bound the total regret alone", where="confidence", fix=fix)
     if average and limited:
         what = "limits hold of total rewards, not of an average"

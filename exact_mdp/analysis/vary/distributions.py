@@ -68,7 +68,9 @@ SIZE, SPREAD, DEFAULT = "effective_sample_size", "relative_sd", "default"
 WITHIN = {  # what floats can draw from
     SIZE: ("effective sample size", 1e-6, 1e15),
     SPREAD: ("relative standard deviation", 1e-9, 1e3),
+    "sd": ("standard deviation", 1e-9, 1e3),  # times the mean
 }
+SAMPLE = "a sample as a pandas.DataFrame: a column for each parameter, a row for each draw"
 MOST_ROWS = 2000  # random ones; a draw of so many takes half a second
 
 
@@ -278,15 +280,17 @@ def _of_moments(kind: str, said: Mapping[str, float], where: str) -> Numbers:
         raise ModelError(what, where=where, fix="state a finite mean, and around 0 an sd")
     if spread != SIZE:
         scale = abs(mean or 1.0)
-        relative = said[spread] / scale if spread == "sd" else said[spread]
-        return KINDS[kind].of_moments(mean, _check_within(relative, SPREAD, where) * scale)
+        unit, other = (scale, 1.0) if spread == "sd" else (1.0, scale)
+        return KINDS[kind].of_moments(
+            mean, _check_within(said[spread], spread, where, unit) * other
+        )
     return _beta(mean, _check_within(said[SIZE], SIZE, where))
 
 
-def _check_within(value: float, what: str, where: str) -> float:
+def _check_within(value: float, what: str, where: str, unit: float = 1.0) -> float:
     words, low, high = WITHIN[what]
-    if not low <= value <= high:
-        fix = f"choose a number above 0, from {low:g} to {high:g}"
+    if not low * unit <= value <= high * unit:
+        fix = f"choose a number above 0, from {low * unit:g} to {high * unit:g}"
         raise ModelError(f"{words} {value!r}", where=where, fix=fix)
     return value
 
@@ -421,7 +425,7 @@ def uncertainty(
 def _of_sample(model: Parametric, frame: Any) -> Uncertainty:
     """Return one's own sample, a table with a column for each parameter."""
     if not hasattr(frame, "columns"):
-        fix = "give {name: settings}, or a pandas.DataFrame of draws"
+        fix = f"give {{name: settings}}, or {SAMPLE}"
         raise ModelError(f"{type(frame).__name__} is given", where="uncertain", fix=fix)
     names = tuple(frame.columns)
     sample = checked(model, frame).astype(float)
@@ -502,7 +506,8 @@ def _checked(name: str, settings: object) -> Settings:
     """Return settings that are known."""
     where = f"parameter {name}"
     if not isinstance(settings, Mapping):
-        fix = 'state a distribution: {"distribution": "beta", "mean": 0.1, "sd": 0.02}'
+        fix = 'state a distribution: {"distribution": "beta", "mean": 0.1, "sd": 0.02}; or give '
+        fix += SAMPLE
         raise ModelError(f"{settings!r:.60} is stated", where=where, fix=fix)
     for key in settings:
         known(key, SETTINGS, "setting", where)
@@ -526,6 +531,9 @@ def _float(value: object, key: str, name: str) -> float:
 
 def _read(path: str | Path) -> tuple[dict[str, Settings], float | None]:
     """Return the distributions that a TOML file states, and the sample size of all others."""
+    if Path(path).suffix.lower() == ".csv":
+        what, fix = "a table is no file of distributions, .toml", f"in Python give {SAMPLE}"
+        raise ModelError(what, where=str(path), fix=fix)
     stated: dict[str, dict[str, object]] = {}
     content = toml_of(read_text(path, most=SMALL), str(path), number=float)
     for prefix, key, value in entries(content):

@@ -348,7 +348,9 @@ def drawn(family: Parametric, chosen: Uncertainty, n: int | None, seed: int, blo
         )
     if sample is None:
         sample = np.concatenate([chosen.draw(*each) for each in seeded(seed, n, block)])
-    return checked(family, dict(zip(chosen.names, sample[:n].T, strict=True)))
+    fix = "draw finite numbers within its range: a beta stays between 0 and 1, a gamma and a "
+    fix += "log-normal above 0"
+    return checked(family, dict(zip(chosen.names, sample[:n].T, strict=True)), fix)
 
 
 @named_options

@@ -21,7 +21,7 @@ from typing import Any, TypeVar, Unpack
 import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
-from exact_mdp.mdp.errors import DistributionError, ModelError, listed, located
+from exact_mdp.mdp.errors import DistributionError, ModelError, check_names, listed, located
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.forms.numbers import float_array
 from exact_mdp.mdp.model import MDP
@@ -143,13 +143,19 @@ def study(
     return Draws(solver, table, max(1, solver.block // 2), key, how).study(weights)
 
 
-def checked(model: Parametric, given: Mapping[str, Any] | DataFrame) -> Numbers:
+def checked(
+    model: Parametric,
+    given: Mapping[str, Any] | DataFrame,
+    fix: str = "correct the table: give finite numbers within its range",
+) -> Numbers:
     """Return points (D, P), checked; they are fractions where not all numbers are floats."""
+    check_names(given, "column", where="points")
     columns = {name: np.asarray(given[name]) for name in given}
     shapes = {column.shape for column in columns.values()}
     if len(shapes) != 1 or len(*shapes) != 1 or (0,) in shapes:
+        told = ", ".join(map(str, sorted(shapes)))
         raise ModelError(
-            f"columns of shape {', '.join(map(str, sorted(shapes))) or 'none'}",
+            "no row" if shapes == {(0,)} else f"columns of shape {told or 'none'}",
             where="points",
             fix="give one number for each point and parameter, at least one point",
         )
@@ -170,8 +176,7 @@ def checked(model: Parametric, given: Mapping[str, Any] | DataFrame) -> Numbers:
             raise ModelError(
                 f"{name} is {drawn[row]:.17g}, {fault}",
                 where=f"draw {row}",
-                fix="draw finite numbers within its range: beta stays between 0 and 1, gamma and "
-                "lognormal above 0",
+                fix=fix,
             )
     return points
 
@@ -400,7 +405,8 @@ class ModelSolver:
                         models.append(self.model.at(dict(zip(self.names, row, strict=True))))
                 except DistributionError as error:
                     fix = "choose ranges, or distributions, all of whose numbers make a model: a "
-                    fix += "beta stays in [0, 1], a gamma and a log-normal above 0"
+                    fix += "beta stays in [0, 1], a gamma and a log-normal above 0; draw "
+                    fix += "probabilities of one row together: rows={label: [names]}"
                     raise type(error)(error.what, where=error.where, fix=fix) from error
             made = _Built(models, at)
             if sum(each.size for each in (made, *self.built.values())) > KEPT:

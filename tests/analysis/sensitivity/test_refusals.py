@@ -56,6 +56,12 @@ KINK = Family(
     parameters=(Parameter(name="p", value="1/2", low=0, high=1),),
     build=lambda at: MDP.from_arrays([[[1]]] * 2, [[at["p"], 1 - at["p"]]], 0),
 )
+APART = Family(
+    parameters={"a": "1/2", "b": "1/4"},
+    build=lambda at: MDP.from_arrays(
+        [[[1 - at["a"] - at["b"], at["a"], at["b"]], [0, 1, 0], [0, 0, 1]]], [1, 0, 0], "1/2"
+    ),
+)
 ROUND = MDP.from_outcomes(
     [(s, a, [(1, (s + 1) % 201, 0)]) for s in range(201) for a in (0, 1)],
     "1/2",
