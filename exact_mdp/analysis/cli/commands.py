@@ -8,7 +8,8 @@ and not imported, so that help comes at once. What a parameter becomes:
     without a default              an argument, a required option where it is keyword-only
     : bool                         a flag
     : int                          a whole number
-    : Sequence or Mapping          an option of the singular name that may be repeated
+    : Sequence or Mapping          an option of the singular name that may be repeated, unless
+                                   the type in the docstring says "once"
     anything else                  an option with a text
 
 What is not typed is not passed: the function's own default holds. In the docstring's type stand the
@@ -135,7 +136,7 @@ class Parameter(NamedTuple):
             multiple=multiple,
             required=required,
             type=whole if self.kind.startswith("int") else None,
-            help=help_ + " May be repeated." * multiple,
+            help=help_ + " May be repeated." * (multiple and "once" not in self.form),
         )
 
 

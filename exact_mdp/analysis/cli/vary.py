@@ -120,7 +120,7 @@ def curve(
 
     Parameters
     ----------
-    parameters : NAME
+    parameters : NAME, once
         The parameter that moves.
     max_regret : X, optional
         Where the policy loses at most X: 0.1 or 1/10.
@@ -153,7 +153,7 @@ def one_way(given: Given, *, parameters: Sequence[str] = (), points: int = 21) -
 
     Parameters
     ----------
-    parameters : NAME
+    parameters : NAME, once
         The parameter that moves.
     points : N, 2 to 10000
         Values along each range, ends included.
@@ -369,7 +369,7 @@ def explore(
     The pieces between the switching points are worked out beforehand, in rational arithmetic, so
     that the page needs no server and shows exact values; it says which of them are certified.
 
-    Example: exact-mdp explore yuan2025 --parameter base.anger --relative whole --html page.html
+    Example: exact-mdp explore yuan2025 --parameter base.anger --html page.html
 
     Parameters
     ----------

@@ -112,6 +112,9 @@ def test_every_command_has_help() -> None:
         assert not re.search(r"^  \[?[A-Z]+[.\]]*$", text, re.M)  # arguments stand in the usage
         options = re.findall(r"^  (-.*(?:\n {6,}\S.*)*)", text, re.M)
         assert options[-1].startswith("-h, --help  ")
+        assert max(map(len, text.splitlines())) <= 80
+        once = name in ("curve", "one-way")
+        assert not (once and "moves. May be repeated" in " ".join(text.split()))
         for option in options:  # behind two blanks, or on a line of its own, it says what it does
             assert re.search(r"(  +|\n {6,})\S+ \S", option), option
 
