@@ -57,6 +57,8 @@ class Parameter:
 
     def __post_init__(self) -> None:
         check_names((self.name,), "parameter", where="parameters")
+        if not self.name:
+            raise ModelError("a parameter has no name", where="parameters", fix="give it one")
         if self.unit is not None:
             check_names((self.unit,), "unit", where=f"parameter {self.name}")
         for part in ("value", "low", "high"):
@@ -64,6 +66,12 @@ class Parameter:
             if part == "value" or number is not None:
                 number = exact(number, f"parameter {self.name}, {part}")
                 object.__setattr__(self, part, number)
+        if self.low is not None and self.high is not None and self.low > self.high:
+            raise ModelError(
+                f"low is {shown(self.low)}, above high, which is {shown(self.high)}",
+                where=f"parameter {self.name}",
+                fix="give the lower end as low",
+            )
         self.check(self.value)
 
     def check(self, value: Fraction) -> None:

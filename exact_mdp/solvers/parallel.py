@@ -109,12 +109,16 @@ def _as_done(
     if not threads:
         _track_quietly()
     for _ in range(ATTEMPTS):
-        parallel = joblib.Parallel(
-            n_jobs=-1 if n_jobs is None else n_jobs,
-            prefer="threads" if threads else None,
-            return_as="generator_unordered",
-            batch_size=1,
-        )
+        try:
+            parallel = joblib.Parallel(
+                n_jobs=-1 if n_jobs is None else n_jobs,
+                prefer="threads" if threads else None,
+                return_as="generator_unordered",
+                batch_size=1,
+            )
+        except ValueError as error:
+            fix = 'choose "loky", "threading" or "dask"'
+            raise ModelError(str(error), where="joblib.parallel_config", fix=fix) from error
         results = parallel([joblib.delayed(_one)(work, *task) for task in left.items()])
         try:
             for index, result in results:
@@ -178,7 +182,8 @@ def _opened(folder: Path, record: Mapping[str, object], *, what: str) -> Path:
         known = content if isinstance(content, dict) else {}
         joined = ", ".join(key for key, value in wanted.items() if known.get(key) != value)
         raise ModelError(
-            f"the folder holds {what} whose record differs{f' in {joined}' if joined else ''}",
+            f"the folder holds {what} of other work: its record differs"
+            + f" in {joined}" * bool(joined),
             where=str(folder),
             fix="choose another folder, or delete this one",
         )

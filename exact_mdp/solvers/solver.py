@@ -58,7 +58,7 @@ def mdp_of(model: object) -> MDP:
         return model
     if isinstance(model, str | Path):
         return MDP.load(model)
-    if hasattr(getattr(model, "unwrapped", None), "P"):
+    if hasattr(model, "unwrapped"):  # an environment
         return MDP.from_gymnasium(model)
     raise ModelError(
         f"{type(model).__name__} is not a model",

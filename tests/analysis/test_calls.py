@@ -19,7 +19,7 @@ import pytest
 from cli_runner import run
 from made_models import forest
 from records import POLICY, estimated, recorded
-from refusal_tables import table_of_refusals
+from refusal_tables import refused, table_of_refusals
 
 import exact_mdp
 from exact_mdp import (
@@ -176,6 +176,15 @@ def test_what_has_one_meaning_is_taken() -> None:
     assert even.weights(MODEL)[:2].tolist() == [0.5, 0.5]
     by_place = {(0, 0): "down", (0, 1): "down", (1, 0): "right", (1, 1): "down"}
     assert Policy.of(GRID, by_place).weights(GRID).sum() == float(GRID.n_states)
+
+
+def test_what_is_asked_of_environments_that_are_made() -> None:
+    gymnasium = pytest.importorskip("gymnasium")
+    lake, pole = gymnasium.make("FrozenLake-v1"), gymnasium.make("CartPole-v1")
+    fix = 'beside an id: MDP.from_gymnasium("FrozenLake-v1"'
+    refused(lambda: MDP.from_gymnasium(lake, is_slippery=False), "is_slippery=", "MDP", fix)
+    refused(lambda: MDP.from_gymnasium(lake, startt=3), "startt=", "MDP", "did you mean start?")
+    refused(lambda: check(pole, [0, 0]), "does not expose its model as P", "CartPole-v1")
 
 
 def test_a_table_by_state_and_action_is_never_one_by_row_and_column() -> None:

@@ -156,7 +156,7 @@ def _prices(wtp: ArrayLike) -> Floats:
         prices = np.asarray(wtp, dtype=float)
     except (TypeError, ValueError):
         prices = np.array(np.nan)
-    if prices.ndim > 1 or not np.isfinite(prices).all():
+    if prices.ndim > 1 or not prices.size or not np.isfinite(prices).all():
         raise ModelError(f"{wtp!r:.60} is no finite number", where=WTP, fix="give one, or a list")
     return prices
 

@@ -219,7 +219,7 @@ class PSA(Pictured):
                 "claim": "estimated",
                 "draws": Shown(len(self), f"{len(self):,}, each re-solved"),
                 "seed": self.seed,
-                "drawn": Shown(drawn, f"{len(drawn)} parameters"),
+                "drawn": Shown(drawn, f"{len(drawn)} parameter{'s' * (len(drawn) != 1)}"),
                 "fixed": Shown(self.uncertainty.fixed, len(self.uncertainty.fixed) or None),
                 "clipped": self.clipped,
                 "value": _spread(self.table.optimal, self.value),

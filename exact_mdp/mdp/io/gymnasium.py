@@ -18,8 +18,9 @@ through: what they change is no part of `P`.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from inspect import signature
 from typing import Any, Self, TypeGuard
 
 import numpy as np
@@ -109,8 +110,9 @@ class FromGymnasium(FromArrays):
                 return cls.from_gymnasium(made, discount, **{"name": env} | names)
             finally:
                 made.close()
-        check_options(names, {})
         bare = env if isinstance(env, Mapping | list) else getattr(env, "unwrapped", env)
+        beside = f'give it beside an id: MDP.from_gymnasium("{_name(env)}", …)'
+        check_options(names, dict.fromkeys({*_taken(bare)} - KNOWN, beside))
         layers = [*_layers(env)]
         _refuse_changed(layers)
         names.setdefault("name", _name(env))
@@ -122,6 +124,11 @@ class FromGymnasium(FromArrays):
             return cls.from_arrays(*_of_matrices(bare, dynamics, where), discount, **options)
         rows = _of_table(bare, where, names)
         return cls.from_outcomes(rows, discount, **names)
+
+
+def _taken(bare: Any) -> Iterable[str]:
+    """Return what an environment is made with."""
+    return () if isinstance(bare, Mapping | list) else signature(type(bare).__init__).parameters
 
 
 def _of_table(bare: Any, where: str, names: dict[str, Any]) -> list[Any]:

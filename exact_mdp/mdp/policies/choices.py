@@ -13,7 +13,7 @@ import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
-from os.path import isfile
+from os.path import isdir, isfile
 from pathlib import Path
 from typing import Any
 
@@ -222,6 +222,8 @@ def of_file(model: MDP, path: str | Path, kind: str = "auto") -> Parts:
         what = f"unknown kind of policy {where!r}"
         if where in model.actions:
             fix = f"did you mean always:{where}?"
+        elif isdir(path):
+            what = f"{where!r} is a folder"
         elif suffix and isfile(path):
             what, fix = f"cannot read {suffix}", f"load it yourself, then {SAVE}"
         raise ModelError(what, fix=fix)

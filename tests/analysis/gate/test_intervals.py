@@ -27,6 +27,7 @@ from records import (
     recorded,
     staged_policy,
 )
+from refusal_tables import refused
 from scipy import stats
 
 from exact_mdp import MDP, ModelError, OffPolicy, PolicyLike, Posterior, Robust, check
@@ -262,6 +263,8 @@ def test_the_same_seed_gives_the_same_bytes_wherever(backend: str) -> None:
     with joblib.parallel_config(backend):
         assert draws(n_jobs=2) == here
     assert draws(4) != here
+    with joblib.parallel_config("multiprocessing"):
+        refused(lambda: draws(n_jobs=2), "", "joblib.parallel_config", '"loky", "threading" or')
 
 
 @pytest.mark.parametrize(("level", "least"), [("1/2", 6), (0.95, 72), (0.99, 368), (0.999, 3688)])

@@ -162,7 +162,7 @@ def test_a_folder_is_not_used_for_models_that_are_the_same_today_alone(tmp_path:
         return psa(model, 30, uncertain=stated, folder=tmp_path).table.optimal
 
     assert optima(1).tolist() == optima(1).tolist()
-    with pytest.raises(ModelError, match="record differs in first_draw"):
+    with pytest.raises(ModelError, match="of other work: its record differs in first_draw"):
         optima(5)
 
 
