@@ -239,7 +239,7 @@ def test_default_ranges_stay_where_there_is_a_model() -> None:
 # ---- numbers and names as they are given ---------------------------------------------------------
 
 
-SIXTEENTHS = "16/9 (checked: the degree holds at 6 points, and is not proven)"
+SIXTEENTHS = "16/9 (checked: the degree holds at 7 points, and is not proven)"
 NUMBERS = [0.25, "1/4", F(1, 4), Decimal("0.25"), np.float32(0.25), np.float64(0.25), "0.25"]
 
 

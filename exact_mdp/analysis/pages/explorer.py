@@ -164,7 +164,11 @@ def explore(
             curve = exact_curves.curve(here, names[0], spans[names[0]], policy=policy)
             for point in certified(curve):
                 if proven(here.at({names[0]: point})).start_value != curve.at(point):
-                    raise RuntimeError(f"the curve is not the optimum at {point}")
+                    raise ModelError(
+                        "the rows of the model do not follow the polynomials of the curve",
+                        where=f"parameter {names[0]} = {shown(point)}",
+                        fix=f'state breaks={{"{names[0]}": [value, …]}} where the formula changes',
+                    )
         curves.append(curve)
     return Explorer(
         model=family.name or "model",

@@ -127,7 +127,7 @@ class Family(Parametric):
     (Fraction(1, 3), 0, Fraction(1, 1))
     >>> from exact_mdp import gradient  # V = 1 / (1 - p)
     >>> print(gradient(family)["p"].value)
-    4 (checked: the degree holds at 6 points, and is not proven)
+    4 (checked: the degree holds at 7 points, and is not proven)
     """
 
     parameters: tuple[Parameter, ...]

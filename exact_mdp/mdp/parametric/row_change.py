@@ -5,8 +5,8 @@
 on a piece between two breakpoints, as FLINT's polynomials of y = θ - θ0. A polynomial of degree d
 is fixed by d + 1 compiled models, without error in rational arithmetic. That the degree is d
 follows from the rules of a care scenario, or from those of `moving`; that of any other family is
-checked at further points: one that does not fit refutes it, and those that fit are all that is
-known.
+checked at further points on both sides of θ0: one that does not fit refutes it, and those that fit
+are all that is known. With both ends among them, they show a line that has one kink.
 """
 
 from __future__ import annotations
@@ -14,12 +14,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from itertools import chain, pairwise
 
 import numpy as np
 from flint import fmpq, fmpq_mat, fmpq_poly
 
 from exact_mdp.mdp.care.scenario import ScenarioFamily
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.exact import rational
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric.family import Family, Moved, Parametric, room_of
@@ -36,6 +37,7 @@ class Piece:
     low: Fraction | None
     high: Fraction | None
     origin: Fraction
+    closed: bool = False  # whether its ends belong to it
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,20 +90,22 @@ def row_change(model: Parametric, name: str, piece: Piece, base: MDP) -> RowChan
     known = isinstance(model, ScenarioFamily) or (
         isinstance(model, Family) and isinstance(model.build, Moved)
     )
-    points, models = _sampled(model, name, piece, degree if known else degree + EXTRA)
-    models.insert(0, base)
-    for point, other in zip(points, models[1:], strict=True):
-        _check_alike(models[0], other, name, point)
-    steps = [rational(point - origin) for point in (origin, *points)]
+    count, ends = degree if known else degree + EXTRA, piece.closed and not known
+    sampled = {origin: base, **_sampled(model, name, piece, count, ends)}
+    points, models = [*sampled], [*sampled.values()]
+    for point, other in sampled.items():
+        with located(f"parameter {name} = {shown(point)}"):
+            check_alike(base, other, start=True)
+    steps = [rational(point - origin) for point in points]
     changes = [_changes(models, steps, entries) for entries in (transition_entries, reward_entries)]
-    for change, targets in zip(changes, (models[0].n_states, 1), strict=True):
+    for change, targets in zip(changes, (base.n_states, 1), strict=True):
         for key, moved in zip(change.key.tolist(), change.moved, strict=True):
             if moved.degree() > degree:
-                where = models[0].where(key // targets)
-                raise _no_polynomial("rows are not polynomials", name, degree, where)
+                where = f", {base.where(key // targets)}"
+                raise _no_polynomial("rows are not polynomials", name, degree, points, moved, where)
     rate = polynomials(steps, [[rational(mdp.discount_exact)] for mdp in models])[0]
     if rate.degree() > degree:
-        raise _no_polynomial("the discount is not a polynomial", name, degree)
+        raise _no_polynomial("the discount is not a polynomial", name, degree, points, rate)
     return RowChange(
         name=name,
         piece=piece,
@@ -112,60 +116,83 @@ def row_change(model: Parametric, name: str, piece: Piece, base: MDP) -> RowChan
     )
 
 
-def _no_polynomial(what: str, name: str, degree: int, where: str = "") -> ModelError:
+def _no_polynomial(
+    what: str, name: str, degree: int, at: list[Fraction], through: fmpq_poly, where: str = ""
+) -> ModelError:
+    """Return the error that names the first point that the polynomial of those before it misses."""
+    steps = [rational(point - at[0]) for point in at]
+    near = polynomials(steps[: degree + 1], [[through(y)] for y in steps[: degree + 1]])[0]
+    missed = next(point for point, y in zip(at, steps, strict=True) if near(y) != through(y))
     return ModelError(
         f"{what} of degree {degree} in {name}",
-        where=f"parameter {name}" + (f", {where}" if where else ""),
-        fix="let build compute with the fractions that it is given, not with floats; state a "
-        f'higher degree, Family(degrees={{"{name}": 2}}), and where rows pass to another '
-        f'polynomial, breaks={{"{name}": […]}}; one_way and tornado take any function',
+        where=f"parameter {name} = {shown(missed)}{where}",
+        fix=f'state breaks={{"{name}": [value, …]}} where the formula changes, or a higher degree, '
+        f'degrees={{"{name}": {degree + 1}}}; let build compute with the fractions that it is '
+        "given, not with floats; one_way and tornado take any function",
     )
 
 
-EXTRA = 4  # points beyond those that a degree needs, which check it; the result says how many
+EXTRA = 5  # points beyond those that a degree needs, which check it; the result says how many
 SHRINKS = 64  # halvings of the distance to θ0 where there is no model, before that is refused
 
 
 def _sampled(
-    model: Parametric, name: str, piece: Piece, count: int
-) -> tuple[list[Fraction], list[MDP]]:
-    """Return `count` points other than the origin, all on one side of it, and the models there.
+    model: Parametric, name: str, piece: Piece, count: int, ends: bool
+) -> dict[Fraction, MDP]:
+    """Return the models at `count` points other than the origin, the nearest first.
 
-    They lie inside the piece, on the right where there is room: at its ends another polynomial may
-    begin. Where a family has no model at some of them, as where a probability would pass 1, they
-    are moved closer to the origin, and then to the other side.
+    They are spread over both sides of it, to the ends of the piece or, as another polynomial may
+    begin there, to three quarters of the way. Where a family has no model, as where a probability
+    would pass 1, those of that side are moved closer to the origin, and then to the other side.
     """
-    origin, widths = piece.origin, list[Fraction]()
-    if piece.high is None or origin < piece.high:
-        widths.append(Fraction(1) if piece.high is None else piece.high - origin)
-    if piece.low is None or piece.low < origin:
-        widths.append(Fraction(-1) if piece.low is None else piece.low - origin)
-    refused: ModelError | None = None
-    for width in widths:
-        for shrunk in range(0, SHRINKS, 4):
-            parts = 2 ** (count.bit_length() + shrunk)  # a power of 2 keeps denominators small
-            points = [origin + width * k / parts for k in range(1, count + 1)]
+    origin, refused = piece.origin, list[ModelError]()
+    above = 1 if piece.high is None else piece.high - origin
+    below = 1 if piece.low is None else origin - piece.low
+    share = Fraction(1 if ends else "3/4")
+    sides = [width * share for width in (above, -below) if width]
+
+    def built(side: Fraction, count: int) -> dict[Fraction, MDP]:
+        parts = 2 ** count.bit_length()  # a power of 2 keeps denominators small
+        for halved in range(SHRINKS):
+            width = side / 2**halved / parts
+            points = [origin + width * (k * parts // count) for k in range(count, 0, -1)]
             try:
-                return points, [model.at({name: point}) for point in points]
+                return {point: model.at({name: point}) for point in points}
             except ModelError as error:
-                refused = refused or error
-    assert refused is not None
-    raise refused
+                refused.append(error)
+        return {}
+
+    counts = [count - count // 2, count // 2] if len(sides) == 2 else [count]
+    found = [built(side, own) for side, own in zip(sides, counts, strict=True) if own]
+    if not all(found):  # the side that has models, or was not asked, holds all points
+        others = [side for side, own in zip(sides, found, strict=False) if own]
+        found = [built(side, count) for side in others or sides[len(found) :]]
+    if not any(found):
+        raise refused[0]
+    return dict(sorted(chain(*map(dict.items, found)), key=lambda each: abs(each[0] - origin)))
 
 
-def _check_alike(first: MDP, other: MDP, name: str, point: Fraction) -> None:
-    """Raise ModelError unless two models differ in their numbers alone."""
+def check_alike(first: MDP, other: MDP, *, start: bool) -> None:
+    """Raise ModelError unless two models differ in their numbers alone; `start` is compared, too.
+
+    Components are not: models whose rewards move may have none. A goal is kept at discount 1 alone.
+    """
+    goals = [mdp.goal for mdp in (first, other) if mdp.goal is not None]
     for what, one, two in (
-        ("states", first.n_states, other.n_states),
-        ("states of pairs", first.pair_state.tolist(), other.pair_state.tolist()),
-        ("actions of pairs", first.pair_action.tolist(), other.pair_action.tolist()),
-        ("the start", first.start, other.start),
+        ("numbers of states", first.n_states, other.n_states),
+        ("names of states", first.space, other.space),
+        ("states of pairs", first.pair_state.tobytes(), other.pair_state.tobytes()),
+        ("actions of pairs", first.pair_action.tobytes(), other.pair_action.tobytes()),
+        ("names of actions", first.actions, other.actions),
+        ("senses", first.sense, other.sense),
+        *(("goals", one.tobytes(), two.tobytes()) for one, two in pairwise(goals)),
+        *[("probabilities of the start", first.start, other.start)] * start,
     ):
         if one != two:
             raise ModelError(
-                f"{what} change with {name}",
-                where=f"parameter {name} = {shown(point)}",
-                fix="let a parameter change only probabilities, rewards and the discount",
+                f"{what} change",
+                fix="let build return the same states, actions, pairs, start and sense for all "
+                "values; give an action that is not offered a reward so low that it is never taken",
             )
 
 

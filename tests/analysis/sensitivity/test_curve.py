@@ -283,6 +283,77 @@ def test_a_jump_is_refused_unless_its_value_belongs_to_all_of_a_range(
             curve(family, "p", span)
 
 
+def leaving(chance: Callable[[F], F], value: object, high: int = 1, **more: Any) -> Family:
+    """Return a model that is left with a chance of p, for 1 a step, or at once for 3."""
+    (p,) = parameters = (Parameter(name="p", value=value, low=0, high=high),)
+
+    def build(at: Any) -> MDP:
+        q = chance(at[p.name])
+        rows = [(0, 0, [(1 - q, 0, 1), (q, 1, 1)]), (0, 1, [(1, 1, 3)]), (1, 0, [(1, 1, 0)])]
+        return MDP.from_outcomes(rows, "9/10")
+
+    return Family(parameters=parameters, build=build, **more)
+
+
+@pytest.mark.parametrize(
+    ("chance", "kink", "value", "high", "switches"),
+    [
+        (lambda p: max(F(1, 5), p / 10), F(2), 3, 4, [2.5926]),
+        (lambda p: p if p < HALF else (1 + p) / 3, HALF, "1/2", 1, [0.2593]),
+        (lambda p: min(2 * p, HALF), F(1, 4), "1/2", 1, [0.1296]),
+    ],
+)
+def test_a_kink_is_refused_by_a_value_beyond_it_until_it_is_stated(
+    chance: Callable[[F], F], kink: Fraction, value: object, high: int, switches: list[float]
+) -> None:
+    hidden = leaving(chance, value, high)
+    for call in (lambda: curve(hidden, "p"), lambda: thresholds(hidden, "p", (0, high))):
+        with pytest.raises(ModelError, match="not polynomials of degree 1 in p") as error:
+            call()
+        at, place = error.value.where.removeprefix("parameter p = ").split(", ", 1)
+        assert (0 <= F(at) <= high, place) == (True, "state 0, action 0")
+        assert 'state breaks={"p": [value, …]}' in error.value.fix
+        assert 'degrees={"p": 2}' in error.value.fix
+    stated = leaving(chance, value, high, breaks={"p": [kink]})
+    whole = thresholds(stated, "p", (0, high))
+    assert [each.value for each in whole.found] == pytest.approx(switches, abs=1e-4)
+    assert whole.curve.violations() == []
+    for k in range(33):
+        at = F(high * k, 32)
+        assert whole.curve.at(at) == certify(stated.at({"p": at})).start_value
+
+
+@pytest.mark.parametrize("today", [F(1, 20), F(1, 2), F(1)])
+@pytest.mark.parametrize("span", [(0, 1), ("1/3", "9/10")])
+def test_one_kink_of_a_line_is_found_wherever_it_is(
+    today: Fraction, span: tuple[object, object]
+) -> None:
+    for k in range(1, 60):
+        kink = F(span[0]) + (F(span[1]) - F(span[0])) * F(k, 60)
+        with pytest.raises(ModelError, match="not polynomials"):
+            curve(leaving(lambda p, kink=kink: max(p, kink) / 2, today), "p", span)
+    beyond = leaving(lambda p: max(p, F(span[0])) / 2, today)
+    assert curve(beyond, "p", span).violations() == []
+
+
+def test_a_derivative_at_a_kink_has_two_sides_once_it_is_stated() -> None:
+    with pytest.raises(ModelError, match="not polynomials"):
+        gradient(leaving(lambda p: max(p, HALF) / 10, HALF))
+    slope = gradient(leaving(lambda p: max(p, HALF) / 10, HALF, breaks={"p": [HALF]}))["p"]
+    assert slope.left is not None
+    assert slope.right is not None
+    assert (slope.left.value, slope.right.value < 0) == (0, True)
+
+
+def test_where_there_is_no_model_on_a_side_the_points_are_nearer_or_on_the_other() -> None:
+    """A chance of 3 p, and one that is 0 from today on to the left."""
+    for chance, today, side in ((lambda p: 3 * p, "1/4", 3), (lambda p: p - HALF, HALF, 1)):
+        slope = gradient(leaving(chance, today), policy=[0, 0])["p"]
+        q = chance(F(today))
+        # V = 1 / (1 - 0.9 (1 - q)) and its derivative by q, times that of q
+        assert slope.value.value == -F(9, 10) * side / (1 - F(9, 10) * (1 - q)) ** 2
+
+
 def test_what_leads_to_the_end_without_a_reward_counts_in_the_degree() -> None:
     """Its row has no entry; a chance that is 0 at a single point closes no way to the end."""
 

@@ -16,7 +16,19 @@ from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exact_mdp import MDP, Policy, Scenario, certify, check, explore, parametric, save
+from exact_mdp import (
+    MDP,
+    Family,
+    ModelError,
+    Parameter,
+    Policy,
+    Scenario,
+    certify,
+    check,
+    explore,
+    parametric,
+    save,
+)
 
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")  # pipes of the browser
 F = Fraction
@@ -109,6 +121,21 @@ def test_names_are_text(tmp_path: Path) -> None:
     assert "<b>" not in page
     assert set(data_of(page)["labels"].values()) == {f"state {name}" for name in NASTY}
     assert not re.search(r"https?://(?!www\.w3\.org/2000/svg)", page)
+
+
+def test_a_kink_and_back_that_no_point_of_the_curve_shows_is_refused() -> None:
+    """The chance is p but between 4/5 and 9/10, where today's value is."""
+
+    def build(at: Any) -> MDP:
+        q = at["p"] + max(F(0), F(1, 20) - abs(at["p"] - F(17, 20)))
+        rows = [(0, 0, [(1 - q, 0, 1), (q, 1, 1)]), (1, 0, [(1, 1, 0)])]
+        return MDP.from_outcomes(rows, "9/10")
+
+    family = Family(parameters=(Parameter(name="p", value="17/20", low=0, high=1),), build=build)
+    with pytest.raises(ModelError) as error:
+        explore(family, "p", ranges={"p": (0, 1)})
+    assert error.value.where == "explorer of p, parameter p = 0.85"
+    assert 'breaks={"p": [value, …]}' in error.value.fix
 
 
 # ---- in a browser ------------------------------------------------------------------------------

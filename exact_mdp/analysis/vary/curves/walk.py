@@ -18,7 +18,6 @@ moves they come from powers of P_π,
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from fractions import Fraction
 from functools import reduce
 from itertools import chain, count, islice, pairwise
@@ -36,7 +35,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import rational
 from exact_mdp.mdp.model import MDP, once
 from exact_mdp.mdp.parametric import Parametric
-from exact_mdp.mdp.parametric.row_change import Piece, polynomials, row_change, transition_entries
+from exact_mdp.mdp.parametric.row_change import Piece, polynomials, transition_entries
 from exact_mdp.mdp.table import Integers, shown
 from exact_mdp.solvers.solution import Bounded, Certified
 
@@ -207,15 +206,10 @@ def pieces_of(
     family: Parametric, name: str, span: Range, sign: int, mix: Mix | None
 ) -> tuple[list[CurvePiece], list[Equations]]:
     """Return the pieces over a range, and their sections; sign is -1 for costs, `mix` is held."""
-    cuts = {*family.breakpoints(name)}
-    inside = (cut for cut in cuts if span.low < cut < span.high)
+    inside = (cut for cut in family.breakpoints(name) if span.low < cut < span.high)
     pieces, sections, policy = list[CurvePiece](), list[Equations](), None
     for low, high in pairwise(sorted({span.low, *inside, span.high})):
         equations = _middle(family, name, low, high)
-        if equations.change.checked is not None:  # refuse a jump
-            for cut in {low, high} & cuts:
-                there = replace(equations.change.piece, origin=cut)
-                row_change(family, name, there, family.at({name: cut}))
         if not equations.one_solution():
             raise unending(f"for some {name} from {shown(low)} to {shown(high)}")
         sweep = Sweep(equations, mix, sign)
@@ -232,7 +226,7 @@ def _middle(family: Parametric, name: str, low: Fraction, high: Fraction) -> Equ
     """
     for share in chain([Fraction(1, 2)], (Fraction(37 + k, 97 + 2 * k) for k in count())):
         origin = low + (high - low) * share
-        equations = Equations(family, name, Piece(low=low, high=high, origin=origin))
+        equations = Equations(family, name, Piece(low=low, high=high, origin=origin, closed=True))
         moving, there = equations.change.transition.key, transition_entries(equations.mdp)[0]
         if np.isin(moving, there).all():
             return equations
