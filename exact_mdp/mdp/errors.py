@@ -141,6 +141,16 @@ def located(where: str, *, instead: bool = False) -> Iterator[None]:
         raise type(error)(error.what, where=place, fix=error.fix) from error
 
 
+@contextmanager
+def noted(where: str) -> Iterator[None]:
+    """Note the place on an error of the user's own function, which stays what it is."""
+    try:
+        yield
+    except Exception as error:
+        error.add_note(f"raised by the model's own function, for {where}")
+        raise
+
+
 def short(text: str, most: int = LONGEST) -> str:
     """Return a text as it is, or its two ends where it has more than `most` characters."""
     if len(text) <= most:

@@ -21,11 +21,12 @@ from typing import Any, TypeVar, Unpack
 import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
-from exact_mdp.mdp.errors import DistributionError, ModelError, check_names, listed, located
+from exact_mdp.mdp.errors import DistributionError, ModelError, check_names, listed, located, noted
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.forms.numbers import float_array
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
+from exact_mdp.mdp.parametric.row_change import check_alike
 from exact_mdp.mdp.policies.arrays import distinct
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import cell
@@ -401,8 +402,9 @@ class ModelSolver:
             models, at = [], partial(self._where, draws, first)
             for d, row in enumerate(draws.tolist()):
                 try:
-                    with located(at(d)):
+                    with located(at(d)), noted(at(d)):
                         models.append(self.model.at(dict(zip(self.names, row, strict=True))))
+                        check_alike(self.mdp, models[-1], start=len(self.mdp.start) == 1)
                 except DistributionError as error:
                     fix = "choose ranges, or distributions, all of whose numbers make a model: a "
                     fix += "beta stays in [0, 1], a gamma and a log-normal above 0; draw "

@@ -8,14 +8,13 @@ reward may be a dictionary of amounts, whose sum it is: these are the components
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from typing import Any, Self
 
 import numpy as np
 
 from exact_mdp.mdp.build import FromArrays
-from exact_mdp.mdp.errors import ModelError, located, of_type
+from exact_mdp.mdp.errors import ModelError, located, noted, of_type
 from exact_mdp.mdp.forms.names import ByNumber
 from exact_mdp.mdp.forms.numbering import Numbering, Row, numbered
 from exact_mdp.mdp.forms.numbers import as_given
@@ -145,18 +144,18 @@ class FromFunction(FromArrays):
 
 def _answer(ask: Callable[..., Any], *of: Any, where: str, fix: str) -> list[Any]:
     """Return what a function of the user lists; of actions, None is an empty list."""
-    with _noted(where):
+    with noted(where):
         answer = ask(*of)
     if answer is None and len(of) == 1:
         return []
     if not isinstance(answer, Iterable):
         raise ModelError(f"the function returns {answer!r}, not a list", where=where, fix=fix)
-    with _noted(where):  # a generator runs only now
+    with noted(where):  # a generator runs only now
         return list(answer)
 
 
 def _holds(name: str, holds: Callable[[Any], Any], state: Any) -> bool:
-    with _noted(f"label {name}, state {state}"):
+    with noted(f"label {name}, state {state}"):
         answer = holds(state)
     if not isinstance(answer, bool | np.bool_):
         raise ModelError(
@@ -165,16 +164,6 @@ def _holds(name: str, holds: Callable[[Any], Any], state: Any) -> bool:
             fix="return a truth value: bool(…)",
         )
     return bool(answer)
-
-
-@contextmanager
-def _noted(where: str) -> Iterator[None]:
-    """Note the place on an error of the user's own function, which stays what it is."""
-    try:
-        yield
-    except Exception as error:
-        error.add_note(f"raised by the model's own function, for {where}")
-        raise
 
 
 def _outcome(given: Any) -> tuple[Any, Hashable, Any]:

@@ -10,6 +10,7 @@ from random import Random
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from care_oracle import oracle_of
 from made_models import burning
@@ -25,9 +26,14 @@ from exact_mdp import (
     Policy,
     Scenario,
     certify,
+    cost_effectiveness,
+    curve,
     evaluate,
     moving,
+    one_way,
     parametric,
+    psa,
+    sobol,
     solve,
     study,
     thresholds,
@@ -143,6 +149,81 @@ def test_optimal_actions_beside_infinite_states(seed: int) -> None:
         table = study(Family(parameters={"x": 1}, build=lambda _: mdp), {"x": [1]})
         optimal = mdp.by_action(exact.optimal_pairs)[~mdp.forced]
         assert (table.counts == 1).tolist() == optimal.tolist()
+
+
+# ---- models of draws that differ in more than their numbers --------------------------------------
+
+
+ILL = MDP.from_outcomes(
+    [(0, 0, [("1/2", 0, 1), ("1/2", 1, 1)]), (0, 1, [(1, 1, 3)]), (1, 0, [(1, 1, 0)])],
+    states=["ill", "dead"],
+    actions=["wait", "leave"],
+    labels={"end": [False, True], "all": [True, True]},
+)
+OTHERS = {
+    "numbers of states": MDP.from_arrays([[[1]]], [[1]], "9/10"),
+    "names of states": ILL.with_(states=["dead", "ill"]),
+    "names of actions": ILL.with_(actions=["leave", "wait"]),
+    "states of pairs": ILL.with_(pair_state=np.array([0, 1, 1]), pair_action=np.array([0, 0, 1])),
+    "actions of pairs": ILL.with_(pair_action=np.array([0, 1, 1])),
+    "senses": ILL.with_(sense="min"),
+    "probabilities of the start": ILL.with_(start=1),
+    "goals": ILL.until("all"),
+}
+
+
+def either(one: MDP, other: MDP) -> Family:
+    """Return a family that is the other model from p = 1/2 on; today it is the first."""
+    (p,) = parameters = (Parameter(name="p", value="1/5", low=0, high=1),)
+    return Family(parameters=parameters, build=lambda at: other if at[p.name] >= F(1, 2) else one)
+
+
+@pytest.mark.parametrize("what", OTHERS)
+def test_a_model_of_another_form_is_refused_with_its_draw(what: str) -> None:
+    family = either(ILL.until("end") if what == "goals" else ILL, OTHERS[what])
+    drawn = pd.DataFrame({"p": [0.1, 0.4, 0.625]})
+    for call in (
+        lambda: study(family, drawn, ["always:wait"]),
+        lambda: psa(family, uncertain=drawn, n_jobs=2),
+        lambda: tornado(family, ranges={"p": (0, "5/8")}),
+        lambda: one_way(family, "p", (0, "5/8"), points=3),
+        lambda: sobol(family, ranges={"p": (0, 1)}, n=4, rng=0),
+        lambda: cost_effectiveness(
+            family, {"wait": [0, 0]}, effect="reward", cost="reward", uncertain=drawn
+        ),
+    ):
+        with pytest.raises(ModelError, match=f"{what} change") as error:
+            call()
+        assert error.value.where.startswith("draw ")
+        assert ", p = " in error.value.where
+        assert "return the same states, actions, pairs" in error.value.fix
+    with pytest.raises(ModelError, match=f"{what} change\n  where: parameter p = "):
+        curve(family, "p", (0, 1))
+
+
+def test_a_start_over_several_states_may_be_drawn() -> None:
+    """How many are ill today, a prevalence, is a number as others are."""
+
+    def build(at: Any) -> MDP:
+        return ILL.with_(start={0: at["p"], 1: 1 - at["p"]})
+
+    family = Family(parameters=(Parameter(name="p", value="1/5", low=0, high=1),), build=build)
+    table = study(family, {"p": [F(1, 4), F(3, 4), F(1)]}, ["always:wait"])
+    assert table.fixed[:, 0].tolist() == pytest.approx([0.5, 1.5, 2])
+    assert table.optimal.tolist() == pytest.approx([0.75, 2.25, 3])
+
+
+@pytest.mark.parametrize("n_jobs", [1, 2])
+def test_what_a_users_function_raises_says_at_which_draw(n_jobs: int) -> None:
+    def build(at: Any) -> MDP:
+        if at["p"] > F(1, 2):
+            raise ZeroDivisionError("a division of one's own")
+        return ILL
+
+    family = Family(parameters=(Parameter(name="p", value="1/5", low=0, high=1),), build=build)
+    with pytest.raises(ZeroDivisionError, match="of one's own") as error:
+        study(family, {"p": [0.1, 0.4, 0.625]}, n_jobs=n_jobs)
+    assert error.value.__notes__ == ["raised by the model's own function, for draw 2, p = 0.625"]
 
 
 # ---- ranges --------------------------------------------------------------------------------------
