@@ -30,6 +30,7 @@ from exact_mdp.analysis.ci import inert
 from exact_mdp.mdp.errors import ModelError, short, shown_text
 
 DONE, FAILED, REFUSED, BROKEN, PIPE_CLOSED = 0, 1, 2, 3, 141
+FORMAT = 2  # as `mdp.report` has it, which needs packages that may be what is missing
 SIGNALS = 128  # what shells add to the number of the signal that ended a program
 TRACEBACK = "EXACT_MDP_TRACEBACK"
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -124,7 +125,7 @@ def run(
     say(message)
     if "--json" in words:
         parts = {"kind": kind, "what": said.what, "where": said.where, "fix": said.fix}
-        say(json.dumps({"status": status, "error": parts}))
+        say(json.dumps({"format": FORMAT, "status": status, "error": parts}))
     if on_error is not None:
         on_error(message)
     return status

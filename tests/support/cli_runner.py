@@ -42,7 +42,9 @@ class Done:
     def refusal(self, status: int = 2) -> str:
         """The error: what, where and fix, in three lines, and nothing else on either stream."""
         assert (self.status, self.out) == (status, ""), self.err
-        text = re.sub(r'\n\{"status": \d, "error": \{.*\}\}\n$', "\n", self.err)  # with --json
+        text = re.sub(
+            r'\n\{"format": 2, "status": \d, "error": \{.*\}\}\n$', "\n", self.err
+        )  # with --json
         assert re.fullmatch(r"[A-Z]\w+: [^\n]+\n  where: [^\n]+\n  fix:   [^\n]+\n", text), text
         assert len(text) < 3500
         return text

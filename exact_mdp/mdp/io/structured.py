@@ -54,7 +54,10 @@ def _parsed(read: Callable[[Any], Any], text: str | bytes, kind: str, where: str
     except ValueError as error:
         said = "string conversion" in str(error)
         what = f"an integer of over {MOST_DIGITS:,} digits" if said else short(str(error), 200)
-        raise ModelError(f"broken {kind}: {what}", where=where, fix="correct that place") from error
+        fix = "correct that place"
+        if (where, kind) == ("-", "JSON"):
+            fix = "standard input (-) takes JSON, such as a model.json: name other files instead"
+        raise ModelError(f"broken {kind}: {what}", where=where, fix=fix) from error
     return content
 
 

@@ -156,6 +156,9 @@ def test_a_file_may_be_standard_input(tmp_path: Path, monkeypatch: pytest.Monkey
         done = run(*words, "--json")
         assert done.status == status, (words, done.err)
         assert json.loads(done.out)
+    for text in ("", "tasks = [1]\n"):
+        monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(text.encode())))
+        assert "(-) takes JSON, such as a model.json" in run("solve -").refusal()
 
 
 def test_the_program_alone_shows_its_help() -> None:

@@ -160,5 +160,5 @@ def test_with_json_the_last_line_of_an_error_is_an_object(words: str) -> None:
     plain, text = run(words).refusal(), run(words, "--json").err
     assert text.startswith(plain)
     error = strict(text.removeprefix(plain))
-    assert error.pop("status") == 2
+    assert (error.pop("format"), error.pop("status"), [*error]) == (2, 2, ["error"])
     assert plain == "{kind}: {what}\n  where: {where}\n  fix:   {fix}\n".format(**error["error"])
