@@ -185,6 +185,8 @@ def no_option(name: str, known: Iterable[str], where: str) -> ModelError:
     if name in ("gamma", "γ", "discount"):
         fix = "it is the model's: mdp.with_(discount=0.9), MDP.from_gymnasium(env, discount=0.9)"
         fix = "say discount=" if "discount" in options else fix
+    if name == "kind" and "policy" in options:
+        fix = 'say it with the array: policy=Policy.of(model, array, kind="policy")'
     return ModelError(f"there is no option {name}=", where=where, fix=fix)
 
 
