@@ -286,3 +286,13 @@ def test_what_is_advised_can_be_done(tmp_path: Path, sense: str, earned: int) ->
             assert again.status in (0, 1), again.err
             assert "infinite" not in again.out
     assert seen
+
+
+def test_a_model_by_name_or_file_is_varied_as_one_that_is_loaded(tmp_path: Path) -> None:
+    """A scenario keeps its own parameters; a model its rewards and its discount."""
+    tea = exact_mdp.Scenario.load("tea")
+    by_name = exact_mdp.one_way("tea", "base.anxiety", points=3)
+    assert by_name.frame().equals(exact_mdp.one_way(tea, "base.anxiety", points=3).frame())
+    mdp = forest("9/10")
+    mdp.save(path := tmp_path / "forest.npz")
+    assert exact_mdp.tornado(path).frame().equals(exact_mdp.tornado(mdp).frame())

@@ -376,6 +376,7 @@ def uncertainty(
     """
     if isinstance(stated, Uncertainty):
         return stated
+    model = parametric(model)
     if isinstance(stated, str | Path):
         said, own = _read(stated)
         with located(str(stated)):

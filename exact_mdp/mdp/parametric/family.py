@@ -23,10 +23,12 @@ from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property, reduce
 from itertools import chain
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
+from exact_mdp.mdp.care.toml import shipped
 from exact_mdp.mdp.errors import ModelError, check_names, located, of_type, suggest
 from exact_mdp.mdp.forms.columns import table_of
 from exact_mdp.mdp.forms.numbers import one_kind
@@ -207,6 +209,7 @@ def parametric(source: Any) -> Parametric:
     Parameters
     ----------
     source : Scenario, MDP or Family
+        Or the name or file of one of the first two, as `load` takes it.
 
     Returns
     -------
@@ -220,6 +223,11 @@ def parametric(source: Any) -> Parametric:
     """
     if isinstance(source, Parametric):
         return source
+    if isinstance(source, str | Path):
+        import exact_mdp
+
+        of_care = str(source) in shipped() or Path(source).suffix.lower() == ".toml"
+        source = exact_mdp.Scenario.load(source) if of_care else exact_mdp.load(source)
     if not isinstance(source, MDP):
         if not hasattr(source, "parametric"):
             fix = "give an MDP, a Scenario, or a Family of models"

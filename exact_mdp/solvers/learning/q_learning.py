@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, located, suggest
+from exact_mdp.mdp.errors import ModelError, located, of_type, suggest
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.arrays import distinct
 from exact_mdp.mdp.policies.policy import Policy
@@ -124,6 +124,7 @@ class QLearning:
 
     def train(self, model: MDP, rng: Seed) -> TrainingRun:
         """Return one run; the same seed gives the same bytes."""
+        of_type(model, MDP, "model", "give an MDP, as load and scenario.compile return one")
         costs, mdp = model.sense == "min", model.maximised
         read = rows_of(mdp, self.columns)
         rows = read.space.size
