@@ -32,12 +32,11 @@ Entries = tuple[Integers, Numbers, Numbers]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Piece:
-    """An interval on which rows are polynomials, around θ0; open ends are None."""
+    """An interval, ends included, on which rows are polynomials, around θ0."""
 
-    low: Fraction | None
-    high: Fraction | None
+    low: Fraction
+    high: Fraction
     origin: Fraction
-    closed: bool = False  # whether its ends belong to it
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,12 +67,15 @@ class RowChange:
 def pieces(model: Parametric, name: str, origin: Fraction) -> tuple[Piece | None, Piece | None]:
     """Return the pieces to the left and to the right of a value; None beyond the range.
 
-    They are one and the same where the value, θ0 of both, is not a breakpoint.
+    They are one and the same where the value, θ0 of both, is not a breakpoint. They reach three
+    quarters of the way to the next one, where another polynomial may begin, or of 1.
     """
     low, high = room_of(model, name)
+    low, high = origin - 1 if low is None else low, origin + 1 if high is None else high
     cuts = model.breakpoints(name)
     below = max((cut for cut in cuts if cut < origin), default=low)
     above = min((cut for cut in cuts if cut > origin), default=high)
+    below, above = ((origin + 3 * end) / 4 for end in (below, above))
     cut = origin in cuts
     left = Piece(low=below, high=origin if cut else above, origin=origin)
     right = replace(left, low=origin, high=above) if cut else left
@@ -90,8 +92,8 @@ def row_change(model: Parametric, name: str, piece: Piece, base: MDP) -> RowChan
     known = isinstance(model, ScenarioFamily) or (
         isinstance(model, Family) and isinstance(model.build, Moved)
     )
-    count, ends = degree if known else degree + EXTRA, piece.closed and not known
-    sampled = {origin: base, **_sampled(model, name, piece, count, ends)}
+    count = degree if known else degree + EXTRA
+    sampled = {origin: base, **_sampled(model, name, piece, count)}
     points, models = [*sampled], [*sampled.values()]
     for point, other in sampled.items():
         with located(f"parameter {name} = {shown(point)}"):
@@ -136,20 +138,15 @@ EXTRA = 5  # points beyond those that a degree needs, which check it; the result
 SHRINKS = 64  # halvings of the distance to θ0 where there is no model, before that is refused
 
 
-def _sampled(
-    model: Parametric, name: str, piece: Piece, count: int, ends: bool
-) -> dict[Fraction, MDP]:
+def _sampled(model: Parametric, name: str, piece: Piece, count: int) -> dict[Fraction, MDP]:
     """Return the models at `count` points other than the origin, the nearest first.
 
-    They are spread over both sides of it, to the ends of the piece or, as another polynomial may
-    begin there, to three quarters of the way. Where a family has no model, as where a probability
-    would pass 1, those of that side are moved closer to the origin, and then to the other side.
+    They are spread over both sides of it, to the ends of the piece. Where a family has no model, as
+    where a probability would pass 1, those of that side are moved closer to the origin, and then to
+    the other side.
     """
     origin, refused = piece.origin, list[ModelError]()
-    above = 1 if piece.high is None else piece.high - origin
-    below = 1 if piece.low is None else origin - piece.low
-    share = Fraction(1 if ends else "3/4")
-    sides = [width * share for width in (above, -below) if width]
+    sides = [end - origin for end in (piece.high, piece.low) if end != origin]
 
     def built(side: Fraction, count: int) -> dict[Fraction, MDP]:
         parts = 2 ** count.bit_length()  # a power of 2 keeps denominators small

@@ -46,8 +46,6 @@ class Equations:
 
     def __init__(self, family: Parametric, name: str, section: Piece) -> None:
         mdp = family.at({name: section.origin})
-        assert section.low is not None
-        assert section.high is not None
         self.low, self.high, self.mdp = section.low, section.high, mdp
         self.change = change = row_change(family, name, section, mdp)
         shift = fmpq_poly([rational(-section.origin), 1])

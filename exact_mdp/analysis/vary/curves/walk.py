@@ -226,7 +226,7 @@ def _middle(family: Parametric, name: str, low: Fraction, high: Fraction) -> Equ
     """
     for share in chain([Fraction(1, 2)], (Fraction(37 + k, 97 + 2 * k) for k in count())):
         origin = low + (high - low) * share
-        equations = Equations(family, name, Piece(low=low, high=high, origin=origin, closed=True))
+        equations = Equations(family, name, Piece(low=low, high=high, origin=origin))
         moving, there = equations.change.transition.key, transition_entries(equations.mdp)[0]
         if np.isin(moving, there).all():
             return equations
