@@ -197,19 +197,18 @@ def plot_evaluation(
 def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
     """Draw what the policy does; wrong states have a cross, a frame and the optimal action below.
 
-    Darker cells cost more. States that are only listed have their number or name in a corner.
+    Darker cells cost more.
     """
     layout, mdp = _placed(audit.mdp, place), audit.mdp
     drawn = [each for row in cells(audit, layout) for each in row if each is not None]
     ends, shown = ends_of(mdp), dict[int, tuple[str, Look]]()
-    names = shortened([each.name for each in drawn], IN_A_CORNER)
-    for each, name in zip(drawn, names, strict=True):
+    for each in drawn:
         text = ends[each.state][0] if each.state in ends else f"{each.text}\n{each.small}".strip()
         look: Look = {"edgecolor": "0.8", "ink": "0.5" if each.kind == "idle" else BLACK}
         if each.kind == "wrong":
             look |= {"fill": LOSSES(min(each.shade, 1.0)), "edgecolor": ORANGE}
             look |= {"linewidth": 1.6, "zorder": 2}
-        shown[each.state] = text, look | {"corner": name}
+        shown[each.state] = text, look
     losses = [each.cost for each in audit.disagreements if np.isfinite(each.cost)]
     colours = ScalarMappable(Normalize(0.0, max(losses, default=0.0)), LOSSES)
     words = ["✗ not optimal; below it\n   the optimal action"] if losses else []
@@ -244,7 +243,10 @@ def _map(
     handles: Sequence[Artist],
     colours: tuple[ScalarMappable, str] | None = None,
 ) -> Axes:
-    """Draw the cells of states, a text and the look of each, with a legend and a colour bar."""
+    """Draw the cells of states, a text and the look of each, with a legend and a colour bar.
+
+    States that are only listed have their number or name in a corner.
+    """
     high, wide = len(layout.rows), len(layout.columns)
     if ax is None:
         size = (max(4.8, min(14.0, 3.4 + 0.55 * wide)), max(2.8, min(12.0, 1.9 + 0.42 * high)))
@@ -266,20 +268,23 @@ def _map(
     room = 72 / ax.figure.dpi * np.array([ax.bbox.width / wide / letters, ax.bbox.height / high])
     font = min(font, *(room / [LETTER, LINE * deep]).tolist())
     font = 0 if font < LEAST_FONT else font
-    usual: Look = {"fill": WHITE, "ink": BLACK, "hatch": "", "font": font, "corner": ""}
+    usual: Look = {"fill": WHITE, "ink": BLACK, "hatch": "", "font": font}
     thin: Look = {} if font else {"linewidth": 0.2}  # a frame would cover a cell without a text
+    listed = layout.listed and wide > 1  # a state's name stands in its cell, not beside its row
+    full = [name.removeprefix("state ") for name in model.space.labels(shown if listed else ())]
+    names = dict(zip(shown, shortened(full, IN_A_CORNER), strict=False))
     for state, (text, own) in shown.items():
         look = usual | {"edgecolor": BLACK} | own | thin
         x, y = int(layout.column[state]), int(layout.row[state])
-        fill, ink, hatch, most, corner = map(look.pop, usual)
+        fill, ink, hatch, most = map(look.pop, usual)
         ax.add_patch(Rectangle((x, y), 1, 1, facecolor=fill, hatch=hatch, **look))
         if font:
             box = {"facecolor": fill if hatch else "none", "edgecolor": "none", "pad": 1.2}
             centre: Look = {"ha": "center", "va": "center", "fontsize": min(font, most)}
             ax.text(x + 0.5, y + 0.5, text, color=ink, bbox=box, **centre)
-        if font and corner:
+        if font and listed:
             beside: Look = {"ha": "left", "va": "top", "fontsize": 0.6 * font, "clip_on": True}
-            ax.text(x + 0.06, y + 0.08, corner, color=ink, **beside)
+            ax.text(x + 0.06, y + 0.08, names[state], color=ink, **beside)
     if colours is not None:
         side = "right" if narrow(ax) else "bottom"  # the legend is on the other one
         place: Look = {"location": side, "shrink": 0.7, "aspect": 35, "pad": 0.03}

@@ -131,9 +131,10 @@ def test_names_that_differ_are_cut_to_texts_that_differ(form: str, written: str)
     """A name is cut at the end, at the start, or in the middle; else the state has its number."""
     names = [form.format(k=k, a=k // 20, b=k % 20) for k in range(200)]
     mdp = MDP.from_arrays(np.eye(200)[np.newaxis], np.zeros(200), 0.9, states=names)
-    corners = texts_of(check(mdp, [0] * 200).plot().texts)
-    assert written in corners
-    assert len({*corners}) == 201  # and the sign of an end
+    for ax in (check(mdp, [0] * 200).plot(), plots.plot_policy(mdp, [0] * 200)):
+        corners = texts_of(ax.texts)
+        assert written in corners
+        assert len({*corners}) == 201  # and the sign of an end
     ticks = texts_of(solve(mdp).plot().get_xticklabels())
     assert len({*ticks}) == len(ticks) == 40
     assert max(map(len, ticks)) <= 26
