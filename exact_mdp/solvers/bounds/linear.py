@@ -237,9 +237,9 @@ class LinearSystem(ByFields):
             return out
 
         def left(given: Floats) -> Floats:
-            near = nearly(given)
-            near -= rate * (chain @ near)
-            return near
+            out = np.empty_like(given)
+            loops.residual(rows, rate, nearly(given), out)
+            return out
 
         value = _bicgstab(left, constant, rtol, steps)
         return None if value is None else nearly(value)
@@ -312,8 +312,9 @@ class LinearSystem(ByFields):
 
 def _bicgstab(moves: Solve, constant: Floats, rtol: float, steps: int) -> Floats | None:
     """Return y whose `moves` are the constant (S,), or None where `steps` do not suffice."""
-    # Such sums are the same for any number of threads.
-    dot, value, fresh = partial(np.einsum, "s,s->"), np.zeros_like(constant), True
+    from exact_mdp.solvers.kernels.linear import dot
+
+    value, fresh = np.zeros_like(constant), True
     goal = rtol * np.sqrt(dot(constant, constant))
     for _ in range(steps):
         if fresh:  # at first, and where the residual came to be orthogonal to its shadow
