@@ -58,6 +58,11 @@ class Layout:
         return len(self.rows) * len(self.columns)
 
     @property
+    def named_in_cells(self) -> bool:
+        """Whether a state's name stands in its cell, as no row or column says it."""
+        return self.listed and len(self.columns) > 1
+
+    @property
     def shown(self) -> Integers:
         """The states that are in the map."""
         return np.flatnonzero(self.row >= 0)
@@ -322,7 +327,7 @@ def cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
             kind="wrong" if each is not None else "idle" if idle[state] else "",
             text=text,
             small=best,
-            name=label.removeprefix("state ") if layout.listed and len(layout.columns) > 1 else "",
+            name=label.removeprefix("state ") if layout.named_in_cells else "",
             title=f"{label}: {said}" + ", start" * (state in begins),
             start=state in begins,
             shade=0.0 if each is None else 1.0 if each.cost == most else each.cost / most,

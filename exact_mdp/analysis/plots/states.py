@@ -270,7 +270,7 @@ def _map(
     font = 0 if font < LEAST_FONT else font
     usual: Look = {"fill": WHITE, "ink": BLACK, "hatch": "", "font": font}
     thin: Look = {} if font else {"linewidth": 0.2}  # a frame would cover a cell without a text
-    listed = layout.listed and wide > 1  # a state's name stands in its cell, not beside its row
+    listed = layout.named_in_cells
     full = [name.removeprefix("state ") for name in model.space.labels(shown if listed else ())]
     names = dict(zip(shown, shortened(full, IN_A_CORNER), strict=False))
     for state, (text, own) in shown.items():

@@ -154,9 +154,9 @@ def checked(
     columns = {name: np.asarray(given[name]) for name in given}
     shapes = {column.shape for column in columns.values()}
     if len(shapes) != 1 or len(*shapes) != 1 or (0,) in shapes:
-        told = ", ".join(map(str, sorted(shapes)))
+        sizes = ", ".join(map(str, sorted(shapes)))
         raise ModelError(
-            "no row" if shapes == {(0,)} else f"columns of shape {told or 'none'}",
+            "no row" if shapes == {(0,)} else f"columns of shape {sizes or 'none'}",
             where="points",
             fix="give one number for each point and parameter, at least one point",
         )

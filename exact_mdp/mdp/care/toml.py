@@ -60,6 +60,11 @@ def shipped() -> list[str]:
     return sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name[-5:] == ".toml")
 
 
+def is_scenario(name: str | Path) -> bool:
+    """Return whether a text names a shipped scenario, or a file of one."""
+    return str(name) in shipped() or Path(name).suffix.lower() == ".toml"
+
+
 def load(name: str | Path) -> dict[str, Any]:
     """Return the parts of a shipped scenario, or of that of a file; see `Scenario.load`."""
     where = str(name)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.care.toml import shipped
+from exact_mdp.mdp.care.toml import is_scenario, shipped
 from exact_mdp.mdp.errors import ModelError, located, of_type, suggest
 from exact_mdp.mdp.io import model_json, npz, storm, umb
 from exact_mdp.mdp.io.files import STANDARD_INPUT
@@ -54,7 +54,7 @@ def read_model(
     if constants and suffix not in SOURCES:
         fix = f"give a {' or '.join(SOURCES)} file"
         raise ModelError("the model has no constants", where=text, fix=fix)
-    if text in shipped() or suffix == ".toml":
+    if is_scenario(text):
         scenario = Scenario.load(text)
         for assignment in of_type(sets, Sequence, "sets", 'give ["KEY=VALUE", …]'):
             scenario = scenario.set(of_type(assignment, str, "sets", 'give "KEY=VALUE"'))

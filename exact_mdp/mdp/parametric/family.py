@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from exact_mdp.mdp.care.toml import shipped
+from exact_mdp.mdp.care.toml import is_scenario
 from exact_mdp.mdp.errors import ModelError, check_names, located, of_type, suggest
 from exact_mdp.mdp.forms.columns import table_of
 from exact_mdp.mdp.forms.numbers import one_kind
@@ -226,8 +226,8 @@ def parametric(source: Any) -> Parametric:
     if isinstance(source, str | Path):
         import exact_mdp
 
-        of_care = str(source) in shipped() or Path(source).suffix.lower() == ".toml"
-        source = exact_mdp.Scenario.load(source) if of_care else exact_mdp.load(source)
+        read = exact_mdp.Scenario.load if is_scenario(source) else exact_mdp.load
+        source = read(source)
     if not isinstance(source, MDP):
         if not hasattr(source, "parametric"):
             fix = "give an MDP, a Scenario, or a Family of models"
