@@ -1,6 +1,5 @@
 """Robust values: published answers, rationals, linear programs, closed forms, and laws of any."""
 
-from collections.abc import Callable
 from fractions import Fraction
 from math import exp, log, sqrt
 from typing import Any
@@ -28,7 +27,7 @@ from exact_mdp import (
 )
 
 F = Fraction
-SETS = ("interval", "absolute", "l1", "kl", "entropy")
+SETS = ("interval", "absolute", "l1", "kl")
 SMALL = Scenario.load("yuan2025").with_(tasks=[1, 1], max_trial=3)
 fewer = settings(max_examples=40)
 
@@ -129,31 +128,26 @@ def test_intervals_and_balls_against_a_linear_program(row: Any, kind: str, radiu
     assert start.error <= 1e-7 * size
 
 
-def forward(p: np.ndarray, q: np.ndarray) -> float:
+def divergence(p: np.ndarray, q: np.ndarray) -> float:
     return float(sum(a * log(a / b) for a, b in zip(p, q, strict=True)))
 
 
-def backward(p: np.ndarray, q: np.ndarray) -> float:
-    return float(sum(b * log(b / a) for a, b in zip(p, q, strict=True) if b > 0))
-
-
 @pytest.mark.filterwarnings("ignore::exact_mdp.PrecisionWarning")
-@pytest.mark.parametrize(("kind", "divergence"), [("kl", forward), ("entropy", backward)])
 @fewer
 @given(
     row=rows(),
     radius=st.sampled_from([0.0, 1e-14, 1e-9, 1e-4, 0.01, 0.1, 0.5, 1.0, 1.9, 5.0]),
     seed=st.integers(0, 99),
 )
-def test_divergence_sets_hold_what_they_return_and_no_member_beats_the_bound(
-    kind: str, divergence: Callable[..., float], row: Any, radius: float, seed: int
+def test_likelihood_sets_hold_what_they_return_and_no_member_beats_the_bound(
+    row: Any, radius: float, seed: int
 ) -> None:
     mdp, p, gains, nature = row
-    solution, n = side(cases(mdp, kind, radius), nature), len(p)
+    solution, n = side(cases(mdp, "kl", radius), nature), len(p)
     low, high = solution.start.interval
     q = solution.transition.toarray()[0, 1 : n + 1]
     q = q / q.sum()
-    if not (q == 0).any() or kind == "entropy":
+    if not (q == 0).any():
         assert divergence(p, q) <= radius + 1e-13
     # A proven gap: the tolerance, and the edge of the divergence, which is left out by 1e-13.
     edge = min(1e-13 * (1 + radius) / sqrt(radius), sqrt(2 * radius)) if radius else 0.0
@@ -177,9 +171,6 @@ def test_two_outcomes_have_closed_forms() -> None:
         start = cases(mdp, "kl", radius).worst
         right = (1 - sqrt(1 - exp(-2 * radius))) / 2  # 4 q (1 - q) = e^-2β
         assert abs(start.value - right) <= start.error < 1e-9
-    entropy = cases(mdp, "entropy", 1.0).robust  # above log 2
-    assert entropy.transition.toarray()[0].tolist() == [0, 1, 0]
-    assert abs(entropy.start_value) <= entropy.start.error < 1e-12
 
 
 # ---- whole models --------------------------------------------------------------------------------
@@ -292,7 +283,7 @@ def test_sides_that_undo_each_other_settle_soon(discount: str) -> None:
     assert abs(solution.value[1] - float(exact)) <= 1e-5
 
 
-@pytest.mark.parametrize("kind", ["l1", "kl", "entropy"])
+@pytest.mark.parametrize("kind", ["l1", "kl"])
 def test_values_beyond_the_range_of_floats_have_no_bound(kind: str) -> None:
     most, half = 1.5e308, "1/2"
     mdp = MDP.from_outcomes([(0, 0, [(half, 0, most), (half, 1, most)]),

@@ -38,7 +38,6 @@ ROWS = {  # what is in each kind of set
     "absolute": "each transition probability ± {}, rows on their own",
     "l1": "rows within an L1 distance of {}, on their own",
     "kl": "rows that keep the tables likely, KL(p‖q) ≤ {}, on their own",
-    "entropy": "rows of relative entropy KL(q‖p) ≤ {}, on their own",
 }
 BOX = "box"
 
@@ -307,9 +306,9 @@ def robust(given: Given, *, set_kind: str = "interval", radius: str | None = Non
 
     Parameters
     ----------
-    set_kind : "interval", "absolute", "l1", "kl", "entropy" or "box"
+    set_kind : "interval", "absolute", "l1", "kl" or "box"
         What may move: each probability by a share or an absolute amount, each row within a distance
-        (l1, kl, entropy), or the tables' numbers (box).
+        (l1, kl), or the tables' numbers (box).
     radius : X, optional
         How far it may move, except in a box.
 

@@ -33,7 +33,7 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, cell, claimed, plain
 from exact_mdp.mdp.result import DataFrame, Result, data_frame, framed
 from exact_mdp.mdp.table import Floats, Numbers
-from exact_mdp.solvers.robust.divergence import Likelihood, RelativeEntropy
+from exact_mdp.solvers.robust.likelihood import Likelihood
 from exact_mdp.solvers.robust.robust import Nature, RobustSolution, solve_robust
 from exact_mdp.solvers.robust.sets import Ambiguity, Intervals, L1Ball
 from exact_mdp.solvers.solution import Bounded, Claim, difference
@@ -143,7 +143,6 @@ SETS: Mapping[str, tuple[Callable[[MDP, object], Ambiguity], str]] = {
     "absolute": (Intervals.absolute, "1/50"),
     "l1": (lambda mdp, radius: L1Ball(radius=radius), "1/10"),
     "kl": (lambda mdp, radius: Likelihood(radius=radius), "1/100"),
-    "entropy": (lambda mdp, radius: RelativeEntropy(radius=radius), "1/100"),
 }
 """Sets by name, each with its usual radius."""
 
@@ -161,11 +160,11 @@ def robust(
     Parameters
     ----------
     model : MDP
-    ambiguity : Ambiguity, or "interval", "absolute", "l1", "kl" or "entropy"
-        Sets of laws around the rows p: p (1 ± x), p ± x, those within an L1 distance of x, those
-        with KL(p‖q) ≤ x, and those with KL(q‖p) ≤ x.
+    ambiguity : Ambiguity, or "interval", "absolute", "l1" or "kl"
+        Sets of laws around the rows p: p (1 ± x), p ± x, those within an L1 distance of x, and
+        those with KL(p‖q) ≤ x.
     radius : number, optional
-        x of a set that is named; 1/5, 1/50, 1/10, 1/100 and 1/100 unless given.
+        x of a set that is named; 1/5, 1/50, 1/10 and 1/100 unless given.
     policy : PolicyLike
         The nominal policy.
 

@@ -75,7 +75,7 @@ def solve_robust(
     Parameters
     ----------
     model : MDP
-    ambiguity : Intervals, L1Ball, Likelihood, RelativeEntropy, or another `Ambiguity`
+    ambiguity : Intervals, L1Ball, Likelihood, or another `Ambiguity`
     nature : "worst" or "best"
         Against the agent (robust), or with it (cooperative).
     policy : PolicyLike, optional

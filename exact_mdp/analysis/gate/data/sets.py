@@ -30,7 +30,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
-from exact_mdp.solvers.robust.divergence import Likelihood
+from exact_mdp.solvers.robust.likelihood import Likelihood
 from exact_mdp.solvers.robust.sets import Block, entries, inner, side_by_side
 
 KNOWN = "known"
