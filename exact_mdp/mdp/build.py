@@ -22,6 +22,8 @@ from exact_mdp.mdp.components import each_component, named_components, of_length
 from exact_mdp.mdp.errors import ModelError, ShapeError, words_of
 from exact_mdp.mdp.forms import listed
 from exact_mdp.mdp.forms.columns import table_of
+from exact_mdp.mdp.forms.names import names_of
+from exact_mdp.mdp.forms.numbering import action_names
 from exact_mdp.mdp.forms.numbers import (
     array_of,
     as_given,
@@ -66,10 +68,9 @@ class FromArrays(Parts):
         P : (A, S, S) or (S, A, S) array, A sparse (S, S) matrices, or {action: (S, S) matrix}
             Transition probabilities: Fractions, ints, "p/q" and floats in any mixture; each number
             keeps its exact value, a float that of the binary fraction that it is. Or P[s][a][t] in
-            dictionaries and lists, or quadruples (s, a, t, p): see `mdp.forms.listed`.
+            dictionaries, or quadruples (s, a, t, p): see `mdp.forms.listed`.
         R : (S,), (S, A) or (A, S, S) array, a sparse (S, A) matrix, or A sparse (S, S) ones
-            Rewards of states, of pairs, or of transitions; beside quadruples for P also triples
-            (s, a, r) or quadruples (s, a, t, r). An action with the reward -inf (inf
+            Rewards of states, of pairs, or of transitions. An action with the reward -inf (inf
             where rewards are costs) is not available, whatever P says of it; all others are.
         discount : number or "p/q"
         layout : "ass" or "sas", optional
@@ -105,41 +106,32 @@ class FromArrays(Parts):
             raise ModelError(
                 f"{layout!r} is not a layout", where="layout", fix='give "ass" or "sas"'
             )
-        if isinstance(P, Mapping) and P and all(map(is_table, P.values())):
-            P, words = listed.of_tables(P, words_of(names.get("states"), "states"))
-            if words:
-                names, layout = names | {"states": words}, layout or "ass"
-        listed_pairs, keys = None, None
         if listed.is_listed(P):
-            fitting = listed.layouts_of(P)
-            if layout not in (None, *fitting):
-                raise ModelError(
-                    f"these dictionaries or lists are not {layout!r}",
-                    where="layout",
-                    fix="leave it out; or give one square matrix for each action, by its name"
-                    if layout == "ass"
-                    else "leave it out; or give the rows of each state's actions, by state",
-                )
-            if (layout or fitting[0]) == "sas":
-                rows, own_names = listed.rows_of(P, R, costs=names.get("sense") == "min")
-                return cls.from_outcomes(rows, discount, start=start, **(own_names | names))
-            P, listed_pairs, keys, own_names = listed.by_action(P)
-            names, layout = own_names | names, layout or (None if len(fitting) == 2 else "ass")
+            if layout not in (None, "sas"):
+                fix = "leave it out; what is listed goes by state, then action"
+                raise ModelError("dictionaries are not 'ass'", where="layout", fix=fix)
+            pairs, own_names = listed.rows_of(P, R, costs=names.get("sense") == "min")
+            return cls.from_outcomes(pairs, discount, start=start, **(own_names | names))
+        keys: list[Any] = []
+        if isinstance(P, Mapping):
+            keys = listed.keys_of(P)
+            P = [P[key] for key in keys]
+        P, R, listed_pairs = listed.filled(P, R, layout)
+        layout = layout if listed_pairs is None else "sas"
         rows, shape, order = _rows_of_matrices(P, "P", layout)
         states, actions = shape
         swapped = None
         if layout is None and states == actions > 1:
             swapped = np.arange(states * actions).reshape(shape).T.reshape(-1)
             _check_alike(rows, swapped)
-            if listed_pairs is not None:
-                _check_alike(listed_pairs, swapped)
-        words = words_of(names.get("states"), "states")
+        if keys != [*range(len(keys))]:
+            states_named = {"states": names_of(keys, "state")} if order == "sas" else {}
+            names = (states_named or action_names(keys)) | names
 
         def of_pairs(values: Any, where: str) -> Any:
-            if keys is not None and is_table(values) and len(words) and {*values.index} == {*words}:
-                values = values.T.to_dict()
-            if keys is not None and isinstance(values, Mapping):
-                values = listed.rewards_by_action(values, where, keys, words or range(states))
+            if isinstance(values, Mapping) and keys and values.keys() == {*keys}:
+                matrices = [values[key] for key in keys]
+                values = matrices if all(np.ndim(each) == 2 for each in matrices) else values
             like = order if states == actions else layout
             rewards, of_transitions = _rewards_of_arrays(values, where, shape, like, order)
             if swapped is not None and of_transitions:

@@ -94,10 +94,6 @@ def by_records(records: pd.DataFrame = FRAME, model: MDP = SEEN, **how: Any) -> 
 
 
 VALUES = {("a", "slow"): 1, ("a", "fast"): 2, ("b", "slow"): 0, ("b", "fast"): 1}
-BY_NAME = {
-    "slow": table([[0.5, 0.5], [0, 1]], STATES, STATES),
-    "fast": table([[1, 0], [1, 0]], ["b", "a"], ["b", "a"]),
-}
 SHARES = np.array([0.1, 0.2, 0.7], dtype=np.float32)
 FAMILY: dict[str, Any] = {
     "parameters": {"p": "1/2"},
@@ -153,18 +149,9 @@ def test_what_has_one_meaning_is_taken() -> None:
     assert check("yuan2025", "optimal").value == check(Scenario.load("yuan2025"), "optimal").value
     assert MODEL.pair(("a", "fast")) == 1
     assert MODEL.with_(states=["x", "y"]).space.label(1) == "state y"
-    assert rows(MDP.from_arrays(BY_NAME, REWARDS)) == rows(MODEL)
     assert rows(MDP.from_arrays({"slow": pd.DataFrame([[0.5, 0.5], [0, 1]])}, [1, 0], "9/10")) == [
         rows(MDP.from_arrays([SLOW], [1, 0]))[k] for k in range(2)
     ]
-    turned = MDP.from_arrays(BY_NAME, REWARDS, states=["b", "a"])
-    assert turned.P("fast").toarray().tolist() == [[1, 0], [1, 0]]
-    assert MDP.from_arrays(BY_NAME, {"b": 5, "a": 2}).reward.tolist() == [2, 2, 5, 5]
-    nested = {"b": {"slow": 5, "fast": 6}, "a": {"fast": 2, "slow": 1}}
-    assert MDP.from_arrays(BY_NAME, nested).reward.tolist() == [1, 2, 5, 6]
-    gains = table([[6, 5], [2, 1]], ["b", "a"], ["fast", "slow"])
-    priced = MDP.from_arrays(BY_NAME, gains, components={"cost": gains})
-    assert priced.reward.tolist() == priced.components[:, 0].tolist() == [1, 2, 5, 6]
     shares = [F(share) for share in SHARES.tolist()]
     assert THREE.with_(start=SHARES).start == tuple(enumerate(s / sum(shares) for s in shares))
     assert Policy.of(MODEL, VALUES).tolist() == [1, 1]

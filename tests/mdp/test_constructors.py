@@ -125,6 +125,7 @@ def test_every_form_is_the_same_model(given: tuple[Any, Any, Any]) -> None:
         for s in range(states)
     ]
     named = {s: {a: dict(enumerate(sas[s, a])) for t, a in pairs if t == s} for s in range(states)}
+    by_name = {s: {a: R[s, a] for a in named[s]} for s in named}
     quadruples = [(s, a, t, sas[s, a, t]) for s, a in pairs for t in range(states)]
     order = np.random.default_rng(0).permutation(states * actions)
     every_state, every_action = np.divmod(order, actions)
@@ -137,35 +138,28 @@ def test_every_form_is_the_same_model(given: tuple[Any, Any, Any]) -> None:
         MDP.from_arrays(nonsense.astype(object), missing.astype(object), HALF, layout="sas"),
         MDP.from_arrays([sp.csr_array(x) for x in nonsense], missing, HALF, layout="sas"),
         MDP.from_arrays(nested, missing.tolist(), HALF, layout="sas"),
-        MDP.from_arrays(named, {s: {a: R[s, a] for a in named[s]} for s in named}, HALF),
-        MDP.from_arrays({(s, a): named[s][a] for s, a in pairs}, R, HALF),
-        MDP.from_arrays({(s, a, t): p for s, a, t, p in quadruples}, R, HALF),
-        MDP.from_arrays(quadruples, {(s, a): R[s, a] for s, a in pairs}, HALF),
-        MDP.from_arrays(np.array(quadruples), missing, HALF),
-        MDP.from_arrays(quadruples, by_move, HALF),
+        MDP.from_arrays(named, by_name, HALF),
+        MDP.from_arrays(quadruples, by_name, HALF),
         MDP.from_pairs(
             every_state, every_action, nonsense.reshape(-1, states)[order],
             missing.reshape(-1)[order], HALF,
         ),
     ]  # fmt: skip
-    triples = [(s, a, R[s, a]) for s, a in pairs]
-    by_outcome = [(s, a, t, R[s, a]) for s, a, t, _ in quadruples]
-    for width, listed in ((3, triples), (4, by_outcome), (3, np.array(triples))):
-        if (len(listed), width) == (states, actions):
+    for rewards in (R, missing, missing.tolist()):
+        if actions in (3, 4) and len(pairs) == states:
             with pytest.raises(ModelError, match="the rewards may be"):
-                MDP.from_arrays(quadruples, listed, HALF)
+                MDP.from_arrays(quadruples, rewards, HALF)
         else:
-            forms.append(MDP.from_arrays(quadruples, listed, HALF))
+            forms += [MDP.from_arrays(rows, rewards, HALF)
+                      for rows in (named, quadruples, np.array(quadruples))]  # fmt: skip
     if actions != states:
         forms.append(MDP.from_arrays(nonsense, missing, HALF))
         forms.append(MDP.from_arrays([sp.coo_array(x) for x in nonsense], missing, HALF))
     for number, mdp in enumerate(forms):
         assert same(mdp, wanted), number
-    wrong: list[Any] = [
+    wrong = [
         np.ones((states + 1, actions)), np.ones((states, actions + 1)), np.ones(states + 1),
-        np.ones((states, actions, states + 1)), R[:-1], [*R.tolist(), [1.0]],
-        {s: [*R[s], 1.0] for s in range(states)},
-        {(s, a): [R[s, a]] * (states + 1) for s, a in pairs},
+        R[:-1], by_move,
     ]  # fmt: skip
     for rows, rewards in product((named, quadruples, np.array(quadruples)), wrong):
         with pytest.raises(ShapeError) as caught:
@@ -198,33 +192,37 @@ def test_arrays_mean_what_the_contract_says() -> None:
 
 def test_rewards_by_name_by_row_and_in_part() -> None:
     """A pair that is not available may be said to be so; matrices go by the name of an action."""
-    quadruples = [(0, 0, 1, 1), (0, 1, 0, 1), (1, 0, 1, 1)]
-    for rewards in ([(0, 0, 7), (0, 1, 8), (1, 0, 9)],
-                    [(0, 0, 7), (0, 1, 8), (1, 0, 9), (1, 1, -INF)],
-                    [(0, 0, 1, 7), (0, 1, 0, 8), (1, 0, 1, 9)], [[7, 8], [9]]):  # fmt: skip
+    quadruples, ragged = [(0, 0, 1, 1), (0, 1, 0, 1), (1, 0, 1, 1)], [[[0, 1], [1, 0]], [[0, 1]]]
+    for rewards in ({0: {0: 7, 1: 8}, 1: 9}, {0: {0: {1: 7}, 1: {0: 8}}, 1: {0: 9}}):
         assert MDP.from_arrays(quadruples, rewards, HALF).R.tolist() == [[7, 8], [9, -INF]]
+    for rewards in ([[7, 8], [9]], [[7, 8], [9, -5]]):
+        mdp = MDP.from_arrays(ragged, rewards, HALF, layout="sas")
+        assert mdp.R.tolist() == [[7, 8], [9, -INF]]
     named = [("a", "go", "b", 1), ("b", "go", "a", 1)]
-    assert MDP.from_arrays(named, [("a", "go", 3), ("b", "go", 4)]).reward.tolist() == [3, 4]
+    assert MDP.from_arrays(named, {"a": {"go": 3}, "b": 4}).reward.tolist() == [3, 4]
     two = {"a": {"x": {"a": 1}, "y": {"a": 1}}, "b": {"x": {"b": 1}}}
     for none in (-INF, np.nan, None):
         rewards = {"a": {"x": 1, "y": 2}, "b": {"x": 3, "y": none}}
         assert MDP.from_arrays(two, rewards, HALF).reward.tolist() == [1, 2, 3]
     closed = {"a": {"x": {"a": 1}, "y": None}, "b": {}}
-    for rewards in ({"a": {"x": 1, "y": 5}}, {"a": 1, ("b", "x"): 0}, {"a": 1, ("a", "x", "b"): 7}):
+    for rewards in (
+        {"a": {"x": 1, "y": 5}},
+        {"a": 1, "b": {"x": 0}},
+        {"a": {"x": {"a": 1, "b": 7}}},
+    ):
         assert MDP.from_arrays(closed, rewards, HALF).reward.tolist() == [1, 0]
     assert MDP.from_arrays(P, np.ma.array(R, mask=False)).reward.tolist() == R.ravel().tolist()
     assert MDP.from_arrays(P, pd.DataFrame(R)).reward.tolist() == R.ravel().tolist()
     stay, go = np.eye(3), np.roll(np.eye(3), 1, axis=1)
     by_name = {"stay": stay, "go": go}
-    for rewards in ([[1, 4], [2, 5], [3, 6]], {"stay": [1, 2, 3], "go": [4, 5, 6]}):
-        mdp = MDP.from_arrays(by_name, rewards)
-        assert (mdp.actions, mdp.reward.tolist()) == (("stay", "go"), [1, 4, 2, 5, 3, 6])
-        assert mdp.transition.toarray()[1::2].tolist() == go.tolist()
-    by_state = MDP.from_arrays(by_name, {0: 7, 1: 8, 2: 9})
-    assert by_state.reward.tolist() == [7, 7, 8, 8, 9, 9]
+    mdp = MDP.from_arrays(by_name, [[1, 4], [2, 5], [3, 6]])
+    assert (mdp.actions, mdp.reward.tolist()) == (("stay", "go"), [1, 4, 2, 5, 3, 6])
+    assert mdp.transition.toarray()[1::2].tolist() == go.tolist()
+    by_state = {"x": [[1, 0]], "y": [[0, 1]]}
+    assert MDP.from_arrays(by_state, [1, 2], layout="sas").space.label(1) == "state y"
     moves = MDP.from_arrays(by_name, {"stay": 2 * stay, "go": 3 * go})
     assert moves.reward.tolist() == [2, 3] * 3
-    for wrong in ({"stay": 1, "go": 2}, {"stay": [1, 2], "go": [3, 4]}, {0: [1, 2], 1: [3, 4]}):
+    for wrong in ({"stay": 1, "go": 2}, {"stay": [1, 2, 3], "go": [3, 4, 5]}, {0: 1, 1: 2, 2: 3}):
         with pytest.raises(ModelError, match="the rewards are a dictionary"):
             MDP.from_arrays(by_name, wrong)
     tenths = dict.fromkeys(range(10), 0.1)  # which do not sum to 1 in floats
