@@ -33,7 +33,6 @@ WIDTHS = (40, 32, 24)  # bits of a digit, in whole bytes; the first that floats 
 FIRST, GROWTH = 24, 1.2  # digits before a denominator is looked for, and before the next attempt
 SPARE = 40  # bits that a fraction is closer than by chance; a wrong one, one in 2⁴⁰, is found out
 LACKING = 160  # bits beyond a known denominator, for factors that it may lack
-NEAR = 2.0**-44  # what moves a matrix that is singular in floats
 CHUNK = 256  # unknowns whose digits are joined at once
 
 Rows = Sequence[tuple[Sequence[int], Sequence[int]]]  # columns and entries
@@ -52,9 +51,12 @@ class Lifting:
             spare = np.maximum(bits - 512, 0)
             entry, bits = entry >> spare.astype(object), bits - spare
         near = (np.ldexp(entry.astype(np.float64), -bits), column, offsets)
-        self._near = sp.csr_array(near, (self.size, self.size)).tocsc()
-        self._factors = _factored(self._near)
-        self._widths = list(WIDTHS) if self._factors is not None else []
+        self._widths = list(WIDTHS)
+        try:
+            matrix = sp.csr_array(near, (self.size, self.size)).tocsc()
+            self._factors = linalg.splu(matrix, permc_spec="MMD_AT_PLUS_A")
+        except RuntimeError:  # singular, up to rounding
+            self._widths = []
         self._split()
 
     @property
@@ -79,18 +81,6 @@ class Lifting:
         shifts = [self.width + self._limb * place for place in range(count)]
         with np.errstate(over="ignore"):  # infinite beside entries that are far longer: floats fail
             self._scales = [np.ldexp(1.0, shift - self.bits) for shift in shifts]
-
-    def weakest(self) -> tuple[int, int, int] | None:
-        """Return a row, a column and what to add there, for which no pivot is as small, or None."""
-        factors = _factored(self._near + NEAR * sp.eye_array(self.size, format="csc"))
-        if factors is None:
-            return None
-        pivots = factors.U.diagonal()
-        place = int(np.abs(pivots).argmin())
-        orders = (factors.perm_r, factors.perm_c)
-        row, column = (int(np.flatnonzero(order == place)[0]) for order in orders)
-        amount = 1 << max(0, int(self.bits[row]) - 1)
-        return row, column, amount if pivots[place] > 0 else -amount
 
     def solve(
         self, side: Sequence[Any], rows: Rows, known: fmpz | None = None
@@ -167,14 +157,6 @@ class Lifting:
                 carry = own >> limb
                 own -= carry << limb
                 after += carry
-
-
-def _factored(matrix: sp.csc_array) -> Any:
-    """Return the factors of a matrix; None where it is singular, up to rounding."""
-    try:
-        return linalg.splu(matrix, permc_spec="MMD_AT_PLUS_A")
-    except RuntimeError:
-        return None
 
 
 def _digits_of(numbers: Sequence[Any], width: int, count: int) -> Iterator[Integers]:

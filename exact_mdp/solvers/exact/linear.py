@@ -4,13 +4,7 @@ The strongly connected components of A are solved in order: a single unknown by 
 FLINT, and more by numeric lifting. The denominator of one solution is tried first for the next one,
 also of the transposed system: then half as many digits are enough.
 
-Where A is too near a singular matrix for floats, an entry (i, j) is changed by some s, so that the
-smallest pivot is not small any more. With B = A + s e_i e_jᵀ, y = B⁻¹ b and z = B⁻¹ e_i,
-
-    x = y + z s y_j / (1 - s z_j),    A is singular if the divisor is 0
-
-(Sherman and Morrison, Annals of Mathematical Statistics 21, 1950). One change is enough for a chain
-that hardly ever leaves a set of states. If some changes do not help, FLINT solves the component.
+Components whose matrix is singular in floats, or nearly so, are solved by FLINT, too.
 """
 
 from __future__ import annotations
@@ -31,7 +25,7 @@ from numpy.typing import NDArray
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows
 from exact_mdp.mdp.graph import longest_ways
-from exact_mdp.mdp.table import Integers, Numbers, common, integers, row_sums, spans
+from exact_mdp.mdp.table import Integers, Numbers, common, row_sums, spans
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.exact.lifting import Lifting
 
@@ -41,7 +35,7 @@ if TYPE_CHECKING:
 
 FEW, MANY = 120, 4_000  # unknowns that FLINT solves faster, and those that are too many for it
 LARGEST = 20_000  # unknowns; the numbers of more would fill the memory
-MOST_CHANGES = 8  # of entries, before FLINT is asked
+BOUNDED = "use certify(mdp, bounded=True), which proves bounds in floating point"
 FAR = 128  # bits that a shared denominator may be longer than twice the longest one
 
 
@@ -53,7 +47,6 @@ class Matrix:
     column: Integers  # (M,) rising in each row
     entry: Numbers  # (M,)
     denominators: dict[int, fmpz] = field(default_factory=dict)  # by first unknown of a component
-    changes: int = 0  # of entries, see `changed`
 
     @classmethod
     def of(cls, size: int, row: Integers, column: Integers, entry: Numbers) -> Matrix:
@@ -115,22 +108,6 @@ class Matrix:
     def lifting(self) -> Lifting:
         """The matrix as lifting needs it."""
         return Lifting(self.offsets, self.column, self.entry)
-
-    @cached_property
-    def changed(self) -> tuple[Matrix, int, int, list[fmpz], fmpz] | None:
-        """A matrix with more in one entry; column and amount; its solution for a 1 in that row.
-
-        None where no change helps.
-        """
-        entry = self.lifting.weakest() if self.changes < MOST_CHANGES else None
-        if entry is None:
-            return None
-        i, j, amount = entry
-        row, column = np.append(self.row, i), np.append(self.column, j)
-        other = Matrix.of(self.size, row, column, integers([*self.entry.tolist(), amount]))
-        other = replace(other, changes=self.changes + 1)
-        unit = [flint.fmpz(k == i) for k in range(self.size)]
-        return other, j, amount, *_solve_component(other, unit, other.denominators, 0)
 
 
 def solve_all(matrix: Matrix, sides: Sequence[Sequence[Any]]) -> list[Level]:
@@ -261,7 +238,12 @@ class _Solution:
 
     def _settle(self, states: Sequence[int], tops: Sequence[Sequence[fmpz]], below: fmpz) -> None:
         """Keep the numbers of some unknowns, all over one denominator in lowest terms."""
-        listed, below = _reduced([n for top in tops for n in top], below)
+        listed, shared = [n for top in tops for n in top], below
+        for n in listed:
+            if shared == 1:
+                break
+            shared = shared.gcd(n)
+        listed, below = [n // shared for n in listed], below // shared
         number = self._number.setdefault(below, len(self.below))
         self.below += [below] * (number == len(self.below))
         for k, values in enumerate(self.tops):
@@ -282,61 +264,25 @@ def _solve_component(
     matrix: Matrix, side: Sequence[fmpz], known: dict[int, fmpz], first: int
 ) -> tuple[list[fmpz], fmpz]:
     """Return the solution for one component, whose first unknown is `first` in the whole system."""
-    if matrix.size > LARGEST:
-        raise ModelError(
-            f"a cycle of {matrix.size} states is too large to be solved exactly",
-            fix="use certify(mdp, bounded=True), which proves bounds in floating point",
-        )
-    if matrix.size <= FEW:
-        return _dense(matrix, side)
-    solution = matrix.lifting.solve(side, matrix.listed, known.get(first))
-    if solution is None:
-        return _by_change(matrix, side)
-    known[first] = solution[1]
-    return solution
-
-
-def _by_change(matrix: Matrix, side: Sequence[fmpz]) -> tuple[list[fmpz], fmpz]:
-    """Return the solution by that for one other entry (Sherman and Morrison, see above)."""
-    try:
-        if matrix.changed is None:
-            return _dense(matrix, side)
-        changed, column, amount, unit, over = matrix.changed
-        other, below = _solve_component(changed, side, changed.denominators, 0)
-    except ZeroDivisionError:  # of the other one
-        return _dense(matrix, side)
-    factor, more = over - amount * unit[column], amount * other[column]
-    if not factor:
-        raise ZeroDivisionError("the matrix is singular")
-    sign = 1 if factor > 0 else -1
-    top = [sign * (a * factor + b * more) for a, b in zip(other, unit, strict=True)]
-    return _reduced(top, below * abs(factor))
-
-
-def _reduced(top: list[fmpz], below: fmpz) -> tuple[list[fmpz], fmpz]:
-    """Return integers and their denominator without the divisor that all share."""
-    shared = below
-    for number in top:
-        if shared == 1:
-            return top, below
-        shared = shared.gcd(number)
-    return [number // shared for number in top], below // shared
-
-
-def _dense(matrix: Matrix, side: Sequence[fmpz]) -> tuple[list[fmpz], fmpz]:
-    """Return what FLINT's dense solver finds."""
-    size = matrix.size
+    size, solution = matrix.size, None
+    if size > LARGEST:
+        raise ModelError(f"a cycle of {size} states is too large to be solved exactly", fix=BOUNDED)
+    if size > FEW:
+        solution = matrix.lifting.solve(side, matrix.listed, known.get(first))
+    if solution is not None:
+        known[first] = solution[1]
+        return solution
     if size > MANY:
         raise ModelError(
             f"the equations of {size} states that lead to each other are singular, or nearly so",
-            fix="use certify(mdp, bounded=True), which proves bounds in floating point",
+            fix=BOUNDED,
         )
     dense = np.zeros((size, size), dtype=object)
     dense[matrix.row, matrix.column] = matrix.entry
     system = flint.fmpz_mat(size, size, dense.ravel().tolist())
     try:
-        solution: Any = system.solve(flint.fmpz_mat(size, 1, list(side)))
+        exact: Any = system.solve(flint.fmpz_mat(size, 1, list(side)))
     except ZeroDivisionError:
         raise ZeroDivisionError("the matrix is singular") from None
-    top, below = solution.numer_denom()
+    top, below = exact.numer_denom()
     return top.entries(), below

@@ -101,7 +101,7 @@ def test_long_rings(bits: int) -> None:
 
 @pytest.mark.parametrize("parts", [2, 4, 12])
 def test_sets_that_are_hardly_ever_left(parts: int) -> None:
-    """Each set of states leads to the next one with a chance of 2^-70: one change for each."""
+    """Each set of states leads to the next one with a chance of 2^-70."""
     size, rare, rng = 30, 2**70, np.random.default_rng(parts)
     count, entries = parts * size, Entries()
     for s in range(count):
