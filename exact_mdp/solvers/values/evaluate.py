@@ -54,12 +54,11 @@ from exact_mdp.solvers.values.average import AverageEvaluation, average
 from exact_mdp.solvers.values.policy_chain import (
     Equations,
     OfPolicy,
-    Parted,
     PolicyChain,
     arrives,
     parted,
 )
-from exact_mdp.solvers.values.returns import return_distribution, times
+from exact_mdp.solvers.values.returns import return_distribution
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 UNKNOWN = Bounded(value=nan, error=inf)
@@ -233,35 +232,23 @@ class Evaluation(OfPolicy, Pictured):
         """(S,) variance of the return from every state; NaN where `value` is not finite."""
         if not self.settled:
             return np.full(len(self.value), np.nan)
-        with np.errstate(over="ignore"):
-            variance = np.ldexp(self._variance.value, 2 * self._power)
-        return np.where(np.isfinite(self.value), variance, np.nan)
-
-    @cached_property
-    def _power(self) -> int:
-        """The power of two over which squares of rewards and values are within the floats."""
-        known = self.value[np.isfinite(self.value)]
-        size = max(np.abs(self.chain.gain).max(initial=0.0), np.abs(known).max(initial=0.0))
-        return int(np.frexp(size)[1])
+        return np.where(np.isfinite(self.value), self._variance.value, np.nan)
 
     @cached_property
     def _variance(self) -> FixedPoint:
-        """Variances over 4^power."""
-        chain, rate, power = self.chain, self.mdp.discount, self._power
+        chain, rate = self.chain, self.mdp.discount
         live: Mask = ~self.mdp.terminal & np.isfinite(self.value)
         if not chain.gain.any():
             return FixedPoint(value=np.zeros(len(live)), error=np.zeros(len(live)))
-        value = np.ldexp(np.where(live, self.value, 0.0), -power)
-        error = np.ldexp(np.where(live, self.error, 0.0), -power) + TINY
+        value, error = np.where(live, self.value, 0.0), np.where(live, self.error, 0.0)
         here, there = value[chain.source], value[chain.table.next]
-        gain = np.ldexp(chain.gain, -power)
-        surprise = gain + rate * there - here
-        off = TINY + 5 * UNIT * (np.abs(gain) + rate * np.abs(there) + np.abs(here))
-        off += rate * error[chain.table.next] + error[chain.source]
-        constant = chain.total(chain.probability * surprise**2)
-        doubt = chain.total(chain.probability * (2 * np.abs(surprise) + off) * off)
-        rounding = gamma(chain.outcomes + chain.roundings + 5)
-        doubt += rounding * constant + TINY
+        with np.errstate(over="ignore", invalid="ignore"):  # refused where it is solved for
+            surprise = chain.gain + rate * there - here
+            off = TINY + 5 * UNIT * (np.abs(chain.gain) + rate * np.abs(there) + np.abs(here))
+            off += rate * error[chain.table.next] + error[chain.source]
+            constant = chain.total(chain.probability * surprise**2)
+            doubt = chain.total(chain.probability * (2 * np.abs(surprise) + off) * off)
+            doubt += gamma(chain.outcomes + chain.roundings + 5) * constant + TINY
         rate_exact = self.mdp.discount_exact
         equations = chain.discounted if rate_exact == 1 else chain.equations(rate_exact**2)
         point = equations.solve(np.where(live, constant, 0.0), np.where(live, doubt, 0.0) * SLACK)
@@ -270,37 +257,32 @@ class Evaluation(OfPolicy, Pictured):
 
     @cached_property
     @_or_unknown
-    def _scaled_variance(self) -> Bounded:
-        """The variance from the start over 4^power."""
+    def _start_variance(self) -> Bounded:
         if not self.settled:
             return UNKNOWN
         within = at_start(self.mdp, self._variance)
         if np.count_nonzero(self.mdp.start_distribution) == 1:
             return within
-        mean, doubt = (times(x, -self._power) for x in (self.start.value, self.start.error))
-        away = np.ldexp(self.value, -self._power) - mean
-        off = np.ldexp(self.error, -self._power) + doubt + 2 * TINY + 2 * UNIT * np.abs(away)
-        error = (2 * np.abs(away) + off) * off + UNIT * away**2
-        between = at_start(self.mdp, FixedPoint(value=away**2, error=error))
+        away = self.value - self.mean
+        off = self.error + self.start.error + 2 * TINY + 2 * UNIT * np.abs(away)
+        with np.errstate(over="ignore", invalid="ignore"):
+            square = FixedPoint(
+                value=away**2, error=(2 * np.abs(away) + off) * off + UNIT * away**2
+            )
+            between = at_start(self.mdp, square)
         total = within.value + between.value
+        if not total < inf:
+            return UNKNOWN
         return Bounded(value=total, error=(within.error + between.error + UNIT * total) * SLACK)
 
     @cached_property
-    def _start_variance(self) -> Bounded:
-        """The variance from the start; infinite where it is beyond floats, as `sd` need not be."""
-        scaled = self._scaled_variance
-        value, error = (times(x, 2 * self._power) for x in (scaled.value, scaled.error))
-        return Bounded(value=value, error=error)
-
-    @cached_property
     def _sd(self) -> Bounded:
-        variance = self._scaled_variance
+        variance = self._start_variance
         if not np.isfinite(variance.error):
             return variance
         sd, least = sqrt(variance.value), sqrt(max(variance.value - variance.error, 0.0))
         most = sqrt(variance.value + variance.error)
-        error = max(sd - least, most - sd) + 4 * UNIT * most
-        return Bounded(value=times(sd, self._power), error=times(error, self._power))
+        return Bounded(value=sd, error=max(sd - least, most - sd) + 4 * UNIT * most)
 
     @property
     def quantiles(self) -> dict[float, float] | None:
@@ -504,15 +486,15 @@ def evaluate(
     chain = PolicyChain.of(mdp, policy, kind=kind)
     mdp, given = chain.mdp, chain
     if mdp.discount_exact == 1 and not arrives(chain):
-        parts: Parted | None = None
+        lost: object = True
         with suppress(ModelError):  # the return has no limit, but the mean return has one
-            parts = parted(chain)
-        if parts is None or parts.lost:
-            alone = solve(chain.model)
+            chain, lost = parted(given)
+        if lost:
+            alone = solve(given.model)
             return Evaluation(
-                chain=chain, given=chain, value=alone.value, error=alone.state_error, settled=False
+                chain=given, given=given, value=alone.value, error=alone.state_error, settled=False
             )
-        chain, mdp = parts.chain, parts.chain.mdp
+        mdp = chain.mdp
     live = ~mdp.terminal
     if mdp.discount_exact == 1:
         live &= chain.ends

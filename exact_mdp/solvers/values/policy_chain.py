@@ -49,7 +49,6 @@ from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, part, transposed
 from exact_mdp.solvers.endless.chain import Classes, ExactChain, FloatChain, long_run
 from exact_mdp.solvers.endless.quotient import of_pairs
-from exact_mdp.solvers.exact.find import one_sign
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.exact.linear import FEW, MANY, equations, evaluated, solved, visited
 from exact_mdp.solvers.objectives.amounts import Objectives
@@ -395,11 +394,6 @@ class PolicyChain:
         """The chain in exact numbers, in which terminal states go on for ever, at discount 1."""
         return ExactChain(self.rows(Fraction(1)))
 
-    @property
-    def gain_sign(self) -> Numbers:
-        """(S,) the sign of the average reward per step."""
-        return np.sign(long_run(self.exactly, self.exactly.reward))
-
     def ended(self, states: Mask) -> PolicyChain:
         """Return the chain with some states (S,) made terminal."""
         return replace(self, mdp=ended(self.mdp, states))
@@ -556,33 +550,15 @@ def arrives(chain: PolicyChain) -> bool:
     return chain.ends_from_start and not beside
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Parted:
-    """A chain whose every run ends, comes to rest, or gains or loses for ever."""
+def parted(chain: PolicyChain) -> tuple[PolicyChain, dict[float, Mask]]:
+    """Return a chain whose every run ends, and the ends (S,) for returns of inf and -inf, if any.
 
-    chain: PolicyChain  # with ends wherever one of these is certain
-    lost: dict[float, Mask]  # {inf: (S,), -inf: (S,)} the ends for an infinite return, if any
-    # The mean where some returns are infinite; of +∞ and -∞ the mean reward of the whole decides.
-    infinite_mean: float = 0.0
-
-    @property
-    def ends(self) -> Mask:
-        """(S,) True at ends of finite returns."""
-        ends = self.chain.mdp.terminal
-        for each in self.lost.values():
-            ends = ends & ~each
-        return ends
-
-
-def parted(chain: PolicyChain) -> Parted:
-    """Return where a policy's runs end, rest, or gain or lose for ever.
-
-    Raises ModelError where rewards cancel for ever, so that a return has no limit, and where
-    gains and losses for ever have a mean of 0, so that the mean return has none.
+    These stand for states in which a run gains or loses for ever, or misses its goal; others for
+    states of rest. Raises ModelError where rewards cancel for ever, so that a return has no limit.
     """
     mdp = chain.mdp
     if mdp.discount_exact != 1 or arrives(chain):
-        return Parted(chain=chain, lost={})
+        return chain, {}
     if mdp.goal is not None:
         rest = (chain.stuck | mdp.terminal) & ~mdp.goal
         lost = {mdp.unreached: rest}
@@ -598,17 +574,7 @@ def parted(chain: PolicyChain) -> Parted:
             )
         lost = {inf: busy & (gain > 0), -inf: busy & (gain < 0)}
     ending = chain.ended(np.logical_or.reduce([rest, *lost.values()]))
-    lost = {sign: each for sign, each in lost.items() if each.any()}
-    value = sum(lost)
-    if len(lost) == 2:
-        if not (sign := one_sign(mdp, chain.gain_sign)):
-            raise ModelError(
-                "gains and losses for ever have a mean of 0, and the mean return has no value",
-                where="policy",
-                fix=ways_out(mdp, "take evaluate(), which gives the limit of the discounted means"),
-            )
-        value = inf * sign
-    return Parted(chain=ending, lost=lost, infinite_mean=value)
+    return ending, {sign: each for sign, each in lost.items() if each.any()}
 
 
 def _signs(chain: PolicyChain, busy: Mask) -> Numbers:
@@ -617,4 +583,4 @@ def _signs(chain: PolicyChain, busy: Mask) -> Numbers:
         gain, _ = chain.going_on.evaluated()
         if not (busy & (np.abs(gain.value) <= gain.error)).any():
             return gain.value
-    return chain.gain_sign
+    return np.sign(long_run(chain.exactly, chain.exactly.reward))

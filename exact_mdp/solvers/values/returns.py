@@ -33,9 +33,9 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, at_most, decimal
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
-from exact_mdp.mdp.table import Floats, Numbers, exact, integers, magnitude, multiply, shown
+from exact_mdp.mdp.table import Floats, Numbers, exact, integers, multiply, shown
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
-from exact_mdp.solvers.solution import Bounded, Certified, Claim
+from exact_mdp.solvers.solution import Bounded, Certified, Claim, in_float
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain, parted
 from exact_mdp.solvers.values.return_mass import Flow
@@ -64,9 +64,6 @@ class ReturnDistribution(Pictured):
     unending : {inf: Bounded or Certified, -inf: …}
         The probabilities of runs that never end and whose return is infinite. Runs that come to
         rest, where nothing is earned any more, have a return as any other.
-    infinite_mean : float
-        The mean where some returns are infinite: inf or -inf. Where both are, the mean reward of
-        the whole decides, as in `evaluate`.
 
     Examples
     --------
@@ -83,7 +80,6 @@ class ReturnDistribution(Pictured):
     remaining: float
     exact: tuple[Fraction, ...] | None = None
     unending: Mapping[float, Bounded | Certified] = field(default_factory=dict)
-    infinite_mean: float = 0.0
 
     claim: ClassVar[Claim] = Claim.BOUNDED
 
@@ -106,34 +102,25 @@ class ReturnDistribution(Pictured):
         """The returns as exact rationals."""
         return tuple(self.unit * int(multiple) for multiple in self.multiples)
 
-    @cached_property
-    def _scaled(self) -> tuple[Floats, int]:
-        """The returns over a power of two, so that they and their squares are within the floats."""
-        largest = magnitude(self.multiples) * self.unit
-        power = largest.numerator.bit_length() - largest.denominator.bit_length()
-        unit = self.unit / Fraction(2) ** power
-        top, bottom = unit.numerator, unit.denominator
-        return np.array([int(multiple) * top / bottom for multiple in self.multiples]), power
-
-    @cached_property
+    @property
     def mean(self) -> float:
         """Mean of the returns listed; `evaluate` bounds that of all, rare ones included.
 
-        Infinite where one is, and beyond the range of floats.
+        Infinite where one is; NaN where some are +∞ and others -∞.
         """
-        if self.unending:
-            return self.infinite_mean
-        scaled, power = self._scaled
-        return times(float(self.probabilities @ scaled), power)
+        return float(sum(self.unending)) if self.unending else self._moments[0]
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation of those listed; NaN where one is infinite."""
+        return nan if self.unending else self._moments[1]
 
     @cached_property
-    def sd(self) -> float:
-        """Standard deviation of those listed; NaN where one is infinite, ∞ beyond the floats."""
-        if self.unending:
-            return nan
-        scaled, power = self._scaled
-        spread = sqrt(float(self.probabilities @ (scaled - self.probabilities @ scaled) ** 2))
-        return times(spread, power)
+    def _moments(self) -> tuple[float, float]:
+        values = np.array([in_float(value) for value in self.values])
+        with np.errstate(over="ignore", invalid="ignore"):
+            mean = float(self.probabilities @ values)
+            return mean, sqrt(float(self.probabilities @ (values - mean) ** 2))
 
     def cdf(self, value: object) -> float:
         """Return the probability of a return of at most `value` (a number or "p/q")."""
@@ -289,12 +276,6 @@ def tail_mean(law: Mapping[Any, Any], level: Fraction, *, highest: bool = False)
     return total / level
 
 
-def times(number: float, power: int) -> float:
-    """Return number · 2^power; infinite where that is beyond the range of floats."""
-    with np.errstate(over="ignore"):
-        return float(np.ldexp(number, power))
-
-
 @named_options
 def return_distribution(
     model: MDP | Scenario,
@@ -323,9 +304,9 @@ def return_distribution(
     Raises
     ------
     ModelError
-        Below discount 1; where rewards cancel for ever, so that a return has no limit; where gains
-        and losses for ever have a mean of 0; where there are too many different returns; where
-        states that lead back to each other are left too slowly.
+        Below discount 1; where rewards cancel for ever, so that a return has no limit; where there
+        are too many different returns; where states that lead back to each other are left too
+        slowly.
 
     Examples
     --------
@@ -344,22 +325,21 @@ def return_distribution(
         )
     if horizon is not None:
         mdp = mdp.within(horizon)
-    parts = parted(PolicyChain.of(mdp, policy, kind=kind))
-    chain = parts.chain
+    chain, lost = parted(PolicyChain.of(mdp, policy, kind=kind))
     gain, unit = _lattice(chain)
     still = np.zeros(len(gain), dtype=np.int64)
-    multiples, masses, lost, roundings = Flow(chain, gain, parts.ends, exact=exact).carried()
-    flows = {sign: Flow(chain, still, ends, exact=exact) for sign, ends in parts.lost.items()}
+    ends = chain.mdp.terminal & ~sum(lost.values(), np.zeros(chain.mdp.n_states, dtype=bool))
+    multiples, masses, left, roundings = Flow(chain, gain, ends, exact=exact).carried()
+    flows = {sign: Flow(chain, still, each, exact=exact) for sign, each in lost.items()}
     shares = tuple(masses) if exact else None
     return ReturnDistribution(
         multiples=multiples,
         unit=unit,
         probabilities=masses if shares is None else np.array([float(share) for share in shares]),
         relative_error=UNIT if exact else float(gamma(roundings)) * SLACK,
-        remaining=float(lost) * SLACK,
+        remaining=float(left) * SLACK,
         exact=shares,
         unending={sign: _share(each) for sign, each in flows.items()},
-        infinite_mean=parts.infinite_mean,
     )
 
 

@@ -9,7 +9,6 @@ Learning, 2018, section 5.1).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from math import ceil, inf, isfinite, log, log1p, nan, sqrt
 from typing import ClassVar
 
@@ -29,7 +28,6 @@ from exact_mdp.solvers.dynamic.iterate import check_counts
 from exact_mdp.solvers.solution import Claim, Estimated
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain, parted
-from exact_mdp.solvers.values.returns import times
 
 NEGLIGIBLE = 1e-12  # of the greatest return: what follows counts in the error, however small
 
@@ -55,9 +53,6 @@ class Simulation(Pictured):
         episodes that stop there.
     endless : int
         Episodes that never end: they gain or lose for ever, or have come to rest.
-    infinite_mean : float
-        The mean where some episodes gain or lose for ever: inf or -inf. Where some gain and others
-        lose, no sample decides: the mean reward of the whole does, as in `evaluate`.
 
     Examples
     --------
@@ -72,7 +67,6 @@ class Simulation(Pictured):
     truncated: int
     truncation_error: float
     endless: int = 0
-    infinite_mean: float = 0.0
 
     claim: ClassVar[Claim] = Claim.ESTIMATED
 
@@ -93,27 +87,19 @@ class Simulation(Pictured):
         """Share of the episodes that gain or lose for ever; their return is infinite."""
         return float(np.isinf(self.returns).mean())
 
-    @cached_property
-    def _scaled(self) -> tuple[Floats, int]:
-        """The returns over a power of two, so that sums and squares stay within the floats."""
-        power = int(np.frexp(np.abs(self.returns).max())[1])
-        return np.ldexp(self.returns, -power), power
-
     @property
     def mean(self) -> float:
-        """Mean return; infinite where a return is."""
-        if self.never_ends:
-            return self.infinite_mean
-        scaled, power = self._scaled
-        return times(scaled.mean(), power)
+        """Mean return; infinite where a return is, NaN where some are +∞ and others -∞."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return float(self.returns.mean())
 
     @property
     def sd(self) -> float:
         """Standard deviation of the returns; NaN where one is infinite, ∞ for one episode."""
         if self.never_ends:
             return nan
-        scaled, power = self._scaled
-        return times(scaled.std(ddof=1), power) if self.episodes > 1 else inf
+        with np.errstate(over="ignore", invalid="ignore"):
+            return float(self.returns.std(ddof=1)) if self.episodes > 1 else inf
 
     @property
     def standard_error(self) -> float:
@@ -199,8 +185,8 @@ def simulate(
     Raises
     ------
     ModelError
-        For no episodes or no seed; at discount 1 where rewards cancel for ever, where gains and
-        losses for ever have a mean of 0, or where an episode takes longer than `max_steps`.
+        For no episodes or no seed; at discount 1 where rewards cancel for ever, or where an episode
+        takes longer than `max_steps`.
 
     Examples
     --------
@@ -213,8 +199,8 @@ def simulate(
     generator = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(seed_of(rng))
     unstopped = mdp_of(model)
     given = unstopped if horizon is None else unstopped.within(horizon)
-    parts = parted(PolicyChain.of(given, policy, kind=kind))
-    chain, mdp = parts.chain, parts.chain.mdp
+    chain, infinite = parted(PolicyChain.of(given, policy, kind=kind))
+    mdp = chain.mdp
     size = float(np.abs(chain.gain[chain.reached[chain.source]]).max(initial=0.0))
     missing = float(1 - mdp.discount_exact)
     limit = horizon if max_steps is None else max_steps
@@ -259,7 +245,7 @@ def simulate(
         raise ModelError(
             "a return is beyond the range of floats", where="rewards", fix="scale them down"
         )
-    for sign, lost in parts.lost.items():
+    for sign, lost in infinite.items():
         returns[lost[state]] = sign
     stopped = 0
     if horizon is not None:
@@ -273,5 +259,4 @@ def simulate(
         truncated=len(running) + stopped,
         truncation_error=rest,
         endless=int((mdp.terminal & ~given.terminal)[state].sum()),
-        infinite_mean=parts.infinite_mean,
     )
