@@ -69,22 +69,10 @@ def test_a_file_that_another_program_changed(tmp_path: Path) -> None:
     ):
         save(MODELS["care"], tmp_path / "m.umb")
         content = read_by_umbi(tmp_path / "m.umb")
-        content.index.valuations = None
         change(content)
         umbi.umb.write(content, tmp_path / "m.umb")
         with pytest.raises(ModelError, match=message):
             load(tmp_path / "m.umb")
-
-
-def test_another_reward_of_our_own_file(tmp_path: Path) -> None:
-    mdp = MODELS["care"].with_(discount="9/10")
-    save(mdp, tmp_path / "m.umb")
-    again = load(f"{tmp_path}/m.umb#anger")
-    assert (again.discount_exact, again.space, again.events) == (
-        mdp.discount_exact, mdp.space, mdp.events,
-    )  # fmt: skip
-    number = mdp.component_names.index("anger")
-    assert np.array_equal(again.reward, mdp.components[:, number])
 
 
 # ---- the format .npz -----------------------------------------------------------------------------

@@ -96,7 +96,7 @@ def test_a_program_becomes_an_exact_model(stormpy: Any, tmp_path: Path) -> None:
     ("text", "said"),
     [
         (PRISM.replace("mdp", "ctmc", 1).replace("[jump]", "[run]"), "CTMC"),
-        (PRISM.replace("place < 3 : 1;", "[run] true -> true : 1;"), "Storm says|next state"),
+        (PRISM.replace("place < 3 : 1;", "[run] true -> true : 1;"), "Storm says"),
         (PRISM.replace("0..3", "0..N"), "Storm says"),
         (PRISM.replace("module walk", "const int N;\nmodule walk"), "a constant has no value"),
         ("mdp mdp", "Storm says"),
