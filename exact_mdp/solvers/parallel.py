@@ -27,7 +27,7 @@ from numpy.random import SeedSequence
 
 from exact_mdp.mdp.errors import ModelError, of_type
 from exact_mdp.mdp.io.arrays import read_arrays
-from exact_mdp.mdp.io.files import read_text, write_atomically
+from exact_mdp.mdp.io.files import LARGEST, read_bytes, read_text, write_atomically
 from exact_mdp.mdp.io.structured import json_of
 from exact_mdp.mdp.table import Numbers
 from exact_mdp.mdp.validate import counted
@@ -35,8 +35,7 @@ from exact_mdp.mdp.validate import counted
 Arrays = dict[str, Numbers]
 Work = Callable[[Any], Mapping[str, Any]]
 
-ATTEMPTS = 4  # at all pieces, where processes die
-DIGEST = "sha256"  # the name of the array that holds the digest of the others
+DIGEST = 32  # bytes of a digest, which stands behind the archive of a piece
 
 
 def many(
@@ -64,7 +63,7 @@ def many(
     place = None if folder is None else _opened(folder_of(folder), key, what=what)
     stems = names or (f"{index:06d}" for index in range(len(pieces)))
     paths = [place and place / f"{stem}.npz" for stem in stems]
-    known = ((index, read_piece(path)) for index, path in enumerate(paths) if path)
+    known = ((index, _read(path)) for index, path in enumerate(paths) if path)
     done = {index: arrays for index, arrays in known if arrays is not None}
     tasks = {index: piece for index, piece in enumerate(pieces) if index not in done}
     bar = tqdm.tqdm(
@@ -78,7 +77,7 @@ def many(
         with bar, closing(_as_done(work, tasks, n_jobs, threads)) as results:
             for index, result in results:
                 if path := paths[index]:
-                    write_piece(path, result)
+                    _write(path, result)
                 done[index] = result
                 bar.update()
     except KeyboardInterrupt as stop:  # whoever ends the program says this
@@ -101,41 +100,33 @@ def _as_done(
 ) -> Generator[tuple[int, Arrays]]:
     """Yield (number, `work(piece)`) as they are finished, in any order."""
     import joblib
-    from joblib.externals.loky import process_executor as loky
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     if n_jobs == 1 or not left:
         yield from (_one(work, *task) for task in left.items())
         return
     if not threads:
         _track_quietly()
-    for _ in range(ATTEMPTS):
-        try:
-            parallel = joblib.Parallel(
-                n_jobs=-1 if n_jobs is None else n_jobs,
-                prefer="threads" if threads else None,
-                return_as="generator_unordered",
-                batch_size=1,
-            )
-        except ValueError as error:
-            fix = 'choose "loky", "threading" or "dask"'
-            raise ModelError(str(error), where="joblib.parallel_config", fix=fix) from error
-        results = parallel([joblib.delayed(_one)(work, *task) for task in left.items()])
-        try:
-            for index, result in results:
-                del left[index]
-                yield index, result
-            return
-        except loky.TerminatedWorkerError as error:
-            died = error
-        finally:
-            with warnings.catch_warnings():  # joblib warns of pieces that nobody took any more
-                warnings.simplefilter("ignore", UserWarning)
-                results.close()
-    raise ModelError(
-        f"the worker processes died in each of {ATTEMPTS} attempts",
-        where=f"piece {min(left)}",
-        fix="give them more memory, or use fewer of them; finished pieces are kept",
-    ) from died
+    parallel = joblib.Parallel(
+        n_jobs=-1 if n_jobs is None else n_jobs,
+        prefer="threads" if threads else None,
+        return_as="generator_unordered",
+        batch_size=1,
+    )
+    results = parallel([joblib.delayed(_one)(work, *task) for task in left.items()])
+    try:
+        for index, arrays in results:  # not `yield from`, which would close them outside the filter
+            yield index, arrays
+    except TerminatedWorkerError as error:
+        raise ModelError(
+            "a worker process died, perhaps for want of memory",
+            where="n_jobs",
+            fix="use fewer of them; what is finished is kept in the folder, where there is one",
+        ) from error
+    finally:
+        with warnings.catch_warnings():  # joblib warns of pieces that nobody took any more
+            warnings.simplefilter("ignore", UserWarning)
+            results.close()
 
 
 def _track_quietly() -> None:
@@ -190,43 +181,22 @@ def _opened(folder: Path, record: Mapping[str, object], *, what: str) -> Path:
     return folder
 
 
-def write_piece(path: Path, arrays: Mapping[str, Numbers]) -> None:
-    """Write arrays and a digest of them all as an .npz file; equal arrays give equal bytes."""
+def _write(path: Path, arrays: Mapping[str, Numbers]) -> None:
+    """Write arrays as an .npz file with its digest; equal arrays give equal bytes."""
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, allow_pickle=False, **arrays, **{DIGEST: _digest(arrays)})
-    write_atomically(path, buffer.getvalue())
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
+    write_atomically(path, buffer.getvalue() + sha256(buffer.getvalue()).digest())
 
 
-def read_piece(path: Path) -> Arrays | None:
+def _read(path: Path) -> Arrays | None:
     """Return the arrays of a piece; None where it is missing, ModelError where it is damaged."""
     if not path.exists():
         return None
-    try:
-        arrays = read_arrays(path)
-        stated = arrays.pop(DIGEST).tobytes()
-    except (ModelError, KeyError) as error:
-        raise damaged(path) from error
-    if stated != _digest(arrays).tobytes():
-        raise damaged(path)
-    return arrays
-
-
-def _digest(arrays: Mapping[str, Numbers]) -> Numbers:
-    """Return (32,) bytes that differ where names, types, shapes or numbers differ."""
-    digest = sha256()
-    for name in sorted(arrays):
-        array = np.asarray(arrays[name])
-        content = array.tobytes()
-        head = [name, array.dtype.str, list(array.shape), len(content)]
-        digest.update(json.dumps(head).encode() + content)
-    return np.frombuffer(digest.digest(), dtype=np.uint8)
-
-
-def damaged(path: Path) -> ModelError:
-    """Return the error for a piece's file that cannot be used."""
-    return ModelError(
-        "the file is damaged", where=str(path), fix="delete it: its runs are then done again"
-    )
+    content = read_bytes(path, most=LARGEST)
+    if sha256(content[:-DIGEST]).digest() != content[-DIGEST:]:
+        fix = "delete it: its runs are then done again"
+        raise ModelError("the file is damaged", where=str(path), fix=fix)
+    return read_arrays(content[:-DIGEST])
 
 
 # ---- draws in blocks ---------------------------------------------------------------------------
