@@ -90,9 +90,9 @@ def many(
     return [done[index] for index in range(len(pieces))]
 
 
-def _one(work: Work, index: int, piece: Any) -> tuple[int, Arrays]:
+def _one(work: Work, index: int, piece: Any) -> tuple[int, Mapping[str, Any]]:
     """Do one piece, wherever this is called."""
-    return index, {name: np.asarray(value) for name, value in work(piece).items()}
+    return index, work(piece)
 
 
 def _as_done(
@@ -102,21 +102,20 @@ def _as_done(
     import joblib
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-    if n_jobs == 1 or not left:
-        yield from (_one(work, *task) for task in left.items())
-        return
-    if not threads:
-        _track_quietly()
-    parallel = joblib.Parallel(
-        n_jobs=-1 if n_jobs is None else n_jobs,
-        prefer="threads" if threads else None,
-        return_as="generator_unordered",
-        batch_size=1,
-    )
-    results = parallel([joblib.delayed(_one)(work, *task) for task in left.items()])
+    results: Any = (_one(work, *task) for task in left.items())
+    if n_jobs != 1 and left:
+        if not threads:
+            _track_quietly()
+        parallel = joblib.Parallel(
+            n_jobs=-1 if n_jobs is None else n_jobs,
+            prefer="threads" if threads else None,
+            return_as="generator_unordered",
+            batch_size=1,
+        )
+        results = parallel([joblib.delayed(_one)(work, *task) for task in left.items()])
     try:
-        for index, arrays in results:  # not `yield from`, which would close them outside the filter
-            yield index, arrays
+        for index, result in results:
+            yield index, {name: np.asarray(value) for name, value in result.items()}
     except TerminatedWorkerError as error:
         raise ModelError(
             "a worker process died, perhaps for want of memory",

@@ -90,9 +90,7 @@ def model_of(
             first = f"the first of {len(initial)} initial states, {space.label(initial[0])}"
             warn(f"the start is {first}; --start, or start=, names another")
     choices = list(starmap(range, pairwise(first_choice)))
-    named = len(actions) > 0 and all(
-        len({actions[c] for c in own}) == len(own) for own in choices
-    )
+    named = len(actions) > 0 and all(len({actions[c] for c in own}) == len(own) for own in choices)
     rows = list[tuple[int, int, list[tuple[Any, int, Any]]]]()
     for state, own in enumerate(choices):
         for choice in own:
