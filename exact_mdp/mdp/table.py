@@ -267,15 +267,14 @@ def row_sums(values: Numbers, offsets: Integers) -> Numbers:
 
 
 def settle_rows(weight: Floats, offsets: Integers) -> bool:
-    """Settle rows; return whether compiled loops found all to be positive distributions."""
+    """Settle rows; return whether all are distributions of positive numbers."""
     fits = len(offsets) > 1 and offsets[0] == 0 and offsets[-1] == len(weight) == weight.size
     if not (fits and np.diff(offsets).min() > 0):
         return False  # it is refused for that
     longest = int(np.diff(offsets).max())
     if len(weight) < COMPILED or longest >= LONG:
         with np.errstate(all="ignore"):
-            settle(weight, offsets)
-        return False
+            return settle(weight, offsets)
     from exact_mdp.mdp.forms import loops
 
     return all_rows(loops.settle, offsets, weight, weight.view(np.int64), fine_unit(longest))

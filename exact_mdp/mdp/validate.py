@@ -140,7 +140,7 @@ def check_model(model: Parts) -> None:
     _check_pairs(model)
     _check_shapes(model.table, model.n_pairs)
     _check_numbers(model)
-    if not vars(model.table).get("sound", False):  # `mdp.forms.loops` has looked at each row
+    if not vars(model.table).get("sound", False):  # else each row was looked at when it was settled
         _check_rows(model)
     _check_order(model.table)
     _check_observations(model)
@@ -420,8 +420,7 @@ def _check_shapes(table: OutcomeTable, pairs: int) -> None:
 
 def _check_numbers(model: Parts) -> None:
     table, sound = model.table, vars(model.table).get("sound", False)
-    if not sound:
-        _in_range(table.next, model.n_states, "next state", "transitions")
+    _in_range(table.next, model.n_states, "next state", "transitions")
     for name in ("weight", "gain", "denominator", "gain_denominator")[sound:]:
         array = getattr(table, name)
         kinds = {type(x).__name__ for x in array.tolist()} if array.dtype == object else {"int"}

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from exact_mdp.solvers.bounds.gains import gamma
+from exact_mdp.solvers.bounds.gains import gamma, rounding_facts
 from exact_mdp.solvers.solution import Solution
 
 
@@ -27,13 +27,11 @@ def settled(solution: Solution) -> Solution:
     mdp, value, error = solution.mdp, solution.value, solution.state_error
     if not np.isfinite(value).all():
         return solution
-    matrix, rate = mdp.transition, mdp.discount
-    q = mdp.reward + rate * (matrix @ value)
-    size = np.abs(mdp.reward) + rate * float(np.abs(value).max())
-    doubt = gamma(np.diff(matrix.indptr) + 8) * size + rate * float(error.max())
-    first, state = mdp.pair_offsets[:-1], mdp.pair_state
-    best = np.maximum.reduceat(q - doubt, first)[state]
-    near = (q + doubt >= best) & ~mdp.terminal[state]
+    matrix, rate, facts = mdp.transition, mdp.discount, rounding_facts(mdp)
+    q, first, state = mdp.backup(value), mdp.pair_offsets[:-1], mdp.pair_state
+    size = facts.size + rate * float(np.abs(value).max())
+    doubt = gamma(facts.most + 8) * size + rate * float(error.max())
+    near = (q + 2 * doubt >= np.maximum.reduceat(q, first)[state]) & ~mdp.terminal[state]
     near[solution.pairs] = False
     rivals = np.flatnonzero(near)
     if not len(rivals):

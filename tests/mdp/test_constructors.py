@@ -19,7 +19,7 @@ from model_contents import laws, negated, outcomes_of
 from refusal_tables import refused
 from strategies import Rows, models, outcome_rows
 
-from exact_mdp import MDP, ModelError, Policy, ShapeError, certify, load, save
+from exact_mdp import MDP, ModelError, Policy, ShapeError, StateSpace, certify, load, save
 
 HALF, THIRD, INF = Fraction(1, 2), Fraction(1, 3), float("inf")
 P = np.array([[[0.5, 0.5, 0.0], [0, 0.25, 0.75], [0, 0, 1]], [[0, 1, 0], [0.5, 0, 0.5], [0, 0, 1]]])
@@ -28,6 +28,16 @@ R = np.array([[1.0, 2.0], [3.0, -4.0], [0.0, 0.0]])
 
 def same(one: MDP, other: MDP) -> bool:
     return laws(one) == laws(other) and one.discount_exact == other.discount_exact
+
+
+@pytest.mark.parametrize("states", [4, 30_000])
+def test_rows_that_lead_beyond_the_space_are_refused_at_any_size(states: int) -> None:
+    pairs = np.arange(states - 1)
+    rows = sp.csr_array(
+        (np.ones(states - 1), pairs + 1, np.arange(states)), shape=(states - 1, states)
+    )
+    with pytest.raises(ModelError, match=f"no next state {states - 1}"):
+        MDP.from_pairs(pairs, 0 * pairs, rows, 0.0 * pairs, space=StateSpace.plain(states - 1))
 
 
 # ---- arrays --------------------------------------------------------------------------------------

@@ -63,8 +63,7 @@ def table_of(
             gain, by_pair = of_pair, True
     weight, below = chances(chance, offsets)
     earned = grouped(np.array(gain), np.arange(len(offsets)) if by_pair else offsets)
-    if weight.dtype == np.float64 and taken is None:
-        settle_rows(weight, offsets)
+    sound = taken is not None or (weight.dtype == np.float64 and settle_rows(weight, offsets))
     table = OutcomeTable(
         offsets=offsets,
         next=following if size < 2**31 else following.astype(np.int64),
@@ -73,9 +72,9 @@ def table_of(
         gain=earned[0],
         gain_denominator=earned[1],
     )
-    vars(table).update(is_settled=True, sound=taken is not None)
-    if by_pair and rising:
-        vars(table)["rising"] = True  # it was made so, and need not be asked again
+    vars(table).update(is_settled=True, sound=sound)  # what was made so need not be asked again
+    if by_pair:
+        vars(table)["rising"] = True
     return table
 
 

@@ -68,8 +68,11 @@ def meant(row: Sequence[Fraction | float]) -> list[Fraction | float]:
     return [exact[x] if isinstance(x, float) else x for x in row]
 
 
-def settle(weight: Floats, offsets: Integers) -> None:
-    """Write the floats next to what rows mean in their place; what is no distribution stays."""
+def settle(weight: Floats, offsets: Integers) -> bool:
+    """Write the floats next to what rows mean in their place; what is no distribution stays.
+
+    Return whether all rows are distributions of positive numbers.
+    """
     lengths, begins = np.diff(offsets), offsets[:-1]
     bits = weight.view(np.int64)  # which have the order of positive floats, and are compared faster
     changed = True
@@ -93,6 +96,7 @@ def settle(weight: Floats, offsets: Integers) -> None:
         if moved.any():
             np.copyto(weight, np.repeat(share, lengths), where=largest & np.repeat(moved, lengths))
             changed = True
+    return bool(sound.all())
 
 
 def exactly(weight: Floats, offsets: Integers) -> tuple[Numbers, Numbers]:

@@ -118,9 +118,10 @@ class Values:
     def _improve_all(self) -> None:
         """Pass over a small model in NumPy, as loading compiled loops takes longer."""
         mdp, value, state, margin = self.mdp, self.value, self.mdp.pair_state, self.weights.margin
-        matrix, row, first = mdp.transition, self._entry_pair, mdp.pair_offsets[:-1]
-        own = value[state]
-        ahead = np.bincount(row, matrix.data * (value[matrix.indices] - own[row]), mdp.n_pairs)
+        matrix, first = mdp.transition, mdp.pair_offsets[:-1]
+        own, (following, here) = value[state], self._places
+        steps = matrix.data * (value.take(following) - value.take(here))
+        ahead = np.add.reduceat(steps, matrix.indptr[:-1])
         gain = mdp.reward + (mdp.discount * ahead - self.facts.leak * own)
         self.rise = rise = np.maximum.reduceat(gain, first)
         pairs = np.where(self.pairs < 0, first, self.pairs)
@@ -276,9 +277,11 @@ class Values:
         return self._solved[1]
 
     @cached_property
-    def _entry_pair(self) -> Integers:
-        """The pair of each transition."""
-        return np.repeat(np.arange(self.mdp.n_pairs), np.diff(self.mdp.transition.indptr))
+    def _places(self) -> tuple[Integers, Integers]:
+        """Where each transition leads, and its own state: (M,), (M,)."""
+        matrix = self.mdp.transition
+        here = np.repeat(self.mdp.pair_state, np.diff(matrix.indptr))
+        return matrix.indices.astype(np.int64), here
 
     @cached_property
     def _ends(self) -> list[int]:
@@ -295,7 +298,7 @@ class Values:
         return bellman.model_of(self.mdp, self.mdp.reward, self.weights.margin)
 
 
-def iterate(mdp: MDP, solver: Any) -> Solution:
+def iterate(mdp: MDP, solver: Any, start: Any) -> Solution:
     """Return the optimum within the solver's `tol`, if any: passes, and a `step` of it after each.
 
     The step gets the values, and how near those of a policy should come: a tenth of the least error
@@ -314,7 +317,7 @@ def iterate(mdp: MDP, solver: Any) -> Solution:
     """
     started, status, tol = perf_counter(), None, getattr(solver, "tol", None)
     evaluates, exact = solver.evaluates, solver.exact
-    values = Values(mdp, values_of(mdp, solver.start))
+    values = Values(mdp, values_of(mdp, start))
     weight = float(values.weights.value.max(initial=0.0))
     doubt, hurried, seen = 1.0, False, set[bytes]()
     polished = evaluates and not exact and tol is None

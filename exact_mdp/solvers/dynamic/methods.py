@@ -19,6 +19,8 @@ from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any, ClassVar
 
+import numpy as np
+
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import is_acyclic
 from exact_mdp.mdp.model import MDP
@@ -65,7 +67,7 @@ class Improving(Solver):
 
     def best(self, model: MDP) -> Solution:
         """Return the optimum within `tol`."""
-        return iterate(model, self)
+        return iterate(model, self, self.start)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,9 +131,16 @@ class ModifiedPolicyIteration(Improving):
     name: ClassVar[str] = "modified-policy-iteration"
     evaluates: ClassVar[bool] = True
 
+    def best(self, model: MDP) -> Solution:
+        """Begin with the greatest rewards: a sweep from 0, which takes no pass."""
+        begin = self.start
+        if begin is None:
+            begin = np.maximum.reduceat(model.reward, model.pair_offsets[:-1])
+        return iterate(model, self, begin)
+
     def step(self, values: Values, goal: float) -> None:
-        """Evaluate the policy; the first two are greedy for the next rewards alone."""
-        if values.passes <= 2 and goal > 0:
+        """Evaluate the policy; the first one is greedy for the next rewards alone."""
+        if values.passes <= 1 and goal > 0:
             values.take()
         else:
             values.evaluate(goal)
@@ -172,7 +181,7 @@ class PolicyIteration(Solver):
 
     def best(self, model: MDP) -> Solution:
         """Return the optimum up to rounding."""
-        return iterate(model, self)
+        return iterate(model, self, self.start)
 
     def step(self, values: Values, goal: float) -> None:
         """Solve the equations of the policy."""
