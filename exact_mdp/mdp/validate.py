@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, fields
 from fractions import Fraction
 from math import inf
 from operator import index
-from typing import Any, TypeAlias, TypeGuard
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,11 +138,9 @@ def check_model(model: Parts) -> None:
     check_names(model.events, "event", where="events")
     _check_sense(model)
     _check_pairs(model)
-    _check_shapes(model.table, model.n_pairs)
-    _check_numbers(model)
+    _check_table(model)
     if not vars(model.table).get("sound", False):  # else each row was looked at when it was settled
         _check_rows(model)
-    _check_order(model.table)
     _check_observations(model)
     _check_start(model)
     _check_episodes(model)
@@ -267,40 +265,24 @@ def as_start(start: object, space: StateSpace) -> ByNumber:
     if start is None:
         return ByNumber([(0, Fraction(1))])
     with located("start"):
-        if isinstance(start, ByNumber):
-            weights = dict(start)
-        elif _are_pairs(start) and not space.lookup.knows(start):
-            if any(map(space.lookup.holds, start)):
-                raise ModelError(
-                    "each of the pairs may be a state, or a state and its probability",
-                    fix="give {state: probability}",
-                )
-            weights = _by_number([s for s, _ in start], [p for _, p in start], space)
-        else:
-            given = by_state(start, space)
-            weights = _of_short_floats({space.number(start): 1} if given is None else given)
+        weights = dict(start) if isinstance(start, ByNumber) else by_state(start, space)
+        if weights is None:
+            weights = {space.number(start): 1}
         chances = map(exact, meant([as_given(weight) for weight in weights.values()]))
         pairs = sorted(zip(weights, chances, strict=True))
     return ByNumber((state, weight) for state, weight in pairs if weight != 0)
-
-
-def _of_short_floats(weights: dict[int, Any]) -> dict[int, Any]:
-    """Return probabilities in float32 or float16 divided by their sum, if that rounds to 1."""
-    short = [w for w in weights.values() if isinstance(w, np.floating) and w.itemsize < 8]
-    rounding = (len(weights) + 1) * max((np.finfo(w.dtype).eps / 2 for w in short), default=0)
-    if not 0 < rounding < 1:
-        return weights
-    given = {state: exact(weight) for state, weight in weights.items()}
-    total = sum(given.values(), Fraction(0))
-    near = abs(total - 1) <= rounding / (1 - rounding)
-    return {state: weight / total for state, weight in given.items()} if near else weights
 
 
 def by_state(numbers: Any, space: StateSpace) -> dict[int, Any] | None:
     """Return numbers by state from {state: number} or from a vector; None for anything else."""
     refuse_masked(numbers)
     if is_table(numbers) and numbers.ndim == 1:
-        return _by_number(_labels(numbers.index, space), numbers.tolist(), space)
+        if numbers.index.nlevels > 1:
+            raise ModelError(
+                "a table has several levels of labels, whose order may be another one",
+                fix="give {state: number}",
+            )
+        numbers = dict(zip(numbers.index, numbers, strict=True))
     if isinstance(numbers, Mapping):
         return _by_number(numbers, numbers.values(), space)
     if (isinstance(numbers, np.ndarray) and numbers.ndim == 1) or (
@@ -315,33 +297,8 @@ def by_state(numbers: Any, space: StateSpace) -> dict[int, Any] | None:
     return None
 
 
-def _labels(index: Any, space: StateSpace) -> list[Any]:
-    """Return the labels of an index of pandas, named levels in the order of the columns."""
-    column = space.columns[0] if len(space.columns) == 1 else None
-    things = column.objects if column else ()
-    fields = {getattr(thing, "_fields", ()) for thing in things if isinstance(thing, tuple)}
-    fields = fields if column else {space.names}
-    parts = fields.pop() if len(fields) == 1 else ()
-    if index.nlevels < 2 or not {*index.names} - {None} or not parts:
-        return list(index)
-    if {*index.names} != {*parts} or index.nlevels != len(parts):
-        raise ModelError(
-            f"the levels of the index are {', '.join(map(str, index.names))}",
-            where="index",
-            fix=f"name them {', '.join(parts)}, in any order, or leave out all names",
-        )
-    return list(index.reorder_levels(list(parts)))
-
-
 def _by_number(states: object, numbers: Iterable[object], space: StateSpace) -> dict[int, Any]:
     return once_each(zip(space.numbers(states), numbers, strict=True), space.label)
-
-
-def _are_pairs(given: object) -> TypeGuard[Sequence[Sequence[Any]]]:
-    """Return whether something is a list of pairs, (state, probability) each."""
-    if not isinstance(given, list | tuple) or not given:
-        return False
-    return all(isinstance(each, list | tuple) and len(each) == 2 for each in given)
 
 
 def _is_state(given: object, space: StateSpace) -> bool:
@@ -391,8 +348,33 @@ def _check_pairs(model: Parts) -> None:
         )
 
 
-def _check_shapes(table: OutcomeTable, pairs: int) -> None:
-    outcomes = len(table.next)
+def _check_table(model: Parts) -> None:
+    """Raise ModelError unless the arrays of the table fit together, and hold finite numbers."""
+    table = model.table
+    misfit = _misfit(table, model.n_pairs)
+    if misfit:
+        raise ModelError(
+            misfit,
+            where="outcome table",
+            fix="use MDP.from_pairs or MDP.from_outcomes, which make the table",
+        )
+    _in_range(table.next, model.n_states, "next state", "transitions")
+    for name, what in (("weight", "probability"), ("gain", "reward")):
+        array = getattr(table, name)
+        # NaN is its own least and greatest number.
+        ends = [array.min(initial=0), array.max(initial=0)]
+        if array.dtype == np.float64 and not np.isfinite(ends).all():
+            place = int(np.flatnonzero(~np.isfinite(array))[0])
+            raise (DistributionError if name == "weight" else ModelError)(
+                f"a {what} is {array[place]}",
+                where=model.where(_pair_of(table, place, len(array))),
+                fix="give a finite number",
+            )
+
+
+def _misfit(table: OutcomeTable, pairs: int) -> str:
+    """Return what is wrong with the form of a table's arrays, or nothing."""
+    outcomes, offsets = len(table.next), table.offsets
     lengths = {
         "offsets": {pairs + 1},
         "weight": {outcomes},
@@ -404,46 +386,21 @@ def _check_shapes(table: OutcomeTable, pairs: int) -> None:
     for name, allowed in lengths.items():
         array = getattr(table, name)
         if array is not None and (array.ndim != 1 or len(array) not in allowed):
-            raise ShapeError(
-                f"{name} has shape {array.shape}, not ({min(allowed)},)",
-                where="outcome table",
-                fix="give one entry for each row or outcome",
-            )
-    offsets = table.offsets
+            return f"{name} has shape {array.shape}, not ({min(allowed)},)"
     if offsets[0] != 0 or offsets[-1] != outcomes or (offsets[1:] < offsets[:-1]).any():
-        raise ModelError(
-            "offsets do not run from 0 to the number of outcomes",
-            where="outcome table",
-            fix="let offsets[l] be the first outcome of pair l",
-        )
-
-
-def _check_numbers(model: Parts) -> None:
-    table, sound = model.table, vars(model.table).get("sound", False)
-    _in_range(table.next, model.n_states, "next state", "transitions")
-    for name in ("weight", "gain", "denominator", "gain_denominator")[sound:]:
+        return "offsets do not run from 0 to the number of outcomes"
+    for name in ("weight", "gain", "denominator", "gain_denominator"):
         array = getattr(table, name)
-        kinds = {type(x).__name__ for x in array.tolist()} if array.dtype == object else {"int"}
-        if array.dtype == np.float64:
-            # NaN is its own least and greatest number.
-            if len(array) and not (np.isfinite(array.min()) and np.isfinite(array.max())):
-                place = int(np.flatnonzero(~np.isfinite(array))[0])
-                what = "probability" if name == "weight" else "reward"
-                raise (DistributionError if name == "weight" else ModelError)(
-                    f"a {what} is {array[place]}",
-                    where=model.where(_pair_of(table, place, len(array))),
-                    fix="give a finite number",
-                )
-        elif array.dtype not in (np.int64, object) or kinds > {"int"} or "int" not in kinds:
-            kind = min(kinds - {"int"}, default=array.dtype)
-            raise ModelError(
-                f"{name} holds numbers of type {kind}",
-                where="outcome table",
-                fix="use 64-bit or Python integers, or floats",
-            )
-    for name in ("denominator", "gain_denominator"):
-        if not getattr(table, name).min(initial=1) > 0:
-            raise ModelError(f"a {name} is not positive", where="outcome table", fix="make it > 0")
+        whole = array.dtype == object and {*map(type, array.tolist())} == {int}
+        if not whole and array.dtype not in (np.int64, np.float64):
+            return f"{name} holds numbers that are neither 64-bit or Python integers nor floats"
+    if not min(table.denominator.min(), table.gain_denominator.min()) > 0:
+        return "a denominator is not positive"
+    if not table.rising:
+        falls, pair = table.next[1:] < table.next[:-1], table.pair
+        if (falls & (pair[1:] == pair[:-1])).any():
+            return "outcomes of a pair are not sorted by next state"
+    return ""
 
 
 def _check_rows(model: Parts) -> None:
@@ -481,38 +438,8 @@ def _check_rows(model: Parts) -> None:
             f"transition probabilities sum to {near if abs(off) < 1e-9 else shown(total, 12)}, "
             "not 1",
             where=model.where(pair),
-            fix="these probabilities are of single precision or less, which misses 1 by so much: "
-            "convert them to float64 and normalise the rows there"
-            if _coarse(table, pair, abs(off))
-            else "add the missing outcome, or correct a probability in this row",
-        )
-
-
-def _coarse(table: OutcomeTable, pair: int, off: Fraction) -> bool:
-    """Return whether numbers of single precision or less may miss 1 by `off`.
-
-    Of n numbers normalised in precision u, the sum is within n u of 1, to first order: n - 1 sums
-    and a division round.
-    """
-    row = table.weight[table.offsets[pair] : table.offsets[pair + 1]]
-    if table.weight.dtype != np.float64:
-        return False
-    return any(
-        bool((row.astype(kind) == row).all()) and off <= len(row) * float(np.finfo(kind).eps)
-        for kind in (np.float32, np.float16)
-    )
-
-
-def _check_order(table: OutcomeTable) -> None:
-    if table.rising:
-        return
-    falls = table.next[1:] < table.next[:-1]
-    falls[table.offsets[1:-1] - 1] = False  # from one pair to the next
-    if falls.any():
-        raise ModelError(
-            "outcomes of a pair are not sorted by next state",
-            where="outcome table",
-            fix="use MDP.from_pairs or MDP.from_outcomes, which sort them",
+            fix="add the missing outcome, or correct a probability in this row; for rows in single "
+            "precision, convert them to float64 and normalise them there",
         )
 
 

@@ -94,7 +94,6 @@ def by_records(records: pd.DataFrame = FRAME, model: MDP = SEEN, **how: Any) -> 
 
 
 VALUES = {("a", "slow"): 1, ("a", "fast"): 2, ("b", "slow"): 0, ("b", "fast"): 1}
-SHARES = np.array([0.1, 0.2, 0.7], dtype=np.float32)
 FAMILY: dict[str, Any] = {
     "parameters": {"p": "1/2"},
     "build": lambda at: MDP.from_arrays([[[at["p"], 1 - at["p"]], [0, 1]]], [1, 0]),
@@ -152,8 +151,6 @@ def test_what_has_one_meaning_is_taken() -> None:
     assert rows(MDP.from_arrays({"slow": pd.DataFrame([[0.5, 0.5], [0, 1]])}, [1, 0], "9/10")) == [
         rows(MDP.from_arrays([SLOW], [1, 0]))[k] for k in range(2)
     ]
-    shares = [F(share) for share in SHARES.tolist()]
-    assert THREE.with_(start=SHARES).start == tuple(enumerate(s / sum(shares) for s in shares))
     assert Policy.of(MODEL, VALUES).tolist() == [1, 1]
     assert Policy.of(MODEL, {(0, 0): 3, (0, 1): 2, (1, 0): 0, (1, 1): 0}).tolist() == [0, 0]
     assert Policy.of(MODEL, defaultdict(float, {(0, 1): 3.0})).tolist() == [1, 0]
