@@ -162,7 +162,7 @@ def test_psa_and_sobol_hold_it(form: str) -> None:
     assert drawn["candidates"][0]["actions"] is None  # it mixes
 
 
-@pytest.mark.parametrize("kind", ["interval", "absolute", "l1", "kl"])
+@pytest.mark.parametrize("kind", ["interval", "l1", "kl"])
 def test_the_worst_case_of_it(kind: str) -> None:
     answer, _ = ask("robust", "--radius", 0, "--set-kind", kind)
     assert answer["start_value"] == pytest.approx(VALUE, rel=1e-12)

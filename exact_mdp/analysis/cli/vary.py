@@ -35,7 +35,6 @@ ROUNDED = "of the perception, and the probabilities of actions that it makes, as
 """What is certified under a perception: a file may state 1/3, which no float is."""
 ROWS = {  # what is in each kind of set
     "interval": "each transition probability ± {} of itself, rows on their own",
-    "absolute": "each transition probability ± {}, rows on their own",
     "l1": "rows within an L1 distance of {}, on their own",
     "kl": "rows that keep the tables likely, KL(p‖q) ≤ {}, on their own",
 }
@@ -306,9 +305,9 @@ def robust(given: Given, *, set_kind: str = "interval", radius: str | None = Non
 
     Parameters
     ----------
-    set_kind : "interval", "absolute", "l1", "kl" or "box"
-        What may move: each probability by a share or an absolute amount, each row within a distance
-        (l1, kl), or the tables' numbers (box).
+    set_kind : "interval", "l1", "kl" or "box"
+        What may move: each probability by a share, each row within a distance (l1, kl), or the
+        tables' numbers (box).
     radius : X, optional
         How far it may move, except in a box.
 

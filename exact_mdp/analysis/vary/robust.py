@@ -140,7 +140,6 @@ class Robust(Result):
 
 SETS: Mapping[str, tuple[Callable[[MDP, object], Ambiguity], str]] = {
     "interval": (Intervals.relative, "1/5"),
-    "absolute": (Intervals.absolute, "1/50"),
     "l1": (lambda mdp, radius: L1Ball(radius=radius), "1/10"),
     "kl": (lambda mdp, radius: Likelihood(radius=radius), "1/100"),
 }
@@ -160,11 +159,11 @@ def robust(
     Parameters
     ----------
     model : MDP
-    ambiguity : Ambiguity, or "interval", "absolute", "l1" or "kl"
-        Sets of laws around the rows p: p (1 ± x), p ± x, those within an L1 distance of x, and
-        those with KL(p‖q) ≤ x.
+    ambiguity : Ambiguity, or "interval", "l1" or "kl"
+        Sets of laws around the rows p: p (1 ± x), those within an L1 distance of x, and those with
+        KL(p‖q) ≤ x. Other intervals are `Intervals(lower=…, upper=…)`.
     radius : number, optional
-        x of a set that is named; 1/5, 1/50, 1/10 and 1/100 unless given.
+        x of a set that is named; 1/5, 1/10 and 1/100 unless given.
     policy : PolicyLike
         The nominal policy.
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows
-from exact_mdp.mdp.graph import SHOWN, components, reachable, termination, ways_out
+from exact_mdp.mdp.graph import reachable, termination, ways_out, where_endless
 from exact_mdp.mdp.io import model_json
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Numbers, common, exact, integers, multiply, ones
@@ -96,34 +96,23 @@ class Objectives:
         return Totals(model, self.names, amounts)
 
     def _require_finite(self) -> None:
-        """Raise ModelError, naming an objective, where a policy need not end at discount 1."""
-        if self.mdp.discount_exact < 1:
+        """Raise ModelError where a policy need not end at discount 1, or ends beside the goal."""
+        mdp = self.mdp
+        if mdp.discount_exact < 1:
             return
-        ending, mdp = termination(self.ending), self.mdp
-        if ending.proven:
-            goal = np.ones_like(mdp.terminal) if mdp.goal is None else mdp.goal
-            if (beside := reachable(mdp) & self.ending.terminal & ~goal).any():
-                raise ModelError(
-                    "no total is finite: a policy may end beside the goal",
-                    where=mdp.space.place(int(np.flatnonzero(beside)[0])),
-                    fix="count in the model itself, without --until, or leave out what leads there",
-                )
-            return
-        inside = np.zeros(mdp.n_states, dtype=bool)
-        inside[ending.trapped] = True
-        (_, label), then = components(mdp), self.rows.next
-        back = inside[then] & (label[then] == label[mdp.pair_state[self.rows.pair]])
-        stays = np.logical_and.reduceat(back, self.rows.offsets[:-1]) & inside[mdp.pair_state]
-        each = zip(self.names, self.amounts, strict=True)
-        endless = [name for name, amount in each if (amount[stays] != 0).any()]
-        shown = ", ".join(f"({mdp.space.label(s)})" for s in ending.trapped[:SHOWN].tolist())
-        raise ModelError(
-            f"{endless[0]!r} has no finite total: a policy need not end, and counts it for ever"
-            if endless
-            else "discount 1 needs every policy to end, and one does not",
-            where=f"states {shown}" + (" and more" if len(ending.trapped) > SHOWN else ""),
-            fix=ways_out(mdp, "count what is 0 in these states"),
-        )
+        if not termination(self.ending).proven:
+            raise ModelError(
+                "a policy need not end, and totals at discount 1 would count for ever",
+                where=where_endless(self.ending),
+                fix=ways_out(mdp, "count what is 0 in these states"),
+            )
+        goal = np.ones_like(mdp.terminal) if mdp.goal is None else mdp.goal
+        if (beside := reachable(mdp) & self.ending.terminal & ~goal).any():
+            raise ModelError(
+                "no total is finite: a policy may end beside the goal",
+                where=mdp.space.place(int(np.flatnonzero(beside)[0])),
+                fix="count in the model itself, without --until, or leave out what leads there",
+            )
 
 
 Terms = list[tuple[Fraction, str]]
@@ -137,37 +126,23 @@ def _parsed(mdp: MDP, text: str) -> tuple[str, Terms]:
     if text in known or not equals:
         name, body = text, text
     name, body = name.strip(), body.strip()
-    if not name:
-        raise ModelError(
-            "a sum has an empty name", where=f"objective {text!r}", fix="write name=2*a-b"
-        )
-    if body in known:
+    if name and body in known:
         return name, [(Fraction(1), body)]
     terms, at = Terms(), 0
     each = "|".join(map(re.escape, sorted(known, key=len, reverse=True)))
     term = re.compile(rf"{FACTOR}({each})\s*(?=[+-]|$)")
-    while at < len(body):
+    while at < len(body) or not terms:
         match = term.match(body, at)
-        if match is None or (terms and match[1] is None):
-            rest = re.sub(f"^{FACTOR}", "", body[at:])
-            part = re.split(r"[-+*]", rest)[0].strip() or body
-            written = part in known
+        if match is None or not name or (terms and match[1] is None):
+            part = re.split(r"[-+*]", re.sub(f"^{FACTOR}", "", body[at:]))[0].strip() or body
             raise ModelError(
-                f"{body[at:]!r} is no part of a sum" if written else f"no total is called {part!r}",
+                f"{text!r} names no total, nor a sum of totals",
                 where=f"objective {text!r}",
-                fix="write each term as NAME or NUMBER*NAME, with + or - between: name=2*a-b"
-                if written
-                else f"{suggest(part, known)}; a sum is written name=2*a-b",
+                fix=f"{suggest(part, known)}; a sum is written name=2*a-b",
             )
         factor = exact(match[2] or "1", f"objective {text!r}")
         terms.append((-factor if match[1] == "-" else factor, match[3]))
         at = match.end()
-    if not terms:
-        raise ModelError(
-            "the objective names nothing to count",
-            where=f"objective {text!r}",
-            fix=suggest("", known),
-        )
     return name, terms
 
 

@@ -72,7 +72,7 @@ class Intervals(Ambiguity):
     Attributes
     ----------
     lower, upper : (N,)
-        In the order of `mdp.table.next`; `relative` and `absolute` make them.
+        In the order of `mdp.table.next`; `relative` makes them.
 
     Examples
     --------
@@ -115,31 +115,6 @@ class Intervals(Ambiguity):
         part = radius_of(share, "a relative radius")
         p = model.table.probabilities()
         return cls(lower=np.maximum(p * (1 - part), 0.0), upper=np.minimum(p * (1 + part), 1.0))
-
-    @classmethod
-    def absolute(cls, model: MDP, width: object) -> Intervals:
-        """Return p ± width within [0, 1].
-
-        Parameters
-        ----------
-        model : MDP
-        width : number
-            0.1 for ± 0.1.
-
-        Returns
-        -------
-        Intervals
-
-        Examples
-        --------
-        >>> from exact_mdp import MDP, Intervals
-        >>> mdp = MDP.from_arrays([[[0.5, 0.5], [0, 1]]], [[1], [0]])
-        >>> Intervals.absolute(mdp, 0.1).upper[:2].round(3).tolist()
-        [0.6, 0.6]
-        """
-        part = radius_of(width, "a radius")
-        p = model.table.probabilities()
-        return cls(lower=np.maximum(p - part, 0.0), upper=np.minimum(p + part, 1.0))
 
     def check(self, model: MDP) -> None:
         """Raise ModelError where a row has no law within its intervals."""

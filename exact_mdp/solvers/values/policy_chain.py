@@ -28,7 +28,7 @@ import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, lcm_by_group
-from exact_mdp.mdp.graph import SHOWN, Mask, closure, topological_levels, ways_out
+from exact_mdp.mdp.graph import Mask, closure, topological_levels, ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
 from exact_mdp.mdp.questions import ended
@@ -280,21 +280,13 @@ class PolicyChain:
 
     def require_end(self) -> None:
         """Raise ModelError, naming where the policy stays, unless every episode ends."""
-        if self.ends_from_start:
-            return
-        mdp, trapped, named = self.mdp, np.flatnonzero(self.reached & self.stuck), list[str]()
-        for state in trapped[:SHOWN].tolist():
-            taken = [pair for pair in mdp.pairs_of(state) if self.weights[pair] > 0]
-            actions = " or ".join(mdp.actions[mdp.pair_action[pair]] for pair in taken)
-            named.append(f"({mdp.space.label(state)}) with action {actions}")
-        more = len(trapped) - len(named)
-        raise ModelError(
-            "discount 1 needs a policy that ends, and this one may not",
-            where="it can stay for ever in "
-            + ", ".join(named)
-            + (f" and {more} more" if more else ""),
-            fix=ways_out(mdp, "take a policy that leaves these states"),
-        )
+        if not self.ends_from_start:
+            trapped = int(np.flatnonzero(self.reached & self.stuck)[0])
+            raise ModelError(
+                "discount 1 needs a policy that ends, and this one may stay for ever",
+                where=f"policy, {self.mdp.space.place(trapped)}",
+                fix=ways_out(self.mdp, "take a policy that leaves such states"),
+            )
 
     # ---- equations ---------------------------------------------------------------------------
 

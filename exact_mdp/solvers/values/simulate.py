@@ -156,7 +156,6 @@ def simulate(
     n: int,
     rng: RNG,
     *,
-    max_steps: int | None = None,
     kind: str = "auto",
     horizon: int | None = None,
 ) -> Simulation:
@@ -170,13 +169,10 @@ def simulate(
         Number of episodes.
     rng : int or numpy.random.Generator
         The same whole number gives the same returns, byte for byte; 0 is one like any other.
-    max_steps : int, optional
-        Timesteps after which an episode is cut off. Below discount 1 it is, unless given, the
-        number after which nothing above 10⁻¹² of the greatest return can follow; at discount 1
-        episodes are never cut off, and an episode that takes longer is an error.
     horizon : int, optional
         Stop every episode after this many steps, without a further reward, as the environments of a
-        time limit do; see `evaluate`.
+        time limit do; see `evaluate`. Below discount 1 an episode is cut off, unless it is given,
+        where nothing above 10⁻¹² of the greatest return can follow.
 
     Returns
     -------
@@ -185,8 +181,7 @@ def simulate(
     Raises
     ------
     ModelError
-        For no episodes or no seed; at discount 1 where rewards cancel for ever, or where an episode
-        takes longer than `max_steps`.
+        For no episodes or no seed; at discount 1 where rewards cancel for ever.
 
     Examples
     --------
@@ -195,7 +190,7 @@ def simulate(
     >>> abs(sample.mean - 1) < 4 * sample.standard_error
     True
     """
-    check_counts("simulate", n=n, **({} if max_steps is None else {"max_steps": max_steps}))
+    check_counts("simulate", n=n)
     generator = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(seed_of(rng))
     unstopped = mdp_of(model)
     given = unstopped if horizon is None else unstopped.within(horizon)
@@ -203,7 +198,7 @@ def simulate(
     mdp = chain.mdp
     size = float(np.abs(chain.gain[chain.reached[chain.source]]).max(initial=0.0))
     missing = float(1 - mdp.discount_exact)
-    limit = horizon if max_steps is None else max_steps
+    limit = horizon
     if limit is None and missing:
         # The greatest return is size / (1 - γ), and what follows t steps at most γ^t of it.
         limit = 1 if missing == 1 else ceil(log(NEGLIGIBLE) / log1p(-missing))
@@ -235,12 +230,6 @@ def simulate(
             running = running[~mdp.terminal[state[running]]]
             factor, step = factor * mdp.discount, step + 1
             bar.update()
-    if len(running) and mdp.discount_exact == 1:
-        raise ModelError(
-            f"{len(running)} of {n} episodes had not ended after {step} steps",
-            where="policy",
-            fix="raise max_steps, or leave it out; evaluate() gives the expected number of steps",
-        )
     if not np.isfinite(returns).all():
         raise ModelError(
             "a return is beyond the range of floats", where="rewards", fix="scale them down"

@@ -63,23 +63,18 @@ def test_an_endless_process_is_cut_off_where_nothing_is_lost() -> None:
     assert sample.truncated == sample.episodes
     assert set(sample.steps.tolist()) == {263}
     assert 0 < sample.truncation_error <= 1e-12 * 3 / 0.1
-    short = simulate(mdp, [0, 0, 0], 20_000, rng=5, max_steps=10)
-    assert short.truncation_error == pytest.approx(0.9**10 * 3 / 0.1)
-    wanted = evaluate(mdp, [0, 0, 0]).mean
-    assert abs(short.mean - wanted) < short.truncation_error
-    low, high = short.value.interval
-    assert low < wanted < high
-    assert "cut off" in str(short.value)
+    low, high = sample.value.interval
+    assert low < evaluate(mdp, [0, 0, 0]).mean < high
+    assert "cut off" in str(sample.value)
 
 
 def test_what_is_cut_off_is_part_of_the_error() -> None:
-    """Every episode earns 1 a step: the first three show no spread, and the rest is missing."""
+    """Every episode earns 1 a step: the returns show no spread, and the rest is missing."""
     mdp = MDP.from_outcomes([(0, 0, [(1, 0, 1)])], "9/10")
-    sample = simulate(mdp, [0], 5, rng=0, max_steps=3)
-    assert (sample.mean, sample.standard_error) == (pytest.approx(2.71), 0)
+    sample = simulate(mdp, [0], 5, rng=0)
     low, high = sample.value.interval
-    assert low <= 10 <= high
-    assert high - 10 < 1e-4
+    assert (sample.standard_error, low <= 10 <= high) == (0, True)
+    assert 10 - low < 1e-10
     ended = simulate(mdp, [0], 5, rng=0, horizon=3)
     assert ended.value.interval == (ended.mean, ended.mean)
     assert set(ended.steps.tolist()) == {3}
