@@ -32,7 +32,7 @@ from exact_mdp.mdp.errors import (
     words_of,
 )
 from exact_mdp.mdp.forms.explore import FromFunction
-from exact_mdp.mdp.forms.names import ByNumber, Names, object_key, text_of
+from exact_mdp.mdp.forms.names import ByNumber, Names, text_of
 from exact_mdp.mdp.forms.numbers import whole_numbers
 from exact_mdp.mdp.io.gymnasium import FromGymnasium
 from exact_mdp.mdp.io.transitions import FromTransitions
@@ -464,7 +464,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
             size=self.n_actions,
             words=words,
             label=lambda number: f"action {self.actions[number]}",
-            objects={object_key(thing): number for number, thing in made},
+            objects={thing: number for number, thing in made},
             otherwise=lambda thing: words.get(text_of(thing).removeprefix("action ")),
         )
 

@@ -24,7 +24,7 @@ from exact_mdp.mdp.errors import (
     suggest,
     words_of,
 )
-from exact_mdp.mdp.forms.names import Names, object_key, whole_of
+from exact_mdp.mdp.forms.names import Names, whole_of
 
 Integers = NDArray[np.int64]
 TIME = "time"
@@ -61,7 +61,7 @@ class Column:
             size=self.size,
             words={word: value for value, word in enumerate(self.words)},
             label=self.label,
-            objects={object_key(thing): value for value, thing in enumerate(self.objects)},
+            objects={thing: value for value, thing in enumerate(self.objects)},
         )
 
     def label(self, value: int) -> str:

@@ -197,9 +197,9 @@ class Case:
         """Forms that have to be taken, whatever the names."""
         policy = Policy.from_choices(self.model, self.numbers)
         yield "policy", policy
-        for ending in ("csv", "json") if self.unmistaken else ():
-            policy.write(self.folder / f"w.{ending}")
-            yield ending, self.folder / f"w.{ending}"
+        if self.unmistaken:
+            policy.write(self.folder / "w.csv")
+            yield "written", self.folder / "w.csv"
         if not {"state a", "state b"} & {word for each in self.printed for word in each}:
             yield "printed", {f"state {s}": f"action {a}" for s, a in self.printed}
         yield "Q-table", self._table()

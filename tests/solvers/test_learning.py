@@ -11,6 +11,7 @@ import joblib
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from made_models import policy_by
 from strategies import Rows, models
 
 from exact_mdp import (
@@ -63,7 +64,7 @@ def test_training_returns_are_those_of_the_exploring_policy(care: MDP) -> None:
     run = QLearning(epochs=4000, rate=Constant(0.0), exploration=Constant(epsilon)).train(care, 2)
     table = np.full((16, 4), epsilon / 4)
     table[:, 0] += 1 - epsilon
-    exact = evaluate(care, Policy.by(care, ("status",), table))
+    exact = evaluate(care, policy_by(care, ("status",), table))
     error = exact.sd / sqrt(4000 * 30)
     assert abs(run.returns.mean() - exact.mean) < 4 * error
     assert abs(run.steps / (4000 * 30) - exact.steps) < 0.05
@@ -202,7 +203,7 @@ def test_the_selected_policy_is_the_best_of_the_five_most_frequent(
         fifth = (counts + [0] * 5)[4]
         always = [i for i, count in times.items() if count > fifth]
         values = {
-            i: evaluate(care, Policy.by(care, ("status",), run.policies[i])).mean for i in times
+            i: evaluate(care, policy_by(care, ("status",), run.policies[i])).mean for i in times
         }
         assert learned.value[number] >= max(values[i] for i in always or [run.last[-1]]) - 1e-9
         assert any(abs(learned.value[number] - value) < 1e-9 for value in values.values())
@@ -231,7 +232,7 @@ def test_curves_show_the_same_with_and_without_noise(care: MDP, runs: list[Train
     assert abs((curve.sampled - curve.value).sum()) < 4 * sqrt((error**2).sum())
     assert 0.8 < ((curve.sampled - curve.value) ** 2).sum() / (error**2).sum() < 1.25
     last = runs[0].policies[runs[0].snapshots[-1]]
-    assert curve.value[-1] == pytest.approx(evaluate(care, Policy.by(care, ("status",), last)).mean)
+    assert curve.value[-1] == pytest.approx(evaluate(care, policy_by(care, ("status",), last)).mean)
     again = learning_curve(care, runs[0], rng=5)
     assert again.sampled.tobytes() == curve.sampled.tobytes()
     assert learning_curve(care, runs[0], rng=6).sampled.tobytes() != curve.sampled.tobytes()

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp import MDP, Parametric, certify, moving
+from exact_mdp import MDP, Parametric, Policy, StateSpace, certify, moving
 
 
 def garnet(
@@ -125,3 +125,9 @@ def under(mdp: MDP, policy: Any) -> MDP:
         pair_state=mdp.pair_state[wanted],
         pair_action=mdp.pair_action[wanted],
     )
+
+
+def policy_by(mdp: MDP, columns: Any, rule: Any) -> Policy:
+    """The policy that reads some columns alone, by action numbers or probabilities."""
+    space = StateSpace(columns=tuple(map(mdp.space.column, columns)))
+    return Policy(space=space, actions=mdp.actions, rule=np.asarray(rule))

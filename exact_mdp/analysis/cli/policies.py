@@ -70,8 +70,8 @@ def solve(
     certificate : FILE, .json
         Write a proof for `verify`: .json; of the exact optimum with --certify or under limits, else
         of bounds.
-    policy_out : FILE, .csv or .json
-        Write the policy: .csv or .json.
+    policy_out : FILE, .csv
+        Write the policy: .csv.
     out : FILE, .npz
         Write values, policy and action values: .npz. Beside each file that is written stands a
         record of its making, FILE.run.json.

@@ -2,9 +2,8 @@
 
 The one rule, for states and actions, in constructors, policies, tables, files and commands:
 
-    an object    is the state or action that was made of it (`MDP.from_function`), as 1 and 0 are
-                 what was made of True and False; else the one whose name is the object's text, as
-                 after a model is saved
+    an object    is the state or action that was made of it (`MDP.from_function`), or of what equals
+                 it; else the one whose name is the object's text, as after a model is saved
     text         is a name, or else the printed form: state 7, or row 0, column 3; or else digits,
                  where no name is a whole number
     a number     counts from 0 in the model's order, unless names are whole numbers: then it is the
@@ -30,11 +29,8 @@ import numpy as np
 from exact_mdp.mdp.errors import ModelError, no_such, suggest
 
 WHOLE = re.compile(r"-?\d{1,18}(\.0)?|True|False")
-TRUTH: dict[int | None, tuple[str, ...]] = {0: ("False",), 1: ("True",)}
 SHOWN = 1000  # of names, where the nearest to a wrong one is looked for
 DIGITS = 18  # of a number at most
-
-ObjectKey = tuple[bool, Hashable]
 
 
 class ByNumber(tuple[tuple[int, Any], ...]):
@@ -66,11 +62,6 @@ def names_of(things: Sequence[Any], what: str) -> tuple[str, ...]:
     )
 
 
-def object_key(thing: Any) -> ObjectKey:
-    """Return the key of an object among others: that of True is not that of 1."""
-    return (isinstance(thing, bool | np.bool_), thing)
-
-
 def is_number(thing: object) -> bool:
     """Return whether a thing is a finite number; True and False are none."""
     number = isinstance(thing, int | float | Fraction | np.number) and not isinstance(thing, bool)
@@ -93,39 +84,37 @@ class Names:
     size: int
     words: Mapping[str, int]
     label: Callable[[int], str]
-    objects: Mapping[ObjectKey, int] = field(default_factory=dict)
+    objects: Mapping[Hashable, int] = field(default_factory=dict)
     otherwise: Callable[[Any], int | None] | None = None
 
     def number(self, thing: object) -> int:
         """Return the number of one thing; raises ModelError where it is none, or may be two."""
         try:
-            made = self._made(thing)
+            made = self.objects.get(thing)
         except TypeError:  # no key
             raise self._unknown(thing) from None
         text, whole = text_of(thing), whole_of(thing)
         place = whole if whole is not None and 0 <= whole < self.size else None
+        short = text.strip() if isinstance(thing, str) else str(whole if is_number(thing) else text)
+        named = self.words.get(text, self.words.get(short))
         if is_number(thing):
-            named = self.named(thing)
-            fits = {made} - {None} or (named and named | {place})
+            fits = {made} - {None} or (set() if named is None else {named, place})
         else:
-            word = text.strip() if isinstance(thing, str) and text not in self.words else text
-            fits = {made, self.words.get(word)} - {None} or {
-                self.otherwise and self.otherwise(thing)
-            }
+            fits = {made, named} - {None} or {self.otherwise and self.otherwise(thing)}
         if not fits - {None} and not self.numbered:
             fits = {place}
         known = [number for number in fits if number is not None]
         if not known:
             raise self._unknown(thing)
         if len(known) > 1:
-            raise self.either(thing, *sorted(known, key=lambda n: (n == place, n))[:2])
+            first, second = sorted(known, key=lambda n: (n == place, n))
+            one, two = self.label(first), self.label(second)
+            raise ModelError(
+                f"{_plain(thing)!r} may be {one}, by its name, or {two}, number {second} in the "
+                "model's order, which differ",
+                fix=f'write "{one}" or "{two}", or give an array in the model\'s order',
+            )
         return known[0]
-
-    def named(self, number: Any) -> set[int | None]:
-        """Return what a number is the name of: 1 of "1", of "1.0" and of "True"."""
-        whole = whole_of(number)
-        names = (text_of(number), str(whole), f"{whole}.0", *TRUTH.get(whole, ()))
-        return {self.words.get(name) for name in names} - {None}
 
     def numbers(self, things: Any) -> list[int]:
         """Return the numbers of some things, or of one alone."""
@@ -135,13 +124,12 @@ class Names:
     @cached_property
     def numbered(self) -> bool:
         """Whether whole numbers are names or objects, so that they count nothing."""
-        things = (*self.words, *(thing for _, thing in self.objects))
-        return any(WHOLE.fullmatch(text_of(thing)) for thing in things)
+        return any(WHOLE.fullmatch(text_of(thing)) for thing in (*self.words, *self.objects))
 
     def knows(self, thing: object) -> bool:
         """Return whether something other than a number is an object, or has the text of a name."""
         try:
-            return self._made(thing) is not None or text_of(thing) in self.words
+            return thing in self.objects or text_of(thing) in self.words
         except TypeError:
             return False
 
@@ -152,26 +140,12 @@ class Names:
         except ModelError:
             return False
 
-    def _made(self, thing: Any) -> int | None:
-        """Return what was made of an object, or of what equals it; raises TypeError for no key."""
-        made = self.objects.get(object_key(thing))
-        return self.objects.get((True, thing)) if made is None else made
-
     def _unknown(self, thing: object) -> ModelError:
-        digits = isinstance(thing, str) and thing.strip().isdigit()
-        if (digits or (is_number(thing) and whole_of(thing) is not None)) and not self.numbered:
+        digits = thing.strip().isdigit() if isinstance(thing, str) else whole_of(thing) is not None
+        if digits and not self.numbered:
             return no_such(self.what, thing, self.size)
         known = [*self.words] or [self.label(number) for number in range(min(self.size, SHOWN))]
         said = f"unknown {self.what} {thing!r}"
         if not isinstance(thing, str):
             said = f"{thing!r} is not a{'n' * (self.what[0] in 'aeio')} {self.what}"
         return ModelError(said, fix=suggest(str(thing), known))
-
-    def either(self, thing: object, first: int, second: int) -> ModelError:
-        """Return the error to raise where a thing may be two."""
-        one, two, shown = self.label(first), self.label(second), repr(_plain(thing))
-        return ModelError(
-            f"{shown} may be {one}, by its name, or {two}, number {second} in the model's order, "
-            "which differ",
-            fix=f'write "{one}" or "{two}", or give an array in the model\'s order',
-        )

@@ -26,8 +26,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.errors import ModelError, no_such
-from exact_mdp.mdp.forms.numbers import refuse_masked
+from exact_mdp.mdp.errors import ModelError, located, no_such
+from exact_mdp.mdp.forms.numbers import refuse_labels, refuse_masked
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, Numbers
@@ -38,102 +38,17 @@ SAY = (
     'say which, as the answers differ: Policy.of(model, array, kind="policy") or kind="q"; in '
     "commands --kind policy or --kind q"
 )
-UNIT_32 = 2.0**-24  # the unit roundoff of float32
 Q_TABLE, PROBABILITIES = "a Q-table: its greedy policy", "action probabilities"
 
 Parts = dict[str, Any]
 """What `Policy` takes, by name."""
 
 
-def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
-    """Return the policy that an array of real numbers gives.
-
-    It is (S, A) over all states, or (2^n, A) over the status vectors. Where the model stops after
-    N steps, S may be the states without their time, and (N, S, A) depends on time. Extra states
-    (the end) may be left out where they offer no choice.
-    """
-    given, array = array, by_time(model, array, 0, of_actions=True)
-    space, actions, offered = _layout(model, array.shape)
-    row, costs = rows_read(model, space), model.sense == "min"
-
-    def read_by(states: Flags) -> Flags:
-        """Return (K,) which rows some states (S,) read."""
-        rows = np.zeros(space.size, dtype=bool)
-        rows[row[states]] = True
-        return rows
-
-    def place(row: int, action: int | None = None) -> str:
-        """Return the index of an entry in the array as it was given, and what it is of."""
-        untimed = model.space.untimed
-        index = [row]
-        if array is not given and untimed is not None:
-            index = [*divmod(row, untimed.regular)]
-        words = space.label(row)
-        if action is not None:
-            index, words = [*index, action], f"{words}, action {actions[action]}"
-        return f"{index} ({words})"
-
-    counts = read_by(model.asked)
-    fits = are_distributions(array, counts)
-    wrong = counts & ~fits
-    if kind == "auto" and not counts.any():  # it is asked at other values of a parameter
-        wrong = ~fits & (offered.sum(axis=1) > 1)
-    elif wrong.any() and kind != "q":
-        choosing = read_by(model.asked & ~model.indifferent)
-        if kind == "policy" or choosing.any():
-            counts, wrong = choosing, choosing & ~fits
-    if kind == "q" or (kind == "auto" and wrong.any()):
-        rule = _greedy(array, offered, counts, place, costs=costs)
-        read = {"rule": rule, "values": array, "source": Q_TABLE}
-        return {"space": space, "actions": actions, **read}
-    if wrong.any():
-        raise no_distribution(array[wrong][0].tolist(), place(int(np.flatnonzero(wrong)[0])))
-    alone = ((array == 1).sum(axis=1) == 1) & ((array == 0).sum(axis=1) == array.shape[1] - 1)
-    mixed = counts & ~np.asarray(alone, dtype=bool)
-    if kind == "auto" and costs and not mixed.any():  # a cost of 1 is not the least
-        least = _greedy(array, offered, counts, place, costs=True)
-        mixed = read_by(model.asked & ~model.indifferent)
-        mixed &= array[np.arange(len(array)), least] != 1
-    if kind == "auto" and mixed.any():
-        raise ModelError(
-            "every row sums to 1: are these probabilities or a Q-table?",
-            where=f"policy{place(int(np.flatnonzero(mixed)[0]))}",
-            fix=SAY,
-        )
-    floats = np.where(fits[:, None], array, 0).astype(np.float64)
-    lost = fits & ((floats == 0) & np.asarray(array != 0)).any(axis=1)
-    if (lost & counts).any():
-        raise too_small(f"policy{place(int(np.flatnonzero(lost & counts)[0]))}")
-    table: Numbers = np.full(array.shape, np.nan, dtype=np.result_type(array, np.float64))
-    table[fits & ~lost] = array[fits & ~lost]
-    return {"space": space, "actions": actions, "rule": table, "source": PROBABILITIES}
-
-
-def whole_fix(array: Floats) -> str:
-    """Return how to give action numbers, of floats that were given."""
-    if (array == np.round(array)).all():
-        return "give them as integers: policy.astype(int)"
-    return "give actions, such as q.argmax(axis=1), or the Q-table itself"
-
-
-def no_distribution(row: list[Any], place: str) -> ModelError:
-    """Return the error for probabilities that are none."""
-    return ModelError(
-        f"action probabilities are {row}, not a distribution",
-        where=f"policy{place}",
-        fix='make them at least 0, with sum 1; of a Q-table say kind="q"',
-    )
-
-
-def too_small(where: str) -> ModelError:
-    """Return the error for a probability above 0 that would become 0 as a float."""
-    what = "a probability of an action is above 0, but smaller than any float"
-    return ModelError(what, where=where, fix="give 0")
-
-
 def numbers_of(given: object) -> Numbers:
     """Return an array of real numbers as they are, none of them rounded; lists included."""
-    refuse_masked(given, "policy")
+    with located("policy"):
+        refuse_masked(given)
+        refuse_labels(given)
     if isinstance(given, np.ndarray) and given.dtype.kind in "fiu":
         return np.asarray(given)  # of matrices, too, whose rows have two dimensions
     try:
@@ -149,11 +64,10 @@ def numbers_of(given: object) -> Numbers:
         return whole
     if not kinds <= {int, float, Fraction} or not kinds:
         raise ModelError(
-            "the policy is None"
-            if given is None
-            else f"{type(given).__name__} of shape {array.shape} does not hold real numbers alone",
+            f"{type(given).__name__} of shape {array.shape} does not hold real numbers alone",
             where="policy",
-            fix="give action numbers, probabilities or action values",
+            fix="give action numbers, probabilities or action values; of names a dictionary, "
+            "{state: action}",
         )
     return array
 
@@ -165,75 +79,153 @@ def _plain(number: Any) -> Any:
     return number.item() if isinstance(number, np.generic) else number
 
 
-def space_read(model: MDP, shape: tuple[int, ...]) -> StateSpace | None:
-    """Return what the rows of a table of some shape are; None where no reading fits."""
-    try:
-        return _layout(model, shape)[0]
-    except ModelError:
-        return None
+def of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
+    """Return the policy of an array: numbers of actions, probabilities or action values.
+
+    Numbers are (S,), others (S, A) over all states or (2^n, A) over the status vectors. Where the
+    model stops after N steps, S may be the states without their time, and (N, S) and (N, S, A)
+    depend on time. Extra states (the end) may be left out where they offer no choice.
+    """
+    timed = model.space.untimed is not None
+    if array.ndim == 2 and array.shape[1] == 1 < model.n_actions and not timed:
+        array = array[:, 0]  # a column of action numbers
+    if array.dtype.kind in "iu" and kind != "q":
+        if array.ndim == 1:
+            _refuse_names(model, array)
+            return action_numbers(model, array)
+        if timed and array.ndim == 2 and by_time(model, array).ndim == 1:
+            if array.shape[1] != model.n_actions:
+                return action_numbers(model, array)
+            if kind == "auto" and ((array >= 0) & (array < model.n_actions)).all():
+                raise ModelError(
+                    f"an array of shape {array.shape} may be action numbers by time and state, or "
+                    "a table of states and actions, which differ",
+                    where="policy",
+                    fix='give probabilities (N, S, A), or say kind="q" of a Q-table: '
+                    'Policy.of(model, array, kind="q"), in commands --kind q',
+                )
+    return policy_of_array(model, array, kind)
 
 
-def _layout(model: MDP, shape: tuple[int, ...]) -> tuple[StateSpace, tuple[str, ...], Flags]:
-    """Return what rows and columns of an array are over, and (K, A) what can be chosen."""
-    actions = model.actions
+def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
+    """Return the policy of a table with a row for each state, of probabilities or action values."""
+    array = by_time(model, array) if array.ndim == 3 else array
+    over = read_over(model, array.shape)
+    if over is None:
+        raise _no_policy(model, array)
+    (space, actions), costs = over, model.sense == "min"
+    row, offered = rows_read(model, space), np.full(array.shape, actions is not model.actions)
+    if actions is model.actions:
+        offered[row[model.pair_state], model.pair_action] = True
+    names = space.label, [f", action {action}" for action in actions]
+
+    def read_by(states: Flags) -> Flags:
+        """Return (K,) which rows some states (S,) read."""
+        rows = np.zeros(space.size, dtype=bool)
+        rows[row[states]] = True
+        return rows
+
+    counts, choosing = read_by(model.asked), read_by(model.asked & ~model.indifferent)
+    fits = are_distributions(array, counts)
+    wrong = counts & ~fits
+    if kind == "auto" and not counts.any():  # it is asked at other values of a parameter
+        wrong = ~fits & (offered.sum(axis=1) > 1)
+    elif wrong.any() and (kind == "policy" or (kind == "auto" and choosing.any())):
+        counts, wrong = choosing, choosing & ~fits
+    if kind == "q" or (kind == "auto" and wrong.any()):
+        rule = _greedy(array, offered, counts, names, costs=costs)
+        read = {"rule": rule, "values": array, "source": Q_TABLE}
+        return {"space": space, "actions": actions, **read}
+    if wrong.any():
+        raise no_distribution(array[wrong][0].tolist(), space.label(int(np.flatnonzero(wrong)[0])))
+    alone = ((array == 1).sum(axis=1) == 1) & ((array == 0).sum(axis=1) == array.shape[1] - 1)
+    mixed: Flags = counts & ~np.asarray(alone, dtype=bool)
+    if costs and not mixed.any():  # a cost of 1 is not the least
+        least = _greedy(array, offered, counts, names, costs=True)
+        mixed = choosing & np.asarray(array[np.arange(len(array)), least] != 1, dtype=bool)
+    if kind == "auto" and mixed.any():
+        raise ModelError(
+            "every row sums to 1: are these probabilities or a Q-table?",
+            where=f"policy, {space.label(int(np.flatnonzero(mixed)[0]))}",
+            fix=SAY,
+        )
+    lost = fits & ((array.astype(np.float64) == 0) & np.asarray(array != 0)).any(axis=1)
+    if (lost & counts).any():
+        raise too_small(f"policy, {space.label(int(np.flatnonzero(lost & counts)[0]))}")
+    table: Numbers = np.full(array.shape, np.nan, dtype=np.result_type(array, np.float64))
+    table[fits & ~lost] = array[fits & ~lost]
+    return {"space": space, "actions": actions, "rule": table, "source": PROBABILITIES}
+
+
+def no_distribution(row: list[Any], state: str) -> ModelError:
+    """Return the error for probabilities that are none."""
+    return ModelError(
+        f"action probabilities are {row}, not a distribution",
+        where=f"policy, {state}",
+        fix='make them at least 0, with sum 1; of a Q-table say kind="q"',
+    )
+
+
+def too_small(where: str) -> ModelError:
+    """Return the error for a probability above 0 that would become 0 as a float."""
+    what = "a probability of an action is above 0, but smaller than any float"
+    return ModelError(what, where=where, fix="give 0")
+
+
+def read_over(model: MDP, shape: tuple[int, ...]) -> tuple[StateSpace, tuple[str, ...]] | None:
+    """Return what rows and columns of a table of some shape are over; None where none fits."""
     space = space_of(model, shape[0]) if shape[1:] == (model.n_actions,) else None
-    meant = {"all states": model.n_states}
-    if model.space.extra and space_of(model, regular := model.space.regular):
-        meant[f"all but {', '.join(model.space.extra)}"] = regular
-    if model.space.untimed is not None:
-        meant["the states without their time"] = model.space.untimed.size
-    expected = [f"({rows}, {model.n_actions}) over {states}" for states, rows in meant.items()]
-    if space is None and "status" in model.space.names:
+    if space is not None:
+        return space, model.actions
+    if "status" in model.space.names:
         column = model.space.column("status")
         numbers = np.unique(model.pair_action[~model.forced[model.pair_state]])
-        actions = tuple(model.actions[number] for number in numbers)
-        space = StateSpace(columns=(column,)) if shape == (column.size, len(actions)) else None
-        expected.append(f"({column.size}, {len(actions)}) over the statuses")
-    if space is None:
-        if shape[:1] == (model.n_actions,) and len(shape) == 2 and space_of(model, shape[1]):
-            raise ModelError(
-                f"an array of shape {shape} has a row for each action: it is the wrong way round",
-                where="policy",
-                fix=f"give its transpose, of shape {shape[::-1]}: a row for each state",
-            )
-        raise ModelError(
-            f"an array of shape {shape} is no policy of this model",
-            where="policy",
-            fix=f"give {' or '.join(expected)}",
-        )
-    offered = np.full((space.size, len(actions)), actions is not model.actions)
-    if actions is model.actions:
-        offered[rows_read(model, space)[model.pair_state], model.pair_action] = True
-    return space, actions, offered
+        if shape == (column.size, len(numbers)):
+            return StateSpace(columns=(column,)), tuple(model.actions[a] for a in numbers)
+    return None
+
+
+def _no_policy(model: MDP, array: Numbers) -> ModelError:
+    shape, table = array.shape, f"({model.n_states}, {model.n_actions})"
+    turned = len(shape) == 2 and shape[0] == model.n_actions and space_of(model, shape[1])
+    return ModelError(
+        f"an array of shape {shape} has a row for each action: it is the wrong way round"
+        if turned
+        else f"an array of shape {shape} and type {array.dtype} is no policy of this model",
+        where="policy",
+        fix=f"give {model.n_states} whole numbers of actions, or probabilities or action values in "
+        f"an array {table}, a row for each state"
+        + (", or one for each status" if "status" in model.space.names else ""),
+    )
 
 
 def _greedy(
-    values: Numbers, offered: Flags, counts: Flags, place: Callable[..., str], *, costs: bool
+    values: Numbers,
+    offered: Flags,
+    counts: Flags,
+    names: tuple[Callable[[int], str], list[str]],
+    *,
+    costs: bool,
 ) -> Integers:
     """Return (K,) the greedy actions of action values (K, A), -1 for rows that say nothing."""
-    worst, best = ("+inf", "-inf") if costs else ("-inf", "+inf")
     if values.dtype.kind in "iu":
         values = values.astype(object)  # beside infinities, and without overflow
+    worst = "+inf" if costs else "-inf"
     values = -values if costs else values
     never: Flags = np.asarray(values == -np.inf, bool) | ~offered
-    silent = np.zeros(len(values), dtype=bool)
-    every = f"every action offered has the value {worst}"
-    for what, entries in (
-        ("an action value is NaN", np.asarray(values != values, bool) & offered),
-        (f"an action value is {best}", np.asarray(values == np.inf, bool) & offered),
-        (every, never & np.asarray(never.all(axis=1))[:, None]),
-    ):
-        rows = entries.any(axis=1)
-        wrong = np.flatnonzero(rows & counts)
-        if len(wrong):
-            row = int(wrong[0])
-            action = None if what is every else int(entries[row].argmax())
-            raise ModelError(
-                what,
-                where=f"Q-table{place(row, action)}",
-                fix=f"give a number for every available action; {worst} for one never to be taken",
-            )
-        silent |= rows
+    no_number = np.asarray((values != values) | (values == np.inf), bool) & offered
+    silent: Flags = no_number.any(axis=1) | np.asarray(never.all(axis=1))
+    if (silent & counts).any():
+        row = int(np.flatnonzero(silent & counts)[0])
+        wrong = np.flatnonzero(no_number[row])[:1].tolist()
+        said = [
+            f"an action value is {'NaN' if x != x else -x if costs else x}" for x in values[row]
+        ]
+        raise ModelError(
+            said[wrong[0]] if wrong else f"every action offered has the value {worst}",
+            where=f"Q-table, {names[0](row)}{''.join(names[1][action] for action in wrong)}",
+            fix=f"give a number for every available action; {worst} for one never to be taken",
+        )
     # Rows that do not count in this model may in another, at other values of its parameters.
     chosen = np.argmax(np.where(offered & ~silent[:, None], values, -np.inf), axis=1)
     return np.asarray(np.where(offered[np.arange(len(chosen)), chosen] & ~silent, chosen, -1))
@@ -250,7 +242,7 @@ def are_distributions(array: Numbers, asked: Flags) -> Flags:
         inside = np.asarray((array >= 0) & (array <= 1 + FLOAT_ROW_TOLERANCE), bool).all(axis=1)
     rows = array[inside].astype(np.float64)
     off = np.abs(rows.sum(axis=1) - 1)
-    fits = np.zeros(len(array), dtype=bool)
+    fits: Flags = np.zeros(len(array), dtype=bool)
     fits[inside] = off <= FLOAT_ROW_TOLERANCE
     if (asked & inside & ~fits).any():
         rounding = (array.shape[1] + 1) * _unit_roundoff(rows[asked[inside]])
@@ -260,11 +252,12 @@ def are_distributions(array: Numbers, asked: Flags) -> Flags:
 
 def _unit_roundoff(numbers: Floats) -> float:
     """Return u of the shortest type that holds all of some numbers, or prints them as they are."""
-    if not np.array_equal(numbers, single := numbers.astype(np.float32)):
-        return UNIT_32 if np.array_equal(numbers, single.astype(str).astype(float)) else 0.0
+    single = numbers.astype(np.float32)
+    if not np.array_equal(numbers, single):
+        return 2.0**-24 * np.array_equal(numbers, single.astype(str).astype(float))
     if not (single.view(np.uint32) & 0xFFFF).any():  # a bfloat16 is the first half of a float32
         return 2.0**-8
-    return 2.0**-11 if np.array_equal(numbers, numbers.astype(np.float16)) else UNIT_32
+    return 2.0**-11 if np.array_equal(numbers, numbers.astype(np.float16)) else 2.0**-24
 
 
 def space_of(model: MDP, rows: int) -> StateSpace | None:
@@ -309,107 +302,47 @@ def rows_read(model: MDP, space: StateSpace) -> Integers:
     return model.space.rows(space.columns)
 
 
-def of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
-    """Return the policy of an array: numbers of actions, probabilities or action values."""
-    timed = model.space.untimed is not None
-    if array.ndim == 2 and array.shape[1] == 1 < model.n_actions and not timed:
-        array = array[:, 0]  # a column of action numbers
-    if array.dtype.kind in "iu" and kind != "q":
-        if array.ndim == 1:
-            _refuse_names(model, array)
-            return action_numbers(model, array)
-        if timed and array.ndim == 2 and by_time(model, array, 0).ndim == 1:
-            if array.shape[1] != model.n_actions:
-                return action_numbers(model, array)
-            if kind == "auto" and ((array >= 0) & (array < model.n_actions)).all():
-                raise ModelError(
-                    f"an array of shape {array.shape} may be action numbers by time and state, or "
-                    "a table of states and actions, which differ",
-                    where="policy",
-                    fix='give probabilities (N, S, A), or say kind="q" of a Q-table: '
-                    'Policy.of(model, array, kind="q"), in commands --kind q',
-                )
-    if array.ndim == 2 or (timed and array.ndim == 3):
-        return policy_of_array(model, array, kind)
-    table = f"({model.n_states}, {model.n_actions})"
-    if array.size == model.n_states * model.n_actions and array.ndim:
-        raise ModelError(
-            f"an array of shape {array.shape} is not {table}, a row for each state",
-            where="policy",
-            fix=f"reshape{table}, if its values come state by state, the actions of each in order",
-        )
-    if kind == "q":
-        raise ModelError(
-            f"a Q-table has shape {table}, a row for each state, not {array.shape}",
-            where="policy",
-            fix='give a value for each state and action; of action numbers leave out kind="q"',
-        )
-    if array.ndim == 1 and array.dtype.kind == "f":
-        raise ModelError(
-            "action numbers are whole numbers, not floats",
-            where="policy",
-            fix=whole_fix(array),
-        )
-    raise ModelError(
-        f"a policy of shape {array.shape} and type {array.dtype}",
-        where="policy",
-        fix=f"give ({model.n_states},) action numbers, or {table} probabilities or action values",
-    )
-
-
 def _refuse_names(model: MDP, numbers: Numbers) -> None:
     """Raise ModelError where action numbers may as well be names of actions, which differ."""
     answers = np.unique(numbers).tolist()
-    named = [next(iter(model.action_names.named(number)), None) for number in answers]
-    for number, meant in zip(answers, named, strict=True):
-        if meant is None or None in named:
-            continue
-        fix = "give names, as text or in {state: action}, or Policy.from_choices(model, numbers)"
-        if not 0 <= number < model.n_actions:
-            raise ModelError(
-                f"{number} is the name of an action, but the numbers of an array count from 0 to "
-                f"{model.n_actions - 1} in the model's order",
-                where="policy",
-                fix=fix,
-            )
-        if number != meant:
-            error = model.action_names.either(number, meant, number)
-            raise ModelError(error.what, where="policy", fix=fix)
+    named = [model.action_names.words.get(str(number)) for number in answers]
+    if None not in named and named != answers:
+        raise ModelError(
+            f"{answers} are names of actions, but the numbers of an array count from 0 to "
+            f"{model.n_actions - 1} in the model's order, which differ",
+            where="policy",
+            fix="give names in {state: action}, or Policy.from_choices(model, numbers)",
+        )
 
 
 def action_numbers(model: MDP, given: Numbers) -> Parts:
     """Return the policy of action numbers (S,) or (N, S), checked against the model's own."""
-    numbers = by_time(model, np.asarray(given), 0)
+    numbers = by_time(model, np.asarray(given))
     space = space_of(model, len(numbers)) if numbers.ndim == 1 else None
     if space is None or numbers.dtype.kind not in "iu":
-        raise ModelError(
-            f"action numbers of shape {numbers.shape} and type {numbers.dtype}",
-            where="policy",
-            fix=f"give one whole number for each of the {model.n_states} states",
-        )
+        raise _no_policy(model, numbers)
     inside = (numbers >= 0) & (numbers < model.n_actions)
     if not inside.all():
         raise no_such("action", numbers[~inside][0], model.n_actions, where="policy")
     return {"space": space, "actions": model.actions, "rule": numbers.astype(np.int64)}
 
 
-def by_time(model: MDP, table: Numbers, rest: float, *, of_actions: bool = False) -> Numbers:
+def by_time(model: MDP, table: Numbers) -> Numbers:
     """Return a table (N, S) or (N, S, A) over times and states as one over all states.
 
     Where the model's first column is not the time, or the shape is another, the table is returned
     as it is. S are the states without their time, with or without the extra ones; time N, where
-    all is over, may be there as well or not, and `rest` is put there.
+    all is over, may be there as well or not.
     """
     untimed = model.space.untimed
-    if untimed is None or table.ndim != 2 + of_actions:
+    if untimed is None or table.ndim < 2:
         return table
     times, own = model.space.columns[0].size, untimed.regular
     over = bool(model.forced[(times - 1) * own :].all())
     steps = times - 1 if over else times
     if table.shape[0] not in (steps, times) or table.shape[1] not in (own, untimed.size):
         return table
-    kind = table.dtype if float(rest).is_integer() else np.result_type(table.dtype, np.float64)
-    spread = np.full((model.n_states, *table.shape[2:]), rest, dtype=kind)
+    spread = np.full((model.n_states, *table.shape[2:]), 0, dtype=table.dtype)
     spread[: steps * own] = table[:steps, :own].reshape(-1, *table.shape[2:])
     return spread
 

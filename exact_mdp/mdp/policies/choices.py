@@ -1,8 +1,9 @@
-"""Policies state by state: what a mapping, a function, a list of names or a file says.
+"""Policies state by state: what a mapping, a function or a file says.
 
 Each state has a choice: an action, {action: probability}, or a row of A numbers, which are
-probabilities or action values. `mdp.forms.names` says which state or action is meant. In a file all
-is text: there the digits of a state are a number.
+probabilities or action values. `mdp.forms.names` says which state or action is meant; a list or an
+array is a row, and so is a tuple that is no action. In a file all is text: there the digits of a
+state are a number.
 """
 
 from __future__ import annotations
@@ -13,13 +14,13 @@ import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
-from os.path import isdir, isfile
+from os.path import isfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, ShapeError, located, of_type, once_each, suggest
+from exact_mdp.mdp.errors import ModelError, ShapeError, located, of_type, once_each
 from exact_mdp.mdp.forms.names import is_number, whole_of
 from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.io.files import STANDARD_INPUT, read_text, write_atomically
@@ -30,17 +31,14 @@ from exact_mdp.mdp.space import TIME, StateSpace
 from exact_mdp.mdp.table import Numbers, as_float, exact
 
 PRINTED_TIME = re.compile(rf"{TIME} \d+, ")  # as printed; "time out" may be a name
-NUMBERS = re.compile(r"[-+\d.eE\s;]*\d[-+\d.eE\s;]*")  # as np.savetxt writes them
-SAVE = 'np.save("q_table.npy", q_table)'
+WHOLE = re.compile(r"\s*-?(0|[1-9]\d{0,17})\s*", re.ASCII)
 Chances = dict[int, dict[int, Fraction]]
 """Probabilities of actions by the number of a combination of column values."""
 
 
 def of_mapping(model: MDP, entries: Mapping[Any, Any], kind: str = "auto") -> Parts:
-    """Return what is said of statuses, {status: action}, of states, or of pairs."""
+    """Return what is said of statuses, {status: action}, or of states."""
     default = getattr(entries, "default_factory", None)  # of a defaultdict, which is not changed
-    if _are_pairs(model, entries):
-        return _of_pairs(model, entries, kind, default)
     if "status" in model.space.names and not any("status " in str(key) for key in entries):
         space = StateSpace(columns=(model.space.column("status"),))
         keys = [space.columns[0].parse(str(label)) for label in entries]
@@ -51,7 +49,7 @@ def of_mapping(model: MDP, entries: Mapping[Any, Any], kind: str = "auto") -> Pa
     choices = once_each(zip(keys, entries.values(), strict=True), space.label)
     if default is not None:
         choices = {key: choices[key] if key in choices else default() for key in range(space.size)}
-    return of_choices(model, space, choices, kind)
+    return _of_choices(model, space, choices, kind)
 
 
 def of_function(model: MDP, ask: Callable[[Any], Any], kind: str = "auto") -> Parts:
@@ -71,38 +69,37 @@ def of_function(model: MDP, ask: Callable[[Any], Any], kind: str = "auto") -> Pa
                 where=f"policy, {space.label(state)}",
                 fix="return an action, {action: probability}, or a row of A numbers",
             )
-    return of_choices(model, space, choices, kind)
+    return _of_choices(model, space, choices, kind)
 
 
-def of_list(model: MDP, names: Sequence[Any]) -> Parts:
-    """Return what a list of actions says, one for each state by number."""
-    space = model.space.untimed or model.space
-    if len(names) > space.size:
-        raise ShapeError(
-            f"{len(names)} actions for {space.size} states", fix="give one for each state"
-        )
-    return of_choices(model, space, dict(enumerate(names)), "auto")
-
-
-def of_choices(model: MDP, space: StateSpace, choices: Mapping[int, Any], kind: str) -> Parts:
+def _of_choices(model: MDP, space: StateSpace, choices: Mapping[int, Any], kind: str) -> Parts:
     """Return the policy of the choice of each state, by number."""
-    plain, names = dict[int, Any](), model.action_names
-    for key, choice in choices.items():
+    for choice in choices.values():
         refuse_masked(choice, "policy")
-        if isinstance(choice, np.ndarray) and (not choice.ndim or len(choice) != model.n_actions):
-            choice = choice.tolist()
-        wide = isinstance(choice, list) and len(choice) != model.n_actions  # it is no row
-        plain[key] = tuple(choice) if wide else choice
-    if plain and all(_is_row(model, choice, kind) for choice in plain.values()):
-        return _of_rows(model, space, plain, kind)
-    chances: Chances = {}
-    for key, choice in plain.items():
+    if choices and all(_is_row(model, choice, kind) for choice in choices.values()):
+        table = np.full((space.size, model.n_actions), np.nan, dtype=object)
+        for key, row in choices.items():
+            if len(row) != model.n_actions:
+                raise ShapeError(
+                    f"a row of {len(row)} numbers",
+                    where=f"policy, {space.label(key)}",
+                    fix=f"give one for each of the {model.n_actions} actions",
+                )
+            table[key] = [exact(x) if isinstance(x, str) else x for x in row]
+        return policy_of_array(model, numbers_of(table), kind)
+    chances, names = Chances(), model.action_names
+    for key, choice in choices.items():
         with located(space.label(key)):
-            mixed = isinstance(choice, Mapping)
-            numbers = names.numbers(choice if mixed else [choice])
-            each = zip(numbers, map(_probability, choice.values() if mixed else [1]), strict=True)
+            mixed = choice if isinstance(choice, Mapping) else {_alone(choice): 1}
+            each = zip(names.numbers(mixed), map(_probability, mixed.values()), strict=True)
             chances[key] = once_each(each, names.label)
     return _of_chances(model, space, chances)
+
+
+def _alone(choice: Any) -> Any:
+    """Return an action, of an array without dimensions the number in it."""
+    choice = choice.item() if isinstance(choice, np.ndarray) and not choice.ndim else choice
+    return tuple(choice) if isinstance(choice, list | np.ndarray) else choice
 
 
 def _probability(value: object) -> Fraction:
@@ -114,73 +111,21 @@ def _probability(value: object) -> Fraction:
 
 def _is_row(model: MDP, choice: Any, kind: str) -> bool:
     """Return whether a choice is a row of numbers: a list, or a tuple that is no action."""
-    if not isinstance(choice, list | tuple | np.ndarray):
+    if not isinstance(choice, list | tuple | np.ndarray) or not np.ndim(choice):
         return False
-    plain = choice.tolist() if isinstance(choice, np.ndarray) else choice
-    named = model.action_names.knows(tuple(plain))
-    action = named and isinstance(choice, tuple)
+    row = tuple(choice.tolist() if isinstance(choice, np.ndarray) else choice)
     # (0.0, 1.0) equals (0, 1), the action that "(0, 1)" is the text of.
-    equal = (
-        tuple(of(x) if is_number(x) and whole_of(x) == x else x for x in plain)
-        for of in (int, float)
-    )
-    if kind == "auto" and not action and (named or any(map(model.action_names.knows, equal))):
+    whole = tuple(int(x) if is_number(x) and whole_of(x) is not None else x for x in row)
+    action, equal = map(model.action_names.knows, (row, whole))
+    if isinstance(choice, tuple) and action:
+        return False
+    if kind == "auto" and (action or equal):
         raise ModelError(
             f"{choice} may be the action of that name, or a row of numbers for all actions, "
             "which differ",
             fix="give the action by its name, as text, or rows as one array with kind=",
         )
-    return not action
-
-
-def _of_rows(model: MDP, space: StateSpace, rows: Mapping[int, Any], kind: str) -> Parts:
-    """Return the policy of a row of A numbers for each state; others than asked are left open."""
-    table = np.full((space.size, model.n_actions), np.nan, dtype=object)
-    for key, row in rows.items():
-        if len(row) != model.n_actions:
-            raise ShapeError(
-                f"a row of {len(row)} numbers",
-                where=f"policy, {space.label(key)}",
-                fix=f"give one for each of the {model.n_actions} actions",
-            )
-        table[key] = [exact(x) if isinstance(x, str) else x for x in row]
-    return policy_of_array(model, numbers_of(table), kind)
-
-
-def _are_pairs(model: MDP, entries: Mapping[Any, Any]) -> bool:
-    """Return whether a mapping is {(state, action): number}; ModelError where it may be of states.
-
-    There, {state: action} has states that are pairs themselves, and actions that are numbers.
-    """
-    if not entries or not all(
-        isinstance(key, tuple) and len(key) == 2 and is_number(value)
-        for key, value in entries.items()
-    ):
-        return False
-    space = model.space.untimed or model.space
-    if not all(map(space.lookup.holds, entries)):
-        return True
-    pairs = all(space.lookup.holds(s) and model.action_names.holds(a) for s, a in entries)
-    if pairs and len({s for s, _ in entries}) >= np.count_nonzero(model.asked):
-        raise ModelError(
-            "the keys may be states, or a state and an action each, which differ",
-            fix="give an array (S, A), or {state: a row of A numbers}; or the states as text",
-        )
-    return False
-
-
-def _of_pairs(
-    model: MDP, entries: Mapping[Any, Any], kind: str, default: Callable[[], Any] | None
-) -> Parts:
-    """Return what {(state, action): number} says: of all actions, unless there is a default."""
-    space = model.space.untimed or model.space
-    table: Numbers = np.zeros((space.size, model.n_actions), dtype=object)
-    offered = rows_read(model, space)[model.pair_state], model.pair_action
-    table[offered] = np.nan if default is None else default()
-    states = space.numbers([state for state, _ in entries])
-    actions = model.action_names.numbers([action for _, action in entries])
-    table[states, actions] = list(entries.values())
-    return policy_of_array(model, numbers_of(table), kind)
+    return True
 
 
 def _of_chances(model: MDP, space: StateSpace, chances: Chances) -> Parts:
@@ -215,23 +160,17 @@ def of_file(model: MDP, path: str | Path, kind: str = "auto") -> Parts:
     if suffix == ".csv":
         return _of_csv(model, read_text(path))
     if suffix != ".json" and where != STANDARD_INPUT:
-        fix = (
-            "give random, always:ACTION, or a .json, .csv, .npy or .npz file; the optimal policy "
-            "is solve(mdp).policy, on the command line optimal"
+        raise ModelError(
+            f"cannot read {suffix}" if suffix and isfile(path) else f"unknown policy {where!r}",
+            fix=f"did you mean always:{where}?"
+            if where in model.actions
+            else "give random, always:ACTION, or a .json, .csv, .npy or .npz file; the optimal "
+            "policy is solve(mdp).policy, on the command line optimal",
         )
-        what = f"unknown kind of policy {where!r}"
-        if where in model.actions:
-            fix = f"did you mean always:{where}?"
-        elif isdir(path):
-            what = f"{where!r} is a folder"
-        elif suffix and isfile(path):
-            what, fix = f"cannot read {suffix}", f"load it yourself, then {SAVE}"
-        raise ModelError(what, fix=fix)
     content = json_of(read_text(path), where, parse_float=str, parse_int=_digits)
     by_status = "status" in model.space.names
     if not isinstance(content, dict):
-        column = model.space.columns[0] if len(model.space.columns) == 1 else None
-        first = "0000" if by_status else column.label(0) if column else "0"
+        first = "0000" if by_status else "0"
         example = json.dumps({first: model.actions[0]}, ensure_ascii=False)
         raise ModelError("the file is not a JSON object", fix=f"write {example[:-1]}, …}}")
     if not by_status:
@@ -241,8 +180,7 @@ def of_file(model: MDP, path: str | Path, kind: str = "auto") -> Parts:
 
 def _digits(text: str) -> Any:
     """Return the number that the digits of a file are, other text as it is."""
-    number = whole_of(text.removeprefix("-"))
-    return int(text) if number is not None and text.strip() in (str(number), f"-{number}") else text
+    return int(text) if WHOLE.fullmatch(text) else text
 
 
 def _of_csv(model: MDP, text: str) -> Parts:
@@ -252,17 +190,12 @@ def _of_csv(model: MDP, text: str) -> Parts:
     columns = [name for name in header if name not in ("action", "probability")]
     by_state = columns == ["state"] and "state" not in model.space.names
     known = [*(columns if by_state else model.space.names), "action", "probability"]
-    if header and all(NUMBERS.fullmatch(name) for name in header):
-        what = "the file holds numbers alone, with no header"
-        raise ModelError(what, fix=f"give a Q-table as .npy: {SAVE}")
-    for name in header:
-        if name not in known:
-            fix = "separate the columns by commas" if ";" in name or "\t" in name else ""
-            raise ModelError(f"unknown column {name!r}", fix=fix or suggest(name, known))
-    if "action" not in header or not columns or len(set(header)) != len(header):
+    wrong = [name for name in header if name not in known]
+    if wrong or "action" not in header or not columns or len(set(header)) != len(header):
         raise ModelError(
-            f"the header is {','.join(header) or 'missing'}",
-            fix=f"write {','.join([*model.space.names, 'action'])}, or status,action",
+            f"unknown column {wrong[0]!r}" if wrong else f"the header is {','.join(header)!r}",
+            fix=f"write {','.join([*model.space.names, 'action'])}, or some of these columns; "
+            'numbers alone are a Q-table: np.save("q_table.npy", q_table)',
         )
     space = model.space.untimed or model.space
     if not by_state:
@@ -276,8 +209,7 @@ def _of_csv(model: MDP, text: str) -> Parts:
                 key = space.number(_digits(entry[columns[0]]))
             else:
                 key = space.index(**{c.name: c.parse(entry[c.name]) for c in space.columns})
-            word = entry["action"] if entry["action"] in model.actions else entry["action"].strip()
-            action = model.action_names.number(word)
+            action = model.action_names.number(entry["action"])
             taken = chances.setdefault(key, {})
             if action in taken or (taken and "probability" not in header):
                 raise ModelError(
@@ -315,45 +247,26 @@ def of_every_state(mdp: MDP, said: Sequence[Any]) -> dict[str, Any]:
     return dict(zip(state_names(mdp.space), said, strict=True))
 
 
-def write(
-    path: str | Path,
-    space: StateSpace,
-    rows: Mapping[int, Mapping[str, float | str]],
-    *,
-    mixed: bool,
-) -> None:
-    """Write the probabilities of the actions of each row as `.csv` or `.json`, by the ending."""
-    suffix = Path(of_type(path, str | Path, "path", "give a text")).suffix.lower()
-    if suffix not in (".csv", ".json"):
+def write(path: str | Path, space: StateSpace, rows: Mapping[int, Mapping[str, Any]]) -> None:
+    """Write the probabilities of the actions of each row as `.csv`."""
+    if Path(of_type(path, str | Path, "path", "give a text")).suffix.lower() != ".csv":
+        raise ModelError("a policy is written as .csv", where=str(path), fix="name it .csv")
+    if not space.names:
         raise ModelError(
-            f"cannot write a policy as {suffix or 'a file without ending'}",
+            "the policy reads no column of the state",
             where=str(path),
-            fix="name it .csv or .json",
-        )
-    names = space.names
-    if not names or (suffix == ".json" and len(names) > 1):
-        raise ModelError(
-            f"the policy reads {', '.join(names) or 'no column of the state'}",
-            where=suffix[1:].upper(),
-            fix="write it as .csv" if names else "name it as always:ACTION instead",
+            fix="name it as always:ACTION instead",
         )
     labels = {key: [*space.as_dict(key).values()] for key in rows}
-    column = space.columns[0]
-    if len(names) == 1 and column.words:
+    if len(space.names) == 1 and space.columns[0].words:
         read = [space.lookup.holds(_digits(words[0])) for words in labels.values()]
         if not all(read):  # a name that may be the number of another state
             labels = {key: [space.label(key)] for key in rows}
-    if suffix == ".csv":
-        out = io.StringIO()
-        writer = csv.writer(out, lineterminator="\n")
-        writer.writerow([*names, "action", *(["probability"] if mixed else [])])
-        for key, taken in rows.items():
-            for action, chance in taken.items():
-                writer.writerow([*labels[key], action, *([str(chance)] if mixed else [])])
-        write_atomically(path, out.getvalue())
-    else:
-        entries = {
-            labels[key][0]: next(iter(taken)) if len(taken) == 1 else taken
-            for key, taken in rows.items()
-        }
-        write_atomically(path, json.dumps(entries, indent=2) + "\n")
+    mixed = any(len(taken) > 1 for taken in rows.values())
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow([*space.names, "action", *["probability"] * mixed])
+    for key, taken in rows.items():
+        for action, chance in taken.items():
+            writer.writerow([*labels[key], action, *[str(chance)] * mixed])
+    write_atomically(path, out.getvalue())

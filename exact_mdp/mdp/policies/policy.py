@@ -7,7 +7,7 @@ that action is taken there.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
@@ -18,8 +18,8 @@ import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import ArrayLike, NDArray
 
-from exact_mdp.mdp.errors import ModelError, check_names, located, no_such, of_type, words_of
-from exact_mdp.mdp.forms.numbers import float_array, is_table
+from exact_mdp.mdp.errors import ModelError, check_names, located, no_such, of_type
+from exact_mdp.mdp.forms.numbers import float_array
 from exact_mdp.mdp.io.arrays import read_array
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies import choices as reading
@@ -31,8 +31,8 @@ from exact_mdp.mdp.policies.arrays import (
     no_distribution,
     numbers_of,
     of_array,
+    read_over,
     rows_read,
-    space_read,
 )
 from exact_mdp.mdp.result import ROWS_SHOWN, ByFields, plain_report
 from exact_mdp.mdp.space import StateSpace
@@ -128,7 +128,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         wrong = ~silent & ~are_distributions(given, ~silent)
         if wrong.any():
             row = int(np.flatnonzero(wrong)[0])
-            raise no_distribution(table[row].tolist(), f"[{row}] ({self.space.label(row)})")
+            raise no_distribution(table[row].tolist(), self.space.label(row))
         total = table.sum(axis=1, keepdims=True)
         short = (np.abs(total - 1) > FLOAT_ROW_TOLERANCE).any()  # rows of a shorter type
         shares = _shares(given, table, exactly=short)
@@ -347,8 +347,8 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         policy : PolicyLike
             A policy; "random", "always:ACTION" or a file; {status: action}, or {state: action},
             {action: probability} or a row of A numbers in place of an action; a function of a
-            state that returns one of these; (S,) action numbers or names; a two-dimensional array
-            of probabilities or action values; anything with a `policy`.
+            state that returns one of these; (S,) action numbers; a two-dimensional array of
+            probabilities or action values; anything with a `policy`.
             Where the model stops after N steps (`MDP.within`), S may be the states without their
             time, and (N, S) and (N, S, A) depend on time.
         kind : "auto", "q" or "policy"
@@ -378,7 +378,12 @@ class Policy(ByFields, NDArrayOperatorsMixin):
             raise ModelError(
                 f"{kind!r} is not a kind of array", where="kind", fix=f"choose {', '.join(KINDS)}"
             )
-        _refuse_others(policy)
+        if callable(getattr(policy, "predict", None)):
+            raise ModelError(
+                f"{type(policy).__name__} is an agent, not a policy",
+                where="policy",
+                fix="give lambda state: agent.predict(state, deterministic=True)[0]",
+            )
         policy_read = cls._read(model, policy, kind)
         if kind == "q" and policy_read.read_as != "q":
             raise ModelError(
@@ -404,23 +409,27 @@ class Policy(ByFields, NDArrayOperatorsMixin):
                 if Path(given).suffix.lower() in (".npy", ".npz"):
                     return cls(**of_array(model, read_array(given, called="q"), kind))
                 return cls(**reading.of_file(model, given, kind))
-        if isinstance(given, np.ndarray) and given.ndim == 1 and given.dtype.kind in "UOb":
-            given = given.tolist()  # of names or objects, perhaps
         with located("policy"):
             if isinstance(given, Mapping):
                 return cls(**reading.of_mapping(model, given, kind))
             if callable(given):
                 return cls(**reading.of_function(model, given, kind))
-            if isinstance(given, list | tuple) and given and _are_actions(model, given, kind):
-                return cls(**reading.of_list(model, given))
+            known = model.action_names.knows
+            rows = given if isinstance(given, list | tuple) else ()
+            if any(isinstance(row, tuple) and known(row) for row in rows):
+                raise ModelError(
+                    "the list may be of actions, or of rows of numbers, which differ",
+                    fix="give {state: action}, or np.array(rows)",
+                )
             return cls(**of_array(model, numbers_of(given), kind))
 
     @classmethod
     def _learned(cls, model: MDP, given: Any, kind: str) -> Policy:
         """Return the policy of a solution, a certificate or a learner with its Q-table."""
         if hasattr(given, "q") and callable(given.policy):
-            array, own = numbers_of(given.q), getattr(given, "space", None)
-            if isinstance(own, StateSpace) and own != space_read(model, array.shape):
+            array = numbers_of(given.q)
+            own, over = getattr(given, "space", None), read_over(model, array.shape)
+            if own is not None and (over is None or over[0] != own):
                 return cls._read(model, given.policy(model), kind)
             return cls(**of_array(model, array, "q" if kind == "auto" else kind))
         own = getattr(given, "mdp", None)
@@ -456,49 +465,14 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         of_type(model, MDP, "model", MODEL)
         return cls(**action_numbers(model, numbers_of(choices)))
 
-    @classmethod
-    def by(cls, model: MDP, columns: Sequence[str], table: ArrayLike) -> Policy:
-        """Return a policy that reads the named columns.
-
-        Parameters
-        ----------
-        model : MDP
-        columns : names of columns of the model's states
-        table : (K,) action numbers or (K, A) probabilities, row-major over the columns
-            Exact probabilities (Fractions) stay exact.
-
-        Returns
-        -------
-        Policy
-
-        Examples
-        --------
-        >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [1, 0])
-        >>> Policy.by(mdp, ["state"], [[0.5, 0.5], [1, 0]]).weights(mdp).tolist()
-        [0.5, 0.5, 1.0, 0.0]
-        """
-        space = of_type(model, MDP, "model", MODEL).space
-        names = words_of(columns, "columns")
-        space = StateSpace(columns=tuple(space.column(name) for name in names))
-        array: Numbers = np.asarray(table)
-        inside = array.dtype.kind in "iu" and ((array >= 0) & (array < model.n_actions)).all()
-        if array.ndim == 1 and not inside:
-            raise ModelError(
-                f"{array.tolist()} are not all numbers of actions",
-                where="policy",
-                fix=f"give whole numbers from 0 to {model.n_actions - 1}: "
-                + ", ".join(f"{number} is {name}" for number, name in enumerate(model.actions)),
-            )
-        return cls(space=space, actions=model.actions, rule=array)
-
     def write(self, path: str | Path) -> None:
-        """Write the policy as `.csv` or (where it reads one column alone) `.json`, atomically."""
+        """Write the policy as `.csv`, atomically."""
         rows = {}
         for key in range(self.space.regular):
             each = zip(self.actions, self._chances(key), strict=False)
             if taken := {action: _printed(chance) for action, chance in each if chance}:
                 rows[key] = taken
-        reading.write(path, self.space, rows, mixed=not self.deterministic)
+        reading.write(path, self.space, rows)
 
 
 def evenly(model: MDP, among: NDArray[np.bool_]) -> Policy:
@@ -524,39 +498,14 @@ PolicyLike: TypeAlias = (
     Policy | str | Path | Mapping[Any, Any] | Callable[[Any], Any] | ArrayLike | Solved
 )
 """What is accepted as a policy: a Policy, its name or file, a mapping, a function, an array, a
-Solution. Arrays and lists go by the numbers of states and actions; else `mdp.forms.names` says
+Solution. Arrays and lists go by numbers of states and actions; else `mdp.forms.names` says
 which state or action is meant."""
-
-
-def _refuse_others(given: Any) -> None:
-    """Raise ModelError for an agent with `predict`, and for a table of pandas."""
-    if callable(getattr(given, "predict", None)):
-        raise ModelError(
-            f"{type(given).__name__} is an agent, not a policy",
-            where="policy",
-            fix="give a function of a state, such as "
-            "lambda state: agent.predict(state, deterministic=True)[0]",
-        )
-    if is_table(given):
-        raise ModelError(
-            f"a {type(given).__name__} of pandas is not a policy",
-            where="policy",
-            fix="give table.to_numpy(), in the order of the model's states and actions; or a "
-            "dictionary, which goes by names: {state: action} or {state: {action: probability}}",
-        )
 
 
 def _printed(chance: Any) -> float | str:
     """Return a probability as a decimal or "p/q", exact."""
     short = isinstance(chance, float) or Fraction(repr(float(chance))) == chance
     return float(chance) if short else str(chance)
-
-
-def _are_actions(model: MDP, given: Sequence[Any], kind: str) -> bool:
-    """Return whether a list holds names of actions, or objects that are no numbers or rows."""
-    kinds = (bool, np.bool_, tuple) if kind == "auto" else (bool, np.bool_)
-    known = model.action_names.knows
-    return all(isinstance(x, str) or (isinstance(x, kinds) and known(x)) for x in given)
 
 
 def _shares(given: Numbers, table: Floats, *, exactly: bool) -> Numbers | None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_models import policy_by
 from strategies import tables
 
 from exact_mdp import (
@@ -111,11 +112,11 @@ def test_rows_whose_change_alone_gains_are_named(mdp: MDP, data: st.DataObject) 
 
     def changed_mean(row: int, action: int) -> float:
         changed = [action if k == row else a for k, a in enumerate(own)]
-        return evaluate(mdp, Policy.by(mdp, ["row"], changed)).mean
+        return evaluate(mdp, policy_by(mdp, ["row"], changed)).mean
 
     now = changed_mean(0, own[0])
     most = {f"row {row}": max(changed_mean(row, a) for a in numbers) - now for row in range(rows)}
-    why = check(mdp, Policy.by(mdp, ["row"], own)).representation
+    why = check(mdp, policy_by(mdp, ["row"], own)).representation
     assert why is not None
     gains = {each["row"]: each["gain"] for each in why.rows}
     assert gains == pytest.approx({row: gain for row, gain in most.items() if gain > 1e-9})
@@ -127,7 +128,7 @@ def test_a_row_is_changed_to_what_its_states_offer_alone() -> None:
     columns = (Column(name="time", size=2), Column(name="row", size=2))
     mdp = MDP.from_outcomes([*rows, (4, 0, [(1, 4, 0)])], start=["1/2", "1/2", 0, 0, 0])
     mdp = mdp.with_(space=StateSpace(columns=columns, extra=("end",)))
-    why = check(mdp, Policy.by(mdp, ["row"], [1, 2])).representation
+    why = check(mdp, policy_by(mdp, ["row"], [1, 2])).representation
     assert why is not None
     assert [(each["row"], each["best"], each["gain"]) for each in why.rows] == [
         ("row 1", "0", pytest.approx(2)), ("row 0", "0", pytest.approx(1)),

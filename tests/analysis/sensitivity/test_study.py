@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from care_oracle import oracle_of
-from made_models import burning
+from made_models import burning, policy_by
 
 from exact_mdp import (
     MDP,
@@ -23,7 +23,6 @@ from exact_mdp import (
     ModelError,
     Parameter,
     Parametric,
-    Policy,
     Scenario,
     certify,
     cost_effectiveness,
@@ -78,7 +77,7 @@ def care(seed: int) -> tuple[Parametric, dict[str, Any], list[Any]]:
     mdp = scenario.compile()
     shares = rng.dirichlet(np.ones(4), mdp.space.regular)
     shares = np.pad(shares, ((0, 0), (0, mdp.n_actions - 4)))
-    policies = [Policy.by(mdp, mdp.space.names, shares)] if mdp.n_actions == 4 else []
+    policies = [policy_by(mdp, mdp.space.names, shares)] if mdp.n_actions == 4 else []
     return parametric(scenario), points, [*policies, "random", "always:supportive"]
 
 
