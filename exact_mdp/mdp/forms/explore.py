@@ -23,10 +23,6 @@ from exact_mdp.mdp.validate import COUNTED, check_options, counted
 
 MOST_STATES = 1_000_000  # that a function may lead to, unless its user allows more
 OUTCOMES = "give a list of (probability, next state, reward)"
-HOW = {
-    "actions": "a function of a state that lists its actions: lambda state: [0, 1]",
-    "outcomes": "a function of a state and an action that lists (probability, next state, reward)",
-}
 
 
 class FromFunction(FromArrays):
@@ -87,11 +83,9 @@ class FromFunction(FromArrays):
         (MDP(unnamed: 5 states, 2 actions, 6 pairs, 10 transitions, discount 1), ('1', '2'))
         """
         check_options(names, COUNTED)
-        for name, function in (("actions", actions), ("outcomes", outcomes)):
-            if not callable(function):
-                raise ModelError(
-                    f"{name} is {function!r}, not a function", where=name, fix=f"give {HOW[name]}"
-                )
+        of_type(actions, Callable, "actions", "give a function of a state: lambda state: [0, 1]")
+        fix = f"give a function of a state and an action: {OUTCOMES}"
+        of_type(outcomes, Callable, "outcomes", fix)
         max_states = counted(max_states, "max_states")
         of_type(labels or {}, Mapping, "labels", "give {name: function of a state}")
         states, rows = Numbering(), list[Row]()
@@ -101,17 +95,15 @@ class FromFunction(FromArrays):
                 where="start",
                 fix="give a state, or {state: probability}",
             )
-        for state in start if isinstance(start, Mapping) else [start]:
+        begins = [*start.items()] if isinstance(start, Mapping) else [(start, 1)]
+        for state, _ in begins:
             states.add(state, "a state", "start")
-        begins = start if isinstance(start, Mapping) else {start: 1}
         if not begins:
             raise ModelError("no state to start in", where="start", fix="give a state")
         waiting = deque(states.number)
         while waiting:
             state = waiting.popleft()
-            for action in _answer(
-                actions, state, where=f"state {state}", fix="give a list of actions"
-            ):
+            for action in _answer(actions, state, where=f"state {state}", fix="give a list"):
                 where = f"state {state}, action {action}"
                 answer = _answer(outcomes, state, action, where=where, fix=OUTCOMES)
                 with located(where):
@@ -127,52 +119,35 @@ class FromFunction(FromArrays):
                         where=where,
                         fix="raise max_states, or describe states by less",
                     )
-        going = {state for state, _, _ in rows}
-        ends = [state for state in states.number if state not in going]
-        listed, parts = numbered(rows, states, ends)
-        by_number = sorted(states.number, key=states.number.__getitem__)
-        flags = {
-            name: np.array([_holds(name, holds, state) for state in by_number])
-            if callable(holds)
-            else holds
-            for name, holds in (labels or {}).items()
-        }
-        places = ByNumber((states.number[state], chance) for state, chance in begins.items())
-        parts |= {"start": places, "labels": flags} | names
-        return cls.from_outcomes(listed, discount, **parts)
+        ends = states.number.keys() - {state for state, _, _ in rows}
+        listed, parts = numbered(rows, states, filter(ends.__contains__, [*states.number]))
+        flags = dict(labels or {})
+        for name, holds in flags.items():
+            if callable(holds):
+                with noted(f"label {name}"):
+                    flags[name] = np.array([bool(holds(state)) for state in states.ordered()])
+        places = ByNumber((states.number[state], chance) for state, chance in begins)
+        return cls.from_outcomes(
+            listed, discount, **(parts | {"start": places, "labels": flags} | names)
+        )
 
 
 def _answer(ask: Callable[..., Any], *of: Any, where: str, fix: str) -> list[Any]:
     """Return what a function of the user lists; of actions, None is an empty list."""
-    with noted(where):
+    with noted(where):  # a generator runs only in a list
         answer = ask(*of)
+        if isinstance(answer, Iterable):
+            return list(answer)
     if answer is None and len(of) == 1:
         return []
-    if not isinstance(answer, Iterable):
-        raise ModelError(f"the function returns {answer!r}, not a list", where=where, fix=fix)
-    with noted(where):  # a generator runs only now
-        return list(answer)
-
-
-def _holds(name: str, holds: Callable[[Any], Any], state: Any) -> bool:
-    with noted(f"label {name}, state {state}"):
-        answer = holds(state)
-    if not isinstance(answer, bool | np.bool_):
-        raise ModelError(
-            f"the function returns {answer!r}, not True or False",
-            where=f"label {name}, state {state}",
-            fix="return a truth value: bool(…)",
-        )
-    return bool(answer)
+    raise ModelError(f"the function returns {answer!r}, not a list", where=where, fix=fix)
 
 
 def _outcome(given: Any) -> tuple[Any, Hashable, Any]:
     try:
         probability, following, reward = given
     except (TypeError, ValueError) as error:
-        raise ModelError(
-            f"an outcome is {given!r}", fix="give (probability, next state, reward)"
-        ) from error
+        raise ModelError(f"an outcome is {given!r}", fix=OUTCOMES) from error
     for amount in reward.values() if isinstance(reward, Mapping) else (reward,):
         as_given(amount)  # refused here, where the state and the action are known
     return probability, following, reward

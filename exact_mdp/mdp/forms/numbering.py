@@ -40,14 +40,13 @@ class Numbering:
 
     def ordered(self) -> list[Any]:
         """Return the things by number; whole numbers from 0 on are their own."""
-        things: list[Any] = list(self.number)
-        if not all(isinstance(thing, bool | np.bool_) or _is_whole(thing) for thing in things):
-            return things
-        things = [int(thing) if _is_whole(thing) else thing for thing in things]
-        if {*things} == {*range(len(things))}:
-            things.sort()
-            self.number = {thing: number for number, thing in enumerate(things)}
-        return things
+        whole: list[Any] = [int(thing) if _is_whole(thing) else thing for thing in self.number]
+        if not all(isinstance(thing, int | np.bool_) for thing in whole):
+            return list(self.number)
+        if {*whole} == {*range(len(whole))}:
+            whole.sort()
+            self.number = {thing: number for number, thing in enumerate(whole)}
+        return whole
 
 
 def _is_whole(thing: Any) -> bool:
