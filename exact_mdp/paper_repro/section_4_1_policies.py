@@ -347,5 +347,5 @@ def cost_of_each(reading: Reading) -> np.ndarray:
     for vector, action in np.ndindex(lost.shape):
         if any(losses(reading, STATUSES[vector], action)):  # exactly 0 where it is optimal
             other = np.where(free & (status == vector), action, reading.optimum)
-            lost[vector, action] = best - evaluate(mdp, Policy.from_choices(mdp, other)).mean
+            lost[vector, action] = best - evaluate(mdp, Policy.of(mdp, other)).mean
     return lost

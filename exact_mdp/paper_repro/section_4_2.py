@@ -27,7 +27,7 @@ LEVELS = (0.99, 0.95, 0.9, 0.8)  # accuracies of perception, status by status
 
 def value_as_perceived(reading: Reading, confusion: np.ndarray) -> float:
     """Return the value of the optimal policy where it acts on a perceived status."""
-    policy = perceived(reading.mdp, Policy.from_choices(reading.mdp, reading.optimum), confusion)
+    policy = perceived(reading.mdp, Policy.of(reading.mdp, reading.optimum), confusion)
     return float(evaluate(reading.mdp, policy).mean)
 
 

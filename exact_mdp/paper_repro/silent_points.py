@@ -87,7 +87,7 @@ class Reading:
     def policy(self, name: str, order: str = "") -> Policy:
         """Return a policy: "optimal", "random", or a reported one by its action in 0000."""
         if name == "optimal":
-            return Policy.from_choices(self.mdp, self.optimum)
+            return Policy.of(self.mdp, self.optimum)
         return Policy.of(self.mdp, name if name == "random" else self.reported(name, order))
 
     def value(self, name: str, order: str = "") -> Any:

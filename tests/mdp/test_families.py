@@ -196,10 +196,9 @@ def test_two_entries_of_one_row_have_a_gradient() -> None:
     }
 
 
-def test_a_moved_model_keeps_its_limit_and_has_the_room_that_its_rows_leave() -> None:
+def test_a_moved_model_keeps_its_limit() -> None:
     mdp = MDP.from_arrays([[["1/2", "1/4", "1/4"], [0, 1, 0], [0, 0, 1]]], [1, 0, 0], time_limit=9)
     family = moving(mdp, {"stay": [(0, 0)], "leave": [(0, 1)]})
-    assert family.room == {"stay": (0, F(3, 4)), "leave": (0, F(1, 2))}
     assert family.at({"stay": "1/3"}).time_limit == family.at({}).time_limit == 9
 
 

@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from made_models import policy_by
 from oracle import evaluate_exact, solve_exact
 
 from exact_mdp import MDP, ModelError, Policy, check
@@ -195,7 +196,7 @@ class Case:
 
     def surely(self) -> Forms:
         """Forms that have to be taken, whatever the names."""
-        policy = Policy.from_choices(self.model, self.numbers)
+        policy = policy_by(self.model, ["state"], self.numbers)
         yield "policy", policy
         if self.unmistaken:
             policy.write(self.folder / "w.csv")

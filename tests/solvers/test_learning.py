@@ -179,7 +179,7 @@ def test_values_of_many_policies_of_any_model(model: Rows) -> None:
     learner = QLearning(epochs=2, episodes=2, snapshot_episode=0, last=4)
     learned = outcomes(mdp, train(mdp, learner, 3, rng=0))
     for policy, value, error in zip(learned.policies, learned.value, learned.error, strict=True):
-        exact = evaluate(mdp, Policy.from_choices(mdp, policy))
+        exact = evaluate(mdp, Policy.of(mdp, policy))
         assert abs(value - exact.mean) <= error + exact.start.error
 
 

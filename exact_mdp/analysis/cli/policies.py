@@ -108,7 +108,7 @@ def solve(
             proof = exact_mdp.certify(mdp, bounded=True, solution=best.solution)
         if out:
             best.save(out)
-        policy = Policy.from_choices(mdp, best.best.policy)
+        policy = Policy.of(mdp, best.best)
         solver = best.solution.solver if best.solution else "exact"
         report = best.report()
     if policy_out:

@@ -95,7 +95,6 @@ def settings_of(kind: type, texts: Sequence[str], option: str) -> dict[str, Any]
 
 def check_outputs(files: Iterable[tuple[str, Sequence[str]]]) -> None:
     """Raise ModelError, before any work, where a file (path, allowed endings) cannot be written."""
-    taken = []
     for name, endings in files:
         path = Path(name)
         if path.suffix.lower() not in endings:
@@ -106,6 +105,3 @@ def check_outputs(files: Iterable[tuple[str, Sequence[str]]]) -> None:
             )
         if not path.parent.is_dir():
             raise ModelError("there is no such folder", where=str(path.parent), fix="make it first")
-        if path.resolve() in taken:
-            raise ModelError("two results go to one file", where=name, fix="name another file")
-        taken.append(path.resolve())

@@ -40,9 +40,10 @@ class Numbering:
 
     def ordered(self) -> list[Any]:
         """Return the things by number; whole numbers from 0 on are their own."""
-        whole: list[Any] = [int(thing) if _is_whole(thing) else thing for thing in self.number]
+        things: list[Any] = list(self.number)
+        whole = [int(thing) if _is_whole(thing) else thing for thing in things]
         if not all(isinstance(thing, int | np.bool_) for thing in whole):
-            return list(self.number)
+            return things
         if {*whole} == {*range(len(whole))}:
             whole.sort()
             self.number = {thing: number for number, thing in enumerate(whole)}

@@ -115,9 +115,6 @@ class Family(Parametric):
         None where left out.
     rows : {label: parameter names}
         Parameters that are probabilities of one row, which are drawn together.
-    room : {name: (low, high)}
-        Between which values there is a model while the other parameters keep theirs; the
-        parameter's own range where left out.
 
     Examples
     --------
@@ -138,25 +135,21 @@ class Family(Parametric):
     degrees: Mapping[str, int] = field(default_factory=dict)
     breaks: Mapping[str, Sequence[Fraction]] = field(default_factory=dict)
     rows: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    room: Mapping[str, tuple[Fraction, Fraction]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_names((self.name,), "model")
         of_type(self.build, Callable, "build", "give a function from {name: value} to the model")
-        for what in ("degrees", "breaks", "rows", "room"):
+        for what in ("degrees", "breaks", "rows"):
             of_type(getattr(self, what), Mapping, what, "give a dictionary by the names")
         check_names(self.rows, "row", where="rows")
-        exactly = {
-            what: {name: _exact(given, f"{what}, {name}") for name, given in numbers.items()}
-            for what, numbers in (("breaks", self.breaks), ("room", self.room))
-        }
         with located("degrees", instead=True):
             degrees = {n: counted(d, f"the degree in {n}", 0) for n, d in self.degrees.items()}
-        parts = {"parameters": _parameters(self.parameters), "degrees": degrees} | exactly
+        breaks = {name: _exact(given, f"breaks, {name}") for name, given in self.breaks.items()}
+        parts = {"parameters": _parameters(self.parameters), "degrees": degrees, "breaks": breaks}
         for what, part in parts.items():
             object.__setattr__(self, what, part)
-        for what in ("degrees", "breaks", "room"):
-            for name in getattr(self, what):
+        for what, names in (("degrees", degrees), ("breaks", breaks)):
+            for name in names:
                 with located(what):
                     parameter_of(self, name)
 
@@ -177,14 +170,9 @@ class Family(Parametric):
 
 
 def _parameters(given: Any) -> tuple[Parameter, ...]:
-    """Return parameters that are given as such, or as {name: value or parameter}."""
+    """Return parameters that are given as such, or as {name: value}."""
     if isinstance(given, Mapping):
-        return tuple(
-            replace(each, name=name)
-            if isinstance(each, Parameter)
-            else Parameter(name=name, value=each)
-            for name, each in given.items()
-        )
+        return tuple(Parameter(name=name, value=value) for name, value in given.items())
     if not isinstance(given, list | tuple) or not all(isinstance(p, Parameter) for p in given):
         raise ModelError(
             f"parameters are {given!r}",
@@ -195,12 +183,10 @@ def _parameters(given: Any) -> tuple[Parameter, ...]:
     return tuple(given)
 
 
-def _exact(numbers: object, where: str) -> tuple[Any, ...]:
+def _exact(numbers: Any, where: str) -> tuple[Fraction, ...]:
     with located(where):
-        listed = numbers.tolist() if isinstance(numbers, np.ndarray) else numbers
-        if not isinstance(listed, list | tuple):
-            raise ModelError(f"{numbers!r} is not a list of numbers", fix="put it in brackets")
-        return tuple(None if number is None else exact(number) for number in listed)
+        fix = "put the numbers in brackets"
+        return tuple(map(exact, of_type(numbers, list | tuple | np.ndarray, "", fix)))
 
 
 def parametric(source: Any) -> Parametric:
@@ -304,13 +290,12 @@ def moving(
                 fix="give entries that have the same probability, at least one",
             )
         for pair, state in places:
-            if state in named.setdefault(pair, {}):
+            if named.setdefault(pair, {}).setdefault(state, name) != name:
                 raise ModelError(
-                    "an entry is set by two parameters, or twice by one",
+                    "an entry is set by two parameters",
                     where=f"parameter {name}, {model.where(pair)}",
                     fix="give each entry to one parameter",
                 )
-            named[pair][state] = name
         moved.append(Parameter(name=name, value=values.pop(), low=Fraction(0), high=Fraction(1)))
     today = {parameter.name: parameter.value for parameter in moved}
     highest = dict.fromkeys(today, Fraction(1))
@@ -329,9 +314,10 @@ def moving(
     rate = Parameter(name=DISCOUNT, value=model.discount_exact, low=Fraction(0), high=Fraction(1))
     return Family(
         parameters=(*moved, *gains, rate),
-        build=Moved(model=model, parameters=(*moved, *gains), named=named, earned=earned),
+        build=Moved(
+            model=model, parameters=(*moved, *gains), named=named, earned=earned, highest=highest
+        ),
         name=model.name or "model",
-        room={name: (Fraction(0), high) for name, high in highest.items()},
     )
 
 
@@ -347,6 +333,7 @@ class Moved:
     parameters: tuple[Parameter, ...]  # all but the discount
     named: Mapping[int, Mapping[int, str]]  # {pair: {next state: parameter name}}
     earned: Mapping[Fraction, str]  # {reward: parameter name}
+    highest: Mapping[str, Fraction]  # that a probability may be while the others keep theirs
 
     @cached_property
     def _kept(self) -> bool:
@@ -407,7 +394,7 @@ def _places(model: MDP, listed: Any, where: str) -> list[tuple[int, int]]:
     places = []
     with located(where):
         for place in of_type(listed, Iterable, "", "give a list of (pair, next state)"):
-            if not isinstance(place, Sequence) or isinstance(place, str) or len(place) != 2:
+            if not isinstance(place, list | tuple) or len(place) != 2:
                 raise ModelError(f"an entry is {place!r}", fix="give (pair, next state)")
             pair, following = place
             if isinstance(pair, tuple | list) and len(pair) == 2:
@@ -461,9 +448,9 @@ def parameter_of(model: Parametric, name: str) -> Parameter:
 
 def room_of(model: Parametric, name: str) -> tuple[Fraction | None, Fraction | None]:
     """Return between which values a parameter may move while the others keep theirs."""
-    parameter = parameter_of(model, name)
-    own = (parameter.low, parameter.high)
-    return model.room.get(name, own) if isinstance(model, Family) else own
+    parameter, build = parameter_of(model, name), getattr(model, "build", None)
+    highest = build.highest if isinstance(build, Moved) else {}
+    return parameter.low, highest.get(name, parameter.high)
 
 
 def moved_from(model: Parametric, values: Mapping[str, object]) -> dict[str, Fraction]:

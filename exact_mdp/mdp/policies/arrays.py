@@ -311,7 +311,8 @@ def _refuse_names(model: MDP, numbers: Numbers) -> None:
             f"{answers} are names of actions, but the numbers of an array count from 0 to "
             f"{model.n_actions - 1} in the model's order, which differ",
             where="policy",
-            fix="give names in {state: action}, or Policy.from_choices(model, numbers)",
+            fix="give names: {state: action}; or Policy(space=model.space, actions=model.actions, "
+            "rule=numbers)",
         )
 
 

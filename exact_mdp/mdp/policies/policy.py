@@ -34,7 +34,7 @@ from exact_mdp.mdp.policies.arrays import (
     read_over,
     rows_read,
 )
-from exact_mdp.mdp.result import ROWS_SHOWN, ByFields, plain_report
+from exact_mdp.mdp.result import ROWS_SHOWN, ByFields, data_frame, plain_report
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     FLOAT_ROW_TOLERANCE,
@@ -217,20 +217,15 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         return self._rows(len(self))
 
     def _rows(self, first: int) -> DataFrame:
-        import pandas
-
-        rows = pandas.DataFrame([dict(self.space.as_dict(row)) for row in range(first)]).fillna("")
+        rows = data_frame([dict(self.space.as_dict(row)) for row in range(first)]).fillna("")
         if self.deterministic:
             chosen = self.rule[:first].tolist()
             return rows.assign(action=[self.actions[a] if a >= 0 else None for a in chosen])
-        mixed: Any = self.table[:first]
-        if self.shares is not None:
-            mixed = [self._chances(row) or [np.nan] * len(self.actions) for row in range(first)]
-        table = pandas.DataFrame(mixed, columns=list(self.actions))
-        return pandas.concat([rows, table], axis=1)
+        mixed = [self._chances(row) or [np.nan] * len(self.actions) for row in range(first)]
+        return rows.join(data_frame(mixed, columns=list(self.actions)))
 
     def _chances(self, row: int) -> list[Any]:
-        """Return the exact probability of each action in a row; nothing where it says nothing."""
+        """Return the probability of each action in a row, exact; nothing where it says nothing."""
         if self.shares is None:
             chances = self.table[row].tolist()
             return [] if np.isnan(chances).all() else chances
@@ -251,16 +246,17 @@ class Policy(ByFields, NDArrayOperatorsMixin):
             state does not offer.
         """
         weights, wanted = self._by_pair(of_type(model, MDP, "model", MODEL), self.rule)
+        first = model.pair_offsets[:-1]
         if self.deterministic and self.space.extra == model.space.extra:
             taken = np.flatnonzero(weights == 1)
             if np.array_equal(model.pair_state[taken], np.arange(model.n_states)):
                 return weights
         weights = weights.astype(np.float64)
-        offered = np.add.reduceat((weights > 0).astype(np.int64), model.pair_offsets[:-1])
-        if model.space.extra and self.space.extra != model.space.extra:
+        offered = np.add.reduceat((weights > 0).astype(np.int64), first)
+        if self.space.extra != model.space.extra:
             weights[model.pair_state >= model.space.regular] = np.nan
         weights[model.forced[model.pair_state]] = 1.0
-        total = np.add.reduceat(weights, model.pair_offsets[:-1])
+        total = np.add.reduceat(weights, first)
         bad = ~(np.abs(total - 1) <= FLOAT_ROW_TOLERANCE)
         bad |= (offered < wanted) & ~model.forced  # however rarely it is taken
         # What is done where all is over does not matter: it may be left open.
@@ -268,15 +264,13 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         if (bad & ~ended).any():
             ended |= bad & model.indifferent
         weights[ended[model.pair_state]] = 0.0
-        weights[model.pair_offsets[:-1][ended]] = 1.0
-        bad &= ~ended
-        if bad.any():
-            state = int(np.flatnonzero(bad)[0])
-            missing = bool(np.isnan(total[state]))
+        weights[first[ended]] = 1.0
+        if (bad & ~ended).any():
+            state = int(np.flatnonzero(bad & ~ended)[0])
             names = [model.actions[model.pair_action[pair]] for pair in model.pairs_of(state)]
             raise ModelError(
                 "the policy gives no action for a state with a choice"
-                if missing
+                if np.isnan(total[state])
                 else "the policy takes an action that is not available",
                 where=model.space.place(state),
                 fix=f"choose one of {', '.join(names)} there",
@@ -305,18 +299,15 @@ class Policy(ByFields, NDArrayOperatorsMixin):
 
     def _by_pair(self, model: MDP, rule: Numbers) -> tuple[Numbers, Integers]:
         """Return (L,) what a rule gives each pair, and (S,) how many actions each state takes."""
-        keys = rows_read(model, self.space)
-        known = {name: number for number, name in enumerate(model.actions)}
-        numbers = np.array(
-            [*(known[n] if n in known else model.action(n) for n in self.actions), -1]
-        )
+        keys, known = rows_read(model, self.space), {n: k for k, n in enumerate(model.actions)}
+        columns = [known[name] if name in known else model.action(name) for name in self.actions]
         if rule.ndim == 1:
-            chosen = numbers[rule][keys]
+            chosen = np.array([*columns, -1])[rule][keys]
             weights: Numbers = (model.pair_action == chosen[model.pair_state]).astype(np.float64)
             weights[(chosen < 0)[model.pair_state]] = np.nan
             return weights, np.ones(model.n_states, dtype=np.int64)
         by_action = np.zeros((self.space.size, model.n_actions), dtype=rule.dtype)
-        by_action[:, numbers[:-1]] = rule
+        by_action[:, columns] = rule
         wanted = np.count_nonzero(by_action > 0, axis=1)[keys]
         return by_action[keys[model.pair_state], model.pair_action], wanted
 
@@ -436,34 +427,10 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         if not isinstance(given.policy, np.ndarray):
             return cls._read(model, given.policy, kind)
         if not isinstance(own, MDP) or np.shape(given.policy) != (own.n_states,):
-            return cls.from_choices(model, given.policy)
+            return cls(**action_numbers(model, numbers_of(given.policy)))
         policy = cls(space=own.space, actions=own.actions, rule=np.asarray(given.policy))
         policy.weights(model)  # it goes by the names of its own model
         return policy
-
-    @classmethod
-    def from_choices(cls, model: MDP, choices: ArrayLike) -> Policy:
-        """Return the policy of (S,) action numbers; a forced end may be left out.
-
-        Where the model stops after N steps, (S,) without the time and (N, S) are taken as well.
-
-        Parameters
-        ----------
-        model : MDP
-        choices : (S,) or (N, S) ints
-            Action numbers.
-
-        Returns
-        -------
-        Policy
-
-        Examples
-        --------
-        >>> Policy.from_choices(MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [1, 0]), [1, 0])[0]
-        np.int64(1)
-        """
-        of_type(model, MDP, "model", MODEL)
-        return cls(**action_numbers(model, numbers_of(choices)))
 
     def write(self, path: str | Path) -> None:
         """Write the policy as `.csv`, atomically."""

@@ -82,7 +82,7 @@ def choose(chances: Sequence[Fraction], seed: int) -> int:
 def policy_named(mdp: MDP, scenario: Scenario, name: str) -> Policy:
     """Return a policy by name: optimal, random, reported:START, always:ACTION or a file."""
     if name == "optimal":
-        return Policy.from_choices(mdp, solve(mdp).policy)
+        return Policy.of(mdp, solve(mdp))
     if name.startswith("reported:"):
         start = name.removeprefix("reported:")
         if start not in AVERAGES or tuple(scenario.statuses) != tuple(BITS):

@@ -124,7 +124,7 @@ def test_solve_writes_policy_arrays_and_their_records(tmp_path: Path) -> None:
         assert archive["value"][0] == solved["start_value"]
         assert archive["q"].shape == (241, 4)
         assert np.nanmax(archive["q"], axis=1) == pytest.approx(archive["value"])
-        chosen = Policy.from_choices(mdp, archive["policy"])
+        chosen = Policy.of(mdp, archive["policy"])
     assert (chosen.choices(mdp) == Policy.of(mdp, policy).choices(mdp)).all()
 
 

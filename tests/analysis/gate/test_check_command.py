@@ -1,5 +1,6 @@
 """The gate: `exact-mdp check`, its reports, what a test asserts, and policies that were learned."""
 
+import json
 import subprocess
 import sys
 from fractions import Fraction as F
@@ -42,8 +43,8 @@ def test_planted_policies_get_the_right_verdict(mdp: MDP, tmp_path: Path) -> Non
     for policy, passed, exact in ((right, True, F(0)), (costly, False, lost)):
         q = np.eye(4)[[mdp.actions.index(action) for action in policy.values()]] * 3.5 - 1
         files = [tmp_path / name for name in ("p.json", "p.csv", "q.npy", "q.npz")]
-        for path in files[:2]:
-            Policy.of(mdp, policy).write(path)
+        files[0].write_text(json.dumps(policy))
+        Policy.of(mdp, policy).write(files[1])
         np.save(files[2], q)
         np.savez(files[3], q[mdp.space.values("status")])
         for path in files:
@@ -105,7 +106,7 @@ from exact_mdp import assert_policy_optimal, check_trainer
 
 
 def test_passes():
-    assert assert_policy_optimal("small.npz", "best.json").agreement == 1
+    assert assert_policy_optimal("small.npz", "best.csv").agreement == 1
     assert_policy_optimal("small.npz", "q.npy", max_relative_regret="9/10", kind="q")
 
 
@@ -122,7 +123,7 @@ def test_trainer():
 def test_the_assertions_in_a_users_tests(mdp: MDP, tmp_path: Path) -> None:
     best = by_status(mdp)
     mdp.save(tmp_path / "small.npz")
-    Policy.of(mdp, best).write(tmp_path / "best.json")
+    Policy.of(mdp, best).write(tmp_path / "best.csv")
     np.save(tmp_path / "q.npy", np.eye(4)[[mdp.actions.index(action) for action in best.values()]])
     (tmp_path / "test_inner.py").write_text(TESTS)
     (tmp_path / "pytest.ini").write_text("[pytest]\n")

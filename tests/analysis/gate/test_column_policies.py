@@ -42,7 +42,7 @@ def every_policy(mdp: MDP, columns: tuple[str, ...]) -> list[float]:
     for choice in product(range(mdp.n_actions), repeat=len(rows)):
         actions = [choice[rows.index(each)] for each in read]
         actions += [0] * (mdp.n_states - len(actions))
-        policies.append(evaluate(mdp, Policy.from_choices(mdp, actions)).mean)
+        policies.append(evaluate(mdp, Policy.of(mdp, actions)).mean)
     return policies
 
 
