@@ -96,14 +96,14 @@ def test_pipes_devices_folders_and_nothing_at_all(tmp_path: Path, name: str) -> 
 
 
 def test_what_can_be_neither_read_nor_written(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "p.json")
+    os.mkfifo(tmp_path / "p.csv")
     policy = Policy.of(MODEL, [0])
-    refused(lambda: policy.write(tmp_path / "p.json"), "there is a pipe of this name")
-    refused(lambda: policy.write(tmp_path / "a\0b.json"), "cannot write the file")
-    assert [entry.name for entry in tmp_path.iterdir()] == ["p.json"]
+    refused(lambda: policy.write(tmp_path / "p.csv"), "there is a pipe of this name")
+    refused(lambda: policy.write(tmp_path / "a\0b.csv"), "cannot write the file")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["p.csv"]
     with pytest.raises(ModelError, match=r"null (byte|character)"):
         Scenario.load("a\0b.toml")
-    refused(lambda: Policy.of(MODEL, tmp_path / "p.json"), "", "", "<(…)")
+    refused(lambda: Policy.of(MODEL, tmp_path / "p.csv"), "", "", "<(…)")
     with open(tmp_path / "big.toml", "wb") as file:
         file.truncate(2**29)
     with pytest.raises(
