@@ -18,9 +18,8 @@ through: what they change is no part of `P`.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from inspect import signature
 from typing import Any, Self, TypeGuard
 
 import numpy as np
@@ -31,7 +30,7 @@ from exact_mdp.mdp.errors import (
     ShapeError,
     extra,
     located,
-    shown_text,
+    short,
     suggest,
 )
 from exact_mdp.mdp.forms.names import ByNumber
@@ -110,9 +109,8 @@ class FromGymnasium(FromArrays):
                 return cls.from_gymnasium(made, discount, **{"name": env} | names)
             finally:
                 made.close()
-        bare = env if isinstance(env, Mapping | list) else getattr(env, "unwrapped", env)
-        beside = f'give it beside an id: MDP.from_gymnasium("{_name(env)}", …)'
-        check_options(names, dict.fromkeys({*_taken(bare)} - KNOWN, beside))
+        bare = env if isinstance(env, Mapping) else getattr(env, "unwrapped", env)
+        check_options(names, {})
         layers = [*_layers(env)]
         _refuse_changed(layers)
         names.setdefault("name", _name(env))
@@ -124,11 +122,6 @@ class FromGymnasium(FromArrays):
             return cls.from_arrays(*_of_matrices(bare, dynamics, where), discount, **options)
         rows = _of_table(bare, where, names)
         return cls.from_outcomes(rows, discount, **names)
-
-
-def _taken(bare: Any) -> Iterable[str]:
-    """Return what an environment is made with."""
-    return () if isinstance(bare, Mapping | list) else signature(type(bare).__init__).parameters
 
 
 def _of_table(bare: Any, where: str, names: dict[str, Any]) -> list[Any]:
@@ -225,7 +218,7 @@ def _ends(rows: Rows, begins: set[int]) -> tuple[set[int], set[int]]:
 
 def _rows(env: Any, where: str) -> Rows:
     """Return the outcomes of every pair."""
-    table = env if isinstance(env, Mapping | list) else getattr(env, "P", None)
+    table = env if isinstance(env, Mapping) else getattr(env, "P", None)
     if table is None:
         raise ModelError(
             "the environment does not expose its model as P",
@@ -234,18 +227,18 @@ def _rows(env: Any, where: str) -> Rows:
             "with P, such as FrozenLake-v1",
         )
     return {
-        (state, action): _outcomes(outcomes, f"{where}, P[{state}][{action}]")
+        (state, action): [_outcome(each, f"{where}, P[{state}][{action}]") for each in outcomes]
         for state, row in _items(table, where, "P")
-        for action, outcomes in _items(row, where, f"P[{state}]")
+        for action, listed in _items(row, where, f"P[{state}]")
+        for outcomes in [_listed(listed, f"{where}, P[{state}][{action}]")]
     }
 
 
 def _items(table: Any, where: str, what: str) -> Iterator[tuple[int, Any]]:
-    listed = table.items() if isinstance(table, Mapping) else enumerate(_listed(table, where))
-    if not table:
+    if not isinstance(table, Mapping) or not table:
         fix = f"{LISTED}; an end stays: {{0: [(1.0, state, 0, True)]}}"
-        raise ModelError(f"{what} lists no action", where=where, fix=fix)
-    for key, value in listed:
+        raise ModelError(f"{what} lists no action: {short(repr(table), 80)}", where=where, fix=fix)
+    for key, value in table.items():
         if not _whole(key) or key < 0:
             fix = "number states and actions from 0"
             raise ModelError(f"{what} has the key {key!r}", where=where, fix=fix)
@@ -263,21 +256,14 @@ def _listed(values: Any, where: str) -> Sequence[Any]:
     raise ModelError(what, where=where, fix=LISTED)
 
 
-def _outcomes(listed: Any, place: str) -> list[Outcome]:
-    outcomes = []
-    for outcome in _listed(listed, place):
-        values = _listed(outcome, place)
-        if len(values) != 4 or not _whole(values[1]) or not isinstance(values[3], bool | np.bool_):
-            raise ModelError(
-                f"an outcome is {outcome!r}",
-                where=place,
-                fix="give (probability, next state, reward, terminated)",
-            )
-        with located(place):
-            for number in (values[0], values[2]):
-                as_given(number)
-        outcomes.append((values[0], int(values[1]), values[2], bool(values[3])))
-    return outcomes
+def _outcome(given: Any, place: str) -> Outcome:
+    values = _listed(given, place)
+    if len(values) != 4 or not _whole(values[1]) or not isinstance(values[3], bool | np.bool_):
+        raise ModelError(f"an outcome is {given!r}", where=place, fix=LISTED)
+    with located(place):
+        for number in (values[0], values[2]):
+            as_given(number)
+    return values[0], int(values[1]), values[2], bool(values[3])
 
 
 def _of_matrices(env: Any, dynamics: Mapping[str, Any], where: str) -> tuple[Numbers, Numbers]:
@@ -323,7 +309,7 @@ def _start(env: Any) -> Any:
     if isinstance(given, Sequence | np.ndarray) and not isinstance(given, str):
         return list(given)
     raise ModelError(
-        f"initial_state_distrib is {shown_text(repr(given))[:60]}",
+        f"initial_state_distrib is {short(repr(given), 60)}",
         where="start",
         fix="let it be (S,) probabilities, or pass start=, a state or {state: probability}",
     )
@@ -344,7 +330,7 @@ def _time_limit(layers: Sequence[Any]) -> int | None:
 
 
 def _name(env: Any) -> str:
-    if isinstance(env, Mapping | list):
+    if isinstance(env, Mapping):
         return ""
     spec = getattr(env, "spec", None)
     return str(getattr(spec, "id", "") or type(getattr(env, "unwrapped", env)).__name__)
@@ -353,32 +339,25 @@ def _name(env: Any) -> str:
 def _make(name: str, **options: Any) -> Any:
     with extra("models"):
         import gymnasium
-    where = f"gymnasium:{name}"
     try:
         with warnings.catch_warnings():
             # An outdated version is refused right after the warning of it, in the same words.
             warnings.simplefilter("ignore")
             return gymnasium.make(name, **options)
-    except (gymnasium.error.Error, ImportError) as error:
-        missing = getattr(error.__cause__ or error, "name", None)
-        if isinstance(error.__cause__ or error, ModuleNotFoundError):
-            raise ModelError(
-                f"there is no module {missing}",
-                where=where,
-                fix="install it, or put the folder of the module that registers the environment "
-                "on PYTHONPATH",
-            ) from error
-        toy = [
-            key
-            for key, spec in gymnasium.registry.items()
-            if TOY_TEXT in str(spec.entry_point) and spec.name != "Blackjack"  # it has no P
-        ]
-        what = f"Gymnasium cannot make {name!r}: {str(error)[:200]}"
-        raise ModelError(what, where=where, fix=suggest(name, toy)) from error
     except Exception as error:  # whatever the environment's own code raises
-        raise ModelError(
-            f"the environment {name} raises {type(error).__name__}: {str(error)[:200]}",
-            where=where,
-            fix="correct the environment or its module, so that gymnasium.make can make it"
-            + f"; or leave out {', '.join(options)}" * bool(options),
-        ) from error
+        cause, said = error.__cause__ or error, str(error)[:200]
+        if isinstance(cause, ModuleNotFoundError):
+            what = f"there is no module {cause.name}"
+            fix = "install it, or put the folder of the module that registers the environment on "
+            fix += "PYTHONPATH"
+        elif isinstance(error, gymnasium.error.Error | ImportError):
+            toy = (
+                key
+                for key, spec in gymnasium.registry.items()
+                if TOY_TEXT in str(spec.entry_point) and spec.name != "Blackjack"  # it has no P
+            )
+            what, fix = f"Gymnasium cannot make {name!r}: {said}", suggest(name, toy)
+        else:
+            what = f"the environment {name} raises {type(error).__name__}: {said}"
+            fix = "correct the environment, or its options"
+        raise ModelError(what, where=f"gymnasium:{name}", fix=fix) from error

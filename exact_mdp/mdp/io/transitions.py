@@ -205,18 +205,15 @@ class Record:
 
         text = io.TextIOWrapper(file, "utf-8-sig", newline="")
         fix = "correct the line; where an episode is over, leave next_state empty after its comma"
-        rows = csv_of(text, self.where, fix=fix)
         try:
+            rows = csv_of(text, self.where, fix=fix)
             _, header = next(rows, (0, []))
-            while True:
-                words, lines = list[str](), list[int]()
-                for line, row in islice(rows, ROWS):
-                    words += row
-                    lines.append(line)
-                values = np.array(words, dtype=object).reshape(len(lines), len(header))
-                yield pandas.DataFrame(values, lines, header, dtype=object)
-                if not lines:
-                    return
+            more = True
+            while more:
+                more = bool(listed := [*islice(rows, ROWS)])
+                values = np.array([row for _, row in listed], dtype=object)
+                values = values.reshape(len(listed), len(header))
+                yield pandas.DataFrame(values, [line for line, _ in listed], header, dtype=object)
         except UnicodeError as error:
             raise ModelError(
                 "the file is not UTF-8 text", where=self.where, fix="save it as UTF-8 text"
@@ -236,11 +233,8 @@ class Record:
                 # The columns say it all: what pandas noted beside them may hide one as an index.
                 yield batch.to_pandas(ignore_metadata=True, integer_object_nulls=True)
         except Exception as error:  # Arrow raises many kinds on damaged files
-            raise ModelError(
-                f"the file is no Parquet: {str(error)[:300]}",
-                where=self.where,
-                fix="write it again, or give CSV",
-            ) from error
+            what = f"the file is no Parquet: {str(error)[:300]}"
+            raise ModelError(what, where=self.where, fix="write it again, or give CSV") from error
 
     # ---- rows in numbers -------------------------------------------------------------------------
 
@@ -343,21 +337,15 @@ class Record:
         goes_on = episode == before
         # New names are numbered as they come: an episode that is new has a number above the others.
         known = ~goes_on & (episode <= np.maximum.accumulate(before))
-        another = "or give what follows another episode number"
+        fix = "sort the rows by episode, then by time, and number episodes once"
+        self._refuse(known, "an episode goes on after another one began", fix)
         self._refuse(
-            known,
-            "an episode goes on after another one began",
-            "sort the rows by episode, then by time, and number episodes once",
+            goes_on & (over | (left != state)),
+            "a gap in an episode: it goes on in another state than its row before led to, or after "
+            "it was over or cut off",
+            "add the rows that are missing, mark its last row alone as truncated, or give what "
+            "follows another episode number",
         )
-        for bad, what, fix in (
-            (over, "an episode goes on after it was cut off",
-             "mark its last row alone as truncated"),
-            (left == OVER, "an episode goes on after it was over: the row before leads nowhere",
-             "give the next state there"),
-            (left != state, "a gap in an episode: its next row begins in another state than this "
-             "one led to", "add the rows that are missing"),
-        ):  # fmt: skip
-            self._refuse(goes_on & bad, what, f"{fix}, {another}")
         self.starts.update(state[~goes_on].tolist())
         stops = ~goes_on & (before >= 0)  # before the first row there is no episode
         self.stops.update(zip(left[stops].tolist(), over[stops].tolist(), strict=True))

@@ -102,13 +102,16 @@ HALF, THIRD = Fraction(1, 2), Fraction(1, 3)
 STAY = {s: {0: [(1, s, s, False)]} for s in (0, 1)}
 ENTER = {0: {0: [(1, 1, 1, True)]}, 1: {0: [(1, 0, 9, False)]}}
 OVER = {0: {0: [(0.5, 1, 1, True), (0.5, -1, 2, True)]}, 1: {0: [(1, 0, 9, False)]}}
-LISTS = [[[(1, 1, 5, False)], [("1/3", 0, 0, False), ("2/3", 1, 2, True)]], [[(1, 1, 0, True)]]]
+TEXTS = {
+    0: {0: [(1, 1, 5, False)], 1: [("1/3", 0, 0, False), ("2/3", 1, 2, True)]},
+    1: {0: [(1, 1, 0, True)]},
+}
 NUMPY = {
     np.int64(0): {np.int32(0): [(np.float64(1), np.int64(1), np.float32(0.5), np.True_)]},
     1: {0: [(1, 1, 0, np.False_)]},
 }
 READ: list[tuple[Any, dict[str, Any], list[object], list[Any]]] = [  # start, rows of the pairs
-    (Env(LISTS, [1, 0]), {}, [1, 0],
+    (Env(TEXTS, [1, 0]), {}, [1, 0],
      [[(1, 1, 5)], [(THIRD, 0, 0), (1 - THIRD, 1, 2)], [(1, 1, 0)]]),
     (Env(NUMPY, np.array([1.0, 0])), {}, [1, 0], [[(1, 1, HALF)], [(1, 1, 0)]]),
     (Env(ENTER, None), {"start": 0}, [1, 0], [[(1, 1, 1)], [(1, 1, 0)]]),
@@ -120,7 +123,7 @@ READ: list[tuple[Any, dict[str, Any], list[object], list[Any]]] = [  # start, ro
       for form in (OVER, type("Env", (), {"P": OVER})())),
     (type("Env", (), {"P": OVER, "isd": [0, 1]})(), {}, [0, 1, 0],
      [[(HALF, 2, 1), (HALF, 2, 2)], [(1, 0, 9)], [(1, 2, 0)]]),
-    ([[[(1, -1, 3, True)]]], {"start": [1]}, [1, 0], [[(1, 1, 3)], [(1, 1, 0)]]),
+    ({0: {0: [(1, -1, 3, True)]}}, {"start": [1]}, [1, 0], [[(1, 1, 3)], [(1, 1, 0)]]),
     *((Env(STAY, begins), {}, start, [[(1, 0, 0)], [(1, 1, 1)]])
       for begins, start in (({0: 0.5, 1: 0.5}, [HALF, HALF]), ({1: 1}, [0, 1]),
                             (np.int64(1), [0, 1]), (0, [1, 0]))),

@@ -138,7 +138,7 @@ BAD: dict[str, list[tuple[Any, ...]]] = {
     "gap in an episode": [GOOD, (1, "a", "x", 0, "b")],
     "goes on after another": [GOOD, (2, "a", "x", 0, "b"), (1, "b", "x", 0, "b")],
     "no reward": [GOOD, (2, "a", "x", np.nan, "b")],
-    "after it was over": [GOOD, (2, "a", "x", 0, None), (2, "b", "x", 0, "a")],
+    "or after it was over": [GOOD, (2, "a", "x", 0, None), (2, "b", "x", 0, "a")],
     "the state is ' '": [GOOD, (2, " ", "x", 0, "b")],
     "no action": [GOOD, (2, "a", None, 0, "b")],
     "reward is inf": [GOOD, (2, "a", "x", np.inf, "b")],
@@ -214,7 +214,7 @@ NO_LOG: list[Any] = [  # log, columns, what is said, where, and how to put it ri
     *((f"{HEAD}1,ä,x,0,b\n".encode(encoding), {}, "UTF-8") for encoding in ("utf-16", "latin-1")),
     (f'{HEAD}1,a,x,0,"b', {}, "broken CSV"),
     (b"PAR1", {}, "no Parquet"),
-    (cut((*GOOD, True), (1, "b", "x", 0, None, False)), {}, "goes on after it was cut off"),
+    (cut((*GOOD, True), (1, "b", "x", 0, None, False)), {}, "or after it was over or cut off"),
     *((cut((*GOOD, x)), {}, "truncated is neither true nor false") for x in ("maybe", None)),
     (cut((*GOOD, True)), {"truncated": "timeout"}, "no column 'timeout'"),
 ]  # fmt: skip
