@@ -67,7 +67,7 @@ class Given:
         What a .npy or .npz file holds: a Q-table, or probabilities of actions.
     perception : FILE, optional
         The policy acts on a perceived status: a confusion matrix as .csv, or .toml with sensitivity
-        and specificity, or labelled examples (.csv true,perceived; .jsonl).
+        and specificity, or labelled examples (.jsonl).
     reach : LABEL, optional
         Ask for the probability of reaching a label.
     until : LABEL, optional

@@ -142,7 +142,7 @@ def perception(
     ----------
     perception : FILE, optional
         A confusion matrix as .csv; .toml with sensitivity and specificity; labelled examples as
-        .csv (true,perceived) or the .jsonl of a recording.
+        the .jsonl of a recording.
     accuracy : X, optional
         Each status is read correctly with this probability instead.
     policy : POLICY

@@ -1,7 +1,7 @@
 """Care scenarios: what they are, how they move, and what is perceived of them.
 
-A scenario is one TOML file with the keys of `toml.KEYS`, which `template.toml` explains; in
-`mdp/scenarios` its name will do. Every number of its tables is a parameter, such as `base.STATUS`.
+A scenario is one TOML file, whose keys `template.toml` explains; in `mdp/scenarios` its name will
+do. Every number of its tables is a parameter, such as `base.STATUS`.
 
 >>> from exact_mdp import Scenario
 >>> scenario = Scenario.load("tea").with_(parameters={"base.anxiety": "1/5"}, tasks=[1])

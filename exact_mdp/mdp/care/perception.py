@@ -15,11 +15,10 @@ frequencies, C(s, z) = N(s, z) / N(s). Intervals of rates are those of Clopper a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from io import StringIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,7 +34,6 @@ from exact_mdp.mdp.space import Column
 from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, beside, exact
 
 LEVEL = 0.95
-PAIRS = ["true", "perceived"]
 
 
 def perceived(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> Policy:
@@ -181,13 +179,9 @@ def counted(pairs: Iterable[Sequence[object]], *, size: int) -> Integers:
     >>> counted([("0", "0"), ("0", "1"), ("1", "1")], size=2).tolist()
     [[1, 1], [0, 1]]
     """
-    return _tally(((f"pair {k}", *pair) for k, pair in enumerate(pairs, start=1)), size)
-
-
-def _tally(pairs: Iterable[Sequence[Any]], size: int) -> Integers:
     column, counts = statuses_of(size), np.zeros((size, size), dtype=np.int64)
-    for place, true, seen in pairs:
-        with located(place, instead=True):
+    for number, (true, seen) in enumerate(pairs, start=1):
+        with located(f"pair {number}", instead=True):
             counts[column.number(true), column.number(seen)] += 1
     return counts
 
@@ -252,83 +246,64 @@ def read(path: str | Path, model: MDP) -> tuple[Floats, int | None]:
 
     A `.csv` has the header `status,0000,…,1111` and a row for each true status. A `.toml` has the
     tables `[sensitivity]` and `[specificity]` with a number for each status by name. Numbers are
-    read exactly, then rounded to floats. For labelled examples see `read_counts`.
+    read exactly, then rounded to floats. A `.jsonl` has labelled examples, see `read_counts`.
     """
-    stated = _stated(path, model)
-    if stated.dtype != np.int64:
-        return stated, None
-    with located(str(path), instead=True):
-        return frequencies(stated), int(stated.sum())
-
-
-def read_counts(path: str | Path, model: MDP) -> Integers:
-    """Return the counts of a file of labelled examples.
-
-    A `.csv` has the header `true,perceived` and a row for each example. A `.jsonl` is a recording
-    of a conversation or a measurement: lines with `status` and `perceived` are examples, others
-    are passed over, and so is a last line that breaks off before its end; a header that names
-    `statuses` must name the model's.
-    """
-    stated = _stated(path, model)
-    if stated.dtype != np.int64:
-        what = "the file states a confusion matrix, and only labelled examples are counted"
-        fix = "give a .csv of true,perceived or a .jsonl recording"
-        raise ModelError(what, where=str(path), fix=fix)
-    return np.asarray(stated)
-
-
-def _stated(path: str | Path, model: MDP) -> Any:
     size, where, suffix = status_size(model), str(path), Path(path).suffix.lower()
     if suffix == ".jsonl":
-        return _tally(_recorded(read_text(path), where, _named(model)), size)
+        counts = read_counts(path, model)
+        with located(where, instead=True):
+            return frequencies(counts), int(counts.sum())
     if suffix == ".toml":
-        return independent(*_rates(read_text(path, most=SMALL), _named(model), where))
+        return independent(*_rates(read_text(path, most=SMALL), _named(model), where)), None
     if suffix != ".csv":
         raise ModelError(f"unknown kind of perception {where!r}", fix="give .csv, .toml or .jsonl")
     lines = csv_of(StringIO(read_text(path)), where)
-    stated = ([f"{where}, line {number}", *map(str.strip, row)] for number, row in lines)
-    header = next(stated, [""])[1:]
-    if header == PAIRS:
-        return _tally(stated, size)
-    labels = list(map(model.space.column("status").label, range(size)))
+    labels = list(map(statuses_of(size).label, range(size)))
+    header = [word.strip() for word in next(lines, (0, []))[1]]
     if header != ["status", *labels]:
         raise ModelError(
             f"the header is {','.join(header)[:80] or 'missing'}",
             where=where,
-            fix=f"name the statuses in order: status,{labels[0]},…,{labels[-1]}; above labelled "
-            f"examples write {','.join(PAIRS)}",
+            fix=f"name the statuses in order: status,{labels[0]},…,{labels[-1]}",
         )
-    rows = dict[str, list[float]]()
-    for place, label, *words in stated:
-        if label in rows or label not in labels:
+    rows: dict[str, list[float]] = {}
+    for line, (label, *words) in lines:
+        place = f"{where}, line {line}"
+        if label.strip() in rows or label.strip() not in labels:
             what = f"status {label!r} is unknown or appears twice"
             raise ModelError(what, where=place, fix="give one row for each status")
-        rows[label] = [_probability(word, place) for word in words]
+        rows[label.strip()] = [_probability(word, place) for word in words]
     for label in labels:
         if label not in rows:
             raise ModelError(f"the row of status {label} is missing", where=where, fix="add it")
-    return checked([rows[label] for label in labels], size=size, where=where)
+    return checked([rows[label] for label in labels], size=size, where=where), None
 
 
-def _recorded(text: str, where: str, names: list[str]) -> Iterator[tuple[str, object, object]]:
-    """Yield the place, the true and the perceived status of each example of a recording."""
-    lines = text.split("\n")
+def read_counts(path: str | Path, model: MDP) -> Integers:
+    """Return the counts of a `.jsonl` of labelled examples: a recording, or a measurement.
+
+    Lines with `status` and `perceived` are examples, others are passed over, and so is a last line
+    that breaks off before its end; a header that names `statuses` must name the model's.
+    """
+    counts = np.zeros((status_size(model),) * 2, dtype=np.int64)
+    column, names, lines = statuses_of(len(counts)), _named(model), read_text(path).split("\n")
     for number, line in enumerate(lines, start=1):
-        place = f"{where}, line {number}"
-        try:
-            entry = json_of(line, place) if line.strip() else {}
-        except ModelError:
-            if number == len(lines):
-                return  # torn: the writer was stopped before the newline that ends a line
-            raise
-        if not isinstance(entry, Mapping):
-            raise ModelError("a line that is not an object", where=place, fix="correct the line")
-        stated = entry.get("statuses")
-        if stated is not None and names and stated != names:
-            what = f"a recording with the statuses {stated}"
-            raise ModelError(what, where=place, fix="choose the scenario that it was made with")
-        if "status" in entry and "perceived" in entry:
-            yield place, entry["status"], entry["perceived"]
+        with located(f"{path}, line {number}", instead=True):
+            try:
+                entry = json_of(line, str(path)) if line.strip() else {}
+            except ModelError:
+                if number == len(lines):
+                    break  # torn: the writer was stopped before the newline that ends a line
+                raise
+            if not isinstance(entry, dict):
+                raise ModelError("a line that is not an object", fix="correct the line")
+            if names and entry.get("statuses", names) != names:
+                what = f"a recording with the statuses {entry['statuses']}"
+                raise ModelError(what, fix="choose the scenario that it was made with")
+            if "status" in entry and "perceived" in entry:
+                pair = column.number(entry["status"]), column.number(entry["perceived"])
+                counts[pair] += 1
+    return counts
 
 
 def _rates(text: str, names: Sequence[str], where: str) -> list[list[float]]:

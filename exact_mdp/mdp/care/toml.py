@@ -8,7 +8,7 @@ out is 0; any other number that is missing, or a name that is not known, is an e
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
@@ -27,31 +27,11 @@ from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.parameter import Parameter
 
 V = TypeVar("V")
-TABLES: Mapping[str, str] = {
-    "base": "STATUS = probability that it appears without assistance.",
-    "persistence": "STATUS = probability that it stays without assistance.",
-    "influence": "[influence.ROW] STATUS = what a present ROW adds to the probability of STATUS; "
-    "left out means 0.",
-    "assistance": "[assistance.ACTION.STATUS] persistence and onset of STATUS under ACTION; left "
-    "out means as without assistance.",
-    "skip": "[skip.STATUS] persistence when a subtask is skipped; or other, alone and with-other.",
-    "reward": "A weight for each status, trial, subtask-complete, subtask-skip, timestep and "
-    "task-complete; [reward.assist] one for each action.",
-}
-KEYS: Mapping[str, str] = {
-    "name": "Name of the scenario; that of the file unless given.",
-    "title": "What the scenario is, in one line.",
-    "source": "Where the numbers come from.",
-    "statuses": "Names of the statuses; each is present or absent.",
-    "actions": "Names of the actions.",
-    "tasks": "Number of subtasks of each task, in order.",
-    "max_trial": "Trials allowed in a subtask before it is skipped.",
-    "discount": "From 0 to 1; 1 unless given.",
-    "readings": "How open points of the paper's text are read.",
-    "status_weight": "STATUS = name of the weight that it is charged to; its own unless given.",
-    **TABLES,
-}
-"""Every key of a scenario file with its meaning: the one list of them, which the docs show."""
+TABLES = ("base", "persistence", "influence", "assistance", "skip", "reward")
+KEYS = (
+    *("name", "title", "source", "statuses", "actions", "tasks", "max_trial", "discount"),
+    *("readings", "status_weight", *TABLES),
+)
 
 
 def shipped() -> list[str]:
@@ -134,8 +114,7 @@ class Reader:
             if (key := f"skip.{status}.other") in flat:
                 options = [name for name in statuses if name != status]
                 others[status] = self.take(key, known, flat.pop(key), options, "other status")
-        names = [f"{table}.{status}" for table in ("base", "persistence") for status in statuses]
-        names += [f"influence.{r}.{c}" for r in statuses for c in statuses if r != c]
+        rewards = [*(weights[status] for status in statuses), *SHARED_WEIGHTS]
         grid = [
             f"assistance.{action}.{status}.{rule}"
             for action in actions
@@ -143,12 +122,14 @@ class Reader:
             for rule in ("persistence", "onset")
         ]
         assisted = {name.rpartition(".")[0] for name in flat}
-        names += [name for name in grid if name.rpartition(".")[0] in assisted]
-        for status in statuses:
-            rules = ("alone", "with-other") if status in others else ("persistence",)
-            names += [f"skip.{status}.{rule}" for rule in rules]
-        rewards = [*(weights[status] for status in statuses), *SHARED_WEIGHTS]
-        names += [f"reward.{name}" for name in (*rewards, *(f"assist.{a}" for a in actions))]
+        skips = {s: ("alone", "with-other") if s in others else ("persistence",) for s in statuses}
+        names = [
+            *(f"{table}.{status}" for table in ("base", "persistence") for status in statuses),
+            *(f"influence.{r}.{c}" for r in statuses for c in statuses if r != c),
+            *(name for name in grid if name.rpartition(".")[0] in assisted),
+            *(f"skip.{status}.{rule}" for status in statuses for rule in skips[status]),
+            *(f"reward.{name}" for name in (*rewards, *(f"assist.{a}" for a in actions))),
+        ]
         possible = {**dict.fromkeys(names), **dict.fromkeys(grid)}
         for name in flat:
             self.take(name, known, name, possible, "number")

@@ -9,7 +9,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
-from functools import reduce
 from itertools import pairwise, starmap
 from typing import Any
 
@@ -18,7 +17,7 @@ import numpy as np
 from exact_mdp.mdp.components import REST
 from exact_mdp.mdp.errors import ModelError, known
 from exact_mdp.mdp.forms.names import ByNumber
-from exact_mdp.mdp.forms.numbers import as_given, exact_sum
+from exact_mdp.mdp.forms.numbers import as_given
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import exact
@@ -118,7 +117,7 @@ def _earned(rewards: Mapping[str, Mapping[str, Any]], state: int, choice: int, b
     at, amounts = {"states": state, "choices": choice, "branches": branch}, dict[str, Any]()
     for name, values in rewards.items():
         some = [as_given(own[at[over]]) for over, own in values.items() if own[at[over]]]
-        amounts[name] = some[0] if len(some) == 1 else reduce(exact_sum, some, Fraction(0))
+        amounts[name] = some[0] if len(some) == 1 else sum(map(exact, some), Fraction(0))
     if len(amounts) < 2:
         return next(iter(amounts.values()), 0)
     if REWARD in amounts:  # of which the others are parts

@@ -148,7 +148,6 @@ def test_every_form_gives_the_same_counts_and_draws(care: MDP, tmp_path: Path) -
     table = np.zeros((16, 16), dtype=int)
     for s, z in pairs:
         table[int(s, 2), int(z, 2)] += 1
-    (tmp_path / "a.csv").write_text("true,perceived\n" + "".join(f"{s},{z}\n" for s, z in pairs))
     header = {"kind": "header", "statuses": list(NAMES)}
     talk = [{"kind": "step", "status": s, "perceived": z, "action": "none"} for s, z in pairs]
     lines = [json.dumps(entry) for entry in [header, *talk, {"kind": "end", "return": "3"}]]
@@ -156,7 +155,7 @@ def test_every_form_gives_the_same_counts_and_draws(care: MDP, tmp_path: Path) -
     labels = [{"status": int(s, 2), "perceived": int(z, 2)} for s, z in pairs]
     (tmp_path / "b.jsonl").write_text("\n".join(map(json.dumps, labels)))  # and no newline
     mean = evaluate(care, perceived(care, PLAN, frequencies(table))).mean
-    for name in ("a.csv", "a.jsonl", "b.jsonl"):
+    for name in ("a.jsonl", "b.jsonl"):
         assert evaluated(tmp_path / name)["mean"] == pytest.approx(mean, rel=1e-12)
         done = run("perception --policy plan.json --json", *MODEL, "--perception", tmp_path / name)
         assert done.result["counted"] == len(pairs)
@@ -165,9 +164,9 @@ def test_every_form_gives_the_same_counts_and_draws(care: MDP, tmp_path: Path) -
 
 
 def test_commands_name_the_file_that_labels_too_little(tmp_path: Path) -> None:
-    (tmp_path / "few.csv").write_text("true,perceived\n0000,0000\n")
-    seen = ("--perception", tmp_path / "few.csv")
+    (tmp_path / "few.jsonl").write_text('{"status": "0000", "perceived": "0000"}\n')
+    seen = ("--perception", tmp_path / "few.jsonl")
     for words in (("evaluate", "yuan2025", "random"), ("perception", "yuan2025")):
         said = run(*words, *seen).refusal()
-        assert f"where: {tmp_path / 'few.csv'}" in said
+        assert f"where: {tmp_path / 'few.jsonl'}" in said
         assert "labelled 0001, 0010, 0011, 0100 and others" in said
