@@ -36,14 +36,14 @@ BIN = 20  # epochs that a band of sampled values is drawn over
 def plot_return_distribution(distribution: ReturnDistribution, *, ax: Axes | None = None) -> Axes:
     """Draw the probability of each return, with the mean as a line."""
     ax = axes_or_new(ax)
-    values = np.array([float(value) for value in distribution.values])
-    thick = 5 if len(values) < 20 else 1.3
-    ax.vlines(values, 0, distribution.probabilities, color="0.45", linewidth=thick)
+    law = {float(value): p for value, p in distribution.as_dict().items() if np.isfinite(value)}
+    values, thick = [*law], 5 if len(law) < 20 else 1.3
+    ax.vlines(values, 0, [*law.values()], color="0.45", linewidth=thick)
     if len(values) == 1:
         ax.set_xlim(values[0] - 1, values[0] + 1)
     ax.set_ylim(bottom=0)
     title = f"mean {distribution.mean:.2f}, standard deviation {distribution.sd:.2f}"
-    if distribution.unending:
+    if distribution.never_ends:
         title = f"never ends, and is infinite, with probability {distribution.never_ends:.4g}"
     else:
         ax.axvline(distribution.mean, label="mean", **MEAN)

@@ -10,9 +10,10 @@ block, or back into its own. So a block is complete when its turn comes, and can
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Mapping
 from fractions import Fraction
 from itertools import accumulate
-from math import lcm
+from math import inf, lcm
 from operator import mul
 from typing import Any
 
@@ -41,22 +42,26 @@ Mass = tuple[Integers, Numbers, Numbers]  # states, multiples and masses (K,)
 class Flow:
     """The outcomes that an episode can meet, among states numbered by block, and what they carry.
 
-    All terminal states together are the end, a block of its own, the last; its number is that of
-    the states.
+    The ends are a block of their own, the last: all finite ones together, and those for a return of
+    -∞ and of ∞. Their numbers follow those of the states.
     """
 
-    def __init__(self, chain: PolicyChain, gain: Numbers, ends: Mask, *, exact: bool) -> None:
-        """Take a chain that ends, rewards (N,) as multiples of a unit, and the ends that count."""
+    def __init__(
+        self, chain: PolicyChain, gain: Numbers, lost: Mapping[float, Mask], *, exact: bool
+    ) -> None:
+        """Take a chain that ends, rewards (N,) as multiples of a unit, and infinite ends (S,)."""
         mdp = chain.mdp
         inside = chain.reached & ~mdp.terminal
         members = np.flatnonzero(inside)
         _, level = longest_ways(chain.graph[members][:, members].T.tocsr())
         order = np.argsort(level, kind="stable")
         place = np.full(mdp.n_states, len(members))
+        for number, sign in enumerate((-inf, inf), 1):
+            place[lost.get(sign, [])] += number
         place[members[order]] = np.arange(len(members))
-        used = np.flatnonzero(inside[chain.source] & (inside | ends)[chain.table.next])
+        used = np.flatnonzero(inside[chain.source])
         source, target = place[chain.source[used]], place[chain.table.next[used]]
-        self.block = np.append(level[order], level.max(initial=-1) + 1)  # of each state
+        self.block = np.append(level[order], [level.max(initial=-1) + 1] * 3)  # of each state
         self.last = int(self.block[-1])
         self.first = np.searchsorted(self.block, np.arange(self.last + 2))  # states of the blocks
         inner = self.block[source] == self.block[target]
@@ -71,7 +76,7 @@ class Flow:
         self.entering, self.chain = np.maximum.reduceat(entering, self.first[:-1]), chain
         self.start = defaultdict[int, Any](Fraction)
         for state, weight in mdp.start:
-            if weight and (inside[state] or ends[state]):
+            if weight:
                 self.start[int(place[state])] += weight
         self.total, shares = 1, chain.probability[used]
         if exact:
@@ -108,7 +113,7 @@ class Flow:
         return shares
 
     def carried(self) -> tuple[Numbers, Numbers, Any, int]:
-        """Return multiples and masses at the end, the mass that is not in them, its roundings."""
+        """Return multiples and masses at the ends, the mass that is not in them, its roundings."""
         waiting, roundings = defaultdict[int, list[Mass]](list), 0
         tolerance = REMAINING / max(int(self.cyclic.sum()), 1)  # left in each cyclic block
         for state, weight in self.start.items():
@@ -145,12 +150,18 @@ class Flow:
             for there in np.flatnonzero(np.bincount(leads)).tolist():
                 to, multiple, mass = (part[leads == there] for part in following)
                 waiting[there].append((to, multiple, mass))
-        if not waiting:
-            return self.gain[:0], self.share[:0], self.lost, roundings
-        _, multiples, masses = self._large(_summed(waiting[self.last]), 0.0)
+        end, multiples, masses = self._large(_summed(waiting[self.last]), 0.0)
         if masses.dtype == object:
             masses = np.array([Fraction(mass, self.total) for mass in masses.tolist()], object)
-        return multiples, masses, self.lost, roundings + int(self.entering[self.last]) + 10
+        finite, above = np.searchsorted(end, len(self.block) - np.array([2, 1]))
+        listed, chances = multiples[:finite], masses[:finite]
+        for sign, some in ((-inf, masses[finite:above]), (inf, masses[above:])):
+            if len(some):
+                place = 0 if sign < 0 else len(listed)
+                listed = np.insert(listed.astype(object), place, sign)
+                chances = np.insert(chances, place, some.sum())
+        roundings += int(self.entering[self.last]) + 10 + len(end) - int(finite)
+        return listed, chances, self.lost, roundings
 
     def _handed_on(self, moving: Mass, outcomes: Integers) -> Mass:
         """Return what becomes of a mass by some outcomes, in the order of their sources."""

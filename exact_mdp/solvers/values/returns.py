@@ -8,21 +8,21 @@ of every pair (state, reward so far) is carried along the policy's chain, from t
 state after state in an order in which no transition leads back. Only terms that are at least 0 are
 ever added, so every probability keeps a small *relative* error, however small it is. States that
 lead back to each other are swept until at most 10⁻¹² of the mass is left among them; what is left
-is reported. Runs that gain or lose for ever are an end of their own, of an infinite return
-(forward dynamic programming; for the distribution of the return see Sobel, Journal of
-Applied Probability 19, 1982, section 2, and Chung and Sobel, Discounted MDP's: distribution
-functions and exponential utility maximization, SIAM J. Control and Optimization 25, 1987).
+is reported. Runs that gain or lose for ever, or miss a goal, end with an infinite return (forward
+dynamic programming; for the distribution of the return see Sobel, Journal of Applied Probability
+19, 1982, section 2, and Chung and Sobel, Discounted MDP's: distribution functions and exponential
+utility maximization, SIAM J. Control and Optimization 25, 1987).
 """
 
 from __future__ import annotations
 
-from bisect import bisect_left
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from bisect import bisect_left, bisect_right
+from collections.abc import Mapping
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from itertools import accumulate
-from math import inf, lcm, nan, sqrt
+from math import isinf, lcm, sqrt
 from typing import Any, ClassVar
 
 import numpy as np
@@ -35,7 +35,7 @@ from exact_mdp.mdp.report import Report, Shown, Table, at_most, decimal
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, Numbers, exact, integers, multiply, shown
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
-from exact_mdp.solvers.solution import Bounded, Certified, Claim, in_float
+from exact_mdp.solvers.solution import Claim, in_float
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain, parted
 from exact_mdp.solvers.values.return_mass import Flow
@@ -51,7 +51,8 @@ class ReturnDistribution(Pictured):
     Attributes
     ----------
     multiples : (K,) ints
-        Returns, as multiples of `unit`.
+        Returns, as multiples of `unit`; inf or -inf for runs that gain or lose for ever, or miss a
+        goal. Runs that come to rest, where nothing is earned any more, have a return as any other.
     unit : Fraction
     probabilities : (K,)
     relative_error : float
@@ -61,9 +62,6 @@ class ReturnDistribution(Pictured):
         sweeps stopped, and parts below 10⁻²⁹⁰. 0 where all are listed.
     exact : tuple of Fraction, optional
         The probabilities as exact rationals, where these were asked for.
-    unending : {inf: Bounded or Certified, -inf: …}
-        The probabilities of runs that never end and whose return is infinite. Runs that come to
-        rest, where nothing is earned any more, have a return as any other.
 
     Examples
     --------
@@ -79,28 +77,31 @@ class ReturnDistribution(Pictured):
     relative_error: float
     remaining: float
     exact: tuple[Fraction, ...] | None = None
-    unending: Mapping[float, Bounded | Certified] = field(default_factory=dict)
 
     claim: ClassVar[Claim] = Claim.BOUNDED
-
-    @property
-    def never_ends(self) -> float:
-        """Probability of an infinite return: that a run never ends, nor comes to rest."""
-        return float(sum(each.value for each in self.unending.values()))
-
-    def _infinite(self, sign: float) -> float:
-        share = self.unending.get(sign)
-        return 0.0 if share is None else float(share.value)
 
     @property
     def error(self) -> Floats:
         """(K,) bounds on the errors of the probabilities."""
         return self.relative_error * self.probabilities + self.remaining + TINY
 
+    def _value(self, place: int) -> Fraction | float:
+        multiple: Any = self.multiples[place]
+        return multiple if isinstance(multiple, float) else self.unit * int(multiple)
+
     @cached_property
-    def values(self) -> tuple[Fraction, ...]:
-        """The returns as exact rationals."""
-        return tuple(self.unit * int(multiple) for multiple in self.multiples)
+    def values(self) -> tuple[Fraction | float, ...]:
+        """The returns as exact rationals, or infinite floats."""
+        return tuple(map(self._value, range(len(self.multiples))))
+
+    @cached_property
+    def _floats(self) -> Floats:
+        return np.array([in_float(value) for value in self.values])
+
+    @property
+    def never_ends(self) -> float:
+        """Probability of an infinite return: that a run never ends, nor comes to rest."""
+        return sum(p for value, p in self.as_dict().items() if isinf(value))
 
     @property
     def mean(self) -> float:
@@ -108,25 +109,25 @@ class ReturnDistribution(Pictured):
 
         Infinite where one is; NaN where some are +∞ and others -∞.
         """
-        return float(sum(self.unending)) if self.unending else self._moments[0]
+        with np.errstate(over="ignore", invalid="ignore"):
+            return float(self.probabilities @ self._floats)
 
     @property
     def sd(self) -> float:
         """Standard deviation of those listed; NaN where one is infinite."""
-        return nan if self.unending else self._moments[1]
+        with np.errstate(over="ignore", invalid="ignore"):
+            return sqrt(float(self.probabilities @ (self._floats - self.mean) ** 2))
 
     @cached_property
-    def _moments(self) -> tuple[float, float]:
-        values = np.array([in_float(value) for value in self.values])
-        with np.errstate(over="ignore", invalid="ignore"):
-            mean = float(self.probabilities @ values)
-            return mean, sqrt(float(self.probabilities @ (values - mean) ** 2))
+    def _sums(self) -> Any:
+        """The cdf at each return: exact where the probabilities are."""
+        return np.cumsum(self.probabilities) if self.exact is None else [*accumulate(self.exact)]
 
     def cdf(self, value: object) -> float:
         """Return the probability of a return of at most `value` (a number or "p/q")."""
         bound = exact(value, "return") / self.unit
-        count = np.searchsorted(self.multiples, bound.numerator // bound.denominator, side="right")
-        return float(self._cumulative[count - 1]) if count else self._infinite(-inf)
+        count = bisect_right(self.multiples, bound.numerator // bound.denominator)
+        return float(self._sums[count - 1]) if count else 0.0
 
     def quantile(self, share: float) -> Fraction | float:
         """Return the least return whose cdf is at least `share`; it may be infinite.
@@ -140,18 +141,11 @@ class ReturnDistribution(Pictured):
                 where="quantile",
                 fix="choose a probability from 0 to 1",
             )
-        least, wanted = self._endless.get(-inf, 0), Fraction(str(share))  # the decimal of a float
-        sums: Any = [*accumulate(self.exact or (), initial=least)][1:]
+        wanted = Fraction(str(share))  # the decimal of a float
         if self.exact is None:
             slack = (self.relative_error + self.remaining + len(self.multiples) * UNIT) * SLACK
-            sums, wanted = self._cumulative, wanted - Fraction(slack)
-        if -inf in self.unending and wanted <= least:
-            return -inf
-        index = bisect_left(sums, wanted)
-        last = len(self.multiples) - 1
-        if index > last and (inf in self.unending or last < 0):
-            return max(self.unending)
-        return self.unit * int(self.multiples[min(index, last)])
+            wanted -= Fraction(slack)
+        return self._value(min(bisect_left(self._sums, wanted), len(self.multiples) - 1))
 
     def tail_mean(self, share: object, *, highest: bool = False) -> Fraction | float:
         """Return the mean of the lowest share of the returns (CVaR), or of the highest.
@@ -181,49 +175,28 @@ class ReturnDistribution(Pictured):
         >>> str(law.tail_mean("3/4")), str(law.tail_mean(1))
         ('10/3', '5')
         """
-        law = self.as_dict() if self.exact is None else self._law(self.exact, self._endless)
         part = share_of(share)
         if part <= self.remaining:
             what = f"returns with a probability of up to {self.remaining:.2g} are not listed"
             fix = "choose a greater share, or a horizon, which ends cycles"
             raise ModelError(what, where="conditional value at risk", fix=fix)
-        mean: Fraction | float = tail_mean(law, part, highest=highest)
+        law = zip(self.values, self.exact or self.probabilities.tolist(), strict=True)
+        mean: Fraction | float = tail_mean(dict(law), part, highest=highest)
         return mean
-
-    @cached_property
-    def _cumulative(self) -> Floats:
-        return self._infinite(-inf) + np.cumsum(self.probabilities)
 
     def as_dict(self) -> dict[Fraction | float, float]:
         """Return {return: probability}, infinite returns included."""
-        return self._law(
-            self.probabilities.tolist(), {s: float(p) for s, p in self._endless.items()}
-        )
-
-    @property
-    def _endless(self) -> dict[float, Fraction | float]:
-        return {sign: each.value for sign, each in self.unending.items()}
-
-    def _law(
-        self, listed: Sequence[Any], endless: Mapping[float, Any]
-    ) -> dict[Fraction | float, Any]:
-        """Return what is said of every return, in rising order, infinite ones included."""
-        law: dict[Fraction | float, Any] = {s: said for s, said in endless.items() if s < 0}
-        law |= zip(self.values, listed, strict=True)
-        return law | {s: said for s, said in endless.items() if s > 0}
+        return dict(zip(self.values, self.probabilities.tolist(), strict=True))
 
     def frame(self) -> DataFrame:
         """Return the probability of every return, infinite ones included, and its error bound."""
-        law = self.as_dict()
-        endless = {s: float(getattr(each, "error", 0.0)) for s, each in self.unending.items()}
-        errors = self._law(self.error.tolist(), endless)
-        columns = {"probability": [*law.values()], "error": [*errors.values()]}
-        return data_frame(columns, index=[*law]).rename_axis("return")
+        columns = {"probability": self.probabilities, "error": self.error}
+        return data_frame(columns, index=[*self.values]).rename_axis("return")
 
     def report(self) -> Report:
         """Return the law of the return."""
         law = {decimal(value): chance for value, chance in self.as_dict().items()}
-        error = float(self.frame()["error"].max())
+        error = float(self.error.max())
         facts: dict[str, Any] = {
             "claim": Shown(self.claim),
             "mean": self.mean,
@@ -234,8 +207,7 @@ class ReturnDistribution(Pictured):
             "distribution": law,
         }
         if self.exact is not None:
-            exactly = self._law(self.exact, self._endless).items()
-            facts["exact_distribution"] = {decimal(value): chance for value, chance in exactly}
+            facts["exact_distribution"] = dict(zip(law, self.exact, strict=True))
         below = accumulate(law.values())
         rows = [
             {"return": value, "chance": chance, "sum": most}
@@ -246,11 +218,11 @@ class ReturnDistribution(Pictured):
         return Report(title="law of the return", facts=facts, tables={"distribution": table})
 
     def __repr__(self) -> str:
-        count = len(self.multiples) + len(self.unending)
+        endless = self.never_ends
         return (
-            f"ReturnDistribution({count} returns, mean {self.mean:.6g}, "
+            f"ReturnDistribution({len(self.multiples)} returns, mean {self.mean:.6g}, "
             f"sd {self.sd:.6g}, remaining {self.remaining:.1g}"
-            + (f", infinite with probability {self.never_ends:.6g})" if self.unending else ")")
+            + (f", infinite with probability {endless:.6g})" if endless else ")")
         )
 
 
@@ -327,10 +299,7 @@ def return_distribution(
         mdp = mdp.within(horizon)
     chain, lost = parted(PolicyChain.of(mdp, policy, kind=kind))
     gain, unit = _lattice(chain)
-    still = np.zeros(len(gain), dtype=np.int64)
-    ends = chain.mdp.terminal & ~sum(lost.values(), np.zeros(chain.mdp.n_states, dtype=bool))
-    multiples, masses, left, roundings = Flow(chain, gain, ends, exact=exact).carried()
-    flows = {sign: Flow(chain, still, each, exact=exact) for sign, each in lost.items()}
+    multiples, masses, left, roundings = Flow(chain, gain, lost, exact=exact).carried()
     shares = tuple(masses) if exact else None
     return ReturnDistribution(
         multiples=multiples,
@@ -339,18 +308,7 @@ def return_distribution(
         relative_error=UNIT if exact else float(gamma(roundings)) * SLACK,
         remaining=float(left) * SLACK,
         exact=shares,
-        unending={sign: _share(each) for sign, each in flows.items()},
     )
-
-
-def _share(flow: Flow) -> Bounded | Certified:
-    """Return the probability of the ends of a flow."""
-    _, masses, lost, roundings = flow.carried()
-    if masses.dtype == object:
-        return Certified(value=sum(masses, Fraction(0)))
-    value = float(masses.sum())
-    error = (float(gamma(roundings)) * value + float(lost)) * SLACK + TINY
-    return Bounded(value=value, error=error)
 
 
 def _lattice(chain: PolicyChain) -> tuple[Numbers, Fraction]:
