@@ -36,9 +36,10 @@ BIN = 20  # epochs that a band of sampled values is drawn over
 def plot_return_distribution(distribution: ReturnDistribution, *, ax: Axes | None = None) -> Axes:
     """Draw the probability of each return, with the mean as a line."""
     ax = axes_or_new(ax)
-    law = {float(value): p for value, p in distribution.as_dict().items() if np.isfinite(value)}
-    values, thick = [*law], 5 if len(law) < 20 else 1.3
-    ax.vlines(values, 0, [*law.values()], color="0.45", linewidth=thick)
+    values = np.array([float(value) for value in distribution.values])
+    finite = np.isfinite(values)
+    values, thick = values[finite], 5 if finite.sum() < 20 else 1.3
+    ax.vlines(values, 0, distribution.probabilities[finite], color="0.45", linewidth=thick)
     if len(values) == 1:
         ax.set_xlim(values[0] - 1, values[0] + 1)
     ax.set_ylim(bottom=0)
