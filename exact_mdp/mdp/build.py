@@ -31,7 +31,6 @@ from exact_mdp.mdp.forms.numbers import (
     dense,
     is_table,
     one_kind,
-    picked,
     whole_numbers,
 )
 from exact_mdp.mdp.forms.rows import meant
@@ -451,7 +450,7 @@ def _of_pairs(
         else:
             following, chance = np.broadcast_to(column, rows.shape)[positive], rows[positive]
     if not by_pair:
-        reward = picked(reward, np.repeat(np.arange(len(state)), np.diff(offsets)), following)
+        reward = reward[np.repeat(np.arange(len(state)), np.diff(offsets)), following]
     columns = state, action, offsets.astype(np.int64), following, chance, reward
     settings = {"by_pair": by_pair, "own": not sparse, "total": total}
     return _model(*columns, size, order, names, **settings)

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, ShapeError
-from exact_mdp.mdp.forms.numbers import array_of, grouped, picked
+from exact_mdp.mdp.forms.numbers import array_of, grouped
 from exact_mdp.mdp.forms.rows import NEXT
 from exact_mdp.mdp.table import (
     Floats,
@@ -154,7 +154,7 @@ def named_components(parts: dict[str, Any], table: OutcomeTable) -> dict[str, An
         if values.ndim == 1:
             top, bottom = grouped(np.array(values), np.arange(table.pairs + 1))
         else:
-            gain = grouped(picked(values, table.pair, table.next), table.offsets)
+            gain = grouped(np.asarray(values[table.pair, table.next]), table.offsets)
             top, bottom = table.earning(*gain).expected_gain_exact()
         if top.dtype == np.float64 and not np.isfinite(top).all():
             what = f"an amount is {top[~np.isfinite(top)][0]}"

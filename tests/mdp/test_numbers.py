@@ -120,7 +120,7 @@ def test_any_float_reward_and_any_wide_number_is_exact(values: list[float]) -> N
 def test_outcomes_that_come_twice_are_read_before_they_are_added_exactly(
     twice: tuple[float, float], once: float, total: F
 ) -> None:
-    """0.1 + 0.2 to one state is 3/10, among outcomes and in a sparse matrix; not of rewards."""
+    """0.1 + 0.2 to one state is 3/10, among outcomes and in a sparse matrix; SciPy adds rewards."""
     rows = [(0, 0, [*((p, 1, 0) for p in twice), (once, 0, 0)]), (1, 0, [(1, 1, 0)])]
     entries = ([*twice, once, 1.0], ([0, 0, 0, 1], [1, 1, 0, 1]))
     sparse = sp.coo_array(entries, shape=(2, 2))
@@ -132,7 +132,7 @@ def test_outcomes_that_come_twice_are_read_before_they_are_added_exactly(
         assert sum(p for p, t, _ in mdp.table.row(0) if t == 1) == total
         assert mdp.floats
     rewards = sp.coo_array(([0.1, 0.2], ([0, 0], [0, 0])), shape=(2, 1))
-    assert certify(MDP.from_arrays([EYE], rewards, 0)).value[0] == F(0.1) + F(0.2)
+    assert certify(MDP.from_arrays([EYE], rewards, 0)).value[0] == F(0.1 + 0.2)
     third = MDP.from_outcomes([(0, 0, [(F(1, 3), 0, 1), (0.25, 0, 1), (F(5, 12), 0, 1)])], 0)
     assert third.table.row(0) == [(F(1), 0, F(1))]
 

@@ -267,26 +267,9 @@ def joined(
     return offsets, columns[first], values, order[first]
 
 
-def picked(rewards: Any, row: Integers, column: Numbers) -> Any:
-    """Return the entries of a dense or sparse (L, S) array of rewards at some places."""
-    if not sp.issparse(rewards):
-        return np.asarray(rewards[row, column])
-    offsets, columns, values, _ = joined(rewards.indptr, rewards.indices, rewards.data)
-    places = np.arange(1, len(columns) + 1)
-    lookup = sp.csr_array((places, columns, offsets), shape=rewards.shape)
-    return np.append(values, values.dtype.type(0) if values.dtype != object else 0)[
-        np.asarray(lookup[row, column]) - 1
-    ]
-
-
 def dense(values: Any) -> Any:
     """Return a sparse array as a dense one; others as they are."""
-    if not sp.issparse(values):
-        return values
-    offsets, columns, entries, _ = joined(values.indptr, values.indices, values.data)
-    array = np.zeros(values.shape, dtype=entries.dtype)
-    array[np.repeat(np.arange(values.shape[0]), np.diff(offsets)), columns] = entries
-    return array
+    return values.toarray() if sp.issparse(values) else values
 
 
 def one_kind(values: Sequence[Any]) -> Numbers:
