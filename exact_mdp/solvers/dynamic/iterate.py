@@ -27,7 +27,7 @@ from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.forms.threads import block_ends, run_blocks
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.table import COMPILED, Floats, Integers
 from exact_mdp.mdp.validate import counted
 from exact_mdp.solvers.bounds import linear
 from exact_mdp.solvers.bounds.bounds import Bounds, evaluated, margin_weights, verify
@@ -36,9 +36,6 @@ from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain, swept
 from exact_mdp.solvers.solution import Solution, SolverError, Status, least, warn_of_precision
 
 RELATIVE_TOLERANCE = 1e-9
-# Transitions from which on compiled loops are worth the third of a second to load; so they are for
-# more states than elimination solves in milliseconds.
-LOOPS = 10_000
 CACHED = 1_000_000  # transitions, 12 MB: beyond a cache, rows are read faster side by side
 NEARLY_ONE = 1 - 1e-7  # a discount so near to 1 that values are too large to be solved for
 PRICE = 2000  # sweeps in whose time the equations of a policy are solved, where no band tells it
@@ -77,7 +74,7 @@ class Values:
         self.low = self.high = 0.0  # h + low · w ≤ V^π ≤ V* ≤ h + high · w, but for rounding
         self.best, self.idle, self.stable = np.inf, 0, False
         self.passes, self.level, self.relaxed = 0, 0.0, False
-        self.large = mdp.n_transitions >= LOOPS or mdp.n_states > linear.FEW
+        self.large = mdp.n_transitions >= COMPILED or mdp.n_states > linear.FEW
         self.slow = False  # whether sweeps of a policy take longer than its equations
         self.spent, self.price = 0.0, PRICE * mdp.n_transitions / mdp.n_pairs * mdp.n_states
         self._error, self._climbed, self._before = 0.0, 0.0, np.zeros(mdp.n_states)
