@@ -20,9 +20,8 @@ def read_array(path: str | Path, *, called: str) -> Numbers:
     Nothing is rounded. Raises ModelError where the file is no regular file or damaged, and for
     anything but real numbers.
     """
-    with opened(path, most=LARGEST) as file:
-        arrays = _arrays(file, str(path), alone=called)
-    with located(str(path)):
+    with opened(path, most=LARGEST) as file, located(str(path)):
+        arrays = _arrays(file, alone=called)
         if len(arrays) != 1 and called not in arrays:
             raise ModelError(
                 f"the archive holds {', '.join(arrays)[:200] or 'nothing'}",
@@ -37,12 +36,12 @@ def read_array(path: str | Path, *, called: str) -> Numbers:
 def read_arrays(source: str | Path | bytes) -> dict[str, Numbers]:
     """Return all arrays of an `.npz` file, or of its bytes, by name, as `read_array` does."""
     if isinstance(source, bytes):
-        return _arrays(io.BytesIO(source), "")
-    with opened(source, most=LARGEST) as file:
-        return _arrays(file, str(source))
+        return _arrays(io.BytesIO(source))
+    with opened(source, most=LARGEST) as file, located(str(source)):
+        return _arrays(file)
 
 
-def _arrays(file: BinaryIO, where: str, *, alone: str = "") -> dict[str, Numbers]:
+def _arrays(file: BinaryIO, *, alone: str = "") -> dict[str, Numbers]:
     """Return the arrays of an archive, each read whole, so that its checksum is compared.
 
     `alone` is the name of the array where the file is that one.
@@ -55,9 +54,7 @@ def _arrays(file: BinaryIO, where: str, *, alone: str = "") -> dict[str, Numbers
             claimed = sum(member.file_size for member in archive.infolist())
             if claimed > LARGEST:
                 raise ModelError(
-                    f"the archive claims to hold {claimed:,} bytes",
-                    where=where,
-                    fix="save it again",
+                    f"the archive claims to hold {claimed:,} bytes", fix="save it again"
                 )
             names = archive.namelist()
             return {name.removesuffix(".npy"): _array(archive.read(name)) for name in names}
@@ -66,7 +63,6 @@ def _arrays(file: BinaryIO, where: str, *, alone: str = "") -> dict[str, Numbers
     except Exception as error:  # NumPy, zipfile and zlib raise many kinds on damaged files
         raise ModelError(
             "not a readable NumPy array, or an archive of these: damaged, or with Python objects",
-            where=where,
             fix="save it again, numbers alone",
         ) from error
 

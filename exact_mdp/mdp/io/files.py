@@ -11,6 +11,8 @@ import stat
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout, suppress
+from functools import partial
+from itertools import islice
 from pathlib import Path
 from secrets import token_hex
 from typing import BinaryIO
@@ -18,6 +20,7 @@ from typing import BinaryIO
 from exact_mdp.mdp.errors import ModelError
 
 STANDARD_INPUT = "-"
+PIECE = 2**20
 SMALL = 2**24
 LARGE = 2**28
 LARGEST = 2**32
@@ -34,7 +37,11 @@ def opened(path: str | Path, *, most: int = LARGE) -> Iterator[BinaryIO]:
     A path of "-" is standard input.
     """
     if str(path) == STANDARD_INPUT:
-        yield io.BytesIO(_all_of(sys.stdin.buffer, path, most))
+        pieces = iter(partial(sys.stdin.buffer.read, PIECE), b"")
+        content = b"".join(islice(pieces, most // PIECE + 1))
+        if len(content) > most:
+            raise _too_large(path, most)
+        yield io.BytesIO(content)
         return
     if kind := _kind(path, "read"):  # looked at first: to open a pipe is to wait for its other end
         raise ModelError(
@@ -59,21 +66,10 @@ def _kind(path: str | Path, verb: str) -> str:
         raise _refused(path, verb, error) from error
 
 
-def _all_of(file: BinaryIO, path: str | Path, most: int) -> bytes:
-    pieces, left = list[bytes](), most
-    # Room is made for a whole piece, however little comes.
-    while left >= 0 and (piece := file.read(min(left + 1, LARGE))):
-        pieces.append(piece)
-        left -= len(piece)
-    if left < 0:
-        raise _too_large(path, most)
-    return b"".join(pieces)
-
-
 def read_bytes(path: str | Path, *, most: int = LARGE) -> bytes:
     """Return what a regular file of at most `most` bytes holds."""
     with opened(path, most=most) as file:
-        return _all_of(file, path, most)
+        return file.read()
 
 
 def read_text(path: str | Path, *, most: int = LARGE) -> str:

@@ -1,20 +1,12 @@
 """Exchange with model checkers: models as UMB, the unified Markov binary format (package umbi).
 
-A pair is a choice and an outcome a branch; probabilities are rationals if the model's are. What the
-format has no place for is written as an annotation of a separate group, `exact-mdp`, which other
-tools skip:
-
-    start        the initial distribution (the format itself has a set of initial states)
-
-Its description is the whole model as an archive of `mdp.io.npz`, compressed, in base 64, so nothing
-of a model is lost. If another program changed what the format does have, the file is refused. Files
-of other programs have no such description; the caller gives their discount, or it is 1 with a
-warning. For other tools
-
-    rewards/reward   is Σ_i p_i r_i for each choice, from which expected totals are the same,
-
-labels have underscores for other signs than letters and digits, and states where the process has
-ended have the label `terminal`. Storm, for example, then answers
+A pair is a choice and an outcome a branch; probabilities are rationals if the model's are. The
+reward model `reward` is Σ_i p_i r_i for each choice, from which expected totals are the same. Its
+description is the whole model as an archive of `mdp.io.npz`, compressed, in base 64, so nothing of
+a model is lost. If another program changed what the format does have, the file is refused. Files of
+other programs have no such description; the caller gives their discount, or it is 1 with a warning.
+In labels, signs other than letters and digits are underscores; states where the process has ended
+have the label `terminal`. Storm, for example, then answers
 
     R{"reward"}max=? [F "terminal"].
 
@@ -50,7 +42,7 @@ PACKED = {b"\x1f\x8b": gzip.decompress, b"BZh": bz2.decompress, b"\xfd7zXZ": lzm
 ANY_SIZE = 10**6
 """Numbers of states, choices, branches and actions that need no data in the file to be believed."""
 
-GROUP, CARRIER = "exact-mdp", "start"
+OURS = "exact-mdp model "  # how the description begins
 WRITTEN = (
     *("state_is_initial", "state_to_choices", "choice_to_branches", "branch_to_target"),
     *("branch_to_probability", "choice_to_choice_action", "choice_action_to_string", "annotations"),
@@ -96,19 +88,19 @@ def load(
     """
     with located(str(path)):
         umb, read = _read(path)
-        own = (umb.index.annotations or {}).get(GROUP, {}).get(CARRIER)
-        if own is None or not own.description:
+        own = (umb.index.annotations or {}).get("rewards", {}).get(REWARD)
+        if own is None or not (own.description or "").startswith(OURS):
             read |= {"reward": reward, "discount": discount, "start": start}
             return model_of(shown_text(str(path)), **read)
         known(reward or REWARD, (REWARD,), "reward model", "rewards")
-        mdp = _restored(umb, own.description)
+        mdp = _restored(umb, own.description.removeprefix(OURS))
         mdp = mdp if discount is None else mdp.with_(discount=discount)
         return mdp if start is None else mdp.with_(start=start)
 
 
 def _restored(umb: Any, packed: str) -> MDP:
     """Return a model that exact-mdp wrote, with everything that the format has no place for."""
-    with located(f"annotations/{GROUP}/{CARRIER}"):
+    with located("the description of the reward"):
         try:
             archive = zlib.decompress(base64.b64decode(packed, validate=True))
         except (ValueError, zlib.error) as error:
@@ -119,7 +111,7 @@ def _restored(umb: Any, packed: str) -> MDP:
             if getattr(umb, name) != getattr(written, name):
                 raise ModelError(
                     f"another program changed {name.replace('_', '-')}",
-                    fix=f"drop the annotations of group {GROUP}, which are no longer the model's",
+                    fix="drop the description of the reward, which is no longer the model's",
                 )
     return mdp
 
@@ -286,7 +278,7 @@ def _umb_of(model: MDP) -> Any:
                 num_branches=len(table.next),
                 branch_probability_type=kind,
             ),
-            annotations={"rewards": {}, "aps": {}, GROUP: {}},
+            annotations={"rewards": {}, "aps": {}},
         ),
         state_is_initial=[state in start for state in range(model.n_states)],
         state_to_choices=model.pair_offsets.tolist(),
@@ -295,7 +287,7 @@ def _umb_of(model: MDP) -> Any:
         branch_to_probability=chances,
         choice_to_choice_action=model.pair_action.tolist(),
         choice_action_to_string=list(model.actions),
-        annotations={"rewards": {}, "aps": {}, GROUP: {}},
+        annotations={"rewards": {}, "aps": {}},
     )
 
     def annotate(group: str, key: str, over: str, values: Any, **described: Any) -> None:
@@ -305,7 +297,7 @@ def _umb_of(model: MDP) -> Any:
             applies_to=[over], type=kind, **described
         )
 
-    annotate("rewards", REWARD, "choices", earned)
+    annotate("rewards", REWARD, "choices", earned, description=OURS + archive)
     annotate("aps", "terminal", "states", model.terminal.tolist())
     taken = {"terminal"}
     for number, (name, states) in enumerate(model.labels.items()):
@@ -314,8 +306,6 @@ def _umb_of(model: MDP) -> Any:
         word = f"{word}_{number}" if word in taken else word
         taken.add(word)
         annotate("aps", f"label-{number}", "states", states.tolist(), alias=word, description=name)
-    odds = [start.get(state, Fraction(0)) for state in range(model.n_states)]
-    annotate(GROUP, CARRIER, "states", odds, description=archive)
     return umb
 
 
