@@ -8,9 +8,8 @@ Mathematical Methods of Operations Research 74, 2011). `Budgeted` writes this in
 and what results is a model of a total reward. It has no cycles, and `Certificate` proves its values
 for all thresholds at once.
 
-A weight v of the mean asks for the most of (1 - v) CVaR + v E Z = (1 - v) (η + V_η / α), where V_η
-is the greatest λ E Z - E (η - Z)⁺, with λ = α v / (1 - v). Of equal values the greater mean is
-taken. All numbers are integers over one denominator for each state.
+Of equal values the greater mean is taken. All numbers are integers over one denominator for each
+state.
 """
 
 from __future__ import annotations
@@ -39,7 +38,6 @@ from exact_mdp.mdp.table import (
     Numbers,
     exact,
     integers,
-    multiply,
     ones,
     shown,
     spans,
@@ -57,39 +55,32 @@ RULES = 20  # rows of a policy with a memory that a table shows
 
 
 class Budgeted:
-    """The model of λ E Z - E (η - Z)⁺, whose states hold what is still wanted of the return.
+    """The model of -E (η - Z)⁺, whose states hold what is still wanted of the return.
 
     Rewards are multiples k of a unit, and returns from a state s lie between low(s) and high(s),
 
         low(s) = min over pairs l, outcomes (p, s', k) of l:  k + low(s').
 
-    From (s, w) an outcome leads to (s', w - k) and earns λ k. Where less than low(s') is wanted
-    there is no shortage, whatever is done: the budget is low(s'). Where more than high(s') is
-    wanted, the surplus is lacking whatever is done: it is paid at once, and the budget is high(s').
+    From (s, w) an outcome leads to (s', w - k). Where less than low(s') is wanted there is no
+    shortage, whatever is done: the budget is low(s'). Where more than high(s') is wanted, the
+    surplus is lacking whatever is done: it is paid at once, and the budget is high(s').
     """
 
-    def __init__(self, model: MDP, trade: Fraction) -> None:
-        """Take a model, and the weight λ of the mean."""
+    def __init__(self, model: MDP) -> None:
+        """Take a model."""
         mdp = model.maximised
-        if mdp.discount_exact != 1:
+        ends, level = mdp.terminal, topological_levels(mdp)
+        if mdp.discount_exact != 1 or level is None:
             raise ModelError(
-                f"the discount is {shown(mdp.discount_exact)}, and risks are found at discount 1",
+                "the mean of the worst episodes is found at discount 1, without cycles",
                 where=WHERE,
-                fix="choose discount 1",
+                fix="choose discount 1, and a horizon (--horizon N, mdp.within(N)), which has none",
             )
-        ends = mdp.terminal
         if mdp.goal is not None and (ends & ~mdp.goal).any():
             raise ModelError(
                 "episodes may end without the goal, at an infinite cost",
                 where=WHERE,
                 fix="state a model of rewards or costs, without a question of a goal",
-            )
-        level = topological_levels(mdp)
-        if level is None:
-            raise ModelError(
-                "states lead back to each other, so that returns have no end",
-                where=WHERE,
-                fix="give a horizon (--horizon N, mdp.within(N)), or a model without cycles",
             )
         table, pair = mdp.table, mdp.table.pair
         (weight, denominator), (gain, below) = table.integer_weights(), table.integer_gains()
@@ -109,7 +100,7 @@ class Budgeted:
             gain_denominator=ones(table.pairs),
             event=None,
         )
-        self.mdp, self.trade, self.unit = mdp, trade, Fraction(size, shared)
+        self.mdp, self.unit = mdp, Fraction(size, shared)
         # States that are not terminal, from the end on.
         self.order = [int(s) for s in np.argsort(level, kind="stable") if not ends[s]]
         self.low, self.high = low, high = np.zeros((2, mdp.n_states), dtype=object)
@@ -137,14 +128,13 @@ class Budgeted:
         return slice(int(self.table.offsets[pairs.start]), int(self.table.offsets[pairs.stop]))
 
     def after(self, state: int) -> tuple[Integers, Numbers]:
-        """Return (budgets, outcomes) the new states, and q times what is earned (λ = p / q)."""
-        here, top, below = self.outcomes(state), self.trade.numerator, self.trade.denominator
+        """Return (budgets, outcomes) the new states, and what is earned, which is never above 0."""
+        here = self.outcomes(state)
         to, gain = self.table.next[here], self.table.gain[here]
         shift = (self.low[state] - gain - self.low[to]).astype(np.int64)
         budget = np.arange(self.high[state] - self.low[state] + 1)[:, None] + shift
         within = np.clip(budget, 0, self.first[to + 1] - self.first[to] - 1)
-        lacking = multiply(np.maximum(budget - within, 0), integers([below]), terms=2)
-        return self.first[to] + within, multiply(gain, integers([top]), terms=2) - lacking
+        return self.first[to] + within, -np.maximum(budget - within, 0)
 
     def place(self, state: int, wanted: int) -> int:
         """Return the new state for a state and what is wanted."""
@@ -162,10 +152,9 @@ class Budgeted:
         return tuple((self.place(s, threshold), p) for s, p in self.mdp.start)
 
     def objective(self, values: Level, threshold: int, level: Fraction) -> Fraction:
-        """Return (1 - v) CVaR + v E Z of the best policy for a threshold."""
+        """Return the CVaR of the best policy for a threshold."""
         lacking = sum(p * max(threshold - int(self.high[s]), 0) for s, p in self.mdp.start)
-        best = values.mean(self.start(threshold)) - lacking
-        return (level * threshold + best) / (level + self.trade)
+        return threshold + (values.mean(self.start(threshold)) - lacking) / level
 
     def model(self, threshold: int) -> MDP:
         """Return the new model, with the start for a threshold."""
@@ -176,7 +165,7 @@ class Budgeted:
             "table": replace(
                 self.table.of_pairs(pairs).earning(
                     np.concatenate([earned.ravel() for _, earned in each]),
-                    np.repeat(integers([self.trade.denominator]), len(pairs)),
+                    ones(len(pairs)),
                 ),
                 next=np.concatenate([to.ravel() for to, _ in each]),
             ),
@@ -216,13 +205,9 @@ def _optimum(of: Budgeted) -> tuple[Integers, Level, Level]:
         new = slice(int(first[state]), int(first[state + 1]))
         value[new], mean[new] = most, means.max(axis=1)
         pairs[new] = own.start + means.argmax(axis=1)
-    group = np.repeat(np.arange(of.mdp.n_states), np.diff(first))
-    paid = [of.trade.denominator * each for each in below.tolist()]
-    return (
-        pairs,
-        Level(top=value.tolist(), below=paid, group=group),
-        Level(top=mean.tolist(), below=below.tolist(), group=group),
-    )
+    parts: dict[str, Any] = {"below": below.tolist()}
+    parts["group"] = np.repeat(np.arange(of.mdp.n_states), np.diff(first))
+    return pairs, Level(top=value.tolist(), **parts), Level(top=mean.tolist(), **parts)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -231,10 +216,10 @@ class CVaROptimum(Result):
 
     mdp: MDP
     level: Fraction
-    weight: Fraction  # of the mean
     value: Fraction
     mean: Fraction
     threshold: Fraction  # the return η of which the policy has the least expected shortage
+    budgeted: Budgeted
     pairs: Integers  # of `mdp`, taken in each state of `budgeted`
     values: Level  # of these, for rewards that are maximised
 
@@ -245,11 +230,6 @@ class CVaROptimum(Result):
             f"CVaROptimum(worst {shown(self.level)}: {float(self.value):.6g}, "
             f"mean {float(self.mean):.6g}; certified)"
         )
-
-    @cached_property
-    def budgeted(self) -> Budgeted:
-        """The model whose states hold what is still wanted of the return."""
-        return Budgeted(self.mdp, self.level * self.weight / (1 - self.weight))
 
     @property
     def _unit(self) -> Fraction:
@@ -314,21 +294,15 @@ class CVaROptimum(Result):
 
     def violations(self) -> list[str]:
         """Return what does not hold, in words: nothing where the policy is the best."""
-        if not (0 < self.level <= 1 and 0 <= self.weight < 1):
-            return ["the level or the weight of the mean is out of range"]
-        of = self.budgeted
-        value, mean, threshold = (z / self._unit for z in (self.value, self.mean, self.threshold))
-        if threshold not in of.thresholds:
-            return ["the threshold is no possible return"]
-        wrong = self.certificate.violations()
-        objective = {k: of.objective(self.values, k, self.level) for k in of.thresholds}
-        claimed = (1 - self.weight) * value + self.weight * mean
-        if not objective[int(threshold)] == claimed == max(objective.values()):
+        of, law = self.budgeted, self.distribution()
+        wrong, threshold = self.certificate.violations(), self.threshold / self._unit
+        each: dict[Any, Fraction]
+        each = {k: of.objective(self.values, k, self.level) for k in of.thresholds}
+        if not each.get(threshold) == max(each.values()) == self.value / self._unit:
             wrong.append("another threshold gives more")
-        returns = {z / self._unit: p for z, p in self.distribution().items()}
-        if tail_mean(returns, self.level) != value:
+        if tail_mean(law, self.level, highest=self.mdp.sense == "min") != self.value:
             wrong.append("the worst episodes of the policy have another mean")
-        if sum(z * p for z, p in returns.items()) != mean:
+        if sum(z * p for z, p in law.items()) != self.mean:
             wrong.append("the policy has another mean")
         return wrong
 
@@ -341,7 +315,6 @@ class CVaROptimum(Result):
             "value": Shown(self.value, Certified(value=self.value)),
             "level": Shown(self.level, f"the worst {self.level} of the episodes"),
             "mean": Shown(self.mean, Certified(value=self.mean)),
-            **({"weight_of_the_mean": self.weight} if self.weight else {}),
             "threshold": self.threshold,
             "distribution": Shown(self.distribution()),
             "policy": [
@@ -364,7 +337,7 @@ class CVaROptimum(Result):
         )
 
 
-def best_cvar(model: MDP | Scenario, level: object, *, weight: object = 0) -> CVaROptimum:
+def best_cvar(model: MDP | Scenario, level: object) -> CVaROptimum:
     """Return a policy with the greatest mean return of the worst episodes, exactly.
 
     In a model of costs, the least mean cost of the worst episodes. The policy remembers the reward
@@ -376,8 +349,6 @@ def best_cvar(model: MDP | Scenario, level: object, *, weight: object = 0) -> CV
         With discount 1 and without cycles: `mdp.within(n)` has none.
     level : number or "p/q"
         The share of the worst episodes, above 0; at 1 that is the mean of all.
-    weight : number or "p/q"
-        Of the mean, below 1: (1 - weight) CVaR + weight · mean is greatest.
 
     Returns
     -------
@@ -396,26 +367,19 @@ def best_cvar(model: MDP | Scenario, level: object, *, weight: object = 0) -> CV
     ('4', '4', '1')
     """
     mdp, share = mdp_of(model), share_of(level)
-    part = exact(weight, "weight of the mean")
-    if not 0 <= part < 1:
-        raise ModelError(
-            f"the weight of the mean is {shown(part)}",
-            where="weight of the mean",
-            fix="choose 0 or more, below 1",
-        )
-    of = Budgeted(mdp, share * part / (1 - part))
+    of = Budgeted(mdp)
     pairs, values, means = _optimum(of)
-    objective, mean, least = max(
+    value, mean, least = max(
         (of.objective(values, k, share), means.mean(of.start(k)), -k) for k in of.thresholds
     )
     unit = mdp.sign * of.unit
     return CVaROptimum(
         mdp=mdp,
         level=share,
-        weight=part,
-        value=unit * (objective - part * mean) / (1 - part),
+        value=unit * value,
         mean=unit * mean,
         threshold=unit * -least,
+        budgeted=of,
         pairs=pairs,
         values=values,
     )

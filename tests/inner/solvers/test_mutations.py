@@ -27,7 +27,7 @@ PROOFS: dict[str, Callable[[], Any]] = {
     "least average": lambda: certify(of(LOOP, sense="min"), criterion="average"),
     "the worst episodes": lambda: best_cvar(TIED, "1/2").certificate,
     "the worst episodes of costs": lambda: (
-        best_cvar(of(LOOP, sense="min").within(1), "1/3", weight="1/4").certificate
+        best_cvar(of(LOOP, sense="min").within(1), "1/3").certificate
     ),
     "bounds": lambda: certify(of(LOOP, discount="1/2"), bounded=True),
     "bounds of costs": lambda: certify(of(TIES, sense="min"), bounded=True),
