@@ -21,10 +21,9 @@ from exact_mdp.mdp.errors import (
     known,
     located,
     no_such,
-    suggest,
     words_of,
 )
-from exact_mdp.mdp.forms.names import Names, whole_of
+from exact_mdp.mdp.forms.names import Names
 
 Integers = NDArray[np.int64]
 TIME = "time"
@@ -77,26 +76,15 @@ class Column:
     def number(self, value: object) -> int:
         """Return the value that a text or a number is: see `mdp.forms.names`."""
         with located(f"column {self.name}"):
-            return self.parse(value) if isinstance(value, str) else self.lookup.number(value)
-
-    def parse(self, label: str) -> int:
-        """Return the value that prints as `label`; raises ModelError where there is none."""
-        text = label.strip()
-        if self.words:
-            value = self.lookup.words.get(label, self.lookup.words.get(text))
-            fix = suggest(text, self.words)
-        elif self.bits:
-            digits = len(text) == self.bits and set(text) <= {"0", "1"}
-            value = int(text, 2) if digits else None
-            fix = f"write {self.bits} digits, each 0 or 1, such as {self.label(0)}"
-        else:
-            value = whole_of(text)
-            value = value if value is not None and value < self.size else None
-            fix = f"write a whole number from 0 to {self.size - 1}"
-        if value is None:
-            where = f"column {self.name}"
-            raise ModelError(f"unknown {self.name} {label!r}", where=where, fix=fix)
-        return value
+            if not self.bits or not isinstance(value, str):
+                return self.lookup.number(value)
+            text = value.strip()
+            if len(text) != self.bits or not set(text) <= {"0", "1"}:
+                raise ModelError(
+                    f"unknown {self.name} {value!r}",
+                    fix=f"write {self.bits} digits, each 0 or 1, such as {self.label(0)}",
+                )
+            return int(text, 2)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -48,7 +48,7 @@ def test_numbers_columns_and_labels_agree(space: StateSpace, data: st.DataObject
     assert tuple(labels[space.regular :]) == space.extra
     for state in range(space.regular):
         parts = space.as_dict(state)
-        parsed = {name: space.column(name).parse(f" {label}\n") for name, label in parts.items()}
+        parsed = {name: space.column(name).number(f" {label}\n") for name, label in parts.items()}
         assert list(parts) == list(space.names)
         assert space.index(**parsed) == state
         assert space.index(**{name: n for name, n in parsed.items() if n}) == state

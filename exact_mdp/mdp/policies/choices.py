@@ -41,7 +41,7 @@ def of_mapping(model: MDP, entries: Mapping[Any, Any], kind: str = "auto") -> Pa
     default = getattr(entries, "default_factory", None)  # of a defaultdict, which is not changed
     if "status" in model.space.names and not any("status " in str(key) for key in entries):
         space = StateSpace(columns=(model.space.column("status"),))
-        keys = [space.columns[0].parse(str(label)) for label in entries]
+        keys = [space.columns[0].number(str(label)) for label in entries]
     else:
         timed = any(PRINTED_TIME.match(str(key)) for key in entries)
         space = model.space if timed else model.space.untimed or model.space
@@ -208,7 +208,7 @@ def _of_csv(model: MDP, text: str) -> Parts:
             if by_name:
                 key = space.number(_digits(entry[columns[0]]))
             else:
-                key = space.index(**{c.name: c.parse(entry[c.name]) for c in space.columns})
+                key = space.index(**{c.name: c.number(entry[c.name]) for c in space.columns})
             action = model.action_names.number(entry["action"])
             taken = chances.setdefault(key, {})
             if action in taken or (taken and "probability" not in header):
