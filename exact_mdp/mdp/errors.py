@@ -214,11 +214,9 @@ def check_names(
     r"""Raise ModelError for a name that is unsafe, too long, no text, or that of two things."""
     listed: list[Any] = list(names)
     for name in listed:
-        if not isinstance(name, str):
-            said = f"{what} {name!r:.{SHOWN}} is not a string"
-            raise ModelError(said, where=where, fix="give a string")
+        of_type(name, str, where, f"give the {what} a text as its name")
     if len(set(listed)) < len(listed):
-        twice = next(name for name, count in Counter(listed).items() if count > 1)
+        twice = Counter(listed).most_common(1)[0][0]
         said = f"two {what}s have the same name, {twice[:SHOWN]!r}"
         raise ModelError(said, where=where, fix="give each its own name")
     # One search through all of them: a million states may have a name each.

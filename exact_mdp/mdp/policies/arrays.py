@@ -140,7 +140,7 @@ def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
         raise no_distribution(array[wrong][0].tolist(), space.label(int(np.flatnonzero(wrong)[0])))
     alone = ((array == 1).sum(axis=1) == 1) & ((array == 0).sum(axis=1) == array.shape[1] - 1)
     mixed: Flags = counts & ~np.asarray(alone, dtype=bool)
-    if costs and not mixed.any():  # a cost of 1 is not the least
+    if kind == "auto" and costs and not mixed.any():  # a cost of 1 is not the least
         least = _greedy(array, offered, counts, names, costs=True)
         mixed = choosing & np.asarray(array[np.arange(len(array)), least] != 1, dtype=bool)
     if kind == "auto" and mixed.any():
@@ -149,7 +149,8 @@ def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
             where=f"policy, {space.label(int(np.flatnonzero(mixed)[0]))}",
             fix=SAY,
         )
-    lost = fits & ((array.astype(np.float64) == 0) & np.asarray(array != 0)).any(axis=1)
+    floats = np.where(fits[:, None], array, 0).astype(np.float64)
+    lost = fits & ((floats == 0) & np.asarray(array != 0)).any(axis=1)
     if (lost & counts).any():
         raise too_small(f"policy, {space.label(int(np.flatnonzero(lost & counts)[0]))}")
     table: Numbers = np.full(array.shape, np.nan, dtype=np.result_type(array, np.float64))

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import ArrayLike, NDArray
 
-from exact_mdp.mdp.errors import ModelError, check_names, located, no_such, of_type
+from exact_mdp.mdp.errors import ModelError, check_names, known, located, no_such, of_type
 from exact_mdp.mdp.forms.numbers import float_array
 from exact_mdp.mdp.io.arrays import read_array
 from exact_mdp.mdp.model import MDP
@@ -299,8 +299,8 @@ class Policy(ByFields, NDArrayOperatorsMixin):
 
     def _by_pair(self, model: MDP, rule: Numbers) -> tuple[Numbers, Integers]:
         """Return (L,) what a rule gives each pair, and (S,) how many actions each state takes."""
-        keys, known = rows_read(model, self.space), {n: k for k, n in enumerate(model.actions)}
-        columns = [known[name] if name in known else model.action(name) for name in self.actions]
+        keys, places = rows_read(model, self.space), {n: k for k, n in enumerate(model.actions)}
+        columns = [places[n] if n in places else model.action(n) for n in self.actions]
         if rule.ndim == 1:
             chosen = np.array([*columns, -1])[rule][keys]
             weights: Numbers = (model.pair_action == chosen[model.pair_state]).astype(np.float64)
@@ -365,10 +365,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         ('q', 'policy')
         """
         of_type(model, MDP, "model", MODEL)
-        if not isinstance(kind, str) or kind not in KINDS:
-            raise ModelError(
-                f"{kind!r} is not a kind of array", where="kind", fix=f"choose {', '.join(KINDS)}"
-            )
+        known(kind, KINDS, "kind of array", "kind")
         if callable(getattr(policy, "predict", None)):
             raise ModelError(
                 f"{type(policy).__name__} is an agent, not a policy",
@@ -405,9 +402,8 @@ class Policy(ByFields, NDArrayOperatorsMixin):
                 return cls(**reading.of_mapping(model, given, kind))
             if callable(given):
                 return cls(**reading.of_function(model, given, kind))
-            known = model.action_names.knows
             rows = given if isinstance(given, list | tuple) else ()
-            if any(isinstance(row, tuple) and known(row) for row in rows):
+            if any(isinstance(row, tuple) and model.action_names.knows(row) for row in rows):
                 raise ModelError(
                     "the list may be of actions, or of rows of numbers, which differ",
                     fix="give {state: action}, or np.array(rows)",
