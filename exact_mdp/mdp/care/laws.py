@@ -134,27 +134,19 @@ def excess(laws: Laws) -> str | None:
     Sums are compared exactly. No chance can be negative: every term lies in [0, 1].
     """
     rules, sums = laws.rules, laws.sums
-    over = np.array(sums > laws.one, dtype=bool)
-    if not over.any():
+    used = np.bincount(np.append(rules.step, rules.skip), minlength=len(sums))
+    over = np.flatnonzero(used * np.array(sums > laws.one, dtype=bool))
+    if not len(over):
         return None
-    count = int(over[rules.step].sum() + over[rules.skip].sum())
-    greatest = max(sums[over].tolist())
-    first = np.array(sums == greatest, dtype=bool)
-    where = rules.step if first[rules.step].any() else rules.skip
-    vector, *action, status = place = np.argwhere(first[where])[0].tolist()
-    word = f"under {rules.actions[action[0]]}" if action else "on a skip"
-    label = "".join(map(str, rules.bits[vector].tolist()))
+    greatest, first = max(zip(sums[over].tolist(), over.tolist(), strict=True))
     added = " + ".join(
         f"{rules.names[k]} {shown(laws.scenario.parameters[k].value)}"
-        for k in rules.terms[where[tuple(place)]].tolist()
+        for k in rules.terms[first].tolist()
         if k < len(rules.names)
     )
-    others = "; and so is 1 other" if count == 2 else f"; and so are {count - 1} others"
-    return (
-        f"a chance of {shown(Fraction(greatest, laws.one))} is cut off at 1: "
-        f"{rules.statuses[status]} in status {label} {word} is {added}"
-        f"{others if count > 1 else ''}"
-    )
+    more = int(used[over].sum()) - 1
+    others = f"; so are {more} others" if more else ""
+    return f"a chance of {shown(Fraction(greatest, laws.one))} is cut off at 1: {added}{others}"
 
 
 def warn_of_excess(laws: Laws, *, where: str = "", stacklevel: int = 2) -> None:

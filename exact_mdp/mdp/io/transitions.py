@@ -23,7 +23,7 @@ from __future__ import annotations
 import io
 import re
 from collections import Counter
-from collections.abc import Generator, Iterable, Iterator, Mapping
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from fractions import Fraction
 from itertools import islice
@@ -40,7 +40,7 @@ from exact_mdp.mdp.forms.numbers import grouped, has_floats, one_kind
 from exact_mdp.mdp.io.files import opened
 from exact_mdp.mdp.io.structured import csv_of
 from exact_mdp.mdp.space import Column, StateSpace
-from exact_mdp.mdp.table import EXACT_IN_INT64, MOST_DIGITS, Integers, OutcomeTable, exact
+from exact_mdp.mdp.table import EXACT_IN_INT64, Integers, OutcomeTable, exact
 from exact_mdp.mdp.validate import Flags, as_discount, as_start, check_options
 
 if TYPE_CHECKING:
@@ -58,6 +58,7 @@ NO_NAMES = frozenset(
 OVER, NOWHERE = -1, -2  # the next state of a row that has none: the end, or cut off
 ROWS = 2**13  # of a chunk, whose texts stay in the cache
 LARGEST_FILE = 2**40  # bytes: read in chunks, so that it guards against endless input alone
+NUMBER = re.compile(r"0|-?[1-9][0-9]{0,3999}")
 WHOLE = re.compile(r"(-?[0-9]+)\.0+")  # as pandas writes 1 in a column where a value is missing
 END, UNSEEN = "end", "unseen"
 UNAVAILABLE, PESSIMISTIC = "unavailable", "pessimistic"
@@ -305,10 +306,10 @@ class Record:
             ) from error
         known, numbers = self.numbers[what.removeprefix("next_")], list[int]()
         for code, value in enumerate(values):
-            name = _name(value) if named else value
-            if self._of_file and name == "":  # an empty field
+            if self._of_file and value == "":  # an empty field
                 numbers.append(-1)
                 continue
+            name: Any = str(_name(value))
             if not named:
                 try:
                     number = exact(value)
@@ -317,7 +318,7 @@ class Record:
                     self._refuse(codes == code, f"the reward is {value!r}", fix)
                 rounded = isinstance(value, float)
                 name = rounded, value if rounded else number
-            elif name in NO_NAMES or str(name).isspace():
+            elif name in NO_NAMES or name.isspace():
                 self._refuse(
                     codes == code,
                     f"the {what.replace('_', ' ')} is {name!r}, which programs write where there "
@@ -451,14 +452,7 @@ class Record:
         if unseen == UNAVAILABLE:
             return None
         if unseen != PESSIMISTIC:
-            try:
-                return exact(unseen)
-            except ModelError as error:
-                raise ModelError(
-                    f"actions that nobody took are {unseen!r}",
-                    where="unseen",
-                    fix=f"give {UNAVAILABLE!r}, {PESSIMISTIC!r}, or what they are worth",
-                ) from error
+            return exact(unseen, f"unseen, which may be {UNAVAILABLE!r} or {PESSIMISTIC!r}")
         if discount == 1:
             raise ModelError(
                 "no value is the worst at discount 1",
@@ -493,27 +487,22 @@ def _sums(keys: Integers, count: Integers) -> tuple[Integers, Integers]:
     return keys[first], np.add.reduceat(count, first)
 
 
-def _sorted(numbers: Mapping[Any, int]) -> tuple[Integers, tuple[str, ...]]:
+def _sorted(numbers: Mapping[str, int]) -> tuple[Integers, tuple[str, ...]]:
     """Return the place of each number, and the names in order: whole numbers by size."""
-    names = [str(name) for name in numbers]
-    whole = all(map(_is_whole, names))
-    order = sorted(range(len(names)), key=lambda n: (int(names[n]) if whole else 0, names[n]))
-    for name, count in Counter(names).items():
-        if count > 1:
-            what = f"{name!r} is both a number and a text"
-            raise ModelError(what, where="names", fix="use one kind of names")
-    return np.argsort(order), tuple(names[n] for n in order)
+    names = list(numbers)
+    keys: Sequence[Any] = _whole(names) or names
+    order = sorted(range(len(names)), key=keys.__getitem__)
+    return np.argsort(order), tuple(names[number] for number in order)
 
 
-def _is_whole(name: str) -> bool:
-    """Return whether a name is a whole number, of no more digits than Python converts."""
-    return name.removeprefix("-").isdecimal() and len(name) <= MOST_DIGITS
+def _whole(names: Sequence[str]) -> tuple[int, ...]:
+    """Return names as numbers where all of them are whole numbers as Python writes them."""
+    return tuple(map(int, names)) if all(map(NUMBER.fullmatch, names)) else ()
 
 
 def _column(names: tuple[str, ...]) -> Column:
     """Return the column of states by their names, which are numbers where all of them are whole."""
-    whole = [int(name) for name in names if _is_whole(name) and str(int(name)) == name]
-    if whole == [*range(len(names))]:
-        return Column(name="state", size=len(whole))
-    things = tuple(whole) if len(whole) == len(names) else ()
-    return Column(name="state", size=len(names), words=names, objects=things)
+    whole = _whole(names)
+    if whole == tuple(range(len(names))):
+        return Column(name="state", size=len(names))
+    return Column(name="state", size=len(names), words=names, objects=whole)

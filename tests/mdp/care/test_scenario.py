@@ -219,10 +219,10 @@ def test_the_default_reading_warns_of_nothing() -> None:
     assert messages(own.compile) == []
 
 
-def test_compiling_names_the_state_and_the_numbers() -> None:
+def test_compiling_names_the_numbers() -> None:
     (said,) = messages(small(**ADDITIVE).compile)
-    assert "a chance of 1.34 is cut off at 1: anger in status 1111 under none" in said
-    assert "persistence.anger 1 + influence.forgetfulness.anger 0.06" in said
+    assert "a chance of 1.34 is cut off at 1: persistence.anger 1 + influence" in said
+    assert "influence.forgetfulness.anger 0.06" in said
     assert "\n" not in said
 
 
