@@ -297,14 +297,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         return amounts
 
     def component(self, name: str) -> tuple[Numbers, Numbers]:
-        """Return integers (L,), (L,) whose ratio is the expected amount of a component, exactly.
-
-        Examples
-        --------
-        >>> mdp = MDP.from_arrays([[[1]]], [1], "1/2", components={"effort": ["-1/3"]})
-        >>> mdp.component_names, [int(part[0]) for part in mdp.component("effort")]
-        (('effort', 'rest'), [-1, 3])
-        """
+        """Return integers (L,), (L,) whose ratio is the expected amount of a component, exactly."""
         known(name, self.component_names, "component", "components")
         amount, denominator = self.table.expected_components_exact()
         return np.asarray(amount[:, self.component_names.index(name)]), denominator
@@ -352,12 +345,6 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         """Return a table (S, A) of numbers of pairs (L,), `missing` where there is no pair.
 
         Truth values are False there.
-
-        Examples
-        --------
-        >>> mdp = MDP.from_pairs([0, 0, 1], [0, 1, 1], [[0, 1]] * 3, [5, "1/2", 0])
-        >>> mdp.by_action(mdp.reward).tolist(), mdp.R.tolist()
-        ([[5.0, 0.5], [nan, 0.0]], [[5.0, 0.5], [-inf, 0.0]])
         """
         array = np.asarray(values)
         if array.shape != (self.n_pairs,):
@@ -417,25 +404,11 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         """Return the pairs of one state."""
         return range(int(self.pair_offsets[state]), int(self.pair_offsets[state + 1]))
 
-    def pair(self, state: object, action: object = ...) -> int:
+    def pair(self, state: object, action: object) -> int:
         """Return the number of a pair; `mdp.forms.names` says how state and action are given.
 
-        A tuple of both will do, unless it is a state.
-
-        Raises ModelError for what is neither, and where the state lacks the action.
-
-        Examples
-        --------
-        >>> mdp = MDP.from_arrays({"rest": {"go": {"work": 1}}, "work": {}}, {"rest": 5, "work": 0})
-        >>> mdp.pair("rest", "go"), mdp.pair(("rest", "go")), mdp.pair(0, 0)
-        (0, 0, 0)
+        Raises ModelError where the state lacks the action.
         """
-        if action is ...:
-            if not isinstance(state, tuple) or len(state) != 2 or self.space.lookup.holds(state):
-                raise ModelError(
-                    f"{state!r} is not a state and an action", where="pair", fix="give both"
-                )
-            state, action = state
         with located("states"):
             place = self.space.number(state)
         number = self.action(action)
@@ -540,18 +513,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         return 1 if self.sense == "max" else -1
 
     def negated(self) -> MDP:
-        """Return the model of the other sense, every reward times -1: the same policies are best.
-
-        Returns
-        -------
-        MDP
-
-        Examples
-        --------
-        >>> costs = MDP.from_arrays([[[0, 1], [0, 1]]], ["3/2", 0], sense="min")
-        >>> costs.negated().sense, costs.negated().reward.tolist()
-        ('max', [-1.5, 0.0])
-        """
+        """Return the model of the other sense, whose rewards are those times -1."""
         return replace(
             self,
             table=self.table.negated(),

@@ -143,7 +143,6 @@ def test_what_has_one_meaning_is_taken() -> None:
     assert breaks.breakpoints("p") == (F(1, 4), F(1, 2))
     assert THREE.with_(labels={"goal": [2, 0]}).labels["goal"].tolist() == [True, False, True]
     assert check("yuan2025", "optimal").value == check(Scenario.load("yuan2025"), "optimal").value
-    assert MODEL.pair(("a", "fast")) == 1
     assert MODEL.with_(states=["x", "y"]).space.label(1) == "state y"
     assert rows(MDP.from_arrays({"slow": pd.DataFrame([[0.5, 0.5], [0, 1]])}, [1, 0], "9/10")) == [
         rows(MDP.from_arrays([SLOW], [1, 0]))[k] for k in range(2)
