@@ -1,10 +1,10 @@
 """The total reward at discount 1 where some policy never ends: where it is infinite, and the rest.
 
-End components decide, each by the signs of its rewards: with gains alone it is worth +∞ wherever
-it can be reached without a risk of -∞; with losses alone it is never worth staying in, but where
-pairs that earn nothing can be used for ever. Where gains and losses meet, exact levels say what the
-value is (`exact.find`). With a goal nothing else can be stayed in: a run that never arrives is
-worth +∞ or -∞, and where that is -∞, costs may fall without end before it.
+End components decide, each by the sign of its best mean reward g: positive is worth +∞ wherever it
+can be reached without a risk of -∞; negative is never worth staying in; where g = 0 and no reward
+is positive, the pairs that earn nothing can be used for ever. In any other model exact levels say
+what the value is (`exact.find`). With a goal nothing else can be stayed in: a run that never
+arrives is worth +∞ or -∞, and where that is -∞, costs may fall without end before it.
 
 For finite values, parts that can be stayed in for nothing are merged, and pairs that lose clearly
 in circles are left out (`quotient`), so that every policy ends. That these are none the better is
@@ -29,10 +29,10 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.gains import SLACK, gains
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
-from exact_mdp.solvers.endless.average import AverageSolution
+from exact_mdp.solvers.endless.average import AverageSolution, solve_average
 from exact_mdp.solvers.endless.graph import Graph
 from exact_mdp.solvers.endless.quotient import Derived, derived, first_of, toward
-from exact_mdp.solvers.exact.find import expansion, no_falling, one_sign, reaching
+from exact_mdp.solvers.exact.find import best_average, expansion, no_falling, one_sign, reaching
 from exact_mdp.solvers.solution import Solution, SolverError, Status
 
 
@@ -129,9 +129,9 @@ class Structure:
         self.sign = np.where(graph.distance(label >= 0, every) >= 0, 1, 0)
         self.rest = np.full(mdp.n_states, -1)  # (S,) the number of each state's rest, or -1
         self.inside = ~every  # (L,) the pairs with which one moves inside a rest
-        # (S,) where +∞ is earned, or a goal is missed if that is worth +∞; (L,) the pairs for it
-        self.above, self.paying = label >= 0, self.within
-        self.decided = True  # whether signs say all
+        # The components where +∞ is earned, or a goal is missed if that is worth +∞.
+        self.core = np.arange(count)
+        self.decided = True  # False where signs do not say all
         if _missing_pays(mdp):
             return
         rewards, owner = np.sign(mdp.table.expected_gain_exact()[0]), label[mdp.pair_state]
@@ -144,10 +144,9 @@ class Structure:
 
         gain = any_of(self.within & (rewards > 0), owner)
         loss = any_of(self.within & (rewards < 0), owner)
-        self.decided = not (gain & loss).any()
-        if not self.decided:
-            return
         best = np.where(gain, 1, np.where(any_of(quiet >= 0, label), 0, -1))
+        both = np.flatnonzero(gain & loss)
+        best[both] = self._signs(both)
         value_sign = np.append(best, -1)[label]  # the sign of each state's component
         safe = graph.rounds(ends | (value_sign >= 0) if goal is None else ends, every) == 0
         win = safe & (graph.distance((value_sign > 0) & safe, graph.every(safe)) >= 0)
@@ -155,11 +154,11 @@ class Structure:
             no_falling(mdp, win)
         sign = self.sign = np.where(win, 1, np.where(safe, 0, -1))
         lost = goal is None and (graph.distance(value_sign > 0, every) >= 0) & ~win
-        self.decided = not np.any(lost)  # else +∞ and -∞ are at hand together
+        cancels = np.isin(label, both[best[both] == 0]) & (sign == 0)
+        self.decided = not (np.any(lost) or cancels.any())  # +∞ and -∞ together, or rewards cancel
         self.rest = np.where(sign == 0, quiet, -1)
         self.inside = still & (sign == 0)[mdp.pair_state] & graph.every(sign == 0)
-        self.above = win & (value_sign > 0)
-        self.paying = self.within & (rewards > 0)
+        self.core = np.unique(label[win & (value_sign > 0)])
 
     def finite(self) -> Derived:
         """Return the model of the finite values, in which the value of a state is its label's.
@@ -194,16 +193,45 @@ class Structure:
         pairs[mdp.pair_state[ways]] = ways
         target[mdp.pair_state[ways]] = True
         toward(graph, target, self.inside, pairs)
-        if self.above.any():
-            going_on = self.within & self.above[mdp.pair_state]
-            paying = self.paying & going_on
-            first_of(graph, paying, pairs)
-            toward(graph, graph.having(paying), going_on, pairs)
+        if len(self.core):
+            above = np.isin(self.label, self.core)
+            if _missing_pays(mdp):
+                first_of(graph, graph.every(above) & above[mdp.pair_state], pairs)
+            else:
+                own = self._among(self.core)
+                best = _nearly(own)
+                sure = best is not None and bool((best.value > best.error)[:-1].all())
+                earning = best.pairs if best is not None and sure else best_average(own.mdp)[0]
+                pairs[above] = own.source[earning[:-1]]
             safe = graph.every(self.sign >= 0) & (self.sign > 0)[mdp.pair_state]
-            toward(graph, self.above, safe, pairs)
+            toward(graph, above, safe, pairs)
         return pairs
+
+    def _among(self, numbers: Integers) -> Derived:
+        """Return some end components as a model, whose end is far."""
+        chosen = np.isin(self.label, numbers)
+        names = np.where(chosen, np.cumsum(chosen) - 1, -1)
+        pairs = np.flatnonzero(self.within & chosen[self.mdp.pair_state])
+        return derived(self.mdp, pairs, names)
+
+    def _signs(self, numbers: Integers) -> Integers:
+        """Return the signs of the best mean rewards of components (C,), 0 where floats cannot."""
+        signs = np.zeros(len(numbers), dtype=np.int64)
+        if len(numbers) and (best := _nearly(self._among(numbers))) is not None:
+            own = self.label[np.isin(self.label, numbers)]  # all of a component earn alike
+            above, below = (best.value > best.error)[:-1], (best.value < -best.error)[:-1]
+            signs[np.searchsorted(numbers, own)] = above.astype(np.int64) - below
+        return signs
 
 
 def _missing_pays(mdp: MDP) -> bool:
     """Return whether a run that misses a goal is worth +∞."""
     return mdp.goal is not None and mdp.unreached == inf
+
+
+def _nearly(own: Derived) -> Solution | None:
+    """Return the best average reward in floats; None where these do not bound it."""
+    try:
+        return solve_average(own.mdp, PolicyIteration())
+    except SolverError:
+        return None
