@@ -94,7 +94,7 @@ def test_files_made_elsewhere_are_no_way_around_the_rule(tmp_path: Path) -> None
     with np.load(tmp_path / "m.npz") as archive:
         arrays = {name: archive[name] for name in archive.files}
     header = json.loads(arrays["header"].tobytes())
-    spoiled = {"name": "\u202e", "action_names": ["\x1b[2J", "1"], "events": ["\ud800"]}
+    spoiled = {"name": "\u202e", "actions": ["\x1b[2J", "1"], "events": ["\ud800"]}
     for key, value in spoiled.items():
         text = json.dumps(header | {key: value}).encode()
         np.savez(tmp_path / "bad.npz", **{**arrays, "header": np.frombuffer(text, np.uint8)})

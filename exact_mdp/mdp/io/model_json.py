@@ -28,11 +28,10 @@ parameters, events, and how often pairs were observed.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
-from functools import lru_cache, partial
-from itertools import chain, pairwise, starmap
-from math import inf
+from functools import lru_cache
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -54,14 +53,33 @@ from exact_mdp.mdp.io.structured import (
 )
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Numbers, OutcomeTable, integers, magnitude, over_groups
+from exact_mdp.mdp.table import Numbers, OutcomeTable, common, integers, magnitude, over_groups
 
 FORMAT, VERSION = "exact-mdp model", 2
-KIND = FORMAT, VERSION
-MOST = 100_000  # actions without names
 FLOATS = ("float_probabilities", "float_rewards")
-SAME = ("name", "sense", "unreached", *FLOATS)
-HEAD: dict[str, Any] = {
+
+
+def positive(given: Any) -> int:
+    """Read an integer above 0."""
+    value = given if type(given) is int else number(given)
+    positive = value > 0 and value.denominator == 1
+    return value.numerator if positive else refuse(given, "a positive integer")
+
+
+def rewards(given: Any) -> Fraction | tuple[Fraction, ...]:
+    """Read one reward, or one for each next state."""
+    return shaped(given, [number]) if isinstance(given, list) else number(given)
+
+
+PAIR = {
+    "state": natural,
+    "action": natural,
+    "reward": rewards,
+    "denominator": positive,
+    "next": [natural],
+    "weight": [positive],
+}
+HEAD = {
     "name": str,
     "states": natural,
     "discount": number,
@@ -71,127 +89,62 @@ HEAD: dict[str, Any] = {
     "goal": optional([natural]),
     "unreached": unreached,
     "labels": {str: [natural]},
+    "components": {str: [number]},
     "action_names": optional([str]),
+    "state_names": optional([str]),
+    "pairs": [PAIR],
 }
-"""What files of models say of them beside the rows."""
-
-
-def whole(given: Any, least: float = -inf) -> int:
-    """Read an integer, be it a number or a text."""
-    value = given if type(given) is int else number(given)
-    fits = value >= least and value.denominator == 1
-    return value.numerator if fits else refuse(given, f"an integer of {least} or more")
-
-
-PAIR = {
-    "state": natural,
-    "action": natural,
-    "reward": lambda given: shaped(given, [number] if isinstance(given, list) else number),
-    "denominator": partial(whole, least=1),
-    "next": [natural],
-    "weight": [partial(whole, least=1)],
-}
-MORE = {"components": {str: [number]}, "state_names": optional([str]), "pairs": [PAIR]}
 OTHERWISE: dict[str, Any] = {"name": "", "unreached": "inf", "labels": {}, "components": {}}
 OTHERWISE |= dict.fromkeys(FLOATS, False)
 """What stands for a key that a file of another program leaves out."""
 
 
-def head_of(mdp: MDP) -> dict[str, Any]:
-    """Return what a file says of a model beside its rows."""
-    head: dict[str, Any] = ready(
-        {
-            "format": FORMAT,
-            "version": VERSION,
-            "states": mdp.n_states,
-            "discount": mdp.discount_exact,
-            **{name: getattr(mdp, name) for name in SAME},
-            "unreached": str(mdp.unreached),
-            "start": {str(state): share for state, share in mdp.start if share},
-            "goal": None if mdp.goal is None else np.flatnonzero(mdp.goal).tolist(),
-            "labels": {name: np.flatnonzero(each).tolist() for name, each in mdp.labels.items()},
-            "action_names": mdp.actions,
-        }
-    )
-    return head
-
-
-def read_head(given: Any, more: dict[str, Any]) -> dict[str, Any]:
-    """Return the head of a model's file, and the keys that the format has `more`."""
-    if not isinstance(given, dict) or (given.get("format"), given.get("version")) != KIND:
-        raise ModelError(
-            f"the file is no {FORMAT} of version {VERSION}",
-            fix="give a file that exact-mdp convert IN OUT wrote; in "
-            "verify CERTIFICATE MODEL the certificate comes first",
-        )
-    read: dict[str, Any] = shaped(OTHERWISE | given, HEAD | more)
-    return read
-
-
-def parts_of(head: Mapping[str, Any], pairs: int) -> dict[str, Any]:
-    """Return the parts of a model of so many pairs that the head of its file states."""
-    states, goal = head["states"], head["goal"]
-    if not 1 <= states <= pairs:
-        raise ModelError(f"{states} states and {pairs} pairs", fix="give each state a pair")
-
-    def flags(name: str, listed: Sequence[int]) -> Numbers:
-        if max(listed, default=0) >= states:
-            with located(name):
-                refuse(listed, f"a list of states below {states}")
-        return np.isin(np.arange(states), listed)
-
-    with located("start"):
-        start = tuple((whole(state, 0), share) for state, share in head["start"].items())
-    return {
-        "start": start,
-        "goal": None if goal is None else flags("goal", goal),
-        "labels": {name: flags(name, listed) for name, listed in head["labels"].items()},
-        **{name: head[name] for name in SAME},
-    }
-
-
 def content(mdp: MDP) -> dict[str, Any]:
     """Return what the file of a model contains."""
-    table = mdp.table
+    table, offsets = mdp.table, mdp.table.offsets
     (weight, below), (gain, under) = table.integer_weights(), table.integer_gains()
-    joint = len(gain) != table.pairs
-    under = np.repeat(under, np.diff(table.offsets)) if joint else under
-    reward, following = list(map(_ratio, gain.tolist(), under.tolist())), table.next.tolist()
-    weights, denominators = _integers(weight), _integers(below)
-    state, action = mdp.pair_state.tolist(), mdp.pair_action.tolist()
-    pairs = [
-        {
-            "state": state[pair],
-            "action": action[pair],
-            "reward": _alike(reward[first:last]) if joint else reward[pair],
-            "denominator": denominators[pair],
-            "next": following[first:last],
-            "weight": weights[first:last],
-        }
-        for pair, (first, last) in enumerate(pairwise(table.offsets.tolist()))
-    ]
-    space, parts = mdp.space, mdp.component_names if table.components is not None else ()
-    one = space.names == ("state",)
+    rows = list(map(slice, offsets[:-1].tolist(), offsets[1:].tolist()))
+    following, weights = (
+        map(each.__getitem__, rows) for each in (table.next.tolist(), _integers(weight))
+    )
+    if len(gain) == table.pairs:
+        rewards = list(map(_ratio, gain.tolist(), under.tolist()))
+    else:
+        each = list(map(_ratio, gain.tolist(), np.repeat(under, np.diff(offsets)).tolist()))
+        of_pairs = map(each.__getitem__, rows)
+        rewards = [own if len({*own}) > 1 else own[0] for own in of_pairs]
+    states, actions = mdp.pair_state.tolist(), mdp.pair_action.tolist()
+    columns = states, actions, rewards, _integers(below), following, weights
+    named, one = mdp.space != StateSpace.plain(mdp.n_states), mdp.space.names == ("state",)
     words = [
-        space.columns[0].label(state) if one and state < space.regular else label
-        for state, label in enumerate(space.labels(range(space.size)))
+        mdp.space.columns[0].label(state) if one and state < mdp.space.regular else label
+        for state, label in enumerate(mdp.space.labels(range(mdp.n_states)))
     ]
-    return head_of(mdp) | {
-        "components": {
-            name: [*map(_ratio, *(each.tolist() for each in mdp.component(name)))] for name in parts
-        },
-        "state_names": words if space != StateSpace.plain(space.size) else None,
-        "pairs": pairs,
+    several = mdp.component_names if table.components is not None else ()
+    parts = {name: (each.tolist() for each in mdp.component(name)) for name in several}
+    head = {
+        "format": FORMAT,
+        "version": VERSION,
+        "name": mdp.name,
+        "states": mdp.n_states,
+        "discount": mdp.discount_exact,
+        "sense": mdp.sense,
+        **{name: getattr(mdp, name) for name in FLOATS},
+        "start": {str(state): share for state, share in mdp.start if share},
+        "goal": None if mdp.goal is None else np.flatnonzero(mdp.goal).tolist(),
+        "unreached": str(mdp.unreached),
+        "labels": {name: np.flatnonzero(each).tolist() for name, each in mdp.labels.items()},
+        "components": {name: [*map(_ratio, *each)] for name, each in parts.items()},
+        "action_names": mdp.actions,
+        "state_names": words if named else None,
     }
+    pairs = [dict(zip(PAIR, pair, strict=True)) for pair in zip(*columns, strict=True)]
+    return {**ready(head), "pairs": pairs}
 
 
 def _integers(array: Numbers) -> list[int | str]:
     numbers = array.tolist()
     return numbers if magnitude(array) < 2**53 else list(map(integer, numbers))
-
-
-def _alike(rewards: list[Any]) -> Any:
-    return rewards if len({*rewards}) > 1 else rewards[0]
 
 
 @lru_cache
@@ -210,47 +163,76 @@ def save(mdp: MDP, path: str | Path) -> None:
 def load(path: str | Path) -> MDP:
     """Read a model; raises ModelError for a file that is damaged, or no valid model."""
     with located(str(path)):
-        head = read_head(json_of(read_text(path, most=LARGEST), str(path)), MORE)
-        pairs, names, components = head["pairs"], head["action_names"], head["components"]
-        parts = parts_of(head, len(pairs))
-        rows = list(starmap(_row, enumerate(pairs)))
+        given = json_of(read_text(path, most=LARGEST), str(path))
+        kind = (given.get("format"), given.get("version")) if isinstance(given, dict) else None
+        if kind != (FORMAT, VERSION):
+            raise ModelError(
+                f"the file is no {FORMAT} of version {VERSION}",
+                fix="give a file that exact-mdp convert IN model.json wrote; in "
+                "verify CERTIFICATE MODEL the certificate comes first",
+            )
+        head = shaped(OTHERWISE | given, HEAD)
+        rows = [_row(number, **pair) for number, pair in enumerate(head["pairs"])]
+        states, count = head["states"], len(rows)
+        if not 1 <= states <= count:
+            raise ModelError(f"{states} states and {count} pairs", fix="give each state a pair")
         state, action, reward, below, following, weight = map(list, zip(*rows, strict=True))
-        offsets, each = np.cumsum([0, *map(len, weight)]), np.arange(len(pairs) + 1)
-        joint = any(isinstance(pair["reward"], tuple) for pair in pairs)
-        gain, under = over_groups(
-            [*chain(*reward)] if joint else [own[0] for own in reward], offsets if joint else each
-        )
+        ends = np.concatenate([[0], np.cumsum([len(each) for each in weight])])
+        groups = np.arange(count + 1)
+        if any(isinstance(each, tuple) for each in reward):
+            each_own = zip(reward, weight, strict=True)
+            reward = [*chain(*(x if isinstance(x, tuple) else [x] * len(w) for x, w in each_own))]
+            groups = ends
+        gain, under = over_groups(reward, groups)
         table = OutcomeTable(
-            offsets=offsets,
+            offsets=ends,
             next=np.array([*chain(*following)], dtype=np.int64),
             weight=integers(chain(*weight)),
             denominator=integers(below),
             gain=gain,
             gain_denominator=under,
         )
-        for name, amounts in components.items():
-            if len(amounts) != len(pairs):
-                refuse(amounts, f"a list of {len(pairs)} numbers, the component {name}")
-        if components:
-            table = made_of(table, [over_groups(own, each) for own in components.values()])
+        parts, names = head["components"], head["action_names"]
+        if parts:
+            table = made_of(table, [_component(name, parts[name], count) for name in parts])
+        flags = {name: _flags(name, each, states) for name, each in head["labels"].items()}
         return MDP(
             table,
             np.array(state, dtype=np.int64),
             np.array(action, dtype=np.int64),
-            space=StateSpace.plain(head["states"], head["state_names"] or ()),
-            actions=tuple(map(str, range(min(max(action), MOST) + 1))) if names is None else names,
+            space=StateSpace.plain(states, head["state_names"] or ()),
+            actions=tuple(map(str, range(max(action) + 1))) if names is None else names,
             discount_exact=head["discount"],
-            component_names=tuple(components) or ("reward",),
-            **parts,
+            start=tuple((int(number(key)), share) for key, share in head["start"].items()),
+            component_names=tuple(parts) or ("reward",),
+            labels=flags,
+            goal=None if head["goal"] is None else _flags("goal", head["goal"], states),
+            **{key: head[key] for key in (*FLOATS, "name", "sense", "unreached")},
         )
 
 
-def _row(number: int, pair: dict[str, Any]) -> tuple[Any, ...]:
+def _row(
+    number: int, state: int, action: int, reward: Any, denominator: int, next: Any, weight: Any
+) -> tuple[Any, ...]:
     """Return the parts of a pair, its next states in order."""
-    state, action, reward, below, *each, weight = pair.values()
-    each = [*each, weight, reward if isinstance(reward, tuple) else [reward] * len(weight)]
-    if not weight or len({*map(len, each)}) > 1:
+    each = [next, weight, reward] if isinstance(reward, tuple) else [next, weight]
+    if not next or len({*map(len, each)}) > 1:
         with located(f"pairs, {number}"):
             refuse(weight, "a list with a weight, or a reward, for each next state")
-    following, weight, reward = zip(*sorted(zip(*each, strict=True)), strict=True)
-    return state, action, reward, below, following, weight
+    next, weight, *rewards = zip(*sorted(zip(*each, strict=True)), strict=True)
+    return state, action, *(rewards or [reward]), denominator, next, weight
+
+
+def _component(name: str, amounts: Sequence[Fraction], pairs: int) -> tuple[Numbers, Numbers]:
+    if len(amounts) != pairs:
+        with located(f"components, {name}"):
+            refuse(amounts, f"a list of {pairs} numbers")
+    top, below = common(amounts)
+    return integers(top), integers([below] * pairs)
+
+
+def _flags(name: str, numbers: Sequence[int], states: int) -> Numbers:
+    if max(numbers, default=0) >= states:
+        with located(name):
+            refuse(numbers, f"a list of states below {states}")
+    return np.isin(np.arange(states), numbers)

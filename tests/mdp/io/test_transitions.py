@@ -86,7 +86,7 @@ def test_a_file_gives_the_same_model_and_keeps_its_decimals(tmp_path: Path) -> N
         MDP.from_transitions(tmp_path / "log.csv"),
         MDP.from_transitions(table(rows)),
     )
-    home = [mdp.pair(mdp.space.column("state").parse("home"), "go") for mdp in (written, estimated)]
+    home = [mdp.pair("home", "go") for mdp in (written, estimated)]
     assert {row[2] for row in written.table.row(home[0])} == {F(1, 10)}
     assert {row[2] for row in estimated.table.row(home[1])} == {F(0.1)}
     assert written.observations.tolist() == estimated.observations.tolist()  # type: ignore[union-attr]
