@@ -68,8 +68,8 @@ def _falling(mdp: MDP, best: Certificate, pairs: Flags) -> Flags:
     falling = np.zeros(len(pairs), dtype=bool)
     if best.g is not None and best.w is not None:
         some = np.flatnonzero(pairs & (best.infinite_sign == 0)[mdp.pair_state])
-        third, _ = surplus(bellman_rows(mdp), best.g, best.h, best.w, pairs=some)[2]
-        falling[some] = [top < 0 for top in third]
+        third = surplus(bellman_rows(mdp), best.g, best.h, best.w, pairs=some)[2]
+        falling[some] = [top < 0 for top, _ in third]
     return falling
 
 

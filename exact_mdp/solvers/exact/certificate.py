@@ -251,7 +251,7 @@ class Certificate(Proof, Pictured):
         return np.asarray(np.searchsorted(offered, wanted))
 
     @cached_property
-    def _gains(self) -> list[tuple[list[int], list[int]]]:
+    def _gains(self) -> list[list[tuple[int, int]]]:
         """What each pair gains, level by level; w does not count."""
         mdp = model_of(None, self.mdp, "optimal_pairs")
         rows = exact_rows(mdp, average=self.kind == "average")
@@ -263,17 +263,14 @@ class Certificate(Proof, Pictured):
     @cached_property
     def losses(self) -> list[Numbers]:
         """(L,) by level: what each pair loses of the gain, and, where that is nothing, of h."""
-        each = [
-            _listed(fraction(-top, below) for top, below in zip(*column, strict=True))
-            for column in self._gains
-        ]
+        each = [_listed(fraction(-top, below) for top, below in gain) for gain in self._gains]
         return [each[0], *(np.asarray(short * (each[0] == 0)) for short in each[1:])]
 
     @cached_property
     def optimal_pairs(self) -> Mask:
         """(L,) the pairs that attain the optimum of their state."""
         mdp = model_of(None, self.mdp, "optimal_pairs")
-        best = np.logical_and.reduce([[not top for top in tops] for tops, _ in self._gains])
+        best = np.logical_and.reduce([[not top for top, _ in gain] for gain in self._gains])
         infinite = self.infinite_sign
         if not infinite.any():
             return np.asarray(best)
@@ -283,8 +280,8 @@ class Certificate(Proof, Pictured):
             best &= least == 0  # no finite state has a pair that leads to +∞ without -∞
             above = (least >= 0) & (most > 0)
         else:  # the pairs after which the mean reward still is positive
-            (tops, belows), g = self._gains[0], self.g.fractions()[mdp.pair_state]
-            above = np.array([x * b + t > 0 for x, t, b in zip(g, tops, belows, strict=True)])
+            each = zip(self.g.fractions()[mdp.pair_state], self._gains[0], strict=True)
+            above = np.array([g * below + top > 0 for g, (top, below) in each])
         return np.asarray(np.where(own == 0, best, (own < 0) | above), dtype=bool)
 
     @cached_property
@@ -297,13 +294,12 @@ class Certificate(Proof, Pictured):
             stays = infinite[mdp.table.next] == 0
             counts &= np.logical_and.reduceat(stays, mdp.table.offsets[:-1])
         else:
-            counts &= np.array([not top for top in self._gains[0][0]])
-        tops, belows = self._gains[-1]
+            counts &= np.array([not top for top, _ in self._gains[0]])
         least: list[tuple[int, int] | None] = [None] * mdp.n_states
         for pair in np.flatnonzero(counts).tolist():
-            best, own = least[state := int(mdp.pair_state[pair])], (-tops[pair], belows[pair])
-            if best is None or own[0] * best[1] < best[0] * own[1]:
-                least[state] = own
+            best, (top, below) = least[state := int(mdp.pair_state[pair])], self._gains[-1][pair]
+            if best is None or -top * best[1] < best[0] * below:
+                least[state] = -top, below
         return _listed(None if best is None else fraction(*best) for best in least)
 
     @property

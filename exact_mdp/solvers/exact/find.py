@@ -35,7 +35,7 @@ from exact_mdp.solvers.endless.chain import ExactChain
 from exact_mdp.solvers.endless.chain import expansion as laurent
 from exact_mdp.solvers.endless.graph import Graph
 from exact_mdp.solvers.exact.certificate import Certificate, exact_rows
-from exact_mdp.solvers.exact.levels import Level, Step, fraction, gains, signs_of, steps
+from exact_mdp.solvers.exact.levels import Level, Step, fraction, gains, signs, steps
 from exact_mdp.solvers.exact.linear import evaluated
 from exact_mdp.solvers.solution import SolverError
 
@@ -129,12 +129,12 @@ def _iterated(
     while True:
         levels, sign = evaluate(pairs), np.zeros(len(rows.constant), dtype=np.int64)
         for step in levels:  # each settles ties of those before
-            sign = np.where(sign == 0, signs_of(rows, step, pairs), sign)
+            sign = np.where(sign == 0, signs(rows, step, pairs), sign)
         gaining = np.flatnonzero((sign > 0) & ~rows.terminal[rows.pair_state])
         if not len(gaining):
-            return pairs, [level for level, _ in levels], sign
-        columns = (zip(*gains(rows, step, gaining), strict=True) for step in levels)
-        each = zip(*([fraction(*gain) for gain in column] for column in columns), strict=True)
+            return pairs, [level for level, *_ in levels], sign
+        columns = (gains(rows, step, gaining) for step in levels)
+        each = zip(*([fraction(x, a * b) for x, a, b in gain] for gain in columns), strict=True)
         pairs, most = pairs.copy(), dict[int, tuple[Fraction, ...]]()
         for pair, gain in zip(gaining.tolist(), each, strict=True):
             state = int(rows.pair_state[pair])
@@ -250,7 +250,7 @@ def best(
 
     def evaluate(pairs: Integers) -> list[Step]:
         values = evaluated(rows, pairs, each)
-        return [(value, (own, ones)) for value, own in zip(values, listed, strict=True)]
+        return [(value, own, ones) for value, own in zip(values, listed, strict=True)]
 
     return _iterated(rows, nearly(replace(rows, constant=each[0]), begin), evaluate)
 

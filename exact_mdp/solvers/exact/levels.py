@@ -120,65 +120,61 @@ def combined(levels: Sequence[Level], weights: Sequence[int | Fraction]) -> Leve
     )
 
 
-Column = tuple[list[int], list[int]]
-"""Numbers of some pairs (K,): integers, and the positive integers that they are over."""
-
-Step = tuple[Level, Column]
-"""A level x, and what each pair (L,) earns beside it, times the scale of its state."""
+Step = tuple[Level, list[int], list[int]]
+"""A level x, and what each pair (L,) earns beside it times the scale of its state: top, below."""
 
 
 def steps(rows: BellmanRows, *levels: Level) -> list[Step]:
     """Return what pairs earn beside one level V, which is r, or beside g, h and w: 0, r - g, -h."""
     constant, ones = rows.constant.tolist(), [1] * len(rows.constant)
     if len(levels) == 1:
-        return [(levels[0], (constant, ones))]
+        return [(levels[0], constant, ones)]
     g, h, w = levels
     scale, state = rows.scale.tolist(), rows.pair_state.tolist()
     mean, bias = g.each_below, h.each_below
     each = [(own, s, mean[s], scale[s]) for own, s in zip(constant, state, strict=True)]
     return [
-        (g, ([0] * len(state), ones)),
-        (h, ([own * m - k * g.top[s] for own, s, m, k in each], [m for _, _, m, _ in each])),
-        (w, ([-scale[s] * h.top[s] for s in state], [bias[s] for s in state])),
+        (g, [0] * len(state), ones),
+        (h, [own * m - k * g.top[s] for own, s, m, k in each], [m for _, _, m, _ in each]),
+        (w, [-scale[s] * h.top[s] for s in state], [bias[s] for s in state]),
     ]
 
 
-def surplus(rows: BellmanRows, *levels: Level, pairs: Integers | None = None) -> list[Column]:
-    """Return what pairs, all by default, gain against one level V, or against g, h and w.
+def gains(
+    rows: BellmanRows, step: Step, pairs: Integers | None = None
+) -> Iterator[tuple[int, int, int]]:
+    """Yield what pairs, all by default, gain against one level: what they earn + γ P x - x.
 
-    That is r + γ P V - V, or d(g), r - g + d(h) and d(w) - h.
+    As an integer, and two positive ones of whose product it is a part.
     """
-    return [gains(rows, step, pairs) for step in steps(rows, *levels)]
-
-
-def gains(rows: BellmanRows, step: Step, pairs: Integers | None = None) -> Column:
-    """Return what pairs gain against one level x: what they earn + γ P x - x."""
-    each = [*_gains(rows, step, np.arange(len(rows.constant)) if pairs is None else pairs)]
-    return [top for top, _, _ in each], [unit * below for _, unit, below in each]
-
-
-def _gains(rows: BellmanRows, step: Step, pairs: Integers) -> Iterator[tuple[int, int, int]]:
-    """Yield what some pairs gain: top, and two factors of the denominator."""
-    x, (tops, belows) = step
+    x, tops, belows = step
     offsets, following, weight = (p.tolist() for p in (rows.offsets, rows.next, rows.weight))
     scale, state, group = rows.scale.tolist(), rows.pair_state.tolist(), x.group.tolist()
-    for pair in pairs.tolist():
+    for pair in range(len(state)) if pairs is None else pairs.tolist():
         own, here = state[pair], slice(offsets[pair], offsets[pair + 1])
         values, unit = x.over_one([*following[here], own], group)
         flow = sum(map(mul, weight[here], values)) - scale[own] * values[-1]
         yield tops[pair] * unit + flow * belows[pair], unit, scale[own] * belows[pair]
 
 
-def signs(rows: BellmanRows, value: Level, own: Integers | None = None) -> Integers:
-    """Return (L,) the sign of what each pair gains against one level, r + γ P V - V."""
-    return signs_of(rows, steps(rows, value)[0], own)
+def surplus(
+    rows: BellmanRows, *levels: Level, pairs: Integers | None = None
+) -> list[list[tuple[int, int]]]:
+    """Return what pairs, all by default, gain against one level V, or against g, h and w.
+
+    That is r + γ P V - V, or d(g), r - g + d(h) and d(w) - h; each an integer over another.
+    """
+    return [
+        [(top, unit * below) for top, unit, below in gains(rows, step, pairs)]
+        for step in steps(rows, *levels)
+    ]
 
 
-def signs_of(rows: BellmanRows, step: Step, own: Integers | None = None) -> Integers:
+def signs(rows: BellmanRows, step: Step, own: Integers | None = None) -> Integers:
     """Return (L,) the sign of what each pair gains; 0 of the pairs `own`, which gain nothing."""
     asked = np.ones(len(rows.constant), dtype=bool)
     asked[[] if own is None else own] = False
     sign = np.zeros(len(asked), dtype=np.int64)
-    each = _gains(rows, step, np.flatnonzero(asked))
+    each = gains(rows, step, np.flatnonzero(asked))
     sign[asked] = [(top > 0) - (top < 0) for top, _, _ in each]
     return sign

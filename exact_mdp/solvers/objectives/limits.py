@@ -35,7 +35,7 @@ from exact_mdp.mdp.result import DataFrame, data_frame
 from exact_mdp.mdp.table import Integers, Numbers, common, exact, shown
 from exact_mdp.solvers.bounds.gains import first_of
 from exact_mdp.solvers.exact.duals import worth
-from exact_mdp.solvers.exact.levels import Level, combined, signs
+from exact_mdp.solvers.exact.levels import Level, combined, signs, steps
 from exact_mdp.solvers.objectives.amounts import Objectives, reward_name
 from exact_mdp.solvers.objectives.simplex import maximise
 from exact_mdp.solvers.objectives.totals import (
@@ -178,7 +178,7 @@ class ConstrainedSolution(TotalsProof):
         """
         of, mdp = self.of, self.of.mdp
         rows, unit = of.rows_for(self.weights)
-        best = first_of(mdp, signs(rows, combined([self.dual], [unit])) == 0)
+        best = first_of(mdp, signs(rows, steps(rows, combined([self.dual], [unit]))[0]) == 0)
         chances = {s: {pair: ONE} for s, pair in enumerate(best.tolist())} | self.flow.chances(of)
         rule = np.full((mdp.n_states, mdp.n_actions), ZERO, dtype=object)
         for state, own in chances.items():

@@ -28,7 +28,7 @@ from exact_mdp.solvers.bounds.gains import first_of
 from exact_mdp.solvers.exact import codec, duals
 from exact_mdp.solvers.exact.certificate import Proof, model_of
 from exact_mdp.solvers.exact.find import best
-from exact_mdp.solvers.exact.levels import Level, combined, signs
+from exact_mdp.solvers.exact.levels import Level, combined, signs, steps
 from exact_mdp.solvers.exact.linear import evaluated, visited
 from exact_mdp.solvers.objectives.amounts import Objectives
 
@@ -89,7 +89,7 @@ class Attained:
         """Return whether no pair gains: then no policy exceeds the weighted values, in no state."""
         rows, unit = of.rows_for(weights)
         value = combined(self.values, [unit * weight for weight in weights])
-        return not (signs(rows, value, self.pairs) > 0).any()
+        return not (signs(rows, steps(rows, value)[0], self.pairs) > 0).any()
 
 
 def flow_under(

@@ -219,16 +219,8 @@ class PolicyChain:
 
     @cached_property
     def order(self) -> Integers | None:
-        """(S,) numbers that fall along every transition, where such are known."""
-        if not self.mdp.terminal.any():
-            return None
-        chain, states = self.graph, self.mdp.n_states
-        row = np.repeat(np.arange(states), np.diff(chain.indptr))
-        return (
-            np.arange(states, 0, -1)
-            if (chain.indices > row).all()
-            else topological_levels(self.mdp)
-        )
+        """(S,) numbers that fall along every transition; None where the model has cycles."""
+        return topological_levels(self.mdp) if self.mdp.terminal.any() else None
 
     @cached_property
     def reached(self) -> Mask:
