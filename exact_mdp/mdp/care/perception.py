@@ -23,10 +23,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from exact_mdp.mdp.errors import ModelError, known, located
+from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.forms.numbers import float_array
 from exact_mdp.mdp.io.files import SMALL, read_text
-from exact_mdp.mdp.io.structured import csv_of, json_of, toml_of
+from exact_mdp.mdp.io.structured import csv_of, json_of, shaped, toml_of
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike
 from exact_mdp.mdp.result import DataFrame, data_frame
@@ -34,6 +34,7 @@ from exact_mdp.mdp.space import Column
 from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, beside, exact
 
 LEVEL = 0.95
+RATES = ("sensitivity", "specificity")
 
 
 def perceived(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> Policy:
@@ -111,18 +112,15 @@ def checked(confusion: ArrayLike, *, size: int, where: str) -> Floats:
             where=where,
             fix=f"give {size} true by {size} perceived statuses",
         )
-    for true, row in enumerate(matrix):
-        wrong = np.flatnonzero(~(row >= 0)).tolist()
-        if wrong:
-            chance = f"with probability {row[wrong[0]]:.12g}"
-            what = f"status {label(true)} is seen as {label(wrong[0])} {chance}"
-            fix = "give a number from 0 to 1"
-        elif not abs(row.sum() - 1) <= FLOAT_ROW_TOLERANCE:
-            what = f"the row of status {label(true)} sums to {row.sum():.12g}, not 1"
-            fix = "correct a probability in this row, or add what is missing"
-        else:
-            continue
-        raise ModelError(what, where=f"{where}, row {true}", fix=fix)
+    sums = matrix.sum(axis=1)
+    wrong = ~((matrix >= 0).all(axis=1) & (np.abs(sums - 1) <= FLOAT_ROW_TOLERANCE))
+    for true in np.flatnonzero(wrong).tolist():
+        raise ModelError(
+            f"the row of status {label(true)} is no distribution: it sums to {sums[true]:.12g}, "
+            f"and its least number is {matrix[true].min():.12g}",
+            where=f"{where}, row {true}",
+            fix="give probabilities from 0 to 1 that sum to 1",
+        )
     return matrix
 
 
@@ -254,7 +252,12 @@ def read(path: str | Path, model: MDP) -> tuple[Floats, int | None]:
         with located(where, instead=True):
             return frequencies(counts), int(counts.sum())
     if suffix == ".toml":
-        return independent(*_rates(read_text(path, most=SMALL), _named(model), where)), None
+        with located(where):
+            rates = dict.fromkeys(_named(model), _probability)
+            tables = shaped(
+                toml_of(read_text(path, most=SMALL), where), dict.fromkeys(RATES, rates)
+            )
+        return independent(*([*tables[name].values()] for name in RATES)), None
     if suffix != ".csv":
         raise ModelError(f"unknown kind of perception {where!r}", fix="give .csv, .toml or .jsonl")
     lines = csv_of(StringIO(read_text(path)), where)
@@ -272,7 +275,8 @@ def read(path: str | Path, model: MDP) -> tuple[Floats, int | None]:
         if label.strip() in rows or label.strip() not in labels:
             what = f"status {label!r} is unknown or appears twice"
             raise ModelError(what, where=place, fix="give one row for each status")
-        rows[label.strip()] = [_probability(word, place) for word in words]
+        with located(place):
+            rows[label.strip()] = list(map(_probability, words))
     for label in labels:
         if label not in rows:
             raise ModelError(f"the row of status {label} is missing", where=where, fix="add it")
@@ -306,28 +310,9 @@ def read_counts(path: str | Path, model: MDP) -> Integers:
     return counts
 
 
-def _rates(text: str, names: Sequence[str], where: str) -> list[list[float]]:
-    """Return the sensitivity and the specificity of each status."""
-    content, tables = toml_of(text, where), ("sensitivity", "specificity")
-    rates = []
-    for table in tables:
-        given = content.get(table)
-        if not isinstance(given, dict):
-            raise ModelError(f"the table [{table}] is missing", where=where, fix="add it")
-        for name in given:
-            known(name, names, "status", where)
-        for name in names:
-            if name not in given:
-                raise ModelError(f"{table}.{name} is missing", where=where, fix="state it")
-        rates.append([_probability(given[name], f"{where}, {table}.{name}") for name in names])
-    for key in content:
-        known(key, tables, "key", where)
-    return rates
-
-
-def _probability(value: object, where: str) -> float:
-    number = exact(value, where)
+def _probability(value: object) -> float:
+    number = exact(value)
     if not 0 <= number <= 1:
         what = f"{beside(number, Fraction(0), Fraction(1))} is outside [0, 1]"
-        raise ModelError(what, where=where, fix="give a probability")
+        raise ModelError(what, fix="give a probability")
     return float(number)
