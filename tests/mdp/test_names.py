@@ -102,7 +102,7 @@ def test_files_made_elsewhere_are_no_way_around_the_rule(tmp_path: Path) -> None
             load(tmp_path / "bad.npz")
     save(mdp, tmp_path / "m.umb")
     content = read_by_umbi(tmp_path / "m.umb")
-    content.index.annotations["rewards"]["reward"].description = None  # as another program would
+    content.index.annotations["exact-mdp"]["start"].description = None  # as another program would
     content.choice_action_to_string = ["\x1b[2J", "1"]
     umbi.umb.write(content, tmp_path / "m.umb")
     refused(lambda: load(tmp_path / "m.umb", discount=1), "U+001B")

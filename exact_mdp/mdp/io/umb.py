@@ -1,10 +1,12 @@
 """Exchange with model checkers: models as UMB, the unified Markov binary format (package umbi).
 
 A pair is a choice and an outcome a branch; probabilities are rationals if the model's are. The
-reward model `reward` is Σ_i p_i r_i for each choice, from which expected totals are the same. Its
-description is the whole model as an archive of `mdp.io.npz`, compressed, in base 64, so nothing of
-a model is lost. If another program changed what the format does have, the file is refused. Files of
-other programs have no such description; the caller gives their discount, or it is 1 with a warning.
+reward model `reward` is Σ_i p_i r_i for each choice, from which expected totals are the same. An
+annotation of a separate group, `exact-mdp`, which other tools skip, has the initial distribution
+(the format itself has a set of initial states). Its description is the whole model as an archive of
+`mdp.io.npz`, compressed, in base 64, so nothing of a model is lost. If another program changed what
+the format does have, the file is refused. Files of other programs have no such description; the
+caller gives their discount, or it is 1 with a warning.
 In labels, signs other than letters and digits are underscores; states where the process has ended
 have the label `terminal`. Storm, for example, then answers
 
@@ -42,12 +44,12 @@ PACKED = {b"\x1f\x8b": gzip.decompress, b"BZh": bz2.decompress, b"\xfd7zXZ": lzm
 ANY_SIZE = 10**6
 """Numbers of states, choices, branches and actions that need no data in the file to be believed."""
 
-OURS = "exact-mdp model "  # how the description begins
+GROUP, CARRIER = "exact-mdp", "start"
 WRITTEN = (
     *("state_is_initial", "state_to_choices", "choice_to_branches", "branch_to_target"),
-    *("branch_to_probability", "choice_to_choice_action", "choice_action_to_string", "annotations"),
+    *("branch_to_probability", "choice_to_choice_action", "choice_action_to_string"),
 )
-"""What has to be as it was written, where a file is of exact-mdp."""
+"""What has to be as it was written, with the annotations, where a file is of exact-mdp."""
 
 
 def _umbi() -> Any:
@@ -88,31 +90,34 @@ def load(
     """
     with located(str(path)):
         umb, read = _read(path)
-        own = (umb.index.annotations or {}).get("rewards", {}).get(REWARD)
-        if own is None or not (own.description or "").startswith(OURS):
+        own = (umb.index.annotations or {}).get(GROUP, {}).get(CARRIER)
+        if own is None or not own.description:
             read |= {"reward": reward, "discount": discount, "start": start}
             return model_of(shown_text(str(path)), **read)
         known(reward or REWARD, (REWARD,), "reward model", "rewards")
-        mdp = _restored(umb, own.description.removeprefix(OURS))
+        mdp = _restored(umb, own.description)
         mdp = mdp if discount is None else mdp.with_(discount=discount)
         return mdp if start is None else mdp.with_(start=start)
 
 
 def _restored(umb: Any, packed: str) -> MDP:
     """Return a model that exact-mdp wrote, with everything that the format has no place for."""
-    with located("the description of the reward"):
+    with located(f"annotations/{GROUP}/{CARRIER}"):
         try:
             archive = zlib.decompress(base64.b64decode(packed, validate=True))
         except (ValueError, zlib.error) as error:
             raise ModelError("the description is damaged", fix="save the model again") from error
         mdp = npz.unpacked(archive)
         written = _umb_of(mdp)
-        for name in WRITTEN:
-            if getattr(umb, name) != getattr(written, name):
-                raise ModelError(
-                    f"another program changed {name.replace('_', '-')}",
-                    fix="drop the description of the reward, which is no longer the model's",
-                )
+        changed = [name for name in WRITTEN if getattr(umb, name) != getattr(written, name)]
+        for group, each in written.annotations.items():
+            there = (umb.annotations or {}).get(group, {})
+            changed += [f"{group}/{key}" for key in each if each[key] != there.get(key)]
+        if changed:
+            raise ModelError(
+                f"another program changed {changed[0].replace('_', '-')}",
+                fix=f"drop the annotations of group {GROUP}, which are no longer the model's",
+            )
     return mdp
 
 
@@ -278,7 +283,7 @@ def _umb_of(model: MDP) -> Any:
                 num_branches=len(table.next),
                 branch_probability_type=kind,
             ),
-            annotations={"rewards": {}, "aps": {}},
+            annotations={"rewards": {}, "aps": {}, GROUP: {}},
         ),
         state_is_initial=[state in start for state in range(model.n_states)],
         state_to_choices=model.pair_offsets.tolist(),
@@ -287,7 +292,7 @@ def _umb_of(model: MDP) -> Any:
         branch_to_probability=chances,
         choice_to_choice_action=model.pair_action.tolist(),
         choice_action_to_string=list(model.actions),
-        annotations={"rewards": {}, "aps": {}},
+        annotations={"rewards": {}, "aps": {}, GROUP: {}},
     )
 
     def annotate(group: str, key: str, over: str, values: Any, **described: Any) -> None:
@@ -297,7 +302,7 @@ def _umb_of(model: MDP) -> Any:
             applies_to=[over], type=kind, **described
         )
 
-    annotate("rewards", REWARD, "choices", earned, description=OURS + archive)
+    annotate("rewards", REWARD, "choices", earned)
     annotate("aps", "terminal", "states", model.terminal.tolist())
     taken = {"terminal"}
     for number, (name, states) in enumerate(model.labels.items()):
@@ -306,6 +311,8 @@ def _umb_of(model: MDP) -> Any:
         word = f"{word}_{number}" if word in taken else word
         taken.add(word)
         annotate("aps", f"label-{number}", "states", states.tolist(), alias=word, description=name)
+    odds = [start.get(state, Fraction(0)) for state in range(model.n_states)]
+    annotate(GROUP, CARRIER, "states", odds, description=archive)
     return umb
 
 

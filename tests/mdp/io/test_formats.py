@@ -64,7 +64,7 @@ def test_a_file_that_another_program_changed(tmp_path: Path) -> None:
         (lambda c: c.state_is_initial.__setitem__(0, False), "state-is-initial"),
         (
             lambda c: c.annotations["rewards"]["reward"]["choices"].__setitem__(0, Fraction(9)),
-            "changed annotations",
+            "changed rewards/reward",
         ),
     ):
         save(MODELS["care"], tmp_path / "m.umb")

@@ -204,7 +204,7 @@ def test_numbers_that_make_no_model(
     members[name] = data[:place] + value.to_bytes(8, "little") + data[place + 8 :]
     refused(tarred(members), "", tmp_path)
     index = json.loads(members["index.json"])
-    del index["annotations"]["rewards"]
+    del index["annotations"]["exact-mdp"]
     refused(tarred(members | {"index.json": json.dumps(index).encode()}), message, tmp_path)
 
 
