@@ -37,6 +37,7 @@ from typing import Any
 
 import numpy as np
 
+from exact_mdp.mdp.build import MOST_UNNAMED_ACTIONS
 from exact_mdp.mdp.components import made_of
 from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.io.files import LARGEST, read_text, write_atomically
@@ -201,9 +202,11 @@ def load(path: str | Path) -> MDP:
             np.array(state, dtype=np.int64),
             np.array(action, dtype=np.int64),
             space=StateSpace.plain(states, head["state_names"] or ()),
-            actions=tuple(map(str, range(max(action) + 1))) if names is None else names,
+            actions=tuple(map(str, range(min(max(action), MOST_UNNAMED_ACTIONS) + 1)))
+            if names is None
+            else names,
             discount_exact=head["discount"],
-            start=tuple((int(number(key)), share) for key, share in head["start"].items()),
+            start=tuple((_state(key), share) for key, share in head["start"].items()),
             component_names=tuple(parts) or ("reward",),
             labels=flags,
             goal=None if head["goal"] is None else _flags("goal", head["goal"], states),
@@ -221,6 +224,11 @@ def _row(
             refuse(weight, "a list with a weight, or a reward, for each next state")
     next, weight, *rewards = zip(*sorted(zip(*each, strict=True)), strict=True)
     return state, action, *(rewards or [reward]), denominator, next, weight
+
+
+def _state(key: str) -> int:
+    with located("start"):
+        return natural(number(key).numerator if number(key).denominator == 1 else key)
 
 
 def _component(name: str, amounts: Sequence[Fraction], pairs: int) -> tuple[Numbers, Numbers]:

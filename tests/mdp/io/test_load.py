@@ -67,6 +67,7 @@ def test_without_storm_the_error_names_the_extra(
     [
         ({"unreached": []}, "unreached"),
         ({"goal": 1}, "goal"),
+        ({"start": {"1/2": 1}}, "start"),
         ({"state": 10**400}, "state"),
         ({"next": [10**400]}, "next"),
     ],
@@ -88,3 +89,13 @@ def test_a_key_that_is_written_twice_is_refused(tmp_path: Path) -> None:
     MDP.from_outcomes([(0, 0, [(1, 0, 1)])], "1/2").save(path)
     path.write_text(path.read_text("utf-8").replace('"reward": 1', '"reward": 2, "reward": 1'))
     refused(lambda: load(path), "reward appears twice", "m.json")
+
+
+def test_an_action_beyond_all_memory_is_refused(tmp_path: Path) -> None:
+    """Where actions have no names, their numbers are their names."""
+    path = tmp_path / "m.json"
+    MDP.from_outcomes([(0, 0, [(1, 0, 1)])], "1/2").save(path)
+    content = json.loads(path.read_text("utf-8")) | {"action_names": None}
+    content["pairs"][0]["action"] = 2**61
+    path.write_text(json.dumps(content), "utf-8")
+    refused(lambda: load(path), "there is no action 2305843009213693952")
