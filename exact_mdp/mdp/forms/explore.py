@@ -125,7 +125,12 @@ class FromFunction(FromArrays):
         for name, holds in flags.items():
             if callable(holds):
                 with noted(f"label {name}"):
-                    flags[name] = np.array([bool(holds(state)) for state in states.ordered()])
+                    flags[name] = np.array([holds(state) for state in states.ordered()])
+                if flags[name].dtype != bool:  # a function that forgets to return gives None
+                    what = f"a function of a label returns {flags[name].dtype}, not True or False"
+                    raise ModelError(
+                        what, where=f"label {name}", fix="return a truth value: bool(…)"
+                    )
         places = ByNumber((states.number[state], chance) for state, chance in begins)
         return cls.from_outcomes(
             listed, discount, **(parts | {"start": places, "labels": flags} | names)
