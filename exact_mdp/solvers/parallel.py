@@ -106,12 +106,16 @@ def _as_done(
     if n_jobs != 1 and left:
         if not threads:
             _track_quietly()
-        parallel = joblib.Parallel(
-            n_jobs=-1 if n_jobs is None else n_jobs,
-            prefer="threads" if threads else None,
-            return_as="generator_unordered",
-            batch_size=1,
-        )
+        try:
+            parallel = joblib.Parallel(
+                n_jobs=-1 if n_jobs is None else n_jobs,
+                prefer="threads" if threads else None,
+                return_as="generator_unordered",
+                batch_size=1,
+            )
+        except ValueError as error:  # a backend that cannot do so
+            fix = 'choose "loky", "threading" or "dask"'
+            raise ModelError(str(error), where="joblib.parallel_config", fix=fix) from error
         results = parallel([joblib.delayed(_one)(work, *task) for task in left.items()])
     try:
         for index, result in results:
