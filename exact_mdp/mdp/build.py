@@ -27,7 +27,6 @@ from exact_mdp.mdp.forms.numbering import action_names
 from exact_mdp.mdp.forms.numbers import (
     array_of,
     as_given,
-    check_places,
     dense,
     is_table,
     one_kind,
@@ -195,7 +194,7 @@ class FromArrays(Parts):
         check_options(names, COUNTED)
         state = whole_numbers(pair_state, "pair_state")
         action = whole_numbers(pair_action, "pair_action")
-        rows = array_of(transition, "transition", columns=False)
+        rows = array_of(transition, "transition")
         if rows.ndim != 2 or len(state) != rows.shape[0] or len(action) != len(state):
             raise ShapeError(
                 f"{len(state)} states and {len(action)} actions for transitions of shape "
@@ -441,7 +440,6 @@ def _of_pairs(
     size, by_pair, sparse = rows.shape[1], reward.ndim == 1, sp.issparse(rows)
     if sparse:
         offsets, following, chance = rows.indptr, rows.indices, rows.data
-        check_places(rows, "transition")
     else:
         positive, column = rows != 0, np.arange(size, dtype=np.int32)
         offsets = np.concatenate([[0], np.cumsum(np.count_nonzero(positive, axis=1))])

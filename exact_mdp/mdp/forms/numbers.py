@@ -35,14 +35,11 @@ from exact_mdp.mdp.table import (
 )
 
 
-def array_of(values: object, where: str, *, columns: bool = True) -> Any:
-    """Return a sparse matrix as a CSR array, others as an array of one kind or of objects.
-
-    Without `columns` those of a CSR array are left to be checked by `check_places`.
-    """
+def array_of(values: object, where: str) -> Any:
+    """Return a sparse matrix as a CSR array, others as an array of one kind or of objects."""
     with located(where):
         refuse_labels(values)
-        return _sparse(values, columns=columns) if sp.issparse(values) else _array(values)
+        return _sparse(values) if sp.issparse(values) else _array(values)
 
 
 def float_array(values: object, where: str) -> Floats:
@@ -53,12 +50,6 @@ def float_array(values: object, where: str) -> Floats:
             numbers = [as_float(number) for number in array.flat]
             return np.array(numbers, dtype=np.float64).reshape(array.shape)
         return np.array(array.toarray() if sp.issparse(array) else array, dtype=np.float64)
-
-
-def check_places(matrix: Any, where: str) -> None:
-    """Raise ModelError where a sparse matrix names a row or column that it does not have."""
-    with located(where):
-        _check_places(matrix, columns=True)
 
 
 def as_given(value: object) -> Fraction | float:
@@ -113,7 +104,7 @@ def whole_numbers(values: ArrayLike, what: str) -> Integers:
     return array.astype(np.int64)
 
 
-def _sparse(values: Any, *, columns: bool) -> sp.csr_array:
+def _sparse(values: Any) -> sp.csr_array:
     """Return a sparse matrix as a CSR array; places that come twice still do."""
     if values.dtype.kind not in "fiub":
         raise ModelError(f"a sparse matrix of type {values.dtype}", fix="give real numbers")
@@ -123,7 +114,7 @@ def _sparse(values: Any, *, columns: bool) -> sp.csr_array:
             fix="give a sparse matrix, a list of A sparse (S, S) matrices, or np.array",
         )
     if values.format in ("csr", "csc", "coo"):
-        _check_places(values, columns=columns or values.format != "csr")
+        _check_places(values)
     matrix = values if type(values) is sp.csr_array else sp.csr_array(values)
     if len(matrix.indices) > (count := int(matrix.indptr[-1])):  # room that SciPy leaves, too
         parts = (matrix.data[:count], matrix.indices[:count], matrix.indptr)
@@ -139,7 +130,8 @@ def _sparse(values: Any, *, columns: bool) -> sp.csr_array:
     return matrix.astype(np.int64) if whole else matrix
 
 
-def _check_places(matrix: Any, *, columns: bool) -> None:
+def _check_places(matrix: Any) -> None:
+    """Raise ModelError where a sparse matrix names a row or column that it does not have."""
     sizes = dict(zip(("row", "column"), matrix.shape, strict=True))
     if matrix.format == "coo":
         named = {"row": matrix.row, "column": matrix.col}
@@ -151,7 +143,7 @@ def _check_places(matrix: Any, *, columns: bool) -> None:
                 "a sparse matrix whose indptr does not rise from 0 to its number of entries",
                 fix="build it anew, from coordinates for example",
             )
-    for what, numbers in named.items() if columns else ():
+    for what, numbers in named.items():
         if len(numbers) and not 0 <= numbers.min() <= numbers.max() < sizes[what]:
             worst = numbers.min() if numbers.min() < 0 else numbers.max()
             raise ModelError(
