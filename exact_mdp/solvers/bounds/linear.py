@@ -28,7 +28,7 @@ from scipy.sparse.linalg import splu
 
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import ByFields
-from exact_mdp.mdp.table import Floats, Integers, Numbers, spans
+from exact_mdp.mdp.table import COMPILED, Floats, Integers, Numbers, spans
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.solution import SolverError, Status
 
@@ -253,9 +253,11 @@ class LinearSystem(ByFields):
             if 6 * (lower + 1) * (lower + upper + 1) < chain.shape[0] ** 2:  # S³ / 3 for all
                 return _banded(self.discount, lower, upper, chain)
             return _dense(self.discount, chain)
-        if self.order is not None or (chain.nnz <= SPARSE and not self.work):
-            order = None if self.order is None else np.argsort(self.order, kind="stable")
-            return self._ordered(self._sparse, order)
+        if self.order is not None:
+            order = np.argsort(self.order, kind="stable")
+            return self._ordered(self._sparse if chain.nnz < COMPILED else self._onward, order)
+        if chain.nnz <= SPARSE and not self.work:
+            return self._sparse(chain)
         return self._within_band if chain.nnz <= SPARSE or self._narrow else None
 
     @cached_property
@@ -301,6 +303,20 @@ class LinearSystem(ByFields):
         except RuntimeError as error:
             raise SolverError(Status.NO_BOUND, f"elimination failed ({error})") from error
         return lambda constant: np.asarray(factors.solve(constant))
+
+    def _onward(self, chain: sp.csr_array) -> Solve:
+        """Return substitution, where each state leads to earlier ones alone."""
+        from exact_mdp.solvers.kernels import linear as loops
+
+        chain.sort_indices()
+        rows, rate = loops.Rows(chain.indptr, chain.indices, chain.data), float(self.discount)
+
+        def solve(constant: Floats) -> Floats:
+            out = np.empty_like(constant)
+            loops.preconditioned(rows, rate, constant, out)
+            return out
+
+        return solve
 
     def _ordered(self, made: Callable[[sp.csr_array], Solve], order: Numbers | None) -> Solve:
         """Return elimination of the chain with its states in another order."""

@@ -331,3 +331,30 @@ def test_spreads_between_starts_beyond_the_floats_are_unknown() -> None:
     rows = [(0, 0, [(1, 2, 1e308)]), (1, 0, [(1, 2, -1e308)]), (2, 0, [(1, 2, 0)])]
     mdp = MDP.from_outcomes(rows, start={0: "1/2", 1: "1/2"})
     assert isnan(evaluate(mdp, [0, 0, 0]).sd)
+
+
+def test_a_large_model_without_cycles_is_its_recursion_in_any_order_of_states() -> None:
+    """Values, visits and the error bound, of states whose numbers say nothing of their order."""
+    drawn, states, choices = np.random.default_rng(1), 6_001, 6
+    place = drawn.permutation(states)
+    rows, value, visits = [], [F(0)] * states, [0.0] * states
+    for s in range(states - 1):
+        ahead = sorted({min(s + int(step), states - 1) for step in drawn.integers(1, 9, choices)})
+        gain = int(drawn.integers(-9, 10))
+        rows.append((s, [(F(1, len(ahead)), t, gain) for t in ahead]))
+    for s, row in reversed(rows):
+        value[s] = sum((p * (gain + F(19, 20) * value[t]) for p, t, gain in row), F(0))
+        value[s] = value[s].limit_denominator(10**30)
+    visits[0] = 1.0
+    for s, row in rows:
+        for p, t, _ in row:
+            visits[t] += float(p) * visits[s]
+    listed = [(place[s], 0, [(p, place[t], gain) for p, t, gain in row]) for s, row in rows]
+    mdp = MDP.from_outcomes(
+        [*listed, (place[-1], 0, [(1, place[-1], 0)])], "19/20", start=int(place[0])
+    )
+    assert mdp.n_transitions > 20_000
+    found = evaluate(mdp, "random")
+    mean = found.numbers["mean"]
+    assert abs(F(mean.value) - value[0]) <= F(mean.error) < F(1, 10**9)
+    assert found.visits[place[:-1]] == pytest.approx(visits[:-1])
