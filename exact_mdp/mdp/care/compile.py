@@ -15,10 +15,12 @@ Source: Yuan et al. (2025), Equation 1, Table 4 and Section 3.2.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields, replace
 from math import lcm
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.care.laws import Laws
@@ -37,6 +39,7 @@ from exact_mdp.mdp.table import (
     integers,
     magnitude,
     multiply,
+    spans,
 )
 
 ENTRIES = 2**20  # of a product held at once
@@ -197,21 +200,10 @@ def _matmul(left: Numbers, right: Numbers) -> Numbers:
 
 
 def check_explicit(laws: Laws) -> None:
-    """Raise ModelError where an explicit model would be too large.
-
-    A row of a trial has at most one outcome for each next vector s'. Where a failed trial ends in a
-    skip, it has one for each gain and z, or for each s' and z that it leads to, if these are fewer.
-    """
-    rules, skip = laws.rules, laws.rules.skip
-    vectors, costs = rules.vectors, len({*(rules.next * laws.cost).tolist()})
-    unsure = np.asarray((laws.top > 0) & (laws.top < laws.bottom), dtype=bool)
-    ends = min(vectors * costs, int((2 ** unsure[skip].sum(axis=1)).sum()))
-    tries = (rules.trials - (not rules.own)) * rules.assistive * vectors
-    rows = len(rules.places) * rules.flags * vectors
-    outcomes = rows * (tries + (ends // vectors + 1 if rules.own else rules.assistive * (ends + 1)))
-    chances = laws.denominators(rules.step.reshape(-1, rules.step.shape[2]))
-    narrow = max(chances) * lcm(*laws.denominators(skip)) < EXACT_IN_INT64
-    each = NARROW if narrow else WIDE
+    """Raise ModelError where an explicit model would be too large."""
+    rules = laws.rules
+    outcomes, denominator = size(laws)
+    each = NARROW if denominator < EXACT_IN_INT64 else WIDE
     if outcomes * each > MOST_BYTES:
         states = len(rules.places) * rules.trials * rules.vectors
         raise ModelError(
@@ -222,34 +214,64 @@ def check_explicit(laws: Laws) -> None:
         )
 
 
+def size(laws: Laws) -> tuple[int, int]:
+    """Return the most outcomes, and the greatest denominator of one before anything cancels.
+
+    A row of a trial has as many outcomes as there are next vectors s' of positive chance. Where a
+    failed trial ends in a skip there are at most
+
+        1 + Σ over gains g of  min(2^n, Σ over s' ≠ 0 of gain g of the number of z it leads to).
+    """
+    rules, following = laws.rules, (laws.rules.next * laws.cost).tolist()
+    rows = rules.step.reshape(-1, rules.step.shape[2])
+    unsure = np.asarray((laws.top > 0) & (laws.top < laws.bottom), dtype=bool)
+    steps, skips = (2 ** unsure[each].sum(axis=-1) for each in (rows, rules.skip))
+    failed: dict[int, int] = {}
+    for cost, ends in list(zip(following, skips.tolist(), strict=True))[1:]:
+        failed[cost] = min(rules.vectors, failed.get(cost, 0) + ends)
+    trying = (rules.trials - (not rules.own)) * int(steps.sum())
+    if rules.own:
+        skipping, ending = int(skips.sum()), rules.vectors * len(set(following))
+    else:
+        skipping, ending = len(rows) * (1 + sum(failed.values())), len(rows) * (1 + len(failed))
+    subtasks = len(rules.places)
+    outcomes = rules.flags * (subtasks * trying + (subtasks - 1) * skipping + ending) + 1
+    return outcomes, max(laws.denominators(rows)) * lcm(*laws.denominators(rules.skip))
+
+
 def compile_scenario(laws: Laws) -> MDP:
     """Return the explicit model of a scenario, without a warning; see `Scenario.compile`."""
     check_explicit(laws)
+    used, order = np.unique(laws.rules.places, return_inverse=True)
+    small = _model(laws, used)  # one block of each kind is itself a model
+    return small if np.array_equal(laws.rules.places, used) else _repeated(laws, small, order)
+
+
+def _model(laws: Laws, places: Integers) -> MDP:
+    """Return the checked model of a block at each of `places` (K,), one after the other."""
     scenario, rules, block = laws.scenario, laws.rules, Block(laws)
-    count, (state, action) = len(rules.places), rules.pairs()
-    end = count * rules.size
-    narrow = np.int32 if end < 2**31 - 1 else np.int64
-    kinds = {place: block.rows(place) for place in np.unique(rules.places).tolist()}
-    blocks = [kinds[place] for place in rules.places.tolist()]
+    starts = np.arange(len(places)) * rules.size
+    end = len(places) * rules.size
+    blocks = list(map(block.rows, places.tolist()))
+    for rows, start in zip(blocks, starts, strict=True):
+        rows["next"] = rows["next"] + start
     # The end, which stays and earns nothing.
     ones = ("lengths", "weight", "denominator", "component_denominator")
-    last = {key: np.zeros_like(each[:1]) + (key in ones) for key, each in blocks[0].items()}
+    tail = {"next": end, **dict.fromkeys(ones, 1)}
+    last = {key: np.array([tail.get(key, 0)]) for key in blocks[0]}
+    last["components"] = np.zeros((1, len(rules.components)), dtype=np.int64)
     rows = _joined([*blocks, last])
-    starts = np.append(np.arange(count) * rules.size, end)
-    sizes = [*(len(each["next"]) for each in blocks), 1]
-    following = rows.pop("next").astype(narrow) + np.repeat(starts.astype(narrow), sizes)
-    lengths = rows.pop("lengths")
+    lengths, (state, action) = rows.pop("lengths"), rules.pairs()
     table = OutcomeTable(
         offsets=np.concatenate([[0], np.cumsum(lengths)]),
-        next=following,
-        gain_denominator=np.broadcast_to(integers([laws.scale]), (len(lengths),)),
-        **rows,
+        gain_denominator=_same(laws.scale, len(lengths)),
+        **rows | {"next": rows["next"].astype(_states(end)), "event": rows["event"].astype("u1")},
     )
-    space = rules.space(count)
+    space = rules.space(len(places))
     return MDP(
         table,
-        np.append((starts[:-1, None] + state).reshape(-1), end),
-        np.append(np.tile(action, count), 0),
+        np.append((starts[:, None] + state).reshape(-1), end),
+        np.append(np.tile(action, len(places)), 0),
         space=space,
         actions=rules.actions,
         discount_exact=scenario.discount,
@@ -259,3 +281,55 @@ def compile_scenario(laws: Laws) -> MDP:
         parameters=scenario.parameters,
         labels=rules.labels(space),
     )
+
+
+def _repeated(laws: Laws, small: MDP, order: Integers) -> MDP:
+    """Return the model of the blocks of `small` in the given order (K,), each a number there.
+
+    Its rows are those of `small`, which were checked there, at other places.
+    """
+    rules, matrix, count = laws.rules, small.transition, len(order)
+    starts = np.append(np.arange(order.max() + 1) * rules.size, small.n_states - 1)
+    rows, numbers = small.pair_offsets[starts], np.append(order, len(starts) - 1)
+    end = count * rules.size
+    lasts = np.append(rows[1:], small.n_pairs)
+    pairs = spans(rows[numbers], lasts[numbers])
+    # By how much states move, block by block, and pair by pair.
+    moves = np.append(np.arange(count) * rules.size, end) - starts[numbers]
+    moves = np.repeat(moves.astype(_states(end)), (lasts - rows)[numbers])
+    table = small.table.of_pairs(pairs)
+    following = table.next + np.repeat(moves, np.diff(table.offsets))
+    below = _same(laws.scale, len(pairs))
+    table = replace(table, next=following, gain_denominator=below)
+    matrix = matrix[pairs]
+    columns = following
+    if len(matrix.indices) < len(following):  # outcomes that differ in what they earn are joined
+        columns = matrix.indices + np.repeat(moves, np.diff(matrix.indptr))
+    shape = len(pairs), end + 1
+    transition = sp.csr_array((matrix.data, columns, matrix.indptr), shape)
+    transition.has_canonical_format = True
+    states, space = small.pair_state[pairs] + moves, rules.space(count)
+    parts: dict[str, Any] = {field.name: getattr(small, field.name) for field in fields(MDP)}
+    parts |= {
+        "table": table,
+        "space": space,
+        "labels": rules.labels(space),
+        "pair_state": states,
+        "pair_action": small.pair_action[pairs],
+        "pair_offsets": np.concatenate([[0], np.cumsum(np.bincount(states))]),
+        "reward": small.reward[pairs],
+        "transition": transition,
+    }
+    mdp = object.__new__(MDP)
+    mdp.__setstate__(parts)
+    return mdp
+
+
+def _states(end: int) -> type[np.signedinteger[Any]]:
+    """Return the type of state numbers up to `end`."""
+    return np.int32 if end < 2**31 - 1 else np.int64
+
+
+def _same(value: int, count: int) -> Numbers:
+    """Return (count,) times one integer, in the memory of one."""
+    return np.asarray(np.broadcast_to(integers([value]), (count,)))

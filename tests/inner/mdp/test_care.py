@@ -2,16 +2,31 @@
 
 from dataclasses import fields
 from fractions import Fraction as F
+from itertools import product
 
 import numpy as np
 import pytest
 from own_scenarios import check_own, own_text, scenario_of
 
-from exact_mdp import ModelError, Scenario, counted
+from exact_mdp import READINGS, ModelError, Scenario, counted
 from exact_mdp.mdp.care import compile as blocks
-from exact_mdp.mdp.care.compile import check_explicit
+from exact_mdp.mdp.care.compile import check_explicit, size
 from exact_mdp.mdp.care.perception import rates
 from exact_mdp.mdp.table import OutcomeTable
+
+# ---- models built in blocks ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("option", READINGS["skip_timestep"])
+@pytest.mark.parametrize("tasks", [[1], [2, 1]])
+def test_the_size_of_a_table_is_known_beforehand(option: str, tasks: list[int]) -> None:
+    others = ("status_cost", "skip_onset", "task_bonus")
+    for chosen in product(*(READINGS[name] for name in others)):
+        readings = dict(zip(others, chosen, strict=True)) | {"skip_timestep": option}
+        scenario = Scenario.load("yuan2025").with_(tasks=tasks, max_trial=2, readings=readings)
+        (outcomes, denominator), table = size(scenario.laws), scenario.compile().table
+        assert len(table.next) <= outcomes <= 3 * len(table.next)
+        assert max(int(bottom) for bottom in table.denominator) <= denominator
 
 
 def weighted(
@@ -31,9 +46,11 @@ def test_last_trials_of_statuses_with_weights_of_their_own(
     statuses: int, same: bool, base: F, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scenario = weighted(statuses, same=same, base=base)
-    table = scenario.compile().table
+    table, (outcomes, denominator) = scenario.compile().table, size(scenario.laws)
     assert (table.weight.dtype == object) == (base != F(1, 3))
+    assert (denominator >= 2**62) == (base != F(1, 3))
     check_own(scenario, range(0, table.pairs - 1, 1 if statuses == 3 else 37))
+    assert len(table.next) <= outcomes
     monkeypatch.setattr(blocks, "ENTRIES", 1)
     parts = weighted(statuses, same=same, base=base).compile().table
     for field in fields(OutcomeTable):
