@@ -74,6 +74,7 @@ from exact_mdp.solvers.exact.certificate import Certificate as Certificate
 from exact_mdp.solvers.exact.certify import certify as certify
 from exact_mdp.solvers.learning.q_learning import QLearning as QLearning
 from exact_mdp.solvers.learning.q_learning import TrainingRun as TrainingRun
+from exact_mdp.solvers.learning.schedules import Constant as Constant
 from exact_mdp.solvers.learning.schedules import Exponential as Exponential
 from exact_mdp.solvers.learning.training import train as train
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution as ConstrainedSolution

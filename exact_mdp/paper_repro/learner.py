@@ -20,7 +20,7 @@ from exact_mdp import MDP, ModelError
 from exact_mdp.analysis.learning.curves import LearningCurve, learning_curve
 from exact_mdp.analysis.learning.outcomes import Outcomes, common_rows, outcomes
 from exact_mdp.solvers.learning.q_learning import QLearning, TrainingRun
-from exact_mdp.solvers.learning.schedules import PAPER_DECAYING
+from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING, Constant
 from exact_mdp.solvers.learning.training import train
 from exact_mdp.solvers.values.layers import policy_values
 
@@ -28,7 +28,7 @@ SEED = 20250101
 CURVES = 2**20  # the child of the seed that curves are drawn from
 CONVERGED = 1000  # last epochs, over which a curve is averaged
 SETTINGS = {
-    "constant": QLearning(),
+    "constant": QLearning(exploration=PAPER_CONSTANT),
     "decaying": QLearning(exploration=PAPER_DECAYING),
 }
 SHOWN = {"constant": "constant ε", "decaying": "decaying ε"}
@@ -42,7 +42,7 @@ def settings(schedule: str, changes: Mapping[str, Any]) -> QLearning:
     """
     changes = dict(changes)
     if "rate" in changes:
-        changes["rate"] = float(changes["rate"])
+        changes["rate"] = Constant(float(changes["rate"]))
     try:
         return replace(SETTINGS[schedule], **changes)
     except TypeError as error:

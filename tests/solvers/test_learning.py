@@ -16,6 +16,7 @@ from strategies import Rows, models
 
 from exact_mdp import (
     MDP,
+    Constant,
     Exponential,
     ModelError,
     Policy,
@@ -60,7 +61,7 @@ def test_the_papers_schedules() -> None:
 def test_training_returns_are_those_of_the_exploring_policy(care: MDP) -> None:
     """With a rate of 0 the greedy policy stays, and the returns have its exact ε-greedy mean."""
     epsilon = 0.25
-    run = QLearning(epochs=4000, rate=0.0, exploration=epsilon).train(care, 2)
+    run = QLearning(epochs=4000, rate=Constant(0.0), exploration=Constant(epsilon)).train(care, 2)
     table = np.full((16, 4), epsilon / 4)
     table[:, 0] += 1 - epsilon
     exact = evaluate(care, policy_by(care, ("status",), table))

@@ -18,9 +18,9 @@ from exact_mdp.mdp.report import Report
 from exact_mdp.mdp.table import float_of
 from exact_mdp.solvers.learning import training
 from exact_mdp.solvers.learning.q_learning import QLearning
-from exact_mdp.solvers.learning.schedules import PAPER_DECAYING, Schedule
+from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING, Schedule
 
-SCHEDULES: dict[str, Schedule] = {"constant": 0.1, "decaying": PAPER_DECAYING}
+SCHEDULES: dict[str, Schedule] = {"constant": PAPER_CONSTANT, "decaying": PAPER_DECAYING}
 
 
 def train(

@@ -30,7 +30,7 @@ from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.mdp.validate import as_discount, counted
 from exact_mdp.solvers.learning.sampler import Seed, rows_of, stream, tables
-from exact_mdp.solvers.learning.schedules import Schedule, as_schedule
+from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, Schedule, as_schedule
 
 METHODS = ("q-learning", "sarsa", "expected-sarsa", "double-q-learning")
 TIES = ("first", "last", "random")
@@ -85,7 +85,7 @@ class QLearning:
     discount: object = "19/20"
     rate: Schedule = 0.05
     rate_power: float = 0.0
-    exploration: Schedule = 0.1
+    exploration: Schedule = PAPER_CONSTANT
     columns: tuple[str, ...] | None = None
     initial: float = 0.0
     ties: str = "first"

@@ -20,6 +20,23 @@ from exact_mdp.mdp.table import Floats, float_of
 Schedule: TypeAlias = Any  # `values(epochs)` are (E,) numbers, that of epoch t = 0 first
 
 
+@dataclass(frozen=True)
+class Constant:
+    """The same number throughout.
+
+    Examples
+    --------
+    >>> Constant(0.1).values(2).tolist()
+    [0.1, 0.1]
+    """
+
+    value: float
+
+    def values(self, epochs: int) -> Floats:
+        """Return (E,) numbers."""
+        return np.full(epochs, float(self.value))
+
+
 @dataclass(frozen=True, kw_only=True)
 class Exponential:
     """minimum + (maximum - minimum) exp(-decay t).
@@ -81,15 +98,14 @@ class Exponential:
         return self.minimum + (self.maximum - self.minimum) * np.array(fall)
 
 
+PAPER_CONSTANT = Constant(0.1)
 PAPER_DECAYING = Exponential.through(0.8, at=300, minimum=0.03)
 
 
 def as_schedule(name: str, given: Any, epochs: int) -> Schedule:
-    """Return a schedule, a number as one that stays there; ModelError where it leaves [0, 1]."""
-    schedule = given
-    if not callable(getattr(given, "values", None)) or isinstance(given, Mapping):
-        number = float_of(given, "schedule")
-        schedule = Exponential(minimum=number, maximum=number, decay=0)
+    """Return a schedule, a number as the constant one; ModelError where one leaves [0, 1]."""
+    known = callable(getattr(given, "values", None)) and not isinstance(given, Mapping)
+    schedule = given if known else Constant(float_of(given, "schedule"))
     values = np.asarray(schedule.values(epochs), dtype=np.float64)
     if values.shape != (epochs,) or not ((values >= 0) & (values <= 1)).all():
         raise ModelError(

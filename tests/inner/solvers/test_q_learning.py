@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from learning_twin import Stream, Twin
 from strategies import Rows, models
 
-from exact_mdp import MDP, Exponential, QLearning, Scenario
+from exact_mdp import MDP, Constant, Exponential, QLearning, Scenario
 from exact_mdp.solvers.learning.sampler import rows_of, tables
 
 METHODS = ("q-learning", "sarsa", "expected-sarsa", "double-q-learning")
@@ -43,7 +43,7 @@ def schedules(*rates: float) -> st.SearchStrategy[Any]:
     falling = st.sampled_from(
         [Exponential.through(0.8, at=30, minimum=0.03), Exponential(decay=0.3)]
     )
-    return st.one_of(st.sampled_from(rates), falling)
+    return st.one_of(st.sampled_from([Constant(rate) for rate in rates]), falling)
 
 
 @st.composite
