@@ -323,9 +323,10 @@ def _rewards_of_arrays(
     states, actions = shape
     if isinstance(R, Mapping):
         raise ModelError(
-            "the rewards are a dictionary, and P is an array",
+            "the rewards are a dictionary of another form than P",
             where=where,
-            fix=f"give an array ({states}, {actions}), or P as a dictionary, too",
+            fix=f"give an array ({states}, {actions}); or {{action: matrix}} beside such a P, and "
+            "{state: {action: reward}} beside {state: {action: {next state: probability}}}",
         )
     given = R if _holds_sparse(R) else dense(array_of(R, where))
     of_transitions = _holds_sparse(R) or given.ndim == 3

@@ -145,7 +145,8 @@ def of_length(values: Any, where: str, pairs: int) -> Any:
 
 def named_components(parts: dict[str, Any], table: OutcomeTable) -> dict[str, Any]:
     """Take `components` out of parts; return the names of all, and the table with them."""
-    if parts.get("components") is None:
+    sound = table.gain.dtype != np.float64 or np.isfinite(table.gain).all()
+    if parts.get("components") is None or not sound:  # a reward that is no number is refused next
         parts.pop("components", None)
         return {"table": table}
     each_component(parts, lambda values, where: _of_table(values, where, table))

@@ -128,7 +128,7 @@ class Given:
             raise ModelError("--reach and --until ask two questions", where="--until", fix=fix)
         for needy, value, needed, fix in (
             ("--allowed", self.allowed, self.reach, "give --reach LABEL"),
-            ("--reward", self.reward, self.until, "give --until LABEL, or MODEL.umb#NAME"),
+            ("--reward", self.reward, self.until, "give --until LABEL"),
         ):
             if value is not None and needed is None:
                 raise ModelError(f"{needy} is part of another question", where=needy, fix=fix)

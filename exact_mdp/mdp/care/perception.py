@@ -311,6 +311,8 @@ def read_counts(path: str | Path, model: MDP) -> Integers:
 
 
 def _probability(value: object) -> float:
+    if value is None:
+        raise ModelError("a rate is missing", fix="state it")
     number = exact(value)
     if not 0 <= number <= 1:
         what = f"{beside(number, Fraction(0), Fraction(1))} is outside [0, 1]"

@@ -125,12 +125,15 @@ class FromFunction(FromArrays):
         for name, holds in flags.items():
             if callable(holds):
                 with noted(f"label {name}"):
-                    flags[name] = np.array([holds(state) for state in states.ordered()])
-                if flags[name].dtype != bool:  # a function that forgets to return gives None
-                    what = f"a function of a label returns {flags[name].dtype}, not True or False"
-                    raise ModelError(
-                        what, where=f"label {name}", fix="return a truth value: bool(…)"
-                    )
+                    answers = [holds(state) for state in states.ordered()]
+                for answer in answers:  # a function that forgets to return gives None
+                    if not isinstance(answer, bool | np.bool_):
+                        raise ModelError(
+                            f"the function returns {answer!r}, not True or False",
+                            where=f"label {name}",
+                            fix="return a truth value: bool(…)",
+                        )
+                flags[name] = np.array(answers)
         places = ByNumber((states.number[state], chance) for state, chance in begins)
         return cls.from_outcomes(
             listed, discount, **(parts | {"start": places, "labels": flags} | names)

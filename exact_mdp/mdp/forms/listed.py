@@ -156,7 +156,8 @@ def _by_number(R: Any, listed: Any, states: list[Any]) -> dict[Path, Any]:
         )
     if array.ndim == 2 and size[1] in (3, 4) and len(pairs) == size[0]:
         raise ModelError(
-            "the rewards may be of states and actions, or rows (s, a, r), which differ",
+            f"rewards of shape {array.shape} may be of states and actions, or rows (s, a, r) or "
+            "(s, a, t, r), which are not read",
             where="R",
             fix=f"give {REWARDS}",
         )

@@ -261,7 +261,8 @@ def _umb_of(model: MDP) -> Any:
     umbi, table = _umbi(), model.table
     description, version = umbi.umb.index, umbi.version
     start = {state: weight for state, weight in model.start if weight > 0}
-    floats = np.float64 in (table.weight.dtype, table.gain.dtype)
+    # Rewards of pairs that are no floats stay exact beside probabilities that are.
+    floats = table.gain.dtype == np.float64 or (table.joint and table.weight.dtype == np.float64)
     kind, chances = _typed(
         _ratios(table.weight, np.repeat(table.denominator, np.diff(table.offsets)))
     )

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError, located, no_such
-from exact_mdp.mdp.forms.numbers import refuse_labels, refuse_masked
+from exact_mdp.mdp.forms.numbers import is_table, refuse_masked
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, Numbers
@@ -48,7 +48,12 @@ def numbers_of(given: object) -> Numbers:
     """Return an array of real numbers as they are, none of them rounded; lists included."""
     with located("policy"):
         refuse_masked(given)
-        refuse_labels(given)
+        if is_table(given):
+            raise ModelError(
+                f"a {type(given).__name__} of pandas goes by labels, and an array by position",
+                fix="give table.to_numpy(), in the order of the model's states and actions; or a "
+                "dictionary, which goes by names: {state: action}",
+            )
     if isinstance(given, np.ndarray) and given.dtype.kind in "fiu":
         return np.asarray(given)  # of matrices, too, whose rows have two dimensions
     try:

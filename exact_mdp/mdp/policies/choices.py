@@ -90,9 +90,11 @@ def _of_choices(model: MDP, space: StateSpace, choices: Mapping[int, Any], kind:
     chances, names = Chances(), model.action_names
     for key, choice in choices.items():
         with located(space.label(key)):
-            mixed = choice if isinstance(choice, Mapping) else {_alone(choice): 1}
-            each = zip(names.numbers(mixed), map(_probability, mixed.values()), strict=True)
-            chances[key] = once_each(each, names.label)
+            if isinstance(choice, Mapping):
+                each = zip(names.numbers(choice), map(_probability, choice.values()), strict=True)
+                chances[key] = once_each(each, names.label)
+            else:
+                chances[key] = {names.number(_alone(choice)): Fraction(1)}
     return _of_chances(model, space, chances)
 
 

@@ -101,7 +101,7 @@ class ReturnDistribution(Pictured):
     @property
     def never_ends(self) -> float:
         """Probability of an infinite return: that a run never ends, nor comes to rest."""
-        return sum(p for value, p in self.as_dict().items() if isinf(value))
+        return sum((p for value, p in self.as_dict().items() if isinf(value)), 0.0)
 
     @property
     def mean(self) -> float:

@@ -43,6 +43,13 @@ def test_umbi_itself_reads_ours(tmp_path: Path) -> None:
     assert theirs.choice_action_to_string == list(mdp.actions)
 
 
+def test_rewards_of_pairs_stay_exact_beside_float_probabilities(tmp_path: Path) -> None:
+    path, rows = tmp_path / "m.umb", [[[0.3, 0.7], [0.1, 0.9]]]
+    save(MDP.from_arrays(rows, [["1/3"], [1]], "9/10"), path)
+    assert read_by_umbi(path).annotations["rewards"]["reward"]["choices"] == [Fraction(1, 3), 1]
+    assert load(path).table.row(0)[0] == (Fraction(3, 10), 0, Fraction(1, 3))
+
+
 def test_labels_whose_names_differ_by_signs_alone(tmp_path: Path) -> None:
     labels = {name: [True] for name in ("a.b", "a-b", "A_b", "terminal")}
     save(MDP.from_outcomes([(0, 0, [(1, 0, 10)])], labels=labels), tmp_path / "m.umb")
