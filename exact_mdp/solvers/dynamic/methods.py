@@ -47,7 +47,8 @@ class Improving(Solver):
     max_iterations : int
         Steps after which to give up, with a SolverError.
     start : (S,) floats or PolicyLike, optional
-        Values to begin with, or a policy whose values are meant; 0 unless given.
+        Values to begin with, or a policy whose values are meant; 0 unless given, or the greatest
+        rewards, which a sweep makes of 0, for modified policy iteration.
     """
 
     tol: float | None = None
