@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
-from itertools import pairwise
 from operator import index
 from typing import Any, Self
 
@@ -32,9 +31,8 @@ from exact_mdp.mdp.forms.numbers import (
     one_kind,
     whole_numbers,
 )
-from exact_mdp.mdp.forms.rows import meant
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Integers, exact
+from exact_mdp.mdp.table import Integers, Numbers, exact
 from exact_mdp.mdp.validate import COUNTED, Parts, as_discount, as_start, check_options
 
 MOST_UNNAMED_ACTIONS = 100_000  # a higher number is a typing error rather than an action
@@ -262,20 +260,19 @@ class FromArrays(Parts):
         chance, gain = ([each[place] for each in every] for place in (0, 2))
         lengths = [len(pairs[number][2]) for number in order]
         offsets = np.cumsum([0, *lengths])
+        amounts: dict[str, Any] = {}
         if any(isinstance(reward, Mapping) for reward in gain):
-            amounts = _amounts(gain, chance, offsets, names)
-            names = {"components": {k: v[np.argsort(order)] for k, v in amounts.items()}} | names
+            amounts = _amounts(gain, names)
             gain = [sum(map(exact, r.values())) if isinstance(r, Mapping) else r for r in gain]
         columns = offsets, following, one_kind(chance), one_kind(gain)
         each_component(names, lambda values, where: of_length(values, where, len(pairs)))
         names |= {"discount": discount, "start": start}
-        return cls(**_model(state, action, *columns, size, order, names, by_pair=False))
+        settings: dict[str, Any] = {"by_pair": False, "amounts": amounts}
+        return cls(**_model(state, action, *columns, size, order, names, **settings))
 
 
-def _amounts(
-    gains: list[Any], chances: list[Any], offsets: Integers, names: dict[str, Any]
-) -> dict[str, Any]:
-    """Return the expected amounts (L,) of each component that rewards of outcomes (N,) name."""
+def _amounts(gains: list[Any], names: dict[str, Any]) -> dict[str, Any]:
+    """Return the amounts (N,) of each component that rewards of outcomes (N,) name."""
     parted = [gain if isinstance(gain, Mapping) else {} for gain in gains]
     given = [as_given(amount) for amounts in parted for amount in amounts.values()]
     names.setdefault("float_rewards", any(isinstance(amount, float) for amount in given))
@@ -283,21 +280,13 @@ def _amounts(
     for place, part in enumerate(parted):
         for name, amount in part.items():
             columns[str(name)][place] = exact(amount)
-    return {name: expected(chances, amounts, offsets) for name, amounts in columns.items()}
+    return {name: _as_objects(amounts) for name, amounts in columns.items()}
 
 
-def expected(chances: Sequence[Any], amounts: Sequence[Any], offsets: Integers) -> Any:
-    """Return the expected amount (L,) of outcomes (N,), as it is where all of a row are equal."""
-    total = np.empty(len(offsets) - 1, dtype=object)
-    for pair, (first, last) in enumerate(pairwise(offsets.tolist())):
-        each = amounts[first:last]
-        if len(set(each)) == 1:
-            total[pair] = each[0]
-            continue
-        row = map(exact, meant([as_given(p) for p in chances[first:last]]))
-        terms = (p * exact(amount) for p, amount in zip(row, each, strict=True))
-        total[pair] = sum(terms, Fraction(0))
-    return total
+def _as_objects(values: Sequence[Any]) -> Numbers:
+    array = np.empty(len(values), dtype=object)
+    array[:] = values
+    return array
 
 
 # ---- layouts of arrays ---------------------------------------------------------------------------
@@ -469,13 +458,15 @@ def _model(
     by_pair: bool,
     own: bool = True,
     total: int = 0,
+    amounts: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Return a model's parts from columns: sorted pairs (L,), and their outcomes (N,).
 
-    Amounts are those of all pairs that were given, of which the model has `order` (L,).
+    Components are those of all pairs that were given, of which the model has `order` (L,); or
+    `amounts` (N,) of outcomes by name.
     """
-    total = total or len(order)
-    table = table_of(offsets, following, chance, gain, size, names, by_pair=by_pair, own=own)
+    total, parts = total or len(order), dict(amounts or {})
+    table = table_of(offsets, following, chance, gain, size, names, parts, by_pair=by_pair, own=own)
     each_component(names, lambda given, _: given[order] if len(given) == total else given)
     words = words_of(names.pop("states", ()), "states")
     actions = words_of(names.pop("actions", ()), "actions")
@@ -492,7 +483,7 @@ def _model(
     space = names.pop("space", None)
     if space is None or words:
         space = StateSpace.plain(max(size, len(words)), words)
-    names |= named_components(names, table)
+    names |= named_components(names, table, parts)
     discount, start = names.pop("discount"), names.pop("start")
     return dict(
         pair_state=state,

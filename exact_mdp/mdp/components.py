@@ -1,9 +1,10 @@
 """What a reward is made of: the exact expected amount of each component, for every pair.
 
-    r(l) = Σ_c components[l, c] / component_denominator[l]
+    r(i) = Σ_c components[i, c] / component_denominator[l]
 
 The amounts are columns of the table of outcomes: integers over one denominator for each pair, or
-floats, each the dyadic rational that it is. What components given by name leave of the reward is
+floats, each the dyadic rational that it is; of an outcome i of pair l, or of the pair where all of
+its outcomes have the same. What components given by name leave of the reward is
 one more, "rest"; so a cost that is no part of the reward (Altman, Constrained Markov Decision
 Processes, 1999) is a component like any other. Floats that add up to the reward but for rounding,
 and exactly as the decimals that they print as, are these decimals: 6.1 and -1.1 are parts of 5.
@@ -26,6 +27,7 @@ from exact_mdp.mdp.table import (
     Floats,
     Numbers,
     OutcomeTable,
+    divide,
     dyadic,
     integers,
     multiply,
@@ -38,36 +40,89 @@ REST = "rest"
 
 
 def made_of(table: OutcomeTable, columns: Sequence[tuple[Numbers, Numbers]]) -> OutcomeTable:
-    """Return a table with components, given as numerators and denominators (L,) each."""
+    """Return a table with components, given as numerators (L,) or (N,) and denominators (L,)."""
+    if any(len(top) != table.pairs for top, _ in columns):
+        columns = [(_of_outcomes(top, table), below) for top, below in columns]
     if all(top.dtype == np.float64 for top, _ in columns):
         amounts, bottom = np.stack([top for top, _ in columns], axis=1), ones(table.pairs)
     else:
-        each = [reduced(*_whole(column)) for column in columns]
+        each = [_reduced(*_whole(column, table), table) for column in columns]
         common = np.lcm.reduce([below.astype(object) for _, below in each])
-        whole = [multiply(top, common // below).astype(object) for top, below in each]
+        whole = [
+            multiply(top, _of_length_of(top, common // below, table)).astype(object)
+            for top, below in each
+        ]
         amounts = integers(np.stack(whole, axis=1).reshape(-1).tolist())
-        amounts, bottom = amounts.reshape(table.pairs, len(columns)), integers(common.tolist())
+        amounts, bottom = amounts.reshape(-1, len(columns)), integers(common.tolist())
     made = copy(table)  # what is known of its rows still holds
-    vars(made).update(components=amounts, component_denominator=bottom)
+    vars(made).update(components=amounts, component_denominator=bottom, averaged=False)
     return made
 
 
-def _whole(column: tuple[Numbers, Numbers]) -> tuple[Numbers, Numbers]:
+def _of_outcomes(top: Numbers, table: OutcomeTable) -> Numbers:
+    """Return numbers (N,) of outcomes; those (L,) of pairs are repeated."""
+    return np.asarray(top[table.pair]) if len(top) == table.pairs else top
+
+
+def _of_length_of(top: Numbers, below: Numbers, table: OutcomeTable) -> Numbers:
+    """Return denominators (L,), repeated for each outcome where the numerators are (N,)."""
+    return below if len(top) == table.pairs else np.asarray(below[table.pair])
+
+
+def _reduced(top: Numbers, below: Numbers, table: OutcomeTable) -> tuple[Numbers, Numbers]:
+    """Return numerators (L,) or (N,) and denominators (L,) without a divisor that all share."""
+    if len(top) == table.pairs:
+        return reduced(top, below)
+    shared = np.gcd(np.gcd.reduceat(top, table.offsets[:-1]), below)
+    return np.asarray(top // shared[table.pair]), np.asarray(below // shared)
+
+
+def _whole(column: tuple[Numbers, Numbers], table: OutcomeTable) -> tuple[Numbers, Numbers]:
+    """Return a column in integers."""
     top, bottom = column
-    return dyadic(top, np.arange(len(top) + 1)) if top.dtype == np.float64 else (top, bottom)
+    if top.dtype != np.float64:
+        return top, bottom
+    return dyadic(top, np.arange(len(top) + 1) if len(top) == table.pairs else table.offsets)
 
 
 def _completed(
     columns: dict[str, tuple[Numbers, Numbers]], earned: OutcomeTable
 ) -> tuple[tuple[str, ...], OutcomeTable]:
     """Return names and table of components that were given by name, with the rest of the reward."""
+    names, table = _with_rest(columns, earned)
+    return names, replace(table, averaged=True) if _only_means(table) else table
+
+
+def _only_means(table: OutcomeTable) -> bool:
+    """Return whether components add up to the reward on average over outcomes, and not in each.
+
+    That is so where the reward differs between outcomes, and components were given by pair.
+    """
+    if not (table.joint or table.parted_by_outcome):
+        return False
+    gain, below = table.gains(), table.component_denominator
+    counts = np.diff(table.offsets)
+    parts = table.components
+    if not table.parted_by_outcome:
+        parts, below = parts[table.pair], below[table.pair]
+        counts = np.ones(len(gain), dtype=np.int64)
+    each = np.stack([divide(part, below, counts) for part in parts.T], axis=1)
+    # Each part is rounded once, and so are their sums and the reward.
+    size = np.abs(each).sum(axis=1) + np.abs(gain)
+    return bool((np.abs(each.sum(axis=1) - gain) > (parts.shape[1] + 2) * NEXT * size).any())
+
+
+def _with_rest(
+    columns: dict[str, tuple[Numbers, Numbers]], earned: OutcomeTable
+) -> tuple[tuple[str, ...], OutcomeTable]:
+    """Return names and table of the components, and of what they leave of the reward."""
     table = made_of(earned, [*columns.values()])
     left, below = _rest(table)
     if not np.asarray(left != 0).any():
         return tuple(columns), table
     floats = np.float64 in (table.components.dtype, table.gain.dtype, table.weight.dtype)
     if floats and not wrong_rows(table, table.expected_gain()).any():
-        printed = made_of(table, [*map(_as_printed, columns.values())])
+        printed = made_of(table, [_as_printed(column, table) for column in columns.values()])
         whole = not np.asarray(_rest(printed)[0] != 0).any()
         return tuple(columns), printed if whole else table
     if REST in columns:
@@ -88,12 +143,14 @@ def _rest(table: OutcomeTable) -> tuple[Numbers, Numbers]:
     return multiply(gain, below) - multiply(total, bottom), multiply(bottom, below)
 
 
-def _as_printed(column: tuple[Numbers, Numbers]) -> tuple[Numbers, Numbers]:
+def _as_printed(column: tuple[Numbers, Numbers], table: OutcomeTable) -> tuple[Numbers, Numbers]:
     """Return amounts with each float as the decimal that it prints as: 0.1 as 1/10."""
-    if column[0].dtype != np.float64:
+    top, _ = column
+    if top.dtype != np.float64:
         return column
-    values = [Fraction(repr(value)) for value in column[0].tolist()]
-    return over_groups(values, np.arange(len(values) + 1))
+    values = [Fraction(repr(value)) for value in top.tolist()]
+    of_pair = len(top) == table.pairs
+    return over_groups(values, np.arange(len(top) + 1) if of_pair else table.offsets)
 
 
 def wrong_rows(table: OutcomeTable, reward: Floats) -> Numbers:
@@ -102,11 +159,12 @@ def wrong_rows(table: OutcomeTable, reward: Floats) -> Numbers:
     with np.errstate(over="ignore"):  # a scale beyond the floats forgives nothing that it should
         total = floats.sum(axis=1)
         # Rewards of both signs cancel: it is the size of each that rounding is relative to.
-        size = replace(table, gain=np.abs(table.gain)).expected_gain()
-        scale = np.abs(floats).sum(axis=1) + size
+        sizes = replace(table, gain=np.abs(table.gain), components=np.abs(table.components))
+        scale = sizes.expected_components().sum(axis=1) + sizes.expected_gain()
     lost = (floats.shape[1] + 1) * 2.0**-1074  # below the range, rounding is no longer relative
-    # A product and a sum for each outcome, a sum for each component; twice: here, and by the user.
-    roundings = 2 * np.diff(table.offsets) + floats.shape[1] + 4
+    # A product and a sum for each outcome, of the reward and of each component, and a sum for each
+    # component; twice: here, and by the user.
+    roundings = 4 * np.diff(table.offsets) + floats.shape[1] + 4
     return np.asarray(~(np.abs(total - reward) <= roundings * NEXT * scale + lost))
 
 
@@ -143,26 +201,62 @@ def of_length(values: Any, where: str, pairs: int) -> Any:
     return amounts
 
 
-def named_components(parts: dict[str, Any], table: OutcomeTable) -> dict[str, Any]:
-    """Take `components` out of parts; return the names of all, and the table with them."""
+def named_components(
+    parts: dict[str, Any], table: OutcomeTable, by_outcome: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """Take `components` out of parts; return the names of all, and the table with them.
+
+    Unless parts have some, they are those `by_outcome`, with amounts (N,) by name.
+    """
     sound = table.gain.dtype != np.float64 or np.isfinite(table.gain).all()
-    if parts.get("components") is None or not sound:  # a reward that is no number is refused next
+    given = parts.get("components") is not None
+    if not (given or by_outcome) or not sound:  # a reward that is not a number is refused next
         parts.pop("components", None)
         return {"table": table}
     each_component(parts, lambda values, where: _of_table(values, where, table))
+    every: Mapping[str, Any] = parts.pop("components") if given else by_outcome or {}
     columns = {}
-    for name, values in parts.pop("components").items():
-        if values.ndim == 1:
-            top, bottom = grouped(np.array(values), np.arange(table.pairs + 1))
-        else:
-            gain = grouped(np.asarray(values[table.pair, table.next]), table.offsets)
-            top, bottom = table.earning(*gain).expected_gain_exact()
+    for name, values in every.items():
+        if values.ndim == 2:
+            values = np.asarray(values[table.pair, table.next])
+        elif given:
+            values = np.asarray(values)[table.pair]
+        top, bottom = _by_pair_if_alike(np.array(values), table)
         if top.dtype == np.float64 and not np.isfinite(top).all():
             what = f"an amount is {top[~np.isfinite(top)][0]}"
             raise ModelError(what, where=f"component {name}", fix="give a finite number")
         columns[name] = top, bottom
     names, table = _completed(columns, table)
     return {"component_names": names, "table": table}
+
+
+def of_outcomes(table: OutcomeTable, amounts: Mapping[str, Any]) -> OutcomeTable:
+    """Return a table with components, given as amounts (N,) of its outcomes by name."""
+    columns = [_by_pair_if_alike(np.asarray(values), table) for values in amounts.values()]
+    return made_of(table, columns)
+
+
+def _by_pair_if_alike(values: Numbers, table: OutcomeTable) -> tuple[Numbers, Numbers]:
+    """Return amounts (N,) of outcomes as the arrays of a table: by pair, if those of each agree."""
+    of_pair = values[table.offsets[:-1]]
+    if np.asarray(values == of_pair[table.pair], dtype=bool).all():
+        return grouped(of_pair, np.arange(table.pairs + 1))
+    return grouped(values, table.offsets)
+
+
+def require_amounts(table: OutcomeTable, what: str) -> None:
+    """Raise ModelError where what is asked for needs the amount of each outcome.
+
+    Only its mean over the outcomes of a pair is known of a component of a scenario.
+    """
+    if table.averaged and table.components is None:
+        raise ModelError(
+            f"{what} needs the reward of each outcome, and of this component of the reward only "
+            "the mean of each pair is known",
+            where="reward components",
+            fix="ask for the mean; or, in a scenario, set the other weights to 0 "
+            "(--set reward.NAME=0), so that this component is the whole reward",
+        )
 
 
 def _of_table(values: Any, where: str, table: OutcomeTable) -> Any:

@@ -167,8 +167,17 @@ def endless(mdp: MDP) -> bool:
     """Return whether the discount is 1 and some policy never ends, or ends beside a goal."""
     if mdp.discount_exact != 1:
         return False
-    off = mdp.goal is not None and bool((mdp.terminal & ~mdp.goal).any())
-    return off or not termination(mdp).proven
+    return bool(beside_goal(mdp).any()) or not termination(mdp).proven
+
+
+def beside_goal(mdp: MDP) -> Mask:
+    """Return (S,) True for terminal states that are not the goal of a model that has one.
+
+    A run that ends there has missed the goal, and is worth `unreached` instead of 0.
+    """
+    if mdp.goal is None:
+        return np.zeros(mdp.n_states, dtype=bool)
+    return np.asarray(mdp.terminal & ~mdp.goal)
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,11 +277,13 @@ def ways_out(mdp: MDP, *others: str) -> str:
 
 
 def require_termination(mdp: MDP) -> None:
-    """Raise ModelError, naming a policy that never ends, unless γ < 1 or every policy ends."""
-    if mdp.discount_exact < 1 or termination(mdp).proven:
+    """Raise ModelError unless γ < 1, or every policy ends and none of them beside a goal."""
+    if not endless(mdp):
         return
     raise ModelError(
-        "discount 1 needs every policy to end, and one does not",
+        "discount 1 needs every policy to end, and one does not"
+        if not termination(mdp).proven
+        else "a run that ends beside the goal is worth infinity, and some policy has such a run",
         where=where_endless(mdp),
         fix=ways_out(
             mdp,

@@ -58,6 +58,11 @@ SHOWN = (
     *("labels", "name", "table", "transition", "reward", "components", "counts", "P", "R"),
 )
 """What is listed of a model, and completed: what is asked of it from outside."""
+COMMUTING = {
+    *("discount_exact", "start", "episodes", "sense", "name", "labels", "goal", "target"),
+    *("time_limit", "actions", "action_objects"),
+}
+"""What can be changed in the model that answers a question, and at other parameters alike."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,9 +101,11 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
     labels : {str: (S,) bool}
         Named sets of states; `reaching` and `until` ask about them.
     goal : (S,) bool, optional
-        Of a model that `until` made: a run that never reaches one of these states is worth
-        `unreached`, which is infinity.
-
+        Of a model that `until` made, at discount 1: a run that never reaches one of these states is
+        worth `unreached`, which is infinity.
+    target : (S,) bool, optional
+        The states in which `until` ends every run, at any discount: at discount 1 they are the
+        goal, also where `with_` changes the discount.
     action_objects : tuple
         What the actions were made of, where these were objects other than 0 … A-1.
     observations : (L,) int64, optional
@@ -148,6 +155,14 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         fill(self, "labels", as_labels(self.labels, self.space))
         if self.goal is not None:
             fill(self, "goal", as_flags(self.goal, self.space, "goal"))
+            if self.discount_exact != 1:
+                raise ModelError(
+                    "a goal is that of a total at discount 1",
+                    where="goal",
+                    fix='ask mdp.with_(discount=1).until("LABEL"), or leave goal out',
+                )
+        target = self.target if self.goal is None else self.goal
+        fill(self, "target", None if target is None else as_flags(target, self.space, "target"))
         offsets = np.zeros(self.n_states + 1, dtype=np.int64)
         np.cumsum(np.bincount(self.pair_state, minlength=self.n_states), out=offsets[1:])
         fill(self, "pair_offsets", offsets)
@@ -328,7 +343,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         """(S,) True where all is over: terminal, without any component or event to be counted."""
         counted = np.zeros(self.n_pairs, dtype=bool)
         if self.table.components is not None:
-            counted |= np.asarray(self.table.components != 0, dtype=bool).any(axis=1)
+            counted |= self.table.any_outcome("components")
         if self.table.event is not None:
             counted |= self.table.any_outcome("event")
         return self.terminal & ~np.logical_or.reduceat(counted, self.pair_offsets[:-1])
@@ -388,7 +403,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         same = lengths == lengths[first]
         rows = np.flatnonzero(same)
         ours, theirs = table.of_pairs(rows), table.of_pairs(first[rows])
-        for name in [part.name for part in fields(table)[1:]]:  # all but the offsets
+        for name in [part.name for part in fields(table)[1:-1]]:  # all but the offsets, and a flag
             here, there = getattr(ours, name), getattr(theirs, name)
             if here is None:
                 continue
@@ -475,6 +490,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         0.9
         """
         check_options(parts, {})
+        given = {**parts} if start is None else {**parts, "start": start}
         if "states" in parts:
             parts["space"] = StateSpace.plain(self.n_states, parts.pop("states"))
         if "actions" in parts:
@@ -482,6 +498,10 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
             parts = {"action_objects": ()} | parts
         if discount is not None:
             parts["discount_exact"] = as_discount(discount)
+        if "goal" in parts:
+            parts.setdefault("target", parts["goal"])
+        elif self.target is not None and "discount_exact" in parts:
+            parts["goal"] = self.target if parts["discount_exact"] == 1 else None
         if start is not None:
             parts["start"] = as_start(start, parts.get("space", self.space))
             parts.setdefault("episodes", None)
@@ -495,7 +515,10 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
             if self.table.components is not None:
                 parts.setdefault("component_names", self.component_names)
             parts |= named_components(parts, parts.get("table", self.table))
-        return replace(self, **parts)
+        changed = replace(self, **parts)
+        if questions.origin_of(self) is not None and parts.keys() <= COMMUTING:
+            questions.keep_origin_changed(changed, self, discount, given)
+        return changed
 
     @property
     def floats(self) -> bool:
@@ -505,7 +528,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
     @cached_property
     def undiscounted(self) -> MDP:
         """The model itself, or the same in which all steps count alike: discount 1."""
-        return self if self.discount_exact == 1 else self.with_(discount=1)
+        return self if self.discount_exact == 1 else self.with_(discount=1, goal=None)
 
     @property
     def sign(self) -> int:
@@ -514,12 +537,15 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
 
     def negated(self) -> MDP:
         """Return the model of the other sense, whose rewards are those times -1."""
-        return replace(
+        negated = replace(
             self,
             table=self.table.negated(),
             sense="max" if self.sense == "min" else "min",
             unreached=-self.unreached,
         )
+        if questions.origin_of(self) is not None:
+            questions.keep_origin(negated, self, "negated")
+        return negated
 
     @property
     def maximised(self) -> MDP:
@@ -599,7 +625,9 @@ def _check_components(mdp: MDP) -> None:
     if amounts is None and len(mdp.component_names) == 1:
         return
     shape = (mdp.n_pairs, len(mdp.component_names))
-    if amounts is None or amounts.shape != shape or np.shape(below) != shape[:1]:
+    of_outcomes = (len(mdp.table.next), len(mdp.component_names))
+    fits = amounts is not None and amounts.shape in (shape, of_outcomes)
+    if not fits or np.shape(below) != shape[:1]:
         raise ModelError(
             f"components have shape {np.shape(amounts)}, not {shape}",
             where="reward components",

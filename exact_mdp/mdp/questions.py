@@ -19,9 +19,10 @@ Puterman, Markov Decision Processes, 1994, section 4.3.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import reduce
 from typing import Any, Self
 
 import numpy as np
@@ -40,7 +41,6 @@ from exact_mdp.mdp.table import (
     integers,
     ones,
     over_groups,
-    reduced,
 )
 from exact_mdp.mdp.validate import Flags, Parts, by_state, counted
 
@@ -50,6 +50,93 @@ FLOATS, OF_PAIR, OF_STATE = 20, 250, 560
 ONE_COMPONENT = {"component_names": ("reward",)}
 # Other rows than those that were observed; a pair has no number of them for each time either.
 NO_DATA: dict[str, Any] = {"observations": None, "episodes": None}
+
+
+@dataclass(frozen=True)
+class Question:
+    """A question about a model: a method of `MDP` that makes another model, and its options."""
+
+    method: str
+    options: Mapping[str, Any]
+
+    def __call__(self, model: Any) -> Any:
+        """Return the model that answers the question about another one."""
+        return getattr(model, self.method)(**self.options)
+
+
+@dataclass(frozen=True)
+class Origin:
+    """The model that a question was asked about, and the questions, the first one first.
+
+    The parameters of a question are those of this model: a row of it may be many rows of the model
+    that answers, such as one for each time.
+    """
+
+    model: Any
+    questions: tuple[Question, ...]
+
+    def again(self) -> Any:
+        """Return the model that answers."""
+        return reduce(lambda model, ask: ask(model), self.questions, self.model)
+
+
+def origin_of(model: Any) -> Origin | None:
+    """Return the origin of a model that answers a question; None where there is none."""
+    found: Origin | None = vars(model).get("origin")
+    return found
+
+
+def repeats_in_time(model: Any) -> bool:
+    """Return whether a model without origin looks like one that `within` made.
+
+    Its first column is the time, every step leads to the next one, and the rows of time 0 are those
+    of time 1.
+    """
+    space, table = model.space, model.table
+    if not space.columns or space.names[0] != TIME or space.columns[0].size < 3:
+        return False
+    own = space.regular // space.columns[0].size
+    first, second = (np.flatnonzero(model.pair_state // own == time) for time in (0, 1))
+    here, there = table.of_pairs(first), table.of_pairs(second)
+    same = np.array_equal(np.diff(here.offsets), np.diff(there.offsets))
+    same = same and np.array_equal(model.pair_action[first], model.pair_action[second])
+    if not same:
+        return False
+    later = np.where(here.next < space.regular, here.next + own, here.next)
+    rows = (here.weight, there.weight), (here.denominator, there.denominator)
+    return np.array_equal(later, there.next) and all(np.array_equal(*each) for each in rows)
+
+
+def keep_origin(answer: Any, asked_of: Any, method: str, **options: Any) -> Any:
+    """Return a model that answers a question, which knows from now on what it was asked of."""
+    before = origin_of(asked_of) or Origin(asked_of, ())
+    question = Question(method, options)
+    vars(answer)["origin"] = Origin(before.model, (*before.questions, question))
+    return answer
+
+
+def keep_origin_changed(
+    answer: Any, asked_of: Any, discount: object | None, changes: Mapping[str, Any]
+) -> None:
+    """Let a copy with other parts know its origin, as `keep_origin` does.
+
+    Another discount is one of the origin's model, whose parameter it is. Where that would answer
+    something else, as of a probability that counts no discount, the copy has no origin.
+    """
+    before = origin_of(asked_of)
+    assert before is not None
+    if "discount_exact" in changes:
+        return
+    if discount is not None:
+        for question in before.questions:
+            paid = question.options.get("terminal_value") is not None
+            if question.method == "reaching" or paid:
+                return
+        before = replace(before, model=before.model.with_(discount=discount))
+    if changes:
+        question = Question("with_", dict(changes))
+        before = replace(before, questions=(*before.questions, question))
+    vars(answer)["origin"] = before
 
 
 class Questions(Parts):
@@ -121,8 +208,12 @@ class Questions(Parts):
             **NO_DATA,
             "labels": {name: np.append(flags, False) for name, flags in self.labels.items()},
             "goal": None,
+            "target": None,
         }
-        return replace(self, **parts)
+        reached: Self = keep_origin(
+            replace(self, **parts), self, "reaching", label=label, allowed=allowed
+        )
+        return reached
 
     def until(self, label: str, reward: str | None = None) -> Self:
         """Return the model whose value is the expected reward until a labelled state is reached.
@@ -157,16 +248,11 @@ class Questions(Parts):
         [Fraction(3, 2), Fraction(0, 1)]
         """
         target = labelled(self, label)
-        model: Any = self
-        if reward is not None and (reward,) != self.component_names:
-            if reward not in self.component_names:
-                fix = suggest(reward, self.component_names)
-                what = f"no reward component {reward!r}"
-                raise ModelError(what, where="reward components", fix=fix)
-            table = self.table.earning_component(self.component_names.index(reward))
-            model = replace(self, table=table, component_names=(reward,))
-        until: Self = ended(model, target, goal=target if self.discount_exact == 1 else None)
-        return until
+        model = self if reward is None else _earning(self, reward)
+        goal = target if self.discount_exact == 1 else None
+        until: Self = ended(model, target, goal=goal, target=target)
+        asked: Self = keep_origin(until, model, "until", label=label)
+        return asked
 
     def within(self, steps: int, *, terminal_value: object = None) -> Self:
         """Return the model of episodes that stop after N steps.
@@ -256,9 +342,26 @@ class Questions(Parts):
             "time_limit": None,
             "labels": {name: timed(flags) for name, flags in self.labels.items()},
             "goal": None if self.goal is None else timed(self.goal),
+            "target": None if self.target is None else timed(self.target),
             **NO_DATA,
         }
-        return replace(self, **parts)
+        options = {"steps": count, "terminal_value": terminal_value}
+        stopped: Self = keep_origin(replace(self, **parts), self, "within", **options)
+        return stopped
+
+
+def _earning(model: Any, name: str) -> Any:
+    """Return the model whose reward is one of its components."""
+    if (name,) == model.component_names:
+        return model
+    if name not in model.component_names:
+        fix = suggest(name, model.component_names)
+        raise ModelError(f"no reward component {name!r}", where="reward components", fix=fix)
+    origin = origin_of(model)
+    if origin is not None and name in origin.model.component_names:
+        return replace(origin, model=_earning(origin.model, name)).again()
+    table = model.table.earning_component(model.component_names.index(name))
+    return replace(model, table=table, component_names=(name,))
 
 
 def unlimited(model: Parts, within: str) -> list[str]:
@@ -277,7 +380,7 @@ def labelled(model: Parts, label: str) -> Flags:
 
     So it does in the model of another question, where runs are over that the label may be asked of.
     """
-    if model.goal is not None or REACHED in model.space.extra:
+    if model.target is not None or REACHED in model.space.extra:
         raise ModelError(
             "this is the model of a question already, which ends runs",
             where=f"label {label!r}",
@@ -372,17 +475,25 @@ def _paid(
     ]
     gain[here], below[last] = over_groups(earned, table.offsets[first : last.stop + 1] - begin)
     paid = table.earning(integers(gain.tolist()), integers(below.tolist()))
-    if names == ("reward",):
-        return names, paid
-    (old, under), (new, below) = table.expected_gain_exact(), paid.expected_gain_exact()
-    added = new.astype(object) * under - old.astype(object) * below
+    if table.components is None:
+        return names, replace(paid, averaged=table.averaged)
+    parts = table.components if table.parted_by_outcome else None
     amounts, bottoms = table.expected_components_exact()
+    if parts is not None:
+        amounts, bottoms = parts, table.component_denominator
     columns = [(column, bottoms) for column in amounts.T]
     name = TERMINAL_VALUE
     while name in names:
         name += "'"
-    columns.append(reduced(added, below.astype(object) * under))
-    return (*names, name), made_of(paid, columns)
+    columns.append(_of_last(table, begin, more))
+    return (*names, name), replace(made_of(paid, columns), averaged=table.averaged)
+
+
+def _of_last(table: OutcomeTable, begin: int, more: Sequence[Fraction]) -> tuple[Numbers, Numbers]:
+    """Return amounts (N,) over denominators (L,) that are 0 but for some, from an outcome on."""
+    values = [Fraction(0)] * len(table.next)
+    values[begin : begin + len(more)] = more
+    return over_groups(values, table.offsets)
 
 
 def _in_columns(model: Parts, over: Flags) -> StateSpace:

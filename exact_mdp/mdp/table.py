@@ -58,8 +58,12 @@ class OutcomeTable:
     gain, gain_denominator : (N,), or (L,) where the pair alone decides it; (L,)
     event : (N,) uint8, optional
         Bit b is set on outcomes where the model's event number b happens.
-    components, component_denominator : (L, C), (L,), optional
-        Expected reward of each pair by component; without them the reward is the only one.
+    components, component_denominator : (N, C), or (L, C) where the pair alone decides; (L,)
+        The reward by component, optional; without them the reward is the only one.
+    averaged : bool
+        Whether components (L, C) are means of amounts that differ between outcomes; of a table
+        without components, whether its reward is such a mean. Then means are right, and what rests
+        on single outcomes is not known: the spread, quantiles, other rows.
     """
 
     offsets: Integers
@@ -71,6 +75,7 @@ class OutcomeTable:
     event: NDArray[np.uint8] | None = None
     components: Any = None
     component_denominator: Any = None
+    averaged: bool = False
 
     @property
     def pairs(self) -> int:
@@ -119,6 +124,8 @@ class OutcomeTable:
     def any_outcome(self, name: str) -> NDArray[np.bool_]:
         """Return (L,) True where a number of this name is not 0 in some outcome of the pair."""
         some = np.asarray(getattr(self, name) != 0, dtype=bool)
+        if some.ndim == 2:
+            some = np.asarray(some.any(axis=1))
         of_pair = len(some) == self.pairs
         return some if of_pair else np.logical_or.reduceat(some, self.offsets[:-1])
 
@@ -133,11 +140,11 @@ class OutcomeTable:
             "gain": of_pair if by_pair else of_outcome,
             "gain_denominator": of_pair,
             "event": of_outcome,
-            "components": of_pair,
+            "components": of_outcome if self.parted_by_outcome else of_pair,
             "component_denominator": of_pair,
         }
         known = {name: getattr(self, name) for name in parts}
-        changed = {
+        changed: dict[str, Any] = {
             name: parts[name](name, array) for name, array in known.items() if array is not None
         }
         return replace(self, **changed)
@@ -145,14 +152,20 @@ class OutcomeTable:
     def earning(self, gain: Numbers, below: Numbers) -> OutcomeTable:
         """Return the table of another reward, which has no components."""
         parts: dict[str, Any] = {"components": None, "component_denominator": None}
-        return replace(self, gain=gain, gain_denominator=below, **parts)
+        return replace(self, gain=gain, gain_denominator=below, averaged=False, **parts)
 
     def earning_component(self, number: int) -> OutcomeTable:
         """Return the table whose reward is a component alone."""
         if self.components is None:
             return self
         gain = np.ascontiguousarray(self.components[:, number])
-        return self.earning(gain, self.component_denominator)
+        return replace(self.earning(gain, self.component_denominator), averaged=self.averaged)
+
+    @property
+    def parted_by_outcome(self) -> bool:
+        """Whether amounts of components are known by outcome: (N, C), not (L, C)."""
+        parts = self.components
+        return parts is not None and len(parts) == len(self.next) and len(parts) != self.pairs
 
     def negated(self) -> OutcomeTable:
         """Return the table of the rewards times -1."""
@@ -203,9 +216,14 @@ class OutcomeTable:
         return total, multiply(below, gain_below)
 
     def expected_components(self) -> Floats:
-        """Return (L, C) the expected reward by component, each number rounded once."""
+        """Return (L, C) the expected reward by component, each number rounded once.
+
+        Amounts by outcome that are floats are rounded as those of `expected_gain` are.
+        """
         if self.components is None:
             return self.expected_gain()[:, None]
+        if self.parted_by_outcome:
+            return np.stack([each.expected_gain() for each in self._each_component()], axis=1)
         shape = self.components.shape
         return divide(self.components, np.broadcast_to(self.component_denominator[:, None], shape))
 
@@ -214,11 +232,25 @@ class OutcomeTable:
         if self.components is None:
             gain, below = self.expected_gain_exact()
             return gain[:, None], below
+        if self.parted_by_outcome:
+            each = [part.expected_gain_exact() for part in self._each_component()]
+            tops, belows = zip(*each, strict=True)
+            common = np.lcm.reduce([below.astype(object) for below in belows])
+            whole = [
+                multiply(top, integers((common // below).tolist())).astype(object)
+                for top, below in zip(tops, belows, strict=True)
+            ]
+            amounts = integers(np.stack(whole, axis=1).reshape(-1).tolist())
+            return amounts.reshape(self.pairs, -1), integers(common.tolist())
         if self.components.dtype != np.float64:
             return self.components, self.component_denominator
         pairs, parts = self.components.shape
         top, below = dyadic(self.components.reshape(-1), np.arange(pairs + 1) * parts)
         return top.reshape(pairs, parts), below
+
+    def _each_component(self) -> list[OutcomeTable]:
+        """Return the tables that earn one component each."""
+        return [self.earning_component(number) for number in range(self.components.shape[1])]
 
     def integer_weights(self) -> tuple[Numbers, Numbers]:
         """Return (N,), (L,) integers: what each row means, over a denominator of its own."""

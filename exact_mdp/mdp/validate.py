@@ -67,6 +67,7 @@ class Parts:
     sense: str = "max"
     labels: Mapping[str, Flags] = field(default_factory=dict)
     goal: Flags | None = None
+    target: Flags | None = None
     unreached: float = inf
     observations: Integers | None = None
     episodes: int | None = None

@@ -9,8 +9,8 @@ is found is bounded whatever it came from: with a w > 0 such that w - γ P_l w �
 
 because no policy keeps more of w than that. Below discount 1, w = 1 and c = 1 - γ. At discount 1, w
 is the greatest expected number of steps to the end, found by the same iteration and checked; where
-there is none, because some policy may never end, or where the models do not have the same pairs,
-`Batch.of` gives None, and models are solved one by one.
+there is none, because some policy may never end, where a run may end beside a goal, or where the
+models do not have the same pairs, `Batch.of` gives None, and models are solved one by one.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from functools import cached_property
 
 import numpy as np
 
+from exact_mdp.mdp.graph import beside_goal
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.gains import (
@@ -56,12 +57,14 @@ class Batch:
     def of(cls, models: Sequence[MDP]) -> Batch | None:
         """Return the models as one batch; None where they are too large or too different.
 
-        And where some policy may never end.
+        And where some policy may never end, or end beside a goal.
         """
         one = models[0]
         if one.n_pairs * one.n_states > MOST or any(
             not np.array_equal(one.pair_offsets, other.pair_offsets) for other in models[1:]
         ):
+            return None
+        if any(mdp.discount_exact == 1 and beside_goal(mdp).any() for mdp in models):
             return None
         facts = [rounding_facts(mdp) for mdp in models]
         batch = cls(

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.components import require_amounts
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fraction, rational
 from exact_mdp.mdp.graph import termination, topological_levels
@@ -68,6 +69,7 @@ class Budgeted:
 
     def __init__(self, model: MDP) -> None:
         """Take a model."""
+        require_amounts(model.table, "the mean of the worst episodes")
         mdp = model.maximised
         ends, level = mdp.terminal, topological_levels(mdp)
         if mdp.discount_exact != 1 or level is None:

@@ -72,7 +72,7 @@ RARE = MDP.from_outcomes(
 )  # fmt: skip
 TIMES = StateSpace(columns=(Column(name="time", size=2), Column(name="row", size=1)), extra=("o",))
 APART = MDP.from_outcomes(
-    [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 1, 0)]), (1, 2, [(1, 2, 0)]), (1, 3, [(1, 2, 0)]),
+    [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 1, 1)]), (1, 2, [(1, 2, 0)]), (1, 3, [(1, 2, 1)]),
      (2, 0, [(1, 2, 0)])]
 ).with_(space=TIMES)  # fmt: skip
 LEAST, ENDS = F(1, 10**400), [[0, 1, 0], [0, 0, 0]]

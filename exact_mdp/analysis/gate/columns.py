@@ -137,13 +137,15 @@ class Rows:
     """The K rows that some columns make of a model's states, and relaxations over its A actions.
 
     Of a row, `asked` (K,) says whether a state with a choice can be reached, and `available` (K, A)
-    which actions all its states with a choice offer; `key` (S,) is the row of each state.
+    which actions all its states with a choice offer; `key` (S,) is the row of each state. A choice
+    counts where it matters: not where all is over, nor where all actions are alike.
     """
 
     def __init__(self, mdp: MDP, columns: Sequence[str]) -> None:
         space = space_over(mdp, columns)
         row = rows_read(mdp, space)
-        free, met = ~mdp.forced, reachable(mdp)
+        # Where all is over, or all actions are alike, a policy may say anything.
+        free, met = mdp.asked & ~mdp.indifferent, reachable(mdp)
         entry, size = row[mdp.pair_state] * mdp.n_actions + mdp.pair_action, space.size
         offers = np.bincount(entry[free[mdp.pair_state]], minlength=size * mdp.n_actions)
         states = np.bincount(row[free], minlength=size)[:, None]
@@ -155,7 +157,7 @@ class Rows:
                 where=space.label(int(np.flatnonzero(without)[0])) or "all states",
                 fix="let the policy read more columns",
             )
-        self.mdp, self.space, self.key = mdp, space, row
+        self.mdp, self.space, self.key, self.free = mdp, space, row, free
         self.asked = np.bincount(row[free & met], minlength=size) > 0
         # Pairs of states that have no choice, or are never reached, are always allowed.
         choosing = (free & met & ~mdp.terminal)[mdp.pair_state]
@@ -178,7 +180,7 @@ class Rows:
     def choices(self, policy: Policy) -> Integers:
         """Return the likeliest action numbers (K,) of a policy that reads nothing else."""
         taken: Integers = self.available.argmax(axis=1)
-        free = np.flatnonzero(~self.mdp.forced)
+        free = np.flatnonzero(self.free)
         taken[self.key[free]] = policy.choices(self.mdp)[free]
         return taken
 

@@ -57,6 +57,8 @@ from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Family, Parametric, moving, parameter_of, parametric
+from exact_mdp.mdp.parametric.family import asked_of
+from exact_mdp.mdp.questions import origin_of, repeats_in_time
 from exact_mdp.mdp.result import Brief, DataFrame
 from exact_mdp.mdp.table import Floats, float_of
 
@@ -554,7 +556,12 @@ def _read(path: str | Path) -> tuple[dict[str, Settings], float | None]:
 
 def drawn_family(model: Any) -> Parametric:
     """Return the parameters that are drawn of a model: of an MDP those of its random rows, too."""
-    return row_family(model) if isinstance(model, MDP) else parametric(model)
+    if not isinstance(model, MDP):
+        return parametric(model)
+    origin = origin_of(model)
+    if origin is None:
+        return row_family(model)
+    return asked_of(row_family(origin.model), origin)
 
 
 def row_family(mdp: MDP) -> Family:
@@ -563,6 +570,13 @@ def row_family(mdp: MDP) -> Family:
     Of each row these are all but the largest, which is what the others leave; drawn together they
     are Dirichlet. Rewards and the discount are parameters, too.
     """
+    if repeats_in_time(mdp):
+        raise ModelError(
+            "the rows of this model are alike at every time, and may be one row that is drawn once",
+            where="rows as parameters",
+            fix="ask about the model before it was unrolled, and give the number of steps: "
+            "model.within(20) in Python, --horizon 20 on the command line",
+        )
     entries: dict[str, list[tuple[int, str]]] = {}
     rows: dict[str, tuple[str, ...]] = {}
     labels = mdp.space.labels(range(mdp.n_states))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from exact_mdp.mdp.care.scenario import ScenarioFamily
 from exact_mdp.mdp.errors import ModelError, listed, located, of_type
-from exact_mdp.mdp.graph import termination
+from exact_mdp.mdp.graph import endless
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.parameter import Parameter
@@ -119,7 +119,7 @@ def admitted(model: Parametric, parameter: Parameter, span: Range) -> Range:
             mdp = model.at({name: value})
         except ModelError:
             return False
-        return mdp.discount_exact < 1 or termination(mdp).proven
+        return not endless(mdp)
 
     ends = [low, high]
     if low < high and has_values(today):

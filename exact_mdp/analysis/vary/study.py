@@ -32,6 +32,7 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import cell
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import Floats, Integers, Numbers, exact
+from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.batch import Batch
 from exact_mdp.solvers.bounds.gains import gains
 from exact_mdp.solvers.care import MOST_ACTIONS, MOST_STATUSES, optimal, policy_values
@@ -301,17 +302,31 @@ class _Built:
         taken = np.asarray(solution.policy)
         return solution.start.value, solution.start.error, lost, off + noise, taken
 
-    def held(self, weights: Floats) -> tuple[Floats, Floats]:
-        """Return the value at the start and its error (D,) of a policy (L,)."""
+    def held(self, weights: Floats, undecided: Flags) -> tuple[Floats, Floats]:
+        """Return the value at the start and its error (D,) of a policy (L,).
+
+        Raises ModelError where it matters in a model what is done in the `undecided` states (S,).
+        """
+        if undecided.any():
+            for d, mdp in enumerate(self.models):
+                PolicyChain.of(mdp, weights).require_said(undecided, self.at(d))
         if self.batch is not None:
             mean, error = self.batch.of_policy(weights)
             return 0.0 + self.sign * mean, error
         every = [finite_worth(mdp, weights, self.at(d)) for d, mdp in enumerate(self.models)]
         return np.array([x.value for x in every]), np.array([x.error for x in every])
 
-    def totals(self, weights: Floats, names: Sequence[str]) -> Floats:
+    def totals(self, weights: Floats, names: Sequence[str], undecided: Flags) -> Floats:
         """Return (D, C) the expected totals of some components under a policy (L,)."""
-        if self.batch is None:
+        if undecided.any():
+            for d, mdp in enumerate(self.models):
+                PolicyChain.of(mdp, weights).require_said(undecided, self.at(d))
+        # A batch counts nothing in terminal states, where a component may be counted for ever.
+        for_ever = any(
+            mdp.discount_exact == 1 and bool((mdp.terminal & ~mdp.over).any())
+            for mdp in self.models
+        )
+        if self.batch is None or for_ever:
             every = (evaluate(mdp, weights).components for mdp in self.models)
             return np.array([[each[name] for name in names] for each in every])
         columns = [self.models[0].component_names.index(name) for name in names]
@@ -364,6 +379,7 @@ class ModelSolver:
         self.labels = tuple(self.mdp.space.labels(np.flatnonzero(~forced)))
         self.place = np.where(forced, -1, np.cumsum(~forced) - 1)
         self.built: dict[str, _Built] = {}
+        self.undecided: dict[str, Flags] = {}  # by policy: the states of which it says nothing
 
     def __getstate__(self) -> dict[str, Any]:
         return vars(self) | {"built": {}}
@@ -376,7 +392,13 @@ class ModelSolver:
     def held(self, policy: PolicyLike) -> Floats:
         """Return (L,) probabilities of pairs of a policy; "optimal" is today's optimum."""
         today = isinstance(policy, str) and policy == "optimal"
-        return PolicyChain.of(self.mdp, self.solution if today else policy).chosen
+        chain, undecided = PolicyChain.held_fixed(self.mdp, self.solution if today else policy)
+        self.undecided[digest(chain.chosen)] = undecided
+        return chain.chosen
+
+    def _undecided(self, weights: Floats) -> Flags:
+        """Return (S,) the states of which a policy (L,) that is held says nothing."""
+        return self.undecided.get(digest(weights), np.zeros(self.mdp.n_states, dtype=bool))
 
     def row(self, weights: Floats) -> Integers:
         """Return (S,) the action numbers of a policy (L,), -1 where it mixes."""
@@ -452,7 +474,8 @@ class ModelSolver:
     def values(self, draws: Numbers, policies: Sequence[Floats], first: int = 0) -> Arrays:
         """Return value (D, N) and error (D, N) of N policies, each (L,) probabilities of pairs."""
         built = self._of(draws, first)
-        value, error = np.array([built.held(weights) for weights in policies]).swapaxes(0, 1)
+        held = [built.held(weights, self._undecided(weights)) for weights in policies]
+        value, error = np.array(held).swapaxes(0, 1)
         return {"value": value.T, "error": error.T}
 
     def totals(
@@ -468,7 +491,8 @@ class ModelSolver:
                     where=f"draw {first + d}",
                     fix="make the model by a function that gives its components: Family(build=…)",
                 )
-        totals = np.stack([built.totals(weights, components) for weights in policies], axis=1)
+        each = [built.totals(own, components, self._undecided(own)) for own in policies]
+        totals = np.stack(each, axis=1)
         if not np.isfinite(totals).all():
             raise ModelError(
                 "a total is infinite",

@@ -265,6 +265,7 @@ def _model(laws: Laws, places: Integers) -> MDP:
     table = OutcomeTable(
         offsets=np.concatenate([[0], np.cumsum(lengths)]),
         gain_denominator=_same(laws.scale, len(lengths)),
+        averaged=True,  # of what a status costs, which depends on the next vector
         **rows | {"next": rows["next"].astype(_states(end)), "event": rows["event"].astype("u1")},
     )
     space = rules.space(len(places))

@@ -31,6 +31,7 @@ def table_of(
     gain: Any,
     size: int,
     names: dict[str, Any],
+    amounts: dict[str, Any] | None = None,
     *,
     by_pair: bool,
     own: bool,
@@ -38,8 +39,10 @@ def table_of(
     """Return the table of outcomes (N,), those of pair l from offsets[l] on; note what was floats.
 
     Rewards may be those of pairs (L,). Next states and probabilities are copied unless they are
-    `own`.
+    `own`. Outcomes with other `amounts` of components (N,) are not joined; their arrays are
+    replaced by those of the outcomes of the table.
     """
+    parts = {} if amounts is None else amounts
     taken = _taken(offsets, following, chance, size, own=own) if by_pair else None
     if taken is not None:
         following, chance = taken
@@ -48,15 +51,17 @@ def table_of(
         if not (own and positive.all()):
             following, chance = following[positive], chance[positive]
             gain = gain if by_pair else gain[positive]
+            parts |= {name: values[positive] for name, values in parts.items()}
             offsets = np.concatenate([[0], np.cumsum(positive)])[offsets]
     floats = has_floats(chance), has_floats(gain)
     for name, of_floats in zip(("float_probabilities", "float_rewards"), floats, strict=True):
         names[name] = names.get(name, False) or of_floats
     rising = taken is not None or _rises(offsets, following)
     if not rising:
-        keys = None if by_pair else gain
+        keys = None if by_pair else _ranks([gain, *parts.values()])
         offsets, following, chance, first = joined(offsets, following, chance, keys, chances=True)
         gain = gain if by_pair else gain[first]
+        parts |= {name: values[first] for name, values in parts.items()}
     if not by_pair and len(gain) and np.diff(offsets).all():
         of_pair = gain[offsets[:-1]]
         if np.asarray(gain == np.repeat(of_pair, np.diff(offsets)), dtype=bool).all():
@@ -76,6 +81,14 @@ def table_of(
     if by_pair:
         vars(table)["rising"] = True
     return table
+
+
+def _ranks(columns: list[Any]) -> Any:
+    """Return numbers (N,) that are equal where all columns (N,) are, and in their order."""
+    if len(columns) == 1:
+        return columns[0]
+    ranks = [np.unique(np.asarray(column), return_inverse=True)[1] for column in columns]
+    return np.unique(np.stack(ranks, axis=1), axis=0, return_inverse=True)[1].reshape(-1)
 
 
 def _rises(offsets: Integers, following: Numbers) -> bool:

@@ -15,7 +15,10 @@
     goal, unreached   null, or a list of states, the goal; and what a run that never reaches it is
                       worth, "inf" or "-inf"
     labels            {name: list of states}
-    components        {name: list with a number for each pair}: parts of the expected reward
+    components        {name: list with a number for each pair}: parts of the reward; in place of a
+                      number there may be a list with one for each of the next states
+    averaged          whether components, or without them rewards, are only means over the outcomes
+                      of a pair; left out if not
     action_names      a list of texts, by number
     state_names       the same of states, or null
 
@@ -28,7 +31,8 @@ parameters, events, and how often pairs were observed.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from fractions import Fraction
 from functools import lru_cache
 from itertools import chain
@@ -38,7 +42,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.build import MOST_UNNAMED_ACTIONS
-from exact_mdp.mdp.components import made_of
+from exact_mdp.mdp.components import of_outcomes
 from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.io.files import LARGEST, read_text, write_atomically
 from exact_mdp.mdp.io.structured import (
@@ -54,7 +58,7 @@ from exact_mdp.mdp.io.structured import (
 )
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Numbers, OutcomeTable, common, integers, magnitude, over_groups
+from exact_mdp.mdp.table import Numbers, OutcomeTable, integers, magnitude, over_groups
 
 FORMAT, VERSION = "exact-mdp model", 2
 FLOATS = ("float_probabilities", "float_rewards")
@@ -90,7 +94,8 @@ HEAD = {
     "goal": optional([natural]),
     "unreached": unreached,
     "labels": {str: [natural]},
-    "components": {str: [number]},
+    "components": {str: [lambda given: _amount(given)]},
+    "averaged": optional(bool),
     "action_names": optional([str]),
     "state_names": optional([str]),
     "pairs": [PAIR],
@@ -121,8 +126,7 @@ def content(mdp: MDP) -> dict[str, Any]:
         mdp.space.columns[0].label(state) if one and state < mdp.space.regular else label
         for state, label in enumerate(mdp.space.labels(range(mdp.n_states)))
     ]
-    several = mdp.component_names if table.components is not None else ()
-    parts = {name: (each.tolist() for each in mdp.component(name)) for name in several}
+    parts = {} if table.components is None else dict(_amounts(mdp, rows))
     head = {
         "format": FORMAT,
         "version": VERSION,
@@ -135,12 +139,26 @@ def content(mdp: MDP) -> dict[str, Any]:
         "goal": None if mdp.goal is None else np.flatnonzero(mdp.goal).tolist(),
         "unreached": str(mdp.unreached),
         "labels": {name: np.flatnonzero(each).tolist() for name, each in mdp.labels.items()},
-        "components": {name: [*map(_ratio, *each)] for name, each in parts.items()},
+        "components": parts,
+        **({"averaged": True} if table.averaged else {}),
         "action_names": mdp.actions,
         "state_names": words if named else None,
     }
     pairs = [dict(zip(PAIR, pair, strict=True)) for pair in zip(*columns, strict=True)]
     return {**ready(head), "pairs": pairs}
+
+
+def _amounts(mdp: MDP, rows: Sequence[slice]) -> Iterator[tuple[str, list[Any]]]:
+    """Yield the name of each component, and its amounts by pair, or lists of them by outcome."""
+    table = mdp.table
+    for place, name in enumerate(mdp.component_names):
+        if not table.parted_by_outcome:
+            yield name, [*map(_ratio, *(each.tolist() for each in mdp.component(name)))]
+            continue
+        gain, below = table.earning_component(place).integer_gains()
+        each = list(map(_ratio, gain.tolist(), below[table.pair].tolist()))
+        of_pairs = map(each.__getitem__, rows)
+        yield name, [own if len({*own}) > 1 else own[0] for own in of_pairs]
 
 
 def _integers(array: Numbers) -> list[int | str]:
@@ -177,7 +195,7 @@ def load(path: str | Path) -> MDP:
         states, count = head["states"], len(rows)
         if not 1 <= states <= count:
             raise ModelError(f"{states} states and {count} pairs", fix="give each state a pair")
-        state, action, reward, below, following, weight = map(list, zip(*rows, strict=True))
+        state, action, reward, below, following, weight, orders = map(list, zip(*rows, strict=True))
         ends = np.concatenate([[0], np.cumsum([len(each) for each in weight])])
         groups = np.arange(count + 1)
         if any(isinstance(each, tuple) for each in reward):
@@ -195,7 +213,9 @@ def load(path: str | Path) -> MDP:
         )
         parts, names = head["components"], head["action_names"]
         if parts:
-            table = made_of(table, [_component(name, parts[name], count) for name in parts])
+            columns = {name: _component(name, parts[name], orders) for name in parts}
+            table = of_outcomes(table, columns)
+        table = replace(table, averaged=bool(head["averaged"]))
         flags = {name: _flags(name, each, states) for name, each in head["labels"].items()}
         return MDP(
             table,
@@ -222,8 +242,10 @@ def _row(
     if not next or len({*map(len, each)}) > 1:
         with located(f"pairs, {number}"):
             refuse(weight, "a list with a weight, or a reward, for each next state")
-    next, weight, *rewards = zip(*sorted(zip(*each, strict=True)), strict=True)
-    return state, action, *(rewards or [reward]), denominator, next, weight
+    order = sorted(range(len(next)), key=lambda k: [column[k] for column in each])
+    next, weight, *rewards = ([column[k] for k in order] for column in each)
+    earned = tuple(rewards[0]) if rewards else reward
+    return state, action, earned, denominator, next, weight, order
 
 
 def _state(key: str) -> int:
@@ -231,12 +253,25 @@ def _state(key: str) -> int:
         return natural(number(key).numerator if number(key).denominator == 1 else key)
 
 
-def _component(name: str, amounts: Sequence[Fraction], pairs: int) -> tuple[Numbers, Numbers]:
-    if len(amounts) != pairs:
-        with located(f"components, {name}"):
-            refuse(amounts, f"a list of {pairs} numbers")
-    top, below = common(amounts)
-    return integers(top), integers([below] * pairs)
+def _amount(given: Any) -> Any:
+    """Read the amount of a pair, or the amounts of its outcomes."""
+    return shaped(given, [number]) if isinstance(given, list) else number(given)
+
+
+def _component(name: str, amounts: Sequence[Any], orders: Sequence[Sequence[int]]) -> Numbers:
+    """Return the amounts (N,) of outcomes, those of each pair in the order of its outcomes."""
+    with located(f"components, {name}"):
+        if len(amounts) != len(orders):
+            refuse(amounts, f"a list of {len(orders)} numbers")
+        values = list[Fraction]()
+        for given, order in zip(amounts, orders, strict=True):
+            if not isinstance(given, tuple):
+                values += [given] * len(order)
+                continue
+            if len(given) != len(order):
+                refuse(given, f"a list of {len(order)} numbers")
+            values += [given[k] for k in order]
+    return np.array(values, dtype=object)
 
 
 def _flags(name: str, numbers: Sequence[int], states: int) -> Numbers:

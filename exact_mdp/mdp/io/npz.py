@@ -13,10 +13,12 @@ The arrays of an archive, nothing in it being a pickle:
     gain          (N,) or (L,) integers or float64   reward of an outcome, or of a pair, is
     gain_denominator (L,) integers                   gain[i] / gain_denominator[l]
     event         (N,) uint8     optional: bit b is set where event number b happens
-    components    (L, C) integers or float64     optional: expected reward of each pair by
-    component_denominator (L,) integers          component, components[l, c] over the denominator
+    components    (N, C) or (L, C) integers or float64     optional: reward of an outcome, or of a
+    component_denominator (L,) integers          pair, by component, over the pair's denominator
     labels        (K, S) uint8   optional: 1 where the label's states are, of the header's names
     goal          (S,) uint8     optional: 1 in the states that a run has to reach
+    target        (S,) uint8     optional: 1 where `until` ended runs, if that is no goal, as the
+                                 discount is below 1
     observations  (L,) int64     optional: how often each pair was observed; weights are counts then
 
 Integers are int64 where they fit. Where they do not, the array is uint8 of shape (…, k): each row
@@ -28,8 +30,9 @@ row-major order), `objects` (of a column and of the actions: what these were mad
 `parameters` ([{"name", "value", "low", "high"}, …], low and high may be null), `time_limit` (a
 number of steps or null), `episodes` (a number or null), `sense` ("max" or "min"), `labels` (their
 names), `unreached` ("inf" or "-inf", what a run that misses the goal is worth),
-`float_probabilities` and `float_rewards` (whether some were given as floats) and `arrays` (the
-names of the others). Numbers are written as in `model.json`.
+`float_probabilities` and `float_rewards` (whether some were given as floats), `averaged` (whether
+components, or without them the reward, are only means over the outcomes of a pair; left out if not)
+and `arrays` (the names of the others). Numbers are written as in `model.json`.
 
 `np.load(path)["pair_state"]` and so on read the arrays, `json.loads` reads the bytes of the header.
 """
@@ -106,6 +109,7 @@ HEADER = {
     "unreached": unreached,
     "float_probabilities": bool,
     "float_rewards": bool,
+    "averaged": optional(bool),
     "arrays": [str],
 }
 SAME = (
@@ -128,6 +132,7 @@ ARRAYS: dict[str, tuple[str, ...]] = {
     "component_denominator": ("int64", "uint8"),
     "labels": ("uint8",),
     "goal": ("uint8",),
+    "target": ("uint8",),
     "observations": ("int64",),
 }
 """Types that an array may have; uint8 among several means rows of bytes, one for each integer."""
@@ -151,6 +156,9 @@ def packed(model: MDP) -> bytes:
         **{name: getattr(model.table, name) for name in TABLE},
         "labels": np.array(labels, dtype=np.uint8) if labels else None,
         "goal": None if model.goal is None else model.goal.astype(np.uint8),
+        "target": None
+        if model.target is None or model.goal is not None
+        else model.target.astype(np.uint8),
         "observations": model.observations,
     }
     arrays = {name: _as_bytes(array) for name, array in parts.items() if array is not None}
@@ -169,6 +177,7 @@ def packed(model: MDP) -> bytes:
         "parameters": [{name: getattr(p, name) for name in PARAMETER} for p in model.parameters],
         "labels": [*model.labels],
         "unreached": str(model.unreached),
+        **({"averaged": True} if model.table.averaged else {}),
         "arrays": sorted(arrays),
     }
     text = np.frombuffer(json.dumps(ready(header)).encode("ascii"), dtype=np.uint8)
@@ -204,8 +213,9 @@ def unpacked(source: str | Path | bytes) -> MDP:
             raise ModelError(what, where="columns", fix="save the model again")
         objects = _made(head["objects"], head["actions"])
     parts, there = len(head["component_names"]), [name for name in TABLE if name in arrays]
+    columns: dict[str, Any] = {name: _as_integers(name, arrays[name], parts) for name in there}
     return MDP(
-        OutcomeTable(**{name: _as_integers(name, arrays[name], parts) for name in there}),
+        OutcomeTable(**columns, averaged=bool(head["averaged"])),
         state,
         arrays["pair_action"],
         space=space,
@@ -215,6 +225,7 @@ def unpacked(source: str | Path | bytes) -> MDP:
         parameters=head["parameters"],
         labels=dict(zip(head["labels"], flags, strict=True)),
         goal=arrays["goal"] > 0 if "goal" in arrays else None,
+        target=arrays["target"] > 0 if "target" in arrays else None,
         unreached=head["unreached"],
         observations=arrays.get("observations"),
         **{name: head[name] for name in SAME},

@@ -29,11 +29,13 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from exact_mdp.mdp.care.toml import is_scenario
+from exact_mdp.mdp.components import of_outcomes, require_amounts
 from exact_mdp.mdp.errors import ModelError, check_names, located, of_type, suggest
 from exact_mdp.mdp.forms.columns import table_of
 from exact_mdp.mdp.forms.numbers import one_kind
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
+from exact_mdp.mdp.questions import Origin, origin_of
 from exact_mdp.mdp.table import Numbers, OutcomeTable, beside, exact, shown
 from exact_mdp.mdp.validate import counted
 
@@ -220,8 +222,16 @@ def parametric(source: Any) -> Parametric:
             raise ModelError(f"{type(source).__name__} is not a model", where="model", fix=fix)
         family: Parametric = source.parametric()
         return family
+    origin = origin_of(source)
+    if origin is not None:
+        return asked_of(parametric(origin.model), origin)
     rewards = _rewards(source.table)
     return moving(source, {}, rewards if len(rewards) <= MOST_REWARDS else {})
+
+
+def asked_of(family: Parametric, origin: Origin) -> Parametric:
+    """Return a family about each of whose models the questions of an origin are asked."""
+    return reduce(lambda asked, question: asked.posed(question), origin.questions, family)
 
 
 def _rewards(table: OutcomeTable) -> dict[str, Fraction]:
@@ -276,6 +286,8 @@ def moving(
     """
     of_type(model, MDP, "model", "give an MDP")
     of_type(entries, Mapping, "entries", "give {name: [((state, action), next state), …]}")
+    if entries:
+        require_amounts(model.table, "a row that moves")
     rewards = {} if rewards is None else rewards
     of_type(rewards, Mapping, "rewards", "give {name: reward}")
     named: dict[int, dict[int, str]] = {}
@@ -336,10 +348,23 @@ class Moved:
     highest: Mapping[str, Fraction]  # that a probability may be while the others keep theirs
 
     @cached_property
-    def _kept(self) -> bool:
-        """Whether components are kept: where a row that moves earns the same whatever follows."""
-        rows = map(self.model.table.row, self.named)
-        return all(len({gain for _, _, gain in row}) == 1 for row in rows)
+    def _amounts(self) -> dict[str, list[Fraction]]:
+        """The amounts of each component of the reward, by outcome; none where only means are known.
+
+        A reward that moves is no longer the sum of its components, so that they are kept where
+        probabilities move alone.
+        """
+        table, names = self.model.table, self.model.component_names
+        if table.components is None or table.averaged:
+            return {}
+        top, below = table.components, table.component_denominator
+        if len(top) == table.pairs:
+            top = top[table.pair]
+        below = below[table.pair].tolist()
+        return {
+            name: [exact(a) / b for a, b in zip(column.tolist(), below, strict=True)]
+            for name, column in zip(names, top.T, strict=True)
+        }
 
     def __call__(self, values: Mapping[str, Fraction]) -> MDP:
         """Return the model at values of all parameters."""
@@ -348,10 +373,17 @@ class Moved:
             return model.with_(discount=rate)
         moved = {r: values[name] for r, name in self.earned.items() if values[name] != r}
         rows = [
-            [(p, to, moved.get(gain, gain)) for p, to, gain in self._row(pair, values)]
+            [
+                (p, to, moved.get(gain, gain), place)
+                for p, to, gain, place in self._row(pair, values)
+            ]
             for pair in range(model.n_pairs)
         ]
-        chances, following, gains = zip(*chain(*rows), strict=True)
+        chances, following, gains, places = zip(*chain(*rows), strict=True)
+        amounts = {} if moved else self._amounts
+        parts: dict[str, Any] = {
+            name: one_kind([own[place] for place in places]) for name, own in amounts.items()
+        }
         table = table_of(
             np.cumsum([0, *map(len, rows)]),
             np.array(following, dtype=model.table.next.dtype),
@@ -359,21 +391,23 @@ class Moved:
             one_kind(gains),
             model.n_states,
             {},
+            parts,
             by_pair=False,
             own=True,
         )
         own: dict[str, Any] = {}
-        if self._kept and not moved:
-            parts = "components", "component_denominator"
-            table = replace(table, **{part: getattr(model.table, part) for part in parts})
+        if parts:
+            table = of_outcomes(table, parts)
             own["component_names"] = model.component_names
         return model.with_(table=table, discount=rate, events=(), **own)
 
     def _row(
         self, pair: int, values: Mapping[str, Fraction]
-    ) -> list[tuple[Fraction, int, Fraction]]:
-        """Return the outcomes of a pair, those that are named at their values."""
-        row, names = self.model.table.row(pair), self.named.get(pair, {})
+    ) -> list[tuple[Fraction, int, Fraction, int]]:
+        """Return the outcomes of a pair, named ones at their values, and their numbers."""
+        first = int(self.model.table.offsets[pair])
+        row = [(*outcome, first + k) for k, outcome in enumerate(self.model.table.row(pair))]
+        names = self.named.get(pair, {})
         if not names:
             return row
         left = 1 - sum((values[name] for name in names.values()), Fraction(0))
@@ -383,9 +417,9 @@ class Moved:
                 where=self.model.where(pair),
                 fix="choose smaller values",
             )
-        rest = sum((p for p, to, _ in row if to not in names), Fraction(0))
+        rest = sum((p for p, to, _, _ in row if to not in names), Fraction(0))
         factor = {to: values[name] / _entry(self.model, pair, to) for to, name in names.items()}
-        outcomes = [(factor.get(to, left / rest) * p, to, gain) for p, to, gain in row]
+        outcomes = [(factor.get(to, left / rest) * p, to, gain, k) for p, to, gain, k in row]
         return [outcome for outcome in outcomes if outcome[0]]
 
 

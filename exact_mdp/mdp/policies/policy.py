@@ -245,12 +245,24 @@ class Policy(ByFields, NDArrayOperatorsMixin):
             Where the policy gives no action for a state with a choice, or takes an action that the
             state does not offer.
         """
-        weights, wanted = self._by_pair(of_type(model, MDP, "model", MODEL), self.rule)
+        return self._filled(of_type(model, MDP, "model", MODEL))[0]
+
+    def undecided(self, model: MDP) -> NDArray[np.bool_]:
+        """Return (S,) True for states with a choice in which the policy does not say what it does.
+
+        These are states where that does not matter in this model: all is over, or all actions are
+        alike. `weights` takes the first action there.
+        """
+        return np.asarray(self._filled(of_type(model, MDP, "model", MODEL))[1] & ~model.forced)
+
+    def _filled(self, model: MDP) -> tuple[Floats, NDArray[np.bool_]]:
+        """Return weights (L,), and (S,) True where these are not the policy's own."""
+        weights, wanted = self._by_pair(model, self.rule)
         first = model.pair_offsets[:-1]
         if self.deterministic and self.space.extra == model.space.extra:
             taken = np.flatnonzero(weights == 1)
             if np.array_equal(model.pair_state[taken], np.arange(model.n_states)):
-                return weights
+                return weights, np.zeros(model.n_states, dtype=bool)
         weights = weights.astype(np.float64)
         offered = np.add.reduceat((weights > 0).astype(np.int64), first)
         if self.space.extra != model.space.extra:
@@ -275,7 +287,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
                 where=model.space.place(state),
                 fix=f"choose one of {', '.join(names)} there",
             )
-        return weights
+        return weights, ended
 
     def weights_exact(self, model: MDP) -> Numbers | None:
         """Return (L,) whole numbers in proportion to the exact probability of each pair.

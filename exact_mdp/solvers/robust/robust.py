@@ -25,8 +25,9 @@ from typing import Literal
 import numpy as np
 import scipy.sparse as sp
 
+from exact_mdp.mdp.components import require_amounts
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.graph import closure, topological_levels
+from exact_mdp.mdp.graph import beside_goal, closure, topological_levels
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
@@ -111,6 +112,14 @@ def solve_robust(
         fix = "give sets, such as Intervals.relative(model, 0.1), for ± 10 %"
         raise ModelError(f"{ambiguity!r:.60} is no set of laws", where="ambiguity", fix=fix)
     ambiguity.check(model)
+    require_amounts(model.table, "a value under other rows")
+    if model.discount_exact == 1 and (beside := beside_goal(model)).any():
+        raise ModelError(
+            "a run that ends beside the goal is worth infinity, and robust values are finite",
+            where=model.space.place(int(beside.argmax())),
+            fix="choose a discount below 1, or ask for the chance of getting there "
+            "(--reach LABEL, model.reaching(label))",
+        )
     check_tolerance("robust", tol)
     check_counts("robust", max_iterations=max_iterations)
     game = Game(

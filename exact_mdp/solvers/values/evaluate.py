@@ -223,14 +223,23 @@ class Evaluation(OfPolicy, Pictured):
     # ---- the spread --------------------------------------------------------------------------
 
     @property
+    def only_means(self) -> bool:
+        """Whether rewards are known as means over outcomes only, so that no spread is."""
+        table = self.given.mdp.table
+        return table.averaged and table.components is None
+
+    @property
     def sd(self) -> float:
         """Standard deviation of the return from the start."""
         return self._sd.value
 
     @property
     def variance(self) -> Floats:
-        """(S,) variance of the return from every state; NaN where `value` is not finite."""
-        if not self.settled:
+        """(S,) variance of the return from every state; NaN where `value` is not finite.
+
+        And where it is not known, as only means of the rewards of outcomes are.
+        """
+        if not self.settled or self.only_means:
             return np.full(len(self.value), np.nan)
         return np.where(np.isfinite(self.value), self._variance.value, np.nan)
 
@@ -258,7 +267,7 @@ class Evaluation(OfPolicy, Pictured):
     @cached_property
     @_or_unknown
     def _start_variance(self) -> Bounded:
-        if not self.settled:
+        if not self.settled or self.only_means:
             return UNKNOWN
         within = at_start(self.mdp, self._variance)
         if np.count_nonzero(self.mdp.start_distribution) == 1:
@@ -495,12 +504,10 @@ def evaluate(
                 chain=given, given=given, value=alone.value, error=alone.state_error, settled=False
             )
         mdp = chain.mdp
-    live = ~mdp.terminal
-    if mdp.discount_exact == 1:
-        live &= chain.ends
+    known = chain.arriving if mdp.discount_exact == 1 else np.ones(mdp.n_states, dtype=bool)
+    live = known & ~mdp.terminal
     reward, error = chain.reward
     point = _closest(chain, np.where(live, reward, 0.0), np.where(live, error, 0.0) * SLACK)
-    known = live | mdp.terminal
     value, bound = np.where(known, point.value, np.nan), np.where(known, point.error, np.inf)
     if not known.all():
         with suppress(ModelError, SolverError):

@@ -28,7 +28,7 @@ import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, lcm_by_group
-from exact_mdp.mdp.graph import Mask, closure, topological_levels, ways_out
+from exact_mdp.mdp.graph import Mask, beside_goal, closure, topological_levels, ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
 from exact_mdp.mdp.questions import ended
@@ -101,6 +101,33 @@ class PolicyChain:
             return cls(mdp=mdp, chosen=_checked(mdp, policy))
         own = policy_of(mdp, policy, kind=kind)
         return cls(mdp=mdp, chosen=own.weights(mdp), policy=own)
+
+    @classmethod
+    def held_fixed(cls, mdp: MDP, policy: PolicyLike) -> tuple[PolicyChain, Mask]:
+        """Return the chain of a policy that is held in models of other numbers, too.
+
+        And (S,) True for states with a choice of which it does not say what it does, as that does
+        not matter in this model. An optimum says nothing of states in which all is over.
+        """
+        chain = cls.of(mdp, policy)
+        open_ = np.zeros(mdp.n_states, dtype=bool)
+        if isinstance(policy, Valued) or (isinstance(policy, str) and policy == "optimal"):
+            open_ = mdp.over & ~mdp.forced
+        elif chain.policy is not None:
+            open_ = chain.policy.undecided(mdp)
+        return chain, open_
+
+    def require_said(self, undecided: Mask, where: str) -> None:
+        """Raise ModelError if it matters in this model what is done in some states (S,)."""
+        mdp = self.mdp
+        matters = undecided & ~mdp.over & ~mdp.indifferent & self.reached
+        if matters.any():
+            raise ModelError(
+                "the policy held fixed does not say what it does in a state where that does not "
+                "matter today, but does here",
+                where=f"{mdp.space.place(int(matters.argmax()))}, {where}",
+                fix="give an action there, too, by a mapping or an array over all states",
+            )
 
     # ---- outcomes ----------------------------------------------------------------------------
 
@@ -242,6 +269,14 @@ class PolicyChain:
         if self.stuck.all() or not self.stuck.any():
             return ~self.stuck
         return ~closure(self.graph.T.tocsr(), self.stuck)
+
+    @cached_property
+    def arriving(self) -> Mask:
+        """(S,) True where the policy ends with probability 1, and not beside a goal."""
+        beside = beside_goal(self.mdp)
+        if not beside.any():
+            return self.ends
+        return self.ends & ~closure(self.graph.T.tocsr(), beside)
 
     @cached_property
     def going_on(self) -> FloatChain:
@@ -529,8 +564,7 @@ def _checked(mdp: MDP, weights: Floats) -> Floats:
 
 def arrives(chain: PolicyChain) -> bool:
     """Return whether every episode ends, and not beside a goal."""
-    mdp = chain.mdp
-    beside = mdp.goal is not None and bool((chain.reached & mdp.terminal & ~mdp.goal).any())
+    beside = bool((chain.reached & beside_goal(chain.mdp)).any())
     return chain.ends_from_start and not beside
 
 

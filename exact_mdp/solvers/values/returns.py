@@ -28,6 +28,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.components import require_amounts
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -288,6 +289,7 @@ def return_distribution(
     1/2 2 [0.5, 0.5]
     """
     mdp = mdp_of(model)
+    require_amounts(mdp.table, "the distribution of returns")
     if mdp.discount_exact != 1:
         raise ModelError(
             f"discount {mdp.discount_exact} gives returns that are not on a lattice, so that their "

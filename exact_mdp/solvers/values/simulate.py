@@ -16,6 +16,7 @@ import numpy as np
 import tqdm
 
 from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.components import require_amounts
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -193,6 +194,7 @@ def simulate(
     check_counts("simulate", n=n)
     generator = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(seed_of(rng))
     unstopped = mdp_of(model)
+    require_amounts(unstopped.table, "a sample of returns")
     given = unstopped if horizon is None else unstopped.within(horizon)
     chain, infinite = parted(PolicyChain.of(given, policy, kind=kind))
     mdp = chain.mdp

@@ -349,18 +349,18 @@ def curve(
                     fix=f"choose a range that begins below {shown(NEARLY_ONE)}",
                 )
             span = Range(low=span.low, high=NEARLY_ONE)
-    chain = None if policy is None else PolicyChain.of(mdp, policy)
+    chain, undecided = (None, None) if policy is None else PolicyChain.held_fixed(mdp, policy)
     pieces, sections = pieces_of(family, name, span, mdp.sign, _mix(chain))
-    if chain is not None and chain.policy is not None:
-        live = np.isin(np.arange(mdp.n_states), [s for each in sections for s in each.live])
-        silent = chain.policy.silent(mdp) & mdp.terminal & live
-        if silent.any():
-            raise ModelError(
-                f"the policy says nothing of a state in which all is over today, but not at every "
-                f"{name}",
-                where=f"policy, {mdp.space.label(int(silent.argmax()))}",
-                fix="give an action there, too, by a mapping or an array over all states",
-            )
+    if chain is not None and undecided is not None and undecided.any():
+        for equations in sections:
+            for state in np.flatnonzero(undecided).tolist():
+                if equations.differ(state):
+                    raise ModelError(
+                        "the policy held fixed does not say what it does in a state where that "
+                        "does not matter today, but does elsewhere",
+                        where=f"{mdp.space.place(state)}, for some {name}",
+                        fix="give an action there, too, by a mapping or an array over all states",
+                    )
     return ValueFunction(
         parameter=parameter_of(family, name),
         range=span,

@@ -21,6 +21,8 @@ from flint import fmpq, fmpq_poly
 
 from exact_mdp.analysis.vary.curves.roots import Root, nonnegative, positive, roots, simple
 from exact_mdp.mdp.exact import rational
+from exact_mdp.mdp.graph import beside_goal, reachable
+from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.parametric.row_change import (
     Piece,
@@ -46,6 +48,7 @@ class Equations:
 
     def __init__(self, family: Parametric, name: str, section: Piece) -> None:
         mdp = family.at({name: section.origin})
+        self.family = family
         self.low, self.high, self.mdp = section.low, section.high, mdp
         self.change = change = row_change(family, name, section, mdp)
         shift = fmpq_poly([rational(-section.origin), 1])
@@ -94,6 +97,12 @@ class Equations:
             total = total + p * new[to]
         return total
 
+    def differ(self, state: int) -> bool:
+        """Return whether the actions of a state differ for some θ, in what they earn or lead to."""
+        pairs = self.pairs.get(state, range(0))
+        kinds = {(str(self.reward[pair]), str(self.following[pair])) for pair in pairs}
+        return len(kinds) > 1
+
     def follow(self, values: Values, taken: Collection[int] = ()) -> set[int]:
         """Work out the gaps of other values; return the pairs whose gap is another.
 
@@ -121,6 +130,23 @@ class Equations:
             yield "a probability is negative, or probabilities pass 1"
         elif not self.one_solution():
             yield "nothing proves that the Bellman equations have one solution"
+        if self.misses() is not None:
+            yield "a run may end beside the goal, which is worth infinity"
+
+    def misses(self) -> MDP | None:
+        """Return a model of the section in which a run may end beside the goal; None without one.
+
+        The goal of a total counts at discount 1 alone: where only the discount of an end is 1, the
+        models inside have none. What can be reached there can be reached inside.
+        """
+        if self.mdp.target is None:
+            return None
+        models = [self.mdp]
+        for end in (self.low, self.high):
+            if self.mdp.discount_exact != 1 and self.rate(rational(end)) == 1:
+                models.append(self.family.at({self.change.name: end}))
+        met = reachable(self.mdp)
+        return next((mdp for mdp in models if (beside_goal(mdp) & met).any()), None)
 
     def one_solution(self) -> bool:
         """Whether the equations have one solution on the whole section, ends included."""

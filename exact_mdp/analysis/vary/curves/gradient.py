@@ -32,7 +32,7 @@ from exact_mdp.analysis.vary.ranges import unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, listed, named_options
 from exact_mdp.mdp.exact import fraction, rational
-from exact_mdp.mdp.graph import endless, is_acyclic, reachable
+from exact_mdp.mdp.graph import Mask, endless, is_acyclic, reachable, termination
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
@@ -53,7 +53,7 @@ from exact_mdp.solvers.endless.quotient import of_pairs
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, in_float
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
-from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.policy_chain import PolicyChain, arrives
 
 # Up to these numbers derivatives are certified, in about a second; beyond, they have bounds.
 EXACT_TRANSITIONS = 100_000
@@ -250,8 +250,8 @@ def gradient(
     parameters = [parameter_of(family, name) for name in names]
     mdp = family.at({})
     reoptimised = isinstance(policy, str) and policy == "optimal"
-    if endless(mdp) and (reoptimised or not PolicyChain.of(mdp, policy).ends_from_start):
-        raise unending("today's parameters")
+    if endless(mdp) and (reoptimised or not arrives(PolicyChain.of(mdp, policy))):
+        raise unending("today's parameters", beside=termination(mdp).proven)
     if exact is None:
         sparse = mdp.n_transitions <= EXACT_SPARSE_TRANSITIONS
         sparse = sparse and mdp.table.weight.dtype == np.int64
@@ -298,7 +298,7 @@ def _exact_pass(mdp: MDP, policy: PolicyLike) -> Pass:
     if isinstance(policy, str) and policy == "optimal":
         certificate = proven(mdp)
         policy = certificate.policy
-    chain = PolicyChain.of(mdp, policy)
+    chain, undecided = PolicyChain.held_fixed(mdp, policy)
     if mdp.discount_exact == 1:
         chain.require_end()
     if certificate is None:
@@ -317,12 +317,19 @@ def _exact_pass(mdp: MDP, policy: PolicyLike) -> Pass:
     row_keys, top, bottom = transition_entries(mdp)
     rows = row_keys, np.array(ratios(top, bottom), dtype=object)
 
+    infinite = _infinite_states(chain)
+    met = chain.reached if certificate is None else reachable(mdp)
+
     def slope(change: RowChange, sign: int) -> Certified:
         keys, slopes, gain_keys, gains = _moves(mdp, change, lambda x: x, rows)
-        unique = certificate is None or certificate.unique
+        begun = _begun(mdp, change)
+        if certificate is None:
+            _refuse_silence(mdp, begun & met & undecided, change.name)
+        unique = certificate is None or (certificate.unique and not (begun & met).any())
         if unique:  # other pairs count for nothing
             used = np.asarray(uses != 0, dtype=bool)[keys // mdp.n_states]
             keys, slopes = keys[used], slopes[used]
+            _refuse_infinite(mdp, keys[np.asarray(slopes != 0)], infinite, change.name)
         earned = _earned(keys, slopes, gain_keys, gains, value, mdp.n_pairs)
         _refuse_endless(mdp, earned != 0, change.name)
         if certificate is None or unique:
@@ -336,8 +343,57 @@ def _exact_pass(mdp: MDP, policy: PolicyLike) -> Pass:
     return start, slope
 
 
+def _several(where: str) -> ModelError:
+    """Return the error of derivatives in floats where more than one action may be optimal."""
+    return ModelError(
+        "several actions are optimal, or floats cannot tell them apart",
+        where=where,
+        fix="ask for exact=True, which gives one-sided derivatives at a tie",
+    )
+
+
+def _begun(mdp: MDP, change: RowChange) -> Mask:
+    """Return (S,) True for states with a choice that are terminal today, but not next to today."""
+    moving = np.zeros(mdp.n_states, dtype=bool)
+    moving[mdp.pair_state[change.reward.key]] = True
+    moving[mdp.pair_state[change.transition.key // mdp.n_states]] = True
+    return np.asarray(moving & mdp.terminal & ~mdp.forced)
+
+
+def _refuse_silence(mdp: MDP, silent: Mask, name: str) -> None:
+    """Raise ModelError where states (S,) begin of which the policy held fixed says nothing."""
+    if silent.any():
+        raise ModelError(
+            "the policy held fixed does not say what it does in a state where all is over today, "
+            "but not next to today",
+            where=f"parameter {name}, {mdp.space.place(int(silent.argmax()))}",
+            fix="give an action there, too, by a mapping or an array over all states",
+        )
+
+
+def _infinite_states(chain: PolicyChain) -> Mask:
+    """Return (S,) True where a total at discount 1 is not finite, or need not be."""
+    mdp = chain.mdp
+    if mdp.discount_exact != 1:
+        return np.zeros(mdp.n_states, dtype=bool)
+    return ~chain.arriving
+
+
+def _refuse_infinite(mdp: MDP, keys: Integers, infinite: Mask, name: str) -> None:
+    """Raise ModelError where a parameter begins to lead where the total may be infinite."""
+    pair, following = np.divmod(keys, mdp.n_states)
+    wrong = np.flatnonzero(infinite[following])
+    if len(wrong):
+        raise ModelError(
+            "a chance that the parameter moves leads to where the total may be infinite",
+            where=f"parameter {name}, {mdp.where(int(pair[wrong[0]]))}",
+            fix="choose a discount below 1 (--discount 0.95), or a parameter that leaves this row",
+        )
+
+
 def _bounded_pass(mdp: MDP, policy: PolicyLike) -> Pass:
     """Return the same in floats; both sides are alike where one policy is optimal."""
+    met, undecided = reachable(mdp), ~mdp.forced
     if isinstance(policy, str) and policy == "optimal":
         solution = solve(mdp)
         gain = gains(mdp, solution.value)
@@ -345,14 +401,14 @@ def _bounded_pass(mdp: MDP, policy: PolicyLike) -> Pass:
         several = np.add.reduceat(tied, mdp.pair_offsets[:-1], dtype=np.int64) != 1
         several &= reachable(mdp, pairs=tied) & ~mdp.terminal
         if several.any():
-            raise ModelError(
-                "several actions are optimal, or floats cannot tell them apart",
-                where=mdp.space.place(int(several.argmax())),
-                fix="ask for exact=True, which gives one-sided derivatives at a tie",
-            )
-        policy = solution
+            raise _several(mdp.space.place(int(several.argmax())))
+        policy, optimum = solution, True
+    else:
+        given, undecided = PolicyChain.held_fixed(mdp, policy)
+        met, optimum = given.reached, False
     evaluation = evaluate(mdp, policy)
-    chain, live = evaluation.chain, ~np.isnan(evaluation.value)
+    chain, live = evaluation.chain, np.isfinite(evaluation.value)
+    infinite = _infinite_states(chain)
     value = np.where(live, evaluation.value, 0.0)
     value_error = np.where(live, evaluation.error, 0.0)
     seen = chain.discounted.visits
@@ -368,7 +424,14 @@ def _bounded_pass(mdp: MDP, policy: PolicyLike) -> Pass:
     terms = int(lengths.max()) * 2 + count + 8
 
     def slope(change: RowChange, _: int) -> Bounded:
+        begun = _begun(mdp, change) & met & undecided
+        if optimum and begun.any():
+            where = f"parameter {change.name}, {mdp.space.place(int(begun.argmax()))}"
+            raise _several(where)
+        _refuse_silence(mdp, begun, change.name)
         moves = _moves(mdp, change, lambda x: float(fraction(x)), rows)
+        leads = moves[0][(moves[1] != 0) & (uses[moves[0] // mdp.n_states] > 0)]
+        _refuse_infinite(mdp, leads, infinite, change.name)
         keys, slopes, gain_keys, gains = map(np.abs, moves)
         earned = _earned(*moves, value, count)
         size = _earned(keys, slopes, gain_keys, gains, np.abs(value), count)

@@ -182,12 +182,19 @@ def _earlier(one: Root, other: Root) -> Root:
     return one if one.high <= other.low else other
 
 
-def unending(where: str) -> ModelError:
-    """Return the error of an analysis that follows no policies that never end."""
+def unending(where: str, *, beside: bool = False) -> ModelError:
+    """Return the error of an analysis that follows finite values only.
+
+    Some policy never ends, or some run ends `beside` the goal.
+    """
+    if beside:
+        what, ends = "some run may end beside the goal, and is worth infinity", "at the goal"
+    else:
+        what, ends = "some policy never ends", "for sure"
     return ModelError(
-        "some policy never ends",
+        what,
         where=f"the total at discount 1, {where}",
-        fix="give a discount below 1 (--discount 0.95), or a range in which every policy ends",
+        fix=f"give a discount below 1 (--discount 0.95), or a range in which every run ends {ends}",
     )
 
 
@@ -210,8 +217,10 @@ def pieces_of(
     pieces, sections, policy = list[CurvePiece](), list[Equations](), None
     for low, high in pairwise(sorted({span.low, *inside, span.high})):
         equations = _middle(family, name, low, high)
-        if not equations.one_solution():
-            raise unending(f"for some {name} from {shown(low)} to {shown(high)}")
+        beside = equations.misses() is not None
+        if beside or not equations.one_solution():
+            between = f"for some {name} from {shown(low)} to {shown(high)}"
+            raise unending(between, beside=beside)
         sweep = Sweep(equations, mix, sign)
         pieces += sweep.pieces(optimum(equations.mdp)[0] if policy is None else policy)
         policy = sweep.policy

@@ -1,0 +1,1 @@
+"""The table of questions: every analysis against every question, held against enumeration."""

@@ -1,0 +1,316 @@
+"""Small models of which an analysis once forgot part of the question."""
+
+from fractions import Fraction as F
+from math import inf
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from exact_mdp import (
+    MDP,
+    Column,
+    Family,
+    ModelError,
+    Parameter,
+    Policy,
+    Scenario,
+    StateSpace,
+    best_cvar,
+    best_policy,
+    certify,
+    check,
+    cost_effectiveness,
+    curve,
+    evaluate,
+    gradient,
+    moving,
+    one_way,
+    psa,
+    return_distribution,
+    robust,
+    simulate,
+    solve,
+    study,
+    tornado,
+    tradeoff,
+)
+
+# ---- a run that ends beside the goal is worth +∞ -------------------------------------------------
+
+
+def beside_the_goal() -> MDP:
+    """Action 0 costs 5 and arrives with 1/2, action 1 costs 1 and ends beside the goal."""
+    rows = [
+        (0, 0, [("1/2", 1, 5), ("1/2", 0, 5)]),
+        (0, 1, [(1, 2, 1)]),
+        (1, 0, [(1, 1, 0)]),
+        (2, 0, [(1, 2, 0)]),
+    ]
+    return MDP.from_outcomes(rows, labels={"goal": [1]}, sense="min")
+
+
+def test_a_curve_beside_the_goal_is_refused() -> None:
+    with pytest.raises(ModelError, match="beside the goal"):
+        curve(beside_the_goal().until("goal"), "reward.5", (4, 6))
+
+
+def test_a_study_knows_the_goal() -> None:
+    asked = beside_the_goal().until("goal")
+    table = one_way(asked, "reward.5", (4, 6), policy=[0, 0, 0], points=2).table
+    assert table.optimal == pytest.approx([8, 12], abs=1e-12)
+    assert table.fixed[:, 0] == pytest.approx([8, 12], abs=1e-12)
+    with pytest.raises(ModelError, match="infinite"):
+        study(asked, {"reward.5": [5]}, [[1, 0, 0]])
+
+
+def test_a_gradient_beside_the_goal_is_refused_and_one_that_arrives_is_right() -> None:
+    asked = beside_the_goal().until("goal")
+    for exact in (True, False):
+        held = gradient(asked, policy=[0, 0, 0], names=["reward.5"], exact=exact)
+        assert float(held["reward.5"].value.value) == pytest.approx(2, abs=1e-12)
+        for policy in ("optimal", [1, 0, 0]):
+            with pytest.raises(ModelError, match="beside the goal"):
+                gradient(asked, policy=policy, names=["reward.5"], exact=exact)
+
+
+def test_best_policy_and_robust_values_beside_the_goal_are_refused() -> None:
+    for ask in (lambda mdp: best_policy(mdp, []), robust):
+        with pytest.raises(ModelError, match="ends beside the goal is worth infinity"):
+            ask(beside_the_goal().until("goal"))
+
+
+def test_values_of_states_that_are_not_reached_know_the_goal() -> None:
+    rows = [(0, 0, [(1, 1, 5)]), (1, 0, [(1, 1, 0)]), (2, 0, [(1, 3, 7)]), (3, 0, [(1, 3, 0)])]
+    asked = MDP.from_outcomes(rows, labels={"goal": [1]}).until("goal")
+    assert evaluate(asked, [0, 0, 0, 0]).value.tolist() == [5, 0, inf, inf]
+
+
+# ---- another discount of a model that answers a question -----------------------------------------
+
+
+@pytest.mark.parametrize("saved", [False, True])
+def test_the_goal_is_set_at_discount_1_and_dropped_below(tmp_path: Path, *, saved: bool) -> None:
+    mdp = beside_the_goal()
+    below = mdp.with_(discount="9/10").until("goal")
+    if saved:
+        below.save(tmp_path / "below.npz")
+        below = MDP.load(tmp_path / "below.npz")
+    assert below.goal is None
+    assert below.with_(discount=1) == mdp.until("goal")
+    assert certify(below.with_(discount=1)).value.tolist() == [10, 0, inf]
+    proof = certify(mdp.until("goal").with_(discount="9/10"))
+    assert (proof.value.tolist(), proof.violations()) == (certify(below).value.tolist(), [])
+    assert mdp.until("goal").with_(goal=None).with_(discount="1/2").with_(discount=1).goal is None
+    assert below.negated().with_(discount=1).goal is not None
+    assert below.within(2).with_(discount=1) == mdp.until("goal").within(2)
+
+
+def test_a_curve_by_the_discount_does_not_pass_over_the_goal_at_1() -> None:
+    asked = beside_the_goal().with_(discount="9/10").until("goal")
+    assert curve(asked, "discount", ("1/2", "9/10")).at("1/2") == 1
+    with pytest.raises(ModelError, match="outside the range"):
+        curve(asked, "discount", ("1/2", 1)).at(1)
+
+
+def test_a_goal_belongs_to_discount_1() -> None:
+    with pytest.raises(ModelError, match="a goal is that of a total at discount 1"):
+        beside_the_goal().with_(discount="1/2", goal=[False, True, False])
+
+
+# ---- components that differ between outcomes of a pair -------------------------------------------
+
+
+def by_outcome(end: int = 1) -> MDP:
+    """One component differs between outcomes, and the other is 0."""
+    rows = [(0, 0, [("1/2", 1, {"x": 2, "y": 0}), ("1/2", end, {"x": 0, "y": 0})])]
+    rows += [(1, 0, [(1, end, {"x": 0, "y": 0})])]
+    rows += [(2, 0, [(1, 1, {"x": 0, "y": 0})])] * (end == 2)
+    return MDP.from_outcomes(rows, labels={"end": [end]})
+
+
+@pytest.mark.parametrize("name", [None, "mdp.npz", "mdp.umb", "model.json"])
+def test_the_law_of_a_component_is_that_of_its_outcomes(tmp_path: Path, name: str | None) -> None:
+    mdp = by_outcome()
+    if name is not None:
+        mdp.save(tmp_path / name)
+        mdp = MDP.load(tmp_path / name)
+    asked = mdp.until("end", reward="x")
+    law = return_distribution(asked, [0, 0], exact=True)
+    assert dict(zip(law.values, law.exact, strict=True)) == {0: F(1, 2), 2: F(1, 2)}
+    assert float(evaluate(asked, [0, 0]).sd) == pytest.approx(1)
+    assert best_cvar(asked, "1/2").value == 0
+
+
+def test_a_component_follows_the_rows_that_move() -> None:
+    asked, whole = by_outcome(2).until("end", reward="x"), by_outcome(2).until("end")
+    for one, other in ((robust(asked).worst, robust(whole).worst),):
+        assert one.value == pytest.approx(other.value)
+    assert psa(asked, 3).frame()["value"].tolist() == psa(whole, 3).frame()["value"].tolist()
+    family = moving(asked, {"p": [((0, 0), 1)]})
+    assert gradient(family, names=["p"])["p"].value.value == 2  # E x = 2 p
+
+
+def test_components_of_a_row_that_moves_are_kept_by_outcome() -> None:
+    rows = [
+        (0, 0, [("1/2", 0, {"qaly": 2, "cost": -2}), ("1/2", 1, {"qaly": 0, "cost": 0})]),
+        (1, 0, [(1, 1, 0)]),
+    ]
+    family = moving(MDP.from_outcomes(rows, "1/2"), {"p": [((0, 0), 0)]})
+    front = tradeoff(family.at({"p": "1/4"}), ["qaly", "cost"])
+    assert front.vertices == [(F(4, 7), F(-4, 7))]  # V = 2 p + p/2 V
+    draws = pd.DataFrame({"p": [0.25]})
+    found = cost_effectiveness(family, {"it": [0, 0]}, uncertain=draws)
+    assert found.effect == pytest.approx(4 / 7)
+
+
+def test_a_component_of_a_scenario_has_a_mean_and_no_law(tmp_path: Path) -> None:
+    mdp = Scenario.load("tea").with_(discount=1).compile()
+    mdp.save(tmp_path / "tea.npz")
+    for model in (mdp, MDP.load(tmp_path / "tea.npz")):
+        asked = model.until("end", reward="anxiety")
+        own = evaluate(asked, "random")
+        assert own.mean == pytest.approx(evaluate(mdp, "random").components["anxiety"])
+        assert np.isnan(own.sd)
+        assert "only the mean" in own.quantiles_missing
+        for ask in (
+            lambda mdp: return_distribution(mdp, "random"),
+            lambda mdp: simulate(mdp, "random", 10, 0),
+            lambda mdp: best_cvar(mdp, "1/2"),
+            lambda mdp: psa(mdp, 2),
+            robust,
+        ):
+            with pytest.raises(ModelError, match="only the mean of each pair is known"):
+                ask(asked)
+
+
+def test_two_outcomes_that_differ_in_their_components_are_two() -> None:
+    rows = [
+        (0, 0, [("1/2", 1, {"x": 3, "y": 1}), ("1/2", 1, {"x": 1, "y": 3})]),
+        (1, 0, [(1, 1, 0)]),
+    ]
+    mdp = MDP.from_outcomes(rows, labels={"end": [1]})
+    assert certify(mdp).start_value == 4
+    law = return_distribution(mdp.until("end", reward="x"), [0, 0])
+    assert law.values == (1, 3)
+    assert mdp.components[0].tolist() == [2, 2]
+
+
+# ---- ends with several actions -------------------------------------------------------------------
+
+
+def earns_around_zero(order: int = 1) -> Family:
+    """State 1 earns p or -p for ever, and is an end today."""
+
+    def build(at: dict[str, F]) -> MDP:
+        p = order * at["p"]
+        rows = [(0, 0, [(1, 1, 0)]), (1, 0, [(1, 1, p)]), (1, 1, [(1, 1, -p)])]
+        return MDP.from_outcomes(rows, "1/2", actions=["x", "y"])
+
+    return Family(parameters={"p": 0}, build=build)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_gradient_where_an_end_begins_to_earn(order: int) -> None:
+    derivative = gradient(earns_around_zero(order))["p"]
+    assert (derivative.left.value, derivative.right.value) == (-1, 1)
+    with pytest.raises(ModelError, match="ask for exact=True"):
+        gradient(earns_around_zero(order), exact=False)
+
+
+def test_a_policy_held_fixed_says_what_it_does_where_a_state_begins() -> None:
+    family, silent = earns_around_zero(), {"0": "x"}
+    for ask in (
+        lambda: gradient(family, policy=silent),
+        lambda: gradient(family, policy=silent, exact=False),
+        lambda: curve(family, "p", (-1, 1), policy=silent),
+        lambda: study(family, {"p": [1]}, [silent]),
+        lambda: study(family, {"p": [1]}),  # today's optimum says nothing of an end either
+        lambda: tornado(family, policy=silent, ranges={"p": (-1, 1)}),
+    ):
+        with pytest.raises(ModelError, match="does not say what it does in a state"):
+            ask()
+    assert study(family, {"p": [1]}, [{"0": "x", "1": "y"}]).fixed.tolist() == [[-1]]
+
+
+def test_the_best_policy_may_do_anything_where_all_is_over() -> None:
+    space = StateSpace(columns=(Column(name="c", size=2), Column(name="x", size=2)))
+    rows = [
+        *((0, 0, [(1, 1, 5)]), (0, 1, [(1, 1, 1)]), (1, 1, [(1, 1, 0)])),
+        *((1, 2, [(1, 1, 0)]), (2, 0, [(1, 2, 0)]), (3, 0, [(1, 3, 0)])),
+    ]
+    mdp = MDP.from_outcomes(rows, space=space, actions=["a", "b", "c"])
+    assert best_policy(mdp, ["c"]).value.value == pytest.approx(5)
+    columns = StateSpace(columns=space.columns[:1])
+    policy = Policy(space=columns, actions=mdp.actions, rule=np.array([0, 0]))
+    assert check(mdp, policy).passed
+
+
+# ---- what is counted for ever, and what is one row -----------------------------------------------
+
+
+def test_what_an_end_counts_for_ever_is_not_dropped() -> None:
+    def build(at: dict[str, F]) -> MDP:
+        rows = [(0, 0, [(1, 1, 5 * at["c"])]), (1, 0, [(1, 1, 0)])]
+        return MDP.from_outcomes(rows, components={"qaly": [3, 2], "cost": [2, -2]})
+
+    family = Family(parameters={"c": 1}, build=build)
+    with pytest.raises(ModelError, match="a total is infinite"):
+        cost_effectiveness(family, {"p": [0, 0]}, uncertain=pd.DataFrame({"c": [1.0]}))
+
+
+def years() -> MDP:
+    parts = {"qaly": [[1], [0]], "cost": [[5], [0]]}
+    return MDP.from_arrays([[[0.9, 0.1], [0, 1]]], [1, 0], layout="ass", components=parts)
+
+
+def test_the_rows_of_all_years_are_one_row() -> None:
+    mdp = years().within(20)
+    assert psa(mdp, 5).table.names == psa(years().with_(discount="1/2"), 5).table.names
+    effect = cost_effectiveness(mdp, {"x": "always:0"}, 300).effect
+
+    def build(at: dict[str, F]) -> MDP:
+        parts = {"qaly": [[1], [0]], "cost": [[5], [0]]}
+        rows = [[[1 - at["p"], at["p"]], [0, 1]]]
+        return MDP.from_arrays(rows, [1, 0], layout="ass", components=parts).within(20)
+
+    one = Family(parameters=(Parameter(name="p", value="1/10", low=0, high=1),), build=build)
+    assert effect.std() == pytest.approx(
+        cost_effectiveness(one, {"x": "always:0"}, 300).effect.std(), rel=0.15
+    )
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda mdp: mdp.within(3).with_(start={"time 0, state 1": 1}),
+        lambda mdp: mdp.within(3).with_(sense="min", name="other"),
+        lambda mdp: mdp.with_(discount="9/10").until("end").within(3),
+        lambda mdp: mdp.with_(discount="9/10").within(3).until("end"),
+        lambda mdp: mdp.reaching("end").within(3),
+        lambda mdp: mdp.within(3).negated(),
+        lambda mdp: mdp.within(3).with_(discount="1/2"),
+        lambda mdp: mdp.within(3, terminal_value=[1, 2]),
+    ],
+)
+def test_the_parameters_of_a_question_are_those_of_the_model(change) -> None:
+    mdp = years().with_(labels={"end": [1]})
+    asked = change(mdp)
+    assert psa(asked, 2).table.names == ("(state 0, 0): to state 1",)
+    assert study(asked, {"discount": [asked.discount]}).optimal == pytest.approx(
+        [solve(asked).start.value]
+    )
+
+
+def test_a_discount_after_a_question_is_that_of_the_model() -> None:
+    asked = years().within(3).with_(discount="1/2")
+    values = one_way(asked, "discount", (0, "1/2"), points=2).table.optimal
+    assert values == pytest.approx([1, 1 + 0.45 + 0.45**2])
+
+
+def test_a_model_that_was_unrolled_before_it_was_saved_is_not_drawn_by_year(tmp_path: Path) -> None:
+    years().within(20).save(tmp_path / "years.npz")
+    with pytest.raises(ModelError, match="alike at every time") as refused:
+        psa(MDP.load(tmp_path / "years.npz"), 3)
+    assert "--horizon 20" in str(refused.value)
