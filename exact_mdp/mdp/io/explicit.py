@@ -7,6 +7,7 @@ fractions, or floats.
 from __future__ import annotations
 
 import warnings
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
 from itertools import pairwise, starmap
@@ -24,21 +25,50 @@ from exact_mdp.mdp.table import exact
 from exact_mdp.mdp.validate import Flags
 
 REWARD = "reward"
-INITIAL = "init"
+INITIAL, UNNAMED = "init", "unnamed"
 
 
 def named_by(valuations: Iterable[Mapping[str, Any]]) -> tuple[str, ...]:
     """Return each state's variables as words, where whole numbers and truth values tell them apart.
 
-    Else there are no words: states have their numbers.
+    Variables with other values are left out. Where the rest does not tell the states apart there
+    are no words: states have their numbers.
     """
+    listed = list(valuations)
+    broken = {
+        name for values in listed for name, value in values.items() if not isinstance(value, int)
+    }
     words = []
-    for values in valuations:
-        if not all(isinstance(value, int) for value in values.values()):
-            return ()
+    for values in listed:
         shown = {k: str(v).lower() if isinstance(v, bool) else v for k, v in values.items()}
-        words.append(", ".join(f"{name}={value}" for name, value in shown.items()))
-    return tuple(words) if len(set(words)) == len(words) else ()
+        words.append(", ".join(f"{k}={v}" for k, v in shown.items() if k not in broken))
+    return tuple(words) if len(set(words)) == len(words) and all(words) else ()
+
+
+def _numbered(
+    choices: Iterable[Iterable[int]], words: Sequence[str], declared: Iterable[str]
+) -> tuple[list[int], tuple[str, ...]]:
+    """Return the action number of each choice, and the names of the actions.
+
+    A choice keeps its word. One without a word is called "unnamed", and the second, third, …
+    choice of a state that has the same word "word#2", "word#3", …, which are names that no
+    program can declare. Names that are declared come first. Where no choice has a word, actions are
+    the places of the choices in their state.
+    """
+    if not any(words):
+        return [place for own in choices for place, _ in enumerate(own)], ()
+    unnamed = UNNAMED
+    while unnamed in words:
+        unnamed += "'"
+    names: list[str] = []
+    for own in choices:
+        seen = Counter[str]()
+        for choice in own:
+            word = words[choice] or unnamed
+            seen[word] += 1
+            names.append(word if seen[word] == 1 else f"{word}#{seen[word]}")
+    number = {name: place for place, name in enumerate(dict.fromkeys([*declared, *names]))}
+    return [number[name] for name in names], tuple(number)
 
 
 def model_of(
@@ -49,7 +79,7 @@ def model_of(
     first_branch: Sequence[int],
     targets: Sequence[int],
     chances: Sequence[Any],
-    actions: Sequence[int],
+    choice_words: Sequence[str],
     action_names: Sequence[str],
     words: tuple[str, ...],
     initial: Sequence[int],
@@ -62,8 +92,8 @@ def model_of(
     """Return a model of another program, of which the caller says what the format does not.
 
     The choices of state s are first_choice[s] … first_choice[s+1]-1, and so on; rewards are those
-    of "states", "choices" and "branches", which add up. Where two choices of a state have the same
-    action, or none has one, actions are the places of the choices in their state. See
+    of "states", "choices" and "branches", which add up. `choice_words` names the action of each
+    choice, "" where it has none, and `action_names` are in the order of the file. See
     `mdp.io.umb.load` for `reward` and `start`.
     """
 
@@ -77,19 +107,19 @@ def model_of(
         chosen = known(reward or next(iter(rewards)), rewards, "reward model", "rewards")
         parts["component_names"], rewards = (chosen,), {chosen: rewards[chosen]}
     elif rewards and REWARD not in rewards:
-        names = ", ".join(rewards)
-        warn(f"the rewards {names} are added up; name the one that counts (--reward, reward=)")
+        listed = ", ".join(rewards)
+        warn(f"the rewards {listed} are added up; name the one that counts (--reward, reward=)")
     size = len(first_choice) - 1
     space, labels = StateSpace.plain(size, words), dict(labels)
     if start is None and not initial:
         raise ModelError("no initial state", fix="say where to start: --start, start=")
-    if len(initial) > 1:
+    if initial:
         labels.setdefault(INITIAL, np.isin(np.arange(size), initial))
-        if start is None:
-            first = f"the first of {len(initial)} initial states, {space.label(initial[0])}"
-            warn(f"the start is {first}; --start, or start=, names another")
+    if len(initial) > 1 and start is None:
+        first = f"the first of {len(initial)} initial states, {space.label(initial[0])}"
+        warn(f"the start is {first}; --start, or start=, names another")
     choices = list(starmap(range, pairwise(first_choice)))
-    named = len(actions) > 0 and all(len({actions[c] for c in own}) == len(own) for own in choices)
+    actions, names = _numbered(choices, choice_words, action_names)
     rows = list[tuple[int, int, list[tuple[Any, int, Any]]]]()
     for state, own in enumerate(choices):
         for choice in own:
@@ -97,7 +127,7 @@ def model_of(
                 (chances[k], targets[k], _earned(rewards, state, choice, k))
                 for k in range(first_branch[choice], first_branch[choice + 1])
             ]
-            rows.append((state, actions[choice] if named else choice - own.start, outcomes))
+            rows.append((state, actions[choice], outcomes))
         if not own:
             rows.append((state, 0, [(1, state, 0)]))
     return MDP.from_outcomes(
@@ -105,7 +135,7 @@ def model_of(
         1 if discount is None else discount,
         start=ByNumber([(initial[0], 1)]) if start is None else start,
         space=space,
-        actions=action_names if named else (),
+        actions=names,
         labels=labels,
         name=name,
         **parts,

@@ -12,6 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.care.toml import is_scenario, shipped
 from exact_mdp.mdp.errors import ModelError, located, of_type, suggest
@@ -156,14 +158,19 @@ def save(model: MDP, path: str | Path) -> None:
 
 
 def _assigned(constants: str | Mapping[str, object] | None) -> str:
-    """Return the values of constants as text: "N=4,p=1/3"."""
+    """Return the values of constants as text: "N=4,p=1/3"; a float is the decimal it prints as."""
     if isinstance(constants, str | None):
         return constants or ""
-    given = of_type(constants, Mapping, "constants", "give {name: number}").items()
+    given = of_type(constants, Mapping, "constants", "give {name: number}")
+    assigned = []
     with located("constants"):
-        return ",".join(
-            f"{k}={str(v).lower() if isinstance(v, bool) else exact(v)}" for k, v in given
-        )
+        for name, value in given.items():
+            if isinstance(value, bool | np.bool_):
+                number = str(value).lower()
+            else:
+                number = str(exact(str(value) if isinstance(value, float | np.floating) else value))
+            assigned.append(f"{name}={number}")
+    return ",".join(assigned)
 
 
 def _unknown(text: str) -> ModelError:

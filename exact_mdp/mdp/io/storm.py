@@ -1,27 +1,50 @@
 """PRISM programs and JANI models, built state by state by Storm in exact rationals (stormpy).
 
-Every label, reward model and action of the model that Storm builds is kept, and the values of the
-variables are the names of the states. Neither language has a discount: 1 unless it is given. What
-Storm prints goes to standard error.
+Every label, reward model and action of the model that Storm builds is kept, labels that no state
+has among them, and `init` and `deadlock`. A choice without an action is called "unnamed"; the
+second choice of a state with the action `go` is `go#2`. The values of the variables are the names
+of the states. Neither language has a discount: 1 unless it is given. What Storm prints goes to
+standard error. Storm runs in a process of its own, with at most a quarter of the machine's memory,
+10 GB at most.
+
+Probabilities and rewards are exact. Real numbers in a guard, an assignment or the condition of an
+expression (`p > 0.3`, `x = 1/3 ? …`) are compared as doubles by Storm: two that differ by less are
+equal there, and a proof is of the model that Storm built. Multiply out such conditions, or compare
+whole numbers. A reward that JANI gives to the destinations of one edge in different amounts is
+refused, because Storm makes one expected amount of these.
 
 Sources: https://www.prismmodelchecker.org/manual/ThePRISMLanguage, https://jani-spec.org
 """
 
 from __future__ import annotations
 
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping
 from fractions import Fraction
-from itertools import accumulate
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, extra, located, shown_text
+from exact_mdp.mdp.io import jani
 from exact_mdp.mdp.io.explicit import INITIAL, model_of, named_by
-from exact_mdp.mdp.io.files import LARGE, aside, read_bytes
+from exact_mdp.mdp.io.files import LARGE, read_text
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import MOST_BYTES, exact
 
-KINDS = ("DTMC", "MDP")
+PROGRAM = Path(__file__).with_name("storm_build.py")
+SAID = re.compile(r"ERROR \(\w+\.cpp:\d+\): (.*)")  # a line of Storm's log
+PLACE = re.compile(r"\b(line \d+|\d+:\d+)")
+DECLARED = r"\b{}\s*:\s*(\[|bool\b|int\b)"
+LOCATION = "_loc_"  # what Storm calls the location of an automaton begins so
+SMALLER = "give smaller values to its constants, or a smaller model"
 
 
 def load(
@@ -37,86 +60,148 @@ def load(
     where Storm is missing or refuses the program, or a constant is left open.
     """
     with located(str(path)):
-        read_bytes(path, most=LARGE)  # a regular file, and not too large
-        with aside():
-            try:
-                content = _content(_built(Path(path), constants))
-            except ModelError:
-                raise
-            except Exception as error:  # Storm raises several kinds, none of them for users
-                raise ModelError(
-                    f"Storm says: {' '.join(str(error).split())[:300]}", fix="correct that place"
-                ) from error
+        text = read_text(path, most=LARGE)  # a regular file, and not too large
+        is_jani = Path(path).suffix.lower() == ".jani"
+        declared = jani.declared(text, str(path)) if is_jani else []
+        built = _built(Path(path), constants)
+        known: list[str] = built["variables"]
+        if is_jani:
+            order = [name for name in declared if name in known]
+            order += [name for name in known if name.startswith(LOCATION)]
+        else:
+            order = _in_order(known, text)
+        content = _content(built, order)
         content |= {"reward": None, "discount": 1 if discount is None else discount, "start": start}
         return model_of(shown_text(str(path)), name=Path(path).stem, **content)
 
 
-def _built(path: Path, constants: str) -> Any:
-    """Return Storm's sparse model, with all that the program names."""
+# ---- the process apart ---------------------------------------------------------------------------
+
+
+def _built(path: Path, constants: str) -> dict[str, Any]:
+    """Return what `storm_build.py` says of a file; raises ModelError where that is no model."""
     with extra("models"):
-        import stormpy
-    if path.suffix.lower() == ".jani":
-        program = stormpy.parse_jani_model(str(path))[0]
-    else:
-        program = stormpy.parse_prism_program(str(path))
-    if constants:
-        program = stormpy.instantiate_constants(program, constants)[0]
-    if program.has_undefined_constants:
-        raise ModelError(
-            "a constant has no value",
-            fix="give all of them: --constants N=4,p=1/3",
-        )
-    options = stormpy.BuilderOptions()
-    options.set_build_all_reward_models()
-    options.set_build_all_labels()
-    options.set_build_choice_labels(True)
-    options.set_build_state_valuations(True)
-    return stormpy.build_model[stormpy.Rational](program, options=options)
-
-
-def _content(model: Any) -> dict[str, Any]:
-    """Return what `model_of` makes a model of, by Storm's sparse model."""
-    if model.model_type.name not in KINDS:
-        raise ModelError(
-            f"the model is a {model.model_type.name}",
-            fix=f"give a {' or '.join(KINDS)}: no continuous time, nothing hidden",
-        )
-    matrix, states = model.transition_matrix, range(model.nr_states)
-    rewards: dict[str, dict[str, list[Fraction]]] = {}
-    for name, own in model.reward_models.items():
-        if own.has_transition_rewards:
-            raise ModelError(
-                "rewards that depend on the next state",
-                where=f"reward {name}",
-                fix="give them to states, or to actions",
-            )
-        given = {"states": own.has_state_rewards and own.state_rewards}
-        given["choices"] = own.has_state_action_rewards and own.state_action_rewards
-        rewards[name] = {over: [*map(_fraction, each)] for over, each in given.items() if each}
-    rows = [list(matrix.get_row(row)) for row in range(matrix.nr_rows)]
-    words = [
-        " ".join(sorted(model.choice_labeling.get_labels_of_choice(row)))
-        for row in range(matrix.nr_rows)
-    ]
-    names = [*dict.fromkeys(words)]
-    listed = {word: list(model.labeling.get_states(word)) for word in model.labeling.get_labels()}
-    variables = sorted(model.state_valuations.get_all_variables(), key=lambda v: str(v.name))
-    values = (
-        {v.name: model.state_valuations.get_value(state, v) for v in variables} for state in states
+        if find_spec("stormpy") is None:
+            raise ModuleNotFoundError(name="stormpy")
+    most = _most_memory()
+    # A signal such as Ctrl-C ends the other process, too: `run` kills it before it raises.
+    done = subprocess.run(
+        [sys.executable, "-P", str(PROGRAM), str(path), constants, str(most)],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        check=False,
     )
+    printed = done.stderr.decode("utf-8", "replace")
+    built = json.loads(done.stdout) if done.returncode == 0 else None
+    too_little = "Cannot allocate memory" in printed or "bad_alloc" in printed
+    if (built or {}).get("memory") or (built is None and too_little):
+        raise ModelError(f"Storm needs more than {most / 1e9:.2g} GB of memory", fix=SMALLER)
+    if built is None:
+        raise _ended(done.returncode, printed)
+    if "said" in built:
+        raise _refused(built["said"], printed)
+    if "open" in built:
+        raise _left_open(path, built["open"])
+    if "kind" in built:
+        fix = "give a DTMC or MDP: no continuous time, nothing hidden"
+        raise ModelError(f"the model is a {built['kind']}", fix=fix)
+    sys.stderr.write(printed)
+    return dict(built)
+
+
+def _most_memory() -> int:
+    """Return how many bytes Storm may take.
+
+    What is read here from Storm's model takes as much again, and the model made of that as well, so
+    a quarter of the machine's memory is Storm's; no more than the outcomes of a table may take.
+    """
+    whole = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return min(MOST_BYTES, whole // 4)
+
+
+def _ended(status: int, printed: str) -> ModelError:
+    """Return the error to raise where Storm's process ended before it said anything."""
+    if -status == signal.SIGFPE:
+        fix = "correct the expression that divides by 0, or the constant that makes it do so"
+        return ModelError("an expression divides by zero, which ends Storm", fix=fix)
+    name = signal.Signals(-status).name if status < 0 else f"exit status {status}"
+    last = " ".join(printed.split("\n")[-3:]).strip()[-200:]
+    fix = "try the file in Storm itself: this is a fault of Storm, or of its installation"
+    return ModelError(f"Storm ended with {name}: {last or 'it said nothing'}", fix=fix)
+
+
+def _refused(said: str, printed: str) -> ModelError:
+    """Return the error to raise for what Storm refuses, in its own words where these say more."""
+    if "<model type>" in said:
+        what = "the file does not begin with the type of the model"
+        return ModelError(what, fix='write "mdp" or "dtmc" in its first line')
+    if "transition rewards" in said:
+        fix = "give them to states, or to actions"
+        return ModelError("rewards depend on the next state", fix=fix)
+    if "bad_any_cast" in said or "Exponent of power" in said:
+        what = "Storm cannot compute an expression in exact rationals"
+        fix = "write a number where the file has mod(…), log(…), a root or another such function"
+        return ModelError(what, fix=fix)
+    logged = SAID.findall(printed)
+    if said in ("", "std::exception") and logged:
+        said = logged[-1]
+    said = " ".join(said.split())[:300]
+    if "constant definition string" in said:
+        fix = "write NAME=NUMBER, separated by commas, of constants that the file leaves open"
+        return ModelError(f"Storm says: {said}", where="constants", fix=fix)
+    fix = "correct that place" if PLACE.search(said) else "correct what this names in the file"
+    return ModelError(f"Storm says: {said}", fix=fix)
+
+
+def _left_open(path: Path, names: list[str]) -> ModelError:
+    """Return the error to raise where constants have no value, with the command that gives them."""
+    several = f"the constants {', '.join(names)} have no values"
+    given = ",".join(f"{name}=…" for name in names)
+    return ModelError(
+        several if len(names) > 1 else f"the constant {names[0]} has no value",
+        fix=f"make a model with values first: exact-mdp convert {shown_text(str(path))} "
+        f"{shown_text(path.stem)}.npz --constants {given}; in Python, "
+        "MDP.load(path, constants={name: number})",
+    )
+
+
+# ---- what it says --------------------------------------------------------------------------------
+
+
+def _content(built: Mapping[str, Any], order: list[str]) -> dict[str, Any]:
+    """Return what `model_of` makes a model of; states are named by the variables in `order`."""
+    numbers: list[Fraction] = [*map(exact, built["numbers"])]
+    states = range(len(built["first_choice"]) - 1)
+    listed: dict[str, list[int]] = built["labels"]
+    places = {name: place for place, name in enumerate(built["variables"])}
+    shown = ({name: values[places[name]] for name in order} for values in built["values"])
+    rewards = {
+        name: {over: [numbers[place] for place in own] for over, own in each.items()}
+        for name, each in built["rewards"].items()
+    }
     return {
-        "first_choice": [0, *map(matrix.get_row_group_end, states)],
-        "first_branch": [0, *accumulate(map(len, rows))],
-        "targets": [entry.column for row in rows for entry in row],
-        "chances": [_fraction(entry.value) for row in rows for entry in row],
-        "actions": [*map(names.index, words)] if all(words) else (),
-        "action_names": names,
-        "words": named_by(values),
-        "initial": listed.pop(INITIAL, []),
+        "first_choice": built["first_choice"],
+        "first_branch": built["first_branch"],
+        "targets": built["targets"],
+        "chances": [numbers[place] for place in built["chances"]],
+        "choice_words": built["choice_words"],
+        "action_names": (),
+        "words": named_by(shown),
+        "initial": listed.get(INITIAL, []),
         "rewards": rewards,
-        "labels": {word: np.isin(states, on) for word, on in sorted(listed.items()) if on},
+        "labels": {word: np.isin(states, on) for word, on in sorted(listed.items())},
     }
 
 
-def _fraction(value: Any) -> Fraction:
-    return Fraction(int(str(value.numerator)), int(str(value.denominator)))
+def _in_order(names: list[str], program: str) -> list[str]:
+    """Return the variables of a PRISM program in the order of their declarations.
+
+    Those of a renamed module have none: they stand where they are first named.
+    """
+
+    def place(name: str) -> tuple[bool, int]:
+        found = re.search(DECLARED.format(name), program)
+        named = found or re.search(rf"\b{name}\b", program)
+        return found is None, named.start() if named else len(program)
+
+    return sorted(names, key=place)

@@ -175,7 +175,7 @@ def _content(umb: Any, name: str) -> dict[str, Any]:
     if max(targets, default=0) >= states:
         raise _damaged(f"a branch leads to state {max(targets)} of {states}", "branch-to-target")
     rewards = _annotations(umb, "rewards")
-    actions, action_names = _actions(umb, choices)
+    choice_words, action_names = _actions(umb, choices)
     ends = [state for state, own in enumerate(pairwise(first_choice)) if own[0] == own[1]]
     for title, values in rewards.items():
         for end in ends if "states" in values else ():
@@ -192,7 +192,7 @@ def _content(umb: Any, name: str) -> dict[str, Any]:
         "first_branch": first_branch,
         "targets": targets,
         "chances": chances,
-        "actions": actions,
+        "choice_words": choice_words,
         "action_names": action_names,
         "words": named_by((umb.valuations or {}).get("states", ())),
         "initial": [state for state, begins in enumerate(initial) if begins],
@@ -217,18 +217,17 @@ def _annotations(umb: Any, group: str) -> dict[str, dict[str, Any]]:
     return titled
 
 
-def _actions(umb: Any, choices: int) -> tuple[Sequence[int], tuple[str, ...]]:
-    """Return each choice's action, if they are stated apart, and the names of actions."""
+def _actions(umb: Any, choices: int) -> tuple[Sequence[str], Sequence[str]]:
+    """Return the name of each choice's action, "" where it has none, and those of all actions."""
     count, given = umb.index.transition_system.num_choice_actions, umb.choice_to_choice_action
-    listed = umb.choice_action_to_string or [f"a{number}" for number in range(count)]
-    names = tuple(name or "unnamed" for name in listed)
+    names = umb.choice_action_to_string or [f"a{number}" for number in range(count)]
     if given is None:
-        return (), ()
+        return [""] * choices, ()
     _sized(given, choices, "actions")
     if max(given, default=0) >= count or len(names) != count:
         what = f"{len(names)} names for {count} actions, or an action beyond them"
         raise _damaged(what, "actions")
-    return (given, names) if len({*names}) == len(names) else ((), ())
+    return [names[number] for number in given], [name for name in names if name]
 
 
 def _sizes(system: Any) -> dict[str, int]:

@@ -4,6 +4,8 @@ Storm is no dependency and its wheel is large, so that these tests run where it 
 `make bench`, or `pytest -m storm`.
 """
 
+import json
+from copy import deepcopy
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -11,9 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 from care_oracle import Oracle
+from cli_runner import run
 from refusal_tables import refused
 
-from exact_mdp import MDP, Scenario, certify, load, save
+from exact_mdp import MDP, Scenario, certify, load, return_distribution, save
 
 pytestmark = pytest.mark.storm
 
@@ -78,8 +81,8 @@ def test_a_program_becomes_an_exact_model(stormpy: Any, tmp_path: Path) -> None:
     assert set(known) == {f"state place={n}" for n in range(4)}
     one, goal = known["state place=1"], known["state place=3"]
     assert {name: np.flatnonzero(on).tolist() for name, on in mdp.labels.items()} == {
-        "goal": [goal]
-    }
+        "goal": [goal], "init": [known["state place=0"]], "deadlock": [],
+    }  # fmt: skip
     pair = mdp.pair(one, mdp.action("run"))
     assert {n: p for p, n, _ in mdp.table.row(pair)} == {
         known["state place=2"]: Fraction(1, 3), known["state place=0"]: Fraction(2, 3),
@@ -92,19 +95,179 @@ def test_a_program_becomes_an_exact_model(stormpy: Any, tmp_path: Path) -> None:
     assert float(value) == pytest.approx(float(answer(stormpy, model, wanted)), rel=1e-5)
 
 
+def program(lines: str, *, head: str = "mdp", reward: str = "0") -> str:
+    """A program of one variable s from 0 to 2, with lines of its own."""
+    rewards = f"rewards true : {reward}; endrewards" * (reward != "0")
+    return f"{head}\nmodule m\n s : [0..2] init 0;\n{lines}\nendmodule\n{rewards}"
+
+
+GO = "[go] s=0 -> (s'=1);"
+
+
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "what", "fix"),
     [
-        (PRISM.replace("mdp", "ctmc", 1).replace("[jump]", "[run]"), "CTMC"),
-        (PRISM.replace("place < 3 : 1;", "[run] true -> true : 1;"), "Storm says"),
-        (PRISM.replace("0..3", "0..N"), "Storm says"),
-        (PRISM.replace("module walk", "const int N;\nmodule walk"), "a constant has no value"),
-        ("mdp mdp", "Storm says"),
+        (PRISM.replace("mdp", "ctmc", 1).replace("[jump]", "[run]"), "the model is a CTMC", "DTMC"),
+        (PRISM.replace("place < 3 : 1;", "[run] true -> true : 1;"), "next state", "actions"),
+        (PRISM.replace("0..3", "0..N"), "Storm says", "that place"),
+        (program(GO, head="mdp const int N;"), "the constant N has no value", "--constants N=…;"),
+        (program(GO, head="mdp const int N; const double p;"), "the constants N, p", "N=…,p=…"),
+        ("mdp mdp", "Storm says", "that place"),
+        (program(GO, head=""), "not begin with the type", '"mdp"'),
+        (program("[go] s=0 -> (t'=1);"), "Unknown variable 't'", "what this names"),
+        # A value out of its range would be another one: s'=5 would be s'=1.
+        (program("[go] s=0 -> (s'=5);"), "out-of-bounds value (5)", "what this names"),
+        (program("[go] s=0 -> 0.5:(s'=1);"), "do not sum to one", "what this names"),
+        (program(GO, reward="mod(7,4)/10"), "in exact rationals", "write a number"),
+        (program(GO, reward="log(3,2)"), "in exact rationals", "write a number"),
+        (program(GO, reward="pow(2,0.5)"), "in exact rationals", "write a number"),
+        (program(GO, reward="1/s"), "divides by zero", "divides by 0"),
+        (program("[go] s=0 -> 1/s:(s'=1);"), "divides by zero", "divides by 0"),
     ],
 )
-def test_programs_that_are_refused(stormpy: Any, tmp_path: Path, text: str, said: str) -> None:
+def test_programs_that_are_refused(
+    stormpy: Any, tmp_path: Path, text: str, what: str, fix: str
+) -> None:
     (tmp_path / "m.prism").write_text(text, encoding="utf-8")
-    refused(lambda: load(tmp_path / "m.prism"), said)
+    refused(lambda: load(tmp_path / "m.prism"), what, "m.prism", fix)
+
+
+def test_a_division_by_zero_ends_a_command_in_words(stormpy: Any, tmp_path: Path) -> None:
+    """Storm's process ends by a signal then; and the remedy for an open constant works."""
+    text = program("[go] s=0 -> 1/N:(s'=1) + 1-1/N:true;", head="mdp const int N;")
+    (path := tmp_path / "m.prism").write_text(text, encoding="utf-8")
+    said = run("convert", str(path), str(tmp_path / "m.npz"), "--constants", "N=0").refusal()
+    assert "divides by zero" in said
+    assert not (tmp_path / "m.npz").exists()
+    assert "convert" in run("solve", str(path)).refusal()
+    made = run("convert", str(path), str(tmp_path / "m.npz"), "--constants", "N=4", "--json").result
+    assert made["states"] == 2
+    assert MDP.load(tmp_path / "m.npz").table.row(0)[1][:2] == (Fraction(1, 4), 1)
+
+
+def test_a_program_that_is_too_large_is_refused(
+    stormpy: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = program("[go] s<2 -> (x'=min(x+1,100000000));") + "\nglobal x : [0..100000000] init 0;"
+    (tmp_path / "m.prism").write_text(text, encoding="utf-8")
+    monkeypatch.setattr("exact_mdp.mdp.io.storm._most_memory", lambda: 250_000_000)
+    refused(lambda: load(tmp_path / "m.prism"), "more than 0.25 GB of memory", "m.prism", "smaller")
+
+
+def test_labels_that_no_state_has_are_reached_with_probability_0(
+    stormpy: Any, tmp_path: Path
+) -> None:
+    (tmp_path / "m.prism").write_text(program(GO) + '\nlabel "bad" = s>1;', encoding="utf-8")
+    mdp = load(tmp_path / "m.prism")
+    assert {name: on.tolist() for name, on in mdp.labels.items()} == {
+        "bad": [False, False], "init": [True, False], "deadlock": [False, True],
+    }  # fmt: skip
+    assert certify(mdp.reaching("bad")).start_value == 0
+
+
+def test_choices_keep_their_names_and_states_the_order_of_variables(
+    stormpy: Any, tmp_path: Path
+) -> None:
+    text = """mdp
+        module m
+          z : [0..1] init 0;
+          b : bool init true;
+          a : [0..1] init 0;
+          [go] z=0 -> (z'=1);
+          [go] z=0 -> (b'=false)&(z'=1);
+          [] z=0 -> (a'=1)&(z'=1);
+        endmodule
+        module n = m [z=x, b=c, a=d, go=walk] endmodule"""
+    (tmp_path / "m.prism").write_text(text, encoding="utf-8")
+    mdp = load(tmp_path / "m.prism")
+    assert mdp.space.label(mdp.start[0][0]) == "state z=0, b=true, a=0, x=0, c=true, d=0"
+    assert set(mdp.actions) == {
+        *("go", "go#2", "walk", "walk#2", "unnamed", "unnamed#2"),
+    }
+    last = mdp.space.number("z=1, b=true, a=1, x=1, c=true, d=1")  # a deadlock, where Storm stays
+    assert mdp.actions[mdp.pair_action[mdp.pair_offsets[last]]] == "unnamed"
+
+
+JANI: dict[str, Any] = {
+    "jani-version": 1,
+    "name": "walk",
+    "type": "mdp",
+    "features": [],
+    "variables": [
+        {"name": "cost", "type": "real", "transient": True, "initial-value": 0},
+        {
+            "name": "z",
+            "type": {"kind": "bounded", "base": "int", "lower-bound": 0, "upper-bound": 1},
+            "initial-value": 0,
+        },
+        {"name": "b", "type": "bool", "initial-value": True},
+    ],
+    "actions": [{"name": "go"}],
+    "properties": [],
+    "automata": [
+        {
+            "name": "A",
+            "locations": [
+                {"name": "here"},
+                {"name": "there", "transient-values": [{"ref": "cost", "value": 2.5}]},
+                {"name": "over"},
+            ],
+            "initial-locations": ["here"],
+            "edges": [
+                {
+                    "location": "here",
+                    "action": "go",
+                    "destinations": [
+                        {"location": "there", "probability": {"exp": 0.25}},
+                        {"location": "over", "probability": {"exp": 0.75}},
+                    ],
+                },
+                {
+                    "location": "there",
+                    "destinations": [
+                        {
+                            "location": "over",
+                            "assignments": [{"ref": "z", "value": 1}, {"ref": "b", "value": False}],
+                        }
+                    ],
+                },
+            ],
+        }
+    ],
+    "system": {"elements": [{"automaton": "A"}]},
+}
+
+
+def pay(*amounts: Any, **other: Any) -> str:
+    """The model of which the destinations of the first edge pay these amounts, if any."""
+    content = deepcopy(JANI)
+    destinations = content["automata"][0]["edges"][0]["destinations"]
+    for destination, amount in zip(destinations, amounts, strict=True):
+        if amount is not None:
+            destination["assignments"] = [{"ref": "cost", "value": amount} | other]
+    return json.dumps(content)
+
+
+def test_a_jani_model_has_the_names_of_its_variables(stormpy: Any, tmp_path: Path) -> None:
+    """The transient variable, which is a reward, is no part of them."""
+    (tmp_path / "m.jani").write_text(pay(8, 8), encoding="utf-8")
+    mdp = load(tmp_path / "m.jani")
+    assert mdp.space.label(mdp.start[0][0]) == "state z=0, b=true, _loc_A=0"
+    assert mdp.actions == ("go", "unnamed")
+    returns = return_distribution(mdp, "random")
+    assert (returns.values, returns.probabilities.tolist()) == (
+        (8, Fraction(21, 2)),
+        [0.75, 0.25],
+    )
+
+
+@pytest.mark.parametrize("text", [pay(8, 4), pay(None, 4), pay(8, None), pay("z", "z", index=1)])
+def test_a_jani_reward_that_depends_on_the_destination_is_refused(
+    stormpy: Any, tmp_path: Path, text: str
+) -> None:
+    (tmp_path / "m.jani").write_text(text, encoding="utf-8")
+    said = "the reward cost depends on the destination", "automaton A, edge 0", "of its own"
+    refused(lambda: load(tmp_path / "m.jani"), *said)
 
 
 def test_constants_by_name_are_exact(stormpy: Any, tmp_path: Path) -> None:
@@ -117,10 +280,21 @@ def test_constants_by_name_are_exact(stormpy: Any, tmp_path: Path) -> None:
         endmodule
         rewards "steps" [go] true : 1; endrewards"""
     (tmp_path / "walk.prism").write_text(text, encoding="utf-8")
-    for given in ({"N": 3, "p": Fraction(1, 3)}, {"N": "3", "p": "1/3"}):
+    for given, p in (
+        ({"N": 3, "p": Fraction(1, 3)}, Fraction(1, 3)),
+        ({"N": "3", "p": "1/3"}, Fraction(1, 3)),
+        ({"N": 3, "p": 0.1}, Fraction(1, 10)),
+        ({"N": np.int64(3), "p": np.float64(0.1)}, Fraction(1, 10)),
+        ({"N": 3.0, "p": 1e-05}, Fraction(1, 10**5)),
+        ("N=3,p=0.1", Fraction(1, 10)),
+    ):
         mdp = MDP.load(tmp_path / "walk.prism", constants=given, discount="1/2")
         assert mdp.n_states == 4
-        assert mdp.table.row(0) == [(Fraction(2, 3), 0, 1), (Fraction(1, 3), 1, 1)]
+        assert mdp.table.row(0) == [(1 - p, 0, 1), (p, 1, 1)]
+    said = "unknown undefined constant 'q'", "constants", "NAME=NUMBER"
+    refused(lambda: MDP.load(tmp_path / "walk.prism", constants="N=3,p=1/3,q=1"), *said)
+    nan = {"N": 3, "p": float("nan")}
+    refused(lambda: MDP.load(tmp_path / "walk.prism", constants=nan), "nan", "constants")
 
 
 def test_a_model_that_storm_builds_and_writes(stormpy: Any, tmp_path: Path) -> None:

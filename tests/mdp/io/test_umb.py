@@ -14,7 +14,7 @@ import umbi
 from archives import annotate, foreign_umb, is_refused, read_by_umbi, tarred, untarred, written
 from model_contents import laws
 
-from exact_mdp import MDP, ModelError, Scenario, certify, load, save
+from exact_mdp import MDP, ModelError, Scenario, certify, evaluate, load, save
 
 F = Fraction
 CARE = Scenario.load("yuan2025").with_(tasks=[1, 1], max_trial=1).compile()
@@ -141,13 +141,33 @@ def test_initial_states(tmp_path: Path) -> None:
     assert len(load(path, discount=1, start={0: "1/3", 1: "2/3"}).start) == 2
     with pytest.raises(ModelError, match="no initial state"):
         load(written(chain(steps=[1, 0], initial=[]), tmp_path), discount=1)
+    one = load(written(chain(steps=[1, 0]), tmp_path), discount=1)
+    assert one.labels["init"].tolist() == [True, False]
 
 
-def test_actions_that_repeat_in_a_state_are_numbered(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("chosen", "names", "read"),
+    [
+        ([1, 1, 0], ["", "b"], ["b", "b#2", "unnamed"]),
+        ([0, 1, 0], ["", "b"], ["unnamed", "b", "unnamed#2"]),
+        ([0, 1, 2], ["", "b", ""], ["unnamed", "b", "unnamed#2"]),  # Storm's names may repeat
+        ([2, 1, 0], ["", "b", "unnamed"], ["unnamed", "b", "unnamed'"]),
+        ([1, 0, 0], ["", ""], ["a1", "a0", "a0#2"]),  # umbi reads no names then
+    ],
+)
+def test_each_choice_keeps_its_name(
+    chosen: list[int], names: list[str], read: list[str], tmp_path: Path
+) -> None:
+    """Where it has none, or another choice of the state has the same, it gets one of its own."""
     content = foreign_umb([[[(0, 1.0)]] * 3], {"r": {"choices": [5, 6, 7]}})
-    act(content, [1, 1, 0], ["", "b"])
+    act(content, chosen, names)
     mdp = load(written(content, tmp_path), discount=1)
-    assert (mdp.actions, mdp.reward.tolist()) == (("0", "1", "2"), [5, 6, 7])
+    assert {mdp.actions[a]: r for a, r in zip(mdp.pair_action, mdp.reward, strict=True)} == dict(
+        zip(read, [5, 6, 7], strict=True)
+    )
+    save(mdp, tmp_path / "again.npz")
+    again = load(tmp_path / "again.npz")
+    assert [evaluate(again, f"always:{name}", horizon=1).mean for name in read] == [5, 6, 7]
 
 
 def test_models_of_other_kinds(tmp_path: Path) -> None:
@@ -240,7 +260,7 @@ def test_labels_names_and_variables_of_others(tmp_path: Path) -> None:
     path = tmp_path / "theirs.umb"
     path.write_bytes(tarred(files))
     mdp = load(path, discount=1)
-    assert list(mdp.labels) == ["The goal"]
+    assert list(mdp.labels) == ["The goal", "init"]
     assert mdp.labels["The goal"].tolist() == [False, False, True]
     assert mdp.space.labels(range(3)) == [
         "state x=-1, on=false", "state x=0, on=true", "state x=3, on=true",
