@@ -11,8 +11,10 @@ also pass through such a state alive, or start in it (Taxi with the passenger at
 its rows stay, and terminated outcomes lead to one more state, "end", behind the others.
 
 Without a table, `dynamics` with matrices `tx_mat` and `r_mat` (S, A, S) will do, as ICU-Sepsis has
-them (Choudhary, Gupta and Thomas, Reinforcement Learning Conference 2024). Wrappers are looked
-through: what they change is no part of `P`.
+them (Choudhary, Gupta and Thomas, Reinforcement Learning Conference 2024).
+
+A wrapper, or an environment of one's own, whose step() or reset() does what `P` does not say is
+refused: see `mdp.io.gymnasium_steps`.
 """
 
 from __future__ import annotations
@@ -35,13 +37,21 @@ from exact_mdp.mdp.errors import (
 )
 from exact_mdp.mdp.forms.names import ByNumber
 from exact_mdp.mdp.forms.numbers import as_given
+from exact_mdp.mdp.io.gymnasium_steps import (
+    NOWHERE,
+    TOY_TEXT,
+    Outcome,
+    compare,
+    layers_of,
+    refuse_changes,
+    refuse_untried,
+)
 from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import Numbers
 from exact_mdp.mdp.validate import KNOWN, as_start, check_options
 
 END = "end"
-NOWHERE = -1  # a next state that some tables write where the episode is over
-TOY_TEXT = "gymnasium.envs.toy_text"
+STARTS = ("initial_state_distrib", "isd")  # what environments call the initial distribution
 GRID = (Column(name="row", size=0), Column(name="column", size=0))
 PLACES = ("Red", "Green", "Yellow", "Blue")
 TOYS = {
@@ -60,7 +70,6 @@ TOYS = {
 """Actions by number, and what the number of a state is made of."""
 
 LISTED = "let P[state][action] list (probability, next state, reward, terminated)"
-Outcome = tuple[Any, int, Any, bool]
 Rows = dict[tuple[int, int], list[Outcome]]
 
 
@@ -83,6 +92,11 @@ class FromGymnasium(FromArrays):
             `name`, `sense`, `labels`; `time_limit` instead of the environment's own. Beside an id,
             others are the environment's: `is_slippery=False`.
 
+        Notes
+        -----
+        Wrappers and environments that Gymnasium does not bring are tried for some hundred steps,
+        with fixed seeds, in a copy; one that cannot be copied is itself reset and stepped.
+
         Returns
         -------
         MDP
@@ -90,8 +104,8 @@ class FromGymnasium(FromArrays):
         Raises
         ------
         ModelError
-            Where the environment is unknown or exposes no `P`, or `P` is not a table of
-            distributions over its own states.
+            Where the environment is unknown or exposes no `P`, `P` is not a table of distributions
+            over its own states, or step() or reset() does what `P` does not say.
 
         Examples
         --------
@@ -111,20 +125,21 @@ class FromGymnasium(FromArrays):
                 made.close()
         bare = env if isinstance(env, Mapping) else getattr(env, "unwrapped", env)
         check_options(names, {})
-        layers = [*_layers(env)]
-        _refuse_changed(layers)
+        layers = [*layers_of(env)]
+        refuse_changes(layers)
         names.setdefault("name", _name(env))
         names.setdefault("time_limit", _time_limit(layers))
         where = names["name"] or "P"
         dynamics = getattr(bare, "dynamics", None)
         if not hasattr(bare, "P") and isinstance(dynamics, Mapping) and "tx_mat" in dynamics:
+            refuse_untried(layers)
             options = {"start": dynamics.get("d_0"), "layout": "sas"} | names
             return cls.from_arrays(*_of_matrices(bare, dynamics, where), discount, **options)
-        rows = _of_table(bare, where, names)
+        rows = _of_table(bare, where, layers, names)
         return cls.from_outcomes(rows, discount, **names)
 
 
-def _of_table(bare: Any, where: str, names: dict[str, Any]) -> list[Any]:
+def _of_table(bare: Any, where: str, layers: Sequence[Any], names: dict[str, Any]) -> list[Any]:
     """Return the rows of a model by its table of outcomes; add what else is known to `names`."""
     rows = _rows(bare, where)
     states, actions = (max(numbers) + 1 for numbers in zip(*rows, strict=True))
@@ -132,8 +147,12 @@ def _of_table(bare: Any, where: str, names: dict[str, Any]) -> list[Any]:
     names.setdefault("actions", known)
     words = names.pop("states", ())
     columns = StateSpace.plain(states, words).columns if words or not columns else columns
-    start = names.pop("start", None)
-    start = as_start(_start(bare) if start is None else start, StateSpace(columns=columns))
+    given = names.pop("start", None)
+    start = as_start(_start(bare) if given is None else given, StateSpace(columns=columns))
+    if not isinstance(bare, Mapping | Sequence):
+        # A start that the caller gives is another question, which reset() need not answer.
+        begins = {s for s, weight in start if weight} if given is None else range(states)
+        compare(layers, rows, begins, given is not None or _states_start(bare))
     ends, targets = _ends(rows, {state for state, _ in start})
     listed = [
         (s, a, [(p, n if not over or n in ends else states, r) for p, n, r, over in outcomes])
@@ -149,34 +168,6 @@ def _of_table(bare: Any, where: str, names: dict[str, Any]) -> list[Any]:
         names["labels"] = ending | _of_the_map(bare, space.size)
     names |= {"start": start, "space": space}
     return listed
-
-
-def _layers(env: Any) -> Iterator[Any]:
-    """Yield an environment and what it wraps, from the outside in."""
-    while env is not None:
-        yield env
-        env = getattr(env, "__dict__", {}).get("env")
-
-
-def _refuse_changed(layers: Sequence[Any]) -> None:
-    """Raise ModelError where a wrapper changes rewards or actions, of which `P` does not know."""
-    for env in layers[:-1]:
-        kinds = {each.__name__ for each in type(env).__mro__} & {"RewardWrapper", "ActionWrapper"}
-        if kinds and not (kinds == {"ActionWrapper"} and _only_numbers(env)):
-            raise ModelError(
-                f"{type(env).__name__} changes the environment, and P does not know of it",
-                where="env",
-                fix="give env.unwrapped, or describe the change: MDP.from_function(…)",
-            )
-
-
-def _only_numbers(env: Any) -> bool:
-    """Return whether an action wrapper numbers several choices, the last the fastest, as P does."""
-    levels = getattr(env.env.action_space, "nvec", None)
-    if levels is None or getattr(env.action_space, "n", None) != np.prod(levels):
-        return False
-    own = [env.action(number) for number in range(int(env.action_space.n))]
-    return bool(np.array_equal(own, np.stack(np.unravel_index(range(len(own)), levels), axis=1)))
 
 
 def _of_the_map(env: Any, states: int) -> dict[str, Any]:
@@ -300,9 +291,14 @@ def _of_matrices(env: Any, dynamics: Mapping[str, Any], where: str) -> tuple[Num
     return chances, gains
 
 
+def _states_start(env: Any) -> bool:
+    """Return whether an environment states where episodes start."""
+    return any(hasattr(env, name) for name in STARTS)
+
+
 def _start(env: Any) -> Any:
     """Return where episodes start: state 0, as everywhere, where the environment does not say."""
-    given = getattr(env, "initial_state_distrib", getattr(env, "isd", 0))
+    given = next((getattr(env, name) for name in STARTS if hasattr(env, name)), 0)
     by_state = {given: 1} if _whole(given) else given
     if isinstance(by_state, Mapping) and all(map(_whole, by_state)):
         return ByNumber((int(state), chance) for state, chance in by_state.items())

@@ -1,20 +1,22 @@
 """Models from Gymnasium, against value iteration on the environment's own table."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
 import pytest
 from cli_runner import run
+from gymnasium import wrappers
+from gymnasium.envs.toy_text import FrozenLakeEnv
 from hypothesis import given
 from hypothesis import strategies as st
 from oracle import by_table
 from refusal_tables import refused, table_of_refusals
 
-from exact_mdp import MDP, Policy, ShapeError, certify, evaluate, load, solve
+from exact_mdp import MDP, Policy, ShapeError, certify, evaluate, fingerprint, load, solve
 
 # Gymnasium 1.3 numbers it anew.
 NUMBER = max(each.version or 0 for each in gymnasium.registry.values() if each.name == "Taxi")
@@ -289,12 +291,156 @@ def test_names_that_are_no_model(name: str, what: str, fix: str) -> None:
         assert "MDP.from_function(start, actions, outcomes)" in error.fix
 
 
-def test_a_wrapper_that_changes_rewards_is_refused() -> None:
-    env = gymnasium.make("FrozenLake-v1")
-    assert MDP.from_gymnasium(gymnasium.wrappers.TimeLimit(env, 7)).time_limit == 7
-    ten = gymnasium.wrappers.TimeLimit(gymnasium.wrappers.TransformReward(env, lambda r: 10 * r), 7)
-    refused(lambda: MDP.from_gymnasium(ten), "TransformReward changes the environment")
-    assert MDP.from_gymnasium(ten.unwrapped).n_states == 16
+class Walk(gymnasium.Env):
+    """Two states to walk through, the second of which may be where an episode begins."""
+
+    action_space = observation_space = gymnasium.spaces.Discrete(2)
+    P: ClassVar[Any] = {
+        0: {0: [(0.5, 0, -1, False), (0.5, 1, -1, False)], 1: [(1.0, 1, -2, False)]},
+        1: {0: [(1.0, 0, 0, False)], 1: [(1.0, 1, 5, True)]},
+    }
+    begins = 0
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
+        super().reset(seed=seed)
+        self.state = self.begins
+        return self.state, {}
+
+    def step(self, action: Any) -> Any:
+        listed = self.P[self.state][action]
+        _, self.state, reward, over = listed[self.np_random.integers(len(listed))]
+        return self.state, float(reward), over, False, {}
+
+
+class Same(gymnasium.Wrapper):
+    """Only watches."""
+
+    def step(self, action: Any) -> Any:
+        return self.env.step(action)
+
+
+class Shaped(gymnasium.Wrapper):
+    def step(self, action: Any) -> Any:
+        state, reward, *rest = self.env.step(action)
+        return state, reward - 1, *rest
+
+
+class Impatient(Walk):
+    def step(self, action: Any) -> Any:
+        state, reward, over, *rest = super().step(action)
+        return state, reward, over or action == 0, *rest
+
+
+class Drifting(Walk):
+    def step(self, action: Any) -> Any:
+        _, *rest = super().step(action)
+        self.state = 0
+        return 0, *rest
+
+
+class Elsewhere(Walk):
+    begins = 1
+
+
+class Stated(Elsewhere):
+    initial_state_distrib = (1, 0)
+
+
+class Broken(Walk):
+    def step(self, action: Any) -> Any:
+        raise RuntimeError("no power")
+
+
+class OwnLake(FrozenLakeEnv):
+    def step(self, action: Any) -> Any:
+        state, reward, *rest = super().step(action)
+        return state, reward - 0.01, *rest
+
+
+def lake() -> Any:
+    return gymnasium.make("FrozenLake-v1")
+
+
+HARMLESS: list[Callable[[Any], Any]] = [
+    lambda env: env,
+    Same,
+    lambda env: wrappers.TimeLimit(env, 7),
+    wrappers.RecordEpisodeStatistics,
+    wrappers.Autoreset,
+    wrappers.OrderEnforcing,
+    wrappers.PassiveEnvChecker,
+    lambda env: wrappers.DtypeObservation(env, np.float32),
+    lambda env: wrappers.TransformObservation(env, lambda seen: seen, env.observation_space),
+]
+
+
+@pytest.mark.parametrize("wrapped", HARMLESS, ids=range(len(HARMLESS)))
+def test_a_wrapper_that_changes_nothing_is_looked_through(wrapped: Any) -> None:
+    for env in (lake(), Walk()):
+        assert fingerprint(MDP.from_gymnasium(wrapped(env))) == fingerprint(MDP.from_gymnasium(env))
+
+
+CHANGED: list[tuple[Callable[[], Any], str, str]] = [  # an environment, what it does, the remedy
+    (lambda: Shaped(lake()), "P lists", "env.unwrapped"),
+    (lambda: wrappers.TimeLimit(Shaped(lake()), 7), "P lists", "env.unwrapped"),
+    (lambda: Shaped(Walk()), "step(", "env.unwrapped"),
+    (lambda: wrappers.TransformReward(lake(), lambda r: 10 * r), "P does not", "env.unwrapped"),
+    (lambda: wrappers.NormalizeReward(Walk()), "P lists", "env.unwrapped"),
+    (lambda: wrappers.RepeatAction(lake(), 2), "P lists", "env.unwrapped"),
+    (lambda: wrappers.DelayObservation(lake(), 1), "P lists", "env.unwrapped"),
+    (lambda: wrappers.FrameStackObservation(lake(), 2), "an observation is", "env.unwrapped"),
+    (lambda: wrappers.TimeAwareObservation(lake()), "an observation is", "env.unwrapped"),
+    (
+        lambda: wrappers.TransformObservation(lake(), lambda s: 15 - s, lake().observation_space),
+        "reset() begins in state 15",
+        "env.unwrapped",
+    ),
+    (OwnLake, "P lists (next state, reward, terminated)", "unwrapped.P"),
+    (Impatient, "True); P lists", "unwrapped.P"),
+    (Drifting, "gave (0, ", "unwrapped.P"),
+    (Elsewhere, "reset() begins in state 1", "start=1"),
+    (Stated, "has no initial probability", "start="),
+    (Broken, "raises RuntimeError: no power", "unwrapped.P"),
+    (lambda: gymnasium.make(TAXI, fickle_passenger=True), "fickle", "without fickle_passenger"),
+]
+
+
+@pytest.mark.parametrize(("made", "what", "fix"), CHANGED, ids=range(len(CHANGED)))
+def test_an_environment_that_does_more_than_its_table_is_refused(
+    made: Callable[[], Any], what: str, fix: str
+) -> None:
+    env = made()
+    refused(lambda: MDP.from_gymnasium(env), what, "", fix)
+    if "env.unwrapped" in fix:
+        assert MDP.from_gymnasium(env.unwrapped).n_states in (3, 16)
+    if "unwrapped.P" in fix:
+        assert MDP.from_gymnasium(env.unwrapped.P).n_states in (2, 3, 16)
+
+
+def test_starts_that_are_given_answer_for_themselves() -> None:
+    assert MDP.from_gymnasium(Elsewhere(), start=1).start == ((1, 1),)
+    assert MDP.from_gymnasium(Stated(), start={0: "1/2", 1: "1/2"}).n_states == 3
+    assert MDP.from_gymnasium(gymnasium.make(TAXI, is_rainy=True)).n_states == 501
+
+
+def test_an_environment_stays_as_it_was() -> None:
+    env = Same(Walk())
+    env.reset(seed=3)
+    env.step(1)
+    before = env.unwrapped.state, env.unwrapped.np_random.bit_generator.state
+    numbers = np.random.get_state()[1].tolist()  # noqa: NPY002
+    MDP.from_gymnasium(env)
+    assert (env.unwrapped.state, env.unwrapped.np_random.bit_generator.state) == before
+    assert np.random.get_state()[1].tolist() == numbers  # noqa: NPY002
+
+
+def test_what_cannot_be_compared_is_said() -> None:
+    class Pairs(Walk):
+        def reset(self, **given: Any) -> Any:
+            return (0, super().reset(**given)[0]), {}
+
+    with pytest.warns(UserWarning, match=r"step\(\) of Pairs was not compared with P"):
+        assert MDP.from_gymnasium(Pairs()).n_actions == 2
 
 
 @pytest.mark.parametrize("same_numbers", [True, False])
