@@ -20,9 +20,9 @@ refused: see `mdp.io.gymnasium_steps`.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Self, TypeGuard
+from typing import Any, Self
 
 import numpy as np
 
@@ -31,27 +31,19 @@ from exact_mdp.mdp.errors import (
     ModelError,
     ShapeError,
     extra,
-    located,
     short,
     suggest,
 )
 from exact_mdp.mdp.forms.names import ByNumber
-from exact_mdp.mdp.forms.numbers import as_given
-from exact_mdp.mdp.io.gymnasium_steps import (
-    NOWHERE,
-    TOY_TEXT,
-    Outcome,
-    compare,
-    layers_of,
-    refuse_changes,
-    refuse_untried,
-)
+from exact_mdp.mdp.io.gymnasium_steps import compare, layers_of, refuse_changes, refuse_untried
+from exact_mdp.mdp.io.gymnasium_table import LISTED, NOWHERE, Rows, is_table, rows_of, whole
 from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import Numbers
 from exact_mdp.mdp.validate import KNOWN, as_start, check_options
 
 END = "end"
 STARTS = ("initial_state_distrib", "isd")  # what environments call the initial distribution
+TOY_TEXT = "gymnasium.envs.toy_text"
 GRID = (Column(name="row", size=0), Column(name="column", size=0))
 PLACES = ("Red", "Green", "Yellow", "Blue")
 TOYS = {
@@ -68,9 +60,6 @@ TOYS = {
     ),
 }
 """Actions by number, and what the number of a state is made of."""
-
-LISTED = "let P[state][action] list (probability, next state, reward, terminated)"
-Rows = dict[tuple[int, int], list[Outcome]]
 
 
 class FromGymnasium(FromArrays):
@@ -123,7 +112,10 @@ class FromGymnasium(FromArrays):
                 return cls.from_gymnasium(made, discount, **{"name": env} | names)
             finally:
                 made.close()
-        bare = env if isinstance(env, Mapping) else getattr(env, "unwrapped", env)
+        if env is None or isinstance(env, bool | int | float):
+            fix = f"give an environment, an id such as FrozenLake-v1, or a table: {LISTED}"
+            raise ModelError(f"{env!r} is not an environment", where="env", fix=fix)
+        bare = env if is_table(env) else getattr(env, "unwrapped", env)
         check_options(names, {})
         layers = [*layers_of(env)]
         refuse_changes(layers)
@@ -141,15 +133,15 @@ class FromGymnasium(FromArrays):
 
 def _of_table(bare: Any, where: str, layers: Sequence[Any], names: dict[str, Any]) -> list[Any]:
     """Return the rows of a model by its table of outcomes; add what else is known to `names`."""
-    rows = _rows(bare, where)
-    states, actions = (max(numbers) + 1 for numbers in zip(*rows, strict=True))
+    rows, states = rows_of(bare, where)
+    actions = max(action for _, action in rows) + 1
     known, columns = _named(bare, states, actions)
     names.setdefault("actions", known)
     words = names.pop("states", ())
     columns = StateSpace.plain(states, words).columns if words or not columns else columns
     given = names.pop("start", None)
     start = as_start(_start(bare) if given is None else given, StateSpace(columns=columns))
-    if not isinstance(bare, Mapping | Sequence):
+    if not is_table(bare):
         # A start that the caller gives is another question, which reset() need not answer.
         begins = {s for s, weight in start if weight} if given is None else range(states)
         compare(layers, rows, begins, given is not None or _states_start(bare))
@@ -207,56 +199,6 @@ def _ends(rows: Rows, begins: set[int]) -> tuple[set[int], set[int]]:
     return ends, targets
 
 
-def _rows(env: Any, where: str) -> Rows:
-    """Return the outcomes of every pair."""
-    table = env if isinstance(env, Mapping) else getattr(env, "P", None)
-    if table is None:
-        raise ModelError(
-            "the environment does not expose its model as P",
-            where=where,
-            fix="describe it: MDP.from_function(start, actions, outcomes); or use an environment "
-            "with P, such as FrozenLake-v1",
-        )
-    return {
-        (state, action): [_outcome(each, f"{where}, P[{state}][{action}]") for each in outcomes]
-        for state, row in _items(table, where, "P")
-        for action, listed in _items(row, where, f"P[{state}]")
-        for outcomes in [_listed(listed, f"{where}, P[{state}][{action}]")]
-    }
-
-
-def _items(table: Any, where: str, what: str) -> Iterator[tuple[int, Any]]:
-    if not isinstance(table, Mapping) or not table:
-        fix = f"{LISTED}; an end stays: {{0: [(1.0, state, 0, True)]}}"
-        raise ModelError(f"{what} lists no action: {short(repr(table), 80)}", where=where, fix=fix)
-    for key, value in table.items():
-        if not _whole(key) or key < 0:
-            fix = "number states and actions from 0"
-            raise ModelError(f"{what} has the key {key!r}", where=where, fix=fix)
-        yield int(key), value
-
-
-def _whole(number: Any) -> TypeGuard[int]:
-    return isinstance(number, int | np.integer) and not isinstance(number, bool)
-
-
-def _listed(values: Any, where: str) -> Sequence[Any]:
-    if isinstance(values, Sequence) and not isinstance(values, str):
-        return values
-    what = f"{type(values).__name__} found where a list is expected"
-    raise ModelError(what, where=where, fix=LISTED)
-
-
-def _outcome(given: Any, place: str) -> Outcome:
-    values = _listed(given, place)
-    if len(values) != 4 or not _whole(values[1]) or not isinstance(values[3], bool | np.bool_):
-        raise ModelError(f"an outcome is {given!r}", where=place, fix=LISTED)
-    with located(place):
-        for number in (values[0], values[2]):
-            as_given(number)
-    return values[0], int(values[1]), values[2], bool(values[3])
-
-
 def _of_matrices(env: Any, dynamics: Mapping[str, Any], where: str) -> tuple[Numbers, Numbers]:
     """Return P and R (S, A, S) from `tx_mat` and `r_mat`, as ICU-Sepsis has them.
 
@@ -299,8 +241,8 @@ def _states_start(env: Any) -> bool:
 def _start(env: Any) -> Any:
     """Return where episodes start: state 0, as everywhere, where the environment does not say."""
     given = next((getattr(env, name) for name in STARTS if hasattr(env, name)), 0)
-    by_state = {given: 1} if _whole(given) else given
-    if isinstance(by_state, Mapping) and all(map(_whole, by_state)):
+    by_state = {int(given): 1} if whole(given) else given
+    if isinstance(by_state, Mapping) and all(map(whole, by_state)):
         return ByNumber((int(state), chance) for state, chance in by_state.items())
     if isinstance(given, Sequence | np.ndarray) and not isinstance(given, str):
         return list(given)
@@ -316,17 +258,17 @@ def _time_limit(layers: Sequence[Any]) -> int | None:
 
     A specification says it too, where no wrapper does; a limit of -1 is none.
     """
-    limits = [getattr(each, "__dict__", {}).get("_max_episode_steps") for each in layers]
-    stated = getattr(getattr(layers[0], "spec", None), "max_episode_steps", None)
+    limits: list[Any] = [getattr(each, "__dict__", {}).get("_max_episode_steps") for each in layers]
+    stated: Any = getattr(getattr(layers[0], "spec", None), "max_episode_steps", None)
     for known in (limits, [stated]):
-        positive = [int(limit) for limit in known if _whole(limit) and limit > 0]
+        positive = [int(limit) for limit in known if whole(limit) and limit > 0]
         if positive:
             return min(positive)
     return None
 
 
 def _name(env: Any) -> str:
-    if isinstance(env, Mapping):
+    if is_table(env):
         return ""
     spec = getattr(env, "spec", None)
     return str(getattr(spec, "id", "") or type(getattr(env, "unwrapped", env)).__name__)

@@ -13,19 +13,16 @@ from __future__ import annotations
 import copy
 import random
 import warnings
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, short
+from exact_mdp.mdp.io.gymnasium_table import Outcome, Rows
 from exact_mdp.mdp.table import exact
 
-Outcome = tuple[Any, int, Any, bool]
-Rows = Mapping[tuple[int, int], Sequence[Outcome]]
-
-NOWHERE = -1  # a next state that some tables write where the episode is over
 TOY_TEXT = "gymnasium.envs.toy_text"
 HARMLESS = {
     *("TimeLimit", "OrderEnforcing", "PassiveEnvChecker", "Autoreset", "RecordEpisodeStatistics"),

@@ -142,6 +142,34 @@ def test_tables_of_every_form(env: Any, options: Any, start: list[object], rows:
     assert (named.name, named.actions) == ("own", ("go", "try")[: mdp.n_actions])
 
 
+GO, AT_END = [(0.5, 0, 0, False), (0.5, 1, 1, True)], [(1.0, 1, 0, True)]
+FORMS: list[Any] = [
+    [[GO], [AT_END]],
+    ((GO,), (AT_END,)),
+    [{0: GO}, {0: AT_END}],
+    {0: [GO], 1: [AT_END]},
+    Env([[GO], [AT_END]], [1, 0]),
+    {0.0: {0.0: GO}, 1.0: {0.0: AT_END}},
+    {0: {0: [(0.5, 0.0, 0, 0), (0.5, np.float64(1), 1, 1)]}, 1: {0: [(1, 1, 0, 1.0)]}},
+    *({0: {0: GO}, 1: row} for row in ({}, [], None)),  # the end has no row of its own
+    {0: {0: GO}},
+]
+
+
+@pytest.mark.parametrize("table", FORMS, ids=range(len(FORMS)))
+def test_a_table_may_have_other_shapes(table: Any) -> None:
+    wanted = MDP.from_gymnasium({0: {0: GO}, 1: {0: AT_END}})
+    assert fingerprint(MDP.from_gymnasium(table)) == fingerprint(wanted)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float16])
+def test_probabilities_in_single_precision_are_divided_by_their_sum(kind: Any) -> None:
+    listed = [(kind(1 / 3), 0, 0, False), (kind(2 / 3), 1, 1, True)]
+    total = Fraction(float(listed[0][0])) + Fraction(float(listed[1][0]))
+    row = MDP.from_gymnasium({0: {0: listed}}).table.row(0)
+    assert [p for p, *_ in row] == [Fraction(float(each[0])) / total for each in listed]
+
+
 TOYS = {
     "FrozenLake8x8-v1": ("LEFT, DOWN, RIGHT, UP", 10, "row 1, column 2"),
     "CliffWalking-v1": ("UP, RIGHT, DOWN, LEFT", 25, "row 2, column 1"),
