@@ -1,5 +1,6 @@
 """Episodes that stop after N steps, against recursions that share nothing with the toolkit."""
 
+import json
 from pathlib import Path
 
 import gymnasium
@@ -8,7 +9,7 @@ import pytest
 from cli_runner import run, strict
 from oracle import by_table
 
-from exact_mdp import MDP, Policy, check, evaluate, fingerprint, load, save, solve
+from exact_mdp import MDP, Policy, certify, check, evaluate, fingerprint, load, save, solve
 
 LAKE = "FrozenLake-v1"
 
@@ -87,8 +88,14 @@ def test_a_model_keeps_the_limit_of_its_environment(tmp_path: Path) -> None:
         assert MDP.from_gymnasium(env).time_limit == limit
     assert MDP.from_gymnasium("CliffWalking-v1").time_limit is None
     mdp = MDP.from_gymnasium(LAKE).with_(discount="1/2")
-    save(mdp, tmp_path / "lake.npz")
-    assert load(tmp_path / "lake.npz").time_limit == mdp.time_limit == 100
+    for name in ("lake.npz", "lake.json"):
+        save(mdp, tmp_path / name)
+        assert load(tmp_path / name).time_limit == mdp.time_limit == 100
+    content = json.loads((tmp_path / "lake.json").read_text("utf-8"))
+    del content["time_limit"]  # as in files of other programs
+    (tmp_path / "lake.json").write_text(json.dumps(content), "utf-8")
+    assert load(tmp_path / "lake.json").time_limit is None
+    assert certify(mdp).violations() == []
     assert mdp.within(3).time_limit is None
     # It changes no transition and no certificate.
     assert fingerprint(mdp) == fingerprint(mdp.with_(time_limit=None))

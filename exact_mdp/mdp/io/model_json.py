@@ -14,6 +14,8 @@
                       whether they were given as floats, whose rounding a gate forgives
     goal, unreached   null, or a list of states, the goal; and what a run that never reaches it is
                       worth, "inf" or "-inf"
+    time_limit        null, or after how many steps the environment stops, which is no part of the
+                      model: results say so
     labels            {name: list of states}
     components        {name: list with a number for each pair}: parts of the reward; in place of a
                       number there may be a list with one for each of the next states
@@ -93,6 +95,7 @@ HEAD = {
     **dict.fromkeys(FLOATS, bool),
     "goal": optional([natural]),
     "unreached": unreached,
+    "time_limit": optional(positive),
     "labels": {str: [natural]},
     "components": {str: [lambda given: _amount(given)]},
     "averaged": optional(bool),
@@ -138,6 +141,7 @@ def content(mdp: MDP) -> dict[str, Any]:
         "start": {str(state): share for state, share in mdp.start if share},
         "goal": None if mdp.goal is None else np.flatnonzero(mdp.goal).tolist(),
         "unreached": str(mdp.unreached),
+        "time_limit": mdp.time_limit,
         "labels": {name: np.flatnonzero(each).tolist() for name, each in mdp.labels.items()},
         "components": parts,
         **({"averaged": True} if table.averaged else {}),
@@ -230,7 +234,7 @@ def load(path: str | Path) -> MDP:
             component_names=tuple(parts) or ("reward",),
             labels=flags,
             goal=None if head["goal"] is None else _flags("goal", head["goal"], states),
-            **{key: head[key] for key in (*FLOATS, "name", "sense", "unreached")},
+            **{key: head[key] for key in (*FLOATS, "name", "sense", "unreached", "time_limit")},
         )
 
 

@@ -67,6 +67,7 @@ def test_without_storm_the_error_names_the_extra(
     [
         ({"unreached": []}, "unreached"),
         ({"goal": 1}, "goal"),
+        ({"time_limit": 0}, "time_limit"),
         ({"start": {"1/2": 1}}, "start"),
         ({"state": 10**400}, "state"),
         ({"next": [10**400]}, "next"),
