@@ -167,7 +167,7 @@ class _Trial:
     def _reset(self, seed: int) -> int | None:
         """Return the state in which an episode begins; None where reset() tells none."""
         try:
-            answer = self.env.reset(seed=seed)
+            answer = self._begin(seed)
         except NotImplementedError:
             return None
         except Exception as error:
@@ -175,6 +175,15 @@ class _Trial:
         if answer is None:
             return None  # the reset() of gymnasium.Env, which only sets a seed
         return self._number(answer[0] if type(answer) is tuple and len(answer) == 2 else answer)
+
+    def _begin(self, seed: int) -> Any:
+        """Call reset(), without a seed where it takes none."""
+        try:
+            return self.env.reset(seed=seed)
+        except TypeError as error:
+            if "seed" not in str(error):
+                raise
+            return self.env.reset()
 
     def _step(self, state: int, action: int) -> tuple[int, float, bool, bool] | None:
         """Return next state, reward, terminated and truncated; None where there is no step()."""

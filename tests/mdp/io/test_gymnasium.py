@@ -1,5 +1,6 @@
 """Models from Gymnasium, against value iteration on the environment's own table."""
 
+import random
 from collections.abc import Callable, Mapping
 from fractions import Fraction
 from pathlib import Path
@@ -385,6 +386,30 @@ class OwnLake(FrozenLakeEnv):
         return state, reward - 0.01, *rest
 
 
+class Plain:
+    """An environment of the older form: no seed, and four things from a step."""
+
+    P = Walk.P
+
+    def __init__(self, lost: float = 0) -> None:
+        self.lost = lost
+
+    def reset(self) -> int:
+        self.state = 0
+        return 0
+
+    def step(self, action: int) -> Any:
+        _, self.state, reward, over = random.choice(self.P[self.state][action])
+        return self.state, reward - self.lost, over, {}
+
+
+class Stub(gymnasium.Env):
+    """An environment that has a table, and no steps yet."""
+
+    action_space = observation_space = gymnasium.spaces.Discrete(2)
+    P = Walk.P
+
+
 def lake() -> Any:
     return gymnasium.make("FrozenLake-v1")
 
@@ -428,6 +453,7 @@ CHANGED: list[tuple[Callable[[], Any], str, str]] = [  # an environment, what it
     (Drifting, "gave (0, ", "unwrapped.P"),
     (Elsewhere, "reset() begins in state 1", "start=1"),
     (Stated, "has no initial probability", "start="),
+    (lambda: Plain(1), "P lists", "let P say"),
     (Broken, "raises RuntimeError: no power", "unwrapped.P"),
     (lambda: gymnasium.make(TAXI, fickle_passenger=True), "fickle", "without fickle_passenger"),
 ]
@@ -449,6 +475,8 @@ def test_starts_that_are_given_answer_for_themselves() -> None:
     assert MDP.from_gymnasium(Elsewhere(), start=1).start == ((1, 1),)
     assert MDP.from_gymnasium(Stated(), start={0: "1/2", 1: "1/2"}).n_states == 3
     assert MDP.from_gymnasium(gymnasium.make(TAXI, is_rainy=True)).n_states == 501
+    for env in (Plain(), Stub(), Same(Stub())):
+        assert MDP.from_gymnasium(env).n_states == 3
 
 
 def test_an_environment_stays_as_it_was() -> None:
