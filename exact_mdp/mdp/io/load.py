@@ -105,7 +105,8 @@ def load(
     start : state, {state: probability} or (S,) vector, optional
         Instead of the model's own.
     constants : {name: number} or "N=4,p=1/3", optional
-        Values of what a `.prism` or `.jani` file leaves open.
+        Values of what a `.prism` or `.jani` file leaves open; a float is the decimal that it
+        prints as.
 
     Returns
     -------

@@ -101,7 +101,7 @@ def _built(path: Path, constants: str) -> dict[str, Any]:
     if "said" in built:
         raise _refused(built["said"], printed)
     if "open" in built:
-        raise _left_open(path, built["open"])
+        raise _left_open(path, built["open"], constants)
     if "kind" in built:
         fix = "give a DTMC or MDP: no continuous time, nothing hidden"
         raise ModelError(f"the model is a {built['kind']}", fix=fix)
@@ -153,14 +153,14 @@ def _refused(said: str, printed: str) -> ModelError:
     return ModelError(f"Storm says: {said}", fix=fix)
 
 
-def _left_open(path: Path, names: list[str]) -> ModelError:
+def _left_open(path: Path, names: list[str], constants: str) -> ModelError:
     """Return the error to raise where constants have no value, with the command that gives them."""
     several = f"the constants {', '.join(names)} have no values"
-    given = ",".join(f"{name}=…" for name in names)
+    given = ",".join([constants] * bool(constants) + [f"{name}=…" for name in names])
     return ModelError(
         several if len(names) > 1 else f"the constant {names[0]} has no value",
         fix=f"make a model with values first: exact-mdp convert {shown_text(str(path))} "
-        f"{shown_text(path.stem)}.npz --constants {given}; in Python, "
+        f"{shown_text(path.stem)}.npz --constants {shown_text(given)}; in Python, "
         "MDP.load(path, constants={name: number})",
     )
 

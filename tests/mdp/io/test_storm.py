@@ -293,6 +293,8 @@ def test_constants_by_name_are_exact(stormpy: Any, tmp_path: Path) -> None:
         assert mdp.table.row(0) == [(1 - p, 0, 1), (p, 1, 1)]
     said = "unknown undefined constant 'q'", "constants", "NAME=NUMBER"
     refused(lambda: MDP.load(tmp_path / "walk.prism", constants="N=3,p=1/3,q=1"), *said)
+    said = "the constant p has no value", "walk.prism", "--constants N=3,p=…;"
+    refused(lambda: MDP.load(tmp_path / "walk.prism", constants="N=3"), *said)
     nan = {"N": 3, "p": float("nan")}
     refused(lambda: MDP.load(tmp_path / "walk.prism", constants=nan), "nan", "constants")
 
