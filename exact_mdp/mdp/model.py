@@ -573,7 +573,8 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         start : state, {state: probability} or (S,) probabilities, optional
             Likewise.
         constants : {name: number}, optional
-            Values of what a `.prism` or `.jani` file leaves open; a float is the decimal it prints as.
+            Values of what a `.prism` or `.jani` file leaves open; a float is the decimal
+            that it prints as.
 
         Returns
         -------

@@ -7,8 +7,9 @@ annotation of a separate group, `exact-mdp`, which other tools skip, has the ini
 `mdp.io.npz`, compressed, in base 64, so nothing of a model is lost. If another program changed what
 the format does have, the file is refused. Files of other programs have no such description; the
 caller gives their discount, or it is 1 with a warning.
-In labels, signs other than letters and digits are underscores; states where the process has ended
-have the label `terminal`. Storm, for example, then answers
+A choice without an action is called "unnamed", and the second choice of a state with the action
+`go` is `go#2`. In labels, signs other than letters and digits are underscores; states where the
+process has ended have the label `terminal`. Storm, for example, then answers
 
     R{"reward"}max=? [F "terminal"].
 
