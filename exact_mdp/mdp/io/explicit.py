@@ -51,22 +51,27 @@ def _numbered(
     """Return the action number of each choice, and the names of the actions.
 
     A choice keeps its word. One without a word is called "unnamed", and the second, third, …
-    choice of a state that has the same word "word#2", "word#3", …, which are names that no
-    program can declare. Names that are declared come first. Where no choice has a word, actions are
+    choice of a state that has the same word "word#2", "word#3", …; with "'" behind where the file
+    has that name. Names that are declared come first. Where no choice has a word, actions are
     the places of the choices in their state.
     """
     if not any(words):
         return [place for own in choices for place, _ in enumerate(own)], ()
-    unnamed = UNNAMED
-    while unnamed in words:
-        unnamed += "'"
+    given = set(words)
+
+    def own_name(name: str) -> str:
+        while name in given:
+            name += "'"
+        return name
+
+    unnamed = own_name(UNNAMED)
     names: list[str] = []
     for own in choices:
         seen = Counter[str]()
         for choice in own:
             word = words[choice] or unnamed
             seen[word] += 1
-            names.append(word if seen[word] == 1 else f"{word}#{seen[word]}")
+            names.append(word if seen[word] == 1 else own_name(f"{word}#{seen[word]}"))
     number = {name: place for place, name in enumerate(dict.fromkeys([*declared, *names]))}
     return [number[name] for name in names], tuple(number)
 

@@ -152,6 +152,7 @@ def test_initial_states(tmp_path: Path) -> None:
         ([0, 1, 0], ["", "b"], ["unnamed", "b", "unnamed#2"]),
         ([0, 1, 2], ["", "b", ""], ["unnamed", "b", "unnamed#2"]),  # Storm's names may repeat
         ([2, 1, 0], ["", "b", "unnamed"], ["unnamed", "b", "unnamed'"]),
+        ([0, 0, 1], ["b", "b#2"], ["b", "b#2'", "b#2"]),
         ([1, 0, 0], ["", ""], ["a1", "a0", "a0#2"]),  # umbi reads no names then
     ],
 )
