@@ -515,7 +515,10 @@ def test_a_wrapper_may_number_actions_as_the_matrices_do(same_numbers: bool) -> 
             return 0, action if same_numbers else 1 - action
 
     if same_numbers:
-        assert MDP.from_gymnasium(Flat(Doses())).n_actions == 2
+        assert MDP.from_gymnasium(wrappers.TimeLimit(Flat(Doses()), 9)).n_actions == 2
+        # Matrices are not tried: a wrapper of one's own is refused, whatever it does.
+        said = "Same may change the environment", "env", "env.unwrapped"
+        refused(lambda: MDP.from_gymnasium(Same(Flat(Doses()))), *said)
         return
     refused(lambda: MDP.from_gymnasium(Flat(Doses())), "Flat changes the environment")
 
