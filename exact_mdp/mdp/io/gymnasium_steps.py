@@ -216,10 +216,12 @@ class _Trial:
             raise self._differs(f"reset() begins in state {state}, which P does not list")
         if stated:
             what = f"reset() begins in state {state}, which has no initial probability"
-            raise self._differs(what, "correct initial_state_distrib, or pass start=")
+            raise self._differs(
+                what, "correct initial_state_distrib; or say where: start=, --start"
+            )
         raise self._differs(
             f"reset() begins in state {state}, and the environment does not state where it begins",
-            f"pass start={state}, or start={{state: probability}} where starts are drawn",
+            f"say where: start={state}, or --start {state}; or start={{state: probability}}",
         )
 
     def _check_step(
@@ -241,15 +243,13 @@ class _Trial:
         )
 
     def _differs(self, what: str, fix: str = "") -> ModelError:
-        if self.own:
-            also = "; or give P alone: MDP.from_gymnasium(env.unwrapped.P)"
-            fix = fix or "let P say what step() and reset() do"
-        else:
-            also = ", or describe the change: MDP.from_function(…)"
-            fix = "give env.unwrapped"
-        return ModelError(
-            f"the environment does not do what P says: {what}", where=self.name, fix=fix + also
-        )
+        if not self.own:
+            fix = "give env.unwrapped, or describe the change: MDP.from_function(…)"
+        elif not fix:
+            fix = "let P say what step() and reset() do; or give P alone: "
+            fix += "MDP.from_gymnasium(env.unwrapped.P)"
+        what = f"the environment does not do what P says: {what}"
+        return ModelError(what, where=self.name, fix=fix)
 
     def _raises(self, call: str, error: Exception) -> ModelError:
         return self._differs(f"{call} raises {type(error).__name__}: {short(str(error), 100)}")

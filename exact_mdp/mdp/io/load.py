@@ -70,7 +70,10 @@ def read_model(
             + ("; use --discount for the discount" if "discount" in sets[0] else ""),
         )
     elif text.startswith(GYMNASIUM):
-        mdp = MDP.from_gymnasium(text.removeprefix(GYMNASIUM), 1 if discount is None else discount)
+        # An environment is asked where it starts, unless that is given.
+        names = {} if start is None else {"start": start}
+        name = text.removeprefix(GYMNASIUM)
+        mdp = MDP.from_gymnasium(name, 1 if discount is None else discount, **names)
     elif suffix == ".umb":
         mdp = umb.load(file, discount=discount, reward=reward, start=start)
     elif suffix in SOURCES:

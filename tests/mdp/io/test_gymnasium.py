@@ -271,6 +271,15 @@ def test_an_environment_of_ones_own_module(tmp_path: Path, monkeypatch: pytest.M
     )
     refused(lambda: load("gymnasium:my_walk:Walk-v0"), "no module my_walk", "", "PYTHONPATH")
     monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "my_start.py").write_text(
+        "import gymnasium\nimport my_walk\n\n\nclass Walk(my_walk.Walk):\n"
+        "    def reset(self, *, seed=None, options=None):\n        return 1, {}\n\n"
+        "    def step(self, action):\n        return 1, 9, False, False, {}\n\n\n"
+        'gymnasium.register("Walk-v1", entry_point="my_start:Walk")\n'
+    )
+    refused(lambda: load("gymnasium:my_start:Walk-v1"), "begins in state 1", "", "--start 1")
+    for start in (1, "1", "state 1"):
+        assert load("gymnasium:my_start:Walk-v1", start=start).start == ((1, 1),)
     mdp = load("gymnasium:my_walk:Walk-v0", discount="1/2")
     assert (mdp.reward.tolist(), mdp.space.extra) == ([-1, 5, 9, 0], ("end",))
 
