@@ -106,8 +106,8 @@ class FromArrays(Parts):
             if layout not in (None, "sas"):
                 fix = "leave it out; what is listed goes by state, then action"
                 raise ModelError("dictionaries are not 'ass'", where="layout", fix=fix)
-            pairs, own_names = listed.rows_of(P, R, costs=names.get("sense") == "min")
-            return cls.from_outcomes(pairs, discount, start=start, **(own_names | names))
+            pairs, names = listed.rows_of(P, R, {**names, "start": start})
+            return cls.from_outcomes(pairs, discount, **names)
         keys: list[Any] = []
         if isinstance(P, Mapping):
             keys = listed.keys_of(P)

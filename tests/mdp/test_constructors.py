@@ -19,7 +19,7 @@ from model_contents import laws, negated, outcomes_of
 from refusal_tables import refused
 from strategies import Rows, models, outcome_rows
 
-from exact_mdp import MDP, ModelError, Policy, ShapeError, StateSpace, certify, load, save
+from exact_mdp import MDP, ModelError, Policy, ShapeError, StateSpace, certify, load, save, solve
 
 HALF, THIRD, INF = Fraction(1, 2), Fraction(1, 3), float("inf")
 P = np.array([[[0.5, 0.5, 0.0], [0, 0.25, 0.75], [0, 0, 1]], [[0, 1, 0], [0.5, 0, 0.5], [0, 0, 1]]])
@@ -380,6 +380,59 @@ def test_names_stay() -> None:
     three = MDP.from_arrays(P, R, 0.9, actions=["stay", "go"], states=["a", "b", "c"])
     assert three.where(3) == "state b, action go"
     assert three.pair(1, "go") == three.pair(1, 1) == 3
+
+
+# The 4 x 3 world of Russell and Norvig, Artificial Intelligence: A Modern Approach, section 17.1.
+
+MOVES = {"up": (0, 1), "down": (0, -1), "left": (-1, 0), "right": (1, 0)}
+PLACES = [(x, y) for x in range(1, 5) for y in range(1, 4) if (x, y) != (2, 2)]
+REWARDS = {place: Fraction(-4, 100) for place in PLACES} | {(4, 3): 1, (4, 2): -1}
+
+
+def four_by_three() -> dict[Any, Any]:
+    world: dict[Any, Any] = {(4, 3): {}, (4, 2): {}}
+    for place in [each for each in PLACES if each not in world]:
+        world[place] = {}
+        for name, (x, y) in MOVES.items():
+            chances: dict[Any, Any] = defaultdict(Fraction)
+            for (east, north), chance in (((x, y), 8), ((y, x), 1), ((-y, -x), 1)):
+                after = place[0] + east, place[1] + north
+                chances[after if after in PLACES else place] += Fraction(chance, 10)
+            world[place][name] = dict(chances)
+    return world
+
+
+def test_the_reward_of_an_end_is_earned_once() -> None:
+    mdp = MDP.from_arrays(four_by_three(), REWARDS, start=(1, 1), labels={"exit": [(4, 3)]})
+    value = {place: float(certify(mdp).value[mdp.space.number(place)]) for place in PLACES}
+    published = {(1, 1): 0.705, (1, 3): 0.812, (3, 3): 0.918, (3, 2): 0.660, (4, 3): 1, (4, 2): -1}
+    assert all(abs(value[place] - number) < 6e-4 for place, number in published.items())
+    assert mdp.space.extra == ("end",)
+    assert mdp.labels["exit"].sum() == 1
+
+
+def test_the_reward_of_an_end_in_all_forms() -> None:
+    law: dict[Any, Any] = {0: {0: {1: HALF, 2: HALF}}, 1: {}, 2: {}}
+    for reward in ({0: 1, 1: 4, 2: -2}, [1, 4, -2], ["1", "4", "-2"], np.array([1.0, 4, -2])):
+        flags = [False, True, False]
+        mdp = MDP.from_arrays(law, reward, HALF, start=[1, 0, 0], labels={"x": flags})
+        assert certify(mdp).value.tolist() == [Fraction(3, 2), 4, -2, 0]
+        assert mdp.labels["x"].tolist() == [*flags, False]
+        costs = MDP.from_arrays(law, reward, HALF, sense="min", states=["a", "b", "c"])
+        assert certify(costs).value.tolist() == [Fraction(3, 2), 4, -2, 0]
+        assert solve(mdp, criterion="average").value.tolist() == [0] * 4
+    assert MDP.from_arrays(law, {0: 1, 1: "0", 2: float("nan")}).n_states == 3
+    assert MDP.from_arrays(law, [[1], [0], [-INF]]).n_states == 3
+    assert MDP.from_arrays({"end": {}}, {"end": 1}).space.extra == ("end'",)
+
+
+def test_components_are_dictionaries_as_rewards_are() -> None:
+    law = {"a": {"x": {"a": HALF, "b": HALF}, "y": {"b": 1}}, "b": {}}
+    part = {"once": {"a": 0, "b": 3}, "move": {"a": {"x": {"a": 2, "b": 4}, "y": 1}}}
+    mdp = MDP.from_arrays(law, {"a": {"x": 3, "y": 1}}, components=part)
+    assert mdp.component_names == ("once", "move", "rest")
+    assert mdp.components.tolist() == [[0, 3, 0], [0, 1, 0], [3, 0, -3], [0, 0, 0]]
+    assert mdp.reward.tolist() == [3, 1, 0, 0]
 
 
 # ---- the start, components, and what a model tells -----------------------------------------------

@@ -7,11 +7,14 @@
 Rewards beside the first two are {s: r}, {s: {a: r}}, {s: {a: {t: r}}}, or, where states and actions
 are whole numbers, an array (S,) or (S, A). What P does not list is not available, nor is what has
 the reward -inf (inf where rewards are costs). In the first form a state without actions is an end.
+The reward of an end is earned once, as textbooks with rewards R(s) mean it: such a state has the
+value R(s), and leads to a state "end" that is added. Components may be dictionaries of these forms.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from fractions import Fraction
 from math import inf
 from typing import Any
 
@@ -20,7 +23,7 @@ from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError, ShapeError, located, of_type
 from exact_mdp.mdp.forms.numbering import Numbering, numbered
-from exact_mdp.mdp.forms.numbers import array_of, as_given, dense
+from exact_mdp.mdp.forms.numbers import array_of, as_given, dense, expected
 from exact_mdp.mdp.table import exact
 
 Path = tuple[Any, ...]
@@ -74,35 +77,167 @@ def keys_of(P: Mapping[Any, Any]) -> list[Any]:
     return numbering.ordered()
 
 
-def rows_of(P: Any, R: Any, *, costs: bool = False) -> tuple[list[Any], dict[str, Any]]:
-    """Return what `MDP.from_outcomes` takes to build the model of P and R: rows, and names."""
-    states, actions = Numbering(), Numbering()
-    listed: dict[Any, dict[Any, list[tuple[Any, Any]]]] = {}
-    for state, own in P.items() if isinstance(P, Mapping) else ():
-        states.add(state, "a state", "P")
-        listed[state] = {action: [] for action in own or {}}
-    for state, action, then, chance in _quadruples(P):
-        place = f"P, state {state}, action {action}"
-        for numbering, thing in ((states, state), (actions, action), (states, then)):
-            numbering.add(thing, "a state or action", place)
-        with located(f"{place}, next state {then}"):
-            outcomes = listed.setdefault(state, {}).setdefault(action, [])
-            outcomes += [(chance, then)] if exact(chance) else []
-    never = inf if costs else -inf
-    if isinstance(R, Mapping):
-        rewards = dict(_leaves(R))
-        _check(rewards, listed, states, never)
-    else:
-        rewards = _by_number(R, listed, [*states.number])
-    rows = [
-        (state, action, [(p, then, _reward(rewards, state, action, then)) for p, then in outcomes])
-        for state, own in listed.items()
-        for action, outcomes in own.items()
-        if (outcomes or not isinstance(P, Mapping) or P[state][action])
-        and rewards.get((state, action), rewards.get((state,))) != never
+class Listed:
+    """Transitions by name, and what amounts beside them say of them."""
+
+    def __init__(self, P: Any, never: float) -> None:
+        self.states, actions, self.never = Numbering(), Numbering(), never
+        self.pairs: dict[Any, dict[Any, list[tuple[Any, Any]]]] = {}
+        for state, own in P.items() if isinstance(P, Mapping) else ():
+            self.states.add(state, "a state", "P")
+            self.pairs[state] = {action: [] for action in own or {}}
+        for state, action, then, chance in _quadruples(P):
+            place = f"P, state {state}, action {action}"
+            for numbering, thing in ((self.states, state), (actions, action), (self.states, then)):
+                numbering.add(thing, "a state or action", place)
+            with located(f"{place}, next state {then}"):
+                outcomes = self.pairs.setdefault(state, {}).setdefault(action, [])
+                outcomes += [(chance, then)] if exact(chance) else []
+        self.ends = [state for state, own in self.pairs.items() if not any(own.values())]
+        # An action with an empty dictionary is not available; one whose numbers are all 0 is wrong.
+        self.offered = [
+            (state, action)
+            for state, own in self.pairs.items()
+            for action, outcomes in own.items()
+            if outcomes or not isinstance(P, Mapping) or P[state][action]
+        ]
+
+    def amounts(self, values: Any, where: str) -> dict[Path, Any]:
+        """Return what is earned, by the keys of a state, of a pair, or of a transition."""
+        if not isinstance(values, Mapping):
+            return self._by_number(values, where)
+        amounts = dict(_leaves(values))
+        for (state, *more), amount in amounts.items():
+            own = self.pairs.get(state, {})
+            nothing = amount in (self.never, 0) if state in self.ends else amount == self.never
+            known = state in self.states.number
+            known &= not more or more[0] in own or nothing or amount != amount
+            if not known or len(more) > 2 or not self.states.number.keys() >= {*more[1:]}:
+                raise ModelError(
+                    f"a reward of {', '.join(map(repr, (state, *more)))}, which P does not list",
+                    where=where,
+                    fix=f"leave it out, or correct its keys: give {REWARDS}",
+                )
+        return amounts
+
+    def _by_number(self, values: Any, where: str) -> dict[Path, Any]:
+        """Return the amounts of an array (S,) or (S, A), of states and actions that are numbers."""
+        array, states = dense(array_of(values, where)), {*self.states.number}
+        pairs = [(s, a) for s, own in self.pairs.items() for a in own]
+        whole = all(isinstance(thing, int) and thing >= 0 for pair in pairs for thing in pair)
+        size = len(states), max((action for _, action in pairs), default=-1) + 1 if whole else 0
+        numbered = states == {*range(len(states))}
+        if not numbered or array.shape not in (size[:1], size):
+            shapes = f"({size[0]},)" + f" or {size}" * (size[1] > 0)
+            raise ShapeError(
+                f"rewards have shape {array.shape}",
+                where=where,
+                fix=f"give {REWARDS}"
+                + f"; or, as states are whole numbers, an array {shapes}" * numbered,
+            )
+        if array.ndim == 2 and size[1] in (3, 4) and len(pairs) == size[0]:
+            raise ModelError(
+                f"rewards of shape {array.shape} may be of states and actions, or rows (s, a, r) "
+                "or (s, a, t, r), which are not read",
+                where=where,
+                fix=f"give {REWARDS}",
+            )
+        entries = array.tolist()
+        if array.ndim == 1:
+            return {(state,): amount for state, amount in enumerate(entries)}
+        for end in self.ends:
+            stated = [x for x in entries[end] if x not in (0, self.never) and x == x]
+            if stated:
+                raise ModelError(
+                    f"rewards of state {end} are {entries[end]}, and P lists no action there",
+                    where=where,
+                    fix="write 0 there; a reward that is earned once, at the end, is one of "
+                    f"{{state: reward}}; one of each step needs an action in P that stays: {{{end}:"
+                    f" {{0: {{{end}: 1}}}}}}",
+                )
+        return {(s, a): entries[s][a] for s, a in pairs}
+
+    def earned(self, pair: Path, amounts: Mapping[Path, Any], where: str) -> list[Any]:
+        """Return a pair's outcomes with what they earn: their own amount, or the pair's or state's.
+
+        Each is (probability, next state, amount).
+        """
+        state, action = pair
+        place, outcomes = f"{where}, state {state}, action {action}", []
+        for chance, then in self.pairs[state][action]:
+            stated = [key for key in ((*pair, then), pair, (state,)) if key in amounts]
+            if not stated:
+                fix = "give 0 where nothing is earned"
+                raise ModelError("there is no reward", where=place, fix=fix)
+            with located(place):
+                outcomes.append((chance, then, as_given(amounts[stated[0]])))
+        return outcomes
+
+    def earned_once(self, amounts: Mapping[Path, Any], where: str) -> dict[Any, Any]:
+        """Return the amounts other than 0 that are stated of states without actions."""
+        with located(where):
+            given = {end: as_given(amounts.get((end,), 0)) for end in self.ends}
+        return {end: amount for end, amount in given.items() if amount and amount == amount}
+
+
+def rows_of(P: Any, R: Any, names: dict[str, Any]) -> tuple[list[Any], dict[str, Any]]:
+    """Return what `MDP.from_outcomes` takes to build the model of P and R: rows, and names.
+
+    `names` are those given beside P and R; the ones that are returned include them.
+    """
+    listed = Listed(P, inf if names.get("sense") == "min" else -inf)
+    rewards = listed.amounts(R, "R")
+    once = listed.earned_once(rewards, "R")
+    pairs = [
+        (state, action)
+        for state, action in listed.offered
+        if rewards.get((state, action), rewards.get((state,))) != listed.never
     ]
-    ends = [state for state, own in listed.items() if not any(own.values())]
-    return numbered(rows, states, ends)
+    given, parts, paid = names.get("components"), dict[str, Any](), dict.fromkeys(once)
+    for name, values in given.items() if isinstance(given, Mapping) else ():
+        if isinstance(values, Mapping):
+            parts[name] = listed.amounts(values, f"component {name}")
+            paid |= dict.fromkeys(listed.earned_once(parts[name], f"component {name}"))
+    rows = [(*pair, listed.earned(pair, rewards, "R")) for pair in pairs]
+    ends = [end for end in listed.ends if end not in paid]
+    made, own = numbered(rows, listed.states, ends, {end: once.get(end, 0) for end in paid})
+    if paid:
+        names |= _with_the_end(names, len(listed.states.number), own["space"].extra[0])
+    for name, amounts in parts.items():
+        where = f"component {name}"
+        of_pairs = [_expected(listed.earned(pair, amounts, where)) for pair in pairs]
+        of_pairs += [as_given(amounts.get((end,), 0)) for end in paid]
+        zeros = [Fraction(0)] * (len(made) - len(of_pairs))
+        names["components"] = {**names["components"], name: of_pairs + zeros}
+    return made, own | names
+
+
+def _expected(outcomes: list[tuple[Any, Any, Any]]) -> Any:
+    """Return the expected amount of the outcomes of a pair."""
+    chances, _, amounts = zip(*outcomes, strict=True) if outcomes else ((), (), ())
+    return expected(chances, amounts, np.array([0, len(outcomes)]))[0] if outcomes else 0
+
+
+def _with_the_end(names: dict[str, Any], states: int, end: str) -> dict[str, Any]:
+    """Return what is given for each state of P (S,), with the end that is added as one more."""
+
+    def longer(values: Any, last: Any) -> Any:
+        if isinstance(values, list | tuple | np.ndarray) and len(values) == states:
+            return [*values, last]
+        return values
+
+    longer_names = {
+        name: longer(names[name], last)
+        for name, last in (("start", 0), ("states", end))
+        if name in names
+    }
+    labels = names.get("labels")
+    if isinstance(labels, Mapping):
+        longer_names["labels"] = {
+            name: longer(flags, False) if np.asarray(flags).dtype == bool else flags
+            for name, flags in labels.items()
+        }
+    return longer_names
 
 
 def _quadruples(P: Any) -> Iterator[tuple[Any, Any, Any, Any]]:
@@ -127,52 +262,6 @@ def _leaves(R: Mapping[Any, Any], path: Path = ()) -> Iterator[tuple[Path, Any]]
             yield from _leaves(reward, (*path, key))
         elif reward is not None:
             yield (*path, key), reward
-
-
-def _check(rewards: Mapping[Path, Any], listed: Any, states: Numbering, never: float) -> None:
-    """Raise ModelError for a reward of what P does not list; in ends 0 is earned."""
-    for (state, *more), reward in rewards.items():
-        own = listed.get(state, {})
-        nothing = reward == never or reward != reward or (reward == 0 and not any(own.values()))
-        known = state in states.number and (not more or more[0] in own or nothing)
-        if not known or len(more) > 2 or not states.number.keys() >= {*more[1:]}:
-            raise ModelError(
-                f"a reward of {', '.join(map(repr, (state, *more)))}, which P does not list",
-                where="R",
-                fix=f"leave it out, or correct its keys: give {REWARDS}",
-            )
-
-
-def _by_number(R: Any, listed: Any, states: list[Any]) -> dict[Path, Any]:
-    """Return rewards in an array (S,) or (S, A), of states and actions that are numbers."""
-    array, pairs = dense(array_of(R, "R")), [(s, a) for s, own in listed.items() for a in own]
-    whole = all(isinstance(thing, int) and thing >= 0 for pair in pairs for thing in pair)
-    size = len(states), max((action for _, action in pairs), default=-1) + 1 if whole else 0
-    if {*states} != {*range(len(states))} or array.shape not in (size[:1], size):
-        raise ShapeError(
-            f"rewards have shape {array.shape}",
-            where="R",
-            fix=f"give {REWARDS}; or, where these are whole numbers, an array {size}",
-        )
-    if array.ndim == 2 and size[1] in (3, 4) and len(pairs) == size[0]:
-        raise ModelError(
-            f"rewards of shape {array.shape} may be of states and actions, or rows (s, a, r) or "
-            "(s, a, t, r), which are not read",
-            where="R",
-            fix=f"give {REWARDS}",
-        )
-    entries = array.tolist()
-    return {(s, a): entries[s] if array.ndim == 1 else entries[s][a] for s, a in pairs}
-
-
-def _reward(rewards: Mapping[Path, Any], state: Any, action: Any, then: Any) -> Any:
-    """Return the reward of a transition: its own, or that of its pair or state."""
-    where = f"R, state {state}, action {action}"
-    with located(where):
-        for path in ((state, action, then), (state, action), (state,)):
-            if path in rewards:
-                return as_given(rewards[path])
-    raise ModelError("there is no reward", where=where, fix="give 0 where nothing is earned")
 
 
 def _is_list(values: Any) -> bool:

@@ -3,18 +3,19 @@
 Things are numbered in the order in which they come; whole numbers 0 … n-1 keep themselves, also as
 NumPy's integers, floats and fractions, and so do False and True, which Python counts as 0 and 1.
 Text is kept as what it is, "0" too. A state without actions is an end: it stays put and earns
-nothing.
+nothing; or it earns a stated number once, and leads to one that is added for it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.forms.names import names_of, whole_of
+from exact_mdp.mdp.forms.names import names_of, text_of, whole_of
 from exact_mdp.mdp.space import Column, StateSpace
 
 Row = tuple[Hashable, Hashable, Sequence[tuple[Any, Hashable, Any]]]
@@ -60,9 +61,15 @@ def _counted(things: Sequence[Any]) -> bool:
 
 
 def numbered(
-    rows: Iterable[Row], states: Numbering, ends: Iterable[Hashable]
+    rows: Iterable[Row],
+    states: Numbering,
+    ends: Iterable[Hashable],
+    paid: Mapping[Hashable, Any] = MappingProxyType({}),
 ) -> tuple[list[Any], dict[str, Any]]:
-    """Return rows of numbers for `MDP.from_outcomes`, and the names of states and actions."""
+    """Return rows of numbers for `MDP.from_outcomes`, and the names of states and actions.
+
+    The states `paid` earn a number once and lead to an end, which is added for them.
+    """
     actions, listed = Numbering(), list(rows)
     for state, action, outcomes in listed:
         actions.add(action, "an action", f"state {state}")
@@ -75,7 +82,14 @@ def numbered(
         (number[state], act[action], [(p, number[then], r) for p, then, r in outcomes])
         for state, action, outcomes in listed
     ]
-    chosen += [(number[end], 0, [(1, number[end], 0)]) for end in ends]
+    last = len(things)
+    chosen += [(number[state], 0, [(1, last, reward)]) for state, reward in paid.items()]
+    chosen += [(place, 0, [(1, place, 0)]) for place in map(number.__getitem__, ends)]
+    extra = "end"
+    while extra in map(text_of, things):
+        extra += "'"
+    if paid:
+        chosen.append((last, 0, [(1, last, 0)]))
     plain = _counted(things)
     column = Column(
         name="state",
@@ -83,7 +97,8 @@ def numbered(
         words=() if plain else names_of(things, "state"),
         objects=() if plain else tuple(things),
     )
-    return chosen, {"space": StateSpace(columns=(column,)), **action_names(doing)}
+    space = StateSpace(columns=(column,), extra=(extra,) if paid else ())
+    return chosen, {"space": space, **action_names(doing)}
 
 
 def action_names(things: Sequence[Any]) -> dict[str, Any]:
