@@ -5,10 +5,18 @@ If action a was taken n(s, a) times in state s, and k of these led to s' with re
     P(s', r | s, a) = k / n(s, a)          the maximum likelihood estimate, a rational number
 
 The start is estimated from where episodes begin; the model keeps their number. A state that no
-record leaves is taken for an end (`entered` lists these). A sixth column, `truncated`, marks the
-rows after which an episode was cut off, by a time limit for instance: a state that is entered only
-so is no end, and its value is unknown (`cut_off`). Truncated rows without a next state lead to a
-special state. They must not be dropped, since truncation depends on what would have followed.
+record leaves is taken for an end (`entered` lists these). Three more columns may be there:
+
+    truncated     marks the rows after which an episode was cut off, by a time limit for instance
+    terminated    marks the rows after which it was over, whatever the next state says
+    done          the same as terminated, where there is no such column; where a row is truncated
+                  as well, it was cut off
+
+A state that is entered only by rows that were cut off is no end, and its value is unknown
+(`cut_off`). Truncated rows without a next state lead to a special state. They must not be dropped,
+since truncation depends on what would have followed. The next state of a terminated row is kept if
+no record leaves it; else it is that of a reset, and the row leads to the end. Where the records say
+which rows are terminated, an episode whose last row is not marked was cut off.
 
 An action that was never taken in a state is unavailable there; or it is as bad as the caller says,
 so that an optimum does not rely on what nobody tried (the pessimism of Jin, Yang and Wang,
@@ -22,6 +30,7 @@ from __future__ import annotations
 
 import io
 import re
+import warnings
 from collections import Counter
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
@@ -48,7 +57,8 @@ if TYPE_CHECKING:
 
 
 COLUMNS = ("episode", "state", "action", "reward", "next_state")
-TRUNCATED = "truncated"  # the column that a table may have besides
+TRUNCATED, TERMINATED, DONE = "truncated", "terminated", "done"
+MARKS = (TRUNCATED, TERMINATED, DONE)  # the columns that a table may have besides
 CUT_OFF = "cut off"  # the label of states in which episodes were cut off, and which nobody left
 FLAGS = {"true": True, "1": True, "1.0": True, "false": False, "0": False, "0.0": False}
 # What programs write where there is no value: no names, as pandas.read_csv has it.
@@ -56,11 +66,23 @@ NO_NAMES = frozenset(
     ("", "#N/A", "<NA>", "N/A", "NA", "NULL", "NaN", "NaT", "None", "n/a", "nan", "null")
 )
 OVER, NOWHERE = -1, -2  # the next state of a row that has none: the end, or cut off
+ENDED = -3  # less t, the next state of a row that is terminated in state t
 ROWS = 2**13  # of a chunk, whose texts stay in the cache
 LARGEST_FILE = 2**40  # bytes: read in chunks, so that it guards against endless input alone
+LONGEST_LINE = 2**20  # characters: more is no table, and would be read whole
+NO_TABLES = frozenset(
+    (".json", ".jsonl", ".gz", ".zip", ".bz2", ".xz", ".xlsx", ".pkl", ".feather")
+)
 NUMBER = re.compile(r"0|-?[1-9][0-9]{0,3999}")
 WHOLE = re.compile(r"(-?[0-9]+)\.0+")  # as pandas writes 1 in a column where a value is missing
 END, UNSEEN = "end", "unseen"
+WITHOUT = {  # the way out where a column is missing
+    "episode": "number the episodes: frame['episode'] = "
+    "frame['done'].astype(bool).shift(fill_value=False).cumsum(), where 'done' marks the last "
+    "row of each",
+    "next_state": "add what follows: frame['next_state'] = "
+    "frame.groupby('episode')['state'].shift(-1), where each episode is over after its last row",
+}
 UNAVAILABLE, PESSIMISTIC = "unavailable", "pessimistic"
 
 
@@ -85,14 +107,16 @@ class FromTransitions(FromArrays):
         frame : DataFrame, path of a `.csv` or `.parquet` file, or iterable of DataFrames
             One row for each transition: episode, state, action, reward and next state, in the order
             of time, one episode after the other. Without a next state the episode is over there.
-            A whole number is the same name as 1 and as 1.0. A sixth column, truncated (true or
-            false), marks the rows after which an episode was cut off, as by a time limit. States
-            in which that happened, and that nobody left, have the label "cut off"; rows cut off
-            without a next state lead to one of that name.
+            A whole number is the same name as 1 and as 1.0. A column truncated (true or false)
+            marks the rows after which an episode was cut off, as by a time limit. States in which
+            that happened, and that nobody left, have the label "cut off"; rows cut off without a
+            next state lead to one of that name. A column terminated, or done, marks the rows
+            after which an episode was over, whatever their next state. Other columns are not
+            used, which a warning says.
         discount : number or "p/q"
         columns : mapping, optional
             The names that the table has for "episode", "state", "action", "reward", "next_state"
-            and, where it has it, "truncated".
+            and, where it has them, "truncated", "terminated" and "done".
         unseen : "unavailable", "pessimistic", or a number
             What is done about an action that nobody took in a state: it is left out there; or it
             ends the episode and is worth as little as a policy can be worth, or this number.
@@ -131,6 +155,9 @@ class FromTransitions(FromArrays):
         check_options(names, dict.fromkeys(known, "leave it out: the records say it"))
         start = names.pop("start", None)
         record = counted(frame, columns, progress=progress)
+        if record.unused:
+            others = ", ".join(map(repr, record.unused))
+            warnings.warn(f"columns that are not used: {others}", stacklevel=2)
         parts = record.parts(discount, unseen, costs=names.get("sense") == "min")
         if start is not None:
             parts |= {"start": as_start(start, parts["space"]), "episodes": None}
@@ -141,7 +168,7 @@ class FromTransitions(FromArrays):
 def counted(frame: Any, columns: Mapping[str, str] | None, *, progress: bool = False) -> Record:
     """Return what was counted in a table of transitions; see `MDP.from_transitions`."""
     record = Record(frame, columns)
-    for _, keys in record.read(progress=progress):
+    for _, keys in record.rows_read(progress=progress):
         record.count(keys)
     return record
 
@@ -152,7 +179,7 @@ class Record:
     def __init__(self, frame: Any, columns: Mapping[str, str] | None = None) -> None:
         given = dict(of_type(columns or {}, Mapping, "columns", "give {name: name in the table}"))
         for name in given:
-            known(name, (*COLUMNS, TRUNCATED), "column", "columns")
+            known(name, (*COLUMNS, *MARKS), "column", "columns")
         self.columns = dict(zip(COLUMNS, COLUMNS, strict=True)) | given
         self.frame = frame
         self.where = str(frame) if isinstance(frame, str | Path) else "transitions"
@@ -168,6 +195,7 @@ class Record:
         self._counts: list[tuple[Integers, Integers]] = []
         self._places: Any = ()  # of the rows of this chunk, in messages
         self._last = (-1, -1, False)  # episode, next state and cut of the last row
+        self.marked = False  # whether the rows say where an episode is over
 
     # ---- reading ---------------------------------------------------------------------------------
 
@@ -176,6 +204,12 @@ class Record:
 
         All are checked, and in numbers; a next state may be `OVER` or `NOWHERE`.
         """
+        for episode, keys in self.rows_read(progress=progress):
+            keys[keys[:, 2] <= ENDED, 2] = OVER
+            yield episode, keys
+
+    def rows_read(self, *, progress: bool = False) -> Iterator[tuple[Integers, Integers]]:
+        """Yield what `read` does, with `ENDED` less the next state of a row that is terminated."""
         with (
             tqdm.tqdm(desc="transitions", unit=" rows", disable=None if progress else True) as bar,
             closing(self._chunks()) as chunks,
@@ -185,13 +219,21 @@ class Record:
                     part = chunk.iloc[first : first + ROWS]
                     yield self._numbered(part)
                     bar.update(len(part))
-        self.stops[self._last[1:]] += self.rows > 0
+        if self.rows:
+            self._stop(*self._last[1:])
 
     def _chunks(self) -> Generator[DataFrame]:
         """Yield tables of rows: of a file in parts, of everything else as they come."""
         import pandas
 
         if isinstance(self.frame, str | Path):
+            if (suffix := Path(self.where).suffix.lower()) in NO_TABLES:
+                raise ModelError(
+                    f"cannot read {suffix}",
+                    where=self.where,
+                    fix="save it as .csv or .parquet; in Python, give the DataFrame that pandas "
+                    "reads from it",
+                )
             with opened(self.where, most=LARGEST_FILE) as file:
                 yield from (self._of_parquet if self._parquet else self._of_csv)(file)
             return
@@ -207,7 +249,7 @@ class Record:
         text = io.TextIOWrapper(file, "utf-8-sig", newline="")
         fix = "correct the line; where an episode is over, leave next_state empty after its comma"
         try:
-            rows = csv_of(text, self.where, fix=fix)
+            rows = csv_of(self._lines(text), self.where, fix=fix)
             _, header = next(rows, (0, []))
             more = True
             while more:
@@ -222,10 +264,21 @@ class Record:
         finally:
             text.detach()
 
+    def _lines(self, text: io.TextIOWrapper) -> Iterator[str]:
+        """Yield the lines of a file, none of which is long enough to fill the memory."""
+        while line := text.readline(LONGEST_LINE):
+            if len(line) == LONGEST_LINE:
+                raise ModelError(
+                    f"a line has more than {LONGEST_LINE:,} characters",
+                    where=self.where,
+                    fix="check that it is the right file: a table has one line for each transition",
+                )
+            yield line
+
     def _of_parquet(self, file: Any) -> Generator[DataFrame]:
         with extra("models"):
             from pyarrow import parquet
-        used = {*self.columns.values(), TRUNCATED}
+        used = {*self.columns.values(), *MARKS}
         try:
             table = parquet.ParquetFile(file)
             names = table.schema_arrow.names
@@ -251,12 +304,18 @@ class Record:
         here = range(self.rows, self.rows + len(chunk))
         self._places = chunk.index if self._of_file else here
         parts = self._parts_of(chunk)
-        cut = self._cut(parts.pop(TRUNCATED)) if TRUNCATED in parts else np.zeros(len(chunk), bool)
+        cut, over = self._marks({name: parts.pop(name) for name in MARKS if name in parts})
         codes = {name: self._number(name, column) for name, column in parts.items()}
         for name in COLUMNS[:4]:
             self._refuse(codes[name] < 0, f"no {name}", "fill it in, or leave the row out")
         episode, state, action, reward, then = (codes[name] for name in COLUMNS)
+        self._refuse(
+            (then < 0) & ~cut & ~over & self.marked,
+            "no next state, in a row that is neither terminated nor truncated",
+            "mark the row as one of these, or fill in its next state",
+        )
         then = np.where(cut & (then < 0), NOWHERE, then)
+        then = np.where(over & (then >= 0), ENDED - then, then)
         self._follow(episode, state, then, cut)
         self.rows += len(chunk)
         return episode, np.stack([state, action, then, reward], axis=1)
@@ -264,27 +323,69 @@ class Record:
     def _parts_of(self, chunk: DataFrame) -> dict[str, Series]:
         """Return the columns that are read, by what they are."""
         there, wanted = list(chunk.columns), dict(self.columns)
-        if TRUNCATED in there and TRUNCATED not in wanted.values():
-            wanted.setdefault(TRUNCATED, TRUNCATED)
+        for mark in MARKS:
+            if mark in there and mark not in wanted.values():
+                wanted.setdefault(mark, mark)
         if not self._parquet:
-            self.unused = tuple(str(c) for c in there if c not in {TRUNCATED, *wanted.values()})
-        for name, column in wanted.items():
+            self.unused = tuple(str(c) for c in there if c not in wanted.values())
+        for column in wanted.values():
             if there.count(column) > 1:
                 raise ModelError(
                     f"the column {column!r} stands twice in the table",
                     where=self.where,
                     fix="give each column a name of its own",
                 )
-            if column not in there:
-                near = suggest(column, map(str, there))
-                fix = f"{near}; name it (--column {name}=…, columns={{{name!r}: …}})"
-                raise ModelError(f"no column {column!r}", where=self.where, fix=fix)
+        if missing := [name for name, column in wanted.items() if column not in there]:
+            raise self._without(missing, [str(column) for column in there])
         return {name: chunk[column] for name, column in wanted.items()}
 
-    def _cut(self, column: Series) -> Flags:
-        """Return (R,) whether an episode was cut off after a row."""
+    def _without(self, missing: Sequence[str], there: Sequence[str]) -> ModelError:
+        """Return the error for columns that the table does not have."""
+        listed = ", ".join(repr(self.columns[name]) for name in missing)
+        what = f"there is no column {listed}" if len(missing) == 1 else f"no columns {listed}"
+        shown = ", ".join(map(repr, there[:9])) + " …" * (len(there) > 9)
+        sign = re.search("[;\t|]", there[0]) if len(there) == 1 else None
+        if sign:
+            fix = f"separate values by commas, or give pandas.read_csv(path, sep={sign[0]!r})"
+        else:
+            fix = "; ".join(self._advice(name, there) for name in missing)
+        return ModelError(f"{what} among {shown}", where=self.where, fix=fix)
+
+    def _advice(self, name: str, there: Sequence[str]) -> str:
+        """Return what to do about a column that the table does not have."""
+        wanted = self.columns[name]
+        near = [column for column in there if column.strip().casefold() == wanted.casefold()]
+        if near and near[0] != near[0].strip():
+            return (
+                f"there is {near[0]!r}, with a space: remove spaces beside commas, as "
+                "pandas.read_csv(path, skipinitialspace=True) does"
+            )
+        if not near and name == wanted and name in WITHOUT:
+            return WITHOUT[name]
+        known = near[0] if near else "…"
+        advice = suggest(wanted, there)
+        return f"{advice}, and say so: columns={{{name!r}: {known!r}}}, --column {name}={known}"
+
+    def _marks(self, columns: Mapping[str, Series]) -> tuple[Flags, Flags]:
+        """Return (R,) whether an episode was cut off after a row, and whether it was over."""
+        marks = {name: self._flags(name, column) for name, column in columns.items()}
+        none = np.zeros(len(self._places), dtype=bool)
+        cut, over = marks.get(TRUNCATED, none), marks.get(TERMINATED, none)
+        self.marked = TERMINATED in marks or DONE in marks
+        if DONE in marks and TERMINATED not in marks:
+            over = marks[DONE] & ~cut
+        elif DONE in marks:
+            self._refuse(
+                (over & ~marks[DONE]) | (marks[DONE] & ~over & ~cut),
+                "terminated and done differ",
+                "correct one of them, or leave it out",
+            )
+        return cut & ~over, over
+
+    def _flags(self, name: str, column: Series) -> Flags:
+        """Return (R,) what a column of marks says."""
         flags = column.map({v: FLAGS.get(str(v).strip().lower()) for v in column.unique()})
-        what = f"{self.columns.get(TRUNCATED, TRUNCATED)} is neither true nor false"
+        what = f"{self.columns.get(name, name)} is neither true nor false"
         self._refuse(flags.isna(), what, "write true or false, or 1 or 0")
         return np.asarray(flags, dtype=bool)
 
@@ -341,6 +442,11 @@ class Record:
         fix = "sort the rows by episode, then by time, and number episodes once"
         self._refuse(known, "an episode goes on after another one began", fix)
         self._refuse(
+            goes_on & (left <= ENDED),
+            "an episode goes on after a row that says it is over",
+            "give what follows another episode number, or correct the mark",
+        )
+        self._refuse(
             goes_on & (over | (left != state)),
             "a gap in an episode: it goes on in another state than its row before led to, or after "
             "it was over or cut off",
@@ -349,8 +455,13 @@ class Record:
         )
         self.starts.update(state[~goes_on].tolist())
         stops = ~goes_on & (before >= 0)  # before the first row there is no episode
-        self.stops.update(zip(left[stops].tolist(), over[stops].tolist(), strict=True))
+        for last, cut_there in zip(left[stops].tolist(), over[stops].tolist(), strict=True):
+            self._stop(last, cut_there)
         self._last = int(episode[-1]), int(then[-1]), bool(cut[-1])
+
+    def _stop(self, then: int, cut: bool) -> None:
+        """Count where an episode stops; without a mark, where there are some, it was cut off."""
+        self.stops[then, cut or (self.marked and then >= 0)] += 1
 
     # ---- counts ----------------------------------------------------------------------------------
 
@@ -376,12 +487,19 @@ class Record:
         left = set(self._merged()[0][:, 0].tolist())
         return sum(count for (then, cut), count in self.stops.items() if cut or then in left)
 
+    def _reached(self, then: Integers, keys: Integers) -> Integers:
+        """Return next states: that of a terminated row is the end where some record leaves it."""
+        state = ENDED - then
+        known = ~np.isin(state, keys[:, 0])
+        return np.where(then <= ENDED, np.where(known, state, OVER), then)
+
     def parts(self, discount: object, unseen: object, *, costs: bool = False) -> dict[str, Any]:
         """Return the parts of the estimated model."""
         rate = as_discount(discount)
         if not self.rows:
             raise ModelError("no transitions", where=self.where, fix="give at least one row")
         keys, count = self._merged()
+        keys[:, 2] = self._reached(keys[:, 2], keys)
         place, states = _sorted(self.numbers["state"])
         choice, actions = _sorted(self.numbers["action"])
         worst = self._worst(unseen, rate, costs=costs)
@@ -426,10 +544,12 @@ class Record:
             gain_denominator=under,
         )
         unknown = np.zeros(size, dtype=bool)
-        cuts = [then for then, cut in self.stops if cut]
+        stops = np.array([*self.stops], dtype=np.int64).reshape(-1, 2)
+        stops[:, 0] = self._reached(stops[:, 0], keys)
+        cuts, known = (stops[stops[:, 1] == cut, 0] for cut in (1, 0))
         unknown[place[cuts]] = True
         # An episode that was not cut off there was over.
-        unknown[place[[then for then, cut in self.stops if not cut and then >= 0]]] = False
+        unknown[place[known[known >= 0]]] = False
         unknown &= over
         begun = {int(place[each]): number for each, number in self.starts.items()}
         episodes = self.starts.total()

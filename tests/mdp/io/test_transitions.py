@@ -16,7 +16,7 @@ from model_contents import negated
 from pyarrow import parquet
 from refusal_tables import refused
 
-from exact_mdp import MDP, ModelError, certify, fingerprint, load, save
+from exact_mdp import MDP, ModelError, OffPolicy, certify, check, fingerprint, load, save
 
 NAMES = ["episode", "state", "action", "reward", "next_state"]
 
@@ -198,6 +198,57 @@ def cut(*rows: tuple[Any, ...]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=[*NAMES, "truncated"])
 
 
+def marked(*rows: tuple[Any, ...], **marks: list[Any]) -> pd.DataFrame:
+    return table([*rows]).assign(**marks)
+
+
+# Two episodes 0 -> 1 -> over; the next state of a last row is the one in which the next begins.
+RESET = [(e, s, "go", s, 1 - s) for e in (1, 2) for s in (0, 1)]
+
+
+@pytest.mark.parametrize("true", [True, 1, "true", 1.0])
+def test_a_terminated_row_ends_the_episode_whatever_follows(true: Any, tmp_path: Path) -> None:
+    over = [false := "false" if isinstance(true, str) else type(true)(0), true, false, true]
+    logs = [marked(*RESET, **marks) for marks in (
+        {"terminated": over}, {"done": over}, {"terminated": over, "done": over},
+        {"terminated": over, "truncated": over}, {"done": over, "truncated": [false] * 4},
+    )]  # fmt: skip
+    (path := tmp_path / "log.csv").write_text(logs[0].to_csv(index=False), "utf-8")
+    models = [*map(MDP.from_transitions, logs), MDP.from_transitions(path)]
+    renamed = logs[0].rename(columns={"terminated": "over"})
+    models.append(MDP.from_transitions(renamed, columns={"terminated": "over"}))
+    for mdp in models:
+        assert mdp.space.extra == ("end",)
+        assert not mdp.labels
+        assert certify(mdp).start_value == 1
+    done = run("data", path, "--out", tmp_path / "m.npz", "--json")
+    assert (done.result["cut_off"], load(tmp_path / "m.npz").space.extra) == (0, ("end",))
+
+
+def test_marks_say_what_a_state_is_that_nobody_left() -> None:
+    """It is an end where a row that led to it is terminated; else the episode was cut off."""
+    rows = [(1, "a", "x", 1, "b"), (2, "a", "x", 2, "c")]
+    mdp = MDP.from_transitions(marked(*rows, terminated=[True, False]), discount="1/2")
+    assert mdp.space.labels(range(3)) == ["state a", "state b", "state c"]
+    assert mdp.labels["cut off"].tolist() == [False, False, True]
+    assert not MDP.from_transitions(marked(*rows, terminated=[True, True])).labels
+    both = marked(*rows, done=[True, True], truncated=[False, True])
+    assert MDP.from_transitions(both).labels["cut off"].tolist() == [False, False, True]
+
+
+def test_records_with_resets_are_audited_as_the_model_of_them() -> None:
+    rows = [(e, s, "go", s, 1 - s) for e in range(40) for s in (0, 1)]
+    log = marked(*rows, terminated=[False, True] * 40)
+    mdp = MDP.from_transitions(log, discount="1/2")
+    audit = check(mdp, "optimal", confidence=0.9, by=OffPolicy(records=log, rewards=(0, 1)))
+    assert audit.interval.found["cut_off"] == 0
+
+
+def test_python_warns_of_columns_that_are_not_used() -> None:
+    with pytest.warns(UserWarning, match="not used: 'timeout', 'step'"):
+        MDP.from_transitions(table([GOOD]).assign(timeout=True, step=1))
+
+
 HEAD, ONE = "episode,state,action,reward,next_state\n", table([GOOD])
 NO_LOG: list[Any] = [  # log, columns, what is said, where, and how to put it right
     (ONE.rename(columns={"next_state": "next_stat"}), {}, "no column 'next_state'"),
@@ -217,6 +268,20 @@ NO_LOG: list[Any] = [  # log, columns, what is said, where, and how to put it ri
     (cut((*GOOD, True), (1, "b", "x", 0, None, False)), {}, "or after it was over or cut off"),
     *((cut((*GOOD, x)), {}, "truncated is neither true nor false") for x in ("maybe", None)),
     (cut((*GOOD, True)), {"truncated": "timeout"}, "no column 'timeout'"),
+    (marked(GOOD, terminated=[True], done=[False]), {}, "terminated and done differ"),
+    (marked(GOOD, terminated=[False], done=[True]), {}, "terminated and done differ"),
+    (marked(*RESET, terminated=[True] * 4), {}, "goes on after a row that says it is over",
+     "transitions, row 1"),
+    (marked((1, "a", "x", 0, None), done=[False]), {}, "neither terminated nor truncated"),
+    (marked(GOOD, terminated=["maybe"]), {}, "terminated is neither true nor false"),
+    (ONE.drop(columns=["state", "reward"]), {}, "no columns 'state', 'reward' among 'episode'"),
+    (ONE.drop(columns="episode"), {}, "no column 'episode'", "transitions", "cumsum()"),
+    (ONE.drop(columns="next_state"), {}, "no column 'next_state'", "transitions", "shift(-1)"),
+    (ONE.rename(columns={"state": "State"}), {}, "'state'", "", "columns={'state': 'State'}"),
+    (HEAD.replace(",", ", ") + "1, a, x, 0, b\n", {}, "no columns 'state'", "", "skipinitialspace"),
+    (HEAD.replace(",", ";") + "1;a;x;0;b\n", {}, "no columns", "log.csv", "sep=';'"),
+    (HEAD.replace(",", "\t") + "1\ta\tx\t0\tb\n", {}, "no columns", "log.csv", "sep='\\t'"),
+    (HEAD + "\0" * 2**21, {}, "a line has more than 1,048,576 characters"),
 ]  # fmt: skip
 
 
@@ -228,6 +293,22 @@ def test_what_is_no_log(case: tuple[Any, ...], tmp_path: Path) -> None:
         path.write_bytes(log.encode() if isinstance(log, str) else log)
         log = path
     refused(lambda: MDP.from_transitions(log, columns=columns), *said)
+
+
+@pytest.mark.parametrize("ending", ["json", "jsonl", "csv.gz"])
+def test_other_kinds_of_files_are_named(ending: str, tmp_path: Path) -> None:
+    (path := tmp_path / f"log.{ending}").write_text("{}", "utf-8")
+    refused(lambda: MDP.from_transitions(path), f"cannot read .{ending.split('.')[-1]}")
+
+
+def test_the_ways_out_of_missing_columns_work() -> None:
+    frame = table(RESET).assign(done=[False, True] * 2)
+    buffer = frame.drop(columns="episode")
+    buffer["episode"] = buffer["done"].astype(bool).shift(fill_value=False).cumsum()
+    path = frame.drop(columns=["next_state", "done"])
+    path["next_state"] = path.groupby("episode")["state"].shift(-1)
+    for log in (buffer, path):
+        assert fingerprint(MDP.from_transitions(log)) == fingerprint(MDP.from_transitions(frame))
 
 
 def test_a_parquet_file_is_read_by_its_columns_alone(tmp_path: Path) -> None:
