@@ -4,30 +4,50 @@ from __future__ import annotations
 
 import io
 import zipfile
+from functools import partial
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, located
-from exact_mdp.mdp.io.files import LARGEST, opened
+from exact_mdp.mdp.io.files import LARGE, LARGEST, PIECE, opened
 from exact_mdp.mdp.table import Numbers
 
+TIMES = 64  # as large as it is itself an archive may unpack to; beyond 256 MiB no honest one does
 
-def read_array(path: str | Path, *, called: str) -> Numbers:
+
+def most_unpacked(packed: int) -> int:
+    """Return how many bytes an archive of a size may unpack to."""
+    return min(LARGEST, max(LARGE, TIMES * packed))
+
+
+def refuse_size(size: int, most: int) -> None:
+    """Raise ModelError for data of more bytes than are read."""
+    if size > most:
+        raise ModelError(
+            f"the data unpacks to {size:,} bytes, more than the {most:,} that are read",
+            fix="check that it is the right file, or save it again without compression",
+        )
+
+
+def unpacked_size(stream: Any, most: int) -> int:
+    """Return how much a compressed stream unpacks to, reading no more of it than is allowed."""
+    size = 0
+    for piece in iter(partial(stream.read, PIECE), b""):
+        size += len(piece)
+        refuse_size(size, most)
+    return size
+
+
+def read_array(path: str | Path, *, called: str, most: int = LARGE) -> Numbers:
     """Return the array of a `.npy` file, or the one of that name (or the only one) of an `.npz`.
 
-    Nothing is rounded. Raises ModelError where the file is no regular file or damaged, and for
-    anything but real numbers.
+    Nothing is rounded. Raises ModelError where the file is no regular file or damaged, for anything
+    but real numbers, and for more than `most` bytes, before they are read.
     """
     with opened(path, most=LARGEST) as file, located(str(path)):
-        arrays = _arrays(file, alone=called)
-        if len(arrays) != 1 and called not in arrays:
-            raise ModelError(
-                f"the archive holds {', '.join(arrays)[:200] or 'nothing'}",
-                fix=f"save one array, or call it {called}",
-            )
-        array = arrays[called if called in arrays else next(iter(arrays))]
+        array = _arrays(file, alone=called, most=most)[called]
         if array.dtype.kind not in "fiu":
             raise ModelError(f"an array of type {array.dtype}", fix="save real numbers")
     return array
@@ -36,28 +56,33 @@ def read_array(path: str | Path, *, called: str) -> Numbers:
 def read_arrays(source: str | Path | bytes) -> dict[str, Numbers]:
     """Return all arrays of an `.npz` file, or of its bytes, by name, as `read_array` does."""
     if isinstance(source, bytes):
-        return _arrays(io.BytesIO(source))
+        return _arrays(io.BytesIO(source), most=most_unpacked(len(source)))
     with opened(source, most=LARGEST) as file, located(str(source)):
-        return _arrays(file)
+        return _arrays(file, most=most_unpacked(file.seek(0, io.SEEK_END)))
 
 
-def _arrays(file: BinaryIO, *, alone: str = "") -> dict[str, Numbers]:
+def _arrays(file: BinaryIO, *, most: int, alone: str = "") -> dict[str, Numbers]:
     """Return the arrays of an archive, each read whole, so that its checksum is compared.
 
-    `alone` is the name of the array where the file is that one.
+    `alone` is the name of the only one that is wanted: the array that the file is, or the one of
+    that name in an archive, or the only one there.
     """
     try:
         if alone and not zipfile.is_zipfile(file):
+            refuse_size(file.seek(0, io.SEEK_END), most)
             file.seek(0)
             return {alone: _array(file.read())}
         with zipfile.ZipFile(file) as archive:
-            claimed = sum(member.file_size for member in archive.infolist())
-            if claimed > LARGEST:
+            members = {each.filename.removesuffix(".npy"): each for each in archive.infolist()}
+            if alone and len(members) != 1 and alone not in members:
                 raise ModelError(
-                    f"the archive claims to hold {claimed:,} bytes", fix="save it again"
+                    f"the archive holds {', '.join(members)[:200] or 'nothing'}",
+                    fix=f"save one array, or call it {alone}",
                 )
-            names = archive.namelist()
-            return {name.removesuffix(".npy"): _array(archive.read(name)) for name in names}
+            if alone:
+                members = {alone: members.get(alone, next(iter(members.values())))}
+            refuse_size(sum(each.file_size for each in members.values()), most)
+            return {name: _array(_content(archive, each)) for name, each in members.items()}
     except (ModelError, OSError):
         raise
     except Exception as error:  # NumPy, zipfile and zlib raise many kinds on damaged files
@@ -65,6 +90,12 @@ def _arrays(file: BinaryIO, *, alone: str = "") -> dict[str, Numbers]:
             "not a readable NumPy array, or an archive of these: damaged, or with Python objects",
             fix="save it again, numbers alone",
         ) from error
+
+
+def _content(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
+    """Return what a member holds; in pieces, as at once zipfile unpacks more than is claimed."""
+    with archive.open(member) as file:
+        return b"".join(iter(partial(file.read, PIECE), b""))
 
 
 def _array(content: bytes) -> Numbers:

@@ -21,6 +21,7 @@ from __future__ import annotations
 import base64
 import bz2
 import gzip
+import io
 import lzma
 import re
 import zlib
@@ -35,12 +36,13 @@ import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, extra, known, located, shown_text
 from exact_mdp.mdp.io import npz
+from exact_mdp.mdp.io.arrays import most_unpacked, unpacked_size
 from exact_mdp.mdp.io.explicit import REWARD, model_of, named_by
 from exact_mdp.mdp.io.files import LARGEST, read_bytes, write_atomically
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Numbers
 
-PACKED = {b"\x1f\x8b": gzip.decompress, b"BZh": bz2.decompress, b"\xfd7zXZ": lzma.decompress}
+PACKED = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ": lzma.open}
 """Kinds of compression, which umbi does not read to the end."""
 ANY_SIZE = 10**6
 """Numbers of states, choices, branches and actions that need no data in the file to be believed."""
@@ -135,8 +137,8 @@ def _read(path: str | Path) -> tuple[Any, dict[str, Any]]:
     packed = read_bytes(path, most=LARGEST)  # a regular file, and not too large
     try:
         for begin, unpacked in PACKED.items():
-            if packed.startswith(begin):
-                unpacked(packed)  # raises where a checksum, at the end, is wrong or missing
+            if packed.startswith(begin):  # raises where a checksum, at the end, is wrong or missing
+                unpacked_size(unpacked(io.BytesIO(packed)), most_unpacked(len(packed)))
         decoder, content = package.umb_to_tar.UmbDecoder(path), package.ExplicitUmb()
         decoder.read_index_file(content)
         _check_kind(content.index.transition_system, decoder)

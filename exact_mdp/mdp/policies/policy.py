@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from exact_mdp.mdp.errors import ModelError, check_names, known, located, no_such, of_type
 from exact_mdp.mdp.forms.numbers import float_array
 from exact_mdp.mdp.io.arrays import read_array
+from exact_mdp.mdp.io.files import LARGE
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies import choices as reading
 from exact_mdp.mdp.policies.arrays import (
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 ReadAs = Literal["q", "policy"]
+WIDEST = 16  # bytes of a number in an array
 MODEL = "give an MDP first, then the policy; a scenario is compiled: scenario.compile()"
 
 
@@ -407,7 +409,9 @@ class Policy(ByFields, NDArrayOperatorsMixin):
                 return cls(space=StateSpace(columns=()), actions=model.actions, rule=number)
             with located(str(given)):
                 if Path(given).suffix.lower() in (".npy", ".npz"):
-                    return cls(**of_array(model, read_array(given, called="q"), kind))
+                    most = max(LARGE, WIDEST * model.n_states * model.n_actions)
+                    array = read_array(given, called="q", most=most)
+                    return cls(**of_array(model, array, kind))
                 return cls(**reading.of_file(model, given, kind))
         with located("policy"):
             if isinstance(given, Mapping):

@@ -1,5 +1,6 @@
 """Every kind of file that is opened is a regular one, no larger than it says; logs in blocks."""
 
+import gzip
 import io
 import os
 import re
@@ -170,15 +171,41 @@ def test_arrays_that_are_not_what_they_claim(tmp_path: Path, name: str, array: b
     refused(lambda: READERS[name](path), words, str(path))
 
 
-def test_an_archive_that_claims_more_than_is_read(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["policy.npz", "model.npz"])
+def test_an_archive_that_claims_more_than_is_read(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    members, _ = contents(name, tmp_path)
+    content = bytearray(zipped(members))
+    for match in re.finditer(b"PK\x01\x02", bytes(content)):  # the sizes in its list
+        content[match.start() + 24 : match.start() + 28] = b"\x00\x00\x00\x30"
+    path.write_bytes(content)
+    size = len(members) * 0x30000000
+    refused(lambda: READERS[name](path), f"unpacks to {size:,} bytes", str(path), "right file")
+
+
+def test_an_archive_that_holds_more_than_it_claims(tmp_path: Path) -> None:
     path = tmp_path / "policy.npz"
     members, place = contents("policy.npz", tmp_path)
-    members |= {f"{number}.npy": members[place] for number in range(2)}
-    content = bytearray(zipped(members))  # the sizes in its list
-    for match in re.finditer(b"PK\x01\x02", bytes(content)):
-        content[match.start() + 24 : match.start() + 28] = b"\xfe\xff\xff\xff"
+    content = bytearray(zipped(members | {place: members[place] + bytes(10**6)}))
+    at = content.index(b"PK\x01\x02") + 24
+    content[at : at + 4] = len(members[place]).to_bytes(4, "little")
     path.write_bytes(content)
-    refused(lambda: READERS["policy.npz"](path), "claims to hold 12,884,901,882 bytes")
+    refused(lambda: READERS["policy.npz"](path), "damaged", str(path))
+
+
+def test_of_an_archive_only_the_table_is_read(tmp_path: Path) -> None:
+    """A list of other arrays beside it may be large, or hold objects."""
+    np.savez(tmp_path / "q.npz", q=[[1.0]], log=np.array([{}], dtype=object))
+    assert Policy.of(MODEL, tmp_path / "q.npz").read_as == "policy"
+
+
+def test_a_compressed_umb_file_is_unpacked_in_bounds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "model.umb"
+    path.write_bytes(gzip.compress(bytes(10**6)))
+    monkeypatch.setattr("exact_mdp.mdp.io.arrays.LARGE", 1000)
+    refused(lambda: load(path), "more than the", str(path))
 
 
 NAMES = ["episode", "state", "action", "reward", "next_state"]
