@@ -26,7 +26,7 @@ from exact_mdp.mdp.errors import (
     suggest,
 )
 from exact_mdp.mdp.forms.names import ByNumber
-from exact_mdp.mdp.forms.numbers import as_given, is_table, refuse_masked
+from exact_mdp.mdp.forms.numbers import as_given, is_table, plain, refuse_masked
 from exact_mdp.mdp.forms.rows import meant
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.space import StateSpace
@@ -265,6 +265,7 @@ def as_start(start: object, space: StateSpace) -> ByNumber:
     """Return an initial distribution from a state, {state: probability}, or a vector."""
     if start is None:
         return ByNumber([(0, Fraction(1))])
+    start = plain(start)
     with located("start"):
         weights = dict(start) if isinstance(start, ByNumber) else by_state(start, space)
         if weights is None:

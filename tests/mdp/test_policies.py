@@ -298,6 +298,102 @@ def test_files_keep_exact_shares(tmp_path: Path, share: str) -> None:
     assert (done.status, done.result["exact_regret"]) == (0, exact)
 
 
+# ---- dictionaries of numbers, and what networks return -------------------------------------------
+
+TABLE = MDP.from_arrays([[[0.5, 0.5], [0, 1]], [[0, 1], [0.5, 0.5]]], [[1, 0], [0, 2]], "9/10",
+                        layout="ass", states=["x", "y"], actions=["l", "r"])  # fmt: skip
+
+
+@pytest.mark.parametrize("values", [[[3.0, 4], [5, -1]], [["1/2", "1/3"], ["-2", 0]],
+                                    [[-np.inf, 1], [0, 0]], [[0.5, 0.5], [1, 0]]])  # fmt: skip
+@pytest.mark.parametrize("named", [False, True])
+def test_a_dictionary_of_action_values_is_a_q_table(values: list[list[Any]], named: bool) -> None:
+    states, actions = (TABLE.space.columns[0].words, TABLE.actions) if named else ((0, 1), (0, 1))
+    numbers = [[float(Fraction(x)) if isinstance(x, str) else x for x in row] for row in values]
+    expected = Policy.of(TABLE, np.array(numbers), kind="q").rule.tolist()
+    table = {s: dict(zip(actions, row, strict=True)) for s, row in zip(states, values, strict=True)}
+    pairs = {(s, a): x for s, row in table.items() for a, x in row.items()}
+    each = [table, pairs] if not isinstance(values[0][0], str) else [table]
+    for form in each:
+        policy = Policy.of(TABLE, form, kind="q")
+        assert (policy.rule.tolist(), policy.read_as) == (expected, "q")
+
+
+def test_pairs_may_have_probabilities_and_states_may_be_tuples() -> None:
+    mixed = {("x", "l"): "1/4", ("x", "r"): "3/4", ("y", 0): 1}
+    assert Policy.of(TABLE, {k: Fraction(v) for k, v in mixed.items()}).shares is None
+    grid = MDP.from_function((0, 0), lambda s: [0, 1] if s[0] < 2 else [],
+                             lambda s, a: [(1, (s[0] + 1, a), a)])  # fmt: skip
+    cells = {(0, 0): 1, (1, 0): 0, (1, 1): 1}
+    assert Policy.of(grid, cells).rule[: len(cells)].tolist() == [1, 0, 1]
+    q = {(cell, action): float(action == best) for cell, best in cells.items() for action in (0, 1)}
+    assert Policy.of(grid, q, kind="q").rule[: len(cells)].tolist() == [1, 0, 1]
+    everywhere = {(row, column): [0, 1] for row in range(2) for column in range(3)}
+    with pytest.warns(UserWarning, match=r"3 of 6 rows are not read.*: \(0, 1\), \(0, 2\)"):
+        assert Policy.of(grid, everywhere, kind="q").rule[: len(cells)].tolist() == [1, 1, 1]
+
+
+class Tensor:
+    """What torch's tensors do: none is an array while it has a gradient, or is a bfloat16."""
+
+    def __init__(self, values: Any, *, grad: bool = True, short: bool = False) -> None:
+        self.values, self.grad, self.short = np.asarray(values), grad, short
+
+    def detach(self) -> "Tensor":
+        return Tensor(self.values, grad=False, short=self.short)
+
+    def cpu(self) -> "Tensor":
+        return self
+
+    def float(self) -> "Tensor":
+        return Tensor(self.values.astype(np.float32), grad=self.grad)
+
+    def numpy(self) -> np.ndarray:
+        if self.grad:
+            raise RuntimeError("call detach first")
+        if self.short:
+            raise TypeError("unsupported type BFloat16")
+        return self.values
+
+    def __array__(self, *_: Any, **__: Any) -> np.ndarray:
+        return self.numpy()
+
+
+@pytest.mark.parametrize("short", [False, True])
+def test_tensors_are_the_arrays_that_they_hold(short: bool) -> None:
+    rows = np.array([[1.0, 2.5], [3.0, -1.0]])
+    forms = [Tensor(rows, short=short), [Tensor(row, short=short) for row in rows],
+             lambda s: Tensor(rows["xy".index(s)], short=short),
+             lambda s: Tensor(rows["xy".index(s)].argmax()),
+             {"x": Tensor(rows[0]), "y": Tensor(rows[1])}]  # fmt: skip
+    for form in forms:
+        assert Policy.of(TABLE, form).rule.tolist() == [1, 0]
+    mdp = MDP.from_arrays(Tensor(np.eye(2)[None]), [Tensor(1.0), Tensor(2.0)], start=Tensor([0, 1]))
+    assert (mdp.reward.tolist(), mdp.start) == ([1, 2], ((1, 1),))
+
+
+class Network:
+    def forward(self) -> None: ...
+
+    def parameters(self) -> None: ...
+
+
+GAP = MDP.from_outcomes([(s, a, [(1, s, a)]) for s in range(4) for a in range(2)], "1/2",
+                        space=StateSpace(columns=(Column(name="state", size=3,
+                        words=("0", "2", "3")),), extra=("cut off",)))  # fmt: skip
+
+
+def test_rows_of_states_whose_numbers_have_a_gap(tmp_path: Path) -> None:
+    np.save(tmp_path / "q.npy", np.eye(4)[:, :2] * 2)
+    said = "row 3 of 4 may be that of state 3, or that of cut off"
+    for form in (np.eye(4)[:, :2] * 2, [0, 1, 0, 1], tmp_path / "q.npy"):
+        refused(lambda form=form: Policy.of(GAP, form), said, "", "{state: row}")
+    rows = {"0": [0, 2], "2": [2, 0], "3": [0, 2], "cut off": [0, 3]}
+    assert Policy.of(GAP, rows, kind="q").rule.tolist() == [1, 0, 1, 1]
+    solution = solve(GAP)
+    assert Policy.of(GAP, solution).rule.tolist() == [1, 1, 1, 1]
+
+
 # ---- what is no policy ---------------------------------------------------------------------------
 
 

@@ -112,7 +112,7 @@ class Names:
             raise ModelError(
                 f"{_plain(thing)!r} may be {one}, by its name, or {two}, number {second} in the "
                 "model's order, which differ",
-                fix=f'write "{one}" or "{two}", or give an array in the model\'s order',
+                fix=f'write "{one}" or "{two}"',
             )
         return known[0]
 

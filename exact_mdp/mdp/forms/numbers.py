@@ -38,8 +38,29 @@ from exact_mdp.mdp.table import (
 def array_of(values: object, where: str) -> Any:
     """Return a sparse matrix as a CSR array, others as an array of one kind or of objects."""
     with located(where):
+        values = plain(values)
         refuse_labels(values)
         return _sparse(values) if sp.issparse(values) else _array(values)
+
+
+def plain(value: Any) -> Any:
+    """Return a tensor, as of torch, as the array that it holds, in lists too; others as they are.
+
+    One of a type that NumPy does not have, bfloat16, is widened, which loses nothing.
+    """
+    if isinstance(value, list | tuple):
+        return type(value)(map(plain, value)) if any(map(_is_tensor, value)) else value
+    if not _is_tensor(value):
+        return value
+    value = value.detach().cpu()
+    try:
+        return np.asarray(value.numpy())
+    except TypeError:
+        return np.asarray(value.float().numpy())
+
+
+def _is_tensor(value: Any) -> bool:
+    return callable(getattr(value, "detach", None)) and callable(getattr(value, "numpy", None))
 
 
 def float_array(values: object, where: str) -> Floats:

@@ -27,7 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError, located, no_such
-from exact_mdp.mdp.forms.numbers import is_table, refuse_masked
+from exact_mdp.mdp.forms.names import whole_of
+from exact_mdp.mdp.forms.numbers import is_table, plain, refuse_masked
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, Numbers
@@ -46,6 +47,7 @@ Parts = dict[str, Any]
 
 def numbers_of(given: object) -> Numbers:
     """Return an array of real numbers as they are, none of them rounded; lists included."""
+    given = plain(given)
     with located("policy"):
         refuse_masked(given)
         if is_table(given):
@@ -82,6 +84,27 @@ def _plain(number: Any) -> Any:
     if isinstance(number, np.longdouble) and np.isfinite(number):
         return Fraction(*number.as_integer_ratio())
     return number.item() if isinstance(number, np.generic) else number
+
+
+def of_given_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
+    """Return the policy of an array as `of_array` does, where its order cannot be another one.
+
+    Where states are called 0, 2, 3 and there is one more, a table of four rows may go by position,
+    or by these names with a row for 1.
+    """
+    columns = model.space.columns
+    names = [whole_of(word) for word in (columns[0].words if len(columns) == 1 else ())]
+    known = [name for name in names if name is not None]
+    gap = len(known) == len(names) > 0 and max(known) >= len(names)
+    if gap and min(known) >= 0 and max(known) < len(array):
+        raise ModelError(
+            f"states are called {', '.join(map(str, known[:4]))}{' …' * (len(known) > 4)}, and row "
+            f"{known[-1]} of {len(array)} may be that of state {known[-1]}, or that of "
+            f"{model.space.label(known[-1])} in the model's order",
+            where="policy",
+            fix="give a dictionary, which goes by names: {state: row}",
+        )
+    return of_array(model, array, kind)
 
 
 def of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:

@@ -1,9 +1,10 @@
 """Policies state by state: what a mapping, a function or a file says.
 
 Each state has a choice: an action, {action: probability}, or a row of A numbers, which are
-probabilities or action values. `mdp.forms.names` says which state or action is meant; a list or an
-array is a row, and so is a tuple that is no action. In a file all is text: there the digits of a
-state are a number.
+probabilities or action values; of a Q-table {action: value} is a row, too. {(state, action):
+number} says the same as {state: {action: number}}. `mdp.forms.names` says which state or action
+is meant; a list or an array is a row, and so is a tuple that is no action. In a file all is text:
+there the digits of a state are a number.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ import csv
 import io
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
 from os.path import isfile
 from pathlib import Path
@@ -22,12 +24,12 @@ import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, ShapeError, located, of_type, once_each
 from exact_mdp.mdp.forms.names import is_number, whole_of
-from exact_mdp.mdp.forms.numbers import refuse_masked
+from exact_mdp.mdp.forms.numbers import plain, refuse_masked
 from exact_mdp.mdp.io.files import STANDARD_INPUT, read_text, write_atomically
 from exact_mdp.mdp.io.structured import csv_of, json_of
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.arrays import Parts, numbers_of, policy_of_array, rows_read, too_small
-from exact_mdp.mdp.space import TIME, StateSpace
+from exact_mdp.mdp.space import TIME, Column, StateSpace
 from exact_mdp.mdp.table import Numbers, as_float, exact
 
 PRINTED_TIME = re.compile(rf"{TIME} \d+, ")  # as printed; "time out" may be a name
@@ -41,15 +43,68 @@ def of_mapping(model: MDP, entries: Mapping[Any, Any], kind: str = "auto") -> Pa
     default = getattr(entries, "default_factory", None)  # of a defaultdict, which is not changed
     if "status" in model.space.names and not any("status " in str(key) for key in entries):
         space = StateSpace(columns=(model.space.column("status"),))
-        keys = [space.columns[0].number(str(label)) for label in entries]
+        number = _by_text(space.columns[0])
     else:
         timed = any(PRINTED_TIME.match(str(key)) for key in entries)
         space = model.space if timed else model.space.untimed or model.space
-        keys = space.numbers(entries)
-    choices = once_each(zip(keys, entries.values(), strict=True), space.label)
+        number = space.number
+    entries = _by_pair(model, space, number, entries) or _reached(space, entries)
+    choices = once_each([(number(key), choice) for key, choice in entries.items()], space.label)
     if default is not None:
         choices = {key: choices[key] if key in choices else default() for key in range(space.size)}
     return _of_choices(model, space, choices, kind)
+
+
+def _by_text(column: Column) -> Callable[[object], int]:
+    """Return the function that numbers the values of a column by their texts."""
+    return lambda label: column.number(str(label))
+
+
+def _by_pair(
+    model: MDP, space: StateSpace, number: Callable[[object], int], entries: Mapping[Any, Any]
+) -> dict[Any, dict[str, Any]]:
+    """Return {(state, action): number} as {state: {action: number}}; nothing for other entries."""
+    pairs = all(isinstance(key, tuple) and len(key) == 2 for key in entries)
+    kinds = (int, float, Fraction, np.number)
+    if not pairs or not all(isinstance(value, kinds) for value in entries.values()):
+        return {}
+    try:
+        each = [(number(state), model.action_names.number(action)) for state, action in entries]
+    except ModelError:
+        return {}
+    if all(map(space.lookup.holds, entries)):  # {state: action}, unless the table is complete
+        rows = rows_read(model, space)[model.pair_state]
+        asked = model.asked[model.pair_state]
+        offered = zip(rows[asked].tolist(), model.pair_action[asked].tolist(), strict=True)
+        if not {*offered} <= {*each}:
+            return {}
+        if {*rows[asked].tolist()} <= {*map(number, entries)}:
+            raise ModelError(
+                "the keys may be states, or pairs of a state and an action: "
+                f"{', '.join(map(str, [*entries][:4]))}",
+                fix="give {state: {action: number}}, or the names of actions: {state: action}",
+            )
+    table: dict[Any, dict[str, Any]] = {}
+    for (state, action), value in once_each(
+        zip(each, entries.values(), strict=True), lambda pair: space.label(pair[0])
+    ).items():
+        table.setdefault(space.label(state), {})[model.actions[action]] = value
+    return table
+
+
+def _reached(space: StateSpace, entries: Mapping[Any, Any]) -> Mapping[Any, Any]:
+    """Return the entries of states; warn of those that a function's model did not reach."""
+    made = len(space.columns) == 1 and space.columns[0].objects
+    others = [key for key in entries if isinstance(key, tuple) and not space.lookup.holds(key)]
+    if not made or not others or len(others) == len(entries):
+        return entries
+    shown = ", ".join(map(str, others[:4])) + " …" * (len(others) > 4)
+    warnings.warn(
+        f"{len(others)} of {len(entries)} rows are not read, as their states are not in the model, "
+        f"which has those that can be reached from its start: {shown}",
+        stacklevel=2,
+    )
+    return {key: choice for key, choice in entries.items() if key not in {*others}}
 
 
 def of_function(model: MDP, ask: Callable[[Any], Any], kind: str = "auto") -> Parts:
@@ -69,13 +124,31 @@ def of_function(model: MDP, ask: Callable[[Any], Any], kind: str = "auto") -> Pa
                 where=f"policy, {space.label(state)}",
                 fix="return an action, {action: probability}, or a row of A numbers",
             )
+        if _is_answer_of_agent(model, choices[state]):
+            raise ModelError(
+                f"the function returns {choices[state]!r}, an action and a state of the agent",
+                where=f"policy, {space.label(state)}",
+                fix="return the action alone: lambda state: agent.predict(state)[0]",
+            )
     return _of_choices(model, space, choices, kind)
+
+
+def _is_answer_of_agent(model: MDP, choice: Any) -> bool:
+    """Return whether an answer is a pair of an action and what an agent remembers, or None."""
+    pair = isinstance(choice, tuple) and len(choice) == 2 and not model.action_names.knows(choice)
+    return pair and (choice[1] is None or (np.ndim(choice[0]) == 0) != (np.ndim(choice[1]) == 0))
 
 
 def _of_choices(model: MDP, space: StateSpace, choices: Mapping[int, Any], kind: str) -> Parts:
     """Return the policy of the choice of each state, by number."""
+    choices = {key: plain(choice) for key, choice in choices.items()}
     for choice in choices.values():
         refuse_masked(choice, "policy")
+    if kind == "q":
+        choices = {
+            key: _values(model, space, key, choice) if isinstance(choice, Mapping) else choice
+            for key, choice in choices.items()
+        }
     if choices and all(_is_row(model, choice, kind) for choice in choices.values()):
         table = np.full((space.size, model.n_actions), np.nan, dtype=object)
         for key, row in choices.items():
@@ -83,9 +156,11 @@ def _of_choices(model: MDP, space: StateSpace, choices: Mapping[int, Any], kind:
                 raise ShapeError(
                     f"a row of {len(row)} numbers",
                     where=f"policy, {space.label(key)}",
-                    fix=f"give one for each of the {model.n_actions} actions",
+                    fix=f"give one for each of the {model.n_actions} actions"
+                    + "; the action itself is the first entry of the row: [0]" * (len(row) == 1),
                 )
             table[key] = [exact(x) if isinstance(x, str) else x for x in row]
+        _check_complete(model, space, choices)
         return policy_of_array(model, numbers_of(table), kind)
     chances, names = Chances(), model.action_names
     for key, choice in choices.items():
@@ -96,6 +171,21 @@ def _of_choices(model: MDP, space: StateSpace, choices: Mapping[int, Any], kind:
             else:
                 chances[key] = {names.number(_alone(choice)): Fraction(1)}
     return _of_chances(model, space, chances)
+
+
+def _values(model: MDP, space: StateSpace, key: int, choice: Mapping[Any, Any]) -> list[Any]:
+    """Return the row of action values that {action: value} is; NaN for actions not offered."""
+    names = model.action_names
+    with located(space.label(key)):
+        values = once_each(zip(names.numbers(choice), choice.values(), strict=True), names.label)
+        states = np.flatnonzero((rows_read(model, space) == key) & model.asked)
+        offered = np.unique(model.pair_action[np.isin(model.pair_state, states)])
+        if lost := [model.actions[action] for action in offered.tolist() if action not in values]:
+            raise ModelError(
+                f"there is no value of {', '.join(lost)}",
+                fix="give one for every action that is offered; -inf for one never to be taken",
+            )
+    return [values.get(action, np.nan) for action in range(model.n_actions)]
 
 
 def _alone(choice: Any) -> Any:
@@ -132,16 +222,7 @@ def _is_row(model: MDP, choice: Any, kind: str) -> bool:
 
 def _of_chances(model: MDP, space: StateSpace, chances: Chances) -> Parts:
     """Return the policy; raises ModelError where a combination that a choice reads is missing."""
-    keys = rows_read(model, space)
-    silent = np.ones(space.size, dtype=bool)
-    silent[list(chances)] = False
-    missing = silent[keys] & model.asked
-    if missing.any():
-        lost = sorted(set(keys[missing].tolist()))
-        shown = "; ".join(space.labels(lost[:4])) + (" …" if len(lost) > 4 else "")
-        raise ModelError(
-            f"{len(lost)} of {space.size} rows are missing: {shown}", fix="add an action for each"
-        )
+    _check_complete(model, space, chances)
     floats = all(float(chance) == chance for row in chances.values() for chance in row.values())
     table: Numbers = np.full(
         (space.size, model.n_actions), np.nan, dtype=np.float64 if floats else object
@@ -151,6 +232,20 @@ def _of_chances(model: MDP, space: StateSpace, chances: Chances) -> Parts:
         for action, chance in row.items():
             table[key, action] = chance
     return {"space": space, "actions": model.actions, "rule": table}
+
+
+def _check_complete(model: MDP, space: StateSpace, said: Iterable[int]) -> None:
+    """Raise ModelError where nothing is said of a row that a state with a choice reads."""
+    keys = rows_read(model, space)
+    silent = np.ones(space.size, dtype=bool)
+    silent[list(said)] = False
+    missing = silent[keys] & model.asked
+    if missing.any():
+        lost = sorted(set(keys[missing].tolist()))
+        shown = "; ".join(space.labels(lost[:4])) + (" …" if len(lost) > 4 else "")
+        raise ModelError(
+            f"{len(lost)} of {space.size} rows are missing: {shown}", fix="add one for each"
+        )
 
 
 # ---- files ---------------------------------------------------------------------------------------

@@ -32,6 +32,7 @@ from exact_mdp.mdp.policies.arrays import (
     no_distribution,
     numbers_of,
     of_array,
+    of_given_array,
     read_over,
     rows_read,
 )
@@ -351,13 +352,15 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         model : MDP
         policy : PolicyLike
             A policy; "random", "always:ACTION" or a file; {status: action}, or {state: action},
-            {action: probability} or a row of A numbers in place of an action; a function of a
-            state that returns one of these; (S,) action numbers; a two-dimensional array of
-            probabilities or action values; anything with a `policy`.
+            {action: probability} or a row of A numbers in place of an action, or, with kind="q",
+            {action: value}; {(state, action): number}, the same; a function of a state that returns
+            one of these; (S,) action numbers; a two-dimensional array of probabilities or action
+            values; anything with a `policy`.
             Where the model stops after N steps (`MDP.within`), S may be the states without their
             time, and (N, S) and (N, S, A) depend on time.
         kind : "auto", "q" or "policy"
-            What a two-dimensional array holds; `mdp.policies.arrays` states the rule of "auto".
+            What an array or a dictionary of numbers holds; `mdp.policies.arrays` states the rule of
+            "auto" for arrays.
 
         Returns
         -------
@@ -386,12 +389,20 @@ class Policy(ByFields, NDArrayOperatorsMixin):
                 where="policy",
                 fix="give lambda state: agent.predict(state, deterministic=True)[0]",
             )
+        if callable(getattr(policy, "forward", None)) and hasattr(policy, "parameters"):
+            raise ModelError(
+                f"{type(policy).__name__} is a network, not a policy",
+                where="policy",
+                fix="give a function that makes its input of a state: lambda state: "
+                "net(encode(state)).argmax()",
+            )
         policy_read = cls._read(model, policy, kind)
         if kind == "q" and policy_read.read_as != "q":
             raise ModelError(
                 "this is a policy, not a Q-table",
                 where="policy",
-                fix="leave kind out, or give an array of action values, or a file of one",
+                fix="leave kind out, or give an array of action values, "
+                "{state: {action: value}}, or a file of one",
             )
         return policy_read
 
@@ -411,7 +422,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
                 if Path(given).suffix.lower() in (".npy", ".npz"):
                     most = max(LARGE, WIDEST * model.n_states * model.n_actions)
                     array = read_array(given, called="q", most=most)
-                    return cls(**of_array(model, array, kind))
+                    return cls(**of_given_array(model, array, kind))
                 return cls(**reading.of_file(model, given, kind))
         with located("policy"):
             if isinstance(given, Mapping):
@@ -424,7 +435,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
                     "the list may be of actions, or of rows of numbers, which differ",
                     fix="give {state: action}, or np.array(rows)",
                 )
-            return cls(**of_array(model, numbers_of(given), kind))
+            return cls(**of_given_array(model, numbers_of(given), kind))
 
     @classmethod
     def _learned(cls, model: MDP, given: Any, kind: str) -> Policy:
