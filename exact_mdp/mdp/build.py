@@ -36,6 +36,7 @@ from exact_mdp.mdp.table import Integers, Numbers, exact
 from exact_mdp.mdp.validate import COUNTED, Parts, as_discount, as_start, check_options
 
 MOST_UNNAMED_ACTIONS = 100_000  # a higher number is a typing error rather than an action
+ACTIONS_LAST = "ssa"
 LAYOUTS = {"ass": 1, "sas": 0}
 """Orders of the indices of P, action, state, next state or state, action, next state, and which of
 the indices is that of the states."""
@@ -50,7 +51,7 @@ class FromArrays(Parts):
     def from_arrays(
         cls,
         P: Any,
-        R: Any,
+        R: Any = None,
         discount: object = 1,
         *,
         layout: str | None = None,
@@ -61,7 +62,7 @@ class FromArrays(Parts):
 
         Parameters
         ----------
-        P : (A, S, S) or (S, A, S) array, A sparse (S, S) matrices, or {action: (S, S) matrix}
+        P : (A, S, S), (S, A, S) or (S, S, A) array, A sparse (S, S) matrices, or {action: matrix}
             Transition probabilities: Fractions, ints, "p/q" and floats in any mixture; each number
             keeps its exact value, a float that of the binary fraction that it is. Or P[s][a][t] in
             dictionaries, or quadruples (s, a, t, p): see `mdp.forms.listed`.
@@ -69,9 +70,10 @@ class FromArrays(Parts):
             Rewards of states, of pairs, or of transitions. An action with the reward -inf (inf
             where rewards are costs) is not available, whatever P says of it; all others are.
         discount : number or "p/q"
-        layout : "ass" or "sas", optional
+        layout : "ass", "sas" or "ssa", optional
             Order of the indices action and state, of P and of rewards of transitions. The shape
-            says it, but not where A = S: there it is needed if the two readings of P differ.
+            says it, but not where A = S: there it is needed if the two readings of P differ. "ssa",
+            P[state, next state, action], has to be said.
         start : state, {state: probability}, (S,) probabilities, or another model's `start`
             The first state unless given; `mdp.forms.names` says how a state is named.
         **names
@@ -98,22 +100,32 @@ class FromArrays(Parts):
         [(Fraction(1, 3), 0, Fraction(1, 1)), (Fraction(2, 3), 1, Fraction(1, 1))]
         """
         check_options(names, COUNTED)
-        if layout not in (None, *LAYOUTS):
+        if layout not in (None, *LAYOUTS, ACTIONS_LAST):
             raise ModelError(
-                f"{layout!r} is not a layout", where="layout", fix='give "ass" or "sas"'
+                f"{layout!r} is not a layout", where="layout", fix='give "ass", "sas" or "ssa"'
+            )
+        if R is None:
+            raise ModelError(
+                "no rewards are given",
+                where="R",
+                fix="give them beside P; a table of transitions and rewards in one, with the "
+                "columns state, action, next_state, probability and reward, is read from a .csv "
+                "file: MDP.load(path)",
             )
         if listed.is_listed(P):
             if layout not in (None, "sas"):
                 fix = "leave it out; what is listed goes by state, then action"
-                raise ModelError("dictionaries are not 'ass'", where="layout", fix=fix)
+                raise ModelError(f"dictionaries are not {layout!r}", where="layout", fix=fix)
             pairs, names = listed.rows_of(P, R, {**names, "start": start})
             return cls.from_outcomes(pairs, discount, **names)
+        if layout == ACTIONS_LAST:
+            P, R, layout = _by_action(P, "P"), _by_action(R, "R"), "ass"
+            each_component(names, _by_action)
         keys: list[Any] = []
         if isinstance(P, Mapping):
             keys = listed.keys_of(P)
             P = [P[key] for key in keys]
-        P, R, listed_pairs = listed.filled(P, R, layout)
-        layout = layout if listed_pairs is None else "sas"
+        P, R, layout, listed_pairs = listed.filled(P, R, layout)
         rows, shape, order = _rows_of_matrices(P, "P", layout)
         states, actions = shape
         swapped = None
@@ -292,6 +304,18 @@ def _as_objects(values: Sequence[Any]) -> Numbers:
 # ---- layouts of arrays ---------------------------------------------------------------------------
 
 
+def _by_action(values: Any, where: str) -> Any:
+    """Return an array (S, S, A) as one of (A, S, S); others as they are."""
+    if isinstance(values, Mapping) or _holds_sparse(values):
+        raise ModelError(
+            "dictionaries and lists of sparse matrices go by action",
+            where=where,
+            fix='leave layout="ssa" out',
+        )
+    array = array_of(values, where)
+    return np.moveaxis(array, 2, 0) if array.ndim == 3 else values
+
+
 def _check_alike(rows: Any, swapped: Integers) -> None:
     """Raise ModelError unless rows (L, …) of as many actions as states are the same by either."""
     differ = rows[swapped] != rows
@@ -358,6 +382,7 @@ def _rows_of_matrices(
         array = array_of(values, where)
         shapes, shape = [array.shape[1:]], array.shape
     fits = [each for each, at in LAYOUTS.items() if len(shape) == 3 and shape[at] == shape[2]]
+    last = len(shape) == 3 and shape[0] == shape[1]  # the actions may be the last index
     if len(shapes) > 1 or 0 in shape or not fits or layout not in (None, *fits):
         raise ShapeError(
             f"matrices of {what} have shapes {shapes}"
@@ -365,7 +390,8 @@ def _rows_of_matrices(
             else f"{what} have shape {shape}",
             where=where,
             fix="give (A, S, S), (S, A, S), or a list of A sparse (S, S) matrices"
-            + (f"; this is not {layout!r}" if fits else ""),
+            + (f"; this is not {layout!r}" if fits else "")
+            + '; layout="ssa" if it is P[state, next state, action]' * last,
         )
     layout = layout or fits[0]
     sizes = (shape[0], shape[1]) if layout == "sas" else (shape[1], shape[0])

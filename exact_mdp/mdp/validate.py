@@ -27,7 +27,7 @@ from exact_mdp.mdp.errors import (
 )
 from exact_mdp.mdp.forms.names import ByNumber
 from exact_mdp.mdp.forms.numbers import as_given, is_table, plain, refuse_masked
-from exact_mdp.mdp.forms.rows import meant
+from exact_mdp.mdp.forms.rows import meant, put_right
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
@@ -270,7 +270,9 @@ def as_start(start: object, space: StateSpace) -> ByNumber:
         weights = dict(start) if isinstance(start, ByNumber) else by_state(start, space)
         if weights is None:
             weights = {space.number(start): 1}
-        chances = map(exact, meant([as_given(weight) for weight in weights.values()]))
+        given = np.empty(len(weights), dtype=object)
+        given[:] = [as_given(weight) for weight in weights.values()]
+        chances = map(exact, meant(put_right(given, np.array([0, len(given)])).tolist()))
         pairs = sorted(zip(weights, chances, strict=True))
     return ByNumber((state, weight) for state, weight in pairs if weight != 0)
 
@@ -440,8 +442,8 @@ def _check_rows(model: Parts) -> None:
             f"transition probabilities sum to {near if abs(off) < 1e-9 else shown(total, 12)}, "
             "not 1",
             where=model.where(pair),
-            fix="add the missing outcome, or correct a probability in this row; for rows in single "
-            "precision, convert them to float64 and normalise them there",
+            fix="add the missing outcome, or correct a probability in this row; divide rows of a "
+            "short type, such as float16, by their sums in float64",
         )
 
 

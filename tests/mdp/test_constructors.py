@@ -382,6 +382,27 @@ def test_names_stay() -> None:
     assert three.pair(1, "go") == three.pair(1, 1) == 3
 
 
+def test_actions_may_be_the_last_index() -> None:
+    law, by_move = np.moveaxis(P, 0, 2), np.arange(18.0).reshape(3, 3, 2)
+    mdp = MDP.from_arrays(law, by_move, HALF, layout="ssa", components={"move": by_move})
+    turned = np.moveaxis(by_move, 2, 0)
+    other = MDP.from_arrays(P, turned, HALF, components={"move": turned})
+    assert same(mdp, other)
+    assert mdp.components.tolist() == other.components.tolist()
+    assert same(MDP.from_arrays(law, R, HALF, layout="ssa"), MDP.from_arrays(P, R, HALF))
+
+
+def test_lists_by_action_leave_rows_out() -> None:
+    rows: list[Any] = [[[0, 1, 0], None, [0, 0, 1]], [[1, 0, 0], [HALF, HALF, 0], []]]
+    mdp = MDP.from_arrays(rows, [[1, 2], [3, 4], [5, 6]], HALF)
+    by_state = [[rows[action][state] for action in (0, 1)] for state in range(3)]
+    assert same(mdp, MDP.from_arrays(by_state, [[1, 2], [3, 4], [5, 6]], HALF))
+    assert [(s, a) for s, a, *_ in outcomes_of(mdp)] == [(0, 0), (0, 1), (1, 1), (2, 0)]
+    square: list[Any] = [[[1, 0], None], [[0, 1], [1, 0]]]
+    models = [MDP.from_arrays(square, [1, 2], HALF, layout=layout) for layout in ("ass", "sas")]
+    assert [model.pair_state.tolist() for model in models] == [[0, 0, 1], [0, 1, 1]]
+
+
 # The 4 x 3 world of Russell and Norvig, Artificial Intelligence: A Modern Approach, section 17.1.
 
 MOVES = {"up": (0, 1), "down": (0, -1), "left": (-1, 0), "right": (1, 0)}

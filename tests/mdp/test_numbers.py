@@ -235,3 +235,38 @@ def test_symmetric_actions_tie(seed: int) -> None:
             np.array([np.vstack([action, end]) for action in actions]), [0, 1, 1, 1, 1, 1], "9/10"
         )
         assert certify(mdp).optimal[0].all()
+
+
+def test_rounding_leaves_negative_numbers_which_are_0() -> None:
+    row = [0.3, 0.7, -4e-16]
+    for chances in (row, np.array(row), [*row[:2], -(2.0**-60)]):
+        mdp = MDP.from_arrays([[chances, [0, 1, 0], [0, 0, 1]]], [1, 0, 0])
+        assert mdp.table.row(0) == [(F(3, 10), 0, 1), (F(7, 10), 1, 1)]
+    listed = MDP.from_arrays({0: {0: {0: F(1, 2), 1: 0.5, 2: -1e-17}}, 1: {}, 2: {}}, [0] * 3)
+    assert [p for p, *_ in listed.table.row(0)] == [F(1, 2)] * 2
+
+
+SINGLE = np.float32([0.1, 0.2, 0.7])  # which sum to 0.99999999
+
+
+@pytest.mark.parametrize("form", ["array", "sparse", "numbers", "doubles", "named", "asked"])
+def test_rows_of_single_precision_are_divided_by_their_sums(form: str) -> None:
+    rows = np.concatenate([SINGLE[None], np.eye(3, dtype=np.float32)[1:]])
+    of_state = {0: dict(enumerate(SINGLE))}
+    models = {
+        "array": lambda: MDP.from_arrays(rows[None], [0] * 3),
+        "sparse": lambda: MDP.from_arrays([sp.csr_array(rows)], [0] * 3),
+        "numbers": lambda: MDP.from_arrays([[[*row] for row in rows]], [0] * 3),
+        "doubles": lambda: MDP.from_arrays(rows[None].astype(float), [0] * 3),
+        "named": lambda: MDP.from_arrays({0: of_state, 1: {}, 2: {}}, [0] * 3),
+        "asked": lambda: MDP.from_function(
+            0, lambda s: [] if s else [0], lambda *_: [(p, t, 0) for t, p in of_state[0].items()]
+        ),
+    }
+    mdp = models[form]()
+    total = sum(map(F, SINGLE.tolist()))
+    chances = [p for p, *_ in mdp.table.row(0)]
+    assert sum(chances) == 1
+    for chance, single in zip(chances, SINGLE.tolist(), strict=True):
+        assert abs(chance - F(single) / total) < F(1, 2**53)
+    assert mdp.with_(start=SINGLE).start[0][1] == chances[0]

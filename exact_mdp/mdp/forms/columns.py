@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.forms.numbers import chances, grouped, has_floats, joined
-from exact_mdp.mdp.forms.rows import LONG, fine_unit
+from exact_mdp.mdp.forms.rows import LONG, fine_unit, put_right
 from exact_mdp.mdp.table import (
     COMPILED,
     Floats,
@@ -47,6 +47,7 @@ def table_of(
     if taken is not None:
         following, chance = taken
     else:
+        chance = put_right(chance, offsets)
         positive = np.asarray(chance != 0, dtype=bool)
         if not (own and positive.all()):
             following, chance = following[positive], chance[positive]

@@ -44,29 +44,40 @@ def is_listed(P: Any) -> bool:
     )
 
 
-def filled(P: Any, R: Any, layout: str | None) -> tuple[Any, Any, NDArray[np.bool_] | None]:
-    """Return lists P[s][a] and R[s][a] in full, and which pairs (S · A,) P lists; None for all."""
+def filled(
+    P: Any, R: Any, layout: str | None
+) -> tuple[Any, Any, str | None, NDArray[np.bool_] | None]:
+    """Return lists P and R[s][a] in full, the layout, and which pairs (S · A,) P lists or None.
+
+    P is P[s][a] where there are as many lists as states, P[a][s] where each has one row a state.
+    """
     if not _is_list(P) or isinstance(P, np.ndarray) or not all(map(_is_list, P)):
-        return P, R, None
+        return P, R, layout, None
     cells = [cell for rows in P for cell in rows]
     known = [cell is not None and not (_is_list(cell) and not len(cell)) for cell in cells]
-    most, uneven = max(map(len, P), default=0), len(set(map(len, P))) > 1
+    lengths = {*map(len, P)}
     lists = all(_is_list(cell) for cell, there in zip(cells, known, strict=True) if there)
-    if not lists or (all(known) and not uneven):
-        return P, R, None
-    if layout != "sas" and (layout or most == len(P)):
+    if not lists or (all(known) and len(lengths) == 1):
+        return P, R, layout, None
+    states = max([len(cell) for cell, there in zip(cells, known, strict=True) if there], default=0)
+    fits = {"sas": len(P) == states, "ass": lengths == {states}}
+    if layout is None and all(fits.values()):
         raise ModelError(
-            "lists that leave rows out go by state, then action",
+            "lists that leave rows out may go by state, then action, or by action, then state",
             where="P",
-            fix='say layout="sas" if P[state][action] is a row',
+            fix='say layout="sas" for P[state][action], layout="ass" for P[action][state]',
         )
+    layout = layout or ("ass" if fits["ass"] else "sas")
+    most = max(lengths, default=0)
     there, rows = np.zeros((len(P), most), dtype=bool), list[list[Any]]()
-    for state, own in enumerate(P):
-        there[state, : len(own)] = [cell is not None and len(cell) > 0 for cell in own]
-        rows.append([own[a] if there[state, a] else [0] * len(P) for a in range(most)])
+    for place, own in enumerate(P):
+        there[place, : len(own)] = [cell is not None and len(cell) > 0 for cell in own]
+        rows.append([own[k] if there[place, k] else [0] * states for k in range(most)])
+    if layout == "ass":
+        there, most = there.T, len(P)
     if isinstance(R, list | tuple) and all(map(_is_list, R)):
         R = [[*own, *[0] * (most - len(own))] for own in R]
-    return rows, R, there.reshape(-1)
+    return rows, R, layout, there.reshape(-1)
 
 
 def keys_of(P: Mapping[Any, Any]) -> list[Any]:

@@ -7,6 +7,11 @@ is what the others leave of 1; several largest ones share it equally. The model 
 next to these numbers, and the rule holds of them as they are. Exact numbers beside floats in a row
 stay.
 
+Two things are put right first. A float from -1e-9 to 0 is 0: rounding leaves such numbers, and the
+rest of the row has to sum to 1 within 1e-9 all the same. A row of numbers that are all float32
+values is divided by its sum if that misses 1 by no more than single precision rounds n numbers that
+were divided by their sum, (n + 1) 2^-24 / (1 - (n + 1) 2^-24).
+
 The values alone decide, neither places nor order, so that symmetric actions stay tied; and exact
 numbers do not grow, as all denominators are divisors of WHOLE or powers of two, times the number of
 the largest. Dividing each row by its sum makes 895 digits of the value of FrozenLake 8 x 8 at
@@ -33,6 +38,7 @@ Numbers = NDArray[Any]
 WHOLE = 2**6 * 3**2 * 5**6 * 7
 FLOAT_ROW_TOLERANCE = 1e-9  # how far from 1 floats of a row may sum: LONG roundings are 5e-10
 NEXT = 2.0**-52  # of a number: no farther from it are its neighbours among the floats
+SINGLE = 2.0**-24  # what single precision may round away of a number, in proportion
 COARSE, FINEST, LONG = 2.0**-40, -93, 2**22  # of sums: their units, and the most terms of a row
 
 
@@ -66,6 +72,42 @@ def meant(row: Sequence[Fraction | float]) -> list[Fraction | float]:
         return meant([rounded if isinstance(x, float) and x == largest else x for x in row])
     exact = {number: Fraction(number) for number in floats} | {largest: share}
     return [exact[x] if isinstance(x, float) else x for x in row]
+
+
+def put_right(weight: Numbers, offsets: Integers) -> Numbers:
+    """Return numbers (N,) without negative ones of rounding, and rows of float32 that sum to 1.
+
+    Examples
+    --------
+    >>> put_right(np.array([1.0, -4e-16]), np.array([0, 2])).tolist()
+    [1.0, 0.0]
+    >>> put_right(np.float32([0.1, 0.2, 0.7]), np.array([0, 3])).sum().item()
+    1.0
+    """
+    if weight.dtype == object:
+        floats = [number if isinstance(number, float) else np.nan for number in weight]
+        numbers = np.array(floats, dtype=np.float64)
+    elif weight.dtype.kind == "f":
+        numbers = weight.astype(np.float64)
+    else:
+        return weight
+    lengths = np.diff(offsets)
+    row = np.repeat(np.arange(len(lengths)), lengths)
+    right = np.where((numbers < 0) & (numbers >= -FLOAT_ROW_TOLERANCE), 0.0, numbers)
+    with np.errstate(over="ignore", invalid="ignore"):
+        total = np.bincount(row, right, len(lengths))  # NaN where a number is exact
+        rounding = np.minimum((lengths + 1) * SINGLE, 0.5)
+        off = np.abs(total - 1)
+        single = (off > FLOAT_ROW_TOLERANCE) & (off <= rounding / (1 - rounding))
+        if single.any():
+            others = (right != right.astype(np.float32)) | (right < 0)
+            single &= np.bincount(row, others, len(lengths)) == 0
+            right = np.where(single[row], right / total[row], right)
+    changed = right != numbers
+    changed &= right == right
+    if not changed.any():
+        return weight
+    return np.where(changed, right, weight)
 
 
 def settle(weight: Floats, offsets: Integers) -> bool:
