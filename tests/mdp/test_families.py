@@ -316,3 +316,27 @@ def test_an_elasticity_beyond_floats_is_infinite_not_an_error() -> None:
         parameters=(Parameter(name="p", value=F(1)),), build=lambda at: earning(at["p"] - 1 + tiny)
     )
     assert gradient(family)["p"].elasticity == np.inf
+
+
+def test_outcomes_of_probability_0_are_explored_where_that_is_said() -> None:
+    """Else a state is not there, or has another number, where a parameter is 0."""
+
+    def model(at: Any, impossible: bool = True) -> MDP:
+        def outcomes(state: str, action: str) -> list[Any]:
+            stays = 1 - at["die"] - at["fall"]
+            return [(at["die"], "dead", 0), (at["fall"], "ill", 2), (stays, state, 1)]
+
+        def actions(state: str) -> list[str]:
+            return ["wait"] if state == "well" else []
+
+        return MDP.from_function("well", actions, outcomes, "1/2", impossible=impossible)
+
+    today = {"die": F(1, 10), "fall": F(1, 5)}
+    for name in today:
+        changed = model(today | {name: F(0)})
+        assert changed.space == model(today).space == model(today, impossible=False).space
+        assert changed.table.row(0)[0][0] == 1 - sum(today.values()) + today[name]
+        assert model(today | {name: F(0)}, impossible=False).n_states == 2
+    family = Family(parameters=today, build=model)
+    reached = family.at({"die": 0})
+    assert certify(reached).start_value == certify(model(today | {"die": F(0)}, False)).start_value

@@ -37,6 +37,7 @@ class FromFunction(FromArrays):
         discount: object = 1,
         *,
         max_states: int = MOST_STATES,
+        impossible: bool = False,
         labels: Mapping[str, Any] | None = None,
         **names: Any,
     ) -> Self:
@@ -56,6 +57,9 @@ class FromFunction(FromArrays):
         discount : number or "p/q"
         max_states : int
             Give up when more states than this have been found.
+        impossible : bool
+            Explore outcomes of probability 0, too. Models of one function at different parameters
+            then have the same states, as a `Family` needs, where some parameter may be 0.
         labels : {name: function of a state}, optional
             Which states a name is of; (S,) truth values are taken as well.
         **names
@@ -107,9 +111,10 @@ class FromFunction(FromArrays):
                 where = f"state {state}, action {action}"
                 answer = _answer(outcomes, state, action, where=where, fix=OUTCOMES)
                 with located(where):
-                    row = [each for each in map(_outcome, answer) if exact(each[0])]
-                rows.append((state, action, row))
-                for _, following, _ in row:
+                    every = [*map(_outcome, answer)]
+                    possible = [each for each in every if exact(each[0])]
+                rows.append((state, action, possible))
+                for _, following, _ in every if impossible else possible:
                     known = len(states.number)
                     if states.add(following, "a next state", where) == known:
                         waiting.append(following)
