@@ -447,6 +447,19 @@ def test_the_reward_of_an_end_in_all_forms() -> None:
     assert MDP.from_arrays({"end": {}}, {"end": 1}).space.extra == ("end'",)
 
 
+def test_a_model_with_an_added_end_is_one_like_others(tmp_path: Path) -> None:
+    law: dict[Any, Any] = {(0, 0): {"go": {(0, 1): 1}, "stay": {(0, 0): 1}}, (0, 1): {}}
+    mdp = MDP.from_arrays(
+        law, {(0, 0): 0, (0, 1): 5}, HALF, start=(0, 0), labels={"goal": [(0, 1)]}
+    )
+    save(mdp, tmp_path / "m.npz")
+    assert certify(load(tmp_path / "m.npz")).start_value == Fraction(5, 2)
+    assert certify(mdp.reaching("goal")).start_value == 1
+    assert certify(mdp.within(2)).start_value == Fraction(5, 2)
+    assert Policy.of(mdp, [0, 0]).weights(mdp)[:2].tolist() == [1, 0]  # without a row of the end
+    assert Policy.of(mdp, {(0, 0): "go"}).weights(mdp)[:2].tolist() == [1, 0]
+
+
 def test_components_are_dictionaries_as_rewards_are() -> None:
     law = {"a": {"x": {"a": HALF, "b": HALF}, "y": {"b": 1}}, "b": {}}
     part = {"once": {"a": 0, "b": 3}, "move": {"a": {"x": {"a": 2, "b": 4}, "y": 1}}}
@@ -454,6 +467,12 @@ def test_components_are_dictionaries_as_rewards_are() -> None:
     assert mdp.component_names == ("once", "move", "rest")
     assert mdp.components.tolist() == [[0, 3, 0], [0, 1, 0], [3, 0, -3], [0, 0, 0]]
     assert mdp.reward.tolist() == [3, 1, 0, 0]
+    numbers: dict[Any, Any] = {0: {0: {1: HALF, 2: HALF}}, 1: {}, 2: {}}
+    for part, amounts in (([1, 0, 0], [1, 0, 0]), ({0: 1, 2: 4}, [1, 0, 4, 0])):
+        mdp = MDP.from_arrays(numbers, [0] * 3, components={"a": part})
+        assert mdp.components[:, 0].tolist() == amounts
+    mdp = MDP.from_arrays(numbers, [0, 7, 0], components={"a": [[5], [0], [0]]})
+    assert mdp.components.tolist() == [[5, -5], [0, 7], [0, 0], [0, 0]]
 
 
 # ---- the start, components, and what a model tells -----------------------------------------------

@@ -319,18 +319,20 @@ def test_a_dictionary_of_action_values_is_a_q_table(values: list[list[Any]], nam
         assert (policy.rule.tolist(), policy.read_as) == (expected, "q")
 
 
+GRID = MDP.from_function((0, 0), lambda s: [0, 1] if s[0] < 2 else [],
+                         lambda s, a: [(1, (s[0] + 1, a), a)])  # fmt: skip
+
+
 def test_pairs_may_have_probabilities_and_states_may_be_tuples() -> None:
     mixed = {("x", "l"): "1/4", ("x", "r"): "3/4", ("y", 0): 1}
     assert Policy.of(TABLE, {k: Fraction(v) for k, v in mixed.items()}).shares is None
-    grid = MDP.from_function((0, 0), lambda s: [0, 1] if s[0] < 2 else [],
-                             lambda s, a: [(1, (s[0] + 1, a), a)])  # fmt: skip
     cells = {(0, 0): 1, (1, 0): 0, (1, 1): 1}
-    assert Policy.of(grid, cells).rule[: len(cells)].tolist() == [1, 0, 1]
+    assert Policy.of(GRID, cells).rule[: len(cells)].tolist() == [1, 0, 1]
     q = {(cell, action): float(action == best) for cell, best in cells.items() for action in (0, 1)}
-    assert Policy.of(grid, q, kind="q").rule[: len(cells)].tolist() == [1, 0, 1]
+    assert Policy.of(GRID, q, kind="q").rule[: len(cells)].tolist() == [1, 0, 1]
     everywhere = {(row, column): [0, 1] for row in range(2) for column in range(3)}
     with pytest.warns(UserWarning, match=r"3 of 6 rows are not read.*: \(0, 1\), \(0, 2\)"):
-        assert Policy.of(grid, everywhere, kind="q").rule[: len(cells)].tolist() == [1, 1, 1]
+        assert Policy.of(GRID, everywhere, kind="q").rule[: len(cells)].tolist() == [1, 1, 1]
 
 
 class Tensor:

@@ -14,7 +14,6 @@ value R(s), and leads to a state "end" that is added. Components may be dictiona
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from fractions import Fraction
 from math import inf
 from typing import Any
 
@@ -184,6 +183,19 @@ class Listed:
                 outcomes.append((chance, then, as_given(amounts[stated[0]])))
         return outcomes
 
+    def check_order(self, states: list[Any], amounts: Any, where: str) -> None:
+        """Raise ModelError where amounts of pairs, of some `states`, may be those of states."""
+        if {*states} != {*range(len(states))} or {*self.states.number} != {*states}:
+            return
+        lasting = [amounts[place] for place, state in enumerate(states) if state in self.ends]
+        if states != sorted(states) or any(lasting):
+            raise ModelError(
+                f"{len(states)} amounts may be those of states, where an end earns its own once, "
+                "or those of pairs, in the order of P, where an end earns its own at each step",
+                where=where,
+                fix="give {state: amount} or {state: {action: amount}}",
+            )
+
     def earned_once(self, amounts: Mapping[Path, Any], where: str) -> dict[Any, Any]:
         """Return the amounts other than 0 that are stated of states without actions."""
         with located(where):
@@ -204,22 +216,27 @@ def rows_of(P: Any, R: Any, names: dict[str, Any]) -> tuple[list[Any], dict[str,
         for state, action in listed.offered
         if rewards.get((state, action), rewards.get((state,))) != listed.never
     ]
-    given, parts, paid = names.get("components"), dict[str, Any](), dict.fromkeys(once)
+    paid = dict(once)
+    given, parts = names.get("components"), dict[str, Any]()
     for name, values in given.items() if isinstance(given, Mapping) else ():
-        if isinstance(values, Mapping):
-            parts[name] = listed.amounts(values, f"component {name}")
-            paid |= dict.fromkeys(listed.earned_once(parts[name], f"component {name}"))
+        where = f"component {name}"
+        of_pairs = [] if isinstance(values, Mapping) else dense(array_of(values, where))
+        each = [*(state for state, _ in pairs), *listed.ends]
+        if np.shape(of_pairs) == (len(each),):  # one for each pair
+            listed.check_order(each, of_pairs, where)
+            parts[name] = [*of_pairs]
+            continue
+        amounts = listed.amounts(values, where)
+        ends = listed.earned_once(amounts, where)
+        paid = dict.fromkeys(ends, 0) | paid
+        parts[name] = [_expected(listed.earned(pair, amounts, where)) for pair in pairs]
+        parts[name] += [ends.get(end, 0) for end in listed.ends]
     rows = [(*pair, listed.earned(pair, rewards, "R")) for pair in pairs]
-    ends = [end for end in listed.ends if end not in paid]
-    made, own = numbered(rows, listed.states, ends, {end: once.get(end, 0) for end in paid})
+    made, own = numbered(rows, listed.states, listed.ends, paid)
     if paid:
         names |= _with_the_end(names, len(listed.states.number), own["space"].extra[0])
-    for name, amounts in parts.items():
-        where = f"component {name}"
-        of_pairs = [_expected(listed.earned(pair, amounts, where)) for pair in pairs]
-        of_pairs += [as_given(amounts.get((end,), 0)) for end in paid]
-        zeros = [Fraction(0)] * (len(made) - len(of_pairs))
-        names["components"] = {**names["components"], name: of_pairs + zeros}
+    if parts:
+        names["components"] = {name: [*each, *[0] * bool(paid)] for name, each in parts.items()}
     return made, own | names
 
 
@@ -237,11 +254,9 @@ def _with_the_end(names: dict[str, Any], states: int, end: str) -> dict[str, Any
             return [*values, last]
         return values
 
-    longer_names = {
-        name: longer(names[name], last)
-        for name, last in (("start", 0), ("states", end))
-        if name in names
-    }
+    longer_names = {"states": longer(names["states"], end)} if "states" in names else {}
+    if not isinstance(names["start"], tuple):  # which may be a state
+        longer_names["start"] = longer(names["start"], 0)
     labels = names.get("labels")
     if isinstance(labels, Mapping):
         longer_names["labels"] = {

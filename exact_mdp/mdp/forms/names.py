@@ -8,7 +8,8 @@ The one rule, for states and actions, in constructors, policies, tables, files a
                  where no name is a whole number
     a number     counts from 0 in the model's order, unless names are whole numbers: then it is the
                  one of that name, and refused where it may be the number of another
-    an array     goes by the model's order
+    an array     goes by the model's order; of a policy, it is refused if names are whole numbers
+                 with a gap, and it has a row for each of these numbers
 
 So of states named 3, 1, 2, 0 the text "3" is the first, and the number 3 is refused.
 """

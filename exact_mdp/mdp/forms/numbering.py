@@ -68,7 +68,7 @@ def numbered(
 ) -> tuple[list[Any], dict[str, Any]]:
     """Return rows of numbers for `MDP.from_outcomes`, and the names of states and actions.
 
-    The states `paid` earn a number once and lead to an end, which is added for them.
+    The ends that are `paid` earn a number once and lead to another one, which is added for them.
     """
     actions, listed = Numbering(), list(rows)
     for state, action, outcomes in listed:
@@ -83,8 +83,9 @@ def numbered(
         for state, action, outcomes in listed
     ]
     last = len(things)
-    chosen += [(number[state], 0, [(1, last, reward)]) for state, reward in paid.items()]
-    chosen += [(place, 0, [(1, place, 0)]) for place in map(number.__getitem__, ends)]
+    for end in ends:
+        after = (1, last, paid[end]) if end in paid else (1, number[end], 0)
+        chosen.append((number[end], 0, [after]))
     extra = "end"
     while extra in map(text_of, things):
         extra += "'"

@@ -15,6 +15,12 @@ printed with the digits of float32. Such rows are divided by their exact sums. A
 greedy policy: the greatest value (of costs, the least) among the actions offered, compared in the
 array's own numbers; the lowest action number wins a tie. -inf marks an action that is never taken.
 NaN, +inf, and -inf for every action offered are refused. For costs the infinities change places.
+
+In Python a policy may also be {state: action}, {state: {action: probability}}, or {state: row of
+numbers}; of a Q-table (kind="q") {state: {action: value}}. {(state, action): number} says the same
+as {state: {action: number}}. Rows of states that a model of `MDP.from_function` does not reach are
+not read, with a warning. Tensors are the arrays that they hold. Where states are called 0, 2, 3 and
+there is one more, an array is refused: its row 3 may be that of state 3.
 """
 
 from __future__ import annotations
@@ -140,7 +146,7 @@ def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
     array = by_time(model, array) if array.ndim == 3 else array
     over = read_over(model, array.shape)
     if over is None:
-        raise _no_policy(model, array)
+        raise _no_policy(model, array, kind)
     (space, actions), costs = over, model.sense == "min"
     row, offered = rows_read(model, space), np.full(array.shape, actions is not model.actions)
     if actions is model.actions:
@@ -214,17 +220,31 @@ def read_over(model: MDP, shape: tuple[int, ...]) -> tuple[StateSpace, tuple[str
     return None
 
 
-def _no_policy(model: MDP, array: Numbers) -> ModelError:
+def _no_policy(model: MDP, array: Numbers, kind: str = "auto") -> ModelError:
+    """Return the error for an array that states no policy of this model."""
     shape, table = array.shape, f"({model.n_states}, {model.n_actions})"
     turned = len(shape) == 2 and shape[0] == model.n_actions and space_of(model, shape[1])
+    fix = (
+        f"give {model.n_states} whole numbers of actions, or probabilities or action values in "
+        f"an array {table}, a row for each state"
+    )
+    if "status" in model.space.names:
+        fix += ", or one for each status"
+    if shape == (model.n_states,) and array.dtype.kind in "iu" and kind == "q":
+        fix = f'leave kind="q" out of action numbers, or give action values in an array {table}'
+    elif shape == (model.n_states,) and array.dtype.kind == "f" and (array == array.round()).all():
+        fix = "give array.astype(int), whole numbers of actions"
+    elif shape[:1] > (model.n_states,) and any(column.objects for column in model.space.columns):
+        fix += (
+            "; the model has the states that can be reached from its start: of more states give "
+            "{state: row}"
+        )
     return ModelError(
         f"an array of shape {shape} has a row for each action: it is the wrong way round"
         if turned
         else f"an array of shape {shape} and type {array.dtype} is no policy of this model",
         where="policy",
-        fix=f"give {model.n_states} whole numbers of actions, or probabilities or action values in "
-        f"an array {table}, a row for each state"
-        + (", or one for each status" if "status" in model.space.names else ""),
+        fix=fix,
     )
 
 
