@@ -335,6 +335,16 @@ def test_pairs_may_have_probabilities_and_states_may_be_tuples() -> None:
         assert Policy.of(GRID, everywhere, kind="q").rule[: len(cells)].tolist() == [1, 1, 1]
 
 
+def test_a_policy_with_negative_numbers_of_rounding_is_not_a_q_table() -> None:
+    rows = np.array([[1, -4e-16], [0.25, 0.75]])
+    mixed = Policy.of(TABLE, rows, kind="policy")
+    assert mixed.weights(TABLE).tolist() == [1, 0, 0.25, 0.75]
+    pure = Policy.of(TABLE, np.array([[1, -4e-16], [-1e-12, 1]]))
+    assert (pure.rule.tolist(), pure.read_as) == ([0, 1], "policy")
+    refused(lambda: Policy.of(TABLE, rows), "a Q-table?")
+    assert Policy.of(TABLE, np.array([[1, -1e-8], [0, 1]])).read_as == "q"
+
+
 class Tensor:
     """What torch's tensors do: none is an array while it has a gradient, or is a bfloat16."""
 

@@ -9,7 +9,8 @@ actions differ in name only may hold anything. Without `kind`,
                                                 readings differ, it is refused
     otherwise                                   the array is ambiguous and refused
 
-A distribution has entries of at least 0 that sum to 1, up to 1e-9 or the rounding of a short type:
+A distribution has entries of at least 0 (floats from -1e-9 to 0 are 0, as rounding leaves such
+numbers) that sum to 1, up to 1e-9 or the rounding of a short type:
 numbers that are all float32, float16 or bfloat16 values, whatever type holds them, or that are
 printed with the digits of float32. Such rows are divided by their exact sums. A Q-table means its
 greedy policy: the greatest value (of costs, the least) among the actions offered, compared in the
@@ -160,7 +161,10 @@ def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
         return rows
 
     counts, choosing = read_by(model.asked), read_by(model.asked & ~model.indifferent)
-    fits = are_distributions(array, counts)
+    chances = array
+    if array.dtype.kind == "f":  # rounding leaves negative numbers
+        chances = np.where((array < 0) & (array >= -FLOAT_ROW_TOLERANCE), 0, array)
+    fits = are_distributions(chances, counts)
     wrong = counts & ~fits
     if kind == "auto" and not counts.any():  # it is asked at other values of a parameter
         wrong = ~fits & (offered.sum(axis=1) > 1)
@@ -172,7 +176,7 @@ def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
         return {"space": space, "actions": actions, **read}
     if wrong.any():
         raise no_distribution(array[wrong][0].tolist(), space.label(int(np.flatnonzero(wrong)[0])))
-    alone = ((array == 1).sum(axis=1) == 1) & ((array == 0).sum(axis=1) == array.shape[1] - 1)
+    alone = ((chances == 1).sum(axis=1) == 1) & ((chances == 0).sum(axis=1) == array.shape[1] - 1)
     mixed: Flags = counts & ~np.asarray(alone, dtype=bool)
     if kind == "auto" and costs and not mixed.any():  # a cost of 1 is not the least
         least = _greedy(array, offered, counts, names, costs=True)
@@ -183,12 +187,12 @@ def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
             where=f"policy, {space.label(int(np.flatnonzero(mixed)[0]))}",
             fix=SAY,
         )
-    floats = np.where(fits[:, None], array, 0).astype(np.float64)
-    lost = fits & ((floats == 0) & np.asarray(array != 0)).any(axis=1)
+    floats = np.where(fits[:, None], chances, 0).astype(np.float64)
+    lost = fits & ((floats == 0) & np.asarray(chances != 0)).any(axis=1)
     if (lost & counts).any():
         raise too_small(f"policy, {space.label(int(np.flatnonzero(lost & counts)[0]))}")
     table: Numbers = np.full(array.shape, np.nan, dtype=np.result_type(array, np.float64))
-    table[fits & ~lost] = array[fits & ~lost]
+    table[fits & ~lost] = chances[fits & ~lost]
     return {"space": space, "actions": actions, "rule": table, "source": PROBABILITIES}
 
 
