@@ -386,7 +386,7 @@ class Record:
         """Return (R,) what a column of marks says."""
         flags = column.map({v: FLAGS.get(str(v).strip().lower()) for v in column.unique()})
         what = f"{self.columns.get(name, name)} is neither true nor false"
-        self._refuse(flags.isna(), what, "write true or false, or 1 or 0")
+        self._refuse(flags.isna(), what, "write true or false, or 1 or 0; or leave the column out")
         return np.asarray(flags, dtype=bool)
 
     def _number(self, what: str, column: Series) -> Integers:
