@@ -22,12 +22,14 @@ def most_unpacked(packed: int) -> int:
     return min(LARGEST, max(LARGE, TIMES * packed))
 
 
-def refuse_size(size: int, most: int) -> None:
-    """Raise ModelError for data of more bytes than are read."""
+def refuse_size(size: int, most: int, *, table: bool = False) -> None:
+    """Raise ModelError for data of more bytes than are read, be it a table of a policy or not."""
     if size > most:
+        fix = "check that it is the right file"
+        more = ": a policy has a number for each state and action"
         raise ModelError(
             f"the data unpacks to {size:,} bytes, more than the {most:,} that are read",
-            fix="check that it is the right file, or save it again without compression",
+            fix=fix + (more if table else ", or save it again without compression"),
         )
 
 
@@ -69,7 +71,7 @@ def _arrays(file: BinaryIO, *, most: int, alone: str = "") -> dict[str, Numbers]
     """
     try:
         if alone and not zipfile.is_zipfile(file):
-            refuse_size(file.seek(0, io.SEEK_END), most)
+            refuse_size(file.seek(0, io.SEEK_END), most, table=True)
             file.seek(0)
             return {alone: _array(file.read())}
         with zipfile.ZipFile(file) as archive:
@@ -81,7 +83,8 @@ def _arrays(file: BinaryIO, *, most: int, alone: str = "") -> dict[str, Numbers]
                 )
             if alone:
                 members = {alone: members.get(alone, next(iter(members.values())))}
-            refuse_size(sum(each.file_size for each in members.values()), most)
+            size = sum(each.file_size for each in members.values())
+            refuse_size(size, most, table=bool(alone))
             return {name: _array(_content(archive, each)) for name, each in members.items()}
     except (ModelError, OSError):
         raise
