@@ -341,15 +341,15 @@ class Record:
 
     def _without(self, missing: Sequence[str], there: Sequence[str]) -> ModelError:
         """Return the error for columns that the table does not have."""
-        listed = ", ".join(repr(self.columns[name]) for name in missing)
-        what = f"there is no column {listed}" if len(missing) == 1 else f"no columns {listed}"
+        listed = " nor ".join(repr(self.columns[name]) for name in missing)
         shown = ", ".join(map(repr, there[:9])) + " …" * (len(there) > 9)
         sign = re.search("[;\t|]", there[0]) if len(there) == 1 else None
         if sign:
             fix = f"separate values by commas, or give pandas.read_csv(path, sep={sign[0]!r})"
         else:
             fix = "; ".join(self._advice(name, there) for name in missing)
-        return ModelError(f"{what} among {shown}", where=self.where, fix=fix)
+        what = f"there is no column {listed} among {shown}"
+        return ModelError(what, where=self.where, fix=fix)
 
     def _advice(self, name: str, there: Sequence[str]) -> str:
         """Return what to do about a column that the table does not have."""

@@ -274,13 +274,13 @@ NO_LOG: list[Any] = [  # log, columns, what is said, where, and how to put it ri
      "transitions, row 1"),
     (marked((1, "a", "x", 0, None), done=[False]), {}, "neither terminated nor truncated"),
     (marked(GOOD, terminated=["maybe"]), {}, "terminated is neither true nor false"),
-    (ONE.drop(columns=["state", "reward"]), {}, "no columns 'state', 'reward' among 'episode'"),
+    (ONE.drop(columns=["state", "reward"]), {}, "no column 'state' nor 'reward' among 'episode'"),
     (ONE.drop(columns="episode"), {}, "no column 'episode'", "transitions", "cumsum()"),
     (ONE.drop(columns="next_state"), {}, "no column 'next_state'", "transitions", "shift(-1)"),
     (ONE.rename(columns={"state": "State"}), {}, "'state'", "", "columns={'state': 'State'}"),
-    (HEAD.replace(",", ", ") + "1, a, x, 0, b\n", {}, "no columns 'state'", "", "skipinitialspace"),
-    (HEAD.replace(",", ";") + "1;a;x;0;b\n", {}, "no columns", "log.csv", "sep=';'"),
-    (HEAD.replace(",", "\t") + "1\ta\tx\t0\tb\n", {}, "no columns", "log.csv", "sep='\\t'"),
+    (HEAD.replace(",", ", ") + "1, a, x, 0, b\n", {}, "no column 'state' nor", "", "skipinit"),
+    (HEAD.replace(",", ";") + "1;a;x;0;b\n", {}, "no column", "log.csv", "sep=';'"),
+    (HEAD.replace(",", "\t") + "1\ta\tx\t0\tb\n", {}, "no column", "log.csv", "sep='\\t'"),
     (HEAD + "\0" * 2**21, {}, "a line has more than 1,048,576 characters"),
 ]  # fmt: skip
 
