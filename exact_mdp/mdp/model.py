@@ -205,10 +205,11 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         return SHOWN
 
     def __repr__(self) -> str:
+        asked = questions.direction(self)
         return (
             f"MDP({self.name or 'unnamed'}: {self.n_states} states, {self.n_actions} actions, "
             f"{self.n_pairs} pairs, {self.n_transitions} transitions, discount {self._rate}"
-            f"{', costs to minimise' if self.sense == 'min' else ''})"
+            f"{asked and f', {asked}'})"
         )
 
     def frame(self, states: object = None) -> DataFrame:

@@ -375,6 +375,14 @@ def unlimited(model: Parts, within: str) -> list[str]:
     ]
 
 
+def direction(model: Parts) -> str:
+    """Return in words what is least or greatest; nothing where rewards are maximised."""
+    if REACHED in model.space.extra:
+        best = "least" if model.sense == "min" else "greatest"
+        return f"{best} probability of reaching"
+    return "costs to minimise" if model.sense == "min" else ""
+
+
 def labelled(model: Parts, label: str) -> Flags:
     """Return the states (S,) of a label, if any; raises ModelError where the label is unknown.
 

@@ -23,6 +23,7 @@ import numpy as np
 
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.questions import direction
 from exact_mdp.mdp.report import Report
 from exact_mdp.mdp.result import ROWS_SHOWN, DataFrame, Pictured, data_frame, plain_report
 from exact_mdp.mdp.table import Floats, Integers
@@ -378,8 +379,10 @@ class Solution(Found, Pictured):
         return replace(self, mdp=mdp, value=0.0 - self.value)
 
     def __repr__(self) -> str:
+        asked = direction(self.mdp)
+        asked = asked and f" ({asked})"
         return (
-            f"{type(self).__name__}({self.method}: start value {self.start}, "
+            f"{type(self).__name__}({self.method}: start value {self.start}{asked}, "
             f"regret at most {self.regret_bound:.1g}, iterations: {self.iterations}, "
             f"{self.seconds:.3g} s; {self.status})"
         )

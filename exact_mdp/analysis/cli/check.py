@@ -173,7 +173,9 @@ def _write_junit(
         for each in audit.verdicts
     ]
     model = given.loaded.name
+    asked = {"question": given.in_words(), "sense": given.mdp.sense}
     values = {"model": model, "learned": name} | audit.measures
+    values |= {key: said for key, said in asked.items() if said is not None}
     values |= {"notice": ADVICE} if advice(given.loaded) else {}
     properties = {key: str(value) for key, value in values.items()}
     ci.write_junit(path, f"exact-mdp check {model}", cases, seconds=seconds, properties=properties)

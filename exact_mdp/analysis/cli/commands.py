@@ -49,7 +49,7 @@ choice is a distribution, and refuses it if its greedy policy would differ)."""
 SETS = ("sets", "discount")
 WORK = "Records and parallel work"
 OF_WORK = ("confidence", "by", "evidence", "n_jobs", "out")  # options that stand last
-QUESTION = ("reach", "until", "reward", "allowed", "minimize", "start")
+QUESTION = ("reach", "until", "reward", "allowed", "minimize", "maximize", "start")
 ASKED = (*QUESTION, *SETS)
 OF_POLICY = ("kind", "perception", "horizon")
 VARIED = ("parameters", "ranges", "relative", "policy")  # listed beside a command's own

@@ -26,14 +26,19 @@ from exact_mdp.solvers.solver import Criterion, is_average, require_no_horizon
 from exact_mdp.solvers.values.policy_chain import policy_of
 
 OF_CARE = "gymnasium:icu_sepsis"  # a model of care that is no scenario
-QUESTION = ("reach", "until", "reward", "allowed", "minimize", "start")
+QUESTION = ("reach", "until", "reward", "allowed", "minimize", "maximize", "start")
 
 
 def posed(mdp: MDP, *, asked: dict[str, Any]) -> MDP:
-    """Return the model whose optimal value answers what --reach, --until and others ask."""
+    """Return the model whose optimal value answers what --reach, --until and others ask.
+
+    A probability is the greatest one unless the least is asked for, even where rewards are costs.
+    """
     changes = {} if asked["start"] is None else {"start": asked["start"]}
     if asked["minimize"]:
         changes["sense"] = "min"
+    elif asked["maximize"] or asked["reach"] is not None:
+        changes["sense"] = "max"
     mdp = mdp.with_(**changes) if changes else mdp
     if asked["reach"] is not None:
         return mdp.reaching(asked["reach"], asked["allowed"])
@@ -69,15 +74,17 @@ class Given:
         The policy acts on a perceived status: a confusion matrix as .csv, or .toml with sensitivity
         and specificity, or labelled examples (.jsonl).
     reach : LABEL, optional
-        Ask for the probability of reaching a label.
+        Ask for the greatest probability of reaching a label; with --minimize, the least.
     until : LABEL, optional
-        Ask for the expected reward until a label.
+        Ask for the greatest expected reward until a label; of costs, the least.
     reward : NAME, optional
         The reward component that counts until then.
     allowed : LABEL, optional
         Reach it through states of this label only.
     minimize : bool
-        Minimise: rewards are costs.
+        Minimise: rewards are costs. Of a probability, ask for the least.
+    maximize : bool
+        Maximise, even where the model's rewards are costs.
     start : STATE, optional
         Start in this state, a number or a name.
     sets : KEY=VALUE
@@ -87,8 +94,9 @@ class Given:
 
     Keys
     ----
-    model: name of the model, or its file; sense: `max`, or `min` in a model of costs; question:
-    what `--reach` or `--until` asks, in words, or null; start: the state of `--start`, or null;
+    model: name of the model, or its file; sense: `min` where the least is asked for, as in a model
+    of costs, else `max`; question: what `--reach`, `--until`, `--minimize` or `--maximize` asks, in
+    words, or null; start: the state of `--start`, or null;
     criterion: `total` reward, or `average` reward per step; read_as: how an array was read, as `q`
     or `policy`; policy: the name of the policy given, or the policy of the answer (by status at
     subtask 0 and trial 0 in scenarios, with probabilities if it is mixed); perception: the file of
@@ -118,6 +126,7 @@ class Given:
     reward: str | None = None
     allowed: str | None = None
     minimize: bool = False
+    maximize: bool = False
     start: str | None = None
     sets: Sequence[str] = ()
     discount: str | None = None
@@ -126,6 +135,9 @@ class Given:
         if self.reach is not None and self.until is not None:
             fix = "leave out --until, or --reach"
             raise ModelError("--reach and --until ask two questions", where="--until", fix=fix)
+        if self.minimize and self.maximize:
+            fix = "leave out --maximize, or --minimize"
+            raise ModelError("--minimize and --maximize contradict", where="--maximize", fix=fix)
         for needy, value, needed, fix in (
             ("--allowed", self.allowed, self.reach, "give --reach LABEL"),
             ("--reward", self.reward, self.until, "give --until LABEL"),
@@ -198,22 +210,32 @@ class Given:
         return replace(seeing.perceived(self.mdp, policy, matrix), source=policy.source)
 
     def in_words(self) -> str | None:
-        """Return the question in words; None for the total reward."""
-        best = "least" if self.minimize else "greatest"
+        """Return the question in words; None where no option asks one."""
+        best = "least" if self.asked.sense == "min" else "greatest"
         if self.reach is not None:
             through = f" through {self.allowed}" if self.allowed else ""
             return f"{best} probability of reaching {self.reach}{through}"
+        costs = self.minimize or self.loaded.mdp.sense == "min"
         if self.until is not None:
-            return f"{best} expected {self.reward or 'reward'} until {self.until}"
-        return "least expected costs" if self.minimize else None
+            earned = self.reward or ("cost" if costs else "reward")
+            return f"{best} expected {earned} until {self.until}"
+        if not (self.minimize or self.maximize):
+            return None
+        if is_average(self.criterion):
+            return f"{best} {'cost' if costs else 'reward'} per step in the long run"
+        return f"{best} expected {'costs' if costs else 'rewards'}"
+
+    def _sense(self) -> Shown:
+        """Return the sense; people read it where costs count, which nothing else may say."""
+        costs = self.mdp.sense == "min" and self.reach is None
+        return Shown(self.mdp.sense, "min: costs are minimised" if costs else None)
 
     @cached_property
     def head(self) -> dict[str, Any]:
         """How a report begins; what a policy was read as comes first."""
         has, head = self.has, dict[str, Any](model=self.loaded.name)
         if "start" in has:
-            sense = Shown(self.mdp.sense)
-            head |= {"sense": sense, "question": self.in_words(), "start": self.start}
+            head |= {"sense": self._sense(), "question": self.in_words(), "start": self.start}
         if "criterion" in has:
             average = "reward per step" if is_average(self.criterion) else None
             head["criterion"] = Shown(self.criterion, average)

@@ -25,7 +25,7 @@ from exact_mdp.analysis.gate.regret import Regret, ends
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, ReadAs
-from exact_mdp.mdp.questions import unlimited
+from exact_mdp.mdp.questions import direction, unlimited
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, shown
@@ -323,7 +323,9 @@ class Audit(Pictured):
         space = self.mdp.space
         steps = "" if space.untimed is None else f", horizon {space.columns[0].size - 1}"
         read = self.policy.source or "a policy"
-        return f"read as {read}, {self.criterion.sums}{steps}, start {self.begins}"
+        asked = direction(self.mdp)
+        sums = self.criterion.sums + (asked and f", {asked}")
+        return f"read as {read}, {sums}{steps}, start {self.begins}"
 
     def __repr__(self) -> str:
         return f"Audit({self.question}; {self._outcome})"

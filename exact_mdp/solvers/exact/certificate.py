@@ -183,12 +183,13 @@ class Certificate(Proof, Pictured):
     kinds: ClassVar[tuple[str, ...]] = ("total", "average")
 
     def __repr__(self) -> str:
+        best = "least " if self.sense == "min" else ""
         if self.kind == "average":
-            return f"Certificate({len(self.policy)} states, gain at the start {self.start})"
+            return f"Certificate({len(self.policy)} states, {best}gain at the start {self.start})"
         unique = "the only optimal policy" if self.unique else "not the only optimal policy"
         return (
             f"Certificate({len(self.policy)} states, "
-            f"start value ≈ {in_float(self.start_value):.12g}, {unique})"
+            f"{best}start value ≈ {in_float(self.start_value):.12g}, {unique})"
         )
 
     @property

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from cli_runner import run
 
-from exact_mdp import MDP
+from exact_mdp import MDP, certify, check, solve
 
 # From `here`, walk gets home with chance 1/2 and else stays, at cost 1; fly is home at once, at
 # cost 3; swim costs 5 and drowns with chance 1/4. Home and the sea end it.
@@ -90,6 +90,71 @@ def test_every_question_has_the_answer_worked_out_by_hand(
     assert result["sense"] == ("min" if "--minimize" in words else "max")
     if policy:
         assert result["policy_by_state"]["here"] == policy
+
+
+# ---- costs ---------------------------------------------------------------------------------------
+
+# To wait costs 1 and stays; to walk costs 3 and arrives with chance 1/2.
+COSTS = MDP.from_outcomes(
+    [(0, 0, [(1, 0, 1)]), (0, 1, [("1/2", 1, 3), ("1/2", 0, 3)]), (1, 0, [(1, 1, 0)])],
+    sense="min",
+    labels={"goal": [1]},
+    actions=["wait", "walk"],
+)
+
+
+@pytest.mark.parametrize(
+    ("words", "question", "sense", "value"),
+    [
+        (["--reach", "goal"], "greatest probability of reaching goal", "max", 1),
+        (["--reach", "goal", "--maximize"], "greatest probability of reaching goal", "max", 1),
+        (["--reach", "goal", "--minimize"], "least probability of reaching goal", "min", 0),
+        (["--until", "goal"], "least expected cost until goal", "min", 6),
+        (["--until", "goal", "--maximize"], "greatest expected cost until goal", "max", "inf"),
+        (["--discount", "1/2"], None, "min", 2),
+        (["--discount", "1/2", "--maximize"], "greatest expected costs", "max", 4),
+        (["--criterion", "average", "--minimize"], "least cost per step in the long run", "min", 0),
+    ],
+)
+def test_the_question_says_what_is_computed_of_costs(
+    words: list[str], question: str | None, sense: str, value: float | str, tmp_path: Path
+) -> None:
+    """The direction of a probability never follows the sense of the rewards."""
+    model = str(tmp_path / "costs.npz")
+    COSTS.save(model)
+    result = run("solve", model, "--json", *words).result
+    assert (result["question"], result["sense"]) == (question, sense)
+    assert result["start_value"] == pytest.approx(value)
+    for form in ([], ["--markdown"]):
+        said = run("solve", model, *words, *form).out
+        assert question is None or question in said
+        assert ("costs are minimised" in said) is (sense == "min" and "--reach" not in words)
+
+
+def test_a_check_of_costs_passes_who_arrives(tmp_path: Path) -> None:
+    """The page and the JUnit report say what was asked, too."""
+    model, page, junit = (str(tmp_path / name) for name in ("c.npz", "c.html", "c.xml"))
+    COSTS.save(model)
+    reach = ("--reach", "goal", "--html", page, "--junit", junit)
+    assert run("check", model, "always:wait", *reach).status == 1
+    assert run("check", model, "always:walk", *reach).status == 0
+    for path in (page, junit):
+        assert "greatest probability of reaching goal" in Path(path).read_text("utf-8")
+    for command in ("evaluate {} always:walk", "returns {} always:walk", "tornado {}"):
+        result = run(command.format(model), "--json", *reach[:2]).result
+        assert result["question"] == "greatest probability of reaching goal"
+    both = run("solve", model, "--minimize", "--maximize").refusal()
+    assert "contradict" in both
+
+
+def test_in_python_the_text_says_which_probability() -> None:
+    least, greatest = COSTS.reaching("goal"), COSTS.with_(sense="max").reaching("goal")
+    for result in (least, solve(least), check(least, "always:wait").question):
+        assert "least probability of reaching" in str(result)
+    for result in (greatest, solve(greatest), check(greatest, "always:walk").question):
+        assert "greatest probability of reaching" in str(result)
+    assert "least start value" in str(certify(least))
+    assert "costs to minimise" in check(COSTS.with_(discount="1/2"), "always:walk").question
 
 
 # ---- sensitivity ---------------------------------------------------------------------------------

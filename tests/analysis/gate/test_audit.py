@@ -258,9 +258,9 @@ def test_an_audit_says_what_it_compares_and_what_is_lost() -> None:
     mdp = MDP.from_arrays(chances, rewards, layout="ass", components={"c": [[1, 2], [0, 0]]})
     costs = mdp.with_(sense="min")
     for model, policy, best, own in ((mdp, [0, 0], 3, 1), (costs, [1, 0], 1, 3)):
-        audit = check(model, policy)
+        audit, aim = check(model, policy), ", costs to minimise" * (model is costs)
         assert audit.message().splitlines()[::2] == [
-            "read as a policy, discount 1, start state 0",
+            f"read as a policy, discount 1{aim}, start state 0",
             f"optimal value {best}, learned {own}; not optimal in 1 of 1 states with a choice",
         ]
         assert audit.regret.optimal_value.tolist() == [best, 0]
