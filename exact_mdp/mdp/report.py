@@ -49,7 +49,7 @@ class Shown:
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """How people see rows: of a table or of mappings, those of the fact of the same key by default.
+    """How people see rows: of a table or of mappings; None for those of the fact of the same key.
 
     `columns` are {heading: "key" or "key:format"}, with a format as Python's `format` takes it
     (".4g", ".1%") and possibly a sign before it ("± .2g"). The `first` rows are shown, and the
@@ -58,7 +58,7 @@ class Table:
 
     title: str
     columns: Mapping[str, str]
-    rows: Any = ()
+    rows: Any = None
     first: int = SHOWN
     note: str = ""
     count: int = 0  # rows that there are, where `rows` are only the first
@@ -127,7 +127,7 @@ class Report:
             if key not in self.tables and _is_table(value):
                 tables.append(_table(key.replace("_", " "), value))
         for key, table in self.tables.items():
-            rows = table.rows if len(table.rows) else self.facts.get(key, ())
+            rows = self.facts.get(key) if table.rows is None else table.rows
             rows = rows.value if isinstance(rows, Shown) else rows
             if rows is not None and len(rows):
                 rows = _rows(rows) if isinstance(rows, Mapping) else rows

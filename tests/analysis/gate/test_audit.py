@@ -316,3 +316,14 @@ def test_an_action_that_only_a_policy_without_gain_uses_for_ever_is_to_blame() -
     rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, 0)]), (1, 1, [(1, 2, -1)])]
     audit = check(MDP.from_outcomes([*rows, (2, 0, [(1, 0, 1)])]), [1, 1, 0])
     assert [(each.state, each.cost) for each in audit.disagreements] == [(1, 1 / 3)]
+
+
+def test_a_passing_audit_has_no_table_of_what_is_wrong() -> None:
+    """What is wrong only in states that are never visited is counted, and fills no table."""
+    rows = [(0, 0, [(1, 1, 1)]), (1, 0, [(1, 1, 0)]), (2, 0, [(1, 1, 0)]), (2, 1, [(1, 1, 1)])]
+    audit = check(MDP.from_outcomes(rows), [0, 0, 0])
+    assert audit.passed
+    assert len(audit.disagreements) == 1
+    report = audit.report()
+    assert report.shown_tables() == []
+    assert "costliest" not in report.html(10)
