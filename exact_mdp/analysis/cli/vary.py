@@ -228,7 +228,8 @@ def psa(
     ----
     Of PSA.
     draws: number of draws; drawn: distribution of each parameter that is drawn; fixed: why each
-    other parameter is not drawn; effective_sample_size: observations behind each probability;
+    other parameter is not drawn; assumed: those of which no distribution is stated;
+    effective_sample_size: observations behind each probability;
     value: optimal value over the draws; regret: regret of the policy held fixed, over the draws;
     acceptability: probability that the fixed policy loses at most each tolerance; candidates: the
     policies that were optimal in some draw; p_optimal: how often each action is optimal, status by

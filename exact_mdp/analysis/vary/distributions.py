@@ -51,7 +51,15 @@ from numpy.random import SeedSequence
 
 from exact_mdp.analysis.vary.ranges import entries, is_probability, unit_of
 from exact_mdp.analysis.vary.study import checked
-from exact_mdp.mdp.errors import ModelError, check_names, known, listed, located, once_each
+from exact_mdp.mdp.errors import (
+    ModelError,
+    check_names,
+    known,
+    listed,
+    located,
+    once_each,
+    suggest,
+)
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.model import MDP
@@ -152,6 +160,18 @@ EVERY = (*KINDS, "dirichlet")
 MOMENTS = ("mean", "sd", SPREAD, SIZE)
 NUMBERS = {*MOMENTS, *(name for kind in KINDS.values() for name in kind.own)}
 SETTINGS = (*sorted(NUMBERS), "distribution", "fixed")
+ELSEWHERE = {  # settings and distributions by other names, and what says the same here
+    "se": "state sd: the standard error of an estimate is the sd of what is drawn",
+    "sem": "state sd: the standard error of an estimate is the sd of what is drawn",
+    "std": "state sd",
+    "variance": "state sd, its square root",
+    "rate": "state scale, which is 1/rate",
+    "n": f"state {SIZE}",
+    "multinomial": 'the probabilities of a row are a "dirichlet"',
+    "binomial": 'a probability is a "beta"',
+    "bernoulli": 'a probability is a "beta"',
+    "exponential": 'state a "gamma" of shape 1',
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -309,12 +329,15 @@ class Uncertainty(Brief):
         One's own draws, in the order of `names`.
     default : float
         Effective sample size of probabilities of which nothing is stated.
+    assumed : tuple of str
+        Labels of the parts of which nothing is stated, which rest on that size.
     """
 
     parts: tuple[Uncertain, ...]
     fixed: Mapping[str, str]  # why, by the parameter's name
     sample: Floats | None = None  # (D, Q) one's own draws, in the order of `names`
     default: float = EFFECTIVE_SAMPLE_SIZE
+    assumed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_names(self.names, "drawn parameter", where="uncertainty")
@@ -323,6 +346,16 @@ class Uncertainty(Brief):
     def names(self) -> tuple[str, ...]:
         """The Q parameters that are drawn, in the order of the draws' columns."""
         return tuple(name for part in self.parts for name in part.names)
+
+    @property
+    def assumption(self) -> str:
+        """What is assumed of the parts of which nothing is stated; empty where there are none."""
+        if not self.assumed:
+            return ""
+        return (
+            f"{len(self.assumed):,} of {len(self.parts):,} distributions are not stated, and rest "
+            f"on {self.default:g} observations each"
+        )
 
     def draw(self, sequence: SeedSequence, count: int) -> Floats:
         """Return (count, Q) draws."""
@@ -401,7 +434,7 @@ def uncertainty(
         )
     asked = [*parameters] if names is None else listed(names, "names")
     chosen = {each for name in asked for each in rows.get(name) or [parameter_of(model, name).name]}
-    parts, fixed = list[Uncertain](), dict[str, str]()
+    parts, fixed, assumed = list[Uncertain](), dict[str, str](), list[str]()
     for label in dict.fromkeys(label_of.get(name, name) for name in parameters):
         members = rows.get(label, (label,))
         some = [name for name in members if name in chosen]
@@ -420,9 +453,11 @@ def uncertainty(
             part = _alone(parameters[label], settings, size)
         if isinstance(part, str):
             fixed |= dict.fromkeys(members, part)
-        else:
-            parts.append(part)
-    return Uncertainty(parts=tuple(parts), fixed=fixed, default=size)
+            continue
+        parts.append(part)
+        if not set(settings) - {"distribution"}:
+            assumed.append(label)
+    return Uncertainty(parts=tuple(parts), fixed=fixed, default=size, assumed=tuple(assumed))
 
 
 def _of_sample(model: Parametric, frame: Any) -> Uncertainty:
@@ -513,13 +548,19 @@ def _checked(name: str, settings: object) -> Settings:
         fix += SAMPLE
         raise ModelError(f"{settings!r:.60} is stated", where=where, fix=fix)
     for key in settings:
-        known(key, SETTINGS, "setting", where)
+        if key not in SETTINGS:
+            near = suggest(str(key), SETTINGS)
+            every = f"choose one of {', '.join(SETTINGS)}"
+            fix = ELSEWHERE.get(str(key), near if near.startswith("did you") else every)
+            raise ModelError(f"unknown setting {key!r}", where=where, fix=fix)
     fixed, kind = settings.get("fixed", False), settings.get("distribution", "normal")
     if not isinstance(fixed, bool):
         fix = "write fixed = true, or leave it out"
         raise ModelError(f"fixed is {fixed!r}", where=where, fix=fix)
     if fixed and len(settings) > 1:
         raise ModelError("fixed, and a distribution", where=where, fix="state one of the two")
+    if isinstance(kind, str) and kind in ELSEWHERE:
+        raise ModelError(f"unknown distribution {kind!r}", where=where, fix=ELSEWHERE[kind])
     known(kind, EVERY, "distribution", where)
     return settings
 

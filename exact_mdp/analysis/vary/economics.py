@@ -10,8 +10,10 @@ are expected totals of two components of the reward. At a willingness to pay λ 
     ICER   = (C₂ - C₁) / (E₂ - E₁)                    of neighbours on the efficient frontier
 
 (Fenwick, Claxton and Sculpher, Health Economics 10, 2001). A strategy is *dominated* if another
-costs no more and has no less effect, *extendedly dominated* if a mixture of two others does. Which
-policies are efficient among all, `tradeoff` says: the rates between neighbours are their ICERs.
+costs no more and has no less effect, *extendedly dominated* if a mixture of two others does. Two
+strategies are equal in cost, in effect or in net benefit where these differ by no more than the
+bounds on their errors. Which policies are efficient among all, `tradeoff` says: the rates between
+neighbours are their ICERs.
 """
 
 from __future__ import annotations
@@ -31,22 +33,28 @@ from exact_mdp.analysis.vary.study import ModelSolver
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, known
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric import Parametric
+from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.report import Report
+from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame, framed
 from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import RNG, seed_of
+from exact_mdp.solvers.bounds.gains import SLACK, UNIT
 from exact_mdp.solvers.solution import Claim
 
+EFFICIENT, EQUAL = "efficient", "equal to {}"
 DOMINATED, EXTENDED = "dominated", "extendedly dominated"
 STEP = ("incremental cost", "incremental effect", "ICER")
 WTP = "willingness to pay"
+BASE = "held in the base case"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class CostEffectiveness(Pictured):
-    """Expected `effect` and `cost` (D, N) of every strategy in every draw (D, Q)."""
+    """Expected `effect` and `cost` (D, N) of every strategy in every draw (D, Q).
+
+    `effect_error` and `cost_error` bound their errors; numbers from elsewhere are taken as exact.
+    """
 
     strategies: tuple[str, ...]
     uncertainty: Uncertainty
@@ -55,39 +63,80 @@ class CostEffectiveness(Pictured):
     cost: Floats
     components: tuple[str, str]  # names of effect and cost
     seed: int
+    effect_error: Floats | float = 0.0  # (D, N)
+    cost_error: Floats | float = 0.0
 
     claim = Claim.ESTIMATED
 
+    @property
+    def base_case(self) -> bool:
+        """Whether nothing is drawn: the numbers are those of today's values."""
+        return not self.uncertainty.parts
+
     def __repr__(self) -> str:
-        return f"CostEffectiveness({', '.join(self.strategies)}; draws {len(self.draws):,})"
+        what = "the base case" if self.base_case else f"draws {len(self.draws):,}"
+        assumed = self.uncertainty.assumption
+        return (
+            f"CostEffectiveness({', '.join(self.strategies)}; {what}{assumed and f'; {assumed}'})"
+        )
 
     def net_benefit(self, wtp: ArrayLike) -> Floats:
         """Return (D, N) λ E - C at a willingness to pay for a unit of effect; at W, (W, D, N)."""
         return np.multiply.outer(_prices(wtp), self.effect) - self.cost
 
+    def _error(self, wtp: ArrayLike) -> Floats:
+        """Return bounds on the errors of net benefits, of the shape that `net_benefit` has."""
+        price = np.abs(_prices(wtp))
+        error = np.multiply.outer(price, self.effect_error + 4 * UNIT * np.abs(self.effect))
+        return np.asarray((error + self.cost_error + 4 * UNIT * np.abs(self.cost)) * SLACK)
+
     def acceptability(self, wtp: ArrayLike) -> Floats:
         """Return (W, N) shares of draws in which a strategy is the best; equals share a draw."""
-        values = self.net_benefit(np.atleast_1d(_prices(wtp)))
-        best = values == values.max(axis=2, keepdims=True)
+        prices = np.atleast_1d(_prices(wtp))
+        values, error = self.net_benefit(prices), self._error(prices)
+        most = values.argmax(axis=2)[:, :, None]
+        behind = np.take_along_axis(values, most, 2) - values
+        best = behind <= np.take_along_axis(error, most, 2) + error
         return np.asarray((best / best.sum(axis=2, keepdims=True)).mean(axis=1))
 
     def frontier(self, wtp: ArrayLike) -> list[tuple[str, float]]:
-        """Return the best strategy on average, and the share of draws in which it is the best."""
-        best = self.net_benefit(np.atleast_1d(_prices(wtp))).mean(axis=1).argmax(axis=1)
-        shares = self.acceptability(wtp)[np.arange(len(best)), best]
-        names = [self.strategies[n] for n in best.tolist()]
+        """Return the best strategy on average, and the share of draws in which it is the best.
+
+        Of equals, the first that was named.
+        """
+        prices = np.atleast_1d(_prices(wtp))
+        best = [self._best(price) for price in prices.tolist()]
+        shares = self.acceptability(prices)[np.arange(len(best)), best]
+        names = [self.strategies[n] for n in best]
         return list(zip(names, shares.tolist(), strict=True))
+
+    def _best(self, wtp: float) -> int:
+        """Return the strategy with the greatest mean net benefit; of equals, the first."""
+        means = _Means.of(self.net_benefit(wtp), self._error(wtp))
+        most = int(means.value.argmax())
+        return next(n for n in range(len(self.strategies)) if means.sign(n, most) == 0)
+
+    def _settled(self, wtp: float) -> Floats:
+        """Return net benefits (D, N), those equal to the best strategy's on average made the same.
+
+        No value of information then comes of rounding.
+        """
+        value, error, best = self.net_benefit(wtp), self._error(wtp), self._best(wtp)
+        own = value[:, best : best + 1]
+        return np.where(np.abs(value - own) <= error + error[:, best : best + 1], own, value)
 
     def evpi(self, wtp: ArrayLike) -> Any:
         """Return what knowing all parameters first would be worth; a list for several `wtp`."""
-        values = self.net_benefit(wtp)
-        return evpi(values) if values.ndim == 2 else [evpi(each) for each in values]
+        prices = _prices(wtp)
+        if prices.ndim == 0:
+            return evpi(self._settled(float(prices)))
+        return [evpi(self._settled(each)) for each in prices.tolist()]
 
     def evppi(
         self, wtp: float, groups: Mapping[str, Sequence[str]] | None = None
     ) -> dict[str, PartialInformation]:
         """Return what knowing groups of parameters would be worth; those of `PSA` unless given."""
-        value = self.net_benefit(price(wtp))
+        value = self._settled(price(wtp))
         return {
             label: evppi(value, self.draws[:, columns], names)
             for label, names, columns in groups_of(self.uncertainty, groups)
@@ -97,40 +146,54 @@ class CostEffectiveness(Pictured):
         """Return mean cost and effect of every strategy, the cheapest first, and its ICER.
 
         Each is compared with the one before it on the efficient frontier; a strategy that is not on
-        the frontier has no ICER, and `status` says why.
+        the frontier has no ICER, and `status` says why: it is dominated, extendedly dominated, or
+        equal to one that was named before it.
         """
+        cost = _Means.of(self.cost, self.cost_error)
+        effect = _Means.of(self.effect, self.effect_error)
+        status = _statuses(cost, effect, self.strategies)
         rows = data_frame(
             {
                 "strategy": self.strategies,
-                "cost": self.cost.mean(axis=0),
-                "effect": self.effect.mean(axis=0),
+                "cost": cost.value,
+                "effect": effect.value,
+                **dict.fromkeys(STEP, np.nan),
+                "status": status,
             }
         )
-        rows = rows.sort_values(["cost", "effect"], ascending=[True, False], ignore_index=True)
-        rows = rows.assign(**dict.fromkeys(STEP, np.nan), status="efficient")
-        efficient = list[int]()
-
-        def step(one: int, other: int) -> list[float]:
-            more, gained = (rows.loc[other, k] - rows.loc[one, k] for k in ("cost", "effect"))
-            return [more, gained, more / gained]
-
-        for n in rows.index:
-            if efficient and rows.effect[n] <= rows.effect[efficient[-1]]:
-                rows.loc[n, "status"] = DOMINATED
-                continue
-            while len(efficient) > 1 and step(*efficient[-2:])[2] >= step(efficient[-1], n)[2]:
-                rows.loc[efficient.pop(), "status"] = EXTENDED
-            efficient.append(n)
+        efficient = [n for n, said in enumerate(status) if said == EFFICIENT]
+        efficient.sort(key=lambda n: float(cost.value[n]))
         for one, other in pairwise(efficient):
-            rows.loc[other, list(STEP)] = step(one, other)
-        return rows
+            more, gained = cost.difference(other, one)[0], effect.difference(other, one)[0]
+            rows.loc[other, list(STEP)] = [more, gained, more / gained]
+        return rows.sort_values(["cost", "effect"], ascending=[True, False], ignore_index=True)
 
     def report(self) -> Report:
         """Return cost, effect and ICER of every strategy, and its chance to be the best."""
-        chances = framed(self.frame(self.grid(11)), "shares of draws in which each is the best")
-        strategies = framed(self.icers(), "strategies, the cheapest first")
+        rows, grid = self.icers(), self.grid(11)
+        chances = framed(self.frame(grid), "shares of draws in which each is the best")
+        strategies = framed(rows, "strategies, the cheapest first")
+        drawn = {part.label: part.kind for part in self.uncertainty.parts}
+        count, assumed = len(self.draws), self.uncertainty
+        facts = {
+            "claim": self.claim,
+            "draws": Shown(count, "none: the base case" if self.base_case else count),
+            "seed": Shown(self.seed, None if self.base_case else self.seed),
+            "effect": self.components[0],
+            "cost": self.components[1],
+            "drawn": Shown(drawn, f"{len(drawn)} distributions" if drawn else None),
+            "fixed": Shown(assumed.fixed),
+            "assumed": Shown(assumed.assumed, assumed.assumption or None),
+            "strategies": Shown(list(self.strategies)),
+            "icers": Shown(rows.to_dict("records")),
+            "willingness_to_pay": Shown(grid),
+            "acceptability": Shown(
+                dict(zip(self.strategies, self.acceptability(grid).T, strict=True))
+            ),
+            "evpi": Shown([each.value for each in self.evpi(grid)]),
+        }
         tables = {"strategies": strategies, "chances": chances}
-        return Report(title=repr(self), facts={}, tables=tables)
+        return Report(title=repr(self), facts=facts, tables=tables)
 
     def frame(self, wtp: ArrayLike | None = None) -> DataFrame:
         """Return one row for each willingness to pay: CEAC, frontier, EVPI."""
@@ -148,6 +211,61 @@ class CostEffectiveness(Pictured):
         """Return numbers from 0 to twice the largest ICER, to draw curves over."""
         most = float(np.nanmax(np.append(self.icers()["ICER"].to_numpy(dtype=float), 0.0)))
         return np.linspace(0, 2 * most or 1.0, count)
+
+
+@dataclass(frozen=True)
+class _Means:
+    """Means (N,) over the draws, and bounds on their errors."""
+
+    value: Floats
+    error: Floats
+
+    @classmethod
+    def of(cls, numbers: Floats, error: Floats | float) -> _Means:
+        """Return the means of numbers (D, N); adding them up rounds, too."""
+        rounding = (len(numbers) + 4) * UNIT * np.abs(numbers).mean(axis=0)
+        return cls(numbers.mean(axis=0), rounding + np.mean(error, axis=0) * SLACK)
+
+    def difference(self, one: int, other: int) -> tuple[float, float]:
+        """Return by how much one is greater than the other, and a bound on the error of that."""
+        apart = float(self.value[one] - self.value[other])
+        return apart, float(self.error[[one, other]].sum() + UNIT * abs(apart)) * SLACK
+
+    def sign(self, one: int, other: int) -> int:
+        """Return -1, 0 or 1: whether one is less than the other, equal to it or greater."""
+        apart, error = self.difference(one, other)
+        return 0 if abs(apart) <= error else 1 if apart > 0 else -1
+
+
+def _statuses(cost: _Means, effect: _Means, names: Sequence[str]) -> list[str]:
+    """Return why each strategy is on the efficient frontier, or is not."""
+    status = [EFFICIENT] * len(names)
+    kept = list[int]()
+    for n, _ in enumerate(names):
+        alike = (m for m in kept if cost.sign(n, m) == 0 == effect.sign(n, m))
+        if (other := next(alike, None)) is None:
+            kept.append(n)
+        else:
+            status[n] = EQUAL.format(names[other])
+    for n in kept:
+        if any(m != n and cost.sign(m, n) <= 0 <= effect.sign(m, n) for m in kept):
+            status[n] = DOMINATED
+    frontier = list[int]()
+    left = [n for n in kept if status[n] == EFFICIENT]
+    for n in sorted(left, key=lambda n: float(cost.value[n])):
+        while len(frontier) > 1 and not _bends(cost, effect, frontier[-2], frontier[-1], n):
+            status[frontier.pop()] = EXTENDED
+        frontier.append(n)
+    return status
+
+
+def _bends(cost: _Means, effect: _Means, first: int, middle: int, last: int) -> bool:
+    """Return whether the ICER from first to middle is below that from middle to last for sure."""
+    (c1, dc1), (e1, de1) = cost.difference(middle, first), effect.difference(middle, first)
+    (c2, dc2), (e2, de2) = cost.difference(last, middle), effect.difference(last, middle)
+    apart = c2 * e1 - c1 * e2
+    error = abs(c2) * de1 + (abs(e1) + de1) * dc2 + abs(c1) * de2 + (abs(e2) + de2) * dc1
+    return apart > (error + 4 * UNIT * (abs(c2 * e1) + abs(c1 * e2))) * SLACK
 
 
 def _prices(wtp: ArrayLike) -> Floats:
@@ -187,12 +305,14 @@ def cost_effectiveness(
     strategies : {name: PolicyLike}
         Policies that are held fixed; "optimal" is the optimum at today's values.
     n : int, optional
-        Draws; of a sample of one's own its first n rows, all unless given.
+        Draws; of a sample of one's own its first n rows, all unless given. Without `n` and without
+        `uncertain` nothing is drawn: the base case, of today's values.
     effect, cost : str
         Names of components; of costs, more is worse.
     rng : int or numpy.random.Generator
     uncertain : {name: settings}, pandas.DataFrame, file or Uncertainty, optional
-        As for `psa`. A table of one row, today's values, is the base case.
+        As for `psa`. Of probabilities of which nothing is stated, the text of the result says
+        on how many observations they are assumed to rest.
 
     Returns
     -------
@@ -212,13 +332,20 @@ def cost_effectiveness(
     >>> analysis.frontier([4, 10])
     [('wait', 1.0), ('treat', 1.0)]
     """
-    family, seed = drawn_family(model), seed_of(rng)
+    seed = seed_of(rng)
     if not isinstance(strategies, Mapping) or not strategies:
         what = "no strategy" if isinstance(strategies, Mapping) else "strategies without names"
         raise ModelError(what, where="strategies", fix="give {name: policy}, at least one")
-    chosen = uncertainty(family, uncertain)
-    solver = ModelSolver(family, chosen.names)
-    draws = drawn(family, chosen, n, seed, solver.block)
+    family: Parametric
+    if n is None and uncertain is None:
+        family = parametric(model)
+        chosen = Uncertainty(parts=(), fixed={p.name: BASE for p in family.parameters})
+        solver, draws = ModelSolver(family, ()), np.empty((1, 0))
+    else:
+        family = drawn_family(model)
+        chosen = uncertainty(family, uncertain)
+        solver = ModelSolver(family, chosen.names)
+        draws = drawn(family, chosen, n, seed, solver.block)
     for name in (effect, cost):
         known(name, solver.mdp.component_names, "component", "cost-effectiveness")
     weights = [solver.held(policy) for policy in strategies.values()]
@@ -226,13 +353,15 @@ def cost_effectiveness(
         solver.totals(draws[first : first + solver.block], weights, (effect, cost), first)
         for first in range(0, len(draws), solver.block)
     ]
-    effects, costs = np.moveaxis(np.concatenate(every), 2, 0)
+    totals, errors = (np.concatenate(each) for each in zip(*every, strict=True))
     return CostEffectiveness(
         strategies=tuple(strategies),
         uncertainty=chosen,
         draws=draws,
-        effect=effects,
-        cost=costs,
+        effect=totals[:, :, 0],
+        cost=totals[:, :, 1],
         components=(effect, cost),
         seed=seed,
+        effect_error=errors[:, :, 0],
+        cost_error=errors[:, :, 1],
     )

@@ -94,9 +94,11 @@ class PSA(Pictured):
         return len(self.table.optimal)
 
     def __repr__(self) -> str:
+        assumed = self.uncertainty.assumption
         return (
             f"PSA({', '.join(self.names[:3])}; draws {len(self):,}; optimum on average "
-            f"{self.value}, expected loss of {self.candidates[0].name} {mean_loss(self.regret())})"
+            f"{self.value}, expected loss of {self.candidates[0].name} {mean_loss(self.regret())}"
+            f"{assumed and f'; {assumed}'})"
         )
 
     @property
@@ -221,6 +223,7 @@ class PSA(Pictured):
                 "seed": self.seed,
                 "drawn": Shown(drawn, f"{len(drawn)} parameter{'s' * (len(drawn) != 1)}"),
                 "fixed": Shown(self.uncertainty.fixed, len(self.uncertainty.fixed) or None),
+                "assumed": Shown(self.uncertainty.assumed, self.uncertainty.assumption or None),
                 "clipped": self.clipped,
                 "value": _spread(self.table.optimal, self.value),
                 "regret": _spread(regret, losses[0]),
@@ -333,8 +336,8 @@ def drawn(family: Parametric, chosen: Uncertainty, n: int | None, seed: int, blo
         raise ModelError(
             "no parameter is uncertain",
             where=place_of(family),
-            fix="state what is drawn; for the base case give today's values as a table of one "
-            "row: uncertain=pandas.DataFrame([{NAME: number}])",
+            fix="state what is drawn (uncertain=); of today's values alone there is nothing to "
+            "draw: cost_effectiveness without n is the base case",
         )
     sample = chosen.sample
     if n is None and sample is None:

@@ -34,7 +34,7 @@ from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import Floats, Integers, Numbers, exact
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.batch import Batch
-from exact_mdp.solvers.bounds.gains import gains
+from exact_mdp.solvers.bounds.gains import component_errors, gains
 from exact_mdp.solvers.care import MOST_ACTIONS, MOST_STATUSES, optimal, policy_values
 from exact_mdp.solvers.parallel import Arrays, How, folder_of, joined, many
 from exact_mdp.solvers.solution import Bounded, Solution, regrets
@@ -307,31 +307,49 @@ class _Built:
 
         Raises ModelError where it matters in a model what is done in the `undecided` states (S,).
         """
-        if undecided.any():
-            for d, mdp in enumerate(self.models):
-                PolicyChain.of(mdp, weights).require_said(undecided, self.at(d))
+        self._require_said(weights, undecided)
         if self.batch is not None:
             mean, error = self.batch.of_policy(weights)
             return 0.0 + self.sign * mean, error
         every = [finite_worth(mdp, weights, self.at(d)) for d, mdp in enumerate(self.models)]
         return np.array([x.value for x in every]), np.array([x.error for x in every])
 
-    def totals(self, weights: Floats, names: Sequence[str], undecided: Flags) -> Floats:
-        """Return (D, C) the expected totals of some components under a policy (L,)."""
+    def totals(
+        self, weights: Floats, names: Sequence[str], undecided: Flags
+    ) -> tuple[Floats, Floats]:
+        """Return (D, C), (D, C) expected totals of components under a policy (L,), and errors."""
+        self._require_said(weights, undecided)
+        amounts = [
+            np.stack([mdp.components[:, mdp.component_names.index(name)] for mdp in self.models])
+            for name in names
+        ]
+        batch = self.batch
+        # What is counted at an end goes on for ever: only the analysis of one model knows that.
+        if batch is None or any((each * ~batch.live[:, batch.state]).any() for each in amounts):
+            found = [evaluate(mdp, weights).numbers for mdp in self.models]
+            every = [[each[f"component.{name}"] for name in names] for each in found]
+            totals, errors = ([[getattr(x, part) for x in row] for row in every]
+                              for part in ("value", "error"))  # fmt: skip
+            return np.array(totals), np.array(errors)
+        off = np.stack([component_errors(mdp) for mdp in self.models])
+        each = []
+        for name, earned in zip(names, amounts, strict=True):
+            own = off[:, :, self.models[0].component_names.index(name)]
+            each.append(self._alone(batch, earned, own).of_policy(weights))
+        value, error = zip(*each, strict=True)
+        return np.column_stack(value), np.column_stack(error)
+
+    def _require_said(self, weights: Floats, undecided: Flags) -> None:
+        """Raise ModelError where it matters what a policy (L,) does in some states (S,)."""
         if undecided.any():
             for d, mdp in enumerate(self.models):
                 PolicyChain.of(mdp, weights).require_said(undecided, self.at(d))
-        # A batch counts nothing in terminal states, where a component may be counted for ever.
-        for_ever = any(
-            mdp.discount_exact == 1 and bool((mdp.terminal & ~mdp.over).any())
-            for mdp in self.models
-        )
-        if self.batch is None or for_ever:
-            every = (evaluate(mdp, weights).components for mdp in self.models)
-            return np.array([[each[name] for name in names] for each in every])
-        columns = [self.models[0].component_names.index(name) for name in names]
-        amounts = np.stack([mdp.components[:, columns] for mdp in self.models])
-        return self.batch.totals(weights, amounts)
+
+    def _alone(self, batch: Batch, amounts: Floats, errors: Floats) -> Batch:
+        """Return the models in which one component (D, L), so far off, is all that is earned."""
+        alone = replace(batch, reward=amounts, reward_error=errors)
+        vars(alone)["weights"] = batch.weights  # how long a policy goes on is not about rewards
+        return alone
 
 
 def digest(*policies: Floats) -> str:
@@ -480,26 +498,26 @@ class ModelSolver:
 
     def totals(
         self, draws: Numbers, policies: Sequence[Floats], components: Sequence[str], first: int
-    ) -> Floats:
-        """Return (D, N, C) expected totals of some components of the reward under N policies."""
-        known, built = self.mdp.component_names, self._of(draws, first)
+    ) -> tuple[Floats, Floats]:
+        """Return (D, N, C) totals of some components of the reward under N policies, and errors."""
+        built = self._of(draws, first)
         for d, mdp in enumerate(built.models):
-            if mdp.component_names != known:
+            if not {*components} <= {*mdp.component_names}:
                 raise ModelError(
                     f"the model's components are {', '.join(mdp.component_names)} there, and "
-                    f"{', '.join(known)} today",
+                    f"{', '.join(self.mdp.component_names)} today",
                     where=f"draw {first + d}",
                     fix="make the model by a function that gives its components: Family(build=…)",
                 )
-        each = [built.totals(own, components, self._undecided(own)) for own in policies]
-        totals = np.stack(each, axis=1)
+        every = [built.totals(own, components, self._undecided(own)) for own in policies]
+        totals, error = (np.stack(each, axis=1) for each in zip(*every, strict=True))
         if not np.isfinite(totals).all():
             raise ModelError(
-                "a total is infinite",
+                "a total is infinite, or not known",
                 where=f"draw {first + int(np.argwhere(~np.isfinite(totals))[0][0])}",
                 fix="give a discount below 1, or a number of steps (mdp.within(100))",
             )
-        return totals
+        return totals, error
 
 
 class CareSolver(ModelSolver):

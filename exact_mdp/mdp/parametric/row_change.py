@@ -124,16 +124,25 @@ def _no_polynomial(
     """Return the error that names the first point that the polynomial of those before it misses."""
     steps = [rational(point - at[0]) for point in at]
     near = polynomials(steps[: degree + 1], [[through(y)] for y in steps[: degree + 1]])[0]
-    missed = next(point for point, y in zip(at, steps, strict=True) if near(y) != through(y))
-    return ModelError(
-        f"{what} of degree {degree} in {name}",
-        where=f"parameter {name} = {shown(missed)}{where}",
-        fix=f'state breaks={{"{name}": [value, …]}} where the formula changes, or a higher degree, '
-        f'degrees={{"{name}": {degree + 1}}}; let build compute with the fractions that it is '
-        "given, not with floats; one_way and tornado take any function",
+    missed, apart, size = next(
+        (point, abs(near(y) - through(y)), abs(through(y)))
+        for point, y in zip(at, steps, strict=True)
+        if near(y) != through(y)
     )
+    floats = "let build compute with the fractions that it is given, not with floats"
+    any_function = "one_way and tornado take any function"
+    if apart <= rational(ROUNDED) * max(size, 1):
+        raised = f"{what} of degree {degree} in {name}, but equal to one within {float(apart):.0e}"
+        fix = f"{floats}: a difference so small comes of rounding; {any_function}"
+    else:
+        raised = f"{what} of degree {degree} in {name}"
+        fix = f'state breaks={{"{name}": [value, …]}} where the formula changes, or a higher '
+        fix += f'degree, degrees={{"{name}": {degree + 1}}}; a quotient is a polynomial of no '
+        fix += f"degree; {floats}; {any_function}"
+    return ModelError(raised, where=f"parameter {name} = {shown(missed)}{where}", fix=fix)
 
 
+ROUNDED = Fraction(1, 10**12)  # of a number, what rounding in a few steps may take from it
 EXTRA = 5  # points beyond those that a degree needs, which check it; the result says how many
 SHRINKS = 64  # halvings of the distance to θ0 where there is no model, before that is refused
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from exact_mdp.mdp.forms import threads
 from exact_mdp.mdp.model import MDP, once
-from exact_mdp.mdp.table import COMPILED, Floats, Integers
+from exact_mdp.mdp.table import COMPILED, Floats, Integers, OutcomeTable
 from exact_mdp.solvers.solution import SolverError, Status
 
 UNIT = 2.0**-53  # half of the distance from 1 to the next float
@@ -100,12 +100,24 @@ def roundings(mdp: MDP) -> Integers:
 
 def reward_errors(mdp: MDP) -> Floats:
     """Return (L,) how far each reward may be from the exact one, of which most are roundings."""
-    table = mdp.table
+    return _expectation_errors(mdp.table, mdp.reward)
+
+
+def component_errors(mdp: MDP) -> Floats:
+    """Return (L, C) how far each expected component may be from the exact one."""
+    parts = range(mdp.components.shape[1])
+    tables = (mdp.table.earning_component(number) for number in parts)
+    each = zip(tables, mdp.components.T, strict=True)
+    return np.stack([_expectation_errors(table, amounts) for table, amounts in each], axis=1)
+
+
+def _expectation_errors(table: OutcomeTable, earned: Floats) -> Floats:
+    """Return (L,) how far the expected rewards of a table may be from the exact ones."""
     if table.joint and np.float64 in (table.weight.dtype, table.gain.dtype):
         outcomes, paid = np.diff(table.offsets), table.probabilities() * np.abs(table.gains())
         total = np.add.reduceat(paid, table.offsets[:-1])
         return np.asarray(gamma(2 * outcomes + 2) * total * SLACK + outcomes * TINY)
-    return np.asarray(UNIT * np.abs(mdp.reward) + TINY * bool(table.gain.any()))
+    return np.asarray(UNIT * np.abs(earned) + TINY * bool(table.gain.any()))
 
 
 @np.errstate(over="ignore", invalid="ignore")

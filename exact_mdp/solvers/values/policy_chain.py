@@ -45,7 +45,7 @@ from exact_mdp.mdp.table import (
     ones,
     row_sums,
 )
-from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, component_errors, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, part, transposed
 from exact_mdp.solvers.endless.chain import Classes, ExactChain, FloatChain, long_run
 from exact_mdp.solvers.endless.quotient import of_pairs
@@ -448,7 +448,8 @@ class OfPolicy(Valued):
         rounding = gamma(len(self.chain.pairs) + self.chain.roundings + 6)
         amounts = self.mdp.components
         size = np.abs(amounts)
-        return used @ amounts, (doubt @ size + rounding * (used @ size)) * SLACK
+        off = doubt @ size + rounding * (used @ size) + (used + doubt) @ component_errors(self.mdp)
+        return used @ amounts, off * SLACK
 
 
 def flow_of(of: Objectives, policy: PolicyLike) -> Flow:

@@ -1,6 +1,7 @@
 """Cost-effectiveness against loops and closed forms, and pictures of one's own parameters."""
 
 import itertools
+import json
 import re
 from fractions import Fraction
 from pathlib import Path
@@ -22,6 +23,7 @@ from exact_mdp import (
     one_way,
     psa,
     sobol,
+    thresholds,
     tornado,
     tradeoff,
     two_way,
@@ -100,7 +102,7 @@ def test_strategies_that_are_dominated_have_no_icer() -> None:
     table = cost_effectiveness(MODEL, policies, 5, uncertain=at).icers().set_index("strategy")
     assert table.loc["treat", "ICER"] == pytest.approx(5, rel=1e-4)
     assert table.loc["both", "ICER"] == pytest.approx(15, rel=1e-4)
-    assert table.loc["again", "status"] == "dominated"
+    assert table.loc["again", "status"] == "equal to treat"
     dear = cost_effectiveness(MODEL, POLICIES, uncertain=pandas.DataFrame([{"price": 12}])).icers()
     assert dear.set_index("strategy").loc["treat", "status"] == "extendedly dominated"
 
@@ -116,6 +118,8 @@ def test_the_guide_has_the_numbers_of_the_published_model() -> None:
     code = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text("utf-8"), re.M | re.S)[0]
     names: dict = {}
     exec(code.partition("analysis = ")[0], names)
+    for name in ("u.A", "c.B"):  # costs and utilities are added up exactly
+        assert thresholds(names["model"], name, {"u.A": (0.76, 1), "c.B": (12000, 14000)})
     mdp = names["model"].at({})
     for policy in names["strategies"].values():
         action = mdp.action(policy.removeprefix("always:"))
@@ -280,3 +284,116 @@ def test_curves_of_many_strategies_look_different() -> None:
     analysis = cost_effectiveness(MODEL, many, 4, uncertain=SAID, rng=0)
     lines = [line for line in analysis.plot().get_lines() if line.get_label() != "frontier"]
     assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == len(lines) == 11
+
+
+def drawn_year(at):
+    """Every year is worth `u`, whatever is done; the two actions cost differently."""
+    rows = [(0, 0, [(1, 0, 0)]), (0, 1, [("3/4", 0, 0), ("1/4", 1, 0)]), (1, 0, [(1, 1, 0)])]
+    parts = {"qaly": [at["u"]] * 3, "cost": [10, at["dear"], at["later"]]}
+    return MDP.from_outcomes(rows, "97/100", components=parts, actions=["cheap", "dear"])
+
+
+YEARS = Family(parameters={"u": "7/10", "dear": 15, "later": 30}, build=drawn_year)
+TWO = {"cheap": "always:cheap", "dear": "always:dear"}
+
+
+def test_an_effect_that_differs_by_rounding_is_equal() -> None:
+    """Both are worth 70/3; floats make 7e-15 more of one of them, an ICER of 1e17."""
+    base = cost_effectiveness(YEARS, TWO)
+    assert len({*base.effect[0].tolist()}) == 2  # else this test says nothing
+    assert base.icers()["status"].tolist() == ["efficient", "dominated"]
+    assert base.icers()["ICER"].isna().all()
+    assert base.grid(3).tolist() == [0, 0.5, 1]
+    assert base.frontier([0, 1e5]) == [("cheap", 1), ("cheap", 1)]
+    assert base.evpi(1e5).value == 0
+
+
+def test_two_names_for_the_same_are_equal_and_share_a_draw() -> None:
+    same = pandas.DataFrame({"u": [0.7, 0.3], "dear": [10.0] * 2, "later": [10.0] * 2})
+    two = cost_effectiveness(YEARS, TWO, uncertain=same)
+    assert sorted(two.icers()["status"]) == ["efficient", "equal to cheap"]
+    assert two.acceptability([0, 100, 1e5]).tolist() == [[0.5, 0.5]] * 3
+    assert two.frontier([100]) == [("cheap", 0.5)]
+    assert two.evpi(1e5).value == 0
+    more = cost_effectiveness(YEARS, TWO | {"again": "always:dear"}).icers()
+    assert sorted(more["status"]) == ["dominated", "efficient", "equal to dear"]
+
+
+def test_equal_costs_and_more_effect_dominate() -> None:
+    """The costs differ by rounding alone."""
+
+    def built(at):
+        parts = {"qaly": [1, 1, "9/10"], "cost": [at["c"]] * 3}
+        rows = [(0, 0, [(1, 0, 0)]), (0, 1, [("3/4", 0, 0), ("1/4", 1, 0)]), (1, 0, [(1, 1, 0)])]
+        return MDP.from_outcomes(rows, "97/100", components=parts, actions=["cheap", "dear"])
+
+    table = cost_effectiveness(Family(parameters={"c": "7/10"}, build=built), TWO).icers()
+    assert table.set_index("strategy")["status"].to_dict() == {
+        "cheap": "efficient",
+        "dear": "dominated",
+    }
+
+
+def test_only_the_components_that_count_are_needed() -> None:
+    """What is left of the reward is 0 today, and another component then."""
+    for today, drawn in ((2, 1.5), ("3/2", 2.0)):
+        model = Family(
+            parameters={"u": today},
+            build=lambda at: MDP.from_outcomes(
+                [(0, 0, [(1, 0, 3 * at["u"] - 2)])],
+                "1/2",
+                components={"qaly": [at["u"]], "cost": [2]} | rest_of(at["u"]),
+            ),
+        )
+        found = cost_effectiveness(model, {"stay": [0]}, uncertain=pandas.DataFrame({"u": [drawn]}))
+        assert [found.effect.tolist(), found.cost.tolist()] == [[[2 * drawn]], [[4]]]
+
+
+def rest_of(u):
+    left = 3 * u - 2 - u - 2
+    return {"rest": [left]} if left else {}
+
+
+def test_what_is_counted_for_ever_is_refused() -> None:
+    """The reward of state 1 is 0, so that it is an end; its parts are not."""
+    built = Family(
+        parameters={"c": 1},
+        build=lambda at: MDP.from_outcomes(
+            [(0, 0, [(1, 1, 5 * at["c"])]), (1, 0, [(1, 1, 0)])],
+            components={"qaly": [3, 2], "cost": [5 * at["c"] - 3, -2]},
+        ),
+    )
+    with pytest.raises(ModelError, match="a total is infinite"):
+        cost_effectiveness(built, {"p": [0, 0]}, uncertain=pandas.DataFrame({"c": [1.0]}))
+
+
+def test_without_draws_and_distributions_it_is_the_base_case() -> None:
+    base = cost_effectiveness(MODEL, POLICIES)
+    assert [base.effect.tolist(), base.cost.tolist()] == [[[0, 1, 2]], [[0, 5, 20]]]
+    assert "base case" in repr(base)
+    assert base.evppi(10) == {}
+    certain = MODEL.at({})  # an MDP that has nothing to draw
+    assert cost_effectiveness(certain, POLICIES).cost.tolist() == [[0, 5, 20]]
+
+
+def test_the_report_says_what_was_drawn_and_assumed() -> None:
+    model = MDP.from_arrays(
+        [[["9/10", "1/10"], [0, 1]]],
+        [1, 0],
+        "1/2",
+        components={"qaly": [[1], [0]], "cost": [[5], [0]]},
+        layout="ass",
+    )
+    found = cost_effectiveness(model, {"stay": "always:0"}, 10, rng=3)
+    words = "1 of 1 distributions are not stated, and rest on 100 observations each"
+    facts = found.report().facts
+    for said in (repr(found), found.report().lines()["assumed"], repr(psa(model, 5))):
+        assert words in said
+    assert (facts["draws"].value, facts["seed"].value, facts["cost"]) == (10, 3, "cost")
+    told = json.loads(found.report().json())
+    assert told["assumed"] == ["(state 0, 0)"]
+    assert told["icers"][0]["strategy"] == "stay"
+    assert len(told["acceptability"]["stay"]) == len(told["willingness_to_pay"])
+    stated = {"(state 0, 0)": {"effective_sample_size": 9}}
+    sure = cost_effectiveness(model, {"stay": "always:0"}, 5, uncertain=stated)
+    assert "not stated" not in repr(sure)

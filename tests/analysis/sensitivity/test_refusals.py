@@ -69,6 +69,15 @@ ROUND = MDP.from_outcomes(
 )
 
 
+QUOTIENT, ROUNDED = (
+    Family(parameters={"u": "1/3"}, build=build)
+    for build in (
+        lambda at: MDP.from_arrays([[[1]]] * 2, [[1 / (1 + at["u"]), 1]], "1/2"),
+        lambda at: MDP.from_arrays([[[1]]] * 2, [[0.1 * float(at["u"]), 1]], "1/2"),
+    )
+)
+
+
 def stated(text: str) -> Any:
     return of_file("stated.toml", text, lambda path: uncertainty(CARE, path))
 
