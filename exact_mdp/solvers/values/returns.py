@@ -130,19 +130,21 @@ class ReturnDistribution(Pictured):
         count = bisect_right(self.multiples, bound.numerator // bound.denominator)
         return float(self._sums[count - 1]) if count else 0.0
 
-    def quantile(self, share: float) -> Fraction | float:
+    def quantile(self, share: object) -> Fraction | float:
         """Return the least return whose cdf is at least `share`; it may be infinite.
+
+        A share is a number or "p/q", from 0 to 1; raises ModelError for another.
 
         A cdf that misses `share` by no more than its error bound counts as reaching it, so that
         the median of a fair coin is tails, whatever the roundings. Exact probabilities have none.
         """
-        if not 0 <= share <= 1:
+        wanted = exact(str(share) if isinstance(share, float) else share, "quantile")
+        if not 0 <= wanted <= 1:  # of a float, its decimal
             raise ModelError(
-                f"no quantile is at {share}",
+                f"no quantile is at {shown(wanted)}",
                 where="quantile",
                 fix="choose a probability from 0 to 1",
             )
-        wanted = Fraction(str(share))  # the decimal of a float
         if self.exact is None:
             slack = (self.relative_error + self.remaining + len(self.multiples) * UNIT) * SLACK
             wanted -= Fraction(slack)

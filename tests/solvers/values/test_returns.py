@@ -201,3 +201,10 @@ def test_a_loop_is_followed_until_little_is_left() -> None:
     )  # at least 10: one more on average
     with pytest.raises(ModelError, match="are not listed"):
         law.tail_mean(law.remaining)
+
+
+def test_a_quantile_may_be_asked_for_as_a_fraction() -> None:
+    law = return_distribution(
+        MDP.from_outcomes([(0, 0, [("1/4", 1, 0), ("3/4", 1, 8)]), (1, 0, [(1, 1, 0)])]), [0, 0]
+    )
+    assert [law.quantile(share) for share in ("1/4", "1/3", 0.25, 1)] == [0, 8, 0, 8]
