@@ -131,7 +131,8 @@ def _no_polynomial(
     )
     floats = "let build compute with the fractions that it is given, not with floats"
     any_function = "one_way and tornado take any function"
-    if apart <= rational(ROUNDED) * max(size, 1):
+    scaled = apart * rational(ROUNDED)
+    if scaled <= 1 or scaled <= size:
         raised = f"{what} of degree {degree} in {name}, but equal to one within {float(apart):.0e}"
         fix = f"{floats}: a difference so small comes of rounding; {any_function}"
     else:
@@ -142,7 +143,7 @@ def _no_polynomial(
     return ModelError(raised, where=f"parameter {name} = {shown(missed)}{where}", fix=fix)
 
 
-ROUNDED = Fraction(1, 10**12)  # of a number, what rounding in a few steps may take from it
+ROUNDED = Fraction(10**12)  # a share of a number that a few roundings may take from it, inverted
 EXTRA = 5  # points beyond those that a degree needs, which check it; the result says how many
 SHRINKS = 64  # halvings of the distance to θ0 where there is no model, before that is refused
 
