@@ -53,8 +53,9 @@ def many(
     """Return `work(piece)` for every piece, in their order; what `work` raises is raised as it is.
 
     `work` leads from what can be pickled to {name: array}, and can be sent to other processes;
-    `key` has the JSON values that say what it is: model, settings, seed. `n_jobs` are processes:
-    None takes all cores, or all workers of the backend that `joblib.parallel_config` names. With
+    `key` has the JSON values that say what it is: model, settings, seed. `n_jobs` are processes, at
+    most one for each core and each piece; None takes all cores, or all workers of the backend that
+    `joblib.parallel_config` names. With
     `threads` they are threads of this process, for work that needs no interpreter lock. Finished
     pieces are kept in the `folder`, in files of these `names`, or else numbered; `what` they are
     called is said by the bar and by messages.
@@ -103,7 +104,8 @@ def _as_done(
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     results: Any = (_one(work, *task) for task in left.items())
-    if n_jobs != 1 and left:
+    n_jobs = _workers(n_jobs, len(left))
+    if n_jobs != 1:
         if not threads:
             _track_quietly()
         try:
@@ -130,6 +132,21 @@ def _as_done(
         with warnings.catch_warnings():  # joblib warns of pieces that nobody took any more
             warnings.simplefilter("ignore", UserWarning)
             results.close()
+
+
+def _workers(wanted: int | None, pieces: int) -> int | None:
+    """Return how many workers to start; None for what a backend of the user's own has.
+
+    On this machine there are never more than it has cores, or than there are pieces.
+    """
+    from joblib import cpu_count
+    from joblib.parallel import get_active_backend
+
+    backend, _ = get_active_backend()
+    if pieces and type(backend).__module__ != "joblib._parallel_backends":
+        return wanted
+    cores: int = cpu_count()
+    return max(1, min(cores if wanted is None else wanted, cores, pieces))
 
 
 def _track_quietly() -> None:

@@ -108,14 +108,18 @@ def experiments(
     returns = np.zeros((len(which), counted(n, "n", 2)))
     from exact_mdp.solvers.kernels import learning as kernels
 
-    cut_short = kernels.rollouts(
-        tables(model, rows),
-        stream(child(rng, 0)),
-        table,
-        which,
-        float(random),
-        model.discount,
-        MAX_STEPS,
-        returns,
-    )
-    return returns, int(cut_short)
+    laid_out, source, cut_short = tables(model, rows), stream(child(rng, 0)), 0
+    for row in range(len(which)):  # one after the other, so that they can be interrupted
+        here = slice(row, row + 1)
+        more = kernels.rollouts(
+            laid_out,
+            source,
+            table,
+            which[here],
+            float(random),
+            model.discount,
+            MAX_STEPS,
+            returns[here],
+        )
+        cut_short += int(more)
+    return returns, cut_short

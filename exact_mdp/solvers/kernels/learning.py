@@ -207,64 +207,74 @@ def learn(
     snapshots: Numbers,
     last: Numbers,
     returns: Floats,
-) -> tuple[int, int]:
-    """Learn action values by acting; return the numbers of steps and of episodes cut short."""
+    first: int,
+    budget: int,
+) -> tuple[int, int, int]:
+    """Learn action values by acting, from episode number `first` of all epochs on.
+
+    Return the numbers of steps and of episodes cut short, and the episode to go on with: after
+    `budget` steps the loop ends with the episode, so that Python sees what interrupts it.
+    """
     low, high, entry, terminal = tables.low, tables.high, tables.entry, tables.terminal
     offsets, cut, following, gains = tables.offsets, tables.cut, tables.next, tables.gain
     double = method == DOUBLE_Q
-    steps, cut_short, left = 0, 0, len(epsilon) * episodes
-    for epoch in range(len(epsilon)):
-        chance, alpha, total = epsilon[epoch], rate[epoch], 0.0
-        for episode in range(episodes):
-            state = first_state(rng, tables)
-            planned, step = -1, 0
-            while not terminal[at(state)]:
-                if step == max_steps:
-                    cut_short += 1
-                    break
-                step += 1
-                taken = planned
-                if taken < 0:
-                    taken = act(rng, acting, entry, low[at(state)], high[at(state)], chance, ties)
-                drawn = outcome(rng, offsets, cut, taken)
-                gain, state, changed = gains[at(drawn)], following[at(drawn)], entry[at(taken)]
-                total += gain
-                table = 1 if double and uniform(rng) < 0.5 else 0
-                planned, ahead = -1, 0.0
-                if bootstrap_end or not terminal[at(state)]:
-                    lo, hi = low[at(state)], high[at(state)]
-                    if method == Q_LEARNING:
-                        ahead = largest(acting, entry, lo, hi)[0]
-                    elif method == SARSA:
-                        planned = act(rng, acting, entry, lo, hi, chance, ties)
-                        ahead = acting[entry[planned]]
-                    elif method == EXPECTED_SARSA:
-                        mean = 0.0
-                        for i in range(lo, hi):
-                            mean += acting[entry[i]] / (hi - lo)
-                        ahead = (1.0 - chance) * largest(acting, entry, lo, hi)[0] + chance * mean
-                    else:
-                        chosen = greedy(rng, q[table], entry, lo, hi, ties)
-                        ahead = q[1 - table, entry[chosen]]
-                size = alpha
-                if power != 0.0:
-                    counts[changed] += 1
-                    size = alpha * float(counts[changed]) ** -power
-                target = gain + discount * ahead
-                if double:
-                    q[table, changed] += size * (target - q[table, changed])
-                    acting[changed] = q[0, changed] + q[1, changed]
+    steps, cut_short, count, total = 0, 0, len(epsilon) * episodes, 0.0
+    if first % episodes > 0:
+        total = returns[first // episodes]  # of the episodes of this epoch that are done
+    for number in range(first, count):
+        epoch, episode = number // episodes, number % episodes
+        chance, alpha, left = epsilon[epoch], rate[epoch], count - 1 - number
+        total = 0.0 if episode == 0 else total
+        state = first_state(rng, tables)
+        planned, step = -1, 0
+        while not terminal[at(state)]:
+            if step == max_steps:
+                cut_short += 1
+                break
+            step += 1
+            taken = planned
+            if taken < 0:
+                taken = act(rng, acting, entry, low[at(state)], high[at(state)], chance, ties)
+            drawn = outcome(rng, offsets, cut, taken)
+            gain, state, changed = gains[at(drawn)], following[at(drawn)], entry[at(taken)]
+            total += gain
+            table = 1 if double and uniform(rng) < 0.5 else 0
+            planned, ahead = -1, 0.0
+            if bootstrap_end or not terminal[at(state)]:
+                lo, hi = low[at(state)], high[at(state)]
+                if method == Q_LEARNING:
+                    ahead = largest(acting, entry, lo, hi)[0]
+                elif method == SARSA:
+                    planned = act(rng, acting, entry, lo, hi, chance, ties)
+                    ahead = acting[entry[planned]]
+                elif method == EXPECTED_SARSA:
+                    mean = 0.0
+                    for i in range(lo, hi):
+                        mean += acting[entry[i]] / (hi - lo)
+                    ahead = (1.0 - chance) * largest(acting, entry, lo, hi)[0] + chance * mean
                 else:
-                    acting[changed] += size * (target - acting[at(changed)])
-            steps += step
-            left -= 1
-            if episode + 1 == snapshot:
-                greedy_policy(rng, acting, tables, ties, n_actions, snapshots[epoch])
-            if left < len(last):
-                place = last[len(last) - 1 - left]
-                greedy_policy(rng, acting, tables, ties, n_actions, place)
-        returns[epoch] = total / episodes
-    return steps, cut_short
+                    chosen = greedy(rng, q[table], entry, lo, hi, ties)
+                    ahead = q[1 - table, entry[chosen]]
+            size = alpha
+            if power != 0.0:
+                counts[changed] += 1
+                size = alpha * float(counts[changed]) ** -power
+            target = gain + discount * ahead
+            if double:
+                q[table, changed] += size * (target - q[table, changed])
+                acting[changed] = q[0, changed] + q[1, changed]
+            else:
+                acting[changed] += size * (target - acting[at(changed)])
+        steps += step
+        if episode + 1 == snapshot:
+            greedy_policy(rng, acting, tables, ties, n_actions, snapshots[epoch])
+        if left < len(last):
+            place = last[len(last) - 1 - left]
+            greedy_policy(rng, acting, tables, ties, n_actions, place)
+        returns[epoch] = total / episodes if episode + 1 == episodes else total
+        if steps + number - first >= budget:  # an episode may take no step
+            return steps, cut_short, number + 1
+    return steps, cut_short, count
 
 
 @compiled

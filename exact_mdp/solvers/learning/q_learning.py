@@ -34,6 +34,9 @@ from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, Schedule, as_sc
 
 METHODS = ("q-learning", "sarsa", "expected-sarsa", "double-q-learning")
 TIES = ("first", "last", "random")
+AT_ONCE = 2**21  # steps, some tenths of a second, after which what interrupts the run is seen
+MOST_EPOCHS = 2**25  # each has numbers of its own, some fifty bytes
+MOST_EPISODES = 2**60  # of all epochs, so that their number is one
 MOST_RECORDED = 2**28  # actions that snapshots of policies hold, 4 bytes each: a gigabyte
 
 
@@ -104,6 +107,13 @@ class QLearning:
                 value = counted(getattr(self, name), name, int(name != "snapshot_episode"))
             object.__setattr__(self, name, value)
         self._require(
+            "epochs",
+            self.epochs <= MOST_EPOCHS,
+            f"an epoch keeps numbers of its own: choose at most {MOST_EPOCHS:,} of them, with more "
+            "episodes in each",
+        )
+        self._require("episodes", self.episodes <= MOST_EPISODES // self.epochs, "choose fewer")
+        self._require(
             "snapshot_episode",
             self.snapshot_episode <= self.episodes,
             f"an epoch has {self.episodes} episodes (episodes=): give one of these, or 0 to keep "
@@ -145,29 +155,37 @@ class QLearning:
         returns = np.zeros(self.epochs)
         from exact_mdp.solvers.kernels import learning as kernels
 
-        steps, cut_short = kernels.learn(
-            tables(mdp, read),
-            stream(rng),
-            both,
-            acting,
-            counts,
-            mdp.n_actions,
-            *(
-                np.array(each.values(self.epochs), dtype=float)
-                for each in (self.exploration, self.rate)
-            ),
-            float(self.rate_power),
-            float(as_discount(self.discount)),
-            self.episodes,
-            METHODS.index(self.method),
-            TIES.index(self.ties),
-            bool(self.bootstrap_end),
-            self.max_steps,
-            self.snapshot_episode,
-            snapshots,
-            last,
-            returns,
+        laid_out, source = tables(mdp, read), stream(rng)
+        exploration, rate = (
+            np.array(each.values(self.epochs), dtype=float)
+            for each in (self.exploration, self.rate)
         )
+        steps, cut_short, episode = 0, 0, 0
+        while episode < self.epochs * self.episodes:
+            more, also_cut, episode = kernels.learn(
+                laid_out,
+                source,
+                both,
+                acting,
+                counts,
+                mdp.n_actions,
+                exploration,
+                rate,
+                float(self.rate_power),
+                float(as_discount(self.discount)),
+                self.episodes,
+                METHODS.index(self.method),
+                TIES.index(self.ties),
+                bool(self.bootstrap_end),
+                self.max_steps,
+                self.snapshot_episode,
+                snapshots,
+                last,
+                returns,
+                episode,
+                AT_ONCE,
+            )
+            steps, cut_short = steps + int(more), cut_short + int(also_cut)
         policies, numbers = distinct(np.concatenate([snapshots, last]))
         numbers = numbers.astype(np.int32)
         q = (acting / (1 + double)).reshape(rows, mdp.n_actions)
@@ -180,8 +198,8 @@ class QLearning:
             snapshots=numbers[: len(snapshots)],
             last=numbers[len(snapshots) :],
             returns=returns,
-            steps=int(steps),
-            cut_short=int(cut_short),
+            steps=steps,
+            cut_short=cut_short,
         )
 
 

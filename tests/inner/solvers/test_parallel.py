@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import joblib
 import numpy as np
 import pytest
 from numpy.random import SeedSequence, default_rng
@@ -68,3 +69,22 @@ def test_a_process_that_dies_loses_no_finished_piece(tmp_path: Path) -> None:
     assert kept
     assert same(many(work, range(12), key=KEY, n_jobs=2, folder=tmp_path))
     assert {path: path.read_bytes() for path in kept} == kept
+
+
+@pytest.mark.parametrize(("pieces", "started"), [(40, 4), (3, 3), (1, None)])
+@pytest.mark.parametrize("wanted", [120, None])
+def test_no_more_workers_start_than_there_are_cores_and_pieces(
+    wanted: int | None, pieces: int, started: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A single piece is done here."""
+    seen: list[int] = []
+
+    class Noted(joblib.Parallel):
+        def __init__(self, n_jobs: int, **settings: Any) -> None:
+            seen.append(n_jobs)
+            super().__init__(n_jobs=1, **settings)
+
+    monkeypatch.setattr(joblib, "cpu_count", lambda: 4)
+    monkeypatch.setattr(joblib, "Parallel", Noted)
+    assert len(many(draws, range(pieces), key=KEY, n_jobs=wanted)) == pieces
+    assert seen == ([] if started is None else [started])

@@ -11,11 +11,14 @@ from learning_twin import Stream, Twin
 from strategies import Rows, models
 
 from exact_mdp import MDP, Constant, Exponential, QLearning, Scenario
+from exact_mdp.solvers.kernels import learning as kernels
+from exact_mdp.solvers.learning import q_learning
 from exact_mdp.solvers.learning.sampler import rows_of, tables
 
 METHODS = ("q-learning", "sarsa", "expected-sarsa", "double-q-learning")
 TIES = ("first", "last", "random")
 CARE = Scenario.load("yuan2025")
+MDP_OF_CARE = CARE.with_(tasks=[1]).compile()
 OTHERS = {"skip_timestep": "own", "task_bonus": "no-subtask-skipped"}
 
 
@@ -37,6 +40,38 @@ def compare_with_twin(mdp: MDP, learner: QLearning, seed: int) -> None:
     assert run.returns.tolist() == twin.returns
     assert run.policies[run.last].tolist() == [twin.policies[number] for number in last]
     assert run.policies[run.snapshots].tolist() == [twin.policies[number] for number in snapshots]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_run_in_pieces_has_the_same_bytes(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The loop returns to Python after some steps, so that a signal ends it: also within epochs."""
+    learner = QLearning(
+        method=method, epochs=6, episodes=7, rate_power=0.3, snapshot_episode=3, last=20
+    )
+    whole = learner.train(MDP_OF_CARE, 5)
+    for steps in (1, 90, 2000):
+        monkeypatch.setattr(q_learning, "AT_ONCE", steps)
+        run = learner.train(MDP_OF_CARE, 5)
+        for name in ("q", "policies", "snapshots", "last", "returns"):
+            assert getattr(run, name).tobytes() == getattr(whole, name).tobytes()
+        assert (run.steps, run.cut_short) == (whole.steps, whole.cut_short)
+
+
+def test_a_signal_ends_a_long_run_soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is raised between two pieces ends the run, as the handler of a signal does."""
+    calls = []
+
+    def learn(*arguments: Any) -> Any:
+        calls.append(arguments)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return once(*arguments)
+
+    once = kernels.learn
+    monkeypatch.setattr(kernels, "learn", learn)
+    with pytest.raises(KeyboardInterrupt):
+        QLearning(epochs=2_000_000, snapshot_episode=0).train(MDP_OF_CARE, 0)
+    assert len(calls) == 3
 
 
 def schedules(*rates: float) -> st.SearchStrategy[Any]:
