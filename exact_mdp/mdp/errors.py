@@ -29,6 +29,8 @@ T = TypeVar("T")
 F = TypeVar("F", bound=Callable[..., Any])
 
 LONGEST = 1000  # characters of a name, and of what a message quotes
+LONGEST_FIX = 2000  # of advice, which may list names
+LONGEST_LIST = 600  # of all names in a list; of more, a few are named
 LONGEST_TEXT = 20_000  # of a text of several lines, such as a source
 SHOWN = 40
 
@@ -63,7 +65,8 @@ class ModelError(ValueError):
     """
 
     def __init__(self, what: str, *, where: str = "", fix: str = "") -> None:
-        what, where, fix = shown_text(short(what)), shown_text(short(where)), shown_text(fix)
+        what, where = shown_text(short(what)), shown_text(short(where))
+        fix = shown_text(short(fix, LONGEST_FIX))
         self.what, self.where, self.fix = what, where, fix
         lines = [what]
         if where:
@@ -166,9 +169,11 @@ def suggest(name: str, known: Iterable[str]) -> str:
     close = [option for option in options if option.casefold() == str(name).casefold()]
     if close := close or get_close_matches(str(name)[:LONGEST], options, n=1, cutoff=0.6):
         return f"did you mean {close[0]}?"
-    if len(options) <= 12:
-        return f"choose one of {', '.join(options)}"
-    return f"choose one of the {len(options)} known names, such as {', '.join(options[:4])}"
+    every = ", ".join(options)
+    if len(options) <= 12 and len(every) <= LONGEST_LIST:
+        return f"choose one of {every}"
+    few = ", ".join(short(option, LONGEST_LIST // 6) for option in options[:4])
+    return f"choose one of the {len(options)} known names, such as {few}"
 
 
 def known(name: object, options: Collection[str], what: str, where: str = "") -> str:

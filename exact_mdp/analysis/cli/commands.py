@@ -35,6 +35,7 @@ from typing import Any, NamedTuple
 
 import click
 
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import aside
 
 PACKAGE = Path(__file__).resolve().parents[2]
@@ -222,6 +223,8 @@ def command(name: str, target: str, shared: Sequence[str], epilog: str) -> click
         params.append(click.Option(option, is_flag=True, help=f"Print {what}."))
 
     def work(*, as_json: bool, as_markdown: bool, **options: Any) -> int:
+        if as_json and as_markdown:
+            raise ModelError("two forms of one output", where="--markdown", fix="leave out --json")
         try:
             with aside():  # a module of the user's may print: the result is printed below
                 report = _report(target, own, [each.name for each in asked], options)

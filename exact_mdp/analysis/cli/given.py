@@ -26,6 +26,7 @@ from exact_mdp.solvers.solver import Criterion, is_average, require_no_horizon
 from exact_mdp.solvers.values.policy_chain import policy_of
 
 OF_CARE = "gymnasium:icu_sepsis"  # a model of care that is no scenario
+ARRAYS = (".npy", ".npz", ".json")  # endings of files whose numbers are read as --kind says
 QUESTION = ("reach", "until", "reward", "allowed", "minimize", "maximize", "start")
 
 
@@ -135,6 +136,11 @@ class Given:
         if self.reach is not None and self.until is not None:
             fix = "leave out --until, or --reach"
             raise ModelError("--reach and --until ask two questions", where="--until", fix=fix)
+        if self.kind != "auto" and "policy" in self.has and self.policy is None:
+            fix = "name the file: --policy FILE, or leave it out"
+            fix = fix if "ranges" in self.has or "parameters" in self.has else "leave it out"
+            what = "--kind says what an array in a file is, and no policy is given"
+            raise ModelError(what, where="--kind", fix=fix)
         if self.minimize and self.maximize:
             fix = "leave out --maximize, or --minimize"
             raise ModelError("--minimize and --maximize contradict", where="--maximize", fix=fix)
@@ -203,6 +209,9 @@ class Given:
 
         Under a perception the optimum is that of whoever sees the truth.
         """
+        if self.kind != "auto" and Path(form).suffix.lower() not in ARRAYS:
+            what = f"--kind says what an array in a file is, and {form!r} is none"
+            raise ModelError(what, where="--kind", fix="leave it out")
         policy: Policy = policy_of(self.mdp, form, kind=self.kind, criterion=self.criterion)
         if self.perception is None:
             return policy

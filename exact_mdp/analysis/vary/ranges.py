@@ -199,7 +199,14 @@ def range_of(model: Parametric, name: str, ranges: object = None, relative: obje
     """Return the range of one parameter; `ranges` may be (low, high) of it, or name it."""
     if not isinstance(ranges, Mapping | str | Path | None):
         ranges = {name: ranges}
-    return ranges_of(model, [name], ranges, relative)[name]
+    span = ranges_of(model, [name], ranges, relative)[name]
+    if span.low == span.high:
+        raise ModelError(
+            f"the range of {name} has one point, {shown(span.low)}: a share of 0 is 0",
+            where=place_of(model),
+            fix=f'give it one: ranges={{"{name}": (low, high)}}, --range {name}=LOW:HIGH',
+        )
+    return span
 
 
 def entries(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str, Any]]:
