@@ -29,7 +29,7 @@ from exact_mdp.mdp.questions import direction, unlimited
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, shown
-from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError
+from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError, in_float
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 SHOWN = 5  # states that `message` names
@@ -127,7 +127,7 @@ class Audit(Pictured):
         low, high = ends(best)
         if not isfinite(float(best)) or low <= 0 <= high:
             return None
-        return inf if lost == inf else float(Fraction(lost) / abs(Fraction(best.value)))
+        return inf if lost == inf else in_float(Fraction(lost) / abs(Fraction(best.value)))
 
     @property
     def regret_interval(self) -> tuple[float, float] | None:
@@ -396,6 +396,8 @@ class Audit(Pictured):
         ratio = self.relative_regret
         share = "an unknown share" if isnan(by_visits) else f"{by_visits:.1%}"
         agree = f"{self.agreement:.1%} of the states with a choice, {share} of the visits to them"
+        if isnan(self.agreement):
+            agree = "undefined: there is no optimum to agree with"
         if self.never_reached:
             agree += f"; {self.never_reached} wrong states are never reached from {self.begins}, "
             agree += "and cost nothing: mdp.with_(start=…), or --start, begins elsewhere"

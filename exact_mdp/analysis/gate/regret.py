@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.analysis.gate.forgiveness import forgiven, rounded, ties, widest
-from exact_mdp.analysis.gate.waiting import outcomes, taking, to_blame
+from exact_mdp.analysis.gate.waiting import final_class, outcomes, taking, to_blame
 from exact_mdp.analysis.optimum import sound
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import components, endless, is_acyclic, ways_out
@@ -226,7 +226,10 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
         gap[(mdp.transition @ beyond > 0) | beyond[mdp.pair_state]] = inf
         gap[optimal] = 0.0
         # What keeps a value without attaining it is found where the policy stays for ever.
-        optimal[to_blame(chain, best, by_state)] = False
+        blamed = to_blame(chain, best, by_state)
+        optimal[blamed] = False
+        # Who passes through gives an infinite value up here; who stays loses it by waiting.
+        gap[blamed & (np.isposinf(by_state) & (final_class(chain) < 0))[mdp.pair_state]] = inf
         if lost and lost <= movable():  # what all of it loses is rounding: so each part
             optimal |= (chain.chosen > 0) & chain.reached[mdp.pair_state]
     elif mdp.floats:

@@ -57,10 +57,26 @@ def to_blame(chain: PolicyChain, best: Certificate, lost: Floats) -> Flags:
         some = _falling(mdp, best, departs & open_) if pairs is None else pairs & open_
         at_fault = at_fault | some
         named[label[of[some]]] = True
+    at_fault = at_fault | _giving_up(chain, best, lost, at_fault)
     near = np.flatnonzero(np.isin(of, of[at_fault])).tolist()  # twins are to blame, too
     kinds = {(of[pair], outcomes(mdp, pair)) for pair in near if at_fault[pair]}
     at_fault[near] = [(of[pair], outcomes(mdp, pair)) in kinds for pair in near]
     return at_fault
+
+
+def _giving_up(chain: PolicyChain, best: Certificate, lost: Floats, known: Flags) -> Flags:
+    """Return the pairs (L,) with which a policy gives up an infinite value, if none is known.
+
+    Each may keep that value where an optimal policy follows; this one uses it until it has left.
+    """
+    mdp, of = chain.mdp, chain.mdp.pair_state
+    given_up = (best.infinite_sign > 0) & np.isposinf(lost)
+    taken = (chain.chosen > 0) & given_up[of]
+    if not given_up.any() or (known & taken & chain.reached[of]).any():
+        return np.zeros(len(of), dtype=bool)
+    leaves = taken & (mdp.transition @ (best.infinite_sign <= 0) > 0)
+    departs = taken & (mdp.pair_action != best.policy[of])
+    return next((pairs for pairs in (leaves & departs, departs, leaves) if pairs.any()), taken)
 
 
 def _falling(mdp: MDP, best: Certificate, pairs: Flags) -> Flags:
@@ -104,6 +120,23 @@ def attaining(mdp: MDP, best: Certificate, optimal: Flags, state: int) -> list[i
     used = np.flatnonzero(optimal & (mdp.pair_state != state))
     shape = (mdp.n_states, mdp.n_pairs)
     choice = sp.csr_array((np.ones(len(used)), (mdp.pair_state[used], used)), shape)
+    rests = resting(mdp, best, optimal)
+    stays = stays | np.logical_or.reduceat(rests, mdp.pair_offsets[:-1])
     arrives = closure((choice @ mdp.transition).T.tocsr(), stays & (sign == sign[state]))
     arrives[state] = False
-    return [pair for pair in pairs if arrives[mdp.transition[[pair]].indices].any()] or pairs
+    return [
+        pair for pair in pairs if rests[pair] or arrives[mdp.transition[[pair]].indices].any()
+    ] or pairs
+
+
+def resting(mdp: MDP, best: Certificate, optimal: Flags) -> Flags:
+    """Return the optimal pairs (L,) of states worth 0 with which a policy can earn 0 for ever."""
+    worth = np.array([value == 0 for value in best.value], dtype=bool)
+    earned = np.array([gain == 0 for gain in mdp.table.expected_gain_exact()[0]], dtype=bool)
+    left = worth
+    while True:
+        inside = optimal & earned & left[mdp.pair_state] & (mdp.transition @ ~left == 0)
+        kept = np.logical_or.reduceat(inside, mdp.pair_offsets[:-1])
+        if (kept == left).all():
+            return np.asarray(inside)
+        left = kept

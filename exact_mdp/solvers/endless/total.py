@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import Mask
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers
@@ -104,7 +105,15 @@ def rounded(mdp: MDP, criterion: str = "total") -> Solution:
     }
     if not average:
         return Solution(**parts)
-    bias = proof.bias.astype(np.float64)
+    try:
+        bias = proof.bias.astype(np.float64)
+    except OverflowError as error:
+        raise ModelError(
+            "the bias is too large for a float",
+            where="the average reward per step",
+            fix='ask for it exactly: certify(mdp, criterion="average"), --certify; or scale the '
+            "rewards",
+        ) from error
     return AverageSolution(**parts, bias=bias, bias_error=np.spacing(np.abs(bias)))
 
 

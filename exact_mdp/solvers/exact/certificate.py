@@ -218,7 +218,10 @@ class Certificate(Proof, Pictured):
 
     @cached_property
     def value_float(self) -> Floats:
-        """(S,) the same as floats, each correctly rounded."""
+        """(S,) the same as floats, each correctly rounded.
+
+        Raises ModelError where a finite one is beyond the floats.
+        """
         return self._with_infinite(self._values.floats(self.sign))
 
     @property

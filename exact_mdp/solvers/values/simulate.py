@@ -30,6 +30,7 @@ from exact_mdp.solvers.solution import Claim, Estimated
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain, parted
 
+MOST_STEPS = 10**8  # of an episode that need not end, minutes of work
 NEGLIGIBLE = 1e-12  # of the greatest return: what follows counts in the error, however small
 
 
@@ -204,6 +205,14 @@ def simulate(
     if limit is None and missing:
         # The greatest return is size / (1 - γ), and what follows t steps at most γ^t of it.
         limit = 1 if missing == 1 else ceil(log(NEGLIGIBLE) / log1p(-missing))
+        if limit > MOST_STEPS and not chain.ends_from_start:
+            raise ModelError(
+                f"episodes need not end, and at discount {mdp.discount:.12g} their first "
+                f"{limit:,} steps count",
+                where="simulate",
+                fix="stop them: horizon=100000, --horizon 100000; or evaluate the policy, which "
+                "takes no sample",
+            )
     # What is added up over all states loses as many digits as their number has, which no sample can
     # tell: the chances of a state end where those of the next one begin.
     above, last = np.cumsum(chain.probability), np.cumsum(chain.outcomes) - 1

@@ -327,3 +327,57 @@ def test_a_passing_audit_has_no_table_of_what_is_wrong() -> None:
     report = audit.report()
     assert report.shown_tables() == []
     assert "costliest" not in report.html(10)
+
+
+@pytest.mark.parametrize("sense", ["max", "min"])
+def test_who_gives_up_an_infinite_value_is_to_blame(sense: str) -> None:
+    """To leave keeps it only where one stays next time; who leaves for good earns 2."""
+    one = 1 if sense == "max" else -1
+    rows = [
+        (0, 0, [(1, 0, one)]),
+        (0, 1, [("1/2", 0, one), ("1/2", 1, one)]),
+        (1, 0, [(1, 1, 0)]),
+    ]
+    audit = check(MDP.from_outcomes(rows, sense=sense), [1, 0])
+    (wrong,) = audit.disagreements
+    assert (wrong.state, wrong.learned, wrong.optimal, wrong.cost) == (0, "1", ("0",), inf)
+    assert audit.agreement == 0
+    assert "not optimal in 1 of 1 states" in audit.message()
+
+
+def test_who_leaves_later_is_to_blame_where_that_is() -> None:
+    """To come in is a chance that the optimum takes as well; then one has to stay."""
+    rows = [
+        (0, 0, [("1/2", 1, 0), ("1/2", 2, 0)]),
+        (1, 0, [(1, 1, 1)]),
+        (1, 1, [(1, 2, 9)]),
+        (2, 0, [(1, 2, 0)]),
+    ]
+    (wrong,) = check(MDP.from_outcomes(rows), [0, 1, 0]).disagreements
+    assert (wrong.state, wrong.optimal, wrong.cost) == (1, ("0",), inf)
+
+
+def test_every_place_to_rest_is_optimal() -> None:
+    rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 0, -1)]), (0, 2, [(1, 0, 0)]), (1, 0, [(1, 1, 0)])]
+    (wrong,) = check(MDP.from_outcomes(rows), [1, 0]).disagreements
+    assert wrong.optimal == ("0", "2")
+    # Two states between which one goes to and fro for nothing are a place to rest, too.
+    rows = [(0, 0, [(1, 2, 0)]), (0, 1, [(1, 1, 0)]), (0, 2, [(1, 0, -1)])]
+    rows += [(1, 0, [(1, 0, 0)]), (2, 0, [(1, 2, 0)])]
+    (wrong,) = check(MDP.from_outcomes(rows), [2, 0, 0]).disagreements
+    assert wrong.optimal == ("0", "1")
+
+
+def test_a_ratio_beyond_the_floats_is_infinite() -> None:
+    least, most = F(1, 10**200), F(10**200)
+    rows = [(0, 0, [(1, 1, least)]), (0, 1, [(1, 1, -most)]), (1, 0, [(1, 1, 0)])]
+    audit = check(MDP.from_outcomes(rows), [1, 0], max_relative_regret=1)
+    assert audit.relative_regret == inf
+    assert not audit.passed
+    assert '"relative_regret": "inf"' in audit.report().json()
+
+
+def test_where_no_policy_keeps_the_limits_there_is_nothing_to_agree_with() -> None:
+    mdp = MDP.from_outcomes([(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 2)]), (1, 0, [(1, 1, 0)])])
+    lines = check(mdp, [0, 0], subject_to={"reward": ">= 3"}).report().lines()
+    assert "nan" not in " ".join(lines.values())
