@@ -76,7 +76,9 @@ class Optimum:
         """(L,) the optimal pairs; up to the error bound where there is no certificate."""
         if self.certificate is not None:
             return self.certificate.optimal_pairs
-        lost = self.value[self.mdp.pair_state] - self.mdp.backup(self.value)
+        here, there = self.value[self.mdp.pair_state], self.mdp.backup(self.value)
+        with np.errstate(invalid="ignore"):  # two infinite values that are alike differ by nothing
+            lost = np.where(here == there, 0.0, here - there)
         return np.asarray(self.mdp.sign * lost <= 2 * self.best.error_bound)
 
     def stationary(self) -> bool | None:

@@ -49,10 +49,11 @@ def tradeoff(
     vertex of the front; edges: {from, to, rate}, what one total costs in terms of the other;
     policies: each policy with its values and its distance.
     """
+    beside = {form: given.policy_from(form) for form in policies}  # before the work
     front = exact_mdp.tradeoff(given.mdp, names)
     if certificate:
         front.save(certificate)
-    report = front.report({form: given.policy_from(form) for form in policies})
+    report = front.report(beside)
     return given.report(report, written=[certificate] if certificate else [])
 
 
@@ -99,10 +100,11 @@ def risk(
     mean: expected return of the best policy; threshold: the return below which an episode is among
     the worst; distribution: {return: probability}; policies: each policy given, with its values.
     """
+    named = {form: given.policy_from(form) for form in policies}  # before the work
     report = exact_mdp.best_cvar(given.mdp, cvar).report()
     beside = list[dict[str, Any]]()
-    for form in policies:
-        law = exact_mdp.return_distribution(given.mdp, given.policy_from(form), exact=True)
+    for form, policy in named.items():
+        law = exact_mdp.return_distribution(given.mdp, policy, exact=True)
         tail = law.tail_mean(cvar, highest=given.mdp.sense == "min")
         beside.append({"policy": form, "mean": law.tail_mean(1), "cvar": tail})
     table = Table(

@@ -11,7 +11,7 @@ import numpy as np
 import exact_mdp
 from exact_mdp.analysis.cli.given import Given
 from exact_mdp.analysis.cli.words import settings_of
-from exact_mdp.mdp.errors import located
+from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import Report
@@ -79,7 +79,12 @@ def train(
     stated.setdefault("snapshot_episode", min(10, stated.get("episodes", 10)))
     with located("--learner"):
         settings = QLearning(**stated)
-    exact_mdp.solve(mdp)  # a model that cannot be judged is refused before the work
+    if np.isinf(exact_mdp.solve(mdp).start.value):  # refused before the work
+        raise ModelError(
+            "the optimum is infinite, so that what a policy loses is no number",
+            where="the total at discount 1",
+            fix="choose a discount below 1: --discount 0.95",
+        )
     runs = training.train(mdp, settings, seeds, rng=seed, n_jobs=n_jobs, out=out, progress=True)
     results = exact_mdp.outcomes(mdp, runs)
     report = given.report(results.report(), settings=repr(settings), seed=seed)

@@ -200,6 +200,18 @@ def test_where_some_policy_never_ends(tmp_path: Path) -> None:
     assert run("curve", model, "--parameter", "discount").status == 0
 
 
+def test_infinite_values_cause_no_warnings_of_other_packages(tmp_path: Path) -> None:
+    done = run("solve yuan2025 --set tasks=[1] --set max_trial=2 --until skipped")
+    assert "inf" in done.out
+    assert "warning" not in done.err
+    model = str(tmp_path / "stay.npz")
+    rows = [(0, 0, [(1, 0, 1)]), (0, 1, [("1/2", 0, 1), ("1/2", 1, 1)]), (1, 0, [(1, 1, 0)])]
+    MDP.from_outcomes(rows).save(model)
+    words = ("train", model, "--seeds", "2", "--learner", "epochs=2")
+    assert "the optimum is infinite" in run(*words).refusal()
+    assert run(*words, "--discount", "0.95").status == 0
+
+
 @pytest.mark.parametrize(
     ("rows", "start", "words", "message"),
     [
