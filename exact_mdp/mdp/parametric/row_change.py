@@ -124,11 +124,11 @@ def _no_polynomial(
     """Return the error that names the first point that the polynomial of those before it misses."""
     steps = [rational(point - at[0]) for point in at]
     near = polynomials(steps[: degree + 1], [[through(y)] for y in steps[: degree + 1]])[0]
-    missed, apart, size = next(
-        (point, abs(near(y) - through(y)), abs(through(y)))
-        for point, y in zip(at, steps, strict=True)
-        if near(y) != through(y)
+    missed, y = next(
+        (point, y) for point, y in zip(at, steps, strict=True) if near(y) != through(y)
     )
+    apart: fmpq = abs(near(y) - through(y))
+    size: fmpq = abs(through(y))
     floats = "let build compute with the fractions that it is given, not with floats"
     any_function = "one_way and tornado take any function"
     scaled = apart * rational(ROUNDED)

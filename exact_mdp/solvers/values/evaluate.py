@@ -237,7 +237,9 @@ class Evaluation(OfPolicy, Pictured):
     def variance(self) -> Floats:
         """(S,) variance of the return from every state; NaN where `value` is not finite.
 
-        And where it is not known, as only means of the rewards of outcomes are.
+        And where only means of the rewards of outcomes are known. As floats compute it, without a
+        bound: near discount 1 few digits may be right. `numbers` has the variance from the start,
+        with its bound.
         """
         if not self.settled or self.only_means:
             return np.full(len(self.value), np.nan)
