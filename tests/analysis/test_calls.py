@@ -166,7 +166,10 @@ def test_a_table_by_state_and_action_is_never_one_by_row_and_column() -> None:
     assert lake.n_transitions < MDP.from_gymnasium("FrozenLake-v1").n_transitions
     values = np.random.default_rng(0).integers(0, 4, (16, 4))
     by_pair = {(s, a): values[s, a] for s, a in product(range(16), range(4))}
-    refused(lambda: Policy.of(lake, by_pair), "there is no row 4")
+    table = Policy.of(lake, values, kind="q")
+    for kind in ("auto", "q"):
+        read = Policy.of(lake, by_pair, kind=kind)
+        assert (read.rule.tolist(), read.read_as) == (table.rule.tolist(), "q")
     by_place = {(row, column): (row + column) % 4 for row in range(4) for column in range(4)}
     assert Policy.of(lake, by_place).tolist() == list(by_place.values())
     lakes: Any = ("gymnasium:FrozenLake-v1", gymnasium.make("FrozenLake-v1"))

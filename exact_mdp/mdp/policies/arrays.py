@@ -18,10 +18,11 @@ array's own numbers; the lowest action number wins a tie. -inf marks an action t
 NaN, +inf, and -inf for every action offered are refused. For costs the infinities change places.
 
 In Python a policy may also be {state: action}, {state: {action: probability}}, or {state: row of
-numbers}; of a Q-table (kind="q") {state: {action: value}}. {(state, action): number} says the same
-as {state: {action: number}}. Rows of states that a model of `MDP.from_function` does not reach are
-not read, with a warning. Tensors are the arrays that they hold. Where states are called 0, 2, 3 and
-there is one more, an array is refused: its row 3 may be that of state 3.
+numbers}; of a Q-table (kind="q") {state: {action: value}}. {(state, action): number} is a table as
+an array is, if it has every action offered; else it is {state: {action: number}}. Rows of states
+that a model of `MDP.from_function` does not reach are not read, with a warning. Tensors are the
+arrays that they hold. Where states are called 0, 2, 3 and there is one more, an array is refused:
+its row 3 may be that of state 3.
 """
 
 from __future__ import annotations

@@ -62,8 +62,11 @@ def _by_text(column: Column) -> Callable[[object], int]:
 
 def _by_pair(
     model: MDP, space: StateSpace, number: Callable[[object], int], entries: Mapping[Any, Any]
-) -> dict[Any, dict[str, Any]]:
-    """Return {(state, action): number} as {state: {action: number}}; nothing for other entries."""
+) -> dict[Any, Any]:
+    """Return {(state, action): number} as {state: {action: number}}; nothing for other entries.
+
+    Where it has every action that is offered it is a table: {state: row}, read as arrays are.
+    """
     pairs = all(isinstance(key, tuple) and len(key) == 2 for key in entries)
     kinds = (int, float, Fraction, np.number)
     if not pairs or not all(isinstance(value, kinds) for value in entries.values()):
@@ -72,12 +75,13 @@ def _by_pair(
         each = [(number(state), model.action_names.number(action)) for state, action in entries]
     except ModelError:
         return {}
-    if all(map(space.lookup.holds, entries)):  # {state: action}, unless the table is complete
-        rows = rows_read(model, space)[model.pair_state]
-        asked = model.asked[model.pair_state]
-        offered = zip(rows[asked].tolist(), model.pair_action[asked].tolist(), strict=True)
-        if not {*offered} <= {*each}:
-            return {}
+    rows = rows_read(model, space)[model.pair_state]
+    asked = model.asked[model.pair_state]
+    offered = zip(rows[asked].tolist(), model.pair_action[asked].tolist(), strict=True)
+    complete = {*offered} <= {*each}
+    if all(map(space.lookup.holds, entries)):
+        if not complete:
+            return {}  # {state: action}
         if {*rows[asked].tolist()} <= {*map(number, entries)}:
             raise ModelError(
                 "the keys may be states, or pairs of a state and an action: "
@@ -89,6 +93,8 @@ def _by_pair(
         zip(each, entries.values(), strict=True), lambda pair: space.label(pair[0])
     ).items():
         table.setdefault(space.label(state), {})[model.actions[action]] = value
+    if complete:
+        return {s: [row.get(name, 0) for name in model.actions] for s, row in table.items()}
     return table
 
 
