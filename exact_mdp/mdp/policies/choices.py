@@ -2,9 +2,9 @@
 
 Each state has a choice: an action, {action: probability}, or a row of A numbers, which are
 probabilities or action values; of a Q-table {action: value} is a row, too. {(state, action):
-number} says the same as {state: {action: number}}. `mdp.forms.names` says which state or action
-is meant; a list or an array is a row, and so is a tuple that is no action. In a file all is text:
-there the digits of a state are a number.
+number} is a table of rows where it has every action offered, else {state: {action: number}}.
+`mdp.forms.names` says which state or action is meant; a list or an array is a row, and so is a
+tuple that is no action. In a file all is text: there the digits of a state are a number.
 """
 
 from __future__ import annotations

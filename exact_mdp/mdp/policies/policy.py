@@ -353,7 +353,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         policy : PolicyLike
             A policy; "random", "always:ACTION" or a file; {status: action}, or {state: action},
             {action: probability} or a row of A numbers in place of an action, or, with kind="q",
-            {action: value}; {(state, action): number}, the same; a function of a state that returns
+            {action: value}; {(state, action): number}, a table; a function of a state that returns
             one of these; (S,) action numbers; a two-dimensional array of probabilities or action
             values; anything with a `policy`.
             Where the model stops after N steps (`MDP.within`), S may be the states without their
