@@ -134,3 +134,14 @@ def test_shown_text_is_the_same_twice() -> None:
         assert safe(once)
         assert ModelError(once).what == once
     assert all(ModelError(name).what == name for name in GOOD)
+
+
+def test_a_list_of_long_names_in_advice_ends_after_some() -> None:
+    """Names of states may be as long as their columns are many."""
+    labels = {f"{letter * 700}": [True] for letter in "abcdefghij"}
+    mdp = MDP.from_outcomes([(0, 0, [(1, 0, 0)])], labels=labels)
+    with pytest.raises(ModelError, match="unknown label") as error:
+        mdp.until("home")
+    assert "choose one of the 10 known names, such as aaa" in error.value.fix
+    assert len(str(error.value)) < 1000
+    assert len(ModelError("wrong", fix="x" * 9000).fix) <= 2000
