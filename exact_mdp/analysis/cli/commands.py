@@ -54,7 +54,7 @@ QUESTION = ("reach", "until", "reward", "allowed", "minimize", "maximize", "star
 ASKED = (*QUESTION, *SETS)
 OF_POLICY = ("kind", "perception", "horizon")
 VARIED = ("parameters", "ranges", "relative", "policy")  # listed beside a command's own
-HELD = (*VARIED, "kind", "perception", *ASKED)
+HELD = (*VARIED, *OF_POLICY, *ASKED)
 
 MADE: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
     "Check": {
@@ -70,14 +70,14 @@ MADE: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
     "Vary": {
         "tornado": ("vary:tornado", HELD),
         "gradient": ("vary:gradient", ("parameters", *HELD[3:])),
-        "threshold": ("vary:threshold", (*VARIED[:3], *ASKED)),
+        "threshold": ("vary:threshold", (*VARIED[:3], "horizon", *ASKED)),
         "curve": ("vary:curve", HELD),
         "one-way": ("vary:one_way", HELD),
         "two-way": ("vary:two_way", HELD),
         "psa": ("vary:psa", ("parameters", *HELD[3:])),
         "sobol": ("vary:sobol", HELD),
         "robust": ("vary:robust", HELD),
-        "explore": ("vary:explore", ("ranges", "relative", "kind", *ASKED)),
+        "explore": ("vary:explore", ("ranges", "relative", "kind", "horizon", *ASKED)),
     },
     "Trade": {
         "tradeoff": ("trade:tradeoff", ("horizon", *SETS)),

@@ -20,7 +20,7 @@ from exact_mdp.mdp.io.load import Loaded, read_model
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.questions import unlimited
+from exact_mdp.mdp.questions import Question, unlimited
 from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.solvers.solver import Criterion, is_average, require_no_horizon
 from exact_mdp.solvers.values.policy_chain import policy_of
@@ -183,11 +183,15 @@ class Given:
     @cached_property
     def family(self) -> Parametric:
         """The model with its parameters; what is compiled already stays so."""
-        mdp, scenario = self.loaded.mdp, self.loaded.scenario
-        family: Parametric = parametric(mdp)
-        if scenario is not None:
-            family = ScenarioFamily(scenario=scenario, base=mdp)
-        return family if self.question is None else family.posed(self.question)
+        scenario = self.loaded.scenario
+        if scenario is None:
+            return parametric(self.mdp)
+        family: Parametric = ScenarioFamily(scenario=scenario, base=self.loaded.mdp)
+        if self.question is not None:
+            family = family.posed(self.question)
+        if self.horizon is not None:
+            family = family.posed(Question("within", {"steps": self.horizon}))
+        return family
 
     @cached_property
     def taken(self) -> Any:

@@ -228,3 +228,41 @@ def test_totals_that_nobody_has_are_refused_by_name(
     MDP.from_outcomes(rows, start=start, labels={"home": [False, True]}).save(model)
     policy = ["always:0"] * (command == "check")
     assert message in run(command, model, *policy, *words).refusal()
+
+
+@pytest.fixture
+def years(tmp_path: Path) -> str:
+    """A model of which one row repeats each year."""
+    path = str(tmp_path / "years.npz")
+    rows = [[["9/10", "1/10"], [0, 1]]]
+    MDP.from_arrays(rows, [1, 0], layout="ass", labels={"end": [1]}).save(path)
+    return path
+
+
+def test_the_kinds_of_sensitivity_take_a_horizon(years: str, tmp_path: Path) -> None:
+    value, gained = 2.71, ["--horizon", "3"]
+    for kind in ("tornado", "threshold", "robust", "gradient", "sobol --samples 2"):
+        content = run(*kind.split(), years, *gained, "--json").result
+        assert content["start_value"] == pytest.approx(value)
+        assert content["horizon"] == 3
+    name = ["--parameter", "reward.1"]
+    for kind in ("curve", "one-way"):
+        content = run(kind, years, *name, *gained, "--json").result
+        assert content["start_value"] == pytest.approx(value)
+    two = run("two-way", years, *name, "--parameter", "discount", *gained, "--json").result
+    assert two["start_value"] == pytest.approx(value)
+    drawn = run("psa", years, *gained, "--samples", "4", "--json").result
+    assert len(drawn["drawn"]) == 1
+    page = str(tmp_path / "page.html")
+    assert run("explore", years, *name, *gained, "--html", page).status == 0
+    scenario = run("gradient yuan2025 --set tasks=[1] --set max_trial=2 --horizon 1 --json").result
+    assert scenario["horizon"] == 1
+
+
+def test_psa_takes_a_horizon_where_it_refuses_an_unrolled_model(years: str, tmp_path: Path) -> None:
+    unrolled = str(tmp_path / "unrolled.npz")
+    MDP.load(years).within(3).save(unrolled)
+    said = run("psa", unrolled, "--samples", "4").refusal()
+    assert "alike at every time" in said
+    assert "--horizon 20" in said
+    assert run("psa", years, "--horizon", "20", "--samples", "4").status == 0
