@@ -33,6 +33,7 @@ REMAINING, SLOW_EDGE = 1e-12, 1e-12
 EDGE = 1e-290  # masses below are left out: above 2⁻¹⁰²² / UNIT, where underflow costs no digit
 # More is refused. 10⁹ masses times outcomes take half a minute; 2²⁵ at once, a gigabyte.
 STEPS, CELLS, SWEEPS = 10**9, 2**25, 1_000_000
+FEW = 200  # states of a block of which a power of the matrix tells at once whether it is left
 DENSE, MERGED = 8, 64  # numbers of an array for each mass in it; sweeps kept apart; for speed
 
 
@@ -127,6 +128,13 @@ class Flow:
             visits, sweep = [moving], 0
             own = np.arange(*np.searchsorted(self.source, self.first[block : block + 2]))
             inner = self.inner[own]
+            if self.cyclic[block] and self._left(block, moving, own[inner]) > 2 * tolerance:
+                raise ModelError(
+                    f"after {SWEEPS:,} steps among states that lead back to each other the end is "
+                    "still to come",
+                    where="policy",
+                    fix="evaluate() gives mean and sd, simulate(…, horizon=1000) samples returns",
+                )
             while self.cyclic[block]:
                 moving = self._large(_summed([self._handed_on(moving, own[inner])]), tolerance)
                 left, sweep = float(moving[2].sum()), sweep + 1
@@ -162,6 +170,17 @@ class Flow:
                 chances = np.insert(chances, place, some.sum())
         roundings += int(self.entering[self.last]) + 10 + len(end) - int(finite)
         return listed, chances, self.lost, roundings
+
+    def _left(self, block: int, moving: Mass, inner: Integers) -> float:
+        """Return about the mass that is still in a cyclic block after all sweeps; 0 if unknown."""
+        first, last = self.first[block : block + 2]
+        if last - first > FEW:
+            return 0.0
+        matrix = np.zeros((last - first, last - first))
+        places = self.source[inner] - first, self.target[inner] - first
+        np.add.at(matrix, places, self.share[inner].astype(np.float64))
+        mass = np.bincount(moving[0] - first, moving[2].astype(np.float64), last - first)
+        return float((mass @ np.linalg.matrix_power(matrix, SWEEPS)).sum())
 
     def _handed_on(self, moving: Mass, outcomes: Integers) -> Mass:
         """Return what becomes of a mass by some outcomes, in the order of their sources."""

@@ -208,3 +208,10 @@ def test_a_quantile_may_be_asked_for_as_a_fraction() -> None:
         MDP.from_outcomes([(0, 0, [("1/4", 1, 0), ("3/4", 1, 8)]), (1, 0, [(1, 1, 0)])]), [0, 0]
     )
     assert [law.quantile(share) for share in ("1/4", "1/3", 0.25, 1)] == [0, 8, 0, 8]
+
+
+def test_states_that_are_hardly_ever_left_are_refused_before_they_are_swept() -> None:
+    rare = F(1, 10**300)
+    mdp = MDP.from_outcomes([(0, 0, [(1 - rare, 0, 1), (rare, 1, 0)]), (1, 0, [(1, 1, 0)])])
+    with pytest.raises(ModelError, match="the end is still to come"):
+        return_distribution(mdp, [0, 0])
