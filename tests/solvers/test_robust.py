@@ -318,3 +318,10 @@ def test_the_price_of_robustness() -> None:
     assert both.frame()["value (reward)"].tolist() == pytest.approx(values)
     costs = robust(RISKY.with_(sense="min"), Intervals.relative(RISKY, "1/2"))
     assert (costs.value.value, costs.worst.value) == (1, 1)
+
+
+def test_sets_that_would_not_fit_in_memory_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("exact_mdp.solvers.robust.robust.MOST_BYTES", 1000)
+    with pytest.raises(ModelError, match="robust values of 5 outcomes") as refused:
+        robust(RISKY)
+    assert "at most 2 outcomes" in refused.value.fix

@@ -34,7 +34,7 @@ from exact_mdp.mdp.report import Report, Shown, Table, cell, claimed, plain
 from exact_mdp.mdp.result import DataFrame, Result, data_frame, framed
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.solvers.robust.likelihood import Likelihood
-from exact_mdp.solvers.robust.robust import Nature, RobustSolution, solve_robust
+from exact_mdp.solvers.robust.robust import Nature, RobustSolution, require_room, solve_robust
 from exact_mdp.solvers.robust.sets import Ambiguity, Intervals, L1Ball
 from exact_mdp.solvers.solution import Bounded, Claim, difference
 from exact_mdp.solvers.solver import mdp_of
@@ -184,6 +184,7 @@ def robust(
     146.236 139.106 139.106
     """
     model = mdp_of(model)
+    require_room(model)
     if isinstance(ambiguity, str):
         make, usual = SETS[known(ambiguity, SETS, "set", "robust")]
         ambiguity = make(model, usual if radius is None else radius)

@@ -31,7 +31,7 @@ from exact_mdp.mdp.graph import beside_goal, closure, topological_levels
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
-from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.table import MOST_BYTES, Floats, Integers
 from exact_mdp.solvers.bounds.gains import POLICIES, SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import LinearSystem
 from exact_mdp.solvers.dynamic.iterate import RELATIVE_TOLERANCE, check_counts, check_tolerance
@@ -40,6 +40,7 @@ from exact_mdp.solvers.solution import Found, SolverError, Status, warn_of_preci
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 Nature = Literal["worst", "best"]
+OF_OUTCOME = 360  # bytes that the analysis of both sides takes for each outcome, as measured
 TURNS, SETTLING = 20, 100  # choices of both sides at once; of nature alone after one of the agent
 
 
@@ -111,6 +112,7 @@ def solve_robust(
     if not callable(getattr(ambiguity, "check", None)):
         fix = "give sets, such as Intervals.relative(model, 0.1), for ± 10 %"
         raise ModelError(f"{ambiguity!r:.60} is no set of laws", where="ambiguity", fix=fix)
+    require_room(model)
     ambiguity.check(model)
     require_amounts(model.table, "a value under other rows")
     if model.discount_exact == 1 and (beside := beside_goal(model)).any():
@@ -149,6 +151,19 @@ def solve_robust(
         iterations=iterations,
         seconds=perf_counter() - started,
     )
+
+
+def require_room(model: MDP) -> None:
+    """Raise ModelError where the sets of all rows would not fit in memory."""
+    size = OF_OUTCOME * len(model.table.next)
+    if size > MOST_BYTES:
+        most = MOST_BYTES // OF_OUTCOME
+        raise ModelError(
+            f"robust values of {len(model.table.next):,} outcomes take {size / 1e9:,.0f} GB of "
+            f"memory, more than {MOST_BYTES / 1e9:g} GB",
+            where="robust",
+            fix=f"use a model of at most {most:,} outcomes",
+        )
 
 
 class Game:
