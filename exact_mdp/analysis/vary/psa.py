@@ -32,7 +32,7 @@ from exact_mdp.analysis.vary.intervals import (
     tolerances_of,
     wilson,
 )
-from exact_mdp.analysis.vary.study import Draws, Study, checked, digest, solver_of
+from exact_mdp.analysis.vary.study import Draws, Study, checked, digest, require_room, solver_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, known, named_options
 from exact_mdp.mdp.model import MDP
@@ -349,6 +349,7 @@ def drawn(family: Parametric, chosen: Uncertainty, n: int | None, seed: int, blo
             where="n",
             fix=f"ask for {len(sample):,} or fewer",
         )
+    require_room(n, len(chosen.names), "ask for fewer draws")
     if sample is None:
         sample = np.concatenate([chosen.draw(*each) for each in seeded(seed, n, block)])
     fix = "draw finite numbers within its range: a beta stays between 0 and 1, a gamma and a "

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.random import default_rng
 
 from exact_mdp.analysis.vary.ranges import Range, Stated, spans_of, unit_of
-from exact_mdp.analysis.vary.study import study
+from exact_mdp.analysis.vary.study import require_room, study
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, known, named_options
 from exact_mdp.mdp.model import MDP
@@ -218,6 +218,8 @@ def sobol(
         )
     family, seed = parametric(model), seed_of(rng)
     spans = spans_of(family, names, ranges, relative)
+    fewer = "ask for fewer samples, or vary fewer parameters"
+    require_room(n * (len(spans) + 2), len(spans), fewer)
     how = How(n_jobs=n_jobs, folder=folder, progress=progress)
     draws = _design(list(spans.values()), n, default_rng(child(seed, 0)))
     table = study(family, dict(zip((p.name for p in spans), draws.T, strict=True)), [policy], **how)

@@ -31,7 +31,7 @@ from exact_mdp.mdp.policies.arrays import distinct
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import cell
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
-from exact_mdp.mdp.table import Floats, Integers, Numbers, exact
+from exact_mdp.mdp.table import MOST_BYTES, Floats, Integers, Numbers, exact
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.batch import Batch
 from exact_mdp.solvers.bounds.gains import component_errors, gains
@@ -43,6 +43,7 @@ from exact_mdp.solvers.values.evaluate import Evaluation, evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 SHOWN = 3  # parameters of a point that an error names
+OF_NUMBER = 32  # bytes of a parameter at a point: it is drawn, laid out, checked and passed on
 KEPT = 2**24  # numbers of built models that are kept for the next question
 Found = TypeVar("Found", Solution, Evaluation)
 
@@ -181,6 +182,18 @@ def checked(
                 fix=fix,
             )
     return points
+
+
+def require_room(count: int, parameters: int, fix: str) -> None:
+    """Raise ModelError where so many points of so many parameters would not fit in memory."""
+    size = OF_NUMBER * count * parameters
+    if size > MOST_BYTES:
+        raise ModelError(
+            f"{count:,} points of {parameters} parameters take {size / 1e9:,.0f} GB of memory, "
+            f"more than {MOST_BYTES / 1e9:g} GB",
+            where="points",
+            fix=fix,
+        )
 
 
 @dataclass(frozen=True)
