@@ -233,7 +233,8 @@ class FromArrays(Parts):
         ----------
         rows : iterable
             One for each pair, in any order. In place of a reward there may be
-            {component: amount}: the reward is their sum.
+            {component: amount}: the reward is their sum. `components` may also have, for a pair, a
+            list with the amount of each of its outcomes.
         discount, start, **names
             As in `from_arrays`.
 
@@ -276,6 +277,9 @@ class FromArrays(Parts):
         if any(isinstance(reward, Mapping) for reward in gain):
             amounts = _amounts(gain, names)
             gain = [sum(map(exact, r.values())) if isinstance(r, Mapping) else r for r in gain]
+        listed = _by_outcome(names.get("components"), lengths, order)
+        if listed:
+            amounts, names = listed, {k: v for k, v in names.items() if k != "components"}
         columns = offsets, following, one_kind(chance), one_kind(gain)
         each_component(names, lambda values, where: of_length(values, where, len(pairs)))
         names |= {"discount": discount, "start": start}
@@ -293,6 +297,40 @@ def _amounts(gains: list[Any], names: dict[str, Any]) -> dict[str, Any]:
         for name, amount in part.items():
             columns[str(name)][place] = exact(amount)
     return {name: _as_objects(amounts) for name, amounts in columns.items()}
+
+
+def _by_outcome(given: Any, lengths: list[int], order: Integers) -> dict[str, Any]:
+    """Return amounts (N,) of outcomes by name, where some are listed so; else nothing.
+
+    `given` has a number, or a list of numbers, for each pair; the model has them in `order`.
+    """
+    if not isinstance(given, Mapping):
+        return {}
+    lists = {str(n): values for n, values in given.items() if isinstance(values, list | tuple)}
+    if not any(isinstance(each, list | tuple) for own in lists.values() for each in own):
+        return {}
+    amounts = {}
+    for name, values in given.items():
+        own = [*values]
+        if len(own) != len(order):
+            raise ShapeError(
+                f"amounts of {len(own)} pairs, not of {len(order)}",
+                where=f"component {name}",
+                fix="give one amount for each pair, or a list for its outcomes",
+            )
+        every = list[Any]()
+        for number, count in zip(order.tolist(), lengths, strict=True):
+            amount = own[number]
+            several = isinstance(amount, list | tuple)
+            if several and len(amount) != count:
+                raise ShapeError(
+                    f"{len(amount)} amounts of {count} outcomes",
+                    where=f"component {name}, pair {number}",
+                    fix="give one amount for each outcome, or one for the pair",
+                )
+            every += [*map(as_given, amount)] if several else [as_given(amount)] * count
+        amounts[str(name)] = _as_objects(every)
+    return amounts
 
 
 def _as_objects(values: Sequence[Any]) -> Numbers:

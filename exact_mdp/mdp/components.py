@@ -90,16 +90,15 @@ def _completed(
 ) -> tuple[tuple[str, ...], OutcomeTable]:
     """Return names and table of components that were given by name, with the rest of the reward."""
     names, table = _with_rest(columns, earned)
-    return names, replace(table, averaged=True) if _only_means(table) else table
+    # Where the reward differs between outcomes, components that were given by pair are means.
+    means = not table.parted_by_outcome and not adds_up(table)
+    return names, replace(table, averaged=True) if means else table
 
 
-def _only_means(table: OutcomeTable) -> bool:
-    """Return whether components add up to the reward on average over outcomes, and not in each.
-
-    That is so where the reward differs between outcomes, and components were given by pair.
-    """
+def adds_up(table: OutcomeTable) -> bool:
+    """Return whether components add up to the reward in each outcome, not on average alone."""
     if not (table.joint or table.parted_by_outcome):
-        return False
+        return True
     gain, below = table.gains(), table.component_denominator
     counts = np.diff(table.offsets)
     parts = table.components
@@ -109,7 +108,7 @@ def _only_means(table: OutcomeTable) -> bool:
     each = np.stack([divide(part, below, counts) for part in parts.T], axis=1)
     # Each part is rounded once, and so are their sums and the reward.
     size = np.abs(each).sum(axis=1) + np.abs(gain)
-    return bool((np.abs(each.sum(axis=1) - gain) > (parts.shape[1] + 2) * NEXT * size).any())
+    return bool((np.abs(each.sum(axis=1) - gain) <= (parts.shape[1] + 2) * NEXT * size).all())
 
 
 def _with_rest(

@@ -352,7 +352,7 @@ class Questions(Parts):
 
 def _earning(model: Any, name: str) -> Any:
     """Return the model whose reward is one of its components."""
-    if (name,) == model.component_names:
+    if (name,) == model.component_names and not model.table.parted_by_outcome:
         return model
     if name not in model.component_names:
         fix = suggest(name, model.component_names)

@@ -197,6 +197,29 @@ def test_two_outcomes_that_differ_in_their_components_are_two() -> None:
     assert mdp.components[0].tolist() == [2, 2]
 
 
+@pytest.mark.parametrize("form", ["dictionary", "array", "outcomes"])
+def test_components_by_next_state_are_kept_so_in_every_form(form: str) -> None:
+    labels = {"end": [1, 2]}
+    if form == "dictionary":
+        P = {0: {0: {1: "1/2", 2: "1/2"}}, 1: {0: {1: 1}}, 2: {0: {2: 1}}}
+        x = {0: {0: {1: 4, 2: 0}}, 1: {0: 0}, 2: {0: 0}}
+        mdp = MDP.from_arrays(P, {0: 2, 1: 0, 2: 0}, components={"x": x}, labels=labels)
+    elif form == "array":
+        rows = [[[0, "1/2", "1/2"], [0, 1, 0], [0, 0, 1]]]
+        x = np.array([[[0, 4, 0], [0, 0, 0], [0, 0, 0]]])
+        mdp = MDP.from_arrays(rows, [2, 0, 0], components={"x": x}, labels=labels)
+    else:
+        outcomes = [
+            (0, 0, [("1/2", 1, 2), ("1/2", 2, 2)]),
+            (1, 0, [(1, 1, 0)]),
+            (2, 0, [(1, 2, 0)]),
+        ]
+        mdp = MDP.from_outcomes(outcomes, components={"x": [[4, 0], 0, 0]}, labels=labels)
+    assert mdp.components[:, 0].tolist() == [2, 0, 0]
+    law = return_distribution(mdp.until("end", reward="x"), [0, 0, 0], exact=True)
+    assert dict(zip(law.values, law.exact, strict=True)) == {0: F(1, 2), 4: F(1, 2)}
+
+
 # ---- ends with several actions -------------------------------------------------------------------
 
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError, ShapeError, located, of_type
 from exact_mdp.mdp.forms.numbering import Numbering, numbered
-from exact_mdp.mdp.forms.numbers import array_of, as_given, dense, expected
+from exact_mdp.mdp.forms.numbers import array_of, as_given, dense
 from exact_mdp.mdp.table import exact
 
 Path = tuple[Any, ...]
@@ -229,7 +229,7 @@ def rows_of(P: Any, R: Any, names: dict[str, Any]) -> tuple[list[Any], dict[str,
         amounts = listed.amounts(values, where)
         ends = listed.earned_once(amounts, where)
         paid = dict.fromkeys(ends, 0) | paid
-        parts[name] = [_expected(listed.earned(pair, amounts, where)) for pair in pairs]
+        parts[name] = [_by_outcome(listed.earned(pair, amounts, where)) for pair in pairs]
         parts[name] += [ends.get(end, 0) for end in listed.ends]
     rows = [(*pair, listed.earned(pair, rewards, "R")) for pair in pairs]
     made, own = numbered(rows, listed.states, listed.ends, paid)
@@ -240,10 +240,12 @@ def rows_of(P: Any, R: Any, names: dict[str, Any]) -> tuple[list[Any], dict[str,
     return made, own | names
 
 
-def _expected(outcomes: list[tuple[Any, Any, Any]]) -> Any:
-    """Return the expected amount of the outcomes of a pair."""
-    chances, _, amounts = zip(*outcomes, strict=True) if outcomes else ((), (), ())
-    return expected(chances, amounts, np.array([0, len(outcomes)]))[0] if outcomes else 0
+def _by_outcome(outcomes: list[tuple[Any, Any, Any]]) -> Any:
+    """Return the amount of a pair, or a list of those of its outcomes where they differ."""
+    amounts = [amount for *_, amount in outcomes]
+    if not amounts:
+        return 0
+    return amounts[0] if all(amount == amounts[0] for amount in amounts) else amounts
 
 
 def _with_the_end(names: dict[str, Any], states: int, end: str) -> dict[str, Any]:

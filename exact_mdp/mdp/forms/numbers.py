@@ -280,20 +280,6 @@ def joined(
     return offsets, columns[first], values, order[first]
 
 
-def expected(chances: Sequence[Any], amounts: Sequence[Any], offsets: Integers) -> Any:
-    """Return the expected amount (L,) of outcomes (N,), as it is where all of a row are equal."""
-    total = np.empty(len(offsets) - 1, dtype=object)
-    for pair, (first, last) in enumerate(pairwise(offsets.tolist())):
-        each = amounts[first:last]
-        if len(set(each)) == 1:
-            total[pair] = each[0]
-            continue
-        row = map(exact, meant([as_given(p) for p in chances[first:last]]))
-        terms = (p * exact(amount) for p, amount in zip(row, each, strict=True))
-        total[pair] = sum(terms, Fraction(0))
-    return total
-
-
 def dense(values: Any) -> Any:
     """Return a sparse array as a dense one; others as they are."""
     return values.toarray() if sp.issparse(values) else values

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from exact_mdp.mdp.care.toml import is_scenario
-from exact_mdp.mdp.components import of_outcomes, require_amounts
+from exact_mdp.mdp.components import adds_up, of_outcomes, require_amounts
 from exact_mdp.mdp.errors import ModelError, check_names, located, of_type, suggest
 from exact_mdp.mdp.forms.columns import table_of
 from exact_mdp.mdp.forms.numbers import one_kind
@@ -355,7 +355,7 @@ class Moved:
         probabilities move alone.
         """
         table, names = self.model.table, self.model.component_names
-        if table.components is None or table.averaged:
+        if table.components is None or table.averaged or not adds_up(table):
             return {}
         top, below = table.components, table.component_denominator
         if len(top) == table.pairs:
