@@ -53,15 +53,16 @@ class ErrorCosts(Pictured):
     value: Bounded  # of the policy under the perception
     perfect: Bounded  # where it sees the truth
     derivative: Floats  # (Z, Z) dV / dC(s, z); only differences within a row have a meaning
-    loss: Floats  # (Z, Z) what reading s as z loses; the sum is `perfect` less `value`
+    loss: Floats  # (Z, Z) what reading s as z loses; the sum is what `perfect` is better by
     # What a unit more of a status's sensitivity or specificity brings, others read as they are.
     rates: dict[str, tuple[float, float]]
     error: float  # of each entry of `derivative` and `loss`, and of each rate, at most
+    sign: int = 1  # -1 where values are costs: a loss is what they are more
 
     @property
     def marginal(self) -> Floats:
         """(Z, Z) what each unit of probability moved from s read rightly to z loses."""
-        return np.diag(self.derivative)[:, None] - self.derivative
+        return self.sign * (np.diag(self.derivative)[:, None] - self.derivative)
 
     @property
     def by_status(self) -> dict[str, tuple[float, float]]:
@@ -88,7 +89,8 @@ class ErrorCosts(Pictured):
             for true, seen in np.ndindex(loss.shape)
             if true != seen
         ]
-        names = ["true", "perceived", "loss (reward)", "loss per unit of probability (reward)"]
+        unit = "reward" if self.sign > 0 else "cost"
+        names = ["true", "perceived", f"loss ({unit})", f"loss per unit of probability ({unit})"]
         return data_frame(sorted(rows, key=lambda row: -row[2]), columns=names)
 
     def report(self) -> Report:
@@ -175,7 +177,8 @@ def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCo
     met, unsure = (x[:regular].reshape(-1, size) for x in (visits.value, visits.error))
     derivative = np.einsum("ps,psz->sz", met, by_seen)
     short = np.diagonal(true_by_seen, axis1=1, axis2=2)[:, :, None] - true_by_seen
-    loss = matrix * np.einsum("ps,psz->sz", met, short)
+    sign = model.sign  # of costs, what is lost is what they are more
+    loss = sign * matrix * np.einsum("ps,psz->sz", met, short)
     # What is added to one number: outcomes, actions, places, then statuses true and perceived.
     terms = int(np.diff(model.table.offsets).max()) + model.n_actions + len(met) + size**2 + 16
     off = doubt + float(gamma(terms)) * largest + TINY * terms
@@ -186,7 +189,7 @@ def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCo
     for name, flip in zip(names, 1 << np.arange(len(names))[::-1], strict=True):
         right, present = ((number[:, None] ^ number) & flip) == 0, number & flip > 0
         gain = (matrix + matrix[:, number ^ flip]) * (derivative - derivative[:, number ^ flip])
-        gain = (gain * right).sum(axis=1)
+        gain = sign * (gain * right).sum(axis=1)
         rates[name] = float(gain[present].sum()), float(gain[~present].sum())
     return ErrorCosts(
         statuses=names,
@@ -194,6 +197,7 @@ def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCo
         perfect=both[1].start,
         derivative=derivative,
         loss=loss,
+        sign=sign,
         rates=rates,
         error=error,
     )

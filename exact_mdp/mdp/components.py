@@ -130,16 +130,32 @@ def _with_rest(
             where="components",
             fix=f"leave {REST!r} out: it is what the others leave of the reward",
         )
-    more = columns | {REST: reduced(left, below)}
+    more = columns | {REST: _reduced(left, below, table)}
     return tuple(more), made_of(table, [*more.values()])
 
 
 def _rest(table: OutcomeTable) -> tuple[Numbers, Numbers]:
-    """Return what components leave of the reward of each pair, over denominators (L,)."""
+    """Return what components leave of the reward: of each pair (L,), over denominators (L,).
+
+    Of each outcome (N,), where components are known by outcome.
+    """
+    if table.parted_by_outcome:
+        return _rest_of_outcomes(table)
     amount, below = table.expected_components_exact()
     total = np.asarray(multiply(amount, integers([1]), terms=amount.shape[1]).sum(axis=1))
     gain, bottom = table.expected_gain_exact()
     return multiply(gain, below) - multiply(total, bottom), multiply(bottom, below)
+
+
+def _rest_of_outcomes(table: OutcomeTable) -> tuple[Numbers, Numbers]:
+    """Return what components leave of the reward of each outcome (N,), over denominators (L,)."""
+    gain, below = table.integer_gains()
+    left = _of_outcomes(gain, table).astype(object)
+    for number in range(table.components.shape[1]):
+        part, under = table.earning_component(number).integer_gains()
+        left = left * under[table.pair] - part.astype(object) * below[table.pair].astype(object)
+        below = multiply(below, under)
+    return integers(left.tolist()), below
 
 
 def _as_printed(column: tuple[Numbers, Numbers], table: OutcomeTable) -> tuple[Numbers, Numbers]:

@@ -186,6 +186,10 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
                 if isinstance(value, np.ndarray):
                     value.setflags(write=False)
 
+    def __getstate__(self) -> dict[str, Any]:
+        kept = {"origin": vars(self)["origin"]} if "origin" in vars(self) else {}
+        return super().__getstate__() | kept
+
     def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(state)
         object.__setattr__(self, "labels", as_labels(self.labels, self.space))
@@ -491,6 +495,14 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         0.9
         """
         check_options(parts, {})
+        origin = questions.origin_of(self)
+        if discount is not None and origin is not None and origin.paid:
+            # What states are worth at the horizon is discounted: it is asked once more.
+            asked = replace(origin, model=origin.model.with_(discount=discount)).again()
+            if start is not None or parts:
+                asked = asked.with_(start=start, **parts)
+            whole: Self = asked
+            return whole
         given = {**parts} if start is None else {**parts, "start": start}
         if "states" in parts:
             parts["space"] = StateSpace.plain(self.n_states, parts.pop("states"))
@@ -511,7 +523,9 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
             parts = questions.NO_DATA | parts
             if not parts.keys() & {"components", "component_names"}:
                 parts |= questions.ONE_COMPONENT
-                parts["table"] = table.earning(table.gain, table.gain_denominator)
+                means = table.averaged and table.components is None
+                earned = table.earning(table.gain, table.gain_denominator)
+                parts["table"] = replace(earned, averaged=means)
         if "components" in parts:
             if self.table.components is not None:
                 parts.setdefault("component_names", self.component_names)
@@ -542,7 +556,8 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
             self,
             table=self.table.negated(),
             sense="max" if self.sense == "min" else "min",
-            unreached=-self.unreached,
+            # Without a question nothing is missed, and to miss that of a later `until` is worth +∞.
+            unreached=self.unreached if self.target is None else -self.unreached,
         )
         if questions.origin_of(self) is not None:
             questions.keep_origin(negated, self, "negated")

@@ -75,6 +75,21 @@ class Origin:
     model: Any
     questions: tuple[Question, ...]
 
+    @property
+    def paid(self) -> bool:
+        """Whether states are worth something when a horizon is reached."""
+        return any(each.options.get("terminal_value") is not None for each in self.questions)
+
+    def unpaid(self) -> Origin:
+        """Return the same questions, where states are worth nothing at a horizon."""
+        asked = (
+            replace(each, options={**each.options, "terminal_value": None})
+            if "terminal_value" in each.options
+            else each
+            for each in self.questions
+        )
+        return replace(self, questions=tuple(asked))
+
     def again(self) -> Any:
         """Return the model that answers."""
         return reduce(lambda model, ask: ask(model), self.questions, self.model)
@@ -128,10 +143,8 @@ def keep_origin_changed(
     if "discount_exact" in changes:
         return
     if discount is not None:
-        for question in before.questions:
-            paid = question.options.get("terminal_value") is not None
-            if question.method == "reaching" or paid:
-                return
+        if any(question.method == "reaching" for question in before.questions):
+            return
         before = replace(before, model=before.model.with_(discount=discount))
     if changes:
         question = Question("with_", dict(changes))
@@ -250,6 +263,7 @@ class Questions(Parts):
         target = labelled(self, label)
         model = self if reward is None else _earning(self, reward)
         goal = target if self.discount_exact == 1 else None
+        _refuse_paid_goal(model, label)
         until: Self = ended(model, target, goal=goal, target=target)
         asked: Self = keep_origin(until, model, "until", label=label)
         return asked
@@ -294,10 +308,21 @@ class Questions(Parts):
         mdp: Any = self  # which is whole
         offsets, over = mdp.pair_offsets, mdp.over
         values = [] if terminal_value is None else _values(terminal_value, self.space)
+        if self.target is not None:
+            for state in np.flatnonzero(self.target).tolist():
+                if values and values[state]:
+                    raise _paid_goal(self.space.place(state))
         if any(values):
             over = over & np.array([value == 0 for value in values])
         count, space = counted(steps, "horizon"), _in_columns(self, over)
         own, states = space.regular, self.n_states
+        origin = origin_of(self)
+        if origin is not None and any(each.method == "within" for each in origin.questions):
+            raise ModelError(
+                "the model stops after a number of steps already",
+                where="horizon",
+                fix="leave out the horizon, or ask the model that it was made from",
+            )
         if TIME in space.names:
             raise ModelError(
                 f"the model has a column {TIME!r} of its own",
@@ -350,6 +375,30 @@ class Questions(Parts):
         return stopped
 
 
+def _refuse_paid_goal(model: Any, label: str) -> None:
+    """Raise ModelError where a state of a label is worth something at the horizon of a model."""
+    origin = origin_of(model)
+    if origin is None or not origin.paid:
+        return
+    own, inside = origin.model.space, origin.model.labels.get(label, [])
+    for question in origin.questions:
+        given = question.options.get("terminal_value")
+        values = [] if given is None else _values(given, own)
+        for state in np.flatnonzero(inside).tolist():
+            if values and values[state]:
+                raise _paid_goal(own.place(state))
+
+
+def _paid_goal(where: str) -> ModelError:
+    """Return the error of a goal whose states are worth something at a horizon."""
+    return ModelError(
+        "a run that has reached the goal is over, and is paid no terminal value at the horizon",
+        where=f"terminal_value, {where}",
+        fix="leave the states of the goal out of terminal_value, and pay what an arrival is worth "
+        "as a reward of the step that arrives",
+    )
+
+
 def _earning(model: Any, name: str) -> Any:
     """Return the model whose reward is one of its components."""
     if (name,) == model.component_names and not model.table.parted_by_outcome:
@@ -359,7 +408,9 @@ def _earning(model: Any, name: str) -> Any:
         raise ModelError(f"no reward component {name!r}", where="reward components", fix=fix)
     origin = origin_of(model)
     if origin is not None and name in origin.model.component_names:
-        return replace(origin, model=_earning(origin.model, name)).again()
+        # What states are worth at a horizon is a component of its own, which does not count.
+        unpaid = origin.unpaid()
+        return replace(unpaid, model=_earning(origin.model, name)).again()
     table = model.table.earning_component(model.component_names.index(name))
     return replace(model, table=table, component_names=(name,))
 

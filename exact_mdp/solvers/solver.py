@@ -16,6 +16,7 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, known, named_options
 from exact_mdp.mdp.graph import endless, is_acyclic
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.questions import REACHED
 from exact_mdp.mdp.table import COMPILED
 from exact_mdp.solvers.dynamic.iterate import Solver, check_tolerance, opposite
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram
@@ -150,6 +151,7 @@ def solve(
     mdp = mdp_of(model)
     if is_average(criterion):
         require_no_horizon(horizon)
+        require_no_target(mdp)
         check_tolerance("solve", tol)
         chosen = PolicyIteration() if solver == "auto" else _set(solver, tol=tol)
         try:
@@ -202,6 +204,16 @@ def _check_fit(
 def is_average(criterion: str) -> bool:
     """Return whether the average reward is asked for; raises ModelError for an unknown word."""
     return known(criterion, CRITERIA, "criterion", "criterion") == "average"
+
+
+def require_no_target(mdp: MDP) -> None:
+    """Raise ModelError for an average reward of a model that asks about a label."""
+    if mdp.target is not None or REACHED in mdp.space.extra:
+        raise ModelError(
+            "an average reward per step has no target",
+            where="criterion",
+            fix="ask the model itself, without until or reaching, or leave out the criterion",
+        )
 
 
 def require_no_horizon(horizon: object) -> None:

@@ -1,5 +1,7 @@
 """Small models of which an analysis once forgot part of the question."""
 
+import pickle
+from copy import deepcopy
 from fractions import Fraction as F
 from math import inf
 from pathlib import Path
@@ -23,10 +25,13 @@ from exact_mdp import (
     check,
     cost_effectiveness,
     curve,
+    error_costs,
     evaluate,
     gradient,
+    independent,
     moving,
     one_way,
+    parametric,
     psa,
     return_distribution,
     robust,
@@ -337,3 +342,134 @@ def test_a_model_that_was_unrolled_before_it_was_saved_is_not_drawn_by_year(tmp_
     with pytest.raises(ModelError, match="alike at every time") as refused:
         psa(MDP.load(tmp_path / "years.npz"), 3)
     assert "--horizon 20" in str(refused.value)
+
+
+# ---- other orders of the same --------------------------------------------------------------------
+
+
+def test_a_question_about_negated_costs_is_that_about_costs() -> None:
+    rows = [(0, 0, [(1, 0, -1)]), (0, 1, [(1, 1, -2)]), (1, 0, [(1, 1, 0)])]
+    negated = MDP.from_outcomes(rows, labels={"goal": [1]}).negated()
+    rows = [(0, 0, [(1, 0, 1)]), (0, 1, [(1, 1, 2)]), (1, 0, [(1, 1, 0)])]
+    costs = MDP.from_outcomes(rows, labels={"goal": [1]}, sense="min")
+    for mdp in (negated, costs):
+        assert certify(mdp.until("goal")).start_value == 2
+        assert certify(mdp.until("goal").negated()).start_value == -2
+
+
+def two_steps() -> MDP:
+    rows = [(0, 0, [(1, 1, {"a": 1, "b": 10})]), (0, 1, [(1, 2, {"a": 2, "b": 0})])]
+    rows += [(state, 0, [(1, 1, {"a": 0, "b": 0})]) for state in (1, 2)]
+    return MDP.from_outcomes(rows, "1/2", labels={"goal": [1]})
+
+
+def test_a_component_does_not_earn_what_states_are_worth_at_the_horizon(tmp_path: Path) -> None:
+    paid = two_steps().within(1, terminal_value={2: 100})
+    assert paid.component_names == ("a", "b", "terminal value")
+    paid.save(tmp_path / "paid.npz")
+    for mdp in (paid, MDP.load(tmp_path / "paid.npz")):
+        values = [
+            certify(mdp.until("goal", reward=name)).start_value
+            for name in ("a", "b", "terminal value")
+        ]
+        assert values == [2, 10, 50]
+
+
+def test_what_states_are_worth_at_the_horizon_follows_the_discount() -> None:
+    paid = two_steps().within(2, terminal_value={0: 0, 2: 8})
+    assert certify(paid.with_(discount=1)) is not None
+    again = two_steps().with_(discount=1).within(2, terminal_value={2: 8})
+    assert paid.with_(discount=1) == again
+    assert paid.with_(discount=1, sense="min") == again.with_(sense="min")
+    values = one_way(paid, "discount", ("1/2", 1), points=2).table.optimal
+    assert values == pytest.approx([float(certify(m).start_value) for m in (paid, again)])
+    with pytest.raises(ModelError, match="unknown parameter 'discount'"):
+        gradient(moving(paid, {}), names=["discount"])
+
+
+def test_a_goal_is_paid_nothing_at_the_horizon() -> None:
+    for ask in (
+        lambda: two_steps().within(2, terminal_value={1: 8}).until("goal"),
+        lambda: two_steps().until("goal").within(2, terminal_value={1: 8}),
+        lambda: solve(two_steps().until("goal"), horizon=2, terminal_value={1: 8}),
+    ):
+        with pytest.raises(ModelError, match="is paid no terminal value"):
+            ask()
+    orders = [
+        two_steps().within(2, terminal_value={2: 8}).until("goal"),
+        two_steps().until("goal").within(2, terminal_value={2: 8}),
+    ]
+    one, other = (certify(mdp).start_value for mdp in orders)
+    assert one == other
+
+
+def test_errors_of_perception_cost_as_much_where_rewards_are_costs() -> None:
+    mdp = Scenario.load("tea").compile()
+    seen = independent([0.9] * 3, [0.8] * 3)
+    gained, cost = error_costs(mdp, "optimal", seen), error_costs(mdp.negated(), "optimal", seen)
+    assert gained.loss == pytest.approx(cost.loss)
+    assert gained.marginal == pytest.approx(cost.marginal)
+    assert gained.rates == cost.rates
+    assert cost.loss.sum() == pytest.approx(cost.value.value - cost.perfect.value)
+    assert "loss (cost)" in cost.frame().columns
+
+
+def test_means_stay_means_where_rewards_move() -> None:
+    rows = [[[0, "1/2", "1/2"], [0, 1, 0], [0, 0, 1]]]
+    rewards = [[[0, 0, 10], [0, 0, 0], [0, 0, 0]]]
+    parts = {"c": [[3], [0], [0]]}
+    labels = {"goal": [1, 2]}
+    mdp = MDP.from_arrays(rows, rewards, components=parts, labels=labels, layout="ass")
+    asked = mdp.until("goal", reward="c")
+    for model in (asked, parametric(asked).at({"reward.3": 4})):
+        with pytest.raises(ModelError, match="only the mean of each pair is known"):
+            return_distribution(model, [0, 0, 0])
+
+
+def test_what_components_leave_of_the_reward_is_known_by_outcome_too() -> None:
+    rows = [[["1/2", "1/4", "1/4"], [0, 1, 0], [0, 0, 1]]]
+    parts = {"c": [[[1, 3, 8], [0, 0, 0], [0, 0, 0]]]}
+    labels = {"goal": [1, 2]}
+    mdp = MDP.from_arrays(rows, [1, 0, 0], components=parts, layout="ass", labels=labels)
+    assert mdp.component_names == ("c", "rest")
+    law = return_distribution(mdp.until("goal", reward="c"), [0, 0, 0])
+    assert law.values[:2] == (3, 4)
+    moved = moving(mdp, {"stay": [(0, 0)]}).at({"stay": "1/3"})
+    assert certify(moved.until("goal", reward="c")).start_value == 6  # 1/2 + 11/2
+
+
+def test_model_json_keeps_what_runs_end_for_below_discount_1(tmp_path: Path) -> None:
+    below = beside_the_goal().with_(discount="9/10").until("goal")
+    below.save(tmp_path / "model.json")
+    read = MDP.load(tmp_path / "model.json")
+    assert read.with_(discount=1) == beside_the_goal().until("goal")
+    with pytest.raises(ModelError, match="of a question already"):
+        read.until("goal")
+    by_outcome().until("end", reward="x").save(tmp_path / "model.json")
+    assert MDP.load(tmp_path / "model.json").component_names == ("x",)
+
+
+@pytest.mark.parametrize("asked", [lambda m: m.until("goal"), lambda m: m.reaching("goal")])
+def test_an_average_has_no_target(asked) -> None:
+    mdp = asked(beside_the_goal())
+    for ask in (
+        lambda: certify(mdp, criterion="average"),
+        lambda: solve(mdp, criterion="average"),
+        lambda: evaluate(mdp, "random", criterion="average"),
+        lambda: check(mdp, "random", criterion="average"),
+    ):
+        with pytest.raises(ModelError, match="has no target"):
+            ask()
+
+
+def test_copies_know_what_they_were_asked_of() -> None:
+    for copied in (pickle.loads(pickle.dumps(years().within(3))), deepcopy(years().within(3))):
+        assert len(psa(copied, 2).table.names) == 1
+
+
+def test_steps_are_counted_until_the_end_where_components_cancel() -> None:
+    rows = [(0, 0, [(1, 1, {"a": 1, "b": 0})])]
+    rows += [(1, action, [(1, 1, {"a": 1, "b": -1})]) for action in (0, 1)]
+    mdp = MDP.from_outcomes(rows, "1/2")
+    assert tradeoff(mdp, ["steps", "b"]).vertices[0][0] == 1
+    assert evaluate(mdp, [0, 0]).steps == 1

@@ -16,7 +16,10 @@
                       worth, "inf" or "-inf"
     time_limit        null, or after how many steps the environment stops, which is no part of the
                       model: results say so
+    target            a list of states in which `until` ends runs below discount 1; left out
+                      without such a question
     labels            {name: list of states}
+    component_names   [name] of the only component, if that is not "reward"; left out if it is
     components        {name: list with a number for each pair}: parts of the reward; in place of a
                       number there may be a list with one for each of the next states
     averaged          whether components, or without them rewards, are only means over the outcomes
@@ -64,6 +67,7 @@ from exact_mdp.mdp.table import Numbers, OutcomeTable, integers, magnitude, over
 
 FORMAT, VERSION = "exact-mdp model", 2
 FLOATS = ("float_probabilities", "float_rewards")
+ONE = ("reward",)  # the name of the only component, unless it is given
 
 
 def positive(given: Any) -> int:
@@ -99,6 +103,8 @@ HEAD = {
     "labels": {str: [natural]},
     "components": {str: [lambda given: _amount(given)]},
     "averaged": optional(bool),
+    "target": optional([natural]),
+    "component_names": optional([str]),
     "action_names": optional([str]),
     "state_names": optional([str]),
     "pairs": [PAIR],
@@ -145,11 +151,20 @@ def content(mdp: MDP) -> dict[str, Any]:
         "labels": {name: np.flatnonzero(each).tolist() for name, each in mdp.labels.items()},
         "components": parts,
         **({"averaged": True} if table.averaged else {}),
+        **({"target": targeted} if (targeted := _targeted(mdp)) is not None else {}),
+        **({} if parts or mdp.component_names == ONE else {"component_names": mdp.component_names}),
         "action_names": mdp.actions,
         "state_names": words if named else None,
     }
     pairs = [dict(zip(PAIR, pair, strict=True)) for pair in zip(*columns, strict=True)]
     return {**ready(head), "pairs": pairs}
+
+
+def _targeted(mdp: MDP) -> list[int] | None:
+    """Return the states in which runs end for a question, if they are not the goal."""
+    if mdp.target is None or mdp.goal is not None:
+        return None
+    return np.flatnonzero(mdp.target).tolist()
 
 
 def _amounts(mdp: MDP, rows: Sequence[slice]) -> Iterator[tuple[str, list[Any]]]:
@@ -231,9 +246,10 @@ def load(path: str | Path) -> MDP:
             else names,
             discount_exact=head["discount"],
             start=tuple((_state(key), share) for key, share in head["start"].items()),
-            component_names=tuple(parts) or ("reward",),
+            component_names=tuple(parts) or head["component_names"] or ONE,
             labels=flags,
             goal=None if head["goal"] is None else _flags("goal", head["goal"], states),
+            target=None if head["target"] is None else _flags("target", head["target"], states),
             **{key: head[key] for key in (*FLOATS, "name", "sense", "unreached", "time_limit")},
         )
 

@@ -324,8 +324,11 @@ def moving(
     earned = _earned(model, rewards)
     gains = [Parameter(name=name, value=reward, unit="reward") for reward, name in earned.items()]
     rate = Parameter(name=DISCOUNT, value=model.discount_exact, low=Fraction(0), high=Fraction(1))
+    origin = origin_of(model)
+    # Beside values at the horizon, which are discounted in its rewards, the discount does not move.
+    rates = [] if origin is not None and origin.paid else [rate]
     return Family(
-        parameters=(*moved, *gains, rate),
+        parameters=(*moved, *gains, *rates),
         build=Moved(
             model=model, parameters=(*moved, *gains), named=named, earned=earned, highest=highest
         ),
@@ -368,7 +371,7 @@ class Moved:
 
     def __call__(self, values: Mapping[str, Fraction]) -> MDP:
         """Return the model at values of all parameters."""
-        model, rate = self.model, values[DISCOUNT]
+        model, rate = self.model, values.get(DISCOUNT, self.model.discount_exact)
         if all(values[p.name] == p.value for p in self.parameters):
             return model.with_(discount=rate)
         moved = {r: values[name] for r, name in self.earned.items() if values[name] != r}
@@ -395,6 +398,8 @@ class Moved:
             by_pair=False,
             own=True,
         )
+        if model.table.components is None:  # means of rewards stay means
+            table = replace(table, averaged=model.table.averaged)
         own: dict[str, Any] = {}
         if parts:
             table = of_outcomes(table, parts)

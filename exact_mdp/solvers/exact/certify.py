@@ -27,7 +27,7 @@ from exact_mdp.solvers.exact.certificate import BoundedCertificate, Certificate,
 from exact_mdp.solvers.exact.find import best, certificate, expansion, reaching
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
-from exact_mdp.solvers.solver import is_average, mdp_of, solve
+from exact_mdp.solvers.solver import is_average, mdp_of, require_no_target, solve
 
 
 @overload
@@ -90,6 +90,8 @@ def certify(
     []
     """
     mdp, average = mdp_of(model), is_average(criterion)
+    if average:
+        require_no_target(mdp)
     if bounded and average:
         raise ModelError(
             "bounds prove a total reward, not an average",

@@ -49,7 +49,13 @@ from exact_mdp.solvers.solution import (
     at_start,
     in_float,
 )
-from exact_mdp.solvers.solver import is_average, mdp_of, require_no_horizon, solve
+from exact_mdp.solvers.solver import (
+    is_average,
+    mdp_of,
+    require_no_horizon,
+    require_no_target,
+    solve,
+)
 from exact_mdp.solvers.values.average import AverageEvaluation, average
 from exact_mdp.solvers.values.policy_chain import (
     Equations,
@@ -489,6 +495,7 @@ def evaluate(
     mdp = mdp_of(model)
     if is_average(criterion):
         require_no_horizon(horizon)
+        require_no_target(mdp)
         if isinstance(policy, str) and policy == "optimal":
             policy = solve(mdp, criterion="average")
         return average(PolicyChain.of(mdp, policy, kind=kind))

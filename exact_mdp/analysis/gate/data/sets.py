@@ -68,8 +68,8 @@ class RowSets:
                 f"nothing says where rewards lie: those seen, from {ends[0]:g} to {ends[1]:g}, do "
                 "not prove that no other comes",
                 where="rewards",
-                fix="state it: by=Robust(rewards=(low, high)), --evidence rewards=LOW,HIGH; or "
-                "rewards='known', --evidence rewards=known, where state, action and next state "
+                fix="state it in the evidence: rewards=(low, high), --evidence rewards=LOW,HIGH; "
+                "or rewards='known', --evidence rewards=known, where state, action and next state "
                 "decide the reward",
             )
         known = isinstance(rewards, str)
