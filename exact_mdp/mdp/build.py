@@ -108,9 +108,8 @@ class FromArrays(Parts):
             raise ModelError(
                 "no rewards are given",
                 where="R",
-                fix="give them beside P; a table of transitions and rewards in one, with the "
-                "columns state, action, next_state, probability and reward, is read from a .csv "
-                "file: MDP.load(path)",
+                fix="give them beside P: MDP.from_arrays(P, R); where each outcome comes with its "
+                "reward, use MDP.from_outcomes",
             )
         if listed.is_listed(P):
             if layout not in (None, "sas"):

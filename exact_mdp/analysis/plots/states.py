@@ -175,7 +175,7 @@ def plot_solution(solution: Solution, *, ax: Axes | None = None, **place: Any) -
         raise ModelError(
             "a certificate read from a file does not contain the model",
             where="plot",
-            fix="draw plot_states(model, certificate.value_float)",
+            fix="draw plots.plot_states(model, certificate.value_float)",
         )
     value = getattr(solution, "value_float", None)
     value = solution.value if value is None else value

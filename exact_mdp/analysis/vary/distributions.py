@@ -637,8 +637,9 @@ def row_family(mdp: MDP) -> Family:
         raise ModelError(
             f"{len(rows):,} rows of the model are random",
             where="rows as parameters",
-            fix="name the parameters that matter (mdp.parametric.moving), or draw no rows: "
-            f"parametric(model); or take a model with at most {MOST_ROWS:,} of them",
+            fix='name the parameters that matter: moving(model, {"NAME": [((state, action), next '
+            "state)]}); or draw no rows: parametric(model); or take a model with at most "
+            f"{MOST_ROWS:,} of them",
         )
     rewards = {p.name: p.value for p in parametric(mdp).parameters if p.name != DISCOUNT}
     return replace(moving(mdp, entries, rewards), rows=rows)
