@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from exact_mdp.mdp.errors import known
-from exact_mdp.mdp.graph import reachable, ways_out
+from exact_mdp.mdp.graph import other_question, reachable, ways_out
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.choices import state_names
@@ -140,7 +140,8 @@ class Optimum:
         notes = []
         if np.isinf(float(self.start)):
             notes.append(
-                "the total reward is infinite, so policies cannot be compared: " + ways_out(mdp)
+                "the total reward is infinite, so policies cannot be compared: "
+                + ways_out(mdp, other_question(mdp))
             )
         columns = {reads: "", "action": "value"}
         table = Table(title=f"optimal action{where}, by {reads}", columns=columns, first=LISTED)

@@ -269,8 +269,8 @@ def require_amounts(table: OutcomeTable, what: str) -> None:
             f"{what} needs the reward of each outcome, and of this component of the reward only "
             "the mean of each pair is known",
             where="reward components",
-            fix="ask for the mean; or, in a scenario, set the other weights to 0 "
-            "(--set reward.NAME=0), so that this component is the whole reward",
+            fix="evaluate() gives the mean; or, in a scenario, set every other weight to 0 (--set "
+            "reward.NAME=0 for each of them), and leave out --reward, or reward=",
         )
 
 

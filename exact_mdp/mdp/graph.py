@@ -261,36 +261,36 @@ def where_endless(mdp: MDP) -> str:
 
 
 def ways_out(mdp: MDP, *others: str) -> str:
-    """Return what can be asked instead of a total that is infinite, or has no limit.
+    """Return what can be done, and `others`, where a total is infinite or has no limit.
 
-    A run that misses a goal is worth infinity after N steps, too, and has no reward per step.
+    A run that misses a goal is worth infinity after N steps, too.
     """
     steps = mdp.time_limit or "N"
     ways = ["choose a discount below 1 (--discount 0.95, mdp.with_(discount=0.95))"]
     if mdp.goal is None:
         ways.append(f"stop after {steps} steps (--horizon {steps}, mdp.within({steps}))")
-        others = others or (
-            'ask for the reward per step (--criterion average, criterion="average")',
-        )
-    others = others or ("ask for the chance of getting there (--reach LABEL, mdp.reaching(label))",)
-    return ", or ".join([", ".join(ways), *others])
+    *ways, last = [*ways, *others]
+    return f"{', '.join(ways)}, or {last}" if ways else last
+
+
+def other_question(mdp: MDP) -> str:
+    """Return what can be asked instead of a total; a run to a goal has no reward per step."""
+    if mdp.goal is None:
+        return 'ask for the reward per step (--criterion average, criterion="average")'
+    return "ask for the chance of getting there (--reach LABEL, mdp.reaching(label))"
 
 
 def require_termination(mdp: MDP) -> None:
     """Raise ModelError unless γ < 1, or every policy ends and none of them beside a goal."""
     if not endless(mdp):
         return
-    raise ModelError(
-        "discount 1 needs every policy to end, and one does not"
-        if not termination(mdp).proven
-        else "a run that ends beside the goal is worth infinity, and some policy has such a run",
-        where=where_endless(mdp),
-        fix=ways_out(
-            mdp,
-            "use solve(mdp) or certify(mdp)",
-            "add a way out: a terminal state stays put and earns 0",
-        ),
-    )
+    ways = ["for the optimum of all policies use solve(mdp) or certify(mdp)"]
+    if termination(mdp).proven:
+        said = "a run that ends beside the goal is worth infinity, and some policy has such a run"
+    else:
+        said = "discount 1 needs every policy to end, and one does not"
+        ways.append("add a way out: a terminal state stays put and earns 0")
+    raise ModelError(said, where=where_endless(mdp), fix=ways_out(mdp, *ways))
 
 
 def _edges(mdp: MDP, pairs: ArrayLike | None = None) -> sp.csr_array:

@@ -110,21 +110,29 @@ def written(node: ast.AST) -> str:
     return "{}" if parts == [node] else "".join(map(written, parts))
 
 
-def texts_in(node: ast.AST) -> Iterator[tuple[int, str]]:
-    """The texts below a node, with their lines; docstrings, help and patterns are none."""
-    if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
-        return
-    if isinstance(node, ast.Call) and ast.unparse(node.func).startswith("re."):
-        return
-    if isinstance(node, ast.keyword) and node.arg == "help":
-        return
-    inside = list(ast.iter_child_nodes(node))
-    if isinstance(node, ast.expr) and set(text := written(node)) - set("{}"):
-        yield node.lineno, text
-        pieces = [each for part in parts_of(node) for each in parts_of(part)]
-        inside = [each for each in pieces if not set(written(each)) - set("{}")]
-    for each in inside:
-        yield from texts_in(each)
+def is_no_message(node: ast.AST) -> bool:
+    """Docstrings, the help of options, and patterns."""
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+        return isinstance(node.func.value, ast.Name) and node.func.value.id == "re"
+    if isinstance(node, ast.keyword):
+        return node.arg == "help"
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+
+
+def texts_in(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """The texts in a module, with their lines."""
+    waiting = [tree]
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.Name) or is_no_message(node):
+            continue
+        inside = list(ast.iter_child_nodes(node))
+        joined = isinstance(node, ast.Constant | ast.JoinedStr | ast.BinOp)
+        if joined and set(text := written(node)) - set("{}"):
+            yield node.lineno, text
+            pieces = [each for part in parts_of(node) for each in parts_of(part)]
+            inside = [each for each in pieces if not set(written(each)) - set("{}")]
+        waiting.extend(inside)
 
 
 @cache
@@ -322,6 +330,7 @@ FALLING = MDP.from_outcomes(
 )
 APART = MDP.from_outcomes([(0, 0, [(1, 0, 1)]), (1, 0, [(1, 1, -1)])], start=["1/2", "1/2"])
 SURE = MDP.from_outcomes([(0, 0, [(1, 0, 1)])], 1 - 1e-9)
+STAYS = MDP.from_outcomes([(0, 0, [(1, 0, 0)]), (0, 1, [(1, 1, 1)]), (1, 0, [(1, 1, 0)])])
 WAITING = MDP.from_outcomes(
     [(0, 0, [(1, 1, 5)]), (0, 1, [(1, 0, -1)]), (0, 2, [(1, 0, 0)]), (1, 0, [(1, 1, 0)])]
 )
@@ -345,7 +354,20 @@ FAMILY = family(lambda p: p)
 SQUARED, SQUARED_2 = family(lambda p: p**2), family(lambda p: p**2, degrees={"p": 2})
 BROKEN = family(lambda p: min(p, F(1, 2)))
 BROKEN_THERE = family(lambda p: min(p, F(1, 2)), breaks={"p": ["1/2"]})
+FREE = Family(parameters={"p": 0}, build=lambda at: LOOP)
 KINK = family(lambda p: F(1, 3))
+CHANGING, KEPT = (
+    Family(
+        parameters=(Parameter(name="p", value="1/4", low=0, high=1),),
+        build=lambda at, kept=kept: MDP.from_function(
+            0,
+            lambda s: [0] if s == 0 else [],
+            lambda s, a: [(at["p"], 1, 1), (1 - at["p"], 2, 0)],
+            impossible=kept,
+        ),
+    )
+    for kept in (False, True)
+)
 ALONE = {"effect": "reward", "cost": "reward"}
 FRAME = recorded(np.random.default_rng(4), 100)
 SEEN = estimated(FRAME)
@@ -391,6 +413,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     certify(EVEN).save(folder / "even.json")
     FRAME.to_csv(folder / "records.csv", index=False)
     FRAME.rename(columns={"reward": "gain"}).to_csv(folder / "sold.csv", index=False)
+    FRAME.assign(done=True, terminated=False).to_csv(folder / "ended.csv", index=False)
+    (folder / "drawn.toml").write_text('"reward.1" = {sd = 0.1}', "utf-8")
     assert run("new", folder / "care.toml").status == 0
     return folder
 

@@ -29,8 +29,9 @@ SHOWN = 4  # states of a policy that never ends, and start states, that are prin
 
 ONE_ACTION = "only one action was ever taken: there is nothing to choose"
 UNUSED = (
-    "not used: {}; a column that marks the rows after which an episode was cut off is named by "
-    "--column truncated=NAME; where one marks the ends, leave next_state empty there"
+    "not used: {}; where one of these marks the rows after which an episode was cut off, name it "
+    "by --column truncated=NAME; where it marks those after which it was over, by --column "
+    "terminated=NAME"
 )
 UNKNOWN = (
     "nobody knows what follows where episodes were cut off and no record leaves: robust and "
@@ -177,9 +178,10 @@ def data(
     """Estimate a model from recorded transitions.
 
     The columns are episode, state, action, reward and next_state, in the order of time, one episode
-    after the other; without a next state the episode is over. A sixth column, truncated (true or
-    false), marks the rows after which an episode was cut off, as by a time limit; --column
-    truncated=NAME where it is called otherwise. The numbers of observations are kept in the model.
+    after the other; without a next state the episode is over. A column truncated (true or false)
+    marks the rows after which an episode was cut off, as by a time limit; a column terminated, or
+    done, those after which it was over. --column truncated=NAME says what the file calls a column.
+    The numbers of observations are kept in the model.
 
     Example: exact-mdp data records.csv --discount 0.95 --out model.npz
 
@@ -191,7 +193,8 @@ def data(
     discount : G, optional
         The model's discount.
     columns : NAME=COLUMN, optional
-        What the file calls episode, state, action, reward, next_state or truncated.
+        What the file calls episode, state, action, reward, next_state, truncated, terminated or
+        done.
     unseen : "unavailable", "pessimistic" or "V"
         An action that nobody took in a state is left out there, or it is worth as little as a
         policy can be worth, or V.

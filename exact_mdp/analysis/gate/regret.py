@@ -24,7 +24,7 @@ from exact_mdp.analysis.gate.forgiveness import forgiven, rounded, ties, widest
 from exact_mdp.analysis.gate.waiting import final_class, outcomes, taking, to_blame
 from exact_mdp.analysis.optimum import sound
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.graph import components, endless, is_acyclic, ways_out
+from exact_mdp.mdp.graph import components, endless, is_acyclic, other_question, ways_out
 from exact_mdp.mdp.model import MDP, once
 from exact_mdp.mdp.result import Brief
 from exact_mdp.mdp.table import LARGEST, Floats, shown
@@ -207,7 +207,7 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
         raise ModelError(
             "the optimum and the policy are both infinite, so that nothing can be compared",
             where="the total at discount 1",
-            fix=ways_out(mdp),
+            fix=ways_out(mdp, other_question(mdp)),
         )
     lost = best.start_value - learned
     ideal = taking(mdp, best.pairs if unending else first_of(mdp, best.optimal_pairs))

@@ -336,8 +336,8 @@ def drawn(family: Parametric, chosen: Uncertainty, n: int | None, seed: int, blo
         raise ModelError(
             "no parameter is uncertain",
             where=place_of(family),
-            fix="state what is drawn (uncertain=); of today's values alone there is nothing to "
-            "draw: cost_effectiveness without n is the base case",
+            fix="state what is drawn (--uncertain FILE, uncertain=); of today's values alone there "
+            "is nothing to draw: cost_effectiveness without n is the base case",
         )
     sample = chosen.sample
     if n is None and sample is None:

@@ -477,11 +477,13 @@ def parameter_of(model: Parametric, name: str) -> Parameter:
     fix = suggest(name, names)
     if fix.startswith("choose"):  # no other place lists them
         fix = f"choose one of {', '.join(names[:LISTED])}{' …' * (len(names) > LISTED)}"
-    if isinstance(model, Family):
+    if isinstance(model, Family) and isinstance(model.build, Moved):
         fix += (
-            '; name others yourself: moving(model, {"NAME": [((state, action), next state)]}, '
-            '{"NAME": reward}), and give that as the model'
+            '; in Python name others yourself: moving(model, {"NAME": [((state, action), next '
+            'state)]}, {"NAME": reward}), and give that as the model'
         )
+    elif isinstance(model, Family):
+        fix += "; or add it to parameters= of the Family, whose build gets its value"
     raise ModelError(f"unknown parameter {name!r}", where=place_of(model), fix=fix)
 
 

@@ -199,7 +199,9 @@ def check_alike(first: MDP, other: MDP, *, start: bool) -> None:
             raise ModelError(
                 f"{what} change",
                 fix="let build return the same states, actions, pairs, start and sense for all "
-                "values; give an action that is not offered a reward so low that it is never taken",
+                "values: MDP.from_function(…, impossible=True) keeps states whose probability is "
+                "0 at some; give an action that is not offered a reward so low that it is never "
+                "taken",
             )
 
 

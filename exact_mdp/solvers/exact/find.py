@@ -26,7 +26,7 @@ from scipy.sparse.linalg import splu
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
-from exact_mdp.mdp.graph import Mask, closure, reachable, ways_out
+from exact_mdp.mdp.graph import Mask, closure, other_question, reachable, ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers, row_sums
 from exact_mdp.solvers.bounds.gains import POLICIES, first_of
@@ -217,7 +217,7 @@ def no_falling(mdp: MDP, states: Mask) -> None:
         raise ModelError(
             "at discount 1 no policy has the best value: costs fall without end before the goal",
             where=mdp.space.place(int(bad[0])),
-            fix=ways_out(mdp),
+            fix=ways_out(mdp, other_question(mdp)),
         )
 
 

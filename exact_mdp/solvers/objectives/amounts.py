@@ -104,7 +104,7 @@ class Objectives:
             raise ModelError(
                 "a policy need not end, and totals at discount 1 would count for ever",
                 where=where_endless(self.ending),
-                fix=ways_out(mdp, "count what is 0 in these states"),
+                fix=ways_out(mdp),
             )
         goal = np.ones_like(mdp.terminal) if mdp.goal is None else mdp.goal
         if (beside := reachable(mdp) & self.ending.terminal & ~goal).any():
