@@ -9,11 +9,13 @@ import sys
 import tomllib
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
+from functools import cache
 from io import StringIO
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any, NoReturn
 
+import click
 from click.testing import CliRunner
 
 from exact_mdp import ModelError
@@ -69,9 +71,31 @@ def run(line: str = "", *words: object) -> Done:
 
     The line is split as a shell does, the other words are not.
     """
+    typed = [*shlex.split(line), *map(str, words)]
     with redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()) as err:
-        status = main([*shlex.split(line), *map(str, words)])
+        status = main(typed)
+    if status == 2 and typed and typed[0] in options():
+        check_advice(typed[0], err.getvalue())
     return Done(status=status, out=out.getvalue(), err=err.getvalue())
+
+
+@cache
+def options() -> dict[str, set[str]]:
+    """The options of each command."""
+    group = resolve_name("exact_mdp.analysis.cli:cli")
+    context = click.Context(group)
+    made = {name: group.get_command(context, name) for name in group.list_commands(context)}
+    return {
+        name: {option for param in each.params for option in param.opts} | {"--help"}
+        for name, each in made.items()
+    }
+
+
+def check_advice(command: str, message: str) -> None:
+    """Assert that the command has the options that a fix names, unless it names another command."""
+    fix = message.rpartition("  fix:   ")[2].partition("\n")[0]
+    advised = {*re.findall(r"--[a-z][a-z-]+", fix)} if "exact-mdp" not in fix else set()
+    assert advised <= options()[command], f"{command} has not all of {advised}"
 
 
 def ask(program: Any, line: str = "", *words: object) -> Done:

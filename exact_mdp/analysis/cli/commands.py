@@ -47,10 +47,10 @@ POLICY = """POLICY is optimal, random, always:ACTION, or a file: .json {"0000": 
 (--kind q, --kind policy; auto reads an array as probabilities if the row of each state with a
 choice is a distribution, and refuses it if its greedy policy would differ)."""
 
-SETS = ("sets", "discount")
+SETS = ("sets", "discount", "start")
 WORK = "Records and parallel work"
 OF_WORK = ("confidence", "by", "evidence", "n_jobs", "out")  # options that stand last
-QUESTION = ("reach", "until", "reward", "allowed", "minimize", "maximize", "start")
+QUESTION = ("reach", "until", "reward", "allowed", "minimize", "maximize")
 ASKED = (*QUESTION, *SETS)
 OF_POLICY = ("kind", "perception", "horizon")
 VARIED = ("parameters", "ranges", "relative", "policy")  # listed beside a command's own

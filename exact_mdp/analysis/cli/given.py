@@ -137,8 +137,9 @@ class Given:
             fix = "leave out --until, or --reach"
             raise ModelError("--reach and --until ask two questions", where="--until", fix=fix)
         if self.kind != "auto" and "policy" in self.has and self.policy is None:
-            fix = "name the file: --policy FILE, or leave it out"
-            fix = fix if "ranges" in self.has or "parameters" in self.has else "leave it out"
+            fix = "name the file as POLICY, after MODEL, or leave --kind out"
+            if "parameters" in self.has:
+                fix = "name the file: --policy FILE, or leave --kind out"
             what = "--kind says what an array in a file is, and no policy is given"
             raise ModelError(what, where="--kind", fix=fix)
         if self.minimize and self.maximize:
@@ -247,8 +248,10 @@ class Given:
     def head(self) -> dict[str, Any]:
         """How a report begins; what a policy was read as comes first."""
         has, head = self.has, dict[str, Any](model=self.loaded.name)
-        if "start" in has:
-            head |= {"sense": self._sense(), "question": self.in_words(), "start": self.start}
+        if "reach" in has:
+            head |= {"sense": self._sense(), "question": self.in_words()}
+        if "reach" in has or self.start is not None:
+            head["start"] = self.start
         if "criterion" in has:
             average = "reward per step" if is_average(self.criterion) else None
             head["criterion"] = Shown(self.criterion, average)

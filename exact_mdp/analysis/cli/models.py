@@ -261,6 +261,7 @@ def convert(
     constants: str | None = None,
     sets: Sequence[str] = (),
     discount: str | None = None,
+    start: str | None = None,
 ) -> Report:
     """Write a model in another format.
 
@@ -275,7 +276,7 @@ def convert(
     constants : "A=1,B=2"
         What a .prism or .jani file leaves open (extra models).
     """
-    loaded = read_model(source, sets=sets, discount=discount, constants=constants)
+    loaded = read_model(source, sets=sets, discount=discount, start=start, constants=constants)
     exact_mdp.save(loaded.mdp, target)
     sizes = {"states": loaded.mdp.n_states, "pairs": loaded.mdp.n_pairs}
     facts = {"written": target, "model": loaded.name, **sizes}

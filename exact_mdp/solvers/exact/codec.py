@@ -150,6 +150,7 @@ def load(kinds: Mapping[str, type[T]], path: str | Path) -> T:
         raise ModelError(
             str(error) if isinstance(error, Unreadable) else fault,
             where=str(path),
-            fix="name a file that certificate.save or --certificate F.json wrote, of this version",
+            fix="name a file that certificate.save wrote, or `exact-mdp solve MODEL --certify "
+            "--certificate F.json`, of this version",
         ) from error
     return record(**read)

@@ -266,3 +266,26 @@ def test_psa_takes_a_horizon_where_it_refuses_an_unrolled_model(years: str, tmp_
     assert "alike at every time" in said
     assert "--horizon 20" in said
     assert run("psa", years, "--horizon", "20", "--samples", "4").status == 0
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "info {}", "tradeoff {} steps reward", "rationalize {} optimal", "train {} --seeds 1",
+        "risk {} --cvar 1/2 --horizon 3", "convert {} moved.npz",
+    ],
+)  # fmt: skip
+def test_whatever_reads_a_model_takes_a_start(
+    line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Messages about a start name --start in each of these commands."""
+    monkeypatch.chdir(tmp_path)
+    MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0]).save("model.npz")
+    assert run(line.format("model.npz"), "--start", 2).error().where == "--start"
+    result = run(line.format("model.npz"), "--start", 1, "--json").result
+    if "convert" in line:
+        assert MDP.load("moved.npz").start == ((1, 1),)
+    elif "info" in line:
+        assert result["reachable"] == 1
+    else:
+        assert result["start"] == "1"
