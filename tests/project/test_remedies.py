@@ -28,6 +28,7 @@ import pytest
 import scipy.sparse as sp
 from cli_runner import ROOT, run
 from records import POLICY, estimated, recorded  # noqa: F401 - the table names it
+from refusal_tables import refused
 
 import exact_mdp
 from exact_mdp import (
@@ -388,7 +389,8 @@ def reread(certificate: Certificate) -> Certificate:
 def rows() -> list[tuple[str, str, str]]:
     """The rows of the table beside this file; <one|other> in the last part is each in turn."""
     found = []
-    for line in Path(__file__).with_suffix(".txt").read_text("utf-8").splitlines():
+    table = Path(__file__).with_suffix(".txt").read_text("utf-8")
+    for line in re.sub(r"\n {4}", " ", table).splitlines():
         if line and not line.startswith("#"):
             call, said, then = line.split(" -> ")
             head, *choice = re.split(r"<([^<>]*\|[^<>]*)>", then)
@@ -432,3 +434,17 @@ def test_advice_can_be_followed(
         eval(call, WORLD)
     assert said in caught.value.fix
     eval(then, WORLD)
+
+
+@pytest.mark.parametrize(
+    "call, useless",
+    [
+        ('evaluate(SWING, "random").visits', "average"),
+        ('tradeoff(EARN, ["a", "b"])', "what is 0"),
+        ('ValueIteration().solve(GOAL.until("goal"))', "stays put"),
+        ('tornado(FAMILY, names=["q"])', "moving("),
+        ("MDP.from_arrays(EYE[None])", "MDP.load"),
+    ],
+)
+def test_what_does_not_help_is_not_advised(call: str, useless: str) -> None:
+    assert useless not in refused(lambda: eval(call, WORLD)).fix
