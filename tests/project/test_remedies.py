@@ -443,6 +443,8 @@ def test_advice_can_be_followed(
         ('tradeoff(EARN, ["a", "b"])', "what is 0"),
         ('ValueIteration().solve(GOAL.until("goal"))', "stays put"),
         ('tornado(FAMILY, names=["q"])', "moving("),
+        ("tornado(EARN)", "policy"),
+        ("gradient(SWING)", "range"),
         ("MDP.from_arrays(EYE[None])", "MDP.load"),
     ],
 )

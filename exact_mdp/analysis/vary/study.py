@@ -45,6 +45,7 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 SHOWN = 3  # parameters of a point that an error names
 OF_NUMBER = 32  # bytes of a parameter at a point: it is drawn, laid out, checked and passed on
 KEPT = 2**24  # numbers of built models that are kept for the next question
+HELD = "the policy held fixed"
 Found = TypeVar("Found", Solution, Evaluation)
 
 
@@ -374,21 +375,27 @@ def digest(*policies: Floats) -> str:
 def finite_optimum(mdp: MDP, where: str) -> Solution:
     """Return the optimum; raises ModelError where it is infinite at the start."""
     solution: Solution = solve(mdp)
-    return _finite("the optimum", solution, where)
+    return _finite("the optimum", solution, mdp, where)
 
 
 def finite_worth(mdp: MDP, policy: PolicyLike, where: str) -> Bounded:
     """Return a policy's value at the start; raises ModelError where it is infinite."""
-    return _finite("the policy held fixed", evaluate(mdp, policy), where).start
+    return _finite(HELD, evaluate(mdp, policy), mdp, where).start
 
 
-def _finite(what: str, found: Found, where: str) -> Found:
+def _finite(what: str, found: Found, mdp: MDP, where: str) -> Found:
     if isinf(found.start.value):
+        ways = ["give a discount below 1 (--discount 0.95)"]
+        if mdp.goal is None:  # a run that misses it costs infinity after N steps, too
+            ways.append("a number of steps (--horizon N, mdp.within(N))")
+        if what == HELD:
+            ways.append("another policy")
+        if not where.startswith("today"):
+            ways.append("ranges in which every value is finite")
         raise ModelError(
             f"{what} is infinite, so that nothing can be compared",
             where=f"the total at discount 1, {where}",
-            fix="give a discount below 1 (--discount 0.95), another policy, or ranges in which "
-            "every value is finite",
+            fix=", or ".join(ways),
         )
     return found
 

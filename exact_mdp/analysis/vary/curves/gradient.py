@@ -251,7 +251,7 @@ def gradient(
     mdp = family.at({})
     reoptimised = isinstance(policy, str) and policy == "optimal"
     if endless(mdp) and (reoptimised or not arrives(PolicyChain.of(mdp, policy))):
-        raise unending("today's parameters", beside=termination(mdp).proven)
+        raise unending("today's parameters", beside=termination(mdp).proven, ranges=False)
     if exact is None:
         sparse = mdp.n_transitions <= EXACT_SPARSE_TRANSITIONS
         sparse = sparse and mdp.table.weight.dtype == np.int64

@@ -182,20 +182,20 @@ def _earlier(one: Root, other: Root) -> Root:
     return one if one.high <= other.low else other
 
 
-def unending(where: str, *, beside: bool = False) -> ModelError:
-    """Return the error of an analysis that follows finite values only.
+def unending(where: str, *, beside: bool = False, ranges: bool = True) -> ModelError:
+    """Return the error of an analysis that follows finite values only, and may take `ranges`.
 
     Some policy never ends, or some run ends `beside` the goal.
     """
+    ways = ["give a discount below 1 (--discount 0.95)"]
     if beside:
         what, ends = "some run may end beside the goal, and is worth infinity", "at the goal"
     else:
         what, ends = "some policy never ends", "for sure"
-    return ModelError(
-        what,
-        where=f"the total at discount 1, {where}",
-        fix=f"give a discount below 1 (--discount 0.95), or a range in which every run ends {ends}",
-    )
+        ways.append("a number of steps (--horizon N, mdp.within(N))")
+    if ranges:
+        ways.append(f"a range in which every run ends {ends}")
+    return ModelError(what, where=f"the total at discount 1, {where}", fix=", or ".join(ways))
 
 
 # ---- sections ----------------------------------------------------------------------------------
