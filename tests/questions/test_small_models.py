@@ -473,3 +473,14 @@ def test_steps_are_counted_until_the_end_where_components_cancel() -> None:
     mdp = MDP.from_outcomes(rows, "1/2")
     assert tradeoff(mdp, ["steps", "b"]).vertices[0][0] == 1
     assert evaluate(mdp, [0, 0]).steps == 1
+
+
+def test_a_value_at_which_a_state_is_over_is_refused_under_a_horizon() -> None:
+    rows = [(0, 0, [(1, 1, 10)]), (1, 0, [(1, 1, 2)]), (1, 1, [(1, 1, 2)])]
+    mdp = MDP.from_outcomes(rows, "1/2")
+    values = one_way(mdp, "reward.2", (0, 2), points=3).table.optimal
+    assert values == pytest.approx([10, 11, 12])
+    with pytest.raises(ModelError, match="a state in which all is over has one action"):
+        one_way(mdp.within(3), "reward.2", (0, 2), points=3)
+    values = one_way(mdp.within(3), "reward.2", (1, 2), points=2).table.optimal
+    assert values == pytest.approx([10.75, 11.5])

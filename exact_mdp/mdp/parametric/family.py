@@ -477,6 +477,8 @@ def parameter_of(model: Parametric, name: str) -> Parameter:
     fix = suggest(name, names)
     if fix.startswith("choose"):  # no other place lists them
         fix = f"choose one of {', '.join(names[:LISTED])}{' …' * (len(names) > LISTED)}"
+    if not names:
+        fix = "the model has no parameters"
     if isinstance(model, Family) and isinstance(model.build, Moved):
         fix += (
             '; in Python name others yourself: moving(model, {"NAME": [((state, action), next '

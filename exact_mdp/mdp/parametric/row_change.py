@@ -24,6 +24,7 @@ from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.exact import rational
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric.family import Family, Moved, Parametric, room_of
+from exact_mdp.mdp.space import TIME
 from exact_mdp.mdp.table import Integers, Numbers, merged, shown
 
 Entries = tuple[Integers, Numbers, Numbers]
@@ -195,6 +196,13 @@ def check_alike(first: MDP, other: MDP, *, start: bool) -> None:
         *(("goals", one.tobytes(), two.tobytes()) for one, two in pairwise(goals)),
         *[("probabilities of the start", first.start, other.start)] * start,
     ):
+        if one != two and what.endswith("of pairs") and TIME in first.space.names:
+            raise ModelError(
+                f"{what} change: in a model of so many steps a state in which all is over has one "
+                "action",
+                fix="choose other values: not one at which nothing is earned in a state that is "
+                "not left",
+            )
         if one != two:
             raise ModelError(
                 f"{what} change",
