@@ -166,3 +166,9 @@ def test_a_label_names_states_or_numbers_them(states: object) -> None:
     assert mdp.with_(labels={"goal": states}).labels["goal"].tolist() == [False, False, True]
     assert not mdp.with_(labels={"goal": []}).labels["goal"].any()
     assert mdp.with_(labels={"goal": {0, 1}}).labels["goal"].tolist() == [True, True, False]
+
+
+def test_the_last_step_earns_the_terminal_value_discounted_once() -> None:
+    mdp = MDP.from_arrays([[[0, 1], [0, 1]]], [3, 0], discount="1/2")
+    assert certify(mdp.within(1, terminal_value=[0, 8])).start_value == 3 + 4
+    assert certify(mdp.within(2, terminal_value=[0, 8])).start_value == 3 + 2

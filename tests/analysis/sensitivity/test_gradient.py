@@ -6,7 +6,7 @@ import pytest
 from care_oracle import ACTIONS, END, State, oracle_of
 from made_models import burning
 
-from exact_mdp import Scenario, gradient, parametric
+from exact_mdp import MDP, Family, Scenario, gradient, parametric
 
 F = Fraction
 H = F(1, 10**5)
@@ -113,3 +113,15 @@ def test_frames_say_units_and_whether_the_policy_is_fixed() -> None:
     assert set(frame["policy"]) == {"fixed"}
     assert END not in frame["parameter"].tolist()
     assert not frame.drop(columns=["left", "right"]).isna().any(axis=None)
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_the_derivative_of_an_end_that_begins_to_earn(*, exact: bool) -> None:
+    """V = θ (γ + γ² + …), so that dV/dθ = γ / (1 - γ) = 9."""
+    family = Family(
+        parameters={"theta": 0},
+        build=lambda at: MDP.from_arrays([[[0, 1], [0, 1]]], [[0], [at["theta"]]], discount="9/10"),
+    )
+    found = gradient(family, exact=exact)["theta"].value
+    assert found is not None
+    assert float(found.value) == pytest.approx(9, abs=1e-9)
