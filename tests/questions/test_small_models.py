@@ -467,14 +467,6 @@ def test_copies_know_what_they_were_asked_of() -> None:
         assert len(psa(copied, 2).table.names) == 1
 
 
-def test_steps_are_counted_until_the_end_where_components_cancel() -> None:
-    rows = [(0, 0, [(1, 1, {"a": 1, "b": 0})])]
-    rows += [(1, action, [(1, 1, {"a": 1, "b": -1})]) for action in (0, 1)]
-    mdp = MDP.from_outcomes(rows, "1/2")
-    assert tradeoff(mdp, ["steps", "b"]).vertices[0][0] == 1
-    assert evaluate(mdp, [0, 0]).steps == 1
-
-
 def test_a_value_at_which_a_state_is_over_is_refused_under_a_horizon() -> None:
     rows = [(0, 0, [(1, 1, 10)]), (1, 0, [(1, 1, 2)]), (1, 1, [(1, 1, 2)])]
     mdp = MDP.from_outcomes(rows, "1/2")

@@ -171,7 +171,7 @@ def _column(mdp: MDP, name: str) -> Column:
     if name in mdp.component_names:
         return mdp.component(name)
     if name == STEPS:
-        return (~mdp.terminal)[mdp.pair_state].astype(np.int64), ones(mdp.n_pairs)
+        return (~mdp.over)[mdp.pair_state].astype(np.int64), ones(mdp.n_pairs)
     # The probability of an event, or of stepping into a label.
     weight, below = mdp.table.integer_weights()
     if name in mdp.events:
