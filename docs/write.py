@@ -227,8 +227,30 @@ def text(module: str) -> str:
     return inspect.getdoc(import_module(module)) or ""
 
 
+def questions(_: str) -> str:
+    """Return what becomes of every analysis and question, as the table of the tests counts it."""
+    counted = tomllib.loads((DOCS.parent / "tests" / "questions" / "table.toml").read_text("utf-8"))
+    asked = list(next(iter(counted.values())))
+    rows = []
+    for analysis, cells in counted.items():
+        marks = []
+        for answered, refused in cells.values():
+            if not refused:
+                marks.append("yes")
+            elif not answered:
+                marks.append("no")
+            else:
+                marks.append(f"{max(1, 100 * answered // (answered + refused))} %")
+        rows.append((f"`{analysis}`", *marks))
+    listed = "\n".join(f"{number}. {name}" for number, name in enumerate(asked, start=1))
+    head = ", ".join(["", *map(str, range(1, len(asked) + 1))])
+    least = min(sum(cell) for cells in counted.values() for cell in cells.values())
+    return f"{listed}\n\n{table(head, rows)}\n\nModels in each cell: {least}."
+
+
 MADE = {
-    each.__name__: each for each in (commands, options, answers, names, methods, readings, text)
+    each.__name__: each
+    for each in (commands, options, answers, names, methods, readings, questions, text)
 }
 
 
