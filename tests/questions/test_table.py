@@ -35,9 +35,8 @@ def test_a_few_models_of_every_question(analysis: str) -> None:
 @pytest.mark.parametrize("question", QUESTIONS, ids=lambda question: question.name)
 @pytest.mark.parametrize("analysis", ANALYSES)
 def test_many_models_of_every_question(analysis: str, question) -> None:
-    assert (
-        list(table.cell(analysis, question.name, 0, table.MODELS)) == KNOWN[analysis][question.name]
-    )
+    counted = KNOWN[analysis][question.name]
+    assert list(table.cell(analysis, question.name, 0, sum(counted))) == counted
 
 
 def test_every_analysis_with_a_model_is_in_the_table() -> None:
