@@ -99,6 +99,8 @@ def adds_up(table: OutcomeTable) -> bool:
     """Return whether components add up to the reward in each outcome, not on average alone."""
     if not (table.joint or table.parted_by_outcome):
         return True
+    if np.float64 not in (table.gain.dtype, table.components.dtype):
+        return not np.asarray(_rest_of_outcomes(table)[0] != 0).any()
     gain, below = table.gains(), table.component_denominator
     counts = np.diff(table.offsets)
     parts = table.components
@@ -153,7 +155,8 @@ def _rest_of_outcomes(table: OutcomeTable) -> tuple[Numbers, Numbers]:
     left = _of_outcomes(gain, table).astype(object)
     for number in range(table.components.shape[1]):
         part, under = table.earning_component(number).integer_gains()
-        left = left * under[table.pair] - part.astype(object) * below[table.pair].astype(object)
+        part = _of_outcomes(part, table).astype(object)
+        left = left * under[table.pair] - part * below[table.pair].astype(object)
         below = multiply(below, under)
     return integers(left.tolist()), below
 

@@ -476,3 +476,11 @@ def test_a_value_at_which_a_state_is_over_is_refused_under_a_horizon() -> None:
         one_way(mdp.within(3), "reward.2", (0, 2), points=3)
     values = one_way(mdp.within(3), "reward.2", (1, 2), points=2).table.optimal
     assert values == pytest.approx([10.75, 11.5])
+
+
+def test_a_component_that_misses_the_reward_by_less_than_floats_can_tell_is_a_mean() -> None:
+    small = F(1, 10**30)
+    rows = [(0, 0, [("1/2", 1, 1 + small), ("1/2", 1, 1 - small)]), (1, 0, [(1, 1, 0)])]
+    mdp = MDP.from_outcomes(rows, components={"x": [1, 0]}, labels={"end": [1]})
+    assert mdp.table.averaged
+    assert certify(mdp.until("end")).start_value == 1
