@@ -77,7 +77,9 @@ class Origin:
 
     @property
     def paid(self) -> bool:
-        """Whether states are worth something when a horizon is reached."""
+        """Whether states are worth something at a horizon; a probability pays nothing."""
+        if any(each.method == "reaching" for each in self.questions):
+            return False
         return any(each.options.get("terminal_value") is not None for each in self.questions)
 
     def unpaid(self) -> Origin:

@@ -484,3 +484,9 @@ def test_a_component_that_misses_the_reward_by_less_than_floats_can_tell_is_a_me
     mdp = MDP.from_outcomes(rows, components={"x": [1, 0]}, labels={"end": [1]})
     assert mdp.table.averaged
     assert certify(mdp.until("end")).start_value == 1
+
+
+def test_another_discount_of_a_probability_is_kept() -> None:
+    asked = two_steps().within(2, terminal_value={2: 8}).reaching("goal")
+    assert asked.with_(discount="1/2").discount == 0.5
+    assert certify(asked).start_value == certify(two_steps().within(2).reaching("goal")).start_value
