@@ -1,6 +1,6 @@
 """Change a module in one place at a time, and tell whether a test fails.
 
-    python tests/mutation/mutants.py solvers/exact/levels.py     its test file first, then the room's
+    python tests/mutation/mutants.py solvers/exact/levels.py    its test file, then the room's
 
 A process collects the tests and runs them once to see which of them runs which line. For each
 change it starts a copy of itself (fork), in which the functions of the module get the changed code;
@@ -35,7 +35,6 @@ import click
 import coverage
 import pytest
 from _pytest.runner import runtestprotocol
-
 from changes import Change, changes
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -260,12 +259,9 @@ class Changed(MetaPathFinder, SourceFileLoader):
 def fail_anew(module: Path, code: CodeType, tests: list[str]) -> bool:
     """Whether one of the tests fails after everything of the project has been loaded again."""
     for name, loaded in [*sys.modules.items()]:
-        if (
-            str(getattr(loaded, "__file__", None)).startswith(f"{ROOT}{os.sep}")
-            and name != __name__
-        ):
-            if ".venv" not in str(loaded.__file__):
-                del sys.modules[name]
+        file = Path(getattr(loaded, "__file__", None) or os.sep)
+        if file.is_relative_to(PACKAGE) or file.is_relative_to(ROOT / "tests"):
+            del sys.modules[name]
     sys.meta_path.insert(0, Changed(module, code))
     return pytest.main([*OPTIONS, "-x", *tests]) != 0
 
@@ -318,7 +314,7 @@ def write_list(results: dict[Path, Result]) -> None:
 @click.option("--workers", default=2, show_default=True, help="Copies at a time.")
 @click.option("--verbose", is_flag=True, help="Show each change that no file beside notices.")
 def main(paths: tuple[Path, ...], only_beside: bool, workers: int, verbose: bool) -> None:
-    """Change modules, or all of a folder, in one place at a time; say which changes tests notice."""
+    """Change modules, or all of a folder, in one place at a time, and say what tests notice."""
     os.chdir(ROOT)
     files = [file for path in paths for file in ([path] if path.is_file() else path.rglob("*.py"))]
     modules = sorted(file.resolve() for file in files if file.name != "__init__.py")

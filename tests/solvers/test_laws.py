@@ -16,7 +16,6 @@ from answers import errors_of, holds, near, quietly, within
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from made_models import in_copies
-from model_contents import is_acyclic
 from oracle import (
     best_average,
     best_total,
@@ -35,15 +34,12 @@ from exact_mdp import (
     SOLVERS,
     BackwardInduction,
     Certificate,
-    GaussSeidel,
     Intervals,
     LinearProgram,
     ModelError,
-    ModifiedPolicyIteration,
     PolicyIteration,
     SolverError,
     Status,
-    ValueIteration,
     certify,
     evaluate,
     solve,
@@ -131,11 +127,14 @@ views = st.sampled_from(VIEWS)
 # ---- methods -------------------------------------------------------------------------------------
 
 MOST = 600  # bounds hold wherever sweeps are stopped
+SWEEPING = [name for name, kind in SOLVERS.items() if not getattr(kind, "evaluates", True)]
 METHODS: dict[str, Callable[[MDP], Any]] = {
     "default": solve,
     **{name: lambda mdp, name=name: solve(mdp, name) for name in SOLVERS},
-    "value-iteration": lambda mdp: solve(mdp, ValueIteration(max_iterations=MOST)),
-    "gauss-seidel": lambda mdp: solve(mdp, GaussSeidel(max_iterations=MOST)),
+    **{
+        name: lambda mdp, name=name: solve(mdp, SOLVERS[name](max_iterations=MOST))
+        for name in SWEEPING
+    },
     # the solvers themselves
     "clarabel": lambda mdp: LinearProgram(solver="CLARABEL").solve(mdp),
     "highs": lambda mdp: LinearProgram(solver="HIGHS").solve(mdp),
@@ -155,11 +154,11 @@ def asked(method: str, mdp: MDP) -> Any:
     try:
         return quietly(METHODS[method], mdp)
     except SolverError as error:
-        if method in ("value-iteration", "gauss-seidel") and error.status is Status.ITERATION_LIMIT:
+        if method in SWEEPING and error.status is Status.ITERATION_LIMIT:
             return error.solution
         raise
-    except ModelError:
-        if method in BACKWARD and not is_acyclic(mdp):
+    except ModelError as error:
+        if method in BACKWARD and "without cycles" in str(error):
             return None
         raise
 
@@ -230,7 +229,7 @@ def test_the_optimum_lies_within_the_bounds(method: str, rows: Rows, view: View)
 NUMBERS = st.sampled_from([0.0, 1e9, -1e9, 1e-9, 1 / 3, 1e15, 2.0**-1060, -7.5])
 
 
-@pytest.mark.parametrize("kind", [ValueIteration, GaussSeidel, ModifiedPolicyIteration])
+@pytest.mark.parametrize("kind", [kind for kind in SOLVERS.values() if hasattr(kind, "tol")])
 @given(rows=models(), view=views, data=st.data())
 def test_bounds_hold_around_any_values(kind: Any, rows: Rows, view: View, data: Any) -> None:
     """However wrong they are, and whatever sweep is the last."""
@@ -248,7 +247,7 @@ def test_bounds_hold_around_any_values(kind: Any, rows: Rows, view: View, data: 
 # ---- horizons ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", ["default", "certify", "policy-iteration", "clarabel"])
+@pytest.mark.parametrize("method", ["default", "certify", *SOLVERS])
 @settings(max_examples=40)
 @given(
     rows=models(),
@@ -280,14 +279,18 @@ def test_a_horizon_is_a_recursion(
 ENDLESS: list[View] = [as_drawn, renumbered, scaled, costs, copied]
 
 
-@pytest.mark.parametrize("method", ["default", "certify"])
+@pytest.mark.parametrize("method", ["default", "certify", *SOLVERS])
+@settings(max_examples=40)
 @given(model=any_models(), view=st.sampled_from(ENDLESS))
 def test_totals_are_the_best_of_all_policies(method: str, model: Pairs, view: View) -> None:
     mdp, exact = view(Rows(n_states=model[0], pairs=model[1], discount=F(1)), best_total(model[1]))
     answer = asked(method, mdp)
+    if answer is None:
+        return
     holds(answer, exact)
     holds(answer, total(rows_of(mdp, taken(mdp, answer))))
-    assert max(errors_of(answer)) < F(1, 10**6)
+    if getattr(answer, "status", None) is not Status.ITERATION_LIMIT:
+        assert max(errors_of(answer)) < F(1, 10**6)
     if method == "certify":
         assert answer.violations() == []
         assert answer.start_value == exact[mdp.start[0][0]]
@@ -395,7 +398,7 @@ def test_ties_are_not_shared_where_a_policy_may_never_end() -> None:
 
 # ---- numbers of floats ---------------------------------------------------------------------------
 
-KINDS: list[Any] = [ModifiedPolicyIteration, ValueIteration, GaussSeidel, PolicyIteration]
+KINDS: list[Any] = [kind for kind in SOLVERS.values() if hasattr(kind, "max_iterations")]
 
 
 def attacked(seed: int) -> MDP:
@@ -420,7 +423,7 @@ def attacked(seed: int) -> MDP:
 @given(seed=st.integers(0, 10**6), tol=st.sampled_from([None, 1e-3]), large=st.integers(0, 5))
 def test_no_number_breaks_a_bound(kind: Any, seed: int, tol: Any, large: int) -> None:
     mdp, exact = in_copies(attacked(seed), 1 if large else 1500)
-    chosen = {} if kind is PolicyIteration else {"tol": tol}
+    chosen = {"tol": tol} if hasattr(kind, "tol") else {}
     try:
         solution = quietly(solve, mdp, kind(max_iterations=3000, **chosen))
     except SolverError as error:  # an honest refusal has an honest bound

@@ -22,7 +22,6 @@ from exact_mdp import (
     Certified,
     Claim,
     Estimated,
-    GaussSeidel,
     LinearProgram,
     ModelError,
     ModifiedPolicyIteration,
@@ -290,10 +289,11 @@ def test_room_behind_the_entries_of_a_sparse_matrix_is_left_out(form: Any) -> No
         MDP.from_arrays([roomy], [[1], [0]], discount="1/2")
 
 
+@pytest.mark.parametrize("kind", SWEEPING)
 @pytest.mark.parametrize("name", ["howard-taxicab", "forest-10-24/25"])
-def test_relaxed_values_are_not_shifted_for_ever(name: str) -> None:
+def test_relaxed_values_are_not_shifted_for_ever(name: str, kind: Any) -> None:
     """Where errors differ from state to state, a shift to the middle of the bounds adds to them."""
-    solution = solve(case_model(name), GaussSeidel(max_iterations=200))
+    solution = solve(case_model(name), kind(max_iterations=200))
     assert solution.status is Status.CONVERGED
 
 

@@ -14,7 +14,8 @@ and not imported, so that help comes at once. What a parameter becomes:
 
 What is not typed is not passed: the function's own default holds. In the docstring's type stand the
 word in capitals or the words in quotes that the help shows for the value, the limits of a whole
-number ("N, 1 to 100"), and the endings of a file that is written ("FILE, .csv or .json"). Below
+number ("N, 1 to 100"), and the endings of a file that is written ("FILE, .csv or .json"). For
+"{module:NAME}" in a text stand the keys of that dict. Below
 "Keys" it says what the keys of the JSON mean, "key: meaning; …", after the classes whose attributes
 others are.
 """
@@ -179,8 +180,21 @@ def _documented(section: object) -> tuple[str, dict[str, tuple[str, str]]]:
     for block in re.split(r"\n(?=\S)", rest.split("\n", 2)[2]):
         form, _, below = block.partition("\n")
         names, _, kind = form.partition(" : ")
-        said |= dict.fromkeys(names.split(", "), (kind, " ".join(below.split())))
+        text = re.sub(r"\{([\w.]+):(\w+)\}", _keys, " ".join(below.split()))
+        said |= dict.fromkeys(names.split(", "), (kind, text))
     return head, said
+
+
+def _keys(match: re.Match[str]) -> str:
+    """Return the keys of a dict "{module:NAME}", read from the module's source."""
+    path = PACKAGE.joinpath(*match[1].split(".")).with_suffix(".py")
+    (found,) = (
+        node.value
+        for node in ast.parse(path.read_text("utf-8")).body
+        if isinstance(node, ast.AnnAssign) and ast.unparse(node.target) == match[2]
+    )
+    assert isinstance(found, ast.Dict)
+    return ", ".join(ast.literal_eval(key) for key in found.keys if key)
 
 
 class Command(click.Command):

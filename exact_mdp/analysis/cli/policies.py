@@ -63,8 +63,7 @@ def solve(
         Keep an expected total at least (>=) or at most (<=) at X: of a component of the reward,
         steps, an event, or a sum such as 2*a-b. Exact.
     method : NAME
-        value-iteration, gauss-seidel, modified-policy-iteration, policy-iteration,
-        backward-induction, linear-program, or what suits the model.
+        {solvers.solver:SOLVERS}, or what suits the model.
     tol : X, optional
         Greatest absolute error of a value.
     certificate : FILE, .json

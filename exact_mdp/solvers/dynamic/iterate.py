@@ -73,7 +73,8 @@ class Values:
         self.rise = value  # (S,) T h - h
         self.low = self.high = 0.0  # h + low · w ≤ V^π ≤ V* ≤ h + high · w, but for rounding
         self.best, self.idle, self.stable = np.inf, 0, False
-        self.passes, self.level, self.relaxed = 0, 0.0, False
+        self.passes, self.level = 0, 0.0
+        self.relaxed, self._stepped = False, value.copy()
         self.large = mdp.n_transitions >= COMPILED or mdp.n_states > linear.FEW
         self.slow = False  # whether sweeps of a policy take longer than its equations
         self.spent, self.price = 0.0, PRICE * mdp.n_transitions / mdp.n_pairs * mdp.n_states
@@ -85,6 +86,8 @@ class Values:
     def improve(self) -> None:
         """Pass over all pairs; one is left only for what is better as computed."""
         mdp, before = self.mdp, self.pairs
+        # Values that neither `take` nor `correct` left were improved one by one.
+        self.relaxed = self.relaxed or not np.array_equal(self.value, self._stepped)
         bottom, top = self._centred()
         self._error = largest_error(mdp, bottom, top)
         if not self.live.any():
@@ -187,7 +190,12 @@ class Values:
         """
         if not self.relaxed:
             self._settle_level()
-        self.value = self.value + self.live * (self.rise - self.level)
+        self._step(self.rise - self.level)
+
+    def _step(self, change: Floats) -> None:
+        """Add to the values of all states that go on."""
+        self.value = self.value + self.live * change
+        self._stepped = self.value.copy()
 
     def relax(self) -> None:
         """Improve each state by what others have become, upward and downward (Gauss-Seidel).
@@ -199,7 +207,7 @@ class Values:
         upward = np.arange(self.mdp.n_states)
         for order in (upward, upward[::-1]):
             bellman.relax(order, self._model, self.value, self.level)
-        self.relaxed, self.spent = True, self.spent + 4 * self.mdp.n_transitions
+        self.spent += 4 * self.mdp.n_transitions
 
     def evaluate(self, goal: float) -> None:
         """Bring values near to those of the policy, or nearer to V* for less than that costs.
@@ -257,7 +265,7 @@ class Values:
             middle = float(more.max() + more.min()) / 2
             more = more - middle
             self.level += self.facts.leak * (middle + common)
-        self.value = self.value + self.live * more
+        self._step(more)
 
     def _settle_level(self) -> None:
         """Set the level to the middle between two d / m, where there is one."""

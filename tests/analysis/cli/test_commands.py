@@ -12,7 +12,7 @@ import pytest
 from care_oracle import Oracle, oracle_of
 from cli_runner import ROOT, run
 
-from exact_mdp import Policy, Scenario, fingerprint, load
+from exact_mdp import SOLVERS, Policy, Scenario, fingerprint, load
 
 SMALL = "--set tasks=[2] --set max_trial=2"
 COLUMN_TO_ROW = "readings.influence_orientation=column-to-row"
@@ -159,6 +159,11 @@ def test_a_file_may_be_standard_input(tmp_path: Path, monkeypatch: pytest.Monkey
     for text in ("", "tasks = [1]\n"):
         monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(text.encode())))
         assert "(-) takes JSON, such as a model.json" in run("solve -").refusal()
+
+
+def test_the_help_names_every_solver() -> None:
+    helped = re.sub(r"-\s+", "-", run("solve --help").out)  # names are broken at their hyphens
+    assert [name for name in SOLVERS if name not in helped] == []
 
 
 def test_the_program_alone_shows_its_help() -> None:
