@@ -8,6 +8,7 @@ of the same policy; what is left of the noise in that curve comes from learning 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import counted
 from exact_mdp.solvers.learning.q_learning import TrainingRun
 from exact_mdp.solvers.learning.sampler import Seed, child, rows_of, stream, tables
+from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.values.layers import policy_values
 
 EXPERIMENTS = 40
@@ -34,6 +36,8 @@ class LearningCurve(Pictured):
     error: Floats
     experiments: int
     cut_short: int  # experiments that did not end; they are counted as far as they went
+
+    claim: ClassVar[Claim] = Claim.ESTIMATED  # of the experiments; the exact values are bounded
 
     def __repr__(self) -> str:
         return f"LearningCurve({len(self.value)} epochs, {self.experiments} experiments in each)"

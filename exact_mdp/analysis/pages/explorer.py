@@ -34,7 +34,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Family, Parametric, parameter_of, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.report import Report
+from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.mdp.result import DataFrame, Result, framed
 from exact_mdp.mdp.table import shown
 from exact_mdp.mdp.validate import Flags, counted
@@ -75,6 +75,7 @@ class Explorer(Result):
         """Return the pieces of the optimal value."""
         also = [self.second.name] if self.second else []
         facts = {"parameters": [self.curves[0].parameter.name, *also], "pieces": len(self.frame())}
+        facts["claim"] = Shown(self.curves[0].claim)
         table = framed(self.frame(), "pieces of the optimal value")
         return Report(title="explorer", facts=facts, tables={"listed": table})
 

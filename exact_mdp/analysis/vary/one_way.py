@@ -126,7 +126,7 @@ class Curve(Pictured):
         """Return the values along the range."""
         points = self.frame().drop(columns="claim").to_dict("records")
         table = Table(title="value at the start", columns={self.parameter.name: "at:.6g"} | VALUES)
-        facts = {"parameter": self.parameter.name, "points": points}
+        facts = {"parameter": self.parameter.name, "claim": Shown("bounded"), "points": points}
         return Report(title="one-way", facts=facts, tables={"points": table})
 
     def frame(self) -> DataFrame:
@@ -271,6 +271,7 @@ class TwoWay(Pictured):
             facts={
                 "parameters": [self.x.name, self.y.name],
                 "policies": int(self.policy.max()) + 1,
+                "claim": Shown("bounded"),
                 "points": self.frame().drop(columns="claim").to_dict("records"),
             },
             tables={"points": Table(title="value at the start", columns=names | VALUES)},

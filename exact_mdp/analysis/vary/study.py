@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from hashlib import sha256
 from math import inf, isinf
-from typing import Any, TypeVar, Unpack
+from typing import Any, ClassVar, TypeVar, Unpack
 
 import numpy as np
 
@@ -37,7 +37,7 @@ from exact_mdp.solvers.batch import Batch
 from exact_mdp.solvers.bounds.gains import component_errors, gains
 from exact_mdp.solvers.care import MOST_ACTIONS, MOST_STATUSES, optimal, policy_values
 from exact_mdp.solvers.parallel import Arrays, How, folder_of, joined, many
-from exact_mdp.solvers.solution import Bounded, Solution, regrets
+from exact_mdp.solvers.solution import Bounded, Claim, Solution, regrets
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import Evaluation, evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -64,6 +64,8 @@ class Study(Result):
     counts: Integers  # (X, A) points in which an action is optimal up to rounding, by label
     lost: Floats  # (D, A) each first action's cost, 0 if rounding, NaN if none; (D, 0): many starts
     cut: np.ndarray  # (D,) whether a chance was cut off at 1, of compiled solvers alone
+
+    claim: ClassVar[Claim] = Claim.BOUNDED
 
     def __repr__(self) -> str:
         return f"Study({len(self.points):,} points of {', '.join(self.names[:3])})"

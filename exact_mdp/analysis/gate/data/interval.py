@@ -85,7 +85,8 @@ class RegretInterval(Result):
     def report(self) -> Report:
         """Return the interval, what else was found, and what it rests on."""
         notes = [f"assumed: {each}" for each in self.assumptions]
-        return Report(title="interval of the regret", facts=self.facts(None), notes=notes)
+        facts = {**self.facts(None), "claim": Shown(self.claim)}
+        return Report(title="interval of the regret", facts=facts, notes=notes)
 
     def frame(self) -> DataFrame:
         """Return the interval, and what else was found, in one row."""
