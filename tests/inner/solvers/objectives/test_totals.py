@@ -1,0 +1,79 @@
+"""Policies by several totals at once: each is evaluated alone, and all of them are tried."""
+
+from fractions import Fraction as F
+from itertools import product
+
+import numpy as np
+import pytest
+from oracle import policy_values, rows_of
+
+from exact_mdp import MDP
+from exact_mdp.solvers.objectives.amounts import Objectives
+from exact_mdp.solvers.objectives.totals import Flow, attained, extreme, flow_under, optimum
+
+
+def drawn(seed: int, discount: str) -> MDP:
+    """Three states of two pairs each, and an end; two components and a start in two states."""
+    rng = np.random.default_rng(seed)
+    rows = [(s, a, [(F(int(k), 6), t, 0) for t, k in enumerate(weights) if k])
+            for s in range(3) for a in range(2)
+            for weights in [rng.multinomial(5, [0.25] * 4) + np.eye(4, dtype=int)[3]]]  # fmt: skip
+    parts = {name: [*map(int, rng.integers(-4, 5, 6)), 0] for name in ("a", "b")}
+    mdp = MDP.from_outcomes([*rows, (3, 0, [(1, 3, 0)])], discount, components=parts)
+    return mdp.with_(start={0: "1/3", 1: "2/3"})
+
+
+def all_totals(mdp: MDP, of: Objectives) -> dict[tuple[int, ...], list[list[F]]]:
+    """The values of each objective under each deterministic policy, by its pairs."""
+    totals = {}
+    scale = of.rows.scale[mdp.pair_state].tolist()
+    for pairs in product(*(mdp.pairs_of(s) for s in range(4))):
+        rows = rows_of(mdp, pairs)
+        ended = {3} if mdp.discount_exact == 1 else set()
+        totals[pairs] = [
+            policy_values([(s, a, F(int(own[l]), int(scale[l])), law)
+                           for l, (s, a, _, law) in zip(pairs, rows, strict=True)],
+                          mdp.discount_exact, ended)
+            for own in of.amounts
+        ]  # fmt: skip
+    return totals
+
+
+@pytest.mark.parametrize("discount", ["1", "3/4"])
+@pytest.mark.parametrize("seed", range(8))
+def test_optima_for_weights_are_those_of_all_policies(seed: int, discount: str) -> None:
+    mdp = drawn(seed, discount)
+    of = Objectives(mdp, ["a", "b"])
+    each, start = all_totals(mdp, of), dict(mdp.start)
+    for pairs, values in each.items():
+        found = attained(of, np.array(pairs))
+        assert [list(level.fractions()) for level in found.values] == values
+        mean = tuple(sum(p * own[s] for s, p in start.items()) for own in values)
+        assert found.total == mean
+        flow = flow_under(of, np.array(pairs))
+        assert flow.totals(of) == mean
+    for weights in ([F(1), F(0)], [F(1, 3), F(2)], [F(1), F(1)]):
+        best = [max(sum(w * own[s] for w, own in zip(weights, values, strict=True))
+                    for values in each.values()) for s in range(4)]  # fmt: skip
+        pairs, level = optimum(of, weights)
+        assert list(level.fractions()) == best
+        found = extreme(of, weights)
+        assert found.optimal(of, weights)
+        for s in range(4):
+            assert sum(w * own.fractions()[s] for w, own in zip(weights, found.values, strict=True)
+                       ) == best[s]  # fmt: skip
+        worst = min(
+            each, key=lambda p: sum(w * own[0] for w, own in zip(weights, each[p], strict=True))
+        )
+        assert attained(of, np.array(worst)).optimal(of, weights) == all(
+            sum(w * own[s] for w, own in zip(weights, each[worst], strict=True)) == best[s]
+            for s in range(4)
+        )
+
+
+def test_a_flow_gives_the_chances_of_a_policy() -> None:
+    mdp = drawn(0, "1")
+    of = Objectives(mdp, ["a"])
+    flow = Flow.of({1: F(1, 2), 0: F(3, 2), 4: F(5)})
+    assert flow.numbers() == {0: F(3, 2), 1: F(1, 2), 4: F(5)}
+    assert flow.chances(of) == {0: {0: F(3, 4), 1: F(1, 4)}, 2: {4: F(1)}}

@@ -1,0 +1,59 @@
+"""What nature picks from a set of laws, against linear programs over the same set."""
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+from exact_mdp import MDP, Intervals
+from exact_mdp.solvers.robust.sets import L1Ball, entries, inner, side_by_side
+
+RNG = np.random.default_rng(3)
+
+
+def drawn(seed: int) -> MDP:
+    rng = np.random.default_rng(seed)
+    return MDP.from_arrays(rng.dirichlet(np.ones(5), (2, 5)), rng.normal(size=(5, 2)), "9/10")
+
+
+def asked(mdp: MDP, ambiguity: object, value: np.ndarray, against: bool) -> tuple:
+    offsets = mdp.table.offsets
+    chances = mdp.transition.data
+    gain = np.repeat(mdp.reward, np.diff(offsets))
+    rows = offsets[:-1], np.diff(offsets)
+    blocks = side_by_side(np.arange(10), rows, (mdp.table.next, chances, gain))
+    return inner(ambiguity, blocks, value, discount=0.9, against=against), blocks
+
+
+@pytest.mark.parametrize("against", [True, False])
+@pytest.mark.parametrize("seed", range(6))
+def test_intervals_and_l1_balls_are_the_programs_over_them(seed: int, against: bool) -> None:
+    mdp, value = drawn(seed), np.random.default_rng(seed + 50).normal(size=5)
+    p, radius = mdp.transition.toarray(), 0.3
+    sign = 1 if against else -1
+    own, blocks = asked(mdp, Intervals.relative(mdp, 0.25), value, against)
+    ball, _ = asked(mdp, L1Ball(radius=radius), value, against)
+    for pair in range(10):
+        cost = sign * (0.9 * value + mdp.reward[pair])
+        ends = list(zip(0.75 * p[pair], np.minimum(1.25 * p[pair], 1), strict=True))
+        least = sign * linprog(cost, A_eq=np.ones((1, 5)), b_eq=[1], bounds=ends).fun
+        assert own.low[pair] - 1e-9 <= least <= own.high[pair] + 1e-9
+        assert own.value[pair] == pytest.approx(least)
+        # |q - p| as u + v with q = p + u - v
+        above = np.vstack([np.ones(10), np.hstack([-np.eye(5), np.eye(5)])])
+        both = linprog([*cost, *-cost], A_ub=above, b_ub=[radius, *p[pair]],
+                       A_eq=[[1] * 5 + [-1] * 5], b_eq=[0])  # fmt: skip
+        wanted = sign * (both.fun + cost @ p[pair])
+        assert ball.value[pair] == pytest.approx(wanted)
+    place, following, weight, earned = entries(blocks, own.laws)
+    law = np.zeros((10, 5))
+    np.add.at(law, (place, following), weight)
+    assert law.sum(axis=1) == pytest.approx(np.ones(10))
+    assert earned == pytest.approx(mdp.reward)
+    assert 0.9 * law @ value + earned == pytest.approx(own.value)
+
+
+def test_relative_intervals_end_at_0_and_1() -> None:
+    mdp = MDP.from_outcomes([(0, 0, [("9/10", 0, 1), ("1/10", 1, 0)]), (1, 0, [(1, 1, 0)])], "1/2")
+    found = Intervals.relative(mdp, "1/2")
+    assert np.asarray(found.lower, float) == pytest.approx([0.45, 0.05, 0.5])
+    assert np.asarray(found.upper, float) == pytest.approx([1, 0.15, 1])
