@@ -83,7 +83,7 @@ def mean_of(values: Floats) -> Estimated:
 def mean_loss(values: Floats) -> MeanLoss:
     """Return the mean of independent losses, none below 0, with Hall's interval."""
     plain, count = mean_of(values), len(values)
-    size = float(values.max(initial=0.0))
+    size = float(values.max())
     scaled = values / size if size > 0 else values
     sd, square = float(scaled.std()), float(scaled @ scaled)
     carried = float(scaled.sum()) ** 2 / square if square > 0 else 0.0
@@ -125,7 +125,7 @@ def mean_at_least(sample: Floats, doubt: float) -> float:
     AAAI 2015, theorem 1). The first twentieth of the sample chooses c.
     """
     first, rest = np.split(sample, [len(sample) // HELD_OUT])
-    if len(sample) < FEWEST or not first.max() > 0:
+    if len(sample) < FEWEST:
         return 0.0
 
     def bound(numbers: Floats, most: float) -> float:

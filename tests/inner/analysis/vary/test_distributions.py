@@ -1,0 +1,602 @@
+"""Distributions by their moments and their draws, against those of scipy; and what is drawn."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+import pandas as pd
+import pytest
+from model_contents import negated
+from numpy.random import SeedSequence
+from scipy import stats
+
+from exact_mdp import MDP, Family, ModelError, Parameter, moving, parametric
+from exact_mdp.analysis.vary import distributions
+from exact_mdp.analysis.vary.distributions import (
+    KINDS,
+    SETTINGS,
+    WITHIN,
+    Uncertain,
+    Uncertainty,
+    drawn_family,
+    row_family,
+    uncertainty,
+)
+
+LAWS: dict[str, Callable[..., Any]] = {
+    "beta": stats.beta,
+    "normal": stats.norm,
+    "gamma": lambda shape, scale: stats.gamma(shape, scale=abs(scale)),
+    "lognormal": lambda mean, sd: stats.lognorm(sd, scale=np.exp(mean)),
+    "uniform": lambda low, high: stats.uniform(low, high - low),
+    "triangular": lambda a, mode, b: stats.triang((mode - a) / (b - a), a, b - a),
+}
+OWN: dict[str, list[tuple[float, ...]]] = {
+    "beta": [(2.0, 5.0), (0.5, 0.25), (84.0, 716.0)],
+    "gamma": [(2.0, 3.0), (0.5, 45.0), (0.25, 0.5)],
+    "lognormal": [(1.1, 0.2), (-2.0, 1.5)],
+    "normal": [(-5.0, 2.0), (0.0, 0.5)],
+    "uniform": [(-1.0, 3.0), (0.25, 0.5)],
+    "triangular": [(0.0, 1.0, 5.0), (-3.0, -3.0, 4.0), (-3.0, 4.0, 4.0)],
+}
+EACH = [(kind, numbers) for kind, every in OWN.items() for numbers in every]
+
+
+# ---- one parameter -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("kind", "numbers"), EACH)
+def test_numbers_have_the_moments_of_another_library_and_draw_its_law(
+    kind: str, numbers: tuple[float, ...]
+) -> None:
+    said = dict(zip(KINDS[kind].own, numbers, strict=True))
+    part, law = Uncertain.of("p", kind, **said), LAWS[kind](*numbers)
+    assert part.numbers == numbers
+    assert (part.mean[0], part.sd[0]) == pytest.approx((law.mean(), law.std()))
+    drawn = part.draw(SeedSequence(1), 4000)
+    assert drawn.shape == (4000, 1)
+    assert stats.kstest(drawn[:, 0], law.cdf).pvalue > 1e-3
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("mean", "sd"), [(0.25, 0.125), (0.5, 0.25), (0.875, 0.2)])
+def test_a_mean_and_a_spread_make_a_law_that_has_them(kind: str, mean: float, sd: float) -> None:
+    for said in ({"sd": sd}, {"relative_sd": sd / mean}):
+        part = Uncertain.of("p", kind, mean=mean, **said)
+        law = LAWS[kind](*part.numbers)
+        assert (law.mean(), law.std()) == pytest.approx((mean, sd))
+        assert (part.names, part.label, part.kind) == (("p",), "p", kind)
+        assert (part.mean[0], part.sd[0]) == (mean, pytest.approx(sd))
+
+
+@pytest.mark.parametrize("kind", ["gamma", "normal", "uniform", "triangular"])
+def test_a_negative_mean_keeps_its_sign(kind: str) -> None:
+    part = Uncertain.of("p", kind, mean=-4, relative_sd=0.25)
+    assert (part.mean, part.sd, part.size) == ((-4,), (1,), 0.25)
+    drawn = part.draw(SeedSequence(0), 4000)
+    assert (drawn.mean(), drawn.std()) == pytest.approx((-4, 1), abs=0.05)
+    mirrored = Uncertain.of("p", kind, mean=4, relative_sd=0.25).draw(SeedSequence(0), 4000)
+    if kind == "gamma":
+        assert np.array_equal(drawn, -mirrored)
+
+
+def test_moments_are_given_back_as_they_were_said() -> None:
+    part = Uncertain.of("p", "lognormal", mean=0.1, sd=0.03)
+    assert (part.mean, part.sd) == ((0.1,), (0.03,))
+    part = Uncertain.of("p", "lognormal", mean=0.7, relative_sd=0.3)
+    assert (part.mean, part.sd) == ((0.7,), (0.7 * 0.3,))
+
+
+@pytest.mark.parametrize("size", [1e-6, 0.5, 19.0, 1e15])
+def test_a_beta_of_n_observations_has_variance_of_n_plus_1(size: float) -> None:
+    part = Uncertain.of("p", "beta", mean=0.25, effective_sample_size=size)
+    assert part.numbers == pytest.approx((0.25 * size, 0.75 * size))
+    assert part.size == pytest.approx(size)
+    assert part.sd[0] ** 2 == pytest.approx(0.25 * 0.75 / (size + 1))
+
+
+def test_the_size_of_others_is_their_relative_spread() -> None:
+    assert Uncertain.of("p", "normal", mean=-8, sd=2).size == 0.25
+    assert Uncertain.of("p", "uniform", low=-1, high=1).size is None
+    assert Uncertain.of("p", "normal", mean=0, sd=2).numbers == (0, 2)
+
+
+IMPOSSIBLE: list[tuple[str, dict[str, float]]] = [
+    ("beta", {"alpha": 0, "beta": 1}),
+    ("beta", {"alpha": 1, "beta": 0}),
+    ("beta", {"mean": 0, "sd": 0.1}),
+    ("beta", {"mean": 0.5, "sd": 0.5}),
+    ("gamma", {"shape": 0, "scale": 1}),
+    ("gamma", {"shape": 1, "scale": 0}),
+    ("gamma", {"mean": 0, "sd": 1}),
+    ("lognormal", {"meanlog": 1, "sdlog": 0}),
+    ("lognormal", {"mean": 0, "sd": 1}),
+    ("lognormal", {"mean": -1, "sd": 1}),
+    ("normal", {"mean": 1, "sd": 0}),
+    ("normal", {"mean": 1, "sd": -1}),
+    ("normal", {"mean": 1}),
+    ("normal", {"sd": 1}),
+    ("normal", {"mean": 1, "sd": 1, "relative_sd": 1}),
+    ("normal", {"mean": 1, "effective_sample_size": 9}),
+    ("normal", {"mean": 1, "sd": 1, "low": 0}),
+    ("normal", {"mean": 0, "relative_sd": 1}),
+    ("normal", {"mean": math.inf, "sd": 1}),
+    ("normal", {"mean": math.nan, "relative_sd": 1}),
+    ("uniform", {"low": 1, "high": 1}),
+    ("uniform", {"low": -math.inf, "high": 1}),
+    ("triangular", {"low": 1, "mode": 1, "high": 1}),
+    ("triangular", {"low": 1, "mode": 0, "high": 2}),
+    ("triangular", {"low": 1, "mode": 3, "high": 2}),
+    ("uniform", {}),
+    ("beta", {"alpha": 1, "beta": 1, "mean": 0.5}),
+    ("beta", {"alpha": 1}),
+]
+
+
+@pytest.mark.parametrize(("kind", "said"), IMPOSSIBLE)
+def test_what_is_no_distribution_is_refused(kind: str, said: dict[str, float]) -> None:
+    with pytest.raises(ModelError, match="distribution of p"):
+        Uncertain.of("p", kind, **said)
+
+
+def test_spreads_of_which_floats_can_draw_are_taken_and_no_others() -> None:
+    """A range in units of the mean; ends included."""
+    assert WITHIN["effective_sample_size"][1:] == (1e-6, 1e15)
+    assert WITHIN["relative_sd"][1:] == WITHIN["sd"][1:] == (1e-9, 1e3)
+    for mean in (-4.0, 0.0, 0.5):
+        unit = abs(mean) or 1.0
+        for spread, unit_of in (("sd", unit), ("relative_sd", 1.0)):
+            if spread == "relative_sd" and not mean:
+                continue
+            for number in (1e-9 * unit_of, 1e3 * unit_of):
+                sd = number if spread == "sd" else number * unit
+                part = Uncertain.of("p", "normal", mean=mean, **{spread: number})
+                assert part.numbers == pytest.approx((mean, sd))
+            for number in (0.99e-9 * unit_of, 1001 * unit_of):
+                with pytest.raises(ModelError, match="standard deviation"):
+                    Uncertain.of("p", "normal", mean=mean, **{spread: number})
+    for number in (0.9e-6, 1.1e15):
+        with pytest.raises(ModelError, match="effective sample size"):
+            Uncertain.of("p", "beta", mean=0.5, effective_sample_size=number)
+
+
+# ---- rows ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("counts", [(2.4, 6.0, 3.6), (0.5, 1.5), (1.0, 2.0, 3.0, 4.0)])
+def test_a_row_has_the_moments_and_the_law_of_a_dirichlet(counts: tuple[float, ...]) -> None:
+    names = [f"p{k}" for k in range(len(counts) - 1)]
+    part, law = Uncertain.of_row("row", names, counts), stats.dirichlet(counts)
+    assert (part.kind, part.label, part.names) == ("dirichlet", "row", tuple(names))
+    assert part.mean == pytest.approx(law.mean()[:-1])
+    assert part.sd == pytest.approx(law.var()[:-1] ** 0.5)
+    assert (part.numbers, part.size) == (counts, pytest.approx(sum(counts)))
+    drawn = part.draw(SeedSequence(2), 4000)
+    assert drawn.shape == (4000, len(names))
+    for column, count in zip(drawn.T, counts, strict=False):
+        assert stats.kstest(column, stats.beta(count, sum(counts) - count).cdf).pvalue > 1e-3
+    rest = stats.beta(counts[-1], sum(counts[:-1]))
+    assert stats.kstest(1 - drawn.sum(axis=1), rest.cdf).pvalue > 1e-3
+
+
+def test_drawn_rows_never_sum_to_more_than_one() -> None:
+    """Where all of the mass is on one outcome, what rounding adds is taken away, and no more."""
+    for outcomes in (2, 3, 9, 40):
+        counts = [1e-3 / outcomes] * outcomes
+        names = [f"p{k}" for k in range(outcomes - 1)]
+        drawn = Uncertain.of_row("row", names, counts).draw(SeedSequence(0), 300)
+        sums = [sum(map(Fraction, row)) for row in drawn.tolist()]
+        assert 1 - 5 * len(names) * Fraction(1, 2**52) < max(sums) <= 1
+        rng = np.random.default_rng(SeedSequence(0, spawn_key=(crc32(" ".join(names).encode()),)))
+        plain = rng.dirichlet(counts, size=300)[:, :-1]
+        below = plain.sum(axis=1) < 1 - 1e-12
+        assert np.array_equal(drawn[below], plain[below])
+        assert np.allclose(drawn, plain, rtol=5 * len(names) * 2.0**-52, atol=0)
+
+
+@pytest.mark.parametrize(
+    "counts", [(1.0, 2.0), (1.0, 2.0, 3.0, 4.0), (0.0, 1.0, 2.0), (-1.0, 3.0, 2.0), (1e15, 1, 1)]
+)
+def test_a_row_needs_a_count_above_zero_for_each_outcome(counts: tuple[float, ...]) -> None:
+    with pytest.raises(ModelError, match="distribution of row"):
+        Uncertain.of_row("row", ["p", "q"], counts)
+
+
+def test_counts_of_a_row_may_be_as_few_and_as_many_as_those_of_a_beta() -> None:
+    for size in (1e-6, 2.0**49, 1e15):
+        assert Uncertain.of_row("row", ["p"], (size / 2, size / 2)).size == size
+    for size in (0.9e-6, 1.1e15):
+        with pytest.raises(ModelError, match="concentrations"):
+            Uncertain.of_row("row", ["p"], (size / 2, size / 2))
+
+
+# ---- streams -------------------------------------------------------------------------------------
+
+
+def test_each_part_has_the_stream_of_its_name_and_of_the_seed() -> None:
+    part = Uncertain.of("p", "uniform", low=0, high=1)
+    own = np.random.default_rng(SeedSequence(5, spawn_key=(crc32(b"p"),)))
+    assert np.array_equal(part.draw(SeedSequence(5), 9)[:, 0], own.uniform(size=9))
+    child = np.random.default_rng(SeedSequence(5, spawn_key=(1, crc32(b"p"))))
+    assert np.array_equal(part.draw(SeedSequence(5).spawn(2)[1], 9)[:, 0], child.uniform(size=9))
+    other = replace(part, names=("q",))
+    assert not np.array_equal(other.draw(SeedSequence(5), 9), part.draw(SeedSequence(5), 9))
+
+
+def test_a_larger_sample_begins_with_the_smaller_and_columns_follow_the_parts() -> None:
+    one, row = (
+        Uncertain.of("p", "beta", alpha=1, beta=2),
+        Uncertain.of_row("r", ["a", "b"], [1, 2, 3]),
+    )
+    both = Uncertainty(parts=(row, one), fixed={})
+    assert both.names == ("a", "b", "p")
+    small, large = both.draw(SeedSequence(0), 5), both.draw(SeedSequence(0), 8)
+    assert np.array_equal(small, large[:5])
+    assert np.array_equal(small, np.hstack([row.draw(SeedSequence(0), 5),
+                                            one.draw(SeedSequence(0), 5)]))  # fmt: skip
+    assert Uncertainty(parts=(), fixed={}).draw(SeedSequence(0), 5).shape == (5, 0)
+    with pytest.raises(ModelError, match="p"):
+        Uncertainty(parts=(one, one), fixed={})
+
+
+# ---- what a model draws --------------------------------------------------------------------------
+
+
+def parameter(name: str, value: object, low: object = None, high: object = None) -> Parameter:
+    return Parameter(name=name, value=value, low=low, high=high)
+
+
+ONE = MDP.from_arrays([[[1]]], [0], 0)
+MODEL = Family(
+    parameters=(
+        parameter("cost.drug", "4000", 0),
+        parameter("cost.care", "100", 0),
+        parameter("p", "3/20", 0, 1),
+        parameter("weight", -2),
+        parameter("debt", 5, -9, 9),
+        parameter("never", 0, 0, 1),
+        parameter("always", 1, 0, 1),
+        parameter("free", 0, 0),
+        parameter("discount", "9/10", 0, 1),
+    ),
+    build=lambda at: ONE,
+)
+SIZE = "effective_sample_size"
+
+
+def drawn(stated: Any = None, **how: Any) -> dict[str, Uncertain]:
+    return {part.label: part for part in uncertainty(MODEL, stated, **how).parts}
+
+
+def test_only_probabilities_between_0_and_1_are_drawn_unless_more_is_stated() -> None:
+    found = uncertainty(MODEL)
+    (part,) = found.parts
+    assert (part.names, part.kind) == (("p",), "beta")
+    assert part.numbers == pytest.approx((15, 85))
+    assert found.assumed == ("p",)
+    assert found.assumption == "1 of 1 distributions are not stated, and rest on 100 " \
+        "observations each"  # fmt: skip
+    assert found.fixed == {
+        "cost.drug": "numbers are held unless stated otherwise",
+        "cost.care": "numbers are held unless stated otherwise",
+        "weight": "numbers are held unless stated otherwise",
+        "debt": "numbers are held unless stated otherwise",
+        "never": "0 today",
+        "always": "1 today",
+        "free": "numbers are held unless stated otherwise",
+        "discount": "the discount is held unless stated otherwise",
+    }
+    assert drawn(default=20)["p"].numbers == pytest.approx((3, 17))
+    assert uncertainty(MODEL, default=20).default == 20
+    assert found.default == 100
+    assert uncertainty(MODEL, found) is found
+
+
+def test_what_a_parameter_may_be_decides_its_distribution() -> None:
+    stated = {name.name: {"sd": 0.25} for name in MODEL.parameters if name.name[:4] != "cost"}
+    kinds = {label: part.kind for label, part in drawn(
+        stated | {"cost": {"relative_sd": "1/10"}}, names=[
+            "cost.drug", "cost.care", "p", "weight", "debt"]
+    ).items()}  # fmt: skip
+    assert kinds == {
+        "cost.drug": "gamma", "cost.care": "gamma", "p": "beta", "weight": "normal",
+        "debt": "normal",
+    }  # fmt: skip
+    care = drawn({"cost": {"relative_sd": "1/10"}})["cost.care"]
+    assert (care.mean, care.sd) == ((100,), (10,))
+    only_high = Family(parameters=(parameter("x", 1, 0, 2), parameter("y", -1, None, 1)),
+                       build=lambda at: ONE)  # fmt: skip
+    found = uncertainty(only_high, {"x": {"sd": 0.1}, "y": {"sd": 0.1}})
+    assert [part.kind for part in found.parts] == ["gamma", "normal"]
+
+
+def test_todays_value_is_the_mean_unless_another_is_stated() -> None:
+    part = drawn({"p": {"mean": 0.4, SIZE: 10}})["p"]
+    assert part.numbers == pytest.approx((4, 6))
+    part = drawn({"p": {SIZE: 10}})["p"]
+    assert part.numbers == pytest.approx((1.5, 8.5))
+    part = drawn({"p": {"distribution": "lognormal", "mean": 0.1, "sd": 0.01}})["p"]
+    assert (part.kind, part.mean, part.sd) == ("lognormal", (0.1,), (0.01,))
+    part = drawn({"p": {"alpha": 2, "beta": 3}})["p"]
+    assert part.numbers == (2, 3)
+    assert drawn({"p": {"distribution": "beta"}})["p"].numbers == pytest.approx((15, 85))
+    found = uncertainty(MODEL, {"p": {"distribution": "beta"}})
+    assert found.assumed == ("p",)
+    assert uncertainty(MODEL, {"p": {SIZE: 9}}).assumed == ()
+    assert uncertainty(MODEL, {"p": {SIZE: 9}}).assumption == ""
+
+
+def test_a_number_that_is_0_today_has_no_relative_spread() -> None:
+    found = uncertainty(
+        MODEL, {"never": {SIZE: 5}, "free": {"relative_sd": 0.5}, "always": {"relative_sd": 0.1}}
+    )
+    assert (found.fixed["never"], found.fixed["free"]) == ("0 today", "0 today")
+    assert found.fixed["always"] == "1 today"
+    assert drawn({"debt": {"mean": 0, "sd": 2}})["debt"].numbers == (0, 2)
+    for stated in ({"never": {"sd": 0.1}}, {"always": {"sd": 0.1}}, {"free": {"sd": 1}}):
+        with pytest.raises(ModelError, match="distribution of"):
+            uncertainty(MODEL, stated)
+    with pytest.raises(ModelError, match="effective sample size"):
+        uncertainty(MODEL, {"never": {SIZE: 0}})
+    one = Family(parameters=(parameter("x", 1, 0),), build=lambda at: ONE)
+    (part,) = uncertainty(one, {"x": {"relative_sd": 0.5}}).parts
+    assert (part.kind, part.sd) == ("gamma", (0.5,))
+
+
+def test_a_uniform_or_a_triangle_stays_within_what_the_parameter_may_be() -> None:
+    for low, high in ((0, 1), (0.25, 0.5)):
+        said = {"distribution": "uniform", "low": low, "high": high}
+        assert drawn({"p": said})["p"].numbers == (low, high)
+    inside = {"distribution": "triangular", "low": -9, "mode": 0, "high": 9}
+    assert drawn({"debt": inside})["debt"].numbers == (-9, 0, 9)
+    outside: list[tuple[str, dict[str, object]]] = [
+        ("p", {"distribution": "uniform", "low": -0.5, "high": 0.5}),
+        ("p", {"distribution": "uniform", "low": 0.5, "high": 1.25}),
+        ("debt", {"distribution": "triangular", "low": -10, "mode": 0, "high": 9}),
+        ("debt", {"distribution": "triangular", "low": -9, "mode": 0, "high": 10}),
+        ("cost.drug", {"distribution": "uniform", "low": -1, "high": 10}),
+    ]
+    for name, said in outside:
+        with pytest.raises(ModelError, match="outside of what the parameter may be"):
+            uncertainty(MODEL, {name: said})
+    free = {"weight": {"distribution": "uniform", "low": -100, "high": 100}}
+    assert drawn(free)["weight"].numbers == (-100, 100)
+    assert drawn({"cost.drug": {"distribution": "uniform", "low": 0, "high": 1e9}})
+    assert drawn({"p": {"distribution": "normal", "mean": 0.5, "sd": 0.5}})  # is drawn; may leave
+
+
+def test_the_longest_beginning_of_a_name_counts() -> None:
+    for order in (1, -1):
+        stated = dict([("cost", {"sd": 1}), ("cost.drug", {"sd": 2})][::order])
+        sds = {label: part.sd for label, part in drawn(stated).items() if label != "p"}
+        assert sds == {"cost.drug": (2,), "cost.care": (1,)}
+    found = uncertainty(MODEL, {"cost": {"sd": 1}, "cost.care": {"fixed": True}})
+    assert found.fixed["cost.care"] == "stated to be fixed"
+    assert "cost.drug" in found.names
+    for unknown in ("cos", "cost.drug.more", "pp"):
+        with pytest.raises(ModelError, match="parameter"):
+            uncertainty(MODEL, {unknown: {"sd": 1}})
+
+
+def test_a_file_states_distributions_and_the_size_of_the_rest(tmp_path: Path) -> None:
+    file = tmp_path / "uncertain.toml"
+    file.write_text(f"[default]\n{SIZE} = 40\n[cost]\nsd = 3\n[cost.care]\nfixed = true\n")
+    found = uncertainty(MODEL, file)
+    assert found.default == 40
+    assert {part.label: part.numbers[-1] for part in found.parts} == {
+        "cost.drug": pytest.approx(9 / 4000), "p": pytest.approx(0.85 * 40),
+    }  # fmt: skip
+    assert uncertainty(MODEL, str(file), default=9).default == 9
+    assert uncertainty(MODEL, file, names=["p"]).names == ("p",)
+    for text in ("sd = 3", f"[default]\n{SIZE} = 40\nsd = 3", "", "[p]\nsd = 'x'", "[[p]]"):
+        file.write_text(text)
+        with pytest.raises(ModelError, match=r"uncertain\.toml"):
+            uncertainty(MODEL, file)
+    with pytest.raises(ModelError, match="table"):
+        uncertainty(MODEL, tmp_path / "draws.CSV")
+
+
+def test_a_sample_of_ones_own_has_its_moments() -> None:
+    frame = pd.DataFrame({"cost.drug": [1.0, 2.0, 6.0], "p": [0.1, 0.2, 0.3]})
+    found = uncertainty(MODEL, frame)
+    assert found.names == ("cost.drug", "p")
+    assert [(part.kind, part.label) for part in found.parts] == [
+        ("sample", "cost.drug"), ("sample", "p")
+    ]  # fmt: skip
+    assert [part.mean[0] for part in found.parts] == pytest.approx([3, 0.2])
+    assert [part.sd[0] for part in found.parts] == pytest.approx([7**0.5, 0.1])
+    assert found.sample is not None
+    assert found.sample.tolist() == frame.to_numpy().tolist()
+    assert {*found.fixed} == {p.name for p in MODEL.parameters} - {"cost.drug", "p"}
+    assert {*found.fixed.values()} == {"not in the sample"}
+    (one,) = uncertainty(MODEL, frame[["p"]][:1]).parts
+    assert (one.mean, one.sd) == ((0.1,), (0,))
+    (two,) = uncertainty(MODEL, frame[["p"]][:2]).parts
+    assert (two.mean[0], two.sd[0]) == pytest.approx((0.15, 0.005**0.5))
+    with pytest.raises(ModelError, match="uncertain"):
+        uncertainty(MODEL, [1, 2])  # type: ignore[arg-type]
+
+
+REFUSED: list[dict[str, object]] = [
+    {"p": 3},
+    {"p": {"se": 1}},
+    {"p": {"sdd": 1}},
+    {"p": {"fixed": 1}},
+    {"p": {"fixed": True, "sd": 1}},
+    {"p": {"distribution": "exponential"}},
+    {"p": {"distribution": "bet"}},
+    {"p": {"distribution": 3}},
+    {"p": {"sd": "x"}},
+    {"p": {"sd": math.inf}},
+    {"p": {"alpha": [1, 2]}},
+]
+
+
+@pytest.mark.parametrize("stated", REFUSED)
+def test_unknown_settings_are_refused(stated: Any) -> None:
+    with pytest.raises(ModelError, match=r"parameter p|distribution of p"):
+        uncertainty(MODEL, stated)
+    assert {"mean", "sd", "low", "high", "mode", "shape", "alpha", "fixed"} <= {*SETTINGS}
+
+
+def test_not_to_be_fixed_is_to_be_as_usual() -> None:
+    assert drawn({"p": {"fixed": False}}).keys() == drawn().keys()
+
+
+# ---- rows of a model -----------------------------------------------------------------------------
+
+ROW, OTHER = "(state 0, 0)", "(state 1, 0)"
+TO_1, TO_2, BACK = f"{ROW}: to state 1", f"{ROW}: to state 2", f"{OTHER}: to state 1"
+THREE = MDP.from_arrays([[["1/2", "1/4", "1/4"], ["2/3", "1/3", 0], [0, 0, 1]]], [1, 0, 0])
+NAMED = replace(
+    moving(THREE, {TO_1: [(0, 1)], TO_2: [(0, 2)], BACK: [(1, 1)]}, {"reward.1": 1}),
+    rows={ROW: (TO_1, TO_2), OTHER: (BACK,)},
+)
+
+
+@pytest.mark.parametrize(
+    ("stated", "numbers"),
+    [
+        ({}, (2, 2, 4)),
+        ({ROW: {SIZE: 4}}, (1, 1, 2)),
+        ({TO_1: {SIZE: 4}, TO_2: {SIZE: 4}}, (1, 1, 2)),
+        ({ROW: {SIZE: 4}, TO_1: {SIZE: 4}}, (1, 1, 2)),
+        ({ROW: {"alpha": [1, 2, 3]}}, (1, 2, 3)),
+        ({ROW: {"alpha": (1, "1/2", 3)}}, (1, 0.5, 3)),
+        ({ROW: {"distribution": "dirichlet"}}, (2, 2, 4)),
+        ({ROW: {"fixed": True}}, None),
+        ({TO_1: {"fixed": True}, TO_2: {"fixed": True}}, None),
+    ],
+)
+def test_what_is_stated_of_a_row_holds_for_all_of_it(stated: Any, numbers: Any) -> None:
+    found = uncertainty(NAMED, stated, default=8)
+    parts = {part.label: part for part in found.parts}
+    assert parts[OTHER].numbers == pytest.approx((8 / 3, 16 / 3))
+    assert (parts[ROW].numbers if ROW in parts else None) == (numbers and pytest.approx(numbers))
+    assert ({TO_1, TO_2} <= {*found.fixed}) == (numbers is None)
+    assert {*found.fixed} | {*found.names} == {TO_1, TO_2, BACK, "reward.1", "discount"}
+    nothing = stated in ({}, {ROW: {"distribution": "dirichlet"}})
+    assert found.assumed == ((ROW, OTHER) if nothing else (OTHER,))
+
+
+ROWS_REFUSED: list[dict[str, object]] = [
+    {TO_1: {SIZE: 4}},
+    {TO_1: {SIZE: 4}, TO_2: {SIZE: 5}},
+    {ROW: {SIZE: 5}, TO_1: {SIZE: 4}, TO_2: {SIZE: 4}},
+    {ROW: {"sd": 1}},
+    {ROW: {"distribution": "beta"}},
+    {ROW: {"alpha": 3}},
+    {ROW: {"alpha": [1, 2]}},
+    {ROW: {"alpha": [1, 2, "x"]}},
+    {ROW: {SIZE: 0}},
+]
+
+
+@pytest.mark.parametrize("stated", ROWS_REFUSED)
+def test_the_entries_of_a_row_are_drawn_together_or_refused(stated: Any) -> None:
+    with pytest.raises(ModelError, match="state 0, 0"):
+        uncertainty(NAMED, stated)
+
+
+def test_a_row_is_asked_for_by_its_name_or_by_all_of_its_entries() -> None:
+    for names in ([ROW], [TO_1, TO_2], [TO_2, TO_1], [ROW, TO_1]):
+        found = uncertainty(NAMED, names=names)
+        assert found.names == (TO_1, TO_2)
+        assert {*found.fixed} == {BACK, "reward.1", "discount"}
+        assert {*found.fixed.values()} == {"not among the names asked for"}
+    with pytest.raises(ModelError, match="without the others of its row"):
+        uncertainty(NAMED, names=[TO_2])
+    both = replace(NAMED, rows={ROW: (TO_1, TO_2), OTHER: (BACK, TO_2)})
+    with pytest.raises(ModelError, match="rows"):
+        uncertainty(both)
+    with pytest.raises(ModelError, match="row of rewards"):
+        uncertainty(replace(NAMED, rows={"of rewards": ("reward.1",)}))
+    single = {part.kind for part in uncertainty(replace(NAMED, rows={})).parts}
+    assert single == {"beta"}
+
+
+def random_model(rng: np.random.Generator) -> MDP:
+    """Up to four states with one to three actions each, of which some rows are certain."""
+    count, rows = int(rng.integers(2, 5)), list[Any]()
+    for state in range(count):
+        for action in range(int(rng.integers(1, 4))):
+            law = rng.integers(0, 4, count)
+            law[int(rng.integers(count))] += 1
+            total = int(law.sum())
+            rows.append((state, action, [(Fraction(int(n), total), after, int(rng.integers(-2, 3)))
+                                         for after, n in enumerate(law) if n]))  # fmt: skip
+    return MDP.from_outcomes(rows, discount="1/2")
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_rows_of_any_model_are_parameters_but_for_the_largest_of_each(seed: int) -> None:
+    mdp = random_model(np.random.default_rng(seed))
+    family, expected = row_family(mdp), dict[str, dict[str, Fraction]]()
+    for pair in range(mdp.n_pairs):
+        chance: dict[int, Fraction] = {}
+        for p, after, _ in mdp.table.row(pair):
+            chance[after] = chance.get(after, Fraction(0)) + p
+        if len(chance) == 1:
+            continue
+        most = min(state for state in chance if chance[state] == max(chance.values()))
+        state, action = mdp.pair_state[pair], mdp.actions[mdp.pair_action[pair]]
+        label = f"(state {state}, {action})"
+        expected[label] = {
+            f"{label}: to state {after}": chance[after] for after in sorted(chance) if after != most
+        }
+    values = {p.name: p.value for p in family.parameters}
+    assert {
+        label: {name: values[name] for name in names} for label, names in family.rows.items()
+    } == expected
+    assert all([*names] == [*expected[label]] for label, names in family.rows.items())
+    numbers = {p.name: p.value for p in parametric(mdp).parameters}
+    names = {name for row in expected.values() for name in row}
+    assert {name: value for name, value in values.items() if name not in names} == numbers
+    for label, row in expected.items():
+        for name, value in row.items():
+            moved = family.at({name: value / 2})
+            pair = [*family.own.transition.toarray().tolist()]
+            change = np.abs(np.array(pair) - moved.transition.toarray()).sum(axis=1)
+            assert (change > 0).sum() == 1, label
+
+
+def test_rows_of_outcomes_to_the_same_state_are_one_and_certain_rows_none() -> None:
+    mdp = MDP.from_outcomes(
+        [(0, 0, [("1/2", 1, 1), ("1/4", 1, 2), ("1/4", 0, 0)]), (1, 0, [("1/2", 1, 0),
+         ("1/2", 1, 3)])], discount="1/2",
+    )  # fmt: skip
+    family = row_family(mdp)
+    assert {**family.rows} == {"(state 0, 0)": ("(state 0, 0): to state 0",)}
+
+
+def test_rows_of_a_model_that_repeats_in_time_are_refused() -> None:
+    mdp = random_model(np.random.default_rng(0))
+    with pytest.raises(ModelError, match="before it was unrolled"):
+        row_family(mdp.within(3))
+    family = drawn_family(mdp.within(3))
+    assert {**row_family(mdp).rows} == {**family.rows}
+    assert family.at({}).n_states == mdp.within(3).n_states
+    assert drawn_family(NAMED) is NAMED
+    assert {**drawn_family(mdp).rows} == {**row_family(mdp).rows}
+
+
+def test_so_many_random_rows_are_drawn_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert distributions.MOST_ROWS == 2000
+    monkeypatch.setattr(distributions, "MOST_ROWS", 2)
+    row_family(THREE)
+    monkeypatch.setattr(distributions, "MOST_ROWS", 1)
+    with pytest.raises(ModelError, match="2 rows of the model are random"):
+        row_family(THREE)
+
+
+def test_rows_are_drawn_together_whatever_is_asked_of_their_model() -> None:
+    rows = [["1/2", "1/4", "1/4"], [0, 1, 0], [0, 0, 1]]
+    family = row_family(MDP.from_arrays([rows], [1, 0, 0], "1/2"))
+    for model in (family, family.posed(negated)):
+        (part,) = uncertainty(model).parts
+        assert (part.kind, len(part.names)) == ("dirichlet", 2)
