@@ -65,6 +65,11 @@ class LinearSystem(ByFields):
     order: Integers | None = None  # (S,) where every entry (s, t) has order[t] < order[s]
     roundings: int = 1  # of each entry of `transition` on its way from the exact number
 
+    @property
+    def states(self) -> int:
+        """The number of states, S."""
+        return len(self.transition.indptr) - 1
+
     # ---- errors ------------------------------------------------------------------------------
 
     @np.errstate(over="ignore", invalid="ignore")
@@ -81,15 +86,15 @@ class LinearSystem(ByFields):
 
     def _dominating(self, excess: Floats) -> Floats:
         """Return e (S,) with e - γ P e ≥ `excess`, verified."""
-        largest = float(excess.max(initial=0.0))
+        largest = float(excess.max())
         if largest == 0.0:
             return np.zeros_like(excess)
         if not np.isfinite(largest):
             raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
-        with np.errstate(divide="ignore", invalid="ignore"):
+        if (self._leak > 0).all():
             each = excess / self._leak
-        if (self._leak > 0).all() and each.max() <= ALIKE * each.min():
-            return np.full_like(excess, float(each.max()) * SLACK)
+            if each.max() <= ALIKE * each.min():
+                return np.full_like(excess, float(each.max()) * SLACK)
         # Of a scale of 1, and nowhere so small that rounding would swallow the margin.
         wanted = excess / largest + 2.0**-10
         nothing = np.zeros_like(wanted)
@@ -103,7 +108,7 @@ class LinearSystem(ByFields):
     @cached_property
     def _leak(self) -> Floats:
         """(S,) lower bounds of 1 - γ P 1."""
-        every = np.ones(self.transition.shape[0])
+        every = np.ones(self.states)
         return np.asarray(-self._residual(0 * every, every) - self._rounding(0 * every, every))
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
@@ -111,10 +116,10 @@ class LinearSystem(ByFields):
         """Return x (S,), refined, and its residual as computed."""
         value = self._nearly(constant, FIRST)
         residual = self._residual(constant, value)
-        size = float(np.abs(residual).max(initial=0.0))
+        size = float(np.abs(residual).max())
         # Of rows of n terms, the error bound counts n roundings whatever the residual is.
         floor = max(8.0, float(np.diff(self.transition.indptr).max()) / 4) * UNIT
-        floor *= float((np.abs(constant) + np.abs(value)).max(initial=0.0))
+        floor *= float((np.abs(constant) + np.abs(value)).max())
         for _ in range(REFINEMENTS):
             if not np.isfinite(size) or size <= floor:
                 break
@@ -137,7 +142,7 @@ class LinearSystem(ByFields):
         terms = np.diff(self.transition.indptr)
         flow = self.discount * (self.transition @ value)
         total = gamma(terms + self.roundings + 4) * (constant + flow) + 2 * UNIT * value
-        largest = float(value.max(initial=0.0))
+        largest = float(value.max())
         return np.asarray(total + TINY * (terms + 1) * (largest + (largest > 0)))
 
     # ---- solving -----------------------------------------------------------------------------
@@ -172,7 +177,7 @@ class LinearSystem(ByFields):
     @cached_property
     def _without_one(self) -> tuple[int, LinearSystem]:
         """A state that is often visited, and the system without what leads there."""
-        chain, states = self.transition, self.transition.shape[0]
+        chain, states = self.transition, self.states
         share, back = np.full(states, 1 / states), chain.T.tocsr()
         for _ in range(STEPS):
             share = back @ share
@@ -183,7 +188,7 @@ class LinearSystem(ByFields):
 
     def _nearly(self, constant: Floats, rtol: float) -> Floats:
         """Return x (S,), where it is iterated for with a residual of that part of the constant."""
-        size = float(np.abs(constant).max(initial=0.0))
+        size = float(np.abs(constant).max())
         if size == 0.0 or not np.isfinite(size):
             return np.full(len(constant), 0.0 if size == 0.0 else np.nan)
         if self._direct:
@@ -248,9 +253,9 @@ class LinearSystem(ByFields):
     def _direct(self) -> Solve | None:
         """Elimination, where it costs little."""
         chain = self.transition
-        if chain.shape[0] <= FEW:
+        if self.states <= FEW:
             lower, upper = self._reach
-            if 6 * (lower + 1) * (lower + upper + 1) < chain.shape[0] ** 2:  # S³ / 3 for all
+            if 6 * (lower + 1) * (lower + upper + 1) < self.states**2:  # S³ / 3 for all
                 return _banded(self.discount, lower, upper, chain)
             return _dense(self.discount, chain)
         if self.order is not None:
@@ -263,19 +268,19 @@ class LinearSystem(ByFields):
     @cached_property
     def _reach(self) -> tuple[int, int]:
         """How far transitions lead down and up in number, at most."""
-        return _furthest(self.transition, np.arange(self.transition.shape[0]))
+        return _furthest(self.transition, np.arange(self.states))
 
     @property
     def _narrow(self) -> bool:
         """Whether a band around the diagonal, states as numbered, has few entries of its own."""
         chain = self.transition
-        return bool(sum(self._reach) * chain.shape[0] <= NARROW * chain.nnz)
+        return bool(sum(self._reach) * self.states <= NARROW * chain.nnz)
 
     @cached_property
     def work(self) -> float:
         """The multiplications of elimination within a band, where these are few; else 0."""
         _, lower, upper = self._band
-        width, states = lower + upper + 1, self.transition.shape[0]
+        width, states = lower + upper + 1, self.states
         work = 2.0 * states * (lower + 1) * width
         return work if work <= CHEAP or width * states <= NARROW * self.transition.nnz else 0.0
 
@@ -295,7 +300,7 @@ class LinearSystem(ByFields):
         return self._ordered(partial(_banded, self.discount, *self._band[1:]), self._band[0])
 
     def _sparse(self, chain: sp.csr_array) -> Solve:
-        matrix = sp.csc_array(sp.eye_array(chain.shape[0]) - self.discount * chain)
+        matrix = sp.csc_array(sp.eye_array(self.states) - self.discount * chain)
         matrix.indices, matrix.indptr = (x.astype(np.intc) for x in (matrix.indices, matrix.indptr))
         how = "COLAMD" if self.order is None else "NATURAL"
         try:
@@ -379,8 +384,9 @@ def _dense(discount: float, chain: sp.csr_array) -> Solve:
 
 def _banded(discount: float, lower: int, upper: int, chain: sp.csr_array) -> Solve:
     """Return LAPACK's elimination within a band."""
-    row = np.repeat(np.arange(chain.shape[0]), np.diff(chain.indptr))
-    places = np.zeros((2 * lower + upper + 1, chain.shape[0]), order="F")
+    states = len(chain.indptr) - 1
+    row = np.repeat(np.arange(states), np.diff(chain.indptr))
+    places = np.zeros((2 * lower + upper + 1, states), order="F")
     places[lower + upper + row - chain.indices, chain.indices] = -discount * chain.data
     places[lower + upper] += 1.0
     factors, exchanged, failed = lapack.dgbtrf(places, lower, upper, overwrite_ab=True)
