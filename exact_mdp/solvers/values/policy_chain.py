@@ -197,12 +197,11 @@ class PolicyChain:
     @cached_property
     def outcomes(self) -> Integers:
         """(S,) the number of outcomes of each state."""
-        return np.bincount(self.source, minlength=self.mdp.n_states)
+        return np.bincount(self.source)
 
     def total(self, amounts: Floats) -> Floats:
         """Return (S,) the sums of (N,) amounts by state."""
-        total = np.bincount(self.source, weights=amounts, minlength=self.mdp.n_states)
-        return np.asarray(total, dtype=np.float64)
+        return np.asarray(np.bincount(self.source, weights=amounts), dtype=np.float64)
 
     @cached_property
     def reward(self) -> tuple[Floats, Floats]:

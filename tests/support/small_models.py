@@ -1,0 +1,71 @@
+"""Small random models in exact numbers, and policies of them, for the files beside modules."""
+
+from fractions import Fraction as F
+from typing import Any
+
+import numpy as np
+
+from exact_mdp import MDP
+
+Chances = dict[tuple[int, int], F]  # of each pair (state, action) that a policy takes
+
+
+def small_model(
+    seed: int,
+    discount: object = 1,
+    *,
+    states: int = 5,
+    ends: int = 2,
+    falling: bool = False,
+    leaving: bool = True,
+    by_outcome: bool = True,
+    **parts: Any,
+) -> MDP:
+    """A model whose states are numbered by chance and have one to three actions each.
+
+    Where `falling`, each step leads nearer to an end; where `leaving`, it may; else states may lead
+    to each other for ever. The rewards of a pair differ between its outcomes, if `by_outcome`.
+    """
+    rng = np.random.default_rng(seed)
+    name = rng.permutation(states + ends).tolist()  # of the ends, then of the others
+    rows = [(name[end], 0, [(1, name[end], 0)]) for end in range(ends)]
+    for place in range(ends, states + ends):
+        for action in sorted(rng.choice(3, size=rng.integers(1, 4), replace=False).tolist()):
+            among = place if falling else states + ends
+            following = rng.integers(0, among, size=rng.integers(1, 4)).tolist()
+            if leaving and not falling:
+                following.append(int(rng.integers(0, place)))
+            weights = rng.integers(1, 8, size=len(following)).tolist()
+            earned = [F(int(rng.integers(-6, 7)), int(rng.integers(1, 5))) for _ in following]
+            rewards = earned if by_outcome else earned[:1] * len(earned)
+            chances = [F(weight, sum(weights)) for weight in weights]
+            each = zip(chances, [name[to] for to in following], rewards, strict=True)
+            rows.append((name[place], action, list(each)))
+    if "start" not in parts:
+        first = rng.choice(states + ends, size=3, replace=False).tolist()
+        parts["start"] = {first[0]: F(1, 2), first[1]: F(1, 3), first[2]: F(1, 6)}
+    return MDP.from_outcomes(rows, discount, **parts)
+
+
+def random_policy(mdp: MDP, seed: int, *, pure: bool = False) -> Chances:
+    """Exact chances of pairs; in some states one action alone is taken, or in all where `pure`."""
+    rng = np.random.default_rng(seed)
+    chances: Chances = {}
+    for state in range(mdp.n_states):
+        actions = mdp.pair_action[mdp.pairs_of(state)].tolist()
+        weights = rng.integers(0, 4, size=len(actions)).tolist()
+        if pure or not any(weights):
+            chosen = int(rng.integers(len(actions)))
+            weights = [int(place == chosen) for place in range(len(actions))]
+        for action, weight in zip(actions, weights, strict=True):
+            if weight:
+                chances[state, action] = F(weight, sum(weights))
+    return chances
+
+
+def given(chances: Chances) -> dict[int, dict[int, F]]:
+    """Return the chances as a mapping that every function takes for a policy."""
+    policy: dict[int, dict[int, F]] = {}
+    for (state, action), chance in chances.items():
+        policy.setdefault(state, {})[action] = chance
+    return policy
