@@ -203,6 +203,13 @@ def test_visits_earn_what_the_policy_earns() -> None:
             totals.earns(wrong)
 
 
+def test_a_policy_may_take_every_pair() -> None:
+    rows: list[Row] = [(0, 0, F(1), {1: F(1)}), (1, 0, F(2), {0: F(1)})]
+    totals = Totals(Model(content(rows, F(1, 2))), ["c"], [[F(1), F(2)]])
+    assert totals.attained([0, 1], [level([F(8, 3), F(10, 3)])], [F(8, 3)])
+    assert totals.earns(flow({0: F(4, 3), 1: F(2, 3)})) == [F(8, 3)]
+
+
 def test_ends_neither_lead_on_nor_earn() -> None:
     half = F(1, 2)
     rows: list[Row] = [(0, 0, F(0), {0: half, 1: half}), (1, 0, F(0), {1: F(1)}),
@@ -296,7 +303,7 @@ def test_worth_is_a_weighted_sum() -> None:
 Change = Callable[[Any], object]
 
 
-def choices(*amounts: Sequence[int], **more: Any) -> Totals:
+def choices(*amounts: Sequence[int | F], **more: Any) -> Totals:
     """One step: each action of state 0 earns its amounts, and leads to the end; half start there.
 
     State 2 earns what the first action does.
@@ -401,6 +408,11 @@ FRONTS: dict[str, tuple[Change, list[str]]] = {
     "nothing": (
         lambda p: vars(p).update(attained=[], corners=[]),
         ["the bounds do not cover all weights"],
+    ),
+    "no vertex": (
+        lambda p: p.attained.clear(),
+        [*map(BOUND.format, ("0, 1", "1/4, 3/4", "3/4, 1/4", "1, 0")),
+         "the bounds do not cover all weights"],
     ),
     "three weights": (
         put("corners", 0, weights=[F(0), F(1), F(0)]),
@@ -519,6 +531,20 @@ def test_what_is_maximised_is_the_reward() -> None:
     assert wrong(totals, proof) == ["what is maximised is not the reward"]
 
 
+def test_limits_that_do_not_bind_have_no_price() -> None:
+    for limits in ([], [Record(name="b", sign=-1, bound=F(100))]):
+        totals, proof = choices((4, 1), (2, 0)), limited()[1]
+        vars(proof).update(limits=limits, price=[F(0)] * len(limits), flow=flow({0: F(1, 2)}),
+                           dual=level([4, 0, 4]))  # fmt: skip
+        assert violations(totals, proof) == []
+
+
+def test_rewards_under_limits_may_be_fractions() -> None:
+    totals, proof = choices((F(4, 3), 6), (F(2, 3), 2)), limited()[1]
+    vars(proof).update(price=[F(1, 6)], dual=level([F(1, 3), 0, F(1, 3)]))
+    assert violations(totals, proof) == []
+
+
 def test_two_limits_of_one_total_add_their_prices() -> None:
     totals, proof = limited()
     proof.limits.append(Record(name="b", sign=1, bound=F(2)))
@@ -577,6 +603,26 @@ def test_the_least_change_of_weights_by_hand_holds(
     assert violations(*proven()) == []
 
 
+def test_multipliers_of_policies_add_up() -> None:
+    assert violations(*single()) == []
+    totals, proof = between()
+    half, none = (Record(multiplier=x, flow=proof.cuts[0].flow) for x in (F(1, 2), F(0)))
+    proof.cuts = [half, none, half]
+    assert violations(totals, proof) == []
+
+
+def single() -> tuple[Totals, Record]:
+    """(2, 2) lies on the line from (4, 0) to (0, 4): one multiplier alone does."""
+    totals, others = choices((2, 2), (4, 0), (0, 4)), [flow({1: F(1, 2)}), flow({2: F(1, 2)})]
+    value = level([4, 0, 4])
+    point = [Record(low=F(1), high=F(1), cuts=others, at_low=value, at_high=value)
+             for _ in range(2)]  # fmt: skip
+    return totals, Record(
+        kind="weights", rank=[1, 0, 1], multipliers=[F(1), F(1)], change=F(0), dual=value,
+        flow=flow({0: F(1, 2)}), cuts=[], intervals=point,
+    )  # fmt: skip
+
+
 OPTIMAL = "the values do not prove the policy optimal for the weights"
 SMALLER = "nothing proves that a smaller change does not do"
 WEIGHTS: dict[str, tuple[Any, Change, list[str]]] = {
@@ -615,6 +661,9 @@ WEIGHTS: dict[str, tuple[Any, Change, list[str]]] = {
     "no interval where there is one": (
         between, put("intervals", 0, low=None, high=None),
         ["nothing proves that reward alone does not do"]),
+    "no interval where there is one point": (
+        single, put("intervals", 1, low=None, high=None),
+        ["nothing proves that b alone does not do"]),
     "half an interval": (never, put("intervals", 1, high=F(1)),
                          ["nothing proves that b alone does not do"]),
     "other cuts of an interval": (never, lambda p: p.intervals[1].cuts.pop(),
