@@ -224,7 +224,8 @@ class _Means:
     def of(cls, numbers: Floats, error: Floats | float) -> _Means:
         """Return the means of numbers (D, N); adding them up rounds, too."""
         rounding = (len(numbers) + 4) * UNIT * np.abs(numbers).mean(axis=0)
-        return cls(numbers.mean(axis=0), rounding + np.mean(error, axis=0) * SLACK)
+        given = np.broadcast_to(error, numbers.shape).mean(axis=0)
+        return cls(numbers.mean(axis=0), rounding + given * SLACK)
 
     def difference(self, one: int, other: int) -> tuple[float, float]:
         """Return by how much one is greater than the other, and a bound on the error of that."""

@@ -1,4 +1,4 @@
-"""What a probabilistic analysis counts and estimates, against definitions written out."""
+"""A policy that is held fixed is counted in each draw whose optimum it was."""
 
 import numpy as np
 import pytest

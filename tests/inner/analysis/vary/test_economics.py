@@ -1,0 +1,422 @@
+"""Cost-effectiveness by loops over draws, by exact fractions, and by its definitions."""
+
+import json
+from fractions import Fraction
+from itertools import permutations, product
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.stats import sem
+
+from exact_mdp import MDP, Family, ModelError, cost_effectiveness, evaluate
+from exact_mdp.analysis.vary.distributions import Uncertain, Uncertainty
+from exact_mdp.analysis.vary.economics import (
+    CostEffectiveness,
+    _bends,
+    _Means,
+    _statuses,
+    price,
+)
+from exact_mdp.analysis.vary.information import evpi, evppi
+from exact_mdp.solvers.bounds.gains import SLACK, UNIT
+
+NAMES = ("none", "some", "more", "most", "all")
+DRAWN = Uncertainty(
+    parts=tuple(Uncertain.of(name, "uniform", low=0, high=1) for name in ("p.one", "p.two")),
+    fixed={},
+)
+
+
+def analysis_of(
+    effect: Any, cost: Any, draws: Any = None, *, chosen: Uncertainty = DRAWN, **errors: Any
+) -> CostEffectiveness:
+    effect, cost = np.asarray(effect, dtype=float), np.asarray(cost, dtype=float)
+    return CostEffectiveness(
+        strategies=NAMES[: effect.shape[1]],
+        uncertainty=chosen,
+        draws=np.zeros((len(effect), 2)) if draws is None else draws,
+        effect=effect,
+        cost=cost,
+        components=("qaly", "cost"),
+        seed=7,
+        **errors,
+    )
+
+
+def random_analysis(seed: int) -> CostEffectiveness:
+    """Small integers, so that ties are many and each float is exact."""
+    rng = np.random.default_rng(seed)
+    draws, strategies = int(rng.integers(1, 9)), int(rng.integers(1, 6))
+    shape = draws, strategies
+    return analysis_of(rng.integers(0, 4, shape), rng.integers(0, 4, shape))
+
+
+PRICES = (0.0, 0.5, 1.0, 2.0, -1.0)
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_curves_and_information_are_those_of_loops(seed: int) -> None:
+    analysis = random_analysis(seed)
+    shares = analysis.acceptability(PRICES)
+    frontier = analysis.frontier(PRICES)
+    every = analysis.net_benefit(PRICES)
+    infos = analysis.evpi(PRICES)
+    for w, wtp in enumerate(PRICES):
+        net = [
+            [wtp * e - c for e, c in zip(*pair, strict=True)]
+            for pair in zip(analysis.effect, analysis.cost, strict=True)
+        ]
+        assert every[w].tolist() == analysis.net_benefit(wtp).tolist() == net
+        count, names = len(net), analysis.strategies
+        best = [[value == max(row) for value in row] for row in net]
+        share = [sum(row[n] / sum(row) for row in best) / count for n in range(len(names))]
+        assert shares[w] == pytest.approx(share)
+        totals = [Fraction(sum(row[n] for row in net)) for n in range(len(names))]
+        first = totals.index(max(totals))
+        assert frontier[w] == (names[first], pytest.approx(share[first]))
+        assert analysis.frontier(wtp) == [frontier[w]]
+        lost = [max(row) - row[first] for row in net]
+        assert analysis.evpi(wtp).value == infos[w].value == pytest.approx(sum(lost) / count)
+        if count > 1:
+            assert infos[w].standard_error == pytest.approx(sem(lost))
+
+
+def test_groups_are_known_by_regression_on_their_columns() -> None:
+    rng = np.random.default_rng(0)
+    draws, n = rng.random((60, 2)), 60
+    effect = np.column_stack([np.zeros(n), draws @ [3, 1], 2 * draws[:, 1]])
+    cost = np.column_stack([np.zeros(n), np.ones(n), 2 * draws[:, 0]])
+    analysis = analysis_of(effect, cost, draws)
+    net = 0.7 * effect - cost
+    found = analysis.evppi(0.7)
+    assert found["p.two"] == evppi(net, draws[:, 1:], ("p.two",))
+    assert found["p.one"] == evppi(net, draws[:, :1], ("p.one",))
+    grouped = analysis.evppi(0.7, {"both": ["p.two", "p.one"]})
+    assert grouped["both"].regression.value == pytest.approx(evpi(net).value, rel=0.05)
+    assert grouped["both"].parameters == ("p.two", "p.one")
+
+
+def test_what_differs_by_no_more_than_its_errors_is_equal() -> None:
+    """Net benefits 1, 1 + 2⁻²⁰ and 0, of which the errors of effects and costs cover the gap."""
+    gap = 2.0**-20
+    effect, cost = [[1.0, 1.0 + gap, 0.0]] * 3, [[0.0, 0.0, 0.0]] * 3
+    exact = analysis_of(effect, cost)
+    assert exact.acceptability(1.0).tolist() == [[0, 1, 0]]
+    assert exact.frontier(1.0) == [("some", 1)]
+    for share, equal in ((0.6, True), (0.4, False)):
+        for key in ("effect_error", "cost_error"):
+            for wtp in (1.0, -1.0, 4.0):
+                scale = abs(wtp) if key == "cost_error" else 1.0
+                error = np.zeros((3, 3))
+                error[:, :2] = share * gap * scale
+                analysis = analysis_of(effect, cost, **{key: error})
+                if wtp > 0:
+                    wanted = [0.5, 0.5, 0] if equal else [0, 1, 0]
+                    assert analysis.acceptability(wtp).tolist() == [wanted]
+                    assert analysis.frontier(wtp)[0][0] == ("none" if equal else "some")
+                    assert analysis.evpi(wtp).value == 0
+    one = np.zeros((3, 3))
+    one[:, 0] = 1.1 * gap  # of one of the two is enough, of another one counts nothing
+    assert analysis_of(effect, cost, effect_error=one).acceptability(1.0)[0, 0] == 0.5
+    assert analysis_of(effect, cost, effect_error=one[:, ::-1]).acceptability(1.0)[0, 0] == 0
+    assert analysis_of(effect, cost, effect_error=one).frontier([1.0]) == [("none", 0.5)]
+
+
+def test_rounding_is_worth_no_information() -> None:
+    """Where strategies are ahead in turn by less than their errors, knowing that is worth 0."""
+    effect = [[1.0, 1.0 + 2.0**-20], [1.0 + 2.0**-20, 1.0], [1.0, 1.0]]
+    cost, error = np.zeros((3, 2)), np.full((3, 2), 2.0**-20)
+    assert analysis_of(effect, cost).evpi(1.0).value > 0
+    for own in ([[1, 0]], [[0, 1]], [[0.55, 0.55]]):
+        analysis = analysis_of(effect, cost, effect_error=error * own)
+        assert analysis.evpi(1.0).value == 0
+    assert analysis_of(effect, cost, effect_error=0.45 * error).evpi(1.0).value > 0
+    assert analysis_of(np.array(effect)[:, [0]], cost[:, [0]]).evpi([1.0])[0].value == 0
+    settled = analysis_of(effect, cost, effect_error=error)._settled(1.0)
+    assert settled.tolist() == [[row[0]] * 2 for row in effect]
+    far = np.add(effect, [[0, 3.0]])
+    assert np.array_equal(analysis_of(far, cost, effect_error=error)._settled(1.0), far)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_bounds_cover_the_exact_net_benefit_of_numbers_within_their_errors(seed: int) -> None:
+    """In fractions, of numbers at the ends of their errors; the bound is not twice as wide."""
+    rng = np.random.default_rng(seed)
+    effect, cost = rng.normal(size=(2, 3, 2)) * 10.0 ** rng.integers(-3, 4)
+    off = {"effect_error": np.abs(rng.normal(size=(3, 2))) * 2.0**-45,
+           "cost_error": np.abs(rng.normal(size=(3, 2))) * 2.0**-45}  # fmt: skip
+    analysis = analysis_of(effect, cost, **off)
+    for wtp in (3.7, -0.3):
+        net, bound = analysis.net_benefit(wtp), analysis._error(wtp)
+        for at in product(range(3), range(2)):
+            e, c = Fraction(effect[at]), Fraction(cost[at])
+            de, dc = Fraction(off["effect_error"][at]), Fraction(off["cost_error"][at])
+            ends = [Fraction(wtp) * (e + i * de) - (c + j * dc) for i in (1, -1) for j in (1, -1)]
+            far = max(abs(each - Fraction(net[at])) for each in ends)
+            own = abs(Fraction(wtp)) * (de + 4 * Fraction(UNIT) * abs(e))
+            own += dc + 4 * Fraction(UNIT) * abs(c)
+            assert far <= bound[at]
+            assert float(own) == pytest.approx(bound[at], rel=1e-5)
+            assert own <= Fraction(bound[at])
+    assert analysis._error([1.0, 2.0]).shape == (2, 3, 2)
+
+
+# ---- means ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_means_and_differences_are_within_their_bounds_in_fractions(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    draws = int(rng.integers(1, 40))
+    numbers = rng.normal(size=(draws, 3)) * 10.0 ** rng.integers(-3, 4, 3)
+    error = np.abs(rng.normal(size=(draws, 3))) * 1e-12
+    means = _Means.of(numbers, error)
+    exact = [sum(map(Fraction, column)) / draws for column in numbers.T.tolist()]
+    given = [sum(map(Fraction, column)) / draws for column in error.T.tolist()]
+    size = [sum(abs(Fraction(x)) for x in column) / draws for column in numbers.T.tolist()]
+    for n in range(3):
+        far = abs(Fraction(float(means.value[n])) - exact[n])
+        assert far + given[n] <= Fraction(float(means.error[n]))
+        own = given[n] + (draws + 4) * Fraction(UNIT) * size[n]
+        assert float(own) == pytest.approx(means.error[n], rel=1e-5)
+    for one, other in permutations(range(3), 2):
+        apart, off = means.difference(one, other)
+        assert apart == means.value[one] - means.value[other]
+        wanted = means.error[one] + means.error[other] + UNIT * abs(apart)
+        assert off == pytest.approx(wanted * SLACK, rel=1e-12)
+    assert _Means.of(numbers, 0.0).error == pytest.approx(
+        [float((draws + 4) * Fraction(UNIT) * each) for each in size]
+    )
+
+
+def test_means_are_equal_within_both_errors() -> None:
+    means = _Means(np.array([0.0, 1.0, 3.0]), np.array([0.5, 0.5, 0.25]))
+    signs = [[means.sign(one, other) for other in range(3)] for one in range(3)]
+    assert signs == [[0, 0, -1], [0, 0, -1], [1, 1, 0]]
+
+
+# ---- the efficient frontier ----------------------------------------------------------------------
+
+
+def exact_means(numbers: Any) -> _Means:
+    return _Means(np.asarray(numbers, dtype=float), np.zeros(len(numbers)))
+
+
+def said_of(cost: list[int], effect: list[int]) -> list[str]:
+    """Why each strategy is efficient or not, by comparing it with all others and all mixtures."""
+    points, said = [*zip(cost, effect, strict=True)], list[str]()
+    for n, (c, e) in enumerate(points):
+        if points.index((c, e)) < n:
+            said.append(f"equal to {NAMES[points.index((c, e))]}")
+        elif any(c2 <= c and e2 >= e and (c2, e2) != (c, e) for c2, e2 in points):
+            said.append("dominated")
+        else:  # a mixture of the same effect that costs no more
+            mixtures = [
+                c1 + Fraction((c2 - c1) * (e - e1), e2 - e1)
+                for (c1, e1), (c2, e2) in product(points, repeat=2)
+                if e1 < e < e2
+            ]
+            extended = any(mixture <= c for mixture in mixtures)
+            said.append("extendedly dominated" if extended else "efficient")
+    return said
+
+
+@pytest.mark.parametrize("block", range(4))
+def test_the_frontier_is_what_no_strategy_and_no_mixture_dominates(block: int) -> None:
+    rng = np.random.default_rng(block)
+    for _ in range(40):
+        count, most = int(rng.integers(1, 6)), int(rng.integers(2, 9))
+        cost, effect = rng.integers(-2, most, (2, count)).tolist()
+        said = said_of(cost, effect)
+        assert _statuses(exact_means(cost), exact_means(effect), NAMES[:count]) == said
+        rows = analysis_of([effect, effect], [cost, cost]).icers()
+        order = sorted(range(count), key=lambda n: (cost[n], -effect[n]))
+        points = [(c, e) for c, e in zip(rows["cost"], rows["effect"], strict=True)]
+        assert points == [(cost[n], effect[n]) for n in order]
+        by_name = rows.set_index("strategy")
+        assert [by_name.loc[name, "status"] for name in NAMES[:count]] == said
+        before = None
+        for n in order:
+            own = by_name.loc[NAMES[n]]
+            steps = own[["incremental cost", "incremental effect", "ICER"]].tolist()
+            if said[n] == "efficient" and before is not None:
+                more, gained = cost[n] - cost[before], effect[n] - effect[before]
+                assert steps == pytest.approx([more, gained, more / gained])
+            else:
+                assert np.isnan(steps).all()
+            before = n if said[n] == "efficient" else before
+
+
+def test_strategies_equal_within_their_errors_are_one() -> None:
+    close, wide = np.array([0.0, 1e-9, 1.0]), np.array([1e-9, 0.0, 0.0])
+    for cost, effect, said in (
+        (_Means(close, wide), _Means(close, wide), "equal to none"),
+        (_Means(close, 0 * wide), _Means(close, wide), "dominated"),  # it costs more
+        (_Means(close, wide), _Means(close, 0 * wide), "efficient"),  # the first gains less
+    ):
+        assert _statuses(cost, effect, NAMES[:3])[1] == said
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_three_strategies_bend_where_no_numbers_within_the_errors_say_otherwise(seed: int) -> None:
+    """The greatest and the least product at the corners of the errors decide in fractions."""
+    rng = np.random.default_rng(seed)
+    numbers = rng.integers(0, 9, (2, 3)).cumsum(axis=1).astype(float)
+    errors = rng.random((2, 3)) * rng.choice([0.0, 0.01, 0.3])
+    cost, effect = (_Means(n, e) for n, e in zip(numbers, errors, strict=True))
+    (c1, dc1), (e1, de1) = cost.difference(1, 0), effect.difference(1, 0)
+    (c2, dc2), (e2, de2) = cost.difference(2, 1), effect.difference(2, 1)
+    corners = [
+        (c2 + i * dc2) * (e1 + j * de1) - (c1 + k * dc1) * (e2 + m * de2)
+        for i, j, k, m in product((-1, 1), repeat=4)
+    ]
+    found = _bends(cost, effect, 0, 1, 2)
+    if found:
+        assert min(corners) > 0
+    if min(corners) > 1e-9 * max(map(abs, corners)) and errors.max() == 0:
+        assert found
+    first_order = c2 * e1 - c1 * e2 - (abs(c2) * de1 + abs(c1) * de2)
+    first_order -= (abs(e1) + de1) * dc2 + (abs(e2) + de2) * dc1
+    assert found == (first_order > 0) or abs(first_order) < 1e-9
+
+
+def test_what_bends_by_rounding_alone_does_not_bend() -> None:
+    """1/3 and 2/3 of the way: the exact products of floats differ by less than they round."""
+    third = _Means(np.array([0.0, 1 / 3, 1.0]), np.zeros(3))
+    assert not _bends(third, third, 0, 1, 2)
+    more = _Means(np.array([0.0, 1 / 3, 1 + 1e-9]), np.zeros(3))
+    assert _bends(more, third, 0, 1, 2)
+    assert not _bends(third, more, 0, 1, 2)
+    for scale in (1e-8, 1.0, 1e8):
+        for units, bends in ((2, False), (5, False), (60, True)):
+            cost = _Means(scale * np.array([0.0, 1.0, 2 + 2 * units * UNIT]), np.zeros(3))
+            line = _Means(np.array([0.0, 1.0, 2.0]), np.zeros(3))
+            assert _bends(cost, line, 0, 1, 2) == bends
+
+
+# ---- results -------------------------------------------------------------------------------------
+
+
+def test_tables_have_the_curves_and_go_to_twice_the_largest_icer() -> None:
+    analysis = analysis_of([[0, 1, 2], [0, 2, 2]], [[0, 3, 9], [0, 3, 9]])
+    rows = analysis.icers()
+    assert rows["ICER"].tolist() == [pytest.approx(np.nan, nan_ok=True), 2, 12]
+    assert analysis.grid().tolist() == pytest.approx([24 * k / 50 for k in range(51)])
+    assert analysis.grid(11).tolist() == pytest.approx([24 * k / 10 for k in range(11)])
+    frame = analysis.frame([1, 4])
+    assert frame.columns.tolist() == [
+        "willingness to pay", "none", "some", "more", "best on average", "EVPI", "EVPI s.e.",
+        "claim",
+    ]  # fmt: skip
+    assert frame["willingness to pay"].tolist() == [1, 4]
+    assert frame[["none", "some", "more"]].to_numpy().tolist() == [[1, 0, 0], [0, 1, 0]]
+    assert frame["best on average"].tolist() == ["none", "some"]
+    information = analysis.evpi([1, 4])
+    assert frame["EVPI"].tolist() == [each.value for each in information]
+    assert frame["EVPI s.e."].tolist() == [each.standard_error for each in information]
+    assert len(analysis.frame()) == 51
+    assert len(analysis.frame(3)) == 1
+    alone = analysis_of([[1.0]], [[2.0]])
+    assert alone.grid(3).tolist() == [0, 0.5, 1]
+    assert np.isnan(alone.frame(1)["EVPI s.e."]).all()
+    dear = analysis_of([[0, 1.0]], [[0, -2.0]])  # the second dominates
+    assert dear.grid(3).tolist() == [0, 0.5, 1]
+
+
+def test_the_report_has_the_numbers_of_the_analysis() -> None:
+    analysis = analysis_of([[0, 1, 2], [0, 2, 2]], [[0, 3, 9], [0, 3, 9]])
+    told = json.loads(analysis.report().json())
+    grid = analysis.grid(11)
+    assert told["willingness_to_pay"] == pytest.approx(grid.tolist())
+    shares = analysis.acceptability(grid).T
+    assert np.array([*told["acceptability"].values()]) == pytest.approx(shares)
+    assert told["evpi"] == pytest.approx([each.value for each in analysis.evpi(grid)])
+    assert (told["draws"], told["seed"]) == (2, 7)
+    assert told["drawn"] == {"p.one": "uniform", "p.two": "uniform"}
+    assert told["strategies"] == ["none", "some", "more"]
+    assert [row["strategy"] for row in told["icers"]] == ["none", "some", "more"]
+    assert "draws 2" in repr(analysis)
+    assert not analysis.base_case
+    base = analysis_of([[0, 1]], [[0, 3]], chosen=Uncertainty(parts=(), fixed={}))
+    assert base.base_case
+    assert "the base case" in repr(base)
+    assert str(base.report()) != ""
+
+
+def test_a_price_is_one_finite_number_and_prices_are_a_list() -> None:
+    analysis = random_analysis(0)
+    assert (price(3), price("2.5")) == (3, 2.5)
+    for wrong in ([[1, 2]], [], "x", np.nan, np.inf, [1, np.inf], None):
+        with pytest.raises(ModelError, match="no finite number"):
+            analysis.acceptability(wrong)  # type: ignore[arg-type]
+    with pytest.raises(ModelError, match="several numbers"):
+        price([1, 2])
+    with pytest.raises(ModelError, match="several numbers"):
+        price([1])
+    assert len(analysis.evpi([1])) == 1
+
+
+# ---- models --------------------------------------------------------------------------------------
+
+
+def build(at: Any) -> MDP:
+    """One step: a treatment gains `gain` for a price, or twice that for 20; nothing is free."""
+    parts = {"cost": [0, at["price"], 20, 0], "qaly": [0, at["gain"], 2 * at["gain"], 0]}
+    rows = [(0, action, [(1, 1, 0)]) for action in range(3)]
+    return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])], components=parts)
+
+
+MODEL = Family(parameters={"gain": 1, "price": 5}, build=build)
+POLICIES = {"wait": [0, 0], "treat": [1, 0], "both": [2, 0]}
+
+
+@pytest.mark.parametrize("count", [3, 130])
+def test_costs_and_effects_are_those_of_each_draw(count: int) -> None:
+    rng = np.random.default_rng(count)
+    frame = pd.DataFrame({"gain": rng.random(count), "price": rng.random(count)})
+    analysis = cost_effectiveness(MODEL, POLICIES, uncertain=frame, rng=3)
+    gain, paid, none = frame["gain"], frame["price"], np.zeros(count)
+    assert analysis.effect == pytest.approx(np.column_stack([none, gain, 2 * gain]))
+    assert analysis.cost == pytest.approx(np.column_stack([none, paid, none + 20]))
+    assert analysis.draws.tolist() == frame.to_numpy().tolist()
+    assert analysis.seed == 3
+    assert analysis.strategies == ("wait", "treat", "both")
+    turned = cost_effectiveness(MODEL, POLICIES, uncertain=frame, effect="cost", cost="qaly")
+    assert np.array_equal(turned.effect, analysis.cost)
+    assert np.array_equal(turned.cost, analysis.effect)
+    assert turned.components == ("cost", "qaly")
+    assert np.array_equal(turned.cost_error, analysis.effect_error)
+    exact = np.array([[0, Fraction(g), 2 * Fraction(g)] for g in gain])
+    apart = np.abs(exact - np.array([[Fraction(x) for x in row] for row in analysis.effect]))
+    assert (apart <= np.vectorize(Fraction)(analysis.effect_error)).all()
+    few = cost_effectiveness(MODEL, POLICIES, 2, uncertain=frame)
+    assert np.array_equal(few.effect, analysis.effect[:2])
+
+
+def test_nothing_is_drawn_of_the_base_case() -> None:
+    base = cost_effectiveness(MODEL, POLICIES)
+    assert base.base_case
+    assert {**base.uncertainty.fixed} == dict.fromkeys(("gain", "price"), "held in the base case")
+    assert (base.draws.shape, base.effect.tolist(), base.cost.tolist()) == (
+        (1, 0), [[0, 1, 2]], [[0, 5, 20]]
+    )  # fmt: skip
+    for n, policy in enumerate(POLICIES.values()):
+        parts = evaluate(MODEL.at({}), policy).components
+        assert (base.effect[0, n], base.cost[0, n]) == (parts["qaly"], parts["cost"])
+    drawn = cost_effectiveness(MODEL, {"treat": [1, 0]}, 4, uncertain={"gain": {"sd": 0.1}})
+    assert len(drawn.draws) == 4
+    assert not drawn.base_case
+    with pytest.raises(ModelError, match="nothing says how many draws"):
+        cost_effectiveness(MODEL, POLICIES, uncertain={"gain": {"sd": 0.1}})
+
+
+def test_strategies_have_names_and_components_are_those_of_the_model() -> None:
+    for wrong, said in (({}, "no strategy"), ([[0, 0]], "without names")):
+        with pytest.raises(ModelError, match=said):
+            cost_effectiveness(MODEL, wrong)  # type: ignore[arg-type]
+    with pytest.raises(ModelError, match="component"):
+        cost_effectiveness(MODEL, POLICIES, effect="life")
+    with pytest.raises(ModelError, match="component"):
+        cost_effectiveness(MODEL, POLICIES, cost="life")
