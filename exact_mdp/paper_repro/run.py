@@ -19,6 +19,7 @@ import time
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from math import floor, log10
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -26,6 +27,7 @@ from typing import Any
 from exact_mdp import Estimated, ModelError, evaluate
 from exact_mdp.analysis.record import run_record
 from exact_mdp.mdp.errors import extra, known
+from exact_mdp.mdp.report import at_most
 from exact_mdp.paper_repro import section_4_1_learning, section_4_1_policies, section_4_2
 from exact_mdp.paper_repro.claim import CLAIMS, Claim, Verdict, depends, judged
 from exact_mdp.paper_repro.drawing import FIGURES, save
@@ -39,12 +41,31 @@ FULL, QUICK = 400, 100  # training runs of each schedule
 HERE = Path(__file__).parent
 EXPECTED = HERE / "expected.toml"
 WIDE = 100  # characters of a line
+DIGITS = 10  # of the numbers that are written
 
 
 def say(text: str) -> None:
     """Show what is worked on, where standard error is a terminal."""
     if sys.stderr.isatty():
         print(f"\r\x1b[K{text:.78}", end="", file=sys.stderr, flush=True)
+
+
+def rounded(data: Any) -> Any:
+    """Return results with the digits that every processor gives, ten of each number.
+
+    Sums in another order differ in the twelfth digit at most, where numbers nearly cancel out. An
+    error bound holds for the rounded number, and is itself rounded up.
+    """
+    if isinstance(data, Mapping):
+        bound, number = data.get("error_bound"), data.get("exact")
+        data = {key: rounded(value) for key, value in data.items()}
+        if bound is not None and number:
+            unit = 10.0 ** (floor(log10(abs(number))) - DIGITS + 1)
+            data["error_bound"] = float(at_most(bound + unit / 2))
+        return data
+    if isinstance(data, list | tuple):
+        return [rounded(value) for value in data]
+    return float(f"{data:.{DIGITS}g}") if isinstance(data, float) else data
 
 
 def as_json(data: object) -> str:
@@ -65,11 +86,12 @@ def run(out: Path, *, quick: bool, readme: Path | None = None) -> dict[str, Any]
     for entry in judged(list(CLAIMS.values()), reading, changed, best):
         claims.append(entry)
         say(f"{len(claims)} of {len(CLAIMS)} claims: {entry['name']}")
-    results = {
+    claims = rounded(claims)
+    results: dict[str, Any] = {
         "quick": quick,
         "runs": runs,
-        "values": values(reading),
-        "readings": facts(evidence, [reading, *changed]),
+        "values": rounded(values(reading)),
+        "readings": rounded(facts(evidence, [reading, *changed])),
         "claims": claims,
     }
     write(out / "results.json", as_json(results))
@@ -237,6 +259,8 @@ def disagreements(claims: Sequence[Mapping[str, Any]]) -> list[str]:
             off.append(f"{name} is {verdict}, not {' or '.join(verdicts)}")
         if ("value" in wanted) != (entry["exact"] is not None):
             off.append(f"{name} has {'no' if 'value' in wanted else 'a'} number")
-        elif "value" in wanted and abs(entry["exact"] - wanted["value"]) > wanted["tolerance"]:
+        elif "value" in wanted and (
+            abs(rounded(entry["exact"]) - rounded(wanted["value"])) > wanted["tolerance"]
+        ):
             off.append(f"{name} is {entry['exact']!r}, not {wanted['value']!r}")
     return off
