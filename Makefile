@@ -41,7 +41,7 @@ test-slow: ## the tests that take long, and every property on examples never see
 test-lowest: $(LOWEST)/.installed ## the core tests at the lowest declared versions, in .venv-lowest
 	$(call TESTS,$(LOWEST)) -k "not Taxi" $(addprefix tests/,mdp solvers/exact solvers/values inner/mdp \
 	    solvers/test_published.py solvers/test_solvers.py analysis/cli/test_commands.py analysis/cli/test_train.py project/test_project_files.py \
-	    analysis/gate/test_check_command.py analysis/sensitivity/test_sobol.py analysis/sensitivity/test_psa.py solvers/test_laws.py \
+	    analysis/gate/test_check_command.py analysis/vary/test_sobol.py analysis/vary/test_psa.py solvers/test_laws.py \
 	    inner/solvers/test_parallel.py solvers/test_robust.py)
 lint: ## ruff's checks, its formatting among them
 	$(PY) -m ruff check . && $(PY) -m ruff format --check .

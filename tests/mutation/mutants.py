@@ -4,9 +4,10 @@
 
 A process collects the tests and runs them once to see which of them runs which line. For each
 change it starts a copy of itself (fork), in which the functions of the module get the changed code;
-there the tests run that come to the line, the file beside the module first, until one fails. A
-change of what is run when a module is loaded (a constant, a default) makes the copy load everything
-again. What no test notices is written to left.toml, where a person says why.
+there the tests run that come to the line, the file beside the module first, then the quickest of
+the room as long as their time is not up, until one fails. A change of what is run when a module is
+loaded (a constant, a default) makes the copy load everything again. What no test notices is written
+to left.toml, where a person says why: of a change with a reason the room is not asked again.
 """
 
 import ast
@@ -24,6 +25,7 @@ from functools import partial
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, SourceFileLoader
 from importlib.util import spec_from_file_location
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import process_time
@@ -42,6 +44,7 @@ PACKAGE = ROOT / "exact_mdp"
 LIST = Path(__file__).with_name("left.toml")
 LEFT, BESIDE, ROOM = "left", "beside", "room"
 OPTIONS = ["-q", "--capture=no", "-p", "no:cacheprovider", "-o", "timeout=0"]
+ROOM_SECONDS = 10.0  # of the room's tests for one change
 MEMORY = 6 << 30  # bytes: a change may ask for arrays without end
 
 
@@ -67,12 +70,21 @@ class Known:
     seconds: dict[str, float]
     tests: dict[str, dict[int, list[str]]]  # file → line → the tests that run it
 
-    def of(self, module: Path, change: Change) -> set[str]:
-        """Return the tests that run a change."""
-        if change.at_import:
-            return {*self.seconds}
+    def of(self, module: Path, change: Change) -> tuple[list[str], list[str]]:
+        """Return the tests that run a change, the quickest first: beside it, and of the room."""
         of_line = self.tests.get(str(module), {})
-        return {test for line in change.lines for test in of_line.get(line, ())}
+        names = {test for line in change.lines for test in of_line.get(line, ())}
+        names = {*self.seconds} if change.at_import else names
+        file = beside(module).relative_to(ROOT).as_posix() + "::"
+        near, far = list[str](), list[str]()
+        left = ROOM_SECONDS
+        for name in sorted(names, key=self.seconds.__getitem__):
+            if name.startswith(file):
+                near.append(name)
+            elif left > self.seconds[name] or not far:
+                far.append(name)
+                left -= self.seconds[name]
+        return near, far
 
 
 @dataclass
@@ -86,10 +98,14 @@ class Result:
 class Mutants:
     """Runs the tests of changed modules in place of pytest's own loop."""
 
-    def __init__(self, modules: list[Path], only_beside: bool, workers: int, verbose: bool) -> None:
+    def __init__(
+        self, modules: list[Path], *, only_beside: bool, workers: int, every: int, verbose: bool
+    ) -> None:
         self.modules, self.only_beside, self.workers = modules, only_beside, workers
-        self.verbose, self.items = verbose, dict[str, pytest.Item]()
+        self.every, self.verbose = every, verbose
+        self.items = dict[str, pytest.Item]()
         self.results = {module: Result() for module in modules}
+        self.reasons = {module: reasons(module) for module in modules}
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         self.items = {item.nodeid: item for item in session.items}
@@ -105,7 +121,7 @@ class Mutants:
             tree, functions = ast.parse(module.read_text("utf-8")), functions_of(module)
             gc.collect()
             gc.freeze()  # so that copies share the memory
-            for change in changes(tree):
+            for change in islice(changes(tree), 0, None, self.every):
                 while len(running) >= self.workers:
                     finish()
                 if pid := os.fork():
@@ -179,29 +195,27 @@ class Mutants:
         functions: list[FunctionType],
     ) -> None:  # fmt: skip
         """Put a change into this process, run the tests that come to it, and end with its fate."""
+        stage = 1
         try:
             os.setpgid(0, 0)
             resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
             quiet = os.open(os.devnull, os.O_WRONLY)
             os.dup2(quiet, 1), os.dup2(quiet, 2)
             code = compile(tree, str(module), "exec")
-            names = sorted(known.of(module, change), key=known.seconds.__getitem__)
-            file = beside(module).relative_to(ROOT).as_posix() + "::"
-            near = [name for name in names if name.startswith(file)]
-            far = [] if self.only_beside else [name for name in names if name not in {*near}]
+            near, far = known.of(module, change)
+            if self.only_beside or self.reasons[module].get(change.key):
+                far = []
             in_place = not change.at_import and exchange(functions, code)
             fails = self.fail if in_place else partial(fail_anew, module, code)
-            for fate, tests, timer in (
-                (1, near, signal.ITIMER_PROF),
-                (2, far, signal.ITIMER_VIRTUAL),
-            ):
+            stages = (1, near, signal.ITIMER_PROF), (2, far, signal.ITIMER_VIRTUAL)
+            for stage, tests, timer in stages:
                 signal.setitimer(timer, 10 + 5 * sum(map(known.seconds.__getitem__, tests)))
                 if tests and fails(tests):
-                    os._exit(fate)
+                    os._exit(stage)
                 signal.setitimer(timer, 0)
             os._exit(0)
         except BaseException:  # whatever a change breaks is noticed
-            os._exit(1)
+            os._exit(stage)
 
     def fail(self, tests: list[str]) -> bool:
         """Whether one of the tests fails in this process."""
@@ -282,12 +296,19 @@ def table(results: dict[Path, Result], only_beside: bool) -> str:
     return "\n".join(lines)
 
 
+def reasons(module: Path) -> dict[tuple[str, ...], str]:
+    """Return why no test notices changes of a module, as the list says."""
+    known: dict[str, Any] = tomllib.loads(LIST.read_text("utf-8")) if LIST.exists() else {}
+    left = known.get(module.relative_to(PACKAGE).as_posix(), {}).get(LEFT, ())
+    return {tuple(each[:3]): each[3] for each in left}
+
+
 def write_list(results: dict[Path, Result]) -> None:
     """Write what is left of these modules into the list; reasons given before stay."""
     known: dict[str, Any] = tomllib.loads(LIST.read_text("utf-8")) if LIST.exists() else {}
     for module, result in results.items():
         name, fates = module.relative_to(PACKAGE).as_posix(), result.fates
-        why = {tuple(each[:3]): each[3] for each in known.get(name, {}).get("left", ())}
+        why = reasons(module)
         left = [[*change.key, why.get(change.key, "")] for change in result.left]
         counts = {"changes": fates.total(), BESIDE: fates[BESIDE], ROOM: fates[ROOM]}
         known[name] = counts | {LEFT: left}
@@ -312,8 +333,11 @@ def write_list(results: dict[Path, Result]) -> None:
 @click.argument("paths", nargs=-1, required=True, type=click.Path(exists=True, path_type=Path))
 @click.option("--beside", "only_beside", is_flag=True, help="Run the files beside alone; no list.")
 @click.option("--workers", default=2, show_default=True, help="Copies at a time.")
+@click.option("--every", default=1, show_default=True, help="Only each n-th change; no list.")
 @click.option("--verbose", is_flag=True, help="Show each change that no file beside notices.")
-def main(paths: tuple[Path, ...], only_beside: bool, workers: int, verbose: bool) -> None:
+def main(
+    paths: tuple[Path, ...], only_beside: bool, workers: int, every: int, verbose: bool
+) -> None:
     """Change modules, or all of a folder, in one place at a time, and say what tests notice."""
     os.chdir(ROOT)
     files = [file for path in paths for file in ([path] if path.is_file() else path.rglob("*.py"))]
@@ -325,10 +349,11 @@ def main(paths: tuple[Path, ...], only_beside: bool, workers: int, verbose: bool
         raise click.UsageError(
             f"no tests beside: {beside(modules[0]).relative_to(ROOT)} is missing"
         )
-    mutants = Mutants(modules, only_beside, workers, verbose)
+    how: dict[str, Any] = {"workers": workers, "every": every, "verbose": verbose}
+    mutants = Mutants(modules, only_beside=only_beside, **how)
     pytest.main([*OPTIONS, *sorted(map(str, tests))], plugins=[mutants])
     print(table(mutants.results, only_beside))
-    if not only_beside:
+    if not only_beside and every == 1:
         write_list(mutants.results)
 
 
