@@ -9,5 +9,6 @@ loop, and it writes one step:
         values.take()               # V ← T V; then, for example, values.relax()
 
 It does not bound its own error: the loop does, or `bounds.verify(mdp, value)` for values that come
-from anywhere else. The tests in `tests/solvers/test_solvers.py` run over all of `SOLVERS`.
+from anywhere else. The tests of solvers run over all of `SOLVERS`: laws, discounts next to 1,
+totals without end, published cases.
 """
