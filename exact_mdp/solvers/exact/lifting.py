@@ -172,12 +172,11 @@ def _digits_of(numbers: Sequence[Any], width: int, count: int) -> Iterator[Integ
 
 def _joined(digits: Integers, width: int) -> list[int]:
     """Return the numbers whose digits (T, K) to the base 2^width are given, the highest first."""
-    low, mask = np.empty_like(digits), (1 << width) - 1
+    low = np.empty_like(digits)  # of which the lowest bytes count, as many as a digit has
     carry = np.zeros(digits.shape[1], dtype=np.int64)
     for own, lowest in zip(digits[::-1], low, strict=True):
-        total = own + carry
-        np.bitwise_and(total, mask, out=lowest)
-        carry = total >> width
+        np.add(own, carry, out=lowest)
+        carry = lowest >> width
     numbers, tops, size = list[int](), carry.tolist(), len(digits) * width // 8
     for first in range(0, len(tops), CHUNK):
         part = np.ascontiguousarray(low[:, first : first + CHUNK].T)
