@@ -52,6 +52,7 @@ from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.io.files import LARGEST, read_text, write_atomically
 from exact_mdp.mdp.io.structured import (
     integer,
+    is_of,
     json_of,
     natural,
     number,
@@ -202,8 +203,7 @@ def load(path: str | Path) -> MDP:
     """Read a model; raises ModelError for a file that is damaged, or no valid model."""
     with located(str(path)):
         given = json_of(read_text(path, most=LARGEST), str(path))
-        kind = (given.get("format"), given.get("version")) if isinstance(given, dict) else None
-        if kind != (FORMAT, VERSION):
+        if not is_of(given, FORMAT, VERSION):
             raise ModelError(
                 f"the file is no {FORMAT} of version {VERSION}",
                 fix="give a file that exact-mdp convert IN model.json wrote; in "

@@ -52,6 +52,7 @@ from exact_mdp.mdp.forms.names import text_of
 from exact_mdp.mdp.io.arrays import read_arrays
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.io.structured import (
+    is_of,
     json_of,
     natural,
     number,
@@ -200,7 +201,7 @@ def unpacked(source: str | Path | bytes) -> MDP:
     with located("header"):
         given = json_of(arrays["header"].tobytes(), "header")
         head = shaped(given, HEADER)
-        if (given.get("format"), given.get("version")) != (FORMAT, VERSION):
+        if not is_of(given, FORMAT, VERSION):
             refuse(given.get("version"), f"version {VERSION} of format {FORMAT!r}")
         # One changed byte in an archive's list can hide those of its arrays that a model may lack.
         if [*head["arrays"]] != sorted(arrays.keys() - {"header"}):

@@ -128,6 +128,12 @@ def _at(place: str | int, given: Any, kind: Any) -> Any:
         raise ModelError(error.what, where=where, fix=error.fix) from error
 
 
+def is_of(given: Any, name: str, version: int) -> bool:
+    """Return whether an object is of a format and a version, which 2.0 or true do not say."""
+    head = [given.get("format"), given.get("version")] if isinstance(given, dict) else []
+    return head == [name, version] and type(head[1]) is int
+
+
 def optional(kind: Any) -> Callable[[Any], Any]:
     """Return the kind of what may be null, too."""
     return lambda given: None if given is None else shaped(given, kind)

@@ -63,9 +63,9 @@ def integers(given: Any, what: str, length: int | None = None) -> list[int]:
 
 
 def headed(given: Any, kind: str) -> None:
-    """Raise Unreadable unless content is of a kind and of version 2."""
-    head = [given.get(key) for key in ("format", "version")] if type(given) is dict else None
-    wanted(head == [f"exact-mdp {kind}", 2], f"no {kind}: format and version are {str(head)[:80]}")
+    """Raise Unreadable unless content is of a kind and of version 2; as texts, 2.0 is another."""
+    head = str([given.get("format"), given.get("version")] if type(given) is dict else None)
+    wanted(head == f"['exact-mdp {kind}', 2]", f"no {kind}: format and version are {head[:80]}")
 
 
 def keyed(given: Any, keys: Iterable[str], what: str) -> None:

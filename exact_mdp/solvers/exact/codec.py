@@ -139,7 +139,8 @@ def load(kinds: Mapping[str, type[T]], path: str | Path) -> T:
         head: dict[str, list[Any]] = {"format": [FORMAT], "version": [VERSION], "kind": [*kinds]}
         for key, known in head.items():
             own, each = data.get(key), " or ".join(map(repr, known))
-            wanted(own in known, f"{key} is {str(own)[:40]!r}, not {each}")
+            right = own in known and type(own) is type(known[0])  # 2.0 equals 2, too
+            wanted(right, f"{key} is {str(own)[:40]!r}, not {each}")
         record = kinds[data["kind"]]
         types, read = _types(cast(Any, record)), dict[str, Any]()
         keyed(data, {"format", "version", *types}, "the certificate")

@@ -139,6 +139,14 @@ def headed(key: str, value: Any) -> object:
     return spoiled("header", changed)
 
 
+def said(key: str, value: Any) -> object:
+    """A model.json, one of whose values is changed."""
+    with TemporaryDirectory() as folder:
+        save(MODELS["floats"], path := Path(folder) / "bad.json")
+        path.write_text(json.dumps(json.loads(path.read_text("utf-8")) | {key: value}), "utf-8")
+        return load(path)
+
+
 def column(**changes: Any) -> list[dict[str, Any]]:
     return [{"name": "s", "size": 2, "bits": 0, "words": []} | changes]
 

@@ -79,7 +79,7 @@ def test_the_file_is_what_is_documented(tmp_path: Path) -> None:
 LEVEL = {"top": ["0x0"] * 4, "below": ["0x1"], "group": [0] * 4}
 BAD: dict[str, list[Any]] = {
     "format": ["other", None, 1],
-    "version": [1, "2", None, True],
+    "version": [1, 2.0, "2", None, True],
     "kind": ["bounds", 0, None],
     "model": [5, None],
     "sense": [1, None],
