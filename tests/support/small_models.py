@@ -1,5 +1,6 @@
 """Small random models in exact numbers, and policies of them, for the files beside modules."""
 
+from dataclasses import replace
 from fractions import Fraction as F
 from typing import Any
 
@@ -69,3 +70,36 @@ def given(chances: Chances) -> dict[int, dict[int, F]]:
     for (state, action), chance in chances.items():
         policy.setdefault(state, {})[action] = chance
     return policy
+
+
+def with_events(mdp: MDP, seed: int) -> MDP:
+    """The model with two events, each of which happens in some outcomes."""
+    bits = np.random.default_rng(seed).choice([0, 0, 1, 2, 3], size=len(mdp.table.next))
+    bits[mdp.terminal[mdp.pair_state][mdp.table.pair]] = 0
+    return mdp.with_(
+        table=replace(mdp.table, event=bits.astype(np.uint8)), events=("first", "second")
+    )
+
+
+def outcomes_of(mdp: MDP, chances: Chances) -> list[list[Any]]:
+    """Each state's outcomes under a policy: probability, next state, reward, bits of events."""
+    listed: list[list[Any]] = [[] for _ in range(mdp.n_states)]
+    bits = mdp.table.event
+    for (state, action), chance in chances.items():
+        pair = mdp.pair(state, action)
+        for place, (p, to, reward) in enumerate(mdp.table.row(pair), mdp.table.offsets[pair]):
+            listed[state].append((chance * p, to, reward, 0 if bits is None else int(bits[place])))
+    return listed
+
+
+def law_of_return(mdp: MDP, chances: Chances) -> dict[F, F]:
+    """Return the law of the return of a model without cycles, run by run."""
+    listed, law = outcomes_of(mdp, chances), dict[F, F]()
+    waiting = [(state, F(0), chance) for state, chance in mdp.start if chance]
+    while waiting:
+        state, earned, chance = waiting.pop()
+        if mdp.terminal[state]:
+            law[earned] = law.get(earned, F(0)) + chance
+        else:
+            waiting += [(to, earned + r, chance * p) for p, to, r, _ in listed[state]]
+    return dict(sorted(law.items()))

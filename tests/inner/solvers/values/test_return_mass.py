@@ -1,0 +1,309 @@
+"""Masses of states and rewards, carried through blocks, beside runs and powers in fractions."""
+
+from collections import defaultdict
+from fractions import Fraction as F
+from math import inf
+from typing import Any
+
+import numpy as np
+import pytest
+from small_models import given, law_of_return, outcomes_of, random_policy, small_model
+
+from exact_mdp import MDP, ModelError
+from exact_mdp.mdp.table import Numbers
+from exact_mdp.solvers.values import return_mass as module
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.return_mass import Flow, _summed
+
+
+def whole(seed: int, **kind: Any) -> tuple[MDP, Any, PolicyChain, Numbers]:
+    """A model whose rewards are whole numbers, a policy, its chain and its rewards."""
+    mdp = small_model(seed, **kind)
+    top, below = mdp.table.integer_gains()
+    mdp = mdp.with_(table=mdp.table.earning(top, np.ones_like(below)))
+    chances = random_policy(mdp, seed, pure=seed % 4 == 0)
+    chain = PolicyChain.of(mdp, given(chances))
+    return mdp, chances, chain, chain.gain.astype(np.int64)
+
+
+def law_with_cycles(mdp: MDP, chances: Any, steps: int) -> tuple[dict[int, float], float]:
+    """The masses of returns that have ended after some steps, and what has not ended."""
+    listed = [
+        [(float(p), to, int(r)) for p, to, r, _ in each] for each in outcomes_of(mdp, chances)
+    ]
+    moving: dict[tuple[int, int], float] = {(s, 0): float(p) for s, p in mdp.start if p}
+    ended: dict[int, float] = defaultdict(float)
+    for _ in range(steps + 1):
+        after: dict[tuple[int, int], float] = defaultdict(float)
+        for (state, earned), mass in moving.items():
+            if mdp.terminal[state]:
+                ended[earned] += mass
+            else:
+                for p, to, r in listed[state]:
+                    after[to, earned + r] += mass * p
+        moving = after
+    return ended, sum(moving.values())
+
+
+@pytest.mark.parametrize("exact", [True, False])
+@pytest.mark.parametrize("dense", [0, 8, 10**6])
+def test_masses_at_the_end_are_those_of_all_runs(
+    exact: bool, dense: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However the masses are added up: in lists, or in arrays."""
+    monkeypatch.setattr(module, "DENSE", dense)
+    for seed in range(12):
+        mdp, chances, chain, gain = whole(seed, falling=True, states=6)
+        for kind in (np.int64, object):
+            flow = Flow(chain, gain.astype(kind), {}, exact=exact)
+            values, masses, lost, roundings = flow.carried()
+            runs = law_of_return(mdp, chances)
+            assert values.tolist() == [*runs]
+            if exact:
+                assert masses.tolist() == [*runs.values()]
+                assert lost == 0
+            else:
+                assert 0 <= lost < 1e-280
+                for mass, wanted in zip(masses.tolist(), runs.values(), strict=True):
+                    assert abs(F(mass) / wanted - 1) <= roundings * F(1, 2**53)
+                assert roundings <= 60 * (flow.last + 1)
+            assert not flow.cyclic.any()
+
+
+def test_masses_of_cycles_are_those_of_powers(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "REMAINING", 1e-3)
+    for seed in range(4):
+        mdp, chances, chain, gain = whole(seed, states=3)
+        ended, left = law_with_cycles(mdp, chances, 30)
+        for dense, merged in ((0, 64), (8, 64), (8, 3), (10**6, 5)):
+            monkeypatch.setattr(module, "DENSE", dense)
+            monkeypatch.setattr(module, "MERGED", merged)
+            flow = Flow(chain, gain, {}, exact=False)
+            values, masses, lost, _ = flow.carried()
+            listed = dict(zip(values.tolist(), masses.tolist(), strict=True))
+            assert 0 <= lost <= 1e-3
+            assert (lost > 1e-290) == flow.cyclic.any()
+            assert sum(listed.values()) + lost == pytest.approx(1, rel=1e-12)
+            for value, mass in listed.items():
+                assert mass <= ended[value] + left + 1e-12
+            missing = sum(max(x - listed.get(v, 0.0), 0.0) for v, x in ended.items())
+            assert missing <= lost + 1e-12
+
+
+def test_blocks_are_levels_and_the_ends_are_last() -> None:
+    rows: Any = [
+        (4, 0, [(F(1, 2), 0, 1), (F(1, 2), 2, 5)]),
+        (0, 0, [(F(1, 2), 3, 2), (F(1, 2), 1, 7)]),
+        (3, 0, [(F(1, 3), 0, 3), (F(2, 3), 2, 1)]),
+        (2, 0, [(1, 1, 4)]),
+        (1, 0, [(1, 1, 0)]),
+    ]
+    chain = PolicyChain.of(MDP.from_outcomes(rows, start=4), "random")
+    flow = Flow(chain, chain.gain.astype(np.int64), {}, exact=False)
+    assert flow.block.tolist() == [0, 1, 1, 2, 3, 3, 3]  # 4, then 0 and 3, then 2, then the ends
+    assert flow.first.tolist() == [0, 1, 3, 4, 7]
+    assert flow.cyclic.tolist() == [False, True, False, False]
+    assert flow.last == 3
+    assert dict(flow.start) == {0: 1}
+    assert flow.entering.tolist() == [0, 2, 2, 2]  # outcomes into one state of each block, at most
+    each = zip(flow.source.tolist(), flow.target.tolist(), flow.gain.tolist(), strict=True)
+    assert sorted(each) == [
+        (0, 1, 1),
+        (0, 3, 5),
+        (1, 2, 2),
+        (1, 4, 7),
+        (2, 1, 3),
+        (2, 3, 1),
+        (3, 4, 4),
+    ]
+    assert flow.inner.sum() == 2
+    assert flow.share.sum() == pytest.approx(4)
+    with pytest.raises(ModelError, match="lead back to each other"):
+        Flow(chain, chain.gain.astype(np.int64), {}, exact=True)
+
+
+def test_actions_that_do_the_same_become_one() -> None:
+    rows: Any = [
+        (0, 0, [(F(1, 2), 1, 1), (F(1, 2), 1, 2)]),
+        (0, 1, [(F(1, 4), 1, 1), (F(3, 4), 1, 3)]),
+        (1, 0, [(1, 1, 0)]),
+    ]
+    chain = PolicyChain.of(MDP.from_outcomes(rows), "random")
+    flow = Flow(chain, chain.gain.astype(np.int64), {}, exact=True)
+    assert flow.gain.tolist() == [1, 2, 3]
+    values, masses, _, _ = flow.carried()
+    assert dict(zip(values.tolist(), masses.tolist(), strict=True)) == {
+        1: F(3, 8),
+        2: F(1, 4),
+        3: F(3, 8),
+    }
+    again = Flow(chain, chain.gain.astype(np.int64), {}, exact=False)
+    assert again.entering.tolist() == [0, 4]
+
+
+def test_infinite_ends_come_first_and_last() -> None:
+    rows: Any = [(0, 0, [(F(1, 8), 1, 1), (F(2, 8), 2, 2), (F(5, 8), 3, 9)])]
+    rows += [(s, 0, [(1, s, 0)]) for s in (1, 2, 3)]
+    chain = PolicyChain.of(MDP.from_outcomes(rows), "random")
+    at = np.eye(4, dtype=bool)
+    gain = chain.gain.astype(np.int64)
+    for exact in (True, False):
+        for low, high, wanted in (
+            (1, 2, {-inf: F(1, 8), 9: F(5, 8), inf: F(1, 4)}),
+            (2, 1, {-inf: F(1, 4), 9: F(5, 8), inf: F(1, 8)}),
+        ):
+            flow = Flow(chain, gain, {-inf: at[low], inf: at[high]}, exact=exact)
+            values, masses, _, _ = flow.carried()
+            assert values.tolist() == [*wanted]
+            assert masses.tolist() == [*wanted.values()]
+        values, masses, _, _ = Flow(chain, gain, {inf: at[1] | at[2]}, exact=exact).carried()
+        assert (values.tolist(), masses.tolist()) == ([9, inf], [F(5, 8), F(3, 8)])
+
+
+def test_masses_that_are_too_small_are_counted_as_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    rare = F(1, 10**200)
+    rows: Any = [(s, 0, [(rare, s + 1, 1), (1 - rare, 3, 0)]) for s in range(2)] + [
+        (2, 0, [(1, 3, 5)]),
+        (3, 0, [(1, 3, 0)]),
+    ]
+    chain = PolicyChain.of(MDP.from_outcomes(rows), "random")
+    values, masses, lost, _ = Flow(chain, chain.gain.astype(np.int64), {}, exact=False).carried()
+    assert values.tolist() == [0, 1]
+    assert masses.tolist() == pytest.approx([1, 1e-200], rel=1e-12)
+    assert 0 < lost < 1e-280
+    exactly = Flow(chain, chain.gain.astype(np.int64), {}, exact=True).carried()
+    assert exactly[0].tolist() == [0, 1, 7]
+    assert exactly[1].tolist() == [1 - rare, rare * (1 - rare), rare**2]
+    for small in (1e-3, 1e-2):
+        monkeypatch.setattr(module, "EDGE", small)
+        own = PolicyChain.of(
+            MDP.from_outcomes(
+                [(0, 0, [(F(1, 200), 1, 1), (F(199, 200), 1, 0)]), (1, 0, [(1, 1, 0)])]
+            ),
+            "random",
+        )
+        values, masses, lost, _ = Flow(own, own.gain.astype(np.int64), {}, exact=False).carried()
+        assert values.tolist() == ([0, 1] if small < 0.005 else [0])
+        assert lost >= (0 if small < 0.005 else 0.005)
+        assert masses.sum() + lost == pytest.approx(1, rel=1e-12)
+
+
+def test_cycles_that_are_hardly_left_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At once where a power of their matrix tells; else after so many sweeps."""
+    monkeypatch.setattr(module, "SWEEPS", 20)
+    for stay, few, words in (
+        (F(1, 8), 200, ""),
+        (F(9, 10), 200, "the end is still to come"),
+        (F(9, 10), 0, "of the probability has not reached the end"),
+    ):
+        monkeypatch.setattr(module, "FEW", few)
+        rows: Any = [(0, 0, [(stay, 0, 1), (1 - stay, 1, 0)]), (1, 0, [(1, 1, 0)])]
+        chain = PolicyChain.of(MDP.from_outcomes(rows), "random")
+        flow = Flow(chain, chain.gain.astype(np.int64), {}, exact=False)
+        if words:
+            with pytest.raises(ModelError, match=words):
+                flow.carried()
+        else:
+            values, masses, lost, _ = flow.carried()
+            for value, mass in zip(values.tolist(), masses.tolist(), strict=True):
+                assert mass == pytest.approx(float((1 - stay) * stay**value), rel=1e-12)
+            assert lost == pytest.approx(float(stay) ** len(values), rel=1e-9)
+
+
+def test_what_is_left_in_a_block_is_a_power_of_its_matrix(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "SWEEPS", 7)
+    for seed in range(10):
+        _, _, chain, gain = whole(seed, states=4)
+        flow = Flow(chain, gain, {}, exact=False)
+        for block in np.flatnonzero(flow.cyclic).tolist():
+            first, last = flow.first[block : block + 2].tolist()
+            own = np.flatnonzero((flow.source >= first) & (flow.source < last) & flow.inner)
+            mass = np.random.default_rng(seed).random(last - first)
+            moving = np.arange(first, last), np.zeros(last - first, dtype=np.int64), mass
+            onward = mass
+            for _ in range(7):
+                onward = [
+                    sum(
+                        onward[flow.source[k] - first] * flow.share[k]
+                        for k in own
+                        if flow.target[k] == to
+                    )
+                    for to in range(first, last)
+                ]
+            assert flow._left(block, moving, own) == pytest.approx(sum(onward), rel=1e-12)
+            for few, known in ((last - first - 1, False), (last - first, True)):
+                with monkeypatch.context() as patch:
+                    patch.setattr(module, "FEW", few)
+                    assert (flow._left(block, moving, own) > 0) == known
+
+
+def test_work_beyond_the_limits_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows: Any = [(0, 0, [(F(1, 3), 1, k) for k in range(3)]), (1, 0, [(1, 2, 1)])]
+    chain = PolicyChain.of(MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])]), "random")
+    gain = chain.gain.astype(np.int64)
+    for name, least in (("STEPS", 6), ("CELLS", 3)):  # three outcomes, then one of three masses
+        with monkeypatch.context() as patch:
+            patch.setattr(module, name, least)
+            assert Flow(chain, gain, {}, exact=False).carried()[0].tolist() == [1, 2, 3]
+            patch.setattr(module, name, least - 1)
+            with pytest.raises(ModelError, match="too many different returns"):
+                Flow(chain, gain, {}, exact=False).carried()
+
+
+def summed(parts: Any) -> dict[tuple[int, int], F]:
+    total: dict[tuple[int, int], F] = defaultdict(F)
+    for state, multiple, mass in parts:
+        for s, m, x in zip(state.tolist(), multiple.tolist(), mass.tolist(), strict=True):
+            total[s, m] += F(x)
+    return dict(sorted(total.items()))
+
+
+def test_masses_of_the_same_state_and_reward_are_added_up() -> None:
+    rng = np.random.default_rng(0)
+    for trial in range(60):
+        parts: Any = [
+            (
+                rng.integers(3, 7, size=k),
+                rng.integers(-3, 4, size=k) * 10 ** (trial % 3),
+                rng.integers(1, 9, size=k) / 8,
+            )
+            for k in rng.integers(0, 9, size=3).tolist()
+        ]
+        for kind in (np.float64, object):
+            given_parts = [(s, m, x.astype(kind)) for s, m, x in parts]
+            state, multiple, mass = _summed(given_parts)
+            listed = zip(state.tolist(), multiple.tolist(), mass.tolist(), strict=True)
+            assert [((s, m), F(x)) for s, m, x in listed] == [*summed(given_parts).items()]
+
+
+def test_products_of_matrices_hand_masses_on_as_loops_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(1)
+    for seed in range(20):
+        _, _, chain, gain = whole(seed, states=6)
+        flow = Flow(chain, gain, {}, exact=False)
+        sources = np.unique(flow.source)
+        some = np.sort(rng.choice(sources, size=min(3, len(sources)), replace=False))
+        state = np.repeat(some, 3)
+        multiple = np.tile([-2, 5, 11], len(some))
+        mass = rng.integers(1, 9, size=len(state)) / 16
+        outcomes = np.flatnonzero(rng.random(len(flow.source)) < 0.8)
+        wanted: dict[tuple[int, int], float] = defaultdict(float)
+        for s, m, x in zip(state.tolist(), multiple.tolist(), mass.tolist(), strict=True):
+            for k in outcomes[flow.source[outcomes] == s].tolist():
+                wanted[int(flow.target[k]), m + int(flow.gain[k])] += x * float(flow.share[k])
+        for dense in (0, 10**9):
+            monkeypatch.setattr(module, "DENSE", dense)
+            found = summed([flow._handed_on((state, multiple, mass), outcomes)])
+            assert [*found] == sorted(wanted)
+            for key, value in found.items():
+                assert float(value) == pytest.approx(wanted[key], rel=1e-14)
+            if dense and len(outcomes):
+                products = flow._in_products((state, multiple, mass), outcomes)
+                assert products is not None
+                assert summed([products]) == found
+        for other in (
+            (state, multiple.astype(object), mass),
+            (state, multiple, mass.astype(object)),
+        ):
+            assert flow._in_products(other, outcomes) is None
+        assert flow._in_products((state, multiple, mass), outcomes[:0]) is None
