@@ -1,0 +1,272 @@
+"""What a policy loses, beside policy iteration and all policies in fractions."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from fractions import Fraction as F
+from math import inf
+from typing import Any
+
+import numpy as np
+import oracle
+import pytest
+from small_models import Chances, given, random_policy, small_model
+
+from exact_mdp import MDP, ModelError, check, evaluate
+from exact_mdp.analysis.gate import regret as module
+from exact_mdp.analysis.gate.regret import (
+    ActionBounds,
+    bounded_optimum,
+    cheap,
+    ends,
+    kept,
+    limit_of,
+    policy_regret,
+    tied,
+)
+from exact_mdp.solvers.bounds.bounds import Bounds
+from exact_mdp.solvers.solution import Bounded, Certified, Claim
+from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
+
+
+def cases(discount: F, seeds: int = 8) -> Iterator[tuple[MDP, Chances, PolicyChain]]:
+    for seed in range(seeds):
+        mdp = small_model(seed, discount, falling=seed % 3 == 0, states=4)
+        mdp = mdp.with_(sense="min" if seed % 2 else "max")
+        chances = random_policy(mdp, seed, pure=seed % 4 > 1)
+        yield mdp, chances, PolicyChain.of(mdp, given(chances))
+
+
+def exactly(mdp: MDP, chances: Chances) -> tuple[list[F], list[F], list[F]]:
+    """Optimal and own values, and what each pair falls short, of rewards or of costs."""
+    sign, rate = mdp.sign, mdp.discount_exact
+    rows = [(s, a, sign * r, row) for s, a, r, row in oracle.rows_of(mdp)]
+    best, _ = oracle.solve_exact(mdp.n_states, rows, rate)
+    over = set(np.flatnonzero(mdp.terminal).tolist())
+    own = oracle.policy_values(oracle.mixed(rows, chances), rate, over)
+    gap = [best[s] - r - rate * oracle.mean(row, best) for s, _, r, row in rows]
+    return [sign * v for v in best], [sign * v for v in own], gap
+
+
+@pytest.mark.parametrize("discount", [F(0), F(9, 10), F(1)])
+def test_certified_and_bounded_regrets_hold_the_exact_one(discount: F) -> None:
+    for mdp, chances, chain in cases(discount):
+        best, own, gap = exactly(mdp, chances)
+        for exact in (True, False, None):
+            lost = policy_regret(chain, exact=exact)
+            wanted = sum((p * (best[s] - own[s]) * mdp.sign for s, p in mdp.start), F(0))
+            if exact is not False:
+                assert lost.at_start == Certified(value=wanted)
+                assert lost.claim is Claim.CERTIFIED
+                assert lost.optimal_pairs.tolist() == [g == 0 for g in gap]
+                assert lost.unclear is False
+            else:
+                low, high = ends(lost.at_start)
+                assert low <= wanted <= high <= wanted + F(1, 10**8)
+                assert not (np.array([g == 0 for g in gap]) & ~lost.optimal_pairs).any()
+            assert lost.forgiven == 0
+            assert lost.gap == pytest.approx([*map(float, gap)], abs=1e-9)
+            assert (lost.gap[lost.optimal_pairs] == 0).all()
+            assert lost.optimal_value == pytest.approx([*map(float, best)], rel=1e-9, abs=1e-9)
+            assert lost.learned_value == pytest.approx([*map(float, own)], rel=1e-9, abs=1e-9)
+            apart = [float(mdp.sign * (b - o)) for b, o in zip(best, own, strict=True)]
+            assert lost.by_state == pytest.approx(apart, rel=1e-9, abs=1e-9)
+            for number, values in ((lost.optimal, best), (lost.learned, own)):
+                low, high = ends(number)
+                assert low <= sum((p * values[s] for s, p in mdp.start), F(0)) <= high
+
+
+def test_totals_of_runs_that_never_end() -> None:
+    judged = 0
+    for seed in range(24):
+        mdp = small_model(seed, leaving=False, ends=1, states=3, start=seed % 3)
+        chances = random_policy(mdp, seed, pure=True)
+        rows = oracle.rows_of(mdp)
+        best = oracle.best_total(rows)
+        own = oracle.total(oracle.mixed(rows, chances))
+        begin = mdp.start[0][0]
+        if abs(best[begin]) == inf and best[begin] == own[begin]:
+            with pytest.raises(ModelError, match="both infinite"):
+                policy_regret(PolicyChain.of(mdp, given(chances)))
+            continue
+        lost = policy_regret(PolicyChain.of(mdp, given(chances)))
+        judged += 1
+        assert lost.at_start.value == best[begin] - own[begin]
+        for state in range(mdp.n_states):
+            wanted = 0.0 if best[state] == own[state] else float(best[state] - own[state])
+            assert lost.by_state[state] == pytest.approx(wanted, rel=1e-12)
+        optimal = lost.optimal_pairs
+        assert (lost.gap[optimal] == 0).all()
+        for (s, a), _ in chances.items():
+            if own[s] == best[s] and abs(best[s]) < inf:
+                assert optimal[mdp.pair(s, a)]
+    assert judged > 12
+
+
+def test_bounds_of_actions_hold_their_exact_gains() -> None:
+    for discount in (F(1, 2), F(1)):
+        for mdp, chances, _ in cases(discount, 6):
+            mdp = mdp.maximised
+            best, _, gap = exactly(mdp, chances)
+            bounds = bounded_optimum(mdp)
+            near = ActionBounds(mdp, bounds)
+            for pair, s in enumerate(mdp.pair_state.tolist()):
+                gain = best[s] - gap[pair] - F(float(bounds.value[s]))
+                assert F(float(near.low[pair])) <= gain <= F(float(near.high[pair]))
+                assert near.high[pair] - near.low[pair] < 1e-8
+                assert near.least_gap[pair] <= gap[pair]
+                assert near.gap[pair] == pytest.approx(float(gap[pair]), abs=1e-9)
+                others = [gap[k] for k in mdp.pairs_of(s) if k != pair]
+                beaten = bool(others) and min(others) < gap[pair]
+                if beaten:
+                    assert near.open[pair]
+                if all(g > gap[pair] + F(1, 10**6) for g in others):
+                    assert not near.open[pair]
+
+
+def test_bounds_that_are_wide_stay_sound() -> None:
+    """Of values that are off, whose bounds say by how much."""
+    for mdp, chances, _ in cases(F(1, 2), 6):
+        mdp = mdp.maximised
+        best, _, gap = exactly(mdp, chances)
+        known = bounded_optimum(mdp)
+        for low, high in ((-0.5, 0.25), (-0.125, 0.5)):
+            shift = (low + high) / 2 * known.weight
+            value = known.value - shift
+            off = Bounds(
+                value=value,
+                weight=known.weight,
+                pairs=known.pairs,
+                low=low,
+                high=high,
+            )
+            near = ActionBounds(mdp, off)
+            for pair, s in enumerate(mdp.pair_state.tolist()):
+                gain = best[s] - gap[pair] - F(float(value[s]))
+                assert F(float(near.low[pair])) <= gain <= F(float(near.high[pair]))
+                flow = mdp.discount * float((mdp.transition[[pair]] @ known.weight)[0])
+                assert near.high[pair] - near.low[pair] <= (high - low) * flow + 1e-5
+                assert near.least_gap[pair] <= gap[pair]
+
+
+def test_a_policy_is_best_where_bounds_prove_each_of_its_pairs() -> None:
+    twin: Any = [(F(1, 2), 1, 4), (F(1, 2), 2, 0)]
+    merged: Any = [(F(1, 2), 1, 3), (F(1, 2), 2, 1)]
+    rows: Any = [
+        (0, 0, twin),
+        (0, 1, merged),
+        (0, 2, [(1, 1, 1)]),
+        (1, 0, [(1, 1, 0)]),
+        (2, 0, [(1, 2, 0)]),
+    ]
+    mdp = MDP.from_outcomes(rows)
+    near = ActionBounds(mdp, bounded_optimum(mdp))
+    for action, best in ((0, True), (1, True), (2, False)):
+        chain = PolicyChain.of(mdp, [action, 0, 0])
+        assert near.all_best(chain) == best
+        lost = policy_regret(chain, exact=False)
+        assert isinstance(lost.at_start, Certified) == best
+        assert lost.decided(F(0)) == best
+    never = PolicyChain.of(mdp.with_(start=1), [2, 0, 0])
+    assert near.all_best(PolicyChain(mdp=never.mdp, chosen=never.chosen))
+
+
+def test_few_transitions_and_short_cycles_are_cheap(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows: Any = [(s, 0, [(F(1, 2), (s + 1) % 4, 1), (F(1, 2), 4, 0)]) for s in range(4)]
+    mdp = MDP.from_outcomes([*rows, (4, 0, [(1, 4, 0)])])
+    assert (cheap(mdp, 4), cheap(mdp, 3), cheap(mdp)) == (True, False, True)
+    falling = small_model(0, falling=True)
+    assert cheap(falling, 1)
+    assert not cheap(falling, 0)
+    for most, answer in ((mdp.n_transitions, True), (mdp.n_transitions - 1, False)):
+        monkeypatch.setattr(module, "EXACT_TRANSITIONS", most)
+        assert cheap(mdp) == answer
+    stopped = mdp.within(2)
+    for most, answer in ((stopped.n_transitions, True), (stopped.n_transitions - 1, False)):
+        monkeypatch.setattr(module, "EXACT_IN_TIME", most)
+        assert cheap(stopped) == answer
+    monkeypatch.setattr(module, "EXACT_TRANSITIONS", 0)
+    other = small_model(1, "1/2")
+    chain = PolicyChain.of(other, given(random_policy(other, 1)))
+    assert policy_regret(chain).claim is Claim.BOUNDED
+    assert policy_regret(chain, exact=True).claim is Claim.CERTIFIED
+
+
+def test_a_limit_is_kept_broken_or_left_open() -> None:
+    for within, limit, wanted in (
+        ((0.0, 1.0), 1, True),
+        ((0.0, 1.0), F(1, 2), None),
+        ((0.5, 1.0), F(1, 2), None),
+        ((0.6, 1.0), F(1, 2), False),
+        ((F(1, 2), F(1, 2)), F(1, 2), True),
+    ):
+        assert kept(within, F(limit)) == wanted
+    assert ends(Certified(value=F(1, 3))) == (F(1, 3), F(1, 3))
+    low, high = ends(Bounded(value=1.0, error=0.25))
+    assert low < 0.75 < 1.25 < high
+    assert limit_of("max_regret", "1/3") == F(1, 3)
+    assert limit_of("max_regret", 0) == 0
+    assert limit_of("max_regret", module.LARGEST) == module.LARGEST
+    for wrong, words in ((-1, "is -1"), (module.LARGEST * 2, "beyond the floats")):
+        with pytest.raises(ModelError, match=words):
+            limit_of("max_regret", wrong)
+
+
+def test_ties_count_unless_their_sum_is_too_much() -> None:
+    mdp = small_model(0)
+    chain = PolicyChain.of(mdp, given(random_policy(mdp, 0, pure=True)))
+    taken = chain.chosen > 0
+    none = np.zeros(mdp.n_pairs, dtype=bool)
+    for optimal, near in ((none, taken), (taken, none)):
+        for lost, most, both in ((F(1), F(2), True), (F(2), F(2), True), (F(3), F(2), False)):
+            found = tied(chain, optimal, near, lost, lambda most=most: most)  # type: ignore[misc]
+            assert found.tolist() == (taken if both else optimal).tolist()
+    part = taken.copy()
+    part[int(taken.argmax())] = False
+    assert tied(chain, none, part, F(3), lambda: F(2)).tolist() == part.tolist()
+
+
+def test_floats_tie_within_their_rounding_and_exact_numbers_do_not() -> None:
+    """0.1 + 0.2 and 0.3 are the same to whoever writes them."""
+    for kind, same in ((float, True), (F, False)):
+        rows: Any = [
+            (0, 0, [(1, 1, kind(0.1))]),
+            (0, 1, [(1, 2, kind(0.3))]),
+            (1, 0, [(1, 2, kind(0.2))]),
+            (2, 0, [(1, 2, kind(0))]),
+        ]
+        mdp = MDP.from_outcomes(rows)
+        for exact in (True, False):
+            for action in (0, 1):
+                lost = policy_regret(PolicyChain.of(mdp, [action, 0, 0]), exact=exact)
+                best = F(0.1) + F(0.2) > F(0.3)
+                assert bool(lost.optimal_pairs[action]) == (
+                    same or best == (action == 0) or not exact
+                )
+                if exact:
+                    assert (lost.forgiven > 0) == same
+                    assert lost.forgiven < F(1, 10**16)
+    far: Any = [(0, 0, [(1, 1, 0.1)]), (0, 1, [(1, 1, 0.1 + 1e-12)]), (1, 0, [(1, 1, 0.0)])]
+    for exact in (True, False):
+        lost = policy_regret(PolicyChain.of(MDP.from_outcomes(far), [0, 0]), exact=exact)
+        assert lost.optimal_pairs.tolist() == [False, True, True]
+        assert lost.decided(lost.forgiven) is False
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("learned", [[1, 0], "random"])
+def test_a_bounded_regret_keeps_the_errors_of_both_values(
+    monkeypatch: pytest.MonkeyPatch, learned: Any, sign: int
+) -> None:
+    """Values as far off as their errors allow: the interval holds the exact regret all the same."""
+    rows: Any = [(0, 0, [(1, 1, F(5))]), (0, 1, [(1, 1, F(1))]), (1, 0, [(1, 1, 0)])]
+    mdp = MDP.from_outcomes(rows, "1/2")
+    true = check(mdp, learned).regret.at_start.value
+    chain = PolicyChain.of(mdp, policy_of(mdp, learned))
+    own, best = evaluate(mdp, chain), module.bounded_optimum(mdp)
+    shift = sign * best.weight / 8
+    far = replace(own, value=own.value - 2 * shift, error=own.error + 2 * abs(shift))
+    monkeypatch.setattr(module, "evaluate", lambda *_: far)
+    off = replace(best, value=best.value + shift, low=-0.126, high=0.126)
+    low, high = module._bounded(mdp, chain, off).at_start.interval
+    assert low <= true <= high
+    assert high - low < 0.8  # no wider than twice both errors
