@@ -217,3 +217,19 @@ def test_names_and_shares_choose_what_varies_and_samples_are_powers_of_2() -> No
             sobol(MODEL, ranges=RANGES, n=wrong)  # type: ignore[arg-type]
     with pytest.raises(ModelError, match="fewer samples"):
         sobol(MODEL, ranges=RANGES, n=2**40)
+
+
+@pytest.mark.parametrize("names", [["x"], ["x", "y", "z"]])
+def test_room_is_asked_for_all_points_of_1024_samples(
+    names: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def note(count: int, parameters: int, fix: str) -> None:
+        asked.append((count, parameters))
+        raise ModelError("full", where="here", fix=fix)
+
+    monkeypatch.setattr("exact_mdp.analysis.vary.sobol.require_room", note)
+    with pytest.raises(ModelError, match="full"):
+        sobol(MODEL, names=names)
+    assert asked == [(1024 * (len(names) + 2), len(names))]

@@ -1,0 +1,259 @@
+"""The ranges of parameters, exact, and where a model admits them."""
+
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from exact_mdp import MDP, Family, ModelError, Parameter, Scenario, moving, parametric
+from exact_mdp.analysis.vary.ranges import (
+    HALVINGS,
+    RELATIVE,
+    Range,
+    Ranges,
+    admitted,
+    around,
+    checked,
+    entries,
+    is_probability,
+    range_of,
+    ranges_of,
+    spans_of,
+    unit_of,
+    usual,
+)
+
+F = Fraction
+
+
+def parameter(value: object, low: object = None, high: object = None, **more: Any) -> Parameter:
+    return Parameter(**({"name": "x", "value": value, "low": low, "high": high} | more))
+
+
+def ends(span: Range) -> tuple[Fraction, Fraction]:
+    return span.low, span.high
+
+
+def test_units_follow_from_what_a_parameter_may_be() -> None:
+    assert unit_of(parameter("1/2", 0, 1)) == "probability"
+    assert unit_of(parameter("1/2", 0, 1, unit="euro")) == "euro"
+    assert unit_of(parameter("1/2", 0, 1, name="discount")) == "per step"
+    for low, high in ((0, None), (None, 1), (None, None), (0, 2), ("1/4", 1)):
+        assert unit_of(parameter("1/2", low, high)) == "number"
+        assert not is_probability(parameter("1/2", low, high))
+    assert is_probability(parameter("1/2", 0, 1))
+    assert not is_probability(parameter("1/2", 0, 1, name="discount"))
+
+
+@pytest.mark.parametrize("value", [F(1, 2), F(-3), F(0), F(7)])
+@pytest.mark.parametrize("share", ["1/5", "1/2", 2, 0.25])
+def test_a_share_of_the_value_to_both_sides(value: Fraction, share: object) -> None:
+    reach = abs(value) * F(share)  # type: ignore[call-overload]
+    low, high = value - reach, value + reach
+    assert ends(around(parameter(value), share)) == (low, high)
+    bounded = parameter(value, value - 1, value + 2)
+    assert ends(around(bounded, share)) == (max(low, value - 1), min(high, value + 2))
+
+
+def test_the_whole_is_all_that_a_parameter_may_be() -> None:
+    assert ends(around(parameter(3, -1, 9), "whole")) == (-1, 9)
+    assert ends(around(parameter(3, None, 9), "whole")) == (0, 9)
+    assert ends(around(parameter(-3, -9), "whole")) == (-9, 0)
+    assert ends(around(parameter(3), "whole")) == (0, 6)
+    assert 5 * RELATIVE == 1
+    assert ends(around(parameter(10))) == (8, 12)
+    for wrong in (0, -1, "-1/5", "all", 10**400):
+        with pytest.raises(ModelError, match="relative"):
+            around(parameter(3), wrong)
+    assert ends(around(parameter(1), F(1, 10**9))) == (1 - F(1, 10**9), 1 + F(1, 10**9))
+    assert ends(around(parameter(1), 1)) == (0, 2)
+
+
+def test_a_range_keeps_its_ends_exact_and_in_order() -> None:
+    assert ends(Range(low="1/3", high=0.5)) == (F(1, 3), F(1, 2))
+    assert ends(Range(low=2, high=2)) == (2, 2)
+    with pytest.raises(ModelError, match="is empty"):
+        Range(low=2, high=1)
+
+
+# ---- what a model admits -------------------------------------------------------------------------
+
+LOOP = MDP.from_outcomes([(0, 0, [("1/2", 0, 1), ("1/4", 1, 0), ("1/4", 2, 0)]),
+                          (1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 0)])], discount="9/10")  # fmt: skip
+ROW = moving(LOOP, {"stay": [(0, 0)], "one": [(0, 1)]})
+
+
+def named(model: Any, name: str) -> Parameter:
+    return next(each for each in model.parameters if each.name == name)
+
+
+def test_named_probabilities_of_a_row_leave_room_for_each_other() -> None:
+    stay = named(ROW, "stay")
+    assert ends(admitted(ROW, stay, Range(low=0, high=1))) == (0, F(3, 4))
+    assert ends(admitted(ROW, stay, Range(low="1/4", high="5/8"))) == (F(1, 4), F(5, 8))
+    assert ends(ranges_of(ROW, ["one"], None, "whole")["one"]) == (0, F(1, 2))
+    scenario = parametric(Scenario.load("yuan2025"))
+    span = Range(low=0, high=1)
+    assert admitted(scenario, named(scenario, "base.anger"), span) is span
+
+
+def test_an_end_without_finite_values_is_halved_towards_today() -> None:
+    """At discount 1 an episode may go on for ever: 9/10 ends half way, at 19/20."""
+    stays = MDP.from_arrays([[[1]]], [1], "9/10")
+    discount = named(parametric(stays), "discount")
+    found = admitted(parametric(stays), discount, Range(low="1/2", high=1))
+    assert ends(found) == (F(1, 2), F(19, 20))
+    assert ends(admitted(parametric(stays), discount, Range(low="9/10", high=1))) == (
+        F(9, 10), F(19, 20)
+    )  # fmt: skip
+
+
+def build(at: Any) -> MDP:
+    """A model where x is from 1/3 to 7/8, one that ends in all but y above 6/5."""
+    if not F(1, 3) <= at["x"] <= F(7, 8):
+        raise ModelError("x", where="x", fix="x")
+    rows = [[0, 1], [0, 1]] if at["y"] <= F(6, 5) else [[1, 0], [0, 1]]
+    return MDP.from_arrays([rows], [1, 0])
+
+
+LIMITED = Family(parameters=(parameter("1/2"), parameter(1, name="y")), build=build)
+
+
+def test_ends_at_which_no_model_can_be_built_are_halved_one_by_one() -> None:
+    x, y = LIMITED.parameters
+    # From 0: 0, 1/4, 3/8; from 1: 1, 3/4.
+    assert ends(admitted(LIMITED, x, Range(low=0, high=1))) == (F(3, 8), F(3, 4))
+    assert ends(admitted(LIMITED, x, Range(low="2/5", high="4/5"))) == (F(2, 5), F(4, 5))
+    assert ends(admitted(LIMITED, y, Range(low=0, high=2))) == (0, F(9, 8))  # 2, 3/2, 5/4, 9/8
+    point = Range(low="1/2", high="1/2")
+    assert ends(admitted(LIMITED, x, point)) == (F(1, 2), F(1, 2))
+
+
+def test_what_no_halving_reaches_has_no_range_there() -> None:
+    """After 40 halvings an end is today's value."""
+    assert HALVINGS == 40
+
+    def only(width: Fraction) -> Family:
+        def build(at: Any) -> MDP:
+            if at["x"] > 1 + width:
+                raise ModelError("x", where="x", fix="x")
+            return MDP.from_arrays([[[0, 1], [0, 1]]], [1, 0])
+
+        return Family(parameters=(parameter(1),), build=build)
+
+    for k, high in ((38, 1 + F(1, 2**38)), (39, 1 + F(1, 2**39)), (40, 1)):
+        model = only(F(1, 2**k))
+        (x,) = model.parameters
+        assert ends(admitted(model, x, Range(low=0, high=2))) == (0, high)
+
+
+def test_a_model_without_finite_values_today_keeps_its_range() -> None:
+    stays = parametric(MDP.from_arrays([[[1]]], [1], 1))
+    reward = named(stays, "reward.1")
+    assert ends(admitted(stays, reward, Range(low=0, high=2))) == (0, 2)
+
+
+# ---- what is stated ------------------------------------------------------------------------------
+
+MODEL = Family(
+    parameters=(
+        parameter("1/2", 0, 1, name="p"), parameter(0, name="zero"), parameter(10, name="cost.a"),
+        parameter("9/10", 0, 1, name="discount"),
+    ),
+    build=lambda at: MDP.from_arrays([[[0, 1], [0, 1]]], [1, 0]),
+)  # fmt: skip
+
+
+def test_stated_ranges_are_pairs_within_what_may_be() -> None:
+    found = checked(MODEL, {"p": (0, "1/3"), "zero": [-1, 0.5], "cost.a": Range(low=1, high=2)})
+    assert {name: ends(span) for name, span in found.items()} == {
+        "p": (0, F(1, 3)), "zero": (-1, F(1, 2)), "cost.a": (1, 2),
+    }  # fmt: skip
+    assert checked(MODEL, found) is found
+    assert checked(MODEL, None) == checked(MODEL, {}) == Ranges()
+    wrong: list[Any] = [
+        {"p": (0, 2)}, {"p": (-1, 1)}, {"p": (1, 1)}, {"p": (1, 0)}, {"p": 1}, {"p": (1, 2, 3)},
+        {"p": (0,)}, {"p": "01"}, {"p": (0, "x")}, {"unknown": (0, 1)}, [("p", 0, 1)],
+    ]  # fmt: skip
+    for ranges in wrong:
+        with pytest.raises(ModelError):
+            checked(MODEL, ranges)
+
+
+def test_a_file_states_ranges_by_dotted_names(tmp_path: Path) -> None:
+    file = tmp_path / "ranges.toml"
+    file.write_text('p = [0.25, "3/4"]\n[cost]\na = [1, 2]\n')
+    for path in (file, str(file)):
+        found = checked(MODEL, path)
+        assert {n: ends(s) for n, s in found.items()} == {"p": (F(1, 4), F(3, 4)), "cost.a": (1, 2)}
+    for text in ("", "q = [1, 2]", "p = 1", "[p]"):
+        file.write_text(text)
+        with pytest.raises(ModelError, match=r"ranges\.toml"):
+            checked(MODEL, file)
+    table = {"a": 1, "b": {"c": 2, "d": {"e": [3]}}, "f": {}}
+    assert [*entries(table)] == [("", "a", 1), ("b", "c", 2), ("b.d", "e", [3])]
+
+
+def test_ranges_are_stated_or_around_today() -> None:
+    def of(*args: Any) -> dict[str, tuple[Fraction, Fraction]]:
+        return {name: ends(span) for name, span in ranges_of(MODEL, *args).items()}
+
+    every = {"p": (F(2, 5), F(3, 5)), "zero": (0, 0), "cost.a": (8, 12),
+             "discount": (F(18, 25), 1)}  # fmt: skip
+    assert of() == every
+    assert of(["cost.a", "p"]) == {"cost.a": (8, 12), "p": every["p"]}
+    assert of(None, {"p": (0, 1)}) == {"p": (0, 1)}
+    assert of(["zero", "p"], {"p": (0, 1)}) == {"zero": (0, 0), "p": (0, 1)}
+    assert of(["p", "cost.a"], None, "1/2") == {"p": (F(1, 4), F(3, 4)), "cost.a": (5, 15)}
+    assert of(["p"], None, "whole") == {"p": (0, 1)}
+    assert ends(range_of(MODEL, "p")) == every["p"]
+    assert ends(range_of(MODEL, "p", (0, "1/4"))) == (0, F(1, 4))
+    assert ends(range_of(MODEL, "p", Range(low=0, high=1))) == (0, 1)
+    assert ends(range_of(MODEL, "p", {"p": (0, "1/2"), "zero": (0, 1)})) == (0, F(1, 2))
+    assert ends(range_of(MODEL, "p", None, "1/2")) == (F(1, 4), F(3, 4))
+    with pytest.raises(ModelError, match="has one point"):
+        range_of(MODEL, "zero")
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        (parameter("9/10"), True),
+        (parameter("5/6"), False),  # up to 1, and no further
+        (parameter("9/10", unit="euro"), False),
+        (parameter("9/10", 0), False),
+        (parameter("9/10", None, 2), False),
+        (parameter("1/2"), False),
+        (parameter(1), False),
+        (parameter("11/10"), False),
+        (parameter("-9/10"), False),
+    ],
+)
+def test_a_plain_number_below_1_that_is_varied_beyond_may_be_a_probability(
+    given: Parameter, told: bool, recwarn: pytest.WarningsRecorder
+) -> None:
+    model = Family(parameters=(given,), build=MODEL.build)
+    ranges_of(model)
+    assert (len(recwarn) == 1) == told
+    recwarn.clear()
+    ranges_of(model, None, None, "1/4")  # who says a share knows
+    ranges_of(model, None, {"x": (given.value / 2, given.value)} if given.value > 0 else None)
+    assert len(recwarn) == 0
+
+
+def test_what_varies_together_has_a_range_and_is_not_the_discount() -> None:
+    assert usual(MODEL) == ["p", "zero", "cost.a"]
+    alone = Family(parameters=(parameter("9/10", 0, 1, name="discount"),), build=MODEL.build)
+    assert usual(alone) == ["discount"]
+
+    def of(*args: Any) -> dict[str, tuple[Fraction, Fraction]]:
+        return {each.name: ends(span) for each, span in spans_of(MODEL, *args).items()}
+
+    assert of() == {"p": (F(2, 5), F(3, 5)), "cost.a": (8, 12)}
+    assert of(["discount"]) == {"discount": (F(18, 25), 1)}
+    assert of(None, {"discount": ("1/2", "3/4")}) == {"discount": (F(1, 2), F(3, 4))}
+    assert of(["zero", "p"], {"zero": (0, 1)}) == {"zero": (0, 1), "p": (F(2, 5), F(3, 5))}
+    assert of(["zero", "p"], None, "1/2") == {"p": (F(1, 4), F(3, 4))}
+    with pytest.raises(ModelError, match="no parameter has a range"):
+        spans_of(MODEL, ["zero"])
