@@ -118,6 +118,7 @@ class Mutants:
             self.note(module, change, status)
 
         for module in self.modules:
+            gc.unfreeze()  # what is frozen is not among the objects in which functions are found
             tree, functions = ast.parse(module.read_text("utf-8")), functions_of(module)
             gc.collect()
             gc.freeze()  # so that copies share the memory
