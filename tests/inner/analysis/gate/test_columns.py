@@ -1,0 +1,243 @@
+"""The best policy that reads some columns, beside all of them in fractions."""
+
+from collections.abc import Iterator
+from fractions import Fraction as F
+from itertools import product
+from typing import Any
+
+import numpy as np
+import oracle
+import pytest
+
+from exact_mdp import MDP, Column, ModelError, StateSpace, best_policy
+from exact_mdp.analysis.gate import columns as module
+from exact_mdp.analysis.gate.columns import Cycles, Rows, _Search
+from exact_mdp.mdp.table import Integers
+from exact_mdp.solvers.values.layers import Layers
+
+
+def in_columns(seed: int, *, cyclic: bool, sense: str = "max") -> MDP:
+    """Two rows at each of two times, and an end; of a few states some actions are missing."""
+    rng, rows = np.random.default_rng(seed), list[Any]()
+    for s in range(4):
+        actions = [0, 1, 2] if s % 2 == seed % 2 else [0, 2]
+        for a in actions:
+            targets = range(5) if cyclic else ([2, 3, 4] if s < 2 else [4])
+            weights = rng.integers(0, 4, size=len(targets)).tolist()
+            weights[-1] += 1
+            law = [
+                (F(w, sum(weights)), t, F(int(rng.integers(-6, 7)), 2))
+                for w, t in zip(weights, targets, strict=True)
+                if w
+            ]
+            rows.append((s, a, law))
+    rows.append((4, 0, [(1, 4, 0)]))
+    space = StateSpace(
+        columns=(Column(name="time", size=2), Column(name="row", size=2)), extra=("end",)
+    )
+    start = {0: F(1, 2), 1: F(1, 2)}
+    mdp = MDP.from_outcomes(rows, F(9, 10) if cyclic or seed % 3 else 1, start=start)
+    return mdp.with_(space=space, sense=sense)
+
+
+def worth(mdp: MDP, key: Integers, choice: Any) -> F | None:
+    """The exact value at the start of one action a row; None where a state does not offer it."""
+    rows = []
+    for s in range(mdp.n_states):
+        named = {int(mdp.pair_action[pair]): pair for pair in mdp.pairs_of(s)}
+        action = choice[key[s]] if len(named) > 1 else min(named)
+        if action not in named:
+            return None
+        rows.append(named[action])
+    value = oracle.policy_values(oracle.rows_of(mdp, rows), mdp.discount_exact, {4})
+    return sum((p * value[s] for s, p in mdp.start), F(0))
+
+
+def every_choice(mdp: MDP, rows: Rows) -> Iterator[tuple[tuple[int, ...], F]]:
+    for choice in product(range(mdp.n_actions), repeat=rows.space.size):
+        value = worth(mdp, rows.key, choice)
+        if value is not None:
+            yield choice, value
+
+
+@pytest.mark.parametrize("cyclic", [True, False])
+@pytest.mark.parametrize("read", [("row",), ("time",), ()])
+def test_no_policy_that_reads_the_columns_is_better(cyclic: bool, read: tuple[str, ...]) -> None:
+    for seed in range(5):
+        for sense in ("max", "min"):
+            mdp = in_columns(seed, cyclic=cyclic, sense=sense)
+            rows = Rows(mdp, read)
+            found = best_policy(mdp, read)
+            pick = max if sense == "max" else min
+            exact = pick(value for _, value in every_choice(mdp, rows))
+            assert abs(F(found.value.value) - exact) <= F(found.error) <= F(1, 10**9)
+            assert found.proven
+            assert mdp.sign * (F(found.upper_bound) - exact) >= 0
+            assert abs(found.upper_bound - float(exact)) < 1e-9
+            assert mdp.sign * (F(found.mixed_upper_bound) - exact) >= 0
+            full, _ = oracle.solve_exact(
+                5,
+                [(s, a, mdp.sign * r, law) for s, a, r, law in oracle.rows_of(mdp)],
+                mdp.discount_exact,
+            )
+            most = mdp.sign * sum((p * full[s] for s, p in mdp.start), F(0))
+            assert mdp.sign * (F(found.mixed_upper_bound) - most) <= F(1, 10**8)
+            assert worth(mdp, rows.key, rows.choices(found.policy)) == exact
+            assert found.columns == read
+            labels = [rows.space.label(k) or "all states" for k in range(rows.space.size)]
+            assert [*found.actions] == [
+                label for k, label in enumerate(labels) if rows.available[k].any()
+            ]
+            assert found.frame()["action"].tolist() == [*found.actions.values()]
+
+
+def test_rows_offer_what_all_their_states_do() -> None:
+    for seed in range(4):
+        mdp = in_columns(seed, cyclic=False)
+        for read in (("row",), ("time",), ("time", "row"), ()):
+            rows = Rows(mdp, read)
+            for k in range(rows.space.size):
+                own = [s for s in range(4) if rows.key[s] == k]
+                offered = [{*mdp.pair_action[mdp.pairs_of(s)].tolist()} for s in own]
+                common = set.intersection(*offered) if own else set[int]()
+                assert set(np.flatnonzero(rows.available[k]).tolist()) == common
+            later = Rows(mdp.with_(start=2), read)
+            met = {int(later.key[s]) for s in (2,)}
+            assert set(np.flatnonzero(later.asked).tolist()) == met or "time" not in read
+    rows_of: Any = [
+        (0, 0, [(1, 2, 1)]),
+        (0, 1, [(1, 2, 1)]),
+        (1, 1, [(1, 2, 1)]),
+        (1, 2, [(1, 2, 2)]),
+    ]
+    apart = MDP.from_outcomes(
+        [*rows_of, (0, 3, [(1, 2, 5)]), (1, 4, [(1, 2, 0)]), (2, 0, [(1, 2, 0)])]
+    )
+    assert np.flatnonzero(Rows(apart, ()).available[0]).tolist() == [1]
+    none = MDP.from_outcomes([*rows_of[:1], (0, 3, [(1, 2, 5)]), *rows_of[2:], (2, 0, [(1, 2, 0)])])
+    with pytest.raises(ModelError, match="no action is available"):
+        Rows(none, ())
+
+
+@pytest.mark.parametrize("cyclic", [True, False])
+def test_a_relaxation_is_no_less_than_its_policies_and_says_what_they_lose(cyclic: bool) -> None:
+    for seed in range(5):
+        mdp = in_columns(seed, cyclic=cyclic)
+        rows = Rows(mdp, ("row",))
+        rng = np.random.default_rng(seed)
+        nodes = np.repeat(rows.available[None], 4, axis=0) & (rng.random((4, 2, 3)) < 0.7)
+        nodes |= np.eye(3, dtype=bool)[rows.available.argmax(axis=1)][None]
+        upper, choice, lost = rows.relaxed(nodes)
+        for n, node in enumerate(nodes):
+            kept = [
+                pair
+                for pair, (s, a) in enumerate(zip(mdp.pair_state, mdp.pair_action, strict=True))
+                if mdp.forced[s] or node[rows.key[s], a]
+            ]
+            free, best = oracle.solve_exact(5, oracle.rows_of(mdp, kept), mdp.discount_exact)
+            exact = sum((p * free[s] for s, p in mdp.start), F(0))
+            assert exact <= F(float(upper[n])) <= exact + F(1, 10**8)
+            law = [
+                row
+                for s in range(5)
+                for row in oracle.rows_of(mdp, kept)
+                if row[0] == s and row[1] == min(best[s])
+            ]
+            moves = [
+                {} if s == 4 else {t: mdp.discount_exact * p for t, p in row.items()}
+                for s, _, _, row in law
+            ]
+            often = oracle.visits(dict(mdp.start), moves)
+            q = {
+                (s, a): r + mdp.discount_exact * oracle.mean(row, free)
+                for s, a, r, row in oracle.rows_of(mdp)
+            }
+            for k in range(2):
+                each = {
+                    a: sum(
+                        often[s] * (free[s] - q[s, a])
+                        for s in range(4)
+                        if rows.key[s] == k and not mdp.forced[s]
+                    )
+                    for a in np.flatnonzero(node[k]).tolist()
+                }
+                assert lost[n, k] == pytest.approx(float(min(each.values())), abs=1e-9)
+                assert float(each[int(choice[n, k])]) == pytest.approx(lost[n, k], abs=1e-9)
+
+
+@pytest.mark.parametrize("cyclic", [True, False])
+def test_values_of_choices_hold_the_exact_ones(
+    cyclic: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for numbers in (2**22, 5, 1):
+        monkeypatch.setattr(module, "NUMBERS", numbers)
+        for seed in range(3):
+            mdp = in_columns(seed, cyclic=cyclic)
+            rows = Rows(mdp, ("time",))
+            listed = [*every_choice(mdp, rows)]
+            point = rows.values(np.array([choice for choice, _ in listed]))
+            for (_, exact), value, error in zip(listed, point.value, point.error, strict=True):
+                assert abs(F(float(value)) - exact) <= F(float(error)) <= F(1, 10**9)
+
+
+def test_cycles_do_what_layers_do() -> None:
+    for seed in range(5):
+        mdp = in_columns(seed, cyclic=False)
+        rng = np.random.default_rng(seed)
+        allowed = rng.random((mdp.n_pairs, 4)) < 0.5
+        pairs = np.array([rng.choice(mdp.pairs_of(s), size=4) for s in range(5)])
+        np.put_along_axis(allowed, pairs, True, axis=0)
+        one, other = Cycles(mdp), Layers(mdp)
+        value, q, apart = one.best(allowed)
+        wanted, of_pairs, _ = other.best(allowed)
+        assert value == pytest.approx(wanted, abs=1e-12)
+        assert q[mdp.pair_state < 4] == pytest.approx(of_pairs[mdp.pair_state < 4], abs=1e-12)
+        assert (apart < 1e-12).all()
+        assert one.values(pairs)[0] == pytest.approx(other.values(pairs)[0], abs=1e-12)
+        alone = np.zeros_like(allowed)
+        np.put_along_axis(alone, pairs, True, axis=0)
+        # An end is worth nothing, and how often it is met is not asked.
+        assert one.visits(alone)[:4] == pytest.approx(other.visits(alone)[:4], abs=1e-12)
+
+
+def test_what_a_search_of_few_rounds_leaves_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the policies that it ends with, max Q is no further from V than it says."""
+    monkeypatch.setattr(module, "ITERATIONS", 1)
+    for seed in range(6):
+        mdp = in_columns(seed, cyclic=True)
+        value, q, apart = Cycles(mdp).best(np.ones((mdp.n_pairs, 1), dtype=bool))
+        best = np.maximum.reduceat(q[:, 0], mdp.pair_offsets[:-1])
+        assert apart[0] == np.abs(best - value[:, 0]).max()
+        found = best_policy(mdp, ("row",))
+        exact = max(v for _, v in every_choice(mdp, Rows(mdp, ("row",))))
+        assert found.upper_bound >= exact - F(1, 10**9)
+
+
+def test_a_search_that_stops_early_bounds_the_others() -> None:
+    for seed in range(8):
+        mdp = in_columns(seed, cyclic=False)
+        rows = Rows(mdp, ("row",))
+        exact = max(value for _, value in every_choice(mdp, rows))
+        for limit in (1, 2, 4):
+            found = best_policy(mdp, ("row",), node_limit=limit)
+            assert F(found.value.value) - F(found.error) <= exact <= F(found.upper_bound)
+            assert found.upper_bound <= found.mixed_upper_bound
+            assert found.nodes >= 1
+            assert limit > 1 or found.nodes == 1
+        search = _Search(rows)
+        search.split(1000)
+        assert search.ended
+        assert search.nodes < 1000
+        assert search.upper <= search.mixed
+
+
+def test_a_policy_to_begin_from_is_kept_where_it_is_best() -> None:
+    for seed in range(4):
+        mdp = in_columns(seed, cyclic=False)
+        best = best_policy(mdp, ("row",))
+        again = best_policy(mdp, ("row",), start=best.policy, node_limit=1)
+        assert again.value.value >= best.value.value - 1e-12
+        search = _Search(Rows(mdp, ("row",)))
+        choice = search.choice.copy()
+        search.offer(search.choice[None])  # no better than itself
+        assert search.choice.tolist() == choice.tolist()

@@ -1,0 +1,230 @@
+"""Where a policy loses what it loses, and errors of a Q-table, beside loops in fractions."""
+
+from fractions import Fraction as F
+from math import inf, sqrt
+from typing import Any
+
+import numpy as np
+import oracle
+import pytest
+from small_models import given, random_policy, small_model
+
+from exact_mdp import MDP, Column, Policy, SolverError, StateSpace, check
+from exact_mdp.analysis.gate.reasons import (
+    Representation,
+    action_of,
+    either,
+    findings,
+    q_error,
+)
+from exact_mdp.analysis.gate.regret import policy_regret
+from exact_mdp.solvers.solution import Status
+from exact_mdp.solvers.values.policy_chain import Equations, PolicyChain
+
+
+@pytest.mark.parametrize("exact", [True, False])
+@pytest.mark.parametrize("discount", [F(1, 2), F(1)])
+def test_each_state_costs_its_gap_as_often_as_it_is_visited(discount: F, exact: bool) -> None:
+    for seed in range(8):
+        mdp = small_model(seed, discount, states=4).with_(sense="min" if seed % 2 else "max")
+        chances = random_policy(mdp, seed, pure=seed % 3 == 0)
+        chain = PolicyChain.of(mdp, given(chances))
+        lost = policy_regret(chain, exact=exact)
+        visits, wrong = findings(chain, lost)
+        rows = [(s, a, mdp.sign * r, row) for s, a, r, row in oracle.rows_of(mdp)]
+        best, optimal = oracle.solve_exact(mdp.n_states, rows, discount)
+        law = oracle.mixed(rows, chances)
+        moves = [
+            {} if mdp.terminal[s] else {t: discount * p for t, p in row.items()}
+            for s, _, _, row in law
+        ]
+        often = oracle.visits(dict(mdp.start), moves)
+        assert visits == pytest.approx([*map(float, often)], rel=1e-11)
+        gap = [F(0)] * mdp.n_states
+        for (s, a), chance in chances.items():
+            _, _, r, row = rows[mdp.pair(s, a)]
+            gap[s] += chance * (best[s] - r - discount * oracle.mean(row, best))
+        assert {each.state for each in wrong} == {s for s, g in enumerate(gap) if g}
+        for each in wrong:
+            s = each.state
+            assert each.gap == pytest.approx(float(gap[s]), rel=1e-9)
+            assert each.expected_visits == pytest.approx(float(often[s]), rel=1e-9)
+            assert each.cost == pytest.approx(float(often[s] * gap[s]), rel=1e-9)
+            assert each.label == mdp.space.label(s)
+            assert [*each.optimal] == [mdp.actions[a] for a in sorted(optimal[s])]
+            assert each.learned == action_of(chain, s)
+        order = [(-each.cost, -each.gap, each.state) for each in wrong]
+        assert order == sorted(order)
+        total = sum(each.cost for each in wrong)
+        assert total == pytest.approx(float(lost.at_start.value), rel=1e-9, abs=1e-9)
+
+
+def test_waiting_for_ever_is_charged_to_those_who_wait() -> None:
+    """In state 1 one may stay for ever, or leave and earn 4; half of all runs come there."""
+    rows: Any = [
+        (0, 0, [(F(1, 2), 1, 0), (F(1, 2), 2, 1)]),
+        (1, 0, [(1, 1, 0)]),
+        (1, 1, [(1, 2, 4)]),
+        (2, 0, [(1, 2, 0)]),
+    ]
+    mdp = MDP.from_outcomes(rows)
+    chain = PolicyChain.of(mdp, [0, 0, 0])
+    lost = policy_regret(chain)
+    visits, (only,) = findings(chain, lost)
+    assert lost.at_start.value == 2
+    assert visits[:2].tolist() == [1, inf]
+    assert (only.state, only.gap, only.cost, only.expected_visits) == (1, 4, 2, inf)
+    assert only.optimal == ("1",)
+    elsewhere = PolicyChain.of(mdp.with_(start=2), [0, 0, 0])
+    visits, (only,) = findings(elsewhere, policy_regret(elsewhere))
+    assert (only.cost, only.expected_visits) == (0, 0)
+
+
+def test_visits_are_found_in_rationals_where_floats_have_few_digits(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    mdp = small_model(1, "1/2")
+    chain = PolicyChain.of(mdp, given(random_policy(mdp, 1)))
+    exact, bounded = (policy_regret(chain, exact=each) for each in (True, False))
+    wanted, _ = findings(chain, exact)
+
+    def unbounded(_: Any) -> Any:
+        raise SolverError(Status.NO_BOUND)
+
+    monkeypatch.setattr(Equations, "visits", property(unbounded))
+    visits, _ = findings(chain, exact)
+    assert visits == pytest.approx(wanted, rel=1e-14)
+    assert np.isnan(findings(chain, bounded)[0][chain.reached]).all()
+
+
+def test_names_of_actions_in_a_state() -> None:
+    rows: Any = [(0, a, [(1, 1, a)]) for a in range(6)] + [(1, 0, [(1, 1, 0)])]
+    mdp = MDP.from_outcomes(rows, actions=[*"abcdef"])
+
+    def taken(*shares: int) -> str:
+        chances = {"abcdef"[k]: F(share, sum(shares)) for k, share in enumerate(shares) if share}
+        return action_of(PolicyChain.of(mdp, {0: chances}), 0)
+
+    assert taken(0, 0, 1, 0, 0, 0) == "c"
+    assert taken(1, 0, 3, 0, 0, 0) == "0.25 a, 0.75 c"
+    assert taken(1, 1, 2, 0, 0, 4) == "0.125 a, 0.125 b, 0.25 c, 0.5 f"
+    assert taken(1, 1, 1, 1, 1, 1) == "any of 6"
+    assert taken(1, 1, 1, 1, 1, 0) == "any of 5"
+    assert taken(1, 2, 3, 4, 6, 0) == "0.375 e, 0.25 d, 0.1875 c, 2 others"
+    assert either(["a"]) == "a"
+    assert either([*"abcd"]) == "a or b or c or d"
+    assert either([*"abcde"]) == "a or b or c or 2 others"
+
+
+def test_errors_of_a_table_are_those_of_states_with_a_choice() -> None:
+    for seed in range(12):
+        sense = "min" if seed % 2 else "max"
+        mdp = small_model(seed, "1/2", states=5).with_(sense=sense, start=int(seed % 6))
+        rng = np.random.default_rng(seed)
+        q = rng.normal(size=(mdp.n_states, mdp.n_actions))
+        policy = Policy.of(mdp, q, kind="q")
+        optimal = rng.normal(size=mdp.n_pairs)
+        optimal[int(rng.integers(mdp.n_pairs))] = inf
+        used = rng.random(mdp.n_pairs)
+        if seed % 3 == 0:
+            used[rng.random(mdp.n_pairs) < 0.5] = inf
+        met, before = {s for s, p in mdp.start if p}, set[int]()
+        while met != before:
+            before = set(met)
+            met |= {t for s, _, _, row in oracle.rows_of(mdp) if s in before for t in row}
+        asked = [
+            pair
+            for pair, s in enumerate(mdp.pair_state.tolist())
+            if s in met and not mdp.forced[s] and not mdp.terminal[s] and optimal[pair] < inf
+        ]
+        found = q_error(mdp, policy, optimal, used)
+        if not asked:
+            assert found is None
+            continue
+        assert found is not None
+        said = q[mdp.pair_state, mdp.pair_action]
+        error = {pair: said[pair] - optimal[pair] for pair in asked}
+        worst = max(asked, key=lambda pair: abs(error[pair]))
+        assert found.largest == pytest.approx(abs(error[worst]))
+        assert found.where == mdp.where(worst)
+        assert found.mean == pytest.approx(sum(error.values()) / len(error))
+        square = sum(x * x for x in error.values()) / len(error)
+        assert found.root_mean_square == pytest.approx(sqrt(square))
+        endless = any(x == inf for x in used)
+        weight = {pair: float(used[pair] == inf) if endless else used[pair] for pair in asked}
+        total = sum(weight.values())
+        by_visits = sum(weight[pair] * error[pair] ** 2 for pair in asked) / total if total else 0.0
+        assert found.visited == pytest.approx(sqrt(by_visits))
+        pick = max if sense == "max" else min
+        start = mdp.start[0][0]
+        assert found.promised == pytest.approx(pick(said[pair] for pair in mdp.pairs_of(start)))
+
+
+def seen_in_rows(seed: int) -> MDP:
+    """Two rows that look alike at two times, of which a policy that reads `row` is to be told."""
+    rng, rows = np.random.default_rng(seed), list[Any]()
+    for s in range(4):
+        for a in range(3):
+            to = [2, 3, 4] if s < 2 else [4]
+            rows.append((s, a, [(F(1, len(to)), t, int(rng.integers(-5, 6))) for t in to]))
+    rows.append((4, 0, [(1, 4, 0)]))
+    columns = (Column(name="time", size=2), Column(name="row", size=2))
+    mdp = MDP.from_outcomes(rows, start={0: "1/2", 1: "1/2"})
+    return mdp.with_(space=StateSpace(columns=columns, extra=("end",)))
+
+
+def test_what_columns_cannot_express_and_what_was_learned_wrongly() -> None:
+    for seed in range(6):
+        for sense in ("max", "min"):
+            mdp = seen_in_rows(seed).with_(sense=sense)
+            rule = np.random.default_rng(seed).integers(0, 3, size=2)
+            space = StateSpace(columns=(mdp.space.column("row"),))
+            policy = Policy(space=space, actions=mdp.actions, rule=rule)
+            lost = policy_regret(PolicyChain.of(mdp, policy))
+            why = Representation.of(mdp, policy, lost)
+
+            def worth(choice: Any, mdp: MDP = mdp) -> F:
+                pairs = [mdp.pair(s, int(choice[s % 2])) for s in range(4)] + [mdp.n_pairs - 1]
+                value = oracle.policy_values(oracle.rows_of(mdp, pairs), F(1), {4})
+                return mdp.sign * (value[0] + value[1]) / 2
+
+            each = [(a, b) for a in range(3) for b in range(3)]
+            best = max(map(worth, each))
+            full, _ = oracle.solve_exact(
+                5, [(s, a, mdp.sign * r, row) for s, a, r, row in oracle.rows_of(mdp)], F(1)
+            )
+            whole = (full[0] + full[1]) / 2
+            assert why.loss.value == whole - best
+            assert why.learning_error.value == best - worth(rule)
+            assert why.uncertainty == 0
+            assert why.unseen == "time"
+            gains = []
+            for k in range(2):
+                others = [[*rule[:k], a, *rule[k + 1 :]] for a in range(3) if a != rule[k]]
+                gain = max(worth(other) - worth(rule) for other in others)
+                if gain > 0:
+                    gains.append((float(gain), f"row {k}"))
+            found = [(row["gain"], row["row"]) for row in why.rows]
+            assert [g for g, _ in found] == pytest.approx(
+                sorted((g for g, _ in gains), reverse=True)
+            )
+            assert {name for _, name in found} == {name for _, name in gains}
+            for row in why.rows:
+                k = int(row["row"][-1])
+                changed = rule.copy()
+                changed[k] = mdp.actions.index(row["best"])
+                assert row["learned"] == mdp.actions[rule[k]]
+                assert row["gain"] == pytest.approx(float(worth(changed) - worth(rule)))
+            facts = why.facts()["representation"].value
+            assert facts["loss"] == float(why.loss.value)
+            assert facts["learning_error"] == float(why.learning_error.value)
+
+
+def test_a_mixture_has_no_rows_to_be_changed() -> None:
+    mdp = seen_in_rows(0)
+    audit = check(mdp, "random")
+    assert audit.representation is None  # it reads the whole state
+    space = StateSpace(columns=(mdp.space.column("row"),))
+    policy = Policy(space=space, actions=mdp.actions, rule=np.full((2, 3), 1 / 3))
+    mixed = Representation.of(mdp, policy, policy_regret(PolicyChain.of(mdp, policy)))
+    assert mixed.rows == ()
