@@ -179,6 +179,7 @@ def test_policies_that_differ_where_a_state_is_reached_are_two() -> None:
     assert found.choices[0, :, 1].tolist() == [1, 0]
     assert len({*found.policy.ravel().tolist()}) == 2
     assert found.chosen(int(found.policy[0, 1])) == {"state 0": "0", "state 1": "0"}
+    assert found.chosen(int(found.policy[0, 0])) == {"state 0": "0", "state 1": "1"}
     unreached = two_way(model_of("max"), "z", "x", ranges=ranges | {"x": (0, 1)}, points=2)
     assert unreached.choices[0, :, 1].tolist() == [1, 0]
     assert unreached.policy.tolist() == [[0, 0], [0, 0]]

@@ -13,7 +13,7 @@ from scipy.stats import binomtest, sem
 
 from exact_mdp import MDP, Family, ModelError, Parameter, psa
 from exact_mdp.analysis.vary.distributions import Uncertain, Uncertainty, uncertainty
-from exact_mdp.analysis.vary.information import evppi
+from exact_mdp.analysis.vary.information import PartialInformation, evppi, too_wide
 from exact_mdp.analysis.vary.intervals import mean_loss, quantiles, tolerances_of
 from exact_mdp.analysis.vary.psa import (
     CANDIDATES,
@@ -25,6 +25,7 @@ from exact_mdp.analysis.vary.psa import (
     groups_of,
 )
 from exact_mdp.analysis.vary.study import Study
+from exact_mdp.solvers.solution import Estimated
 
 # ---- numbers of a study that is made up ----------------------------------------------------------
 
@@ -175,7 +176,7 @@ def test_groups_are_those_given_or_each_alone_and_those_that_begin_alike() -> No
             groups_of(chosen, groups)
 
 
-@pytest.mark.parametrize("draws", [1, 40])
+@pytest.mark.parametrize("draws", [1, 2, 19, 20, 40])
 def test_the_report_has_the_numbers_of_the_analysis(draws: int) -> None:
     analysis = made_up(3, draws=draws)
     analysis = replace(analysis, start=psa(WAGERS, 1, uncertain=SAID).start)
@@ -211,13 +212,20 @@ def test_the_report_has_the_numbers_of_the_analysis(draws: int) -> None:
             )
     assert told["value"]["mean"] == pytest.approx(table.optimal.mean())
     assert told["regret"]["mean"] == pytest.approx(regret.mean())
-    if draws > 1:
-        assert told["value"]["sd"] == pytest.approx(np.std(table.optimal, ddof=1))
+    sd = np.std(table.optimal, ddof=1) if draws > 1 else None
+    assert told["value"]["sd"] == (sd if sd is None else pytest.approx(sd))
+    rows = analysis.report().tables["p_optimal"].rows
+    assert rows == [
+        {"": label, **{str(a): share[x, a] for a in range(3)}}
+        for x, label in enumerate(("here", "there"))
+    ]
+    rows = analysis.report().tables["candidates"].rows
+    assert [row["loss"] for row in rows] == [mean_loss(analysis.regret(n)) for n in range(3)]
+    if draws >= 20:
         assert told["evppi"].keys() == {"p.one", "p.two", "q", "p.*"}
         values = [*told["evppi"].values()]
         assert values == sorted(values, reverse=True)
     else:
-        assert told["value"]["sd"] is None
         assert told["evppi"] == {}
     every = quantiles(table.optimal)
     assert [each["value"] for each in told["value"]["quantiles"]] == [q["value"] for q in every]
@@ -239,6 +247,27 @@ def test_few_draws_that_carry_a_mean_are_told() -> None:
     nothing = replace(analysis.table, fixed=analysis.table.optimal[:, None] * np.ones(3),
                       lost=0 * analysis.table.lost)  # fmt: skip
     assert replace(analysis, table=nothing).report().notes == []
+
+
+@pytest.mark.parametrize("above", [0, 1, 3, 4, 5])
+def test_the_groups_whose_errors_are_above_evpi_are_told_with_their_remedy(
+    above: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The three that are worth most are named, and the others counted."""
+    analysis = replace(made_up(0), start=psa(WAGERS, 1, uncertain=SAID).start)
+    among, known = analysis.evpi_of_candidates().value, dict[str, PartialInformation]()
+    for k in range(6):
+        error = among * (1.5 + k if k < above else 1.0)
+        own = Estimated(value=k / 10, standard_error=error)
+        known[f"group {k}"] = PartialInformation(parameters=(), regression=own, lower=own)
+    monkeypatch.setattr(PSA, "evppi", lambda self: known)
+    report = analysis.report(evppi=True)
+    assert [*report.facts["evppi"].value] == [f"group {k}" for k in range(5, -1, -1)]
+    notes = [note for note in report.notes if note.startswith("EVPPI")]
+    named = [f"group {k}" for k in range(above - 1, -1, -1)]
+    more = f" and {above - 3} more" if above > 3 else ""
+    said = too_wide(among * (0.5 + above), among, 40) if above else []
+    assert notes == [f"EVPPI of {', '.join(named[:3])}{more}: {each}" for each in said]
 
 
 # ---- draws ---------------------------------------------------------------------------------------
@@ -300,37 +329,39 @@ def worth(policy: tuple[int, ...], points: np.ndarray, sense: int = 1) -> np.nda
     return np.asarray(sense * (first + np.array([q, 1 - q, 2 * p * q])[policy[1]] / 2))
 
 
-def greedy(points: np.ndarray, given: list[tuple[int, int, int]]) -> list[tuple[int, int, int]]:
+Values = dict[tuple[int, int, int], np.ndarray]
+
+
+def greedy(value: Values, given: list[tuple[int, int, int]], most: int = POOL) -> list[Any]:
     """Of the optima of the draws, add what wins most of what is left, until it is a hundredth."""
-    value = {policy: worth(policy, points) for policy in policies()}
     best = np.max([*value.values()], axis=0)
-    optimum = [max(value, key=lambda each, d=d: value[each][d]) for d in range(len(points))]
+    draws = range(len(best))
+    optimum = [max(value, key=lambda each, d=d: value[each][d]) for d in draws]
     picked = [*given]
 
     def left() -> np.ndarray:
         behind = best - np.max([value[each] for each in picked], axis=0)
         return np.where(behind > 1e-12, behind, 0)
 
-    total, first = left().sum(), left()
-    some = np.sort(np.argsort(-first, kind="stable")[:32])  # in which most is left at first
-    pool = {each for each in optimum if each not in picked}
-    for _ in range(CANDIDATES):
+    def share(policy: tuple[int, int, int]) -> float:
+        return float(sum(left()[d] for d in draws if optimum[d] == policy))
+
+    total, some = left().sum(), np.sort(np.argsort(-left(), kind="stable")[:32])
+    considered = sorted({*optimum}, key=share, reverse=True)[:most]
+    pool = [each for each in considered if each not in picked and share(each) > 0]
+    for _ in range(6):
         known = np.max([value[each] for each in picked], axis=0)
         gains = {
-            each: max(
-                np.maximum(value[each] - known, 0)[some].sum(),
-                sum(left()[d] for d in range(len(points)) if optimum[d] == each),
-            )
-            for each in pool
+            each: max(np.maximum(value[each] - known, 0)[some].sum(), share(each)) for each in pool
         }
-        most = max(gains, key=lambda each: gains[each], default=None)
-        if most is None or gains[most] <= total / 100:
+        first = max(gains, key=lambda each: gains[each], default=None)
+        if first is None or gains[first] <= total / 100:
             break
-        picked.append(most)
+        picked.append(first)
     return picked
 
 
-@pytest.mark.parametrize("draws", [1, 2, 30, 32, 150])
+@pytest.mark.parametrize("draws", [1, 2, 30, 32, 90])
 @pytest.mark.parametrize("policy", ["optimal", [1, 1, 0]])
 def test_candidates_are_added_while_they_win_a_hundredth(draws: int, policy: Any) -> None:
     for seed in range(3):
@@ -343,7 +374,7 @@ def test_candidates_are_added_while_they_win_a_hundredth(draws: int, policy: Any
         given = [today] if policy == "optimal" else [(1, 1, 0), today]
         names = ["optimum today"] if policy == "optimal" else ["policy", "optimum today"]
         found = [tuple(int(x) for x in _row(each.weights)) for each in analysis.candidates]
-        wanted = greedy(points, given)
+        wanted = greedy(value, given)
         assert found == wanted
         added = [f"alternative {k + 1}" for k in range(len(wanted) - len(given))]
         assert [each.name for each in analysis.candidates] == names + added
@@ -367,6 +398,42 @@ def test_candidates_are_added_while_they_win_a_hundredth(draws: int, policy: Any
 
 def _row(weights: np.ndarray) -> list[int]:
     return [int(weights[:3].argmax()), int(weights[3:6].argmax()), 0]
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("most", [3, POOL])
+def test_candidates_are_chosen_among_those_that_win_most_where_there_are_many(
+    seed: int, most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Six actions in each of two states, whose rewards are linear in two numbers."""
+    monkeypatch.setattr("exact_mdp.analysis.vary.psa.POOL", most)
+    rng = np.random.default_rng(seed)
+    paid = rng.integers(-9, 10, (2, 6, 3))
+
+    def build(at: Any) -> MDP:
+        rows = [
+            (s, a, [(1, s + 1, int(c) + int(d) * at["p"] + int(e) * at["q"])])
+            for s in range(2)
+            for a, (c, d, e) in enumerate(paid[s].tolist())
+        ]
+        return MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])], discount="1/2")
+
+    model = Family(parameters=(P, Q), build=build)
+    wide = {name: {"distribution": "uniform", "low": 0, "high": 1} for name in "pq"}
+    analysis = psa(model, 90, rng=seed, uncertain=wide, policy=[0, 1, 0])
+    one = np.column_stack([np.ones(90), analysis.table.points])
+    value = {
+        (first, second, 0): one @ paid[0, first] + one @ paid[1, second] / 2
+        for first, second in product(range(6), repeat=2)
+    }
+    center = np.array([1, 0.5, 0.5])
+    today = max(value, key=lambda each: center @ paid[0, each[0]] + center @ paid[1, each[1]] / 2)
+    found = [
+        (int(each.weights[:6].argmax()), int(each.weights[6:12].argmax()), 0)
+        for each in analysis.candidates
+    ]
+    assert found == greedy(value, [(0, 1, 0), today], most)
+    assert len(found) > 2
 
 
 def test_at_most_24_policies_are_considered_and_6_are_added() -> None:
