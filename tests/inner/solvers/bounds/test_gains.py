@@ -238,3 +238,16 @@ def test_weights_make_gains_into_steps() -> None:
     assert floor == pytest.approx((1e-9 + 7 * (error + 8 * UNIT)) / weights.smallest, rel=1e-15)
     exact = Weights(value=np.ones(3), margin=margin, error=0.0)
     assert exact.floor(0.0, 4.0) == pytest.approx(32 * UNIT / margin.min())
+
+
+def test_what_underflows_is_counted() -> None:
+    """At discount 1, with no rewards, nothing but underflow is left: of values near, or far off."""
+    rows: Any = [(0, 0, [(1, 0, 0)]), (1, 0, [("1/2", 1, 0), ("1/2", 2, 0)]),
+                 (2, 0, [("1/3", t, 0) for t in (1, 2, 3)]), (3, 0, [(1, 2, 0)])]  # fmt: skip
+    mdp = MDP.from_outcomes(rows)
+    for far in (1e-310, 1e300):
+        error = gains(mdp, np.array([far, 0, 0, 0])).error
+        np.testing.assert_allclose(error[1:], SLACK * TINY * (1 + far) * np.array([3, 4, 2]))
+        bound = largest_error(mdp, far, far)
+        assert bound == pytest.approx(SLACK * TINY * (1 + far) * 4, rel=1e-12, abs=0)
+    assert not gains(mdp, np.zeros(4)).error.any()

@@ -168,3 +168,11 @@ def test_numbers_of_one_denominator_are_not_looked_up(monkeypatch: pytest.Monkey
     monkeypatch.setattr(levels, "lcm", None)
     one = Level.of([F(1, 2), F(1, 3)])
     assert one.over_one([1], [0, 0]) == ([2], 6)
+
+
+def test_signs_are_integers_of_what_is_gained() -> None:
+    rows = [(0, a, [(1, 0, reward)]) for a, reward in enumerate((1, 0, -1))]
+    equations = bellman_rows(MDP.from_outcomes(rows))
+    (step,) = steps(equations, Level.of([F(0)]))
+    found = signs(equations, step)
+    assert (found.tolist(), found.dtype) == ([1, 0, -1], np.int64)
