@@ -154,9 +154,12 @@ def test_what_bounds_say_of_errors() -> None:
 def test_centring_counts_its_own_roundings() -> None:
     """Values of 10¹⁵ move by whole eighths: their middle is off by as much."""
     rng = np.random.default_rng(4)
-    for _ in range(40):
-        value, weight = rng.normal(size=5) * 1e15, rng.uniform(0.5, 2, 5)
-        ends = np.sort(rng.normal(size=2))
+    for number in range(80):
+        weight = rng.uniform(0.5, 2, 5) * 10.0 ** rng.integers(-4, 5)
+        value, ends = rng.normal(size=5) * 1e15, np.sort(rng.normal(size=2))
+        if number % 2:  # close to each other, and to what makes the values 0
+            ends = ends / 8 + rng.uniform(1e15, 2e15)
+            value = rng.normal(size=5) - ends[0] * weight
         given = Bounds(value=value, weight=weight, pairs=np.arange(5), low=float(ends[0]),
                        high=float(ends[1]))  # fmt: skip
         made = given.centred()
@@ -164,7 +167,8 @@ def test_centring_counts_its_own_roundings() -> None:
             exact = [F(float(own)) + F(c) * F(float(w)) for c in (given.low, given.high)]
             around = [F(float(middle)) + F(c) * F(float(w)) for c in (made.low, made.high)]
             assert around[0] <= exact[0] <= exact[1] <= around[1]
-        assert made.high - made.low <= (given.high - given.low) * 1.01 + 8
+        size = float((np.abs(value) / weight).max() + abs(ends).max())
+        assert made.high - made.low <= (given.high - given.low) * 1.01 + 2e-15 * size
 
 
 def test_actions_that_rounding_does_not_tell_apart_are_as_good() -> None:
@@ -357,3 +361,15 @@ def test_the_number_of_policies_that_are_tried_is_limited(monkeypatch: pytest.Mo
                  (1, 0, [("99/100", 0, 0), ("1/100", 2, 0)]), (2, 0, [(1, 2, 0)])]  # fmt: skip
     with pytest.raises(SolverError, match="the end is too many steps away"):
         margin_weights(MDP.from_outcomes(ring))
+
+
+def test_a_step_to_a_state_of_smaller_number_is_taken_in_order() -> None:
+    mdp = MDP.from_outcomes([(0, 0, [(1, 0, 0)]), (1, 0, [(1, 0, 5)]), (1, 1, [(1, 0, 3)])])
+    assert backward(mdp, mdp.reward).tolist() == [0, 5]
+
+
+def test_a_pair_that_is_as_good_stays() -> None:
+    rows: Any = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 1)]), (0, 2, [(1, 1, 0)]), (1, 0, [(1, 1, 0)])]
+    mdp = MDP.from_outcomes(rows)
+    for first, last in ((0, 0), (1, 1), (2, 0)):
+        assert improved(mdp, np.array([first, 3]))[0].tolist() == [last, 3]
