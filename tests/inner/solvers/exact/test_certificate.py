@@ -319,3 +319,11 @@ def test_the_error_counts_the_roundings_of_the_middle() -> None:
         for x, e, a, b in zip(proof.value, proof.error, low, high, strict=True):
             assert abs(F(float(x)) - a) <= F(float(e))
             assert abs(F(float(x)) - b) <= F(float(e))
+
+
+def test_pairs_that_keep_a_positive_mean_are_worth_infinity() -> None:
+    rows: Any = [(0, 0, [(1, 0, 1)]), (0, 1, [(1, 1, 0)]), (0, 2, [(1, 2, 9)]),
+                 (1, 0, [(1, 1, "1/3")]), (2, 0, [(1, 2, 0)])]  # fmt: skip
+    proof = certify(MDP.from_outcomes(rows))
+    assert proof.value.tolist() == [inf, inf, 0]
+    assert proof.optimal_pairs.tolist() == [True, True, False, True, True]
