@@ -1,0 +1,136 @@
+"""Intervals at a confidence, and what records leave open."""
+
+from fractions import Fraction as F
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from records import NAMES, estimated, recorded
+
+from exact_mdp import MDP, ModelError
+from exact_mdp.analysis.gate.data.interval import (
+    RegretInterval,
+    cut_off,
+    entered,
+    named,
+    never_taken,
+    observations_of,
+    of_process,
+    of_sense,
+    over,
+    range_of,
+)
+from exact_mdp.mdp.space import StateSpace
+
+ROWS: Any = [
+    (0, "a", "x", 0, "b", False),
+    (0, "b", "x", 0, "c", False),
+    (1, "a", "y", 0, "d", True),
+    (2, "a", "y", 1, None, False),
+]
+
+
+def model() -> MDP:
+    return MDP.from_transitions(pd.DataFrame(ROWS, columns=[*NAMES, "truncated"]), discount="1/2")
+
+
+def flags(mdp: MDP, states: np.ndarray) -> set[str]:
+    return {mdp.space.label(int(s)) for s in np.flatnonzero(states)}
+
+
+def test_states_that_no_record_leaves() -> None:
+    mdp = model()
+    (c, d) = (mdp.space.label(mdp.space.number(name)) for name in "cd")
+    assert flags(mdp, cut_off(mdp)) == {d}
+    assert flags(mdp, over(mdp)) - {c} == flags(mdp, over(mdp)) - set(entered(mdp))
+    assert entered(mdp) == (c,)
+    plain = estimated(recorded(np.random.default_rng(0), 10))
+    assert not cut_off(plain).any()
+    assert entered(plain) == ()
+
+
+def test_actions_that_nobody_took() -> None:
+    mdp = model()
+    taken = {
+        (int(s), int(a))
+        for s, a, n in zip(mdp.pair_state, mdp.pair_action, observations_of(mdp), strict=True)
+        if n
+    }
+    left = {s for s, _ in taken}
+    wanted = {(s, a) for s in left for a in range(mdp.n_actions)} - taken
+    assert {(s, a) for s, a in never_taken(mdp).tolist()} == wanted
+    (s, a) = wanted.pop()
+    said = of_process(mdp)
+    assert any(f"not to be had: ({mdp.space.label(s)}: {mdp.actions[a]})" in each for each in said)
+    assert any("taken for ends" in each for each in said)
+    assert "episodes begin as the model says" in of_process(mdp.with_(start=0))
+    assert "episodes begin as the model says" not in said
+    single = MDP.from_transitions(pd.DataFrame(ROWS[:2], columns=[*NAMES, "truncated"]), "1/2")
+    assert any("only one action" in each for each in of_process(single))
+    assert not any("only one action" in each for each in said)
+
+
+def test_models_without_counts_are_refused() -> None:
+    mdp = model()
+    for none in (mdp.with_(observations=None), mdp.with_(observations=0 * observations_of(mdp))):
+        with pytest.raises(ModelError, match="no counts"):
+            observations_of(none)
+    assert observations_of(mdp).sum() == 4
+
+
+def test_a_range_has_its_lower_end_first() -> None:
+    mdp = model()
+    assert range_of(None, "returns") is None
+    assert range_of(("-1/2", 3), "returns") == (-0.5, 3)
+    assert range_of((2, 2), "returns") == (2, 2)
+    for wrong in ((3, 2), 5, (1,), ("a", 2)):
+        with pytest.raises(ModelError):
+            range_of(wrong, "returns")
+    assert of_sense(mdp, (1, 2)) == (1, 2)
+    assert of_sense(mdp.with_(sense="min"), (1, 2)) == (-2, -1)
+
+
+def test_names_of_many_states_are_cut_short() -> None:
+    mdp = MDP.from_arrays([np.eye(8)], np.ones(8), "1/2").with_(
+        space=StateSpace.plain(8, [*"abcdefgh"])
+    )
+    states = np.zeros(8, dtype=bool)
+    states[[1, 2, 4, 5, 6]] = True
+    own = [mdp.space.label(s) for s in (1, 2, 4, 5, 6)]
+    assert named(mdp, states) == f"({', '.join(own)})"
+    states[7] = True
+    assert named(mdp, states) == f"({', '.join(own)} and 1 more)"
+    states[0] = True
+    assert named(mdp, states).endswith(" and 2 more)")
+
+
+def interval(**parts: Any) -> RegretInterval:
+    known: Any = {"low": 0.25, "high": 0.5, "confidence": 0.95, "by": "robust"}
+    return RegretInterval(**(known | {"assumptions": ("one", "two"), "found": {"a": 1}} | parts))
+
+
+def test_an_interval_keeps_breaks_or_leaves_open_a_limit() -> None:
+    for limit, decision in (
+        (F(1, 2), True),
+        (1, True),
+        (F(1, 4), None),
+        (F(3, 8), None),
+        (F(1, 8), False),
+    ):
+        assert interval().decided(F(limit)) is decision
+    assert str(interval()) == "[0.25, 0.5] at 95 % confidence, robust"
+    draws = np.array([0.0, 0.25, 0.5, 1.0])
+    for limit, share in ((0, 0.25), (F(1, 4), 0.5), (F(1, 5), 0.25), (2, 1.0)):
+        assert interval(draws=draws).within(F(limit)).value == share
+    facts = interval(draws=draws).facts(F(1, 4))
+    assert facts["interval"]["probability_within"].value == 0.5
+    assert facts["interval"]["a"] == 1
+    assert facts["regret_interval"].value == (0.25, 0.5)
+    assert facts["confidence"].value == 0.95
+    assert facts["by"].value == "robust"
+    for draws_or_none, limit in ((None, F(1)), (draws, None)):
+        assert "probability_within" not in interval(draws=draws_or_none).facts(limit)["interval"]
+    assert interval().report().notes == ["assumed: one", "assumed: two"]
+    (row,) = interval().frame().to_dict("records")
+    assert row == {"low": 0.25, "high": 0.5, "confidence": 0.95, "by": "robust", "a": 1}

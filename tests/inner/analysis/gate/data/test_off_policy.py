@@ -1,0 +1,158 @@
+"""Trajectories of another policy, reweighted: beside a loop over episodes."""
+
+from fractions import Fraction as F
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from records import NAMES, POLICY, STAGES, recorded
+
+from exact_mdp import MDP, ModelError, OffPolicy, Robust
+from exact_mdp.analysis.gate.data.off_policy import _trajectories
+from exact_mdp.analysis.vary.intervals import mean_at_least
+from exact_mdp.mdp.io import transitions
+
+Episode = tuple[float, float, int, bool]
+
+
+def own_of(mdp: MDP, actions: Any = POLICY) -> np.ndarray:
+    taken = mdp.pair_action == np.array(actions)[..., mdp.pair_state]
+    return np.asarray(taken | mdp.forced[mdp.pair_state], dtype=float)
+
+
+def looped(
+    mdp: MDP, frame: pd.DataFrame, own: np.ndarray, chance: np.ndarray, horizon: int | None
+) -> list[Episode]:
+    """Weight, return, length and whether it was cut off, episode by episode."""
+    found = list[Episode]()
+    for _, rows in frame.groupby("episode", sort=False):
+        weight, total, steps = 1.0, 0.0, 0
+        for _, row in rows.iterrows():
+            if horizon is not None and steps == horizon:
+                break
+            pair = mdp.pair(str(row["state"]), str(row["action"]))
+            policy = own[min(steps, len(own) - 1)] if own.ndim > 1 else own
+            weight *= policy[pair] / chance[pair]
+            total += mdp.discount**steps * row["reward"]
+            steps += 1
+        ended = rows.iloc[-1]["next_state"] is None and not rows.iloc[-1].get("truncated", False)
+        found.append((weight, total, steps, not ended and (horizon is None or steps < horizon)))
+    return found
+
+
+def data(seed: int, cut: bool = False) -> tuple[pd.DataFrame, MDP]:
+    frame = recorded(np.random.default_rng(seed), 120)
+    if cut:
+        frame["truncated"] = False
+        last = frame.groupby("episode").tail(1).index
+        some = last[: len(last) // 3]
+        frame.loc[some, "next_state"] = 0
+        frame.loc[some, "truncated"] = True
+    return frame, MDP.from_transitions(frame, discount="9/10")
+
+
+@pytest.mark.parametrize("horizon", [None, 3])
+@pytest.mark.parametrize("cut", [False, True])
+def test_weights_and_returns_are_those_of_a_loop(horizon: int | None, cut: bool) -> None:
+    for seed, sense in ((0, "max"), (1, "min")):
+        frame, mdp = data(seed, cut)
+        mdp = mdp.with_(sense=sense)
+        own = own_of(mdp, STAGES if horizon else POLICY)
+        chance = np.where(mdp.forced[mdp.pair_state], 1.0, 0.25 + 0.5 * mdp.pair_action)
+        ratio = np.atleast_2d(own) / chance
+        record = transitions.Record(frame, None)
+        w, returns, steps, cuts, ended = _trajectories(mdp, ratio, record, horizon)
+        wanted = looped(mdp, frame, own, chance, horizon)
+        assert w == pytest.approx([each[0] for each in wanted])
+        assert returns == pytest.approx([mdp.sign * each[1] for each in wanted])
+        assert steps.tolist() == [each[2] for each in wanted]
+        assert cuts.tolist() == [each[3] for each in wanted]
+        assert ended == 0
+
+
+@pytest.mark.parametrize("behaviour", ["random", None])
+@pytest.mark.parametrize("cut", [False, True])
+def test_an_interval_is_made_of_both_means(behaviour: Any, cut: bool) -> None:
+    for seed, sense in ((0, "max"), (1, "min")):
+        frame, mdp = data(seed, cut)
+        mdp = mdp.with_(sense=sense)
+        own, ends = own_of(mdp), (0.0, 8.0)
+        by = OffPolicy(records=frame, behaviour=behaviour, rewards=(0, 1), returns=ends)
+        interval = by.interval(mdp, own, F(9, 10))
+        seen = np.asarray(mdp.observations, dtype=float)
+        total = np.add.reduceat(seen, mdp.pair_offsets[:-1])[mdp.pair_state]
+        chance = np.where(total > 0, seen / np.maximum(total, 1), 1.0)
+        if behaviour:
+            chance = np.where(mdp.forced[mdp.pair_state], 1.0, 0.5)
+        w, returns, steps, cuts = map(
+            np.array, zip(*looped(mdp, frame, own, chance, None), strict=True)
+        )
+        returns = mdp.sign * returns
+        low, high = ends if sense == "max" else (-8.0, 0.0)
+        left = np.where(cuts, 0.9**steps, 0.0)
+        above = np.clip(returns + left * low, low, high) - low
+        below = high - np.clip(returns + left * high, low, high)
+        least = min(low + mean_at_least(w * above, 0.1 / 4), high)
+        most = max(high - mean_at_least(w * below, 0.1 / 4), low)
+        own_ends = (least, most) if sense == "max" else (-most, -least)
+        assert interval.found["learned_value"] == pytest.approx(own_ends, abs=1e-12)
+        bounds = Robust(rewards=(0, 1), returns=ends).bounds(mdp, own, 0.1 / 2)
+        best = bounds.at_start(mdp.maximised, bounds.best)
+        assert interval.low == pytest.approx(max(best[0] - most, 0))
+        assert interval.high == pytest.approx(max(best[1] - least, 0))
+        assert interval.found["optimal_value"] == pytest.approx(bounds.at_start(mdp, bounds.best))
+        terms = w * returns
+        assert interval.found["weighted"] == pytest.approx(mdp.sign * terms.sum() / w.sum())
+        assert interval.found["ordinary"] == pytest.approx(mdp.sign * terms.mean())
+        error = terms.std(ddof=1) / np.sqrt(len(w))
+        assert interval.found["standard_error"] == pytest.approx(error)
+        size = w.sum() ** 2 / (w**2).sum()
+        assert interval.found["effective_sample_size"] == pytest.approx(size)
+        assert interval.found["episodes"] == 120
+        assert interval.found["cut_off"] == cuts.sum() == (40 if cut else 0)
+        said = "as stated" if behaviour else "the confidence is approximate"
+        assert any(said in each for each in interval.assumptions[-1:])
+
+
+def test_records_that_do_not_fit_are_refused() -> None:
+    frame, mdp = data(0)
+    own = own_of(mdp)
+
+    def refused(words: str, model: MDP = mdp, policy: Any = own, **how: Any) -> None:
+        with pytest.raises(ModelError, match=words):
+            OffPolicy(**({"records": frame, "rewards": (0, 1)} | how)).interval(
+                model, policy, F(1, 2)
+            )
+
+    refused("no trajectories", records=None)
+    refused("the start is given", mdp.with_(start={0: "1/2", 1: "1/2"}))
+    refused("begins where the model never does", mdp.with_(start=2))
+    refused("never does what the policy does", behaviour="always:1")
+    refused("never does what was recorded", policy=own_of(mdp, [1, 1, 1, 0]), behaviour="always:1")
+    refused("no transitions", records=frame.iloc[:0])
+    rows: Any = [(0, "a", "x", 0, None), (1, "a", "y", 0, None), (2, "b", "x", 0, None)]
+    less = MDP.from_transitions(pd.DataFrame(rows, columns=NAMES), discount="1/2")
+    other = pd.DataFrame([*rows, (3, "b", "y", 0, None)], columns=NAMES)
+    refused("does not offer it", less, own_of(less, [0] * less.n_states), records=other)
+
+
+def test_a_start_of_one_state_may_be_given() -> None:
+    rows: Any = [(n, "a", "xy"[n % 2], n % 2, None) for n in range(60)]
+    frame = pd.DataFrame(rows, columns=NAMES)
+    mdp = MDP.from_transitions(frame, discount="1/2")
+    own = own_of(mdp, [1] * mdp.n_states)
+    by = OffPolicy(records=frame, behaviour="random", rewards="known", returns=(0, 1))
+    one, other = (by.interval(each, own, F(9, 10)) for each in (mdp, mdp.with_(start="a")))
+    assert one.found["learned_value"] == other.found["learned_value"]
+    assert one.found["effective_sample_size"] == 30
+
+
+def test_ends_that_were_only_entered_are_counted() -> None:
+    rows: Any = [(n, "a", "xy"[n % 2], 1, "b" if n % 3 else None) for n in range(60)]
+    frame = pd.DataFrame(rows, columns=NAMES)
+    mdp = MDP.from_transitions(frame, discount="1/2")
+    by = OffPolicy(records=frame, behaviour="random", rewards=(0, 1), returns=(0, 1))
+    interval = by.interval(mdp, own_of(mdp, [0] * mdp.n_states), F(9, 10))
+    assert interval.found["taken_for_ended"] == 40
+    assert interval.found["cut_off"] == 0
