@@ -1,0 +1,209 @@
+"""Totals, rewards per step and limits that an audit is about, beside fractions and all policies."""
+
+from fractions import Fraction as F
+from itertools import product
+from math import inf, isnan
+from typing import Any
+
+import numpy as np
+import oracle
+import pytest
+from small_models import given, random_policy, small_model
+
+from exact_mdp import MDP
+from exact_mdp.analysis.gate import criteria as module
+from exact_mdp.analysis.gate.criteria import Average, Total, UnderLimits, Verdict, number
+from exact_mdp.solvers.solution import Bounded, Certified
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+
+
+def test_a_verdict_says_what_was_found() -> None:
+    for decision, passed, words in (
+        (True, True, "passed: the regret is zero: it is 0"),
+        (False, False, "failed: the regret is not zero: it is 0"),
+        (None, False, "failed: the regret is not known to be zero: it is 0"),
+    ):
+        verdict = Verdict("the regret", "zero", decision, "it is 0")
+        assert verdict.passed is passed
+        assert str(verdict) == words
+        assert verdict.name == "the regret is zero"
+    assert number(Certified(value=F(1, 3))) == "0.3333333333 (certified)"
+    assert number(Bounded(value=1.0, error=0.5)) == "1 ± 0.5 (bounded)"
+
+
+def test_rewards_per_step_that_are_lost() -> None:
+    for seed in range(16):
+        mdp = small_model(seed, "1/2", leaving=False, ends=seed % 2, states=3)
+        mdp = mdp.with_(sense="min" if seed % 3 == 0 else "max")
+        chances = random_policy(mdp, seed, pure=seed % 4 == 0)
+        rows = [(s, a, mdp.sign * r, row) for s, a, r, row in oracle.rows_of(mdp)]
+        best, bias = oracle.best_average(rows)
+        chain = oracle.mixed(rows, chances)
+        own, _ = oracle.gain_and_bias(chain)
+        about = Average(chain=PolicyChain.of(mdp, given(chances)))
+        lost = about.regret(True)
+        wanted = sum((p * (best[s] - own[s]) for s, p in mdp.start), F(0))
+        assert lost.at_start == Certified(value=wanted)
+        assert lost.optimal.value == mdp.sign * sum(p * best[s] for s, p in mdp.start)
+        assert lost.learned.value == mdp.sign * sum(p * own[s] for s, p in mdp.start)
+        assert lost.by_state.tolist() == [float(b - o) for b, o in zip(best, own, strict=True)]
+        inner = {s for each in oracle.classes(chain) for s in each}
+        for pair, (s, _, _, row) in enumerate(rows):
+            first = best[s] - oracle.mean(row, best)
+            assert lost.gap[pair] >= float(first) * (1 - 1e-15)
+            if s not in inner:
+                assert lost.gap[pair] == float(first)
+        # Costs sum to the regret: visits on the way, shares of time where the policy stays.
+        visits, wrong = about.findings(lost)
+        star = oracle.limit(chain)
+        share = [sum((p * star[s][t] for s, p in mdp.start), F(0)) for t in range(mdp.n_states)]
+        moves = [{} if s in inner else row for s, _, _, row in chain]
+        often = oracle.visits(dict(mdp.start), moves)
+        met = [share[s] if s in inner else often[s] for s in range(mdp.n_states)]
+        assert visits == pytest.approx([*map(float, met)], rel=1e-12)
+        assert sum(each.cost for each in wrong) == pytest.approx(float(wanted), rel=1e-9, abs=1e-9)
+        bounded = about.regret(False)
+        low, high = bounded.at_start.interval
+        assert low <= wanted <= high <= wanted + F(1, 10**6)
+        assert bounded.optimal_value == pytest.approx([mdp.sign * float(x) for x in best], abs=1e-6)
+        assert (bounded.by_state >= 0).all()
+        assert np.asarray(bounded.unclear).sum() == mdp.n_pairs - mdp.n_states
+        assert about.sums == "reward per step"
+        assert len(bias) == mdp.n_states
+
+
+def test_exact_models_are_forgiven_nothing_and_floats_little() -> None:
+    rows: Any = [
+        (0, 0, [(0.3, 0, 0.1), (0.7, 1, 0.2)]),
+        (0, 1, [(0.3, 0, 0.1 + 1e-17), (0.7, 1, 0.2)]),
+        (0, 2, [(0.3, 0, 0.1), (0.7, 1, 0.2 - 1e-9)]),
+        (1, 0, [(0.5, 0, 0.7), (0.5, 1, 0.3)]),
+    ]
+    mdp = MDP.from_outcomes(rows, 0.5)
+    for action, right in ((0, True), (1, True), (2, False)):
+        lost = Average(chain=PolicyChain.of(mdp, [action, 0])).regret(True)
+        assert 0 < lost.forgiven < F(1, 10**15)
+        assert lost.optimal_pairs.tolist() == [True, True, False, True]
+        assert lost.decided(lost.forgiven) is right
+    exact = small_model(1, "1/2", leaving=False)
+    assert Average(chain=PolicyChain.of(exact, "random")).regret(True).forgiven == 0
+
+
+def limited(seed: int, sense: str = "max") -> MDP:
+    """Two choices in a row, with rewards and costs of their own."""
+    rng = np.random.default_rng(seed)
+    rows: Any = []
+    for s in range(2):
+        for a in range(3):
+            law = [(F(1, 3), s + 1, 0), (F(2, 3), 2, 0)] if s == 0 else [(1, 2, 0)]
+            pay, cost = (int(x) for x in rng.integers(0, 7, size=2))
+            rows.append((s, a, [(p, t, {"pay": pay, "cost": cost}) for p, t, _ in law]))
+    rows.append((2, 0, [(1, 2, {"pay": 0, "cost": 0})]))
+    return MDP.from_outcomes(rows, "1/2", sense=sense)
+
+
+def totals(mdp: MDP, pairs: Any, name: str) -> F:
+    """What a policy earns of a component, or of the reward."""
+    rate, names = mdp.discount_exact, mdp.component_names
+    top, below = mdp.table.expected_components_exact()
+    rows = oracle.rows_of(mdp, pairs)
+    if name != "reward":
+        part = names.index(name)
+        rows = [
+            (s, a, F(int(top[pair, part]), int(below[pair])), law)
+            for pair, (s, a, _, law) in zip(pairs, rows, strict=True)
+        ]
+    return oracle.policy_values(rows, rate, {2})[0]
+
+
+def best_mixture(points: list[tuple[F, F]], bound: F, sign: int) -> F | None:
+    """The greatest (or least) first number of mixtures of two points, the second within a bound."""
+    found = [r for r, c in points if c <= bound]
+    for (r, c), (q, d) in product(points, repeat=2):
+        if c < bound < d:
+            share = (bound - c) / (d - c)
+            found.append(r + share * (q - r))
+    return (max if sign > 0 else min)(found, default=None)
+
+
+@pytest.mark.parametrize("sense", ["max", "min"])
+def test_a_policy_under_limits_is_against_the_best_mixture(sense: str) -> None:
+    for seed in range(4):
+        mdp = limited(seed, sense)
+        every = [*product(*(mdp.pairs_of(s) for s in range(3)))]
+        points = [(totals(mdp, each, "reward"), totals(mdp, each, "cost")) for each in every]
+        bound = sorted(c for _, c in points)[len(points) // 3] + F(1, 7)
+        best = best_mixture(points, bound, mdp.sign)
+        assert best is not None
+        for each, (reward, cost) in list(zip(every, points, strict=True))[::4]:
+            chain = PolicyChain.of(mdp, mdp.pair_action[list(each)])
+            about = UnderLimits.of(chain, {"cost": f"<= {bound}"})
+            lost = about.regret(None)
+            assert about.feasible
+            assert about.earned == reward
+            assert about.totals == {"cost": cost}
+            (limit,), (price,) = about.best.limits, about.best.price
+            assert about.keeps(limit) == (cost <= bound)
+            assert about.room == price * (bound - cost)
+            assert lost.optimal.value == best
+            assert lost.at_start.value == mdp.sign * (best - reward)
+            assert lost.forgiven == 0
+            visits, wrong = about.findings(lost)
+            # What is lost is what states cost in the priced model, less the room left.
+            whole = sum(item.cost for item in wrong)
+            assert whole + float(about.room) == pytest.approx(float(lost.at_start.value))
+            assert visits[0] == 1
+            (verdict,) = about.verdicts()
+            assert verdict.passed == (cost <= bound)
+            facts = about.facts()
+            assert facts["kept"].value == [cost <= bound]
+            assert facts["totals"].value == {"cost": cost}
+            assert facts["feasible"] is True
+            assert facts["prices"].value == {"cost": about.best.prices["cost"]}
+            table = about.tables()["limits of the policy"]
+            assert ("NO" in str(table.rows)) == (cost > bound)
+
+
+def test_limits_that_none_keeps_leave_nothing_to_compare_with() -> None:
+    mdp = limited(0)
+    every = [*product(*(mdp.pairs_of(s) for s in range(3)))]
+    least = min(totals(mdp, each, "cost") for each in every)
+    about = UnderLimits.of(PolicyChain.of(mdp, [0, 0, 0]), {"cost": f"<= {least - F(1, 9)}"})
+    assert not about.feasible
+    lost = about.regret(None)
+    assert isnan(lost.optimal.value)
+    assert isnan(lost.at_start.value)
+    assert np.isnan(lost.by_state).all()
+    assert np.isnan(lost.optimal_value).all()
+    *_, last = about.verdicts()
+    assert last.decision is False
+    assert "the closest that can be kept" in last.text
+    facts = about.facts()
+    assert facts["room"] is None
+    assert facts["prices"].value is None
+    assert facts["closest"].value == {"cost": least}
+    assert about.findings(lost)[0][0] == 1
+
+
+def test_a_total_has_no_limits() -> None:
+    mdp = small_model(0, 1)
+    about = Total(chain=PolicyChain.of(mdp, "random"))
+    assert about.sums == "discount 1"
+    assert Total(chain=PolicyChain.of(small_model(0, "1/2"), "random")).sums == "discount 0.5"
+    assert about.feasible
+    assert [*about.verdicts()] == []
+    assert about.tables() == {}
+    assert set(about.facts().values()) == {None}
+    assert about.plain
+    assert not Average.plain
+    assert not UnderLimits.plain
+    assert about.regret(True).at_start.value >= 0
+    assert about.regret(True).at_start.value < inf
+
+
+def test_large_cycles_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    mdp = small_model(2, "1/2", leaving=False, ends=0)
+    about = Average(chain=PolicyChain.of(mdp, "random"))
+    assert isinstance(about.regret(None).at_start, Certified)
+    monkeypatch.setattr(module, "LAST_CYCLE", 0)
+    assert isinstance(about.regret(None).at_start, Bounded)
