@@ -328,6 +328,6 @@ def _lattice(chain: PolicyChain) -> tuple[Numbers, Fraction]:
     used = chain.reached[chain.source] & ~chain.mdp.terminal[chain.source]
     step = max(int(np.gcd.reduce(scaled[used])), 1)
     multiples = scaled // step
-    if np.abs(multiples).max(initial=0) >= WIDE:  # sums of many may be beyond 64 bits
+    if np.abs(multiples).max() >= WIDE:  # sums of many may be beyond 64 bits
         multiples = multiples.astype(object)
     return multiples, Fraction(step, whole)

@@ -147,6 +147,8 @@ def test_a_report_lists_states_unless_there_are_many(monkeypatch: pytest.MonkeyP
                 assert first["gain"] == law.value[0]
                 assert first["bias"] == law.bias[0]
                 assert first["share"] == law.share.value[0]
+        table = law.report().tables["states"]
+        assert [row["gain"] for row in table.rows.to_dict("records")] == law.value.tolist()
         frame = law.frame()
         assert frame["gain error"].tolist() == law.error.tolist()
         assert frame["bias error"].tolist() == law.bias_error.tolist()

@@ -167,9 +167,56 @@ def test_a_horizon_ends_runs() -> None:
     }
     with pytest.raises(ModelError, match="not on a lattice"):
         return_distribution(MDP.from_outcomes(rows, "1/2"), "random")
-    q = np.array([[1.0, 0], [1, 0]])
+
+
+def test_a_table_is_read_as_it_is_said() -> None:
     choice = MDP.from_outcomes([(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 2)]), (1, 0, [(1, 1, 0)])])
-    assert return_distribution(choice, 1 - q, kind="q").values == (2,)
+    table = np.array([[0.25, 0.75], [1, 0]])
+    assert return_distribution(choice, table, kind="q").values == (2,)
+    assert return_distribution(choice, table, kind="policy").values == (1, 2)
+
+
+def law_of(probabilities: list[float], multiples: Any = None, unit: F = F(1)) -> ReturnDistribution:
+    """A law without errors, of returns 1, 2, 3, … unless others are given."""
+    listed = np.arange(1, len(probabilities) + 1) if multiples is None else np.array(multiples)
+    return ReturnDistribution(
+        multiples=listed,
+        unit=unit,
+        probabilities=np.array(probabilities),
+        relative_error=0.0,
+        remaining=0.0,
+    )
+
+
+def test_sums_that_are_rounded_reach_a_share() -> None:
+    """Eight tenths, added up one by one, are less than 0.8."""
+    law = law_of([0.1] * 10)
+    assert law.probabilities[:8].cumsum()[-1] < 0.8
+    for k in range(1, 11):
+        assert law.quantile(F(k, 10)) == k
+    assert law_of([0.25, 0.25]).quantile(1) == 2  # what is not listed is beyond all
+    assert (law_of([0.0]).error > 0).all()  # underflow
+
+
+def test_a_cdf_compares_exact_numbers() -> None:
+    law = law_of([0.5, 0.5])
+    assert law.cdf(1 - F(1, 10**30)) == 0
+    assert law.cdf(1) == law.cdf(2 - F(1, 10**30)) == 0.5
+    long = law_of([0.5, 0.5], unit=F(1, 3**50))
+    assert long.cdf(F(1, 3**50)) == 0.5
+
+
+def test_a_spread_beyond_floats_is_infinite() -> None:
+    assert law_of([0.5, 0.5], [-1, 1], F(10**200)).sd == inf
+    law = law_of([0.5, 0.5], np.array([1, inf], dtype=object))
+    assert law.mean == inf
+    assert isnan(law.sd)
+
+
+def test_a_lattice_of_long_denominators() -> None:
+    rows: Any = [(0, 0, [(1, 1, F(1, 3**40))]), (1, 0, [(1, 2, F(1, 7**30))]), (2, 0, [(1, 2, 0)])]
+    law = return_distribution(MDP.from_outcomes(rows), "random")
+    assert law.values == (F(1, 3**40) + F(1, 7**30),)
 
 
 def test_the_share_of_a_tail_is_above_0_and_at_most_1() -> None:
@@ -208,6 +255,10 @@ def test_the_table_of_a_report_adds_up_chances() -> None:
         rows = report.tables["distribution"].rows
         assert [row["chance"] for row in rows] == law.probabilities.tolist()
         assert [row["sum"] for row in rows] == [*accumulate(law.probabilities.tolist())]
+        assert report.tables["distribution"].first == module.LISTED
+        assert report.facts["remaining"].value == law.remaining
+        assert report.facts["never_ends"].value == law.never_ends
+        assert report.facts["error_bound"].value == law.error.max()
         assert report.facts["mean"] == law.mean
         assert report.facts["sd"] == law.sd
         assert [*report.facts["exact_distribution"].values()] == [*runs.values()]

@@ -193,5 +193,6 @@ def test_one_episode_has_no_spread() -> None:
 
 def test_a_table_is_read_as_it_is_said() -> None:
     rows: Any = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 2)]), (1, 0, [(1, 1, 0)])]
-    q = np.array([[0, 1.0], [1, 0]])
-    assert simulate(MDP.from_outcomes(rows), q, 2, rng=0, kind="q").returns.tolist() == [2, 2]
+    mdp, table = MDP.from_outcomes(rows), np.array([[0.25, 0.75], [1, 0]])
+    assert {*simulate(mdp, table, 30, rng=0, kind="q").returns.tolist()} == {2}
+    assert {*simulate(mdp, table, 30, rng=0, kind="policy").returns.tolist()} == {1, 2}
