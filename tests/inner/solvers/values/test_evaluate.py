@@ -453,6 +453,26 @@ def test_a_report_has_the_numbers_and_their_errors() -> None:
     assert facts["error_bounds"] == {name: each.error for name, each in law.numbers.items()}
     assert facts["quantiles"] == {str(share): x for share, x in (law.quantiles or {}).items()}
     assert facts["ends"] is True
+    shown = law.report().facts
+    for name in ("sd", "steps", "ends", "skip_probability", "event_probability", "components"):
+        assert shown[name].value == getattr(law, name)
+    assert shown["sd"].text == law.numbers["sd"]
+    assert shown["steps"].text == law.numbers["steps"]
+    assert shown["quantiles_missing"].value is None
+    assert shown["quantiles"].text is None
+    tables = law.report().tables
+    assert tables["totals"].rows == {
+        name: law.numbers[f"component.{name}"] for name in law.components
+    }
+    assert tables["returns"].rows == [
+        {"share": share, "return": value} for share, value in (law.quantiles or {}).items()
+    ]
+    endless = evaluate(MDP.from_outcomes(RINGS, start=1), "random").report().facts
+    assert endless["sd"].text == "undefined: the mean is infinite"
+    assert endless["steps"].text == "inf: it may never end"
+    below = evaluate(small_model(0, "1/2"), "random")
+    assert below.report().facts["quantiles_missing"].value == below.quantiles_missing
+    assert below.report().tables["returns"].rows == []
     frame = law.frame()
     assert frame["number"].tolist() == [*law.numbers]
     assert frame["value"].tolist() == [each.value for each in law.numbers.values()]

@@ -9,6 +9,7 @@ import pytest
 from small_models import given, random_policy, small_model, with_events
 
 from exact_mdp import MDP, ModelError, simulate
+from exact_mdp.mdp.report import between, number
 from exact_mdp.solvers.values import simulate as module
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.simulate import Simulation
@@ -115,6 +116,33 @@ def test_what_follows_a_cut_is_in_the_error() -> None:
     assert none.truncation_error <= 1e-290
 
 
+def test_rewards_that_no_episode_comes_to_are_not_in_the_error() -> None:
+    rows: Any = [(0, 0, [(1, 0, 100)]), (1, 0, [(1, 1, 1)]), (2, 0, [(1, 2, -7)])]
+    sample = simulate(MDP.from_outcomes(rows, "1/2", start=1), "random", 1, rng=0)
+    steps = int(sample.steps[0])
+    assert sample.truncation_error == pytest.approx(2.0 ** (1 - steps), rel=1e-5)
+
+
+def test_starts_are_drawn_by_their_chances() -> None:
+    """Of chances whose floats sum to less than 1, a number between is that of the last start."""
+
+    class Last(np.random.Generator):
+        def random(self, size: Any = None, *_: Any, **__: Any) -> Any:
+            return np.full(size, np.nextafter(1.0, 0.0))
+
+    rows: Any = [(s, 0, [(1, 10, s)]) for s in range(10)] + [(10, 0, [(1, 10, 0)])]
+    mdp = MDP.from_outcomes(rows, start=dict.fromkeys(range(10), F(1, 10)))
+    generator = Last(np.random.PCG64(0))
+    assert simulate(mdp, "random", 2, generator).returns.tolist() == [9, 9]
+
+    class Edge(Last):
+        def random(self, size: Any = None, *_: Any, **__: Any) -> Any:
+            return np.full(size, 0.5)
+
+    half = mdp.with_(start={2: "1/2", 7: "1/2"})
+    assert simulate(half, "random", 1, Edge(np.random.PCG64(0))).returns.tolist() == [7]
+
+
 def test_a_horizon_is_no_error() -> None:
     rows: Any = [(0, 0, [(F(1, 2), 1, 1), (F(1, 2), 0, 2)]), (1, 0, [(1, 1, 0)])]
     for discount in (1, "1/2"):
@@ -180,6 +208,42 @@ def test_returns_beyond_floats_are_refused() -> None:
         truncation_error=0.0,
     )
     assert huge.mean == inf
+
+
+def sampled(returns: list[float], **parts: Any) -> Simulation:
+    known: dict[str, Any] = {"events": {}, "truncated": 0, "truncation_error": 0.0}
+    steps = np.arange(1, len(returns) + 1)
+    return Simulation(returns=np.array(returns), steps=steps, **(known | parts))
+
+
+def test_an_estimate_keeps_what_was_cut_off() -> None:
+    sample = sampled([1.0, 2.0, 6.0], truncation_error=0.5, truncated=1)
+    assert sample.value.value == 3
+    assert sample.value.standard_error == pytest.approx(sqrt(7 / 3))
+    assert sample.value.cut_off == 0.5
+    assert sample.endless == 0
+    assert sampled([1.0, 3.0]).sd == pytest.approx(sqrt(2))
+    assert sampled([2.0**1023] * 2 + [-(2.0**1023)] * 2).sd == inf
+
+
+def test_a_report_shows_what_is_not_0() -> None:
+    sample = sampled([1.0, 2.0, 6.0], truncation_error=0.5, truncated=1)
+    for own, endless in ((sample, False), (sampled([1.0, inf], endless=1), True)):
+        facts = own.report().facts
+        for name in ("mean", "standard_error", "interval", "sd", "never_ends", "truncated"):
+            wanted = own.value.interval if name == "interval" else getattr(own, name)
+            assert np.array_equal(facts[name].value, wanted, equal_nan=True)
+        assert facts["truncation_error"].value == own.truncation_error
+        assert facts["steps"].value == own.mean_steps
+        assert facts["never_ends"].text == (own.never_ends or None)
+        assert facts["truncated"].text == (own.truncated or None)
+        assert facts["truncation_error"].text == (own.truncation_error or None)
+        assert ("never end" in str(facts["steps"].text)) == endless
+    low, high = sample.value.interval
+    digits = sample.standard_error / 10
+    facts = sample.report().facts
+    assert facts["interval"].text == f"{between(low, high, digits)} (95 %)"
+    assert facts["sd"].text == number(sample.sd, digits)
 
 
 def test_one_episode_has_no_spread() -> None:
