@@ -21,6 +21,7 @@ from small_models import (
 )
 
 from exact_mdp import MDP, ModelError, SolverError, evaluate, solve
+from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.dynamic.methods import ModifiedPolicyIteration
 from exact_mdp.solvers.solution import Bounded, Status
 from exact_mdp.solvers.values import evaluate as module
@@ -30,7 +31,7 @@ from exact_mdp.solvers.values.policy_chain import Equations
 DISCOUNTS = [F(0), F(95, 100), F(1)]
 
 
-def cases(discount: F, seeds: int = 3, **kind: Any) -> Iterator[tuple[MDP, Chances, Evaluation]]:
+def cases(discount: F, seeds: int = 2, **kind: Any) -> Iterator[tuple[MDP, Chances, Evaluation]]:
     for seed in range(seeds):
         kinds = [{}, {"falling": True}, {"by_outcome": False, "start": int(seed)}]
         for each in [kind] if kind else kinds:
@@ -406,17 +407,97 @@ def test_errors_of_variances_cover_those_of_means() -> None:
         variance = at_start(mdp, square) - at_start(mdp, mean) ** 2
         live = ~mdp.terminal
         for sign in (1, -1):
-            for off in (1e-6, 1e-3):
-                error = law.error + np.where(live, off, 0)
-                own = Evaluation(
-                    chain=law.chain,
-                    given=law.given,
-                    value=law.value + np.where(live, sign * off, 0),
-                    error=error,
-                )
-                number = own.numbers["variance"]
-                assert abs(F(number.value) - variance) <= F(number.error)
-                assert number.error <= 400 * off * (1 + sqrt(variance))
+            for size in (1e-6, 1e-3, 1.0):
+                for state in np.flatnonzero(live).tolist():  # one value is off, and no other
+                    off = np.where(np.arange(mdp.n_states) == state, size, 0.0)
+                    own = Evaluation(
+                        chain=law.chain,
+                        given=law.given,
+                        value=law.value + sign * off,
+                        error=law.error + off,
+                    )
+                    number = own.numbers["variance"]
+                    assert abs(F(number.value) - variance) <= F(number.error)
+                    assert number.error <= 400 * size * (1 + size + sqrt(variance))
+
+
+def test_errors_of_variances_count_roundings() -> None:
+    """Of two outcomes after which all is over: what each number and each sum may lose."""
+    rng, unit = np.random.default_rng(0), 2.0**-53
+    for _ in range(20):
+        p = int(rng.integers(1, 9))
+        pay = rng.integers(-99, 100, size=2).tolist()
+        rows: Any = [(0, 0, [(F(p, 9), 1, pay[0]), (F(9 - p, 9), 1, pay[1])]), (1, 0, [(1, 1, 0)])]
+        law = evaluate(MDP.from_outcomes(rows), "random")
+        mean = (p * pay[0] + (9 - p) * pay[1]) / 9
+        own = Evaluation(
+            chain=law.chain, given=law.given, value=np.array([mean, 0.0]), error=np.zeros(2)
+        )
+        number = own.numbers["variance"]
+        least = 0.0
+        for chance, reward in zip((p / 9, 1 - p / 9), pay, strict=True):
+            away = abs(reward - mean)
+            least += chance * (6 * unit * away * (abs(reward) + abs(mean)) + 4 * unit * away**2)
+        assert least <= number.error <= 4 * least + 1e-290
+
+
+def test_a_mixture_of_starts_adds_the_spread_between_them() -> None:
+    rows: Any = [(0, 0, [(1, 2, 1)]), (1, 0, [(1, 2, 5)]), (2, 0, [(1, 2, 0)])]
+    mdp = MDP.from_outcomes(rows, start={0: "1/4", 1: "3/4"})
+    law = evaluate(mdp, "random")
+    own = Evaluation(
+        chain=law.chain,
+        given=law.given,
+        value=np.array([1.0, 5.0, 0.0]),
+        error=np.array([0.25, 0.5, 0.0]),
+    )
+    vars(own)["_variance"] = FixedPoint(
+        value=np.array([2.0, 8.0, 0.0]), error=np.array([1.0, 0.5, 0.0])
+    )
+    number = own.numbers["variance"]
+    assert number.value == (2 + 3 * 8) / 4 + (9 + 3 * 1) / 4
+    doubt = (0.25 + 3 * 0.5) / 4  # of the mean
+    # |a² - b²| ≤ (2 |a| + |a - b|) |a - b|
+    low, high = 0.25 + doubt, 0.5 + doubt
+    between = ((6 + low) * low + 3 * (2 + high) * high) / 4
+    within = (1 + 3 * 0.5) / 4
+    assert between + within <= number.error <= (between + within) * (1 + 1e-5)
+
+
+def test_a_deviation_is_between_the_roots() -> None:
+    law = evaluate(small_model(0), "random")
+    for variance, error in ((4.0, 1.0), (0.25, 0.3), (0.25, 1.0), (9.0, 0.0)):
+        own = replace(law)
+        vars(own)["_start_variance"] = Bounded(value=variance, error=error)
+        number = own.numbers["sd"]
+        ends = sqrt(max(variance - error, 0)), sqrt(variance + error)
+        assert number.value == own.sd == sqrt(variance)
+        off = max(number.value - ends[0], ends[1] - number.value)
+        assert off < number.error <= off + 1e-14
+
+
+def test_visits_are_discounted_where_an_episode_may_not_end() -> None:
+    rows: Any = [(0, 0, [(1, 1, 1)]), (1, 0, [(1, 0, 1)]), (2, 0, [(1, 2, 0)])]
+    law = evaluate(MDP.from_outcomes(rows, "1/2"), "random")
+    assert law.visits == pytest.approx([4 / 3, 2 / 3, 0])
+
+
+def test_amounts_of_actions_that_are_not_taken_do_not_count() -> None:
+    rows: Any = [
+        (0, 0, [(1, 1, {"a": 1, "b": 1})]),
+        (1, 0, [(1, 1, {"a": 1, "b": -1})]),
+        (1, 1, [(1, 1, {"a": -1, "b": 1})]),
+    ]
+    law = evaluate(MDP.from_outcomes(rows), [0, 0])
+    assert law.components == {"a": inf, "b": -inf}
+    around: Any = [
+        (0, 0, [(1, 1, {"a": 1, "b": 1})]),
+        (1, 0, [(1, 2, {"a": 1, "b": -1})]),
+        (2, 0, [(1, 1, {"a": 0, "b": 0})]),
+    ]
+    law = evaluate(MDP.from_outcomes(around), [0, 0, 0])  # at rest, in no end
+    assert law.mean == 2
+    assert law.components == {"a": inf, "b": -inf}
 
 
 # ---- the ways to ask -----------------------------------------------------------------------------
