@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from mutation.changes import changes
+from changes import changes
 
 import exact_mdp
 
