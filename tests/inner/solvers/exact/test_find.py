@@ -60,7 +60,7 @@ def endless(seed: int) -> Iterator[MDP]:
 def test_averages_are_the_greatest_of_all_policies() -> None:
     for mdp in endless(0):
         proof = find.expansion(mdp, "average")
-        assert proof.violations() == []
+        assert (proof.kind, proof.violations()) == ("average", [])
         gain, bias = best_average(rows := maximised(mdp))
         assert proof.g is not None
         assert (*proof.g.fractions(),) == gain
@@ -71,6 +71,10 @@ def test_averages_are_the_greatest_of_all_policies() -> None:
         assert (*levels[0].fractions(),) == gain
         assert (*levels[1].fractions(),) == bias
         first = bellman_rows(mdp.maximised).pair_offsets[:-1]
+        _, discounted = find.best_average(mdp.with_(discount="1/2"))  # which counts for nothing
+        assert [level.fractions().tolist() for level in discounted] == [
+            level.fractions().tolist() for level in levels
+        ]
         again, levels = find.expanded(exact_rows(mdp, average=True), first)
         assert gain_and_bias([rows[pair] for pair in again.tolist()]) == (gain, bias)
         assert (*levels[1].fractions(),) == bias
@@ -311,6 +315,15 @@ def test_an_optimum_is_unique_where_the_states_met_have_one_optimal_pair() -> No
             assert find.one_optimum(mdp, optimal) is wanted
             answers.add(wanted)
     assert answers == {True, False}
+
+
+def test_it_does_not_matter_what_is_done_at_an_end() -> None:
+    go, stay, pay = (0, 0, [(1, 1, 0)]), (1, 0, [(1, 1, 0)]), (1, 1, [(1, 1, -1)])
+    half: Any = (1, 1, [("1/2", 1, 0), ("1/2", 0, 0)])
+    for other, unique in (((1, 1, [(1, 1, 0)]), True), (pay, False), (half, False)):
+        mdp = MDP.from_outcomes([go, stay, other])
+        assert find.one_optimum(mdp, np.array([True, True, True])) is unique
+        assert find.one_optimum(mdp, np.array([True, True, False]))
 
 
 def test_certificates_have_the_start_value_of_their_levels() -> None:
