@@ -24,6 +24,7 @@ from exact_mdp.analysis.gate.regret import (
     tied,
 )
 from exact_mdp.solvers.bounds.bounds import Bounds
+from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.solution import Bounded, Certified, Claim
 from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
 
@@ -59,10 +60,21 @@ def test_certified_and_bounded_regrets_hold_the_exact_one(discount: F) -> None:
                 assert lost.claim is Claim.CERTIFIED
                 assert lost.optimal_pairs.tolist() == [g == 0 for g in gap]
                 assert lost.unclear is False
+                assert isinstance(lost.optimum, Certificate)
             else:
                 low, high = ends(lost.at_start)
                 assert low <= wanted <= high <= wanted + F(1, 10**8)
                 assert not (np.array([g == 0 for g in gap]) & ~lost.optimal_pairs).any()
+                assert not wanted or lost.claim is Claim.BOUNDED
+                assert isinstance(lost.optimum, Bounds)
+                rivals = [
+                    [k for k in mdp.pairs_of(s) if k != pair and gap[k] <= gap[pair]]
+                    for pair, s in enumerate(mdp.pair_state.tolist())
+                ]
+                assert np.array_equal(
+                    lost.unclear,
+                    [g == 0 and bool(other) for g, other in zip(gap, rivals, strict=True)],
+                )
             assert lost.forgiven == 0
             assert lost.gap == pytest.approx([*map(float, gap)], abs=1e-9)
             assert (lost.gap[lost.optimal_pairs] == 0).all()
@@ -99,6 +111,14 @@ def test_totals_of_runs_that_never_end() -> None:
         for (s, a), _ in chances.items():
             if own[s] == best[s] and abs(best[s]) < inf:
                 assert optimal[mdp.pair(s, a)]
+        for pair, (s, _, r, row) in enumerate(rows):
+            if any(abs(best[t]) == inf for t in (s, *row)):
+                assert lost.gap[pair] in (0, inf)
+            elif not optimal[pair]:
+                short = (
+                    best[s] - r - oracle.mean(row, [F(v) if abs(v) < inf else F(0) for v in best])
+                )
+                assert lost.gap[pair] == float(short)
     assert judged > 12
 
 
@@ -146,6 +166,39 @@ def test_bounds_that_are_wide_stay_sound() -> None:
                 flow = mdp.discount * float((mdp.transition[[pair]] @ known.weight)[0])
                 assert near.high[pair] - near.low[pair] <= (high - low) * flow + 1e-5
                 assert near.least_gap[pair] <= gap[pair]
+                own = [*mdp.pairs_of(s)]
+                least = max(F(float(near.low[k])) for k in own) - F(float(near.high[pair]))
+                assert F(float(near.least_gap[pair])) <= least
+                assert float(least) == pytest.approx(near.least_gap[pair], abs=1e-12)
+                beaten = any(near.high[k] > near.low[pair] for k in own if k != pair)
+                assert near.open[pair] == beaten
+                q = {k: mdp.reward[k] + 0.5 * float((mdp.transition[[k]] @ value)[0]) for k in own}
+                assert near.gap[pair] == pytest.approx(max(q.values()) - q[pair], abs=1e-12)
+
+
+def test_what_is_proven_is_what_is_asked() -> None:
+    rows: Any = [(0, 0, [(1, 1, 5)]), (0, 1, [(1, 0, 1)]), (1, 0, [(1, 1, 0)])]
+    mdp = MDP.from_outcomes(rows, "1/2")
+    assert module.proven(mdp).start_value == 5
+    assert module.proven(mdp, "average").start_value == 1
+
+
+def test_optimal_pairs_have_no_gap() -> None:
+    flat, best = np.zeros(2), (Certified(value=F(3)), np.array([3.0, 0.0]))
+    lost = module.Regret.between(
+        best,
+        (Certified(value=F(1)), np.array([1.0, 0.0])),
+        np.array([True, False]),
+        by_state=flat,
+        gap=np.array([1e-17, 2.0]),
+    )
+    assert lost.gap.tolist() == [0, 2]
+    assert lost.at_start.value == 2
+    costs = lost.of_sense("min")
+    assert (costs.optimal.value, costs.learned.value, costs.at_start.value) == (-3, -1, 2)
+    assert costs.optimal_value.tolist() == [-3, 0]
+    assert costs.learned_value.tolist() == [-1, 0]
+    assert lost.of_sense("max") is lost
 
 
 def test_a_policy_is_best_where_bounds_prove_each_of_its_pairs() -> None:
@@ -166,6 +219,7 @@ def test_a_policy_is_best_where_bounds_prove_each_of_its_pairs() -> None:
         lost = policy_regret(chain, exact=False)
         assert isinstance(lost.at_start, Certified) == best
         assert lost.decided(F(0)) == best
+        assert np.asarray(lost.unclear).tolist() == [True, True, False, False, False]
     never = PolicyChain.of(mdp.with_(start=1), [2, 0, 0])
     assert near.all_best(PolicyChain(mdp=never.mdp, chosen=never.chosen))
 
@@ -242,9 +296,9 @@ def test_floats_tie_within_their_rounding_and_exact_numbers_do_not() -> None:
                 assert bool(lost.optimal_pairs[action]) == (
                     same or best == (action == 0) or not exact
                 )
+                assert lost.forgiven < F(1, 10**16)
                 if exact:
                     assert (lost.forgiven > 0) == same
-                    assert lost.forgiven < F(1, 10**16)
     far: Any = [(0, 0, [(1, 1, 0.1)]), (0, 1, [(1, 1, 0.1 + 1e-12)]), (1, 0, [(1, 1, 0.0)])]
     for exact in (True, False):
         lost = policy_regret(PolicyChain.of(MDP.from_outcomes(far), [0, 0]), exact=exact)
