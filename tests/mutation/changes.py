@@ -96,12 +96,13 @@ def edits(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
 
 
 def is_left_out(node: ast.AST, field: str, outside: bool) -> bool:
-    """Whether a part holds types or words for people, which no number depends on."""
+    """Whether a part holds types, words or a check of lengths, which no number depends on."""
     types = field in ("annotation", "returns", "decorator_list", "bases", "type_params")
     words = isinstance(node, ast.Raise | ast.Assert | ast.JoinedStr)
     checked = isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+    lengths = isinstance(node, ast.keyword) and node.arg == "strict"
     alias = outside and isinstance(node, ast.BinOp) and isinstance(node.op, ast.BitOr)
-    return types or words or checked or alias
+    return types or words or checked or lengths or alias
 
 
 def changes(module: ast.Module) -> Iterator[Change]:
