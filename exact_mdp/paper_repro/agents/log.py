@@ -93,7 +93,7 @@ def read(path: Path) -> Record | None:
         numbers = [entry.get("timestep") for entry in entries[1 : steps + 1]]
         if kinds and (kinds != whole or numbers != list(range(steps)) or kinds.count("end") > 1):
             raise ValueError("its lines are not a header and the timesteps in their order")
-        if entries and entries[0]["format"] != FORMAT:
+        if entries and repr(entries[0]["format"]) != repr(FORMAT):  # neither 2.0 nor true
             raise ValueError(f"it is of format {entries[0]['format']}, not {FORMAT}")
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise ModelError(
