@@ -81,11 +81,15 @@ def edits(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
         case ast.Subscript(ctx=ast.Load(), slice=ast.Name() | ast.BinOp() | ast.Attribute()):
             before = ast.BinOp(node.slice, ast.Sub(), ast.Constant(1))
             yield "index", edited(slice=before)
+        case ast.Subscript(value=ast.Name(id="dict" | "list" | "tuple" | "set")):
+            pass  # a type
         case ast.Subscript(slice=ast.Tuple(elts=[first, second])):
             yield "index", edited(slice=ast.Tuple([second, first], ast.Load()))
         case ast.Call():
             name = ast.unparse(node.func).split(".")[-1]
-            for i in range(len(node.args) - 1 if name not in SYMMETRIC else 0):
+            products = name == "map" and ast.unparse(node.args[0]) == "mul"
+            pairs = range(0 if name in SYMMETRIC else 1 if products else len(node.args) - 1)
+            for i in pairs:
                 swapped = [*node.args[:i], node.args[i + 1], node.args[i], *node.args[i + 2 :]]
                 if ast.Starred not in map(type, swapped):
                     yield "argument", edited(args=swapped)
