@@ -91,11 +91,12 @@ def test_what_one_use_of_a_pair_can_move(discount: F) -> None:
             found = per_use(mdp, known, rewards=rewards)
             assert (found >= wanted).all()
             assert found == pytest.approx(wanted, rel=1e-5, abs=1e-29)
-        unsure = FixedPoint(value=value, error=np.full(mdp.n_states, 0.125))
+        doubt = np.arange(1, mdp.n_states + 1) / 8
+        unsure = FixedPoint(value=value, error=doubt)
         more = per_use(mdp, unsure) - per_use(mdp, known)
         for pair, row in outcomes(mdp):
-            weight = sum(half(p) for p, _, _ in row if p < 1) * mdp.float_probabilities
-            assert more[pair] == pytest.approx(weight * mdp.discount / 8, rel=1e-3, abs=1e-22)
+            wide = sum(half(p) * doubt[t] for p, t, _ in row if p < 1) * mdp.float_probabilities
+            assert more[pair] == pytest.approx(wide * mdp.discount, rel=1e-3, abs=1e-22)
 
 
 def test_exact_numbers_are_forgiven_nothing() -> None:
@@ -214,4 +215,4 @@ def test_the_widest_is_no_wider_than_the_greatest_numbers() -> None:
         spread = float(np.ptp(gain)) + float(np.ptp(value) + 2 * error.max()) / 2
         wanted = mdp.float_rewards * size + mdp.float_probabilities * spread / 2
         found = widest(mdp, FixedPoint(value=value, error=error))
-        assert found == pytest.approx(wanted * 2.0**-53, rel=1e-5)
+        assert found == pytest.approx(wanted * 2.0**-53, rel=1e-5, abs=1e-29)
