@@ -1,13 +1,32 @@
 """Pieces of a range: values as polynomials of a policy, and thresholds that lie close together."""
 
+from collections.abc import Sequence
 from fractions import Fraction as F
+from itertools import islice, pairwise
+from math import prod
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
+from flint import fmpq_poly
 from oracle import policy_values, rows_of
 
 from exact_mdp import MDP, Family, curve, parametric
+from exact_mdp.analysis.vary.curves import walk
+from exact_mdp.analysis.vary.curves.curve import ValueFunction
 from exact_mdp.analysis.vary.curves.equations import Equations
-from exact_mdp.analysis.vary.curves.walk import values_of
+from exact_mdp.analysis.vary.curves.roots import Root, roots
+from exact_mdp.analysis.vary.curves.walk import (
+    Sweep,
+    _degree,
+    _earlier,
+    _interpolated,
+    _middle,
+    unending,
+    values_of,
+)
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fraction, rational
 from exact_mdp.mdp.parametric.row_change import Piece
 
@@ -61,3 +80,255 @@ def test_thresholds_that_lie_close_together_are_both_found(apart: F) -> None:
         [True, False, False], [False, True, False], [False, False, True]]  # fmt: skip
     first, second = found.pieces[0].high, found.pieces[1].high
     assert first[0] <= 0 <= first[1] <= second[0] <= apart <= second[1]
+
+
+# ---- pieces of random families -----------------------------------------------------------------
+
+Line = Sequence[object]  # coefficients of x, from the constant up
+
+
+def paying(*states: Sequence[Line], sense: str = "max") -> Family:
+    """In each state one choice among polynomials of x, which are earned at once; then the end."""
+    end = len(states)
+
+    def build(at: dict[str, F]) -> MDP:
+        rows = [
+            (s, k, [(1, end, sum((F(c) * at["x"] ** n for n, c in enumerate(line)), F(0)))])
+            for s, lines in enumerate(states)
+            for k, line in enumerate(lines)
+        ]
+        start = {s: F(2 * s + 2, end * (end + 1)) for s in range(end)}
+        return MDP.from_outcomes([*rows, (end, 0, [(1, end, 0)])], start=start, sense=sense)
+
+    degree = max(len(line) for lines in states for line in lines) - 1
+    return Family(parameters={"x": "1/2"}, build=build, degrees={"x": max(degree, 1)})
+
+
+def check(family: Family, low: object, high: object) -> ValueFunction:
+    """The pieces are proved by the checker, cover the range, and are no more than needed."""
+    found = curve(family, "x", (low, high), policy=[0] * family.at({}).n_states)
+    assert found.violations() == []
+    assert found.pieces[0].low == (F(low), F(low))
+    assert found.pieces[-1].high == (F(high), F(high))
+    for one, other in pairwise(found.pieces):
+        assert one.high == other.low
+        assert 0 < one.high[1] - one.high[0] <= F(1, 10**12)
+        assert (one.optimal != other.optimal).any()
+    return found
+
+
+@pytest.mark.parametrize("sense", ["max", "min"])
+@pytest.mark.parametrize("seed", range(6))
+def test_the_best_of_random_polynomials_is_followed(seed: int, sense: str) -> None:
+    rng = np.random.default_rng(seed)
+    states = [rng.integers(-6, 7, (n, 4)).tolist() for n in (4, 2, 5)]
+    states[1].append(states[1][0])  # an action that is as good as another one
+    found = check(paying(*states, sense=sense), "-3/2", "5/3")
+    best = min if sense == "min" else max
+    for x in (F(k, 9) for k in range(-13, 15)):
+        worth = [best(sum(c * x**n for n, c in enumerate(line)) for line in each)
+                 for each in states]  # fmt: skip
+        assert found.at(x) == worth[0] / 6 + worth[1] / 3 + worth[2] / 2
+
+
+@pytest.mark.parametrize(
+    ("states", "turns"),
+    [
+        ([[[0], [-1, 0, 2]], [[0], [1, 0, -2]]], [F(0.7071067811865476)]),  # the same root, twice
+        ([[[0], [-1, 3]], [[0], [-2, 6]], [[0, 0], [-1, 2]]], [F(1, 3), F(1, 2)]),
+        ([[[0], [-1, 6, -9]]], []),  # is as good at 1/3 alone
+        ([[[0], [F(1, 27), F(-1, 3), 1, -1]]], [F(1, 3)]),  # a root three times over
+        ([[[0], [-1, 100000]]], [F(1, 100000)]),  # next to where the range begins
+        ([[[0], [-99999, 100000]]], [F(99999, 100000)]),
+        ([[[0], [0, 1]]], []),  # at the very end of the range
+        ([[[0], [0]], [[1], [0]]], []),
+        ([[[0], [-1, 0, 2]], [[0], [F(-707, 1000), 1]]], [F(707, 1000), F(0.7071067811865476)]),
+    ],
+)
+def test_thresholds_are_the_roots_at_which_signs_change(
+    states: list[list[Line]], turns: list[F]
+) -> None:
+    found = check(paying(*states), 0, 1)
+    assert len(found.pieces) == len(turns) + 1
+    for each, turn in zip(found.pieces, turns, strict=False):
+        assert abs(each.high[0] - turn) < F(1, 10**12)
+
+
+def test_a_point_next_to_the_middle_is_used_where_a_chance_is_0_there() -> None:
+    for low, high in ((F(0), F(1)), (F(1, 4), F(3, 4)), (F(2, 5), F(3, 5))):
+        zeros = [(low + high) / 2, low + (high - low) * F(37, 97)]
+        for many in (0, 1, 2):
+
+            def chance(x: F, count: int = many) -> F:
+                return F(1, 2) * prod(((x - zero) ** 2 for zero in zeros[:count]), start=F(1))  # noqa: B023
+
+            def build(at: dict[str, F], chance: Any = chance) -> MDP:
+                p = chance(at["x"]) * (1 + at["x"]) / 2
+                rows = [(0, 0, [(p, 0, 1), (1 - p, 1, 1)]), (1, 0, [(1, 1, 0)])]
+                return MDP.from_outcomes(rows, "1/2")
+
+            family = Family(parameters={"x": "9/20"}, build=build, degrees={"x": 5})
+            equations = _middle(family, "x", low, high)
+            origin = equations.change.piece.origin
+            assert low < origin < high
+            assert chance(origin) > 0
+            assert (equations.low, equations.high) == (low, high)
+            assert (origin == zeros[0]) == (many == 0)
+
+
+# ---- parts of the walk -------------------------------------------------------------------------
+
+
+def factored(*numbers: F) -> fmpq_poly:
+    return prod((fmpq_poly([rational(-n), 1]) for n in numbers), start=fmpq_poly([1]))
+
+
+def test_the_earlier_of_two_roots_is_the_smaller() -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(60):
+        a, b, c, d = (F(int(k), 997) for k in rng.choice(np.arange(1, 997), 4, replace=False))
+        one = next(r for r in roots(factored(a, c), F(0), F(1)))
+        other = next(r for r in roots(factored(b, d), F(0), F(1)))
+        wanted = one if min(a, c) < min(b, d) else other
+        assert _earlier(one, other).is_of(wanted.poly)
+        assert _earlier(other, one).is_of(wanted.poly)
+
+
+def test_of_equal_roots_the_one_known_better_is_the_earlier() -> None:
+    square = fmpq_poly([-2, 0, 1])
+    wide = Root(poly=square, low=F(1), high=F(2))
+    close = Root(poly=square * fmpq_poly([-3, 1]), low=F(7, 5), high=F(3, 2))
+    assert _earlier(wide, close) is close
+    assert _earlier(close, wide) is close
+    alike = Root(poly=square * fmpq_poly([-5, 1]), low=F(1), high=F(2))
+    assert _earlier(wide, alike) is wide
+    point = Root(poly=factored(F(1, 2)), low=F(1, 2), high=F(1, 2))
+    around = Root(poly=factored(F(1, 2), F(-5)), low=F(0), high=F(1))
+    assert _earlier(point, around) is point
+    assert _earlier(around, point) is point
+    beyond = Root(poly=factored(F(3, 4)), low=F(1, 2), high=F(1))
+    assert _earlier(point, beyond) is point
+    assert _earlier(beyond, point) is point
+
+
+def sweep_of(family: Family, low: F, high: F) -> Sweep:
+    return Sweep(_middle(family, "x", low, high), None, 1)
+
+
+def test_brackets_are_decimals_around_a_root_within_what_is_left() -> None:
+    sweep = sweep_of(paying([[0], [-1, 2]]), F(0), F(1))
+    square = fmpq_poly([-1, 0, 2])
+    for root, true in (
+        (Root(poly=square, low=F(0), high=F(1)), None),
+        (Root(poly=factored(F(1, 4)), low=F(1, 4), high=F(1, 4)), F(1, 4)),
+    ):
+        for k, (low, high) in enumerate(islice(sweep._brackets(root, F(0)), 4)):
+            unit = F(1, 10 ** (13 + 3 * k))
+            assert high - low <= 2 * unit
+            assert (low / unit).denominator == (high / unit).denominator == 1
+            if true is None:
+                assert 2 * low**2 < 1 < 2 * high**2
+            else:
+                assert (low, high) == (true - unit, true + unit)
+    quarter = Root(poly=factored(F(1, 4)), low=F(1, 4), high=F(1, 4))
+    here = F(1, 4) - F(1, 10**16)
+    low, _ = next(sweep._brackets(quarter, here))
+    assert low == F(1, 4) - F(1, 10**19)
+    sweep.high = F(1, 4) + F(1, 10**16)
+    _, high = next(sweep._brackets(quarter, F(0)))
+    assert high == F(1, 4) + F(1, 10**19)
+
+
+def test_the_best_action_of_a_state_is_taken_first() -> None:
+    sweep = sweep_of(paying([[0], [3], [1]], [[0], [1]], [[5], [2]]), F(0), F(1))
+    sweep._follow(np.array([0, 3, 5, 7]))
+    sweep._improve(F(1, 4), F(1, 2))
+    assert sweep.policy.tolist() == [1, 4, 5, 7]
+
+
+# ---- degrees, points and refusals --------------------------------------------------------------
+
+
+def test_the_degree_is_the_sum_of_the_greatest_of_each_state(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """2 of state 0 (a reward of its second pair), 1 of state 1 (a chance), 0 of state 2."""
+
+    def build(at: dict[str, F]) -> MDP:
+        x = at["x"]
+        rows = [
+            (0, 0, [(1, 1, x)]),
+            (0, 1, [(1, 0, x * x)]),
+            (1, 0, [(x, 0, 0), (1 - x, 2, 0)]),
+            (2, 0, [(1, 1, 1)]),
+        ]
+        return MDP.from_outcomes(rows, "1/2")
+
+    family = Family(parameters={"x": "1/2"}, build=build, degrees={"x": 2})
+    equations = _middle(family, "x", F(0), F(1))
+    assert _degree(equations) == 3
+    monkeypatch.setattr(walk, "LARGEST", 3)
+    monkeypatch.setattr(walk, "CYCLIC_DEGREE", 3)
+    assert _degree(equations) == 3
+    monkeypatch.setattr(walk, "CYCLIC_DEGREE", 2)
+    with pytest.raises(ModelError, match="degree 3"):
+        _degree(equations)
+    monkeypatch.setattr(walk, "LARGEST", 2)
+    with pytest.raises(ModelError, match="3 states with cycles"):
+        _degree(equations)
+
+
+def test_values_are_interpolated_from_points_inside_the_section() -> None:
+    """v0 = x + q v1, v1 = 1 + q v0 with q = x / 2: D = 1 - q², N = (x + q, 1 + q x)."""
+    seen = []
+
+    def chance(at: Any) -> Any:
+        seen.append(fraction(at))
+        return at / 2
+
+    section: Any = SimpleNamespace(low=F(1, 3), high=F(5, 3))
+    entries: Any = [(1, chance), (2, chance)]
+    tops, below = _interpolated(section, 2, entries, [fmpq_poly([0, 1]), fmpq_poly([1])])
+    assert below == fmpq_poly([1, 0, rational(F(-1, 4))])
+    assert tops == [fmpq_poly([0, rational(F(3, 2))]), fmpq_poly([1, 0, rational(F(1, 2))])]
+    assert len({*seen}) == 3
+    assert all(F(1, 3) < x < F(5, 3) for x in seen)
+
+
+def test_without_cycles_values_are_polynomials() -> None:
+    """Half of each pair: 1/2 (x + 3/4 (2 x - 1)) + 1/2 2."""
+
+    def build(at: dict[str, F]) -> MDP:
+        rows = [
+            (0, 0, [(1, 1, at["x"])]),
+            (0, 1, [(1, 2, 2)]),
+            (1, 0, [(1, 2, 2 * at["x"] - 1)]),
+            (2, 0, [(1, 2, 0)]),
+        ]
+        return MDP.from_outcomes(rows, "3/4")
+
+    equations = _middle(Family(parameters={"x": "1/2"}, build=build), "x", F(0), F(1))
+    mix = [[(0, rational(F(1, 3))), (1, rational(F(2, 3)))], [(2, rational(F(1)))], []]
+    tops, below = values_of(equations, mix)
+    assert below == 1
+    assert tops[0] == fmpq_poly([rational(F(13, 12)), rational(F(5, 6))])
+    assert tops[1:] == [fmpq_poly([-1, 2]), fmpq_poly()]
+
+
+def test_where_values_may_be_infinite_is_said_with_the_ways_out() -> None:
+    plain, both = unending("here"), unending("there", beside=True)
+    assert plain.where == "the total at discount 1, here"
+    assert "some policy never ends" in plain.what
+    assert "within(N)" in plain.fix
+    assert "every run ends for sure" in plain.fix
+    assert "beside the goal" in both.what
+    assert "within(N)" not in both.fix
+    assert "every run ends at the goal" in both.fix
+    assert "range" not in unending("here", ranges=False).fix
+
+    def build(at: dict[str, F]) -> MDP:
+        rows = [(0, 0, [(at["x"], 1, 1), (1 - at["x"], 0, 1)]), (0, 1, [(1, 0, 0)])]
+        return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])], 1)
+
+    with pytest.raises(ModelError, match="never ends"):
+        curve(Family(parameters={"x": "1/2"}, build=build), "x", ("1/4", "3/4"))
