@@ -4,17 +4,20 @@ from fractions import Fraction
 from itertools import pairwise
 
 import flint
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from exact_mdp.analysis.vary.curves.roots import (
+    Root,
     nonnegative,
     odd_part,
     positive,
     roots,
     roots_on,
     sign,
+    signs,
     simple,
     variations,
 )
@@ -84,3 +87,123 @@ def test_roots_closer_than_a_bracket_are_told_apart() -> None:
         brackets = root.apart(below, F(1, 10**12))
         assert below < brackets.low <= true <= brackets.high <= 1
         below = brackets.high
+
+
+@pytest.mark.parametrize("lead", [1, -1])
+@pytest.mark.parametrize("width", [F(1, 3), F(1, 10), F(1, 10**6)])
+def test_a_root_is_halved_until_it_is_narrow_and_no_further(lead: int, width: Fraction) -> None:
+    """Whether the ends are roots themselves, or one of them, or neither."""
+    low, high = F(-1, 2), F(3, 2)
+    for number in (F(1, 7), F(-2, 9), F(7, 5), F(22, 17)):
+        for others in ([], [low], [high], [low, high], [F(-3)], [F(2)]):
+            whole = Root(poly=product([number, *others]) * lead, low=low, high=high)
+            near = whole.narrowed(width)
+            assert near.poly == whole.poly
+            assert low <= near.low < number < near.high <= high
+            assert width / 2 < near.high - near.low <= width
+            assert near.narrowed(near.high - near.low) is near
+            assert near.narrowed(width * 5) is near
+
+
+def test_a_root_that_is_met_is_an_exact_one() -> None:
+    whole = Root(poly=product([F(5, 8)]), low=F(0), high=F(1))
+    assert whole.narrowed(F(1, 2)).low == F(1, 2)
+    exact = whole.narrowed(F(1, 8))
+    assert exact.low == exact.high == F(5, 8)
+    assert exact.narrowed(F(0)) is exact
+
+
+def test_a_root_apart_from_a_point_has_no_root_at_its_ends() -> None:
+    third = Root(poly=product([F(0), F(1, 3), F(1)]), low=F(0), high=F(1))
+    exact = third.apart(F(0), F(1, 100))
+    assert (exact.low, exact.high) == (F(1, 3), F(1, 3))
+    square = flint.fmpq_poly([-2, 0, 1])
+    for poly, low, high in (
+        (square, F(1), F(2)),
+        (square * product([F(1)]), F(1), F(2)),
+        (square * product([F(2)]), F(1), F(2)),
+        (square * product([F(1), F(2)]), F(1), F(2)),
+    ):
+        for point in (F(1), F(141421356237, 10**11)):
+            near = Root(poly=poly, low=low, high=high).apart(point, F(3))
+            assert point < near.low < near.high
+            assert near.low**2 < 2 < near.high**2
+            assert near.high - near.low <= 1
+            assert sign(poly, near.low) * sign(poly, near.high) == -1
+    loose = Root(poly=square, low=F(1), high=F(2)).apart(F(0), F(3))
+    assert (loose.low, loose.high) == (1, 2)
+    long = F(123456789012347, 10**15)  # no fraction of a denominator that is looked for
+    wide = Root(poly=product([long]), low=F(0), high=F(1)).apart(F(0), F(1, 10**3))
+    assert 0 < wide.low < long < wide.high
+
+
+@pytest.mark.parametrize("digits", [1, 6, 12])
+def test_a_root_apart_is_a_fraction_where_its_denominator_is_small(digits: int) -> None:
+    number = F(10 ** (digits - 1) + 1, 10**digits - 1) if digits > 1 else F(2, 7)
+    near = Root(poly=product([number]), low=F(0), high=F(1)).apart(F(0), F(1, 10 ** (2 * digits)))
+    assert (near.low, near.high) == (number, number)
+
+
+def test_another_polynomial_may_have_the_root_too() -> None:
+    square = flint.fmpq_poly([-2, 0, 1])
+    root = Root(poly=square * product([F(3)]), low=F(1), high=F(2))
+    assert root.is_of(square * product([F(7)]))
+    assert root.is_of(square**2)
+    assert not root.is_of(product([F(3)]))
+    assert not root.is_of(flint.fmpq_poly([-3, 0, 1]))  # another one in the same interval
+    point = Root(poly=product([F(1, 2)]), low=F(1, 2), high=F(1, 2))
+    assert point.is_of(product([F(1, 2), F(4)]))
+    assert not point.is_of(product([F(1, 3), F(4)]))
+
+
+def test_signs_are_those_of_the_coefficients_after_the_substitution() -> None:
+    """(1 + t)^n p((b + a t) / (1 + t)), multiplied out term by term."""
+    rng = np.random.default_rng(3)
+    for _ in range(40):
+        numbers = [F(int(k)) for k in rng.integers(-9, 10, 4)] + [F(1)]
+        low, high = (F(int(k), 5) for k in sorted(rng.choice(np.arange(-9, 10), 2, replace=False)))
+        poly = flint.fmpq_poly([rational(c) for c in numbers])
+        up, one = flint.fmpq_poly([rational(high), rational(low)]), flint.fmpq_poly([1, 1])
+        terms = (rational(c) * up**k * one ** (4 - k) for k, c in enumerate(numbers))
+        coefficients = sum(terms, flint.fmpq_poly()).coeffs()
+        wanted = [c > 0 for c in coefficients if c != 0]
+        assert signs(poly, low, high) == wanted
+        assert variations(poly, low, high) == sum(a != b for a, b in pairwise(wanted))
+
+
+def test_at_one_point_an_interval_is_as_a_point() -> None:
+    poly = product([F(1), F(2)])
+    for x, least in ((F(0), 1), (F(1), 0), (F(3, 2), -1), (F(2), 0), (F(3), 1)):
+        assert sign(poly, x) == least
+        assert nonnegative(poly, x, x) == (least >= 0)
+        assert positive(poly, x, x) == (least > 0)
+        assert roots_on(poly, x, x) == (least == 0)
+
+
+def test_a_polynomial_is_looked_at_inside_the_interval_alone() -> None:
+    """Double roots hide from the first look; the sign is negative just beyond an end."""
+    for low, high in ((F(0), F(1)), (F(2), F(3)), (F(-3), F(-1))):
+        at = [low + (high - low) * F(k, 6) for k in range(1, 6)]
+        for a, b in pairwise(at):
+            double = product([a, a, b, b])
+            assert nonnegative(double, low, high)
+            assert not nonnegative(-double, low, high)
+            assert nonnegative(double * product([low]), low, high)
+            assert nonnegative(-double * product([high]), low, high)
+            assert not nonnegative(-double * product([low]), low, high)
+            assert not nonnegative(double * product([high]), low, high)
+
+
+def test_double_roots_become_single_ones() -> None:
+    a, b, c = F(1, 2), F(-3), F(5, 7)
+    poly = product([a, b, b, c, c, c]) * 6
+    assert simple(poly) / simple(poly).leading_coefficient() == product([a, b, c])
+    odd = odd_part(poly)
+    assert odd / odd.leading_coefficient() == product([a, c])
+    assert odd_part(product([b, b])).degree() == 0
+    for few in (flint.fmpq_poly([3]), product([a]), flint.fmpq_poly()):
+        assert simple(few) == few
+    assert simple(product([b, b])).degree() == 1
+    assert [each.low for each in roots(product([a]), F(0), F(1))] == [F(0)]
+    assert roots_on(poly, b, c) == 3
+    assert roots_on(poly, a, F(7, 10)) == 1
