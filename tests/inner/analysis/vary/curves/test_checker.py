@@ -1,15 +1,25 @@
 """The checker of curves: each rule refuses what breaks it alone."""
 
+import pickle
 from dataclasses import replace
 from fractions import Fraction as F
+from math import prod
 from typing import Any
 
+import numpy as np
 import pytest
 from flint import fmpq_poly
 
 from exact_mdp import MDP, Family, curve
-from exact_mdp.analysis.vary.curves.checker import RationalFunction, piece_violations
+from exact_mdp.analysis.vary.curves.checker import (
+    CurvePiece,
+    RationalFunction,
+    _turn_at_once,
+    piece_violations,
+)
 from exact_mdp.mdp.exact import rational
+from exact_mdp.mdp.parametric.row_change import Piece
+from exact_mdp.mdp.table import shown
 
 
 def build(at: dict[str, F]) -> MDP:
@@ -91,3 +101,150 @@ def test_a_ratio_has_its_value_and_derivative(x: F) -> None:
     assert found.at(x) == (2 + 4 * x) / (6 + 2 * x)
     assert found.slope(x) == F(20) / (6 + 2 * x) ** 2
     assert RationalFunction.of(((0, F(0)),), values).numerator == (0,)
+
+
+# ---- lines that cross --------------------------------------------------------------------------
+
+
+def lines(*values: tuple[object, object]) -> Family:
+    """One step, in which action k pays a + b x for the k-th (a, b); the end is state 1."""
+
+    def build(at: dict[str, F]) -> MDP:
+        rows = [(0, k, [(1, 1, F(a) + F(b) * at["x"])]) for k, (a, b) in enumerate(values)]
+        return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])])
+
+    return Family(parameters={"x": "1/2"}, build=build)
+
+
+def piece(
+    low: tuple[object, object],
+    high: tuple[object, object],
+    best: list[bool],
+    worth: list[Any],
+    section: Piece,
+) -> CurvePiece:
+    return CurvePiece(
+        low=(F(low[0]), F(low[1])),
+        high=(F(high[0]), F(high[1])),
+        section=section,
+        optimal=np.array([*best, False]),
+        start=((0, F(1)),),
+        values=((fmpq_poly([rational(F(c)) for c in worth]), fmpq_poly()), fmpq_poly([1])),
+    )
+
+
+WHOLE = Piece(low=F(0), high=F(1), origin=F(1, 2))
+
+
+def refused(family: Family, *pieces: CurvePiece) -> list[str]:
+    return list(piece_violations(family, "x", pieces, None, 1))
+
+
+def test_one_threshold_may_lie_in_a_bracket_and_two_may_not() -> None:
+    """1 - x, 1/2 and x: all turn at 1/2; where 1/2 becomes 9/16, at 7/16 and at 9/16."""
+    near = F(3, 8), F(5, 8)
+    one = piece((0, 0), near, [True, False, False], [1, -1], WHOLE)
+    other = piece(near, (1, 1), [False, False, True], [0, 1], WHOLE)
+    assert refused(lines((1, -1), ("1/2", 0), (0, 1)), one, other) == []
+    assert refused(lines((1, -1), ("1/4", 0), (0, 1)), one, other) == []
+    wrong = refused(lines((1, -1), ("9/16", 0), (0, 1)), one, other)
+    assert [each.rpartition(" ")[0] for each in wrong] == ["nothing proves what is optimal next to"]
+    for narrow in ((F(1, 2), F(5, 8)), (F(3, 8), F(1, 2)), (F(1, 2), F(1, 2))):
+        assert (
+            refused(
+                lines((1, -1), ("1/2", 0), (0, 1)),
+                replace(one, high=narrow),
+                replace(other, low=narrow),
+            )
+            == []
+        )
+
+
+def test_pieces_of_a_section_join_and_are_of_its_values() -> None:
+    family = lines((1, -1), (0, 1))
+    near = F(3, 8), F(5, 8)
+    one = piece((0, 0), near, [True, False], [1, -1], WHOLE)
+    other = piece(near, (1, 1), [False, True], [0, 1], WHOLE)
+    assert refused(family, one, other) == []
+    gap = F(5, 8), F(3, 4)
+    assert any("nothing proves" in x for x in refused(family, one, replace(other, low=gap)))
+    early = (F(1, 8), F(1, 4)), (F(1, 4), F(3, 8))
+    for between in early:  # not where the lines cross
+        said = refused(family, replace(one, high=between), replace(other, low=between))
+        assert said == ["a pair of state 0 is better from " + shown(between[1]) + " on"]
+    late = F(3, 4), F(7, 8)
+    said = refused(family, replace(one, high=late), replace(other, low=late))
+    assert said == ["a pair of state 0 is better from 0 on"]
+    assert any("outside" in x for x in refused(family, one, replace(other, high=(F(1), F(2)))))
+    wide = replace(one, low=(F(0), F(1, 8)))
+    assert any("nothing proves" in x for x in refused(family, wide, other))
+    both = replace(one, optimal=np.array([True, True, False]))
+    assert any("are not those that are optimal" in x for x in refused(family, both, other))
+    none = replace(one, optimal=np.array([False, False, False]))
+    assert any("are not those that are optimal" in x for x in refused(family, none, other))
+
+
+def test_sections_are_joined_at_points_where_values_may_turn() -> None:
+    """The same lines, which cross at the very end of a section."""
+    family = lines((1, -1), (0, 1))
+    left = Piece(low=F(0), high=F(1, 2), origin=F(1, 4))
+    right = Piece(low=F(1, 2), high=F(1), origin=F(3, 4))
+    one = piece((0, 0), ("1/2", "1/2"), [True, False], [1, -1], left)
+    other = piece(("1/2", "1/2"), (1, 1), [False, True], [0, 1], right)
+    assert refused(family, one, other) == []
+    ajar = replace(other, low=(F(1, 2), F(5, 8)))
+    assert any("nothing proves" in x for x in refused(family, one, ajar))
+    apart = replace(one, high=(F(3, 8), F(3, 8)))
+    assert any("nothing proves" in x for x in refused(family, apart, other))
+    mixed = replace(one, section=right)
+    assert any("outside its section" in x for x in refused(family, mixed))
+
+
+def test_rows_are_one_polynomial_inside_a_section() -> None:
+    """A family that says where its formula may change: a section may end there, and not pass it."""
+    one = piece((0, 0), (1, 1), [True], ["1/2", -1], WHOLE)
+    for place, passed in (("0", False), ("1/2", True), ("1", False), ("3/2", False)):
+        family = replace(lines(("1/2", -1)), breaks={"x": [place]})
+        said = refused(family, one)
+        assert said == ["rows pass to other polynomials inside a section"] * passed
+
+
+def test_a_polynomial_survives_being_pickled() -> None:
+    for numbers in ([], [F(2, 3), F(0), F(-5, 7)], [F(4)]):
+        poly = fmpq_poly([rational(c) for c in numbers])
+        assert pickle.loads(pickle.dumps(poly)) == poly
+
+
+def test_gaps_turn_at_once_where_they_share_their_only_root() -> None:
+    def through(*numbers: F) -> fmpq_poly:
+        return prod((fmpq_poly([rational(-n), 1]) for n in numbers), start=fmpq_poly([1]))
+
+    half, third, bracket = F(1, 2), F(1, 3), (F(1, 4), F(3, 4))
+    assert _turn_at_once([], bracket)
+    assert _turn_at_once([through(half)], bracket)
+    assert _turn_at_once([through(half), through(half, F(2)), through(F(5))], bracket)
+    assert _turn_at_once([through(third, third), -through(half)], bracket)
+    assert _turn_at_once([through(half, half, half)], bracket)
+    assert not _turn_at_once([through(half), through(third)], bracket)
+    assert not _turn_at_once([through(half, third)], bracket)
+    assert not _turn_at_once([through(half, third), through(half)], bracket)
+    assert not _turn_at_once([through(half, F(2)), through(third, F(2))], (F(1, 4), F(1)))
+
+
+def test_a_ratio_is_that_of_the_weighed_states() -> None:
+    """1/3 (x) - 2/3 (1 - x²) over 3 x: the first coefficient that is not 0 is made 1."""
+    values = (fmpq_poly([0, 1]), fmpq_poly([1, 0, -1])), fmpq_poly([0, 3])
+    found = RationalFunction.of(((0, F(1, 3)), (1, F(-2, 3))), values)
+    assert found.denominator == (0, 1)
+    assert found.numerator == (F(-2, 9), F(1, 9), F(2, 9))
+    assert found.at(F(2)) == (F(2, 3) - F(2, 3) * (1 - 4)) / 6
+
+
+def test_the_value_of_a_piece_is_that_of_its_start() -> None:
+    one = FOUND.pieces[0]
+    assert one.fixed is not None
+    for x in (F(1, 8), F(1, 5)):
+        wait = 1 / (1 - F(9, 10) * (1 - x))
+        assert one.fixed.at(x) == wait / 2 + (x / 2 + F(9, 20) * wait) / F(11, 20) / 2
+        assert one.value.at(x) == wait / 2 + (x / 2 + F(9, 20) * wait) / F(11, 20) / 2
+    assert replace(one, fixed_values=None).fixed is None

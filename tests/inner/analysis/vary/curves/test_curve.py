@@ -1,5 +1,7 @@
 """Curves of random families, against policy iteration in fractions at many points."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from fractions import Fraction as F
 from itertools import pairwise
 
@@ -8,6 +10,8 @@ import pytest
 from oracle import policy_values, rows_of, solve_exact
 
 from exact_mdp import MDP, Family, curve
+from exact_mdp.analysis.vary.curves.curve import ValueFunction, _between, _point
+from exact_mdp.mdp.errors import ModelError
 
 NEAR = F(1, 10**20)  # of a step for derivatives: its square is lost in what is compared
 
@@ -91,3 +95,244 @@ def test_the_discount_is_a_parameter_like_any_other(seed: int) -> None:
     assert found.violations() == []
     for k in range(1, 10):
         assert found.at(F(k, 10)) == start_of(mdp.with_(discount=F(k, 10)))
+
+
+# ---- closed forms ------------------------------------------------------------------------------
+
+
+def paying(*lines: Sequence[object], sense: str = "max") -> Family:
+    """One choice among polynomials of x (coefficients from the constant up), earned at once."""
+
+    def build(at: dict[str, F]) -> MDP:
+        paid = [sum((F(c) * at["x"] ** n for n, c in enumerate(line)), F(0)) for line in lines]
+        rows = [(0, k, [(1, 1, each)]) for k, each in enumerate(paid)]
+        return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])], sense=sense)
+
+    return Family(parameters={"x": "1/2"}, build=build, degrees={"x": 3})
+
+
+def held(*lines: Sequence[object], low: object = 0, high: object = 1) -> ValueFunction:
+    return curve(paying(*lines), "x", (low, high), policy=[0, 0])
+
+
+def ends(found: ValueFunction, *limits: object) -> list[tuple[float, float]]:
+    """The intervals, each between the middles of its brackets."""
+    every = found.within(*limits)
+    for each in every:
+        for low, high in (each.low, each.high):
+            assert 0 <= high - low <= F(1, 10**12)
+    return [(float(sum(each.low) / 2), float(sum(each.high) / 2)) for each in every]
+
+
+@pytest.mark.parametrize(
+    ("lines", "limit", "wanted"),
+    [
+        ([["-1/9", "2/3", -1], [0]], 0, [(1 / 3, 1 / 3)]),  # -(x - 1/3)², as good at one point
+        ([["-1/9", "2/3", -1], [0]], "1/100", [(1 / 3 - 0.1, 1 / 3 + 0.1)]),
+        ([["-1/9", "2/3", -1], [0]], "1/9", [(0, 2 / 3)]),
+        ([["-1/9", "2/3", -1], [0]], 1, [(0, 1)]),
+        ([["1/9", "-2/3", 1], [0]], 0, [(0, 1)]),
+        ([["1/2"], [0, 1], [1, -1]], 0, [(0.5, 0.5)]),  # three lines through one point
+        ([["1/2"], [0, 1], [1, -1]], "1/4", [(0.25, 0.75)]),
+        ([[0, 1], ["1/2"]], 0, [(0.5, 1)]),
+        ([[1, -1], ["1/2"]], 0, [(0, 0.5)]),
+        ([[0, 0, 1], ["1/2"]], 0, [(0.5**0.5, 1)]),
+        ([[0], ["-3/16", 1, -1]], 0, [(0, 0.25), (0.75, 1)]),
+        ([[0], ["3/16", -1, 1]], 0, [(0.25, 0.75)]),
+        ([[0], ["3/16", -1, 1]], "3/16", [(0, 1)]),
+        ([[0], ["-3/16", 1, -1]], "1/16", [(0, 1)]),  # the loss touches the limit at 1/2
+        ([[0], ["1/16", 1, -1]], "5/16", [(0, 1)]),
+        ([[0], [1, -1]], 0, [(1, 1)]),  # at an end of the range alone
+        ([[0], [0, 1]], 0, [(0, 0)]),
+        ([[0], [1]], 0, []),
+        ([[0], [1]], "1/2", []),
+        ([[0], [1]], 1, [(0, 1)]),
+    ],
+)
+def test_a_limit_is_kept_from_root_to_root(
+    lines: list[list[object]], limit: object, wanted: list[tuple[float, float]]
+) -> None:
+    found = held(*lines)
+    assert found.violations() == []
+    got = ends(found, limit)
+    assert [x for each in got for x in each] == pytest.approx(
+        [x for each in wanted for x in each], abs=1e-11
+    )
+    if limit == 0:
+        assert ends(found) == got
+
+
+@pytest.mark.parametrize("sense", ["max", "min"])
+@pytest.mark.parametrize("seed", range(5))
+def test_a_relative_limit_is_a_share_of_the_absolute_optimum(seed: int, sense: str) -> None:
+    """The optimum changes its sign in the range."""
+    rng = np.random.default_rng(seed)
+    lines = rng.integers(-4, 5, (3, 3)).tolist()
+    found = curve(paying(*lines, sense=sense), "x", (-1, 1), policy=[0, 0])
+    inside = found.within(max_relative_regret="2/5")
+    best = max if sense == "max" else min
+    for x in (F(k, 60) for k in range(-60, 61)):
+        worth = [sum(c * x**n for n, c in enumerate(line)) for line in lines]
+        optimum = best(worth)
+        assert (found.at(x), found.fixed_at(x)) == (optimum, worth[0])
+        kept = abs(optimum - worth[0]) <= F(2, 5) * abs(optimum)
+        sure = any(each.low[1] <= x <= each.high[0] for each in inside)
+        maybe = any(each.low[0] <= x <= each.high[1] for each in inside)
+        assert sure <= kept <= maybe
+
+
+def test_what_is_asked_for_of_a_limit_is_one_thing() -> None:
+    found = held([0], [0, 1])
+    with pytest.raises(ModelError, match="two limits"):
+        found.within(1, 1)
+    assert found.within(1) == found.within(max_relative_regret=1)
+    bare = curve(paying([0], [0, 1]), "x", (0, 1))
+    with pytest.raises(ModelError, match="no policy"):
+        bare.within(1)
+    assert bare.fixed_at("1/2") is None
+
+
+def test_slopes_differ_at_a_threshold_and_end_with_the_range() -> None:
+    """The greater of 1/2 and x²."""
+    found = held(["1/4"], [0, 0, 1])
+    assert found.slope(0) == (None, 0)
+    assert found.slope("1/4") == (0, 0)
+    assert found.slope("1/2") == (0, 1)
+    assert found.slope("3/4") == (F(3, 2), F(3, 2))
+    assert found.slope(1) == (2, None)
+    low, high = found.pieces[0].high
+    assert found.around(low) == found.around(high) == list(found.pieces)
+    assert found.around(0) == [found.pieces[0]]
+    assert found.around(1) == [found.pieces[1]]
+    for beyond in (F(-1, 10**9), 1 + F(1, 10**9)):
+        with pytest.raises(ModelError, match="outside the range of the curve"):
+            found.at(beyond)
+
+
+def test_a_cover_with_a_hole_is_refused() -> None:
+    found = held(["1/4"], [0, 0, 1])
+    one, other = found.pieces
+    cases = [(one,), (other,), (other, one), (replace(one, low=(F(1, 9), F(1, 9))), other)]
+    cases.append((replace(one, high=one.high[::-1]), replace(other, low=other.low[::-1])))
+    for pieces in cases:
+        assert any("no piece covers" in each for each in replace(found, pieces=pieces).violations())
+
+
+def test_the_report_has_the_ends_values_and_actions_of_pieces() -> None:
+    """From 1/9 to 1: 1/4, then x² from 1/2 on."""
+    found = held(["1/4"], [0, 0, 1], low="1/9")
+    assert repr(found) == "ValueFunction(x from 0.111111 to 1: 2 pieces, checked)"
+    report = found.report(found.within("1/9"))
+    one, other = report.facts["pieces"]
+    assert (one["from"], one["to"], other["from"], other["to"]) == (F(1, 9), F(1, 2), F(1, 2), 1)
+    assert (one["from_bracket"], other["to_bracket"]) == ((F(1, 9), F(1, 9)), (1, 1))
+    assert one["to_bracket"] == other["from_bracket"] == found.pieces[0].high
+    assert (one["numerator"], one["denominator"]) == ((F(1, 4),), (1,))
+    assert other["numerator"] == (0, 0, 1)
+    assert one["fixed"] == {"numerator": (F(1, 4),), "denominator": (1,)}
+    assert [next(iter(each["policy"].values())) for each in (one, other)] == ["0", "1"]
+    assert (report.facts["parameter"], str(report.facts["claim"])) == ("x", "checked")
+    within = report.facts["within"]
+    (kept,) = within.value
+    assert (kept["from"], float(kept["to"])) == (F(1, 9), pytest.approx(13**0.5 / 6, abs=1e-11))
+    assert within.text.startswith("the policy keeps the limit: 0.1111111111 to 0.600925212")
+    assert "within" not in found.report().facts
+    assert found.report([]).facts["within"].text.endswith("nowhere")
+    assert "fixed" not in curve(paying([0]), "x", (0, 1)).report().facts["pieces"][0]
+    frame = found.frame()
+    assert frame["low"].tolist() == pytest.approx([1 / 9, 1 / 2])
+    assert frame["high"].tolist() == pytest.approx([1 / 2, 1])
+    assert frame["degree"].tolist() == [0, 2]
+    assert frame["value_low"].tolist() == pytest.approx([1 / 4, 1 / 4])
+    assert frame["value_high"].tolist() == pytest.approx([1 / 4, 1])
+    assert frame["parameter"].tolist() == ["x", "x"]
+    assert frame["claim"].tolist() == ["checked", "checked"]
+    table = report.tables["pieces"]
+    assert list(table.columns) == ["from", "to", "value from", "value to", "degree"]
+    assert (report.title, len(table.rows)) == ("curve", 2)
+
+
+def test_values_at_the_ends_of_a_piece_are_taken_inside_its_brackets() -> None:
+    """A wide bracket shows which of its ends is used."""
+    found = held([0, 1])
+    wide = replace(found.pieces[0], low=(F(0), F(1, 4)), high=(F(1, 2), F(1)))
+    frame = replace(found, pieces=(wide,)).frame()
+    assert [frame[key][0] for key in ("low", "high", "value_low", "value_high")] == [
+        0,
+        1,
+        0.25,
+        0.5,
+    ]
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "point"),
+    [
+        (F(1, 3) - F(1, 10**13), F(1, 3) + F(1, 10**13), F(1, 3)),
+        (F(22, 7), F(22, 7), F(22, 7)),
+        (F(5), F(5) + F(1, 10**13), F(5)),
+        (F(5) - F(1, 10**13), F(5), F(5)),
+        (F(12345, 67891), F(12345, 67891), F(12345, 67891)),
+        (F(-3, 11) - F(1, 10**9), F(-3, 11) + F(1, 10**10), F(-3, 11)),
+    ],
+)
+def test_a_point_of_small_denominator_stands_for_a_bracket(low: F, high: F, point: F) -> None:
+    assert _point((low, high)) == point
+    assert _between((low, high), (F(7), F(7))) == {
+        "from": point, "to": 7, "from_bracket": (low, high), "to_bracket": (F(7), F(7))
+    }  # fmt: skip
+
+
+# ---- ranges, and the policy held fixed ---------------------------------------------------------
+
+
+def staying(ends: bool) -> MDP:
+    """Earn 1 a step; a run ends with chance 1/2 each step, or never."""
+    on = [(F(1, 2), 0, 1), (F(1, 2), 1, 1)] if ends else [(1, 0, 1)]
+    return MDP.from_outcomes([(0, 0, on), (1, 0, [(1, 1, 0)])], "1/2")
+
+
+def test_a_discount_ends_next_to_1_where_there_are_no_values_at_1() -> None:
+    nearly = 1 - F(1, 2**40)
+    for given, low, high in (
+        (("1/4", 1), F(1, 4), nearly),
+        (("1/4", "3/4"), F(1, 4), F(3, 4)),
+        ((nearly - F(1, 2**50), 1), nearly - F(1, 2**50), nearly),
+        (None, F(0), nearly),
+    ):
+        found = curve(staying(False), "discount", given)
+        assert (found.range.low, found.range.high) == (low, high)
+        assert found.at(low) == 1 / (1 - low)
+        assert found.at(high) == 1 / (1 - high)
+        assert found.violations() == []
+    for low in (nearly, nearly + F(1, 2**50)):
+        with pytest.raises(ModelError, match="at discount 1 some policy never ends"):
+            curve(staying(False), "discount", (low, 1))
+        assert curve(staying(True), "discount", (low, 1)).at(1) == 2
+    assert curve(staying(True), "discount", ("1/4", 1)).range.high == 1
+    assert str(curve(staying(True), "discount", ("1/4", "3/4")).claim) == "certified"
+    share = curve(staying(False), "discount", relative="1/10").range
+    assert (share.low, share.high) == (F(9, 20), F(11, 20))
+    other = curve(paying([0, 1]), "x", relative="1/10").range
+    assert (other.low, other.high) == (F(9, 20), F(11, 20))
+    whole = curve(paying([0, 1]), "x").range
+    assert (whole.low, whole.high) == (0, 1)
+
+
+def test_a_policy_says_what_it_does_where_that_matters() -> None:
+    """In state 1 both actions are the same at x = 0 alone."""
+
+    def build(at: dict[str, F], share: F = F(1)) -> MDP:
+        rows = [
+            (0, 0, [(1, 1, 1)]),
+            (0, 1, [(1, 2, 0)]),
+            (1, 0, [(1, 2, at["x"])]),
+            (1, 1, [(1, 2, -share * at["x"])]),
+            (2, 0, [(1, 2, 0)]),
+        ]
+        return MDP.from_outcomes(rows)
+
+    family = Family(parameters={"x": 0}, build=build)
+    found = curve(family, "x", (-1, 1), policy={0: 0, 1: 1})
+    assert found.fixed_at("1/2") == F(1, 2)
+    assert found.at("1/2") == F(3, 2)
