@@ -1,13 +1,15 @@
 """Bellman equations in polynomials, against the same equations in fractions at points."""
 
 from fractions import Fraction as F
+from typing import Any
 
+import numpy as np
 import pytest
 from flint import fmpq_poly
 from oracle import mean, rows_of
 
-from exact_mdp import MDP, Family
-from exact_mdp.analysis.vary.curves.equations import Equations, weighed
+from exact_mdp import MDP, Family, parametric
+from exact_mdp.analysis.vary.curves.equations import Equations, _different, weighed
 from exact_mdp.mdp.exact import fraction, rational
 from exact_mdp.mdp.parametric.row_change import Piece
 
@@ -72,3 +74,201 @@ def test_one_solution_is_proved_where_there_is_one() -> None:
 def test_a_weighed_sum_is_one() -> None:
     polynomials = [fmpq_poly([1, 2]), fmpq_poly([5]), fmpq_poly([0, 0, 1])]
     assert weighed([(0, F(1, 2)), (2, F(-3))], polynomials) == fmpq_poly([rational(F(1, 2)), 1, -3])
+
+
+def test_rows_that_move_hold_at_every_point() -> None:
+    """Random chances and rewards of x: gaps are those of the model at a point, pair by pair."""
+    states = [0, 0, 1, 2, 2]
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        base = rng.multinomial(3, [1 / 3] * 3, size=5) + 1  # of 6
+        slope, reward = rng.integers(-1, 2, 5).tolist(), rng.integers(-3, 4, (5, 2)).tolist()
+
+        def build(
+            at: dict[str, F], base: Any = base, slope: Any = slope, reward: Any = reward
+        ) -> MDP:
+            rows = []
+            for pair, state in enumerate(states):
+                law = [F(int(k), 6) for k in base[pair]]
+                law = [
+                    law[0] + slope[pair] * at["x"] / 6,
+                    law[1],
+                    law[2] - slope[pair] * at["x"] / 6,
+                ]
+                paid = reward[pair][0] + reward[pair][1] * at["x"]
+                outcomes = [(p, to, paid) for to, p in enumerate(law) if p]
+                rows.append((state, pair - states.index(state), outcomes))
+            return MDP.from_outcomes(rows, "2/3")
+
+        kind = Family(parameters={"x": "1/2"}, build=build)
+        equations = Equations(kind, "x", Piece(low=F(0), high=F(1), origin=F(1, 4)))
+        tops = [fmpq_poly(rng.integers(-3, 4, 3).tolist()) for _ in range(3)]
+        values = tops, fmpq_poly([3, 1])
+        equations.follow(values)
+        for x in (F(0), F(2, 7), F(1)):
+            place = rational(x)
+            below = fraction(values[1](place))
+            v = [fraction(top(place)) / below for top in tops]
+            for pair, (s, _, r, law) in enumerate(rows_of(kind.at({"x": x}))):
+                short = v[s] - r - F(2, 3) * mean(law, v)
+                assert fraction(equations.gap[pair](place)) == below * short
+        assert equations.state == states
+        # Where only the values of state 1 change, gaps come from those before.
+        news = [tops[0], tops[1] + 1, tops[2]], values[1]
+        for pair, state in enumerate(states):
+            total = equations.reward[pair] * values[1]
+            total += sum((p * news[0][to] for to, p in equations.following[pair]), fmpq_poly())
+            assert equations.ahead(pair, news) == total
+            assert equations.ahead(pair, values) == tops[state] - equations.gap[pair]
+        doubled = tops, values[1] * 2
+        for pair in range(5):
+            total = equations.reward[pair] * values[1] * 2
+            total += sum((p * tops[to] for to, p in equations.following[pair]), fmpq_poly())
+            assert equations.ahead(pair, doubled) == total
+
+
+def test_the_discount_is_the_rate_of_what_follows() -> None:
+    mdp = family(False).at({"x": F(1, 3)})
+    section = Piece(low=F(1, 4), high=F(3, 4), origin=F(1, 2))
+    equations = Equations(parametric(mdp), "discount", section)
+    assert equations.rate == fmpq_poly([0, 1])
+    third = rational(F(1, 3))
+    assert dict(equations.following[0]) == {1: fmpq_poly([0, third])}  # state 2 is terminal
+    assert dict(equations.following[2]) == {0: fmpq_poly([0, rational(F(1, 2))])}
+    assert made(False).rate == rational(F(3, 4))
+
+
+@pytest.mark.parametrize("kind", ["earns", "is left"])
+def test_a_state_that_is_terminal_at_one_point_alone_is_live(kind: str) -> None:
+    def build(at: dict[str, F]) -> MDP:
+        x = at["x"]
+        if kind == "earns":
+            last = [(1, 1, x - F(1, 2))]
+        else:
+            p = (x - F(1, 2)) ** 2
+            last = [(each, to, 0) for each, to in ((1 - p, 1), (p, 0)) if each]
+        rows = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 2, 0)]), (1, 0, last), (2, 0, [(1, 2, 0)])]
+        return MDP.from_outcomes(rows, "1/2")
+
+    family = Family(parameters={"x": "1/2"}, build=build, degrees={"x": 2})
+    equations = Equations(family, "x", Piece(low=F(0), high=F(1), origin=F(1, 2)))
+    assert equations.mdp.terminal.tolist() == [False, True, True]
+    assert equations.live == [0, 1]
+    assert equations.order is None
+    assert [to for to, _ in equations.following[0]] == [1]
+    assert equations.following[1] == []
+
+
+def test_actions_differ_in_what_they_earn_or_lead_to() -> None:
+    def build(at: dict[str, F]) -> MDP:
+        x = at["x"]
+        rows = [
+            (0, 0, [(x, 1, 1), (1 - x, 3, 1)]),
+            (0, 1, [(x, 1, 1), (1 - x, 3, 1)]),
+            (1, 0, [(1, 3, x)]),
+            (1, 1, [(1, 3, F(1, 2))]),
+            (2, 0, [(x, 1, 0), (1 - x, 3, 0)]),
+            (2, 1, [(1, 1, 0)]),
+            (3, 0, [(1, 3, 0)]),
+        ]
+        return MDP.from_outcomes(rows)
+
+    equations = Equations(
+        Family(parameters={"x": "1/2"}, build=build),
+        "x",
+        Piece(low=F(0), high=F(1), origin=F(1, 3)),
+    )
+    assert [equations.differ(state) for state in range(4)] == [False, True, True, False]
+    assert equations.order is not None
+    assert [*equations.order][-2:] in ([0, 2], [2, 0])
+
+
+def test_there_is_one_solution_where_every_policy_ends_at_every_point() -> None:
+    """Chances c (x - z)², 0 at z alone, and at discount 1: what ends is followed state by state."""
+    seen = set()
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        pairs = []  # of each pair of states 0, 1, 2: where it may go, and where that chance is 0
+        for state in range(3):
+            for _ in range(1 + int(rng.integers(2))):
+                zero = F(int(rng.choice([-1, 0, 1, 2, 3, 5])), 3)
+                pairs.append((state, int(rng.integers(4)), int(rng.integers(3)), zero))
+
+        def build(at: dict[str, F], pairs: Any = pairs) -> MDP:
+            rows, count = [], dict.fromkeys(range(3), 0)
+            for state, to, back, zero in pairs:
+                p = (at["x"] - zero) ** 2 / 9
+                rows.append(
+                    (state, count[state], [(c, t, -1) for c, t in ((p, to), (1 - p, back)) if c])
+                )
+                count[state] += 1
+            return MDP.from_outcomes([*rows, (3, 0, [(1, 3, 0)])], 1)
+
+        kind = Family(parameters={"x": "1/2"}, build=build, degrees={"x": 2})
+        equations = Equations(kind, "x", Piece(low=F(0), high=F(1), origin=F(1, 2)))
+
+        def ends(x: F, pairs: Any = pairs) -> bool:
+            near = {3}
+            for _ in range(3):
+                for state in range(3):
+                    rows = [
+                        (to if x != zero else back, back)
+                        for s, to, back, zero in pairs
+                        if s == state
+                    ]
+                    if all(near & {*each} for each in rows):
+                        near.add(state)
+            return len(near) == 4
+
+        points = [F(k, 6) for k in range(7)]
+        wanted = all(map(ends, points))
+        assert equations.one_solution() == wanted
+        assert bool([*equations.unsound()]) != wanted
+        seen.add(wanted)
+    assert seen == {True, False}
+
+
+def test_below_discount_1_there_is_one_solution_up_to_where_it_is_1() -> None:
+    def build(at: dict[str, F]) -> MDP:
+        return MDP.from_outcomes([(0, 0, [(1, 0, 1)]), (1, 0, [(1, 1, 0)])], at["g"])
+
+    loop = parametric(build({"g": F(1, 2)}))
+    for high, one in ((F(99, 100), True), (F(1), False)):
+        equations = Equations(loop, "discount", Piece(low=F(0), high=high, origin=F(1, 2)))
+        assert equations.one_solution() == one
+        said = [*equations.unsound()]
+        assert said == ["nothing proves that the Bellman equations have one solution"] * (not one)
+        assert equations._leak(0) == fmpq_poly([1, -1])
+
+
+@pytest.mark.parametrize(("discount", "high"), [("1/2", F(3, 4)), ("1/2", F(1)), ("1", F(1))])
+def test_a_run_may_miss_the_goal_at_discount_1_alone(discount: str, high: F) -> None:
+    """State 0 leads to the goal or beside it; in another model, to the goal alone."""
+    for beside in (False, True):
+        to = [(F(1, 2), 1, -1), (F(1, 2), 2, -1)] if beside else [(1, 1, -1)]
+        rows = [(0, 0, to), (1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 0)])]
+        mdp = MDP.from_outcomes(rows, discount, target=[1], start=0)
+        low = F(1, 4) if discount != "1" else F(1, 2)
+        origin = (low + high) / 2
+        equations = Equations(parametric(mdp), "discount", Piece(low=low, high=high, origin=origin))
+        missed = beside and high == 1
+        assert (equations.misses() is not None) == missed
+        words = "a run may end beside the goal, which is worth infinity"
+        assert (words in [*equations.unsound()]) == missed
+    assert made(True).misses() is None
+
+
+def test_chances_that_pass_their_bounds_are_refused() -> None:
+    words = "a probability is negative, or probabilities pass 1"
+    for low, high, wrong in ((F(0), F(1), False), (F(0), F(2), True), (F(-1), F(1), True)):
+        equations = made(True)
+        equations.low, equations.high = low, high
+        assert (words in [*equations.unsound()]) == wrong
+    more = made(True)
+    more.following[1] = [(1, fmpq_poly([rational(F(3, 4)), 1]))]  # passes 1 from x = 1/4 on
+    assert words in [*more.unsound()]
+
+
+def test_polynomials_are_told_apart_once_each() -> None:
+    one, other = fmpq_poly([1, 2]), fmpq_poly([2, 1])
+    assert _different([one, other, fmpq_poly([1, 2]), other]) == [one, other]
