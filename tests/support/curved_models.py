@@ -104,7 +104,7 @@ class CurvedModel:
         kept = []
         for state, (pair, move) in enumerate(zip(policy, moves, strict=True)):
             row = self.rows[pair]
-            stays = all(law == {state: 1} for law in row.laws) and row.reward == (0, 0)
+            stays = all(law == {state: 1} for law in row.laws) and not any(row.reward)
             kept.append({} if stays else move)
         return kept
 

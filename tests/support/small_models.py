@@ -29,7 +29,7 @@ def small_model(
     """
     rng = np.random.default_rng(seed)
     name = rng.permutation(states + ends).tolist()  # of the ends, then of the others
-    rows = [(name[end], 0, [(1, name[end], 0)]) for end in range(ends)]
+    rows: list[Any] = [(name[end], 0, [(1, name[end], 0)]) for end in range(ends)]
     for place in range(ends, states + ends):
         for action in sorted(rng.choice(3, size=rng.integers(1, 4), replace=False).tolist()):
             among = place if falling else states + ends
