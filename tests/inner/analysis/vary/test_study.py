@@ -2,14 +2,26 @@
 
 from fractions import Fraction as F
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
-from oracle import policies, policy_values, rows_of
+from oracle import mean, policies, policy_values, rows_of
 
-from exact_mdp import MDP, Family, study
-from exact_mdp.analysis.vary.study import digest, require_room
+from exact_mdp import MDP, Family, Parameter, Scenario, parametric, study
+from exact_mdp.analysis.vary.study import (
+    CareSolver,
+    ModelSolver,
+    _Built,
+    checked,
+    digest,
+    finite_optimum,
+    finite_worth,
+    require_room,
+    solver_of,
+)
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.table import MOST_BYTES
 
 POINTS = {"p": [F(1, 4), F(1, 2), F(3, 4)], "r": [F(0), F(-2), F(5)]}
 
@@ -66,3 +78,229 @@ def test_too_many_points_are_refused_before_any_work() -> None:
     require_room(10, 2, "fewer")
     with pytest.raises(ModelError):
         require_room(10**12, 50, "fewer")
+
+
+# ---- optima and policies of a few models ---------------------------------------------------------
+
+
+def varied(at: dict[str, F], sense: str = "max", start: Any = 0) -> MDP:
+    """Three states with 2, 1 and 3 pairs; rewards are fares and tips."""
+    p, r = at["p"], at["r"]
+    rows: Any = [
+        (0, 0, [(p, 1, {"fare": r, "tip": 1}), (1 - p, 2, {"fare": r, "tip": 1})]),
+        (0, 1, [(1, 2, {"fare": 3, "tip": 0})]),
+        (1, 1, [(1, 0, {"fare": -1, "tip": r})]),
+        (2, 0, [(1, 1, {"fare": 1, "tip": 0})]),
+        (2, 1, [(p, 0, {"fare": 0, "tip": 2}), (1 - p, 2, {"fare": 0, "tip": 2})]),
+        (2, 2, [(1, 1, {"fare": 1, "tip": 0})]),
+    ]
+    return MDP.from_outcomes(rows, "3/4", sense=sense, start=start)
+
+
+def exactly(mdp: MDP) -> tuple[list[F], list[F]]:
+    """The optimum of each state and what each pair loses, by enumeration."""
+    rows = [(s, a, mdp.sign * r, law) for s, a, r, law in rows_of(mdp)]
+    every = [policy_values(each, mdp.discount_exact) for each in policies(rows)]
+    best = [max(v[s] for v in every) for s in range(mdp.n_states)]
+    lost = [best[s] - r - mdp.discount_exact * mean(law, best) for s, _, r, law in rows]
+    return [mdp.sign * x for x in best], lost
+
+
+PLACES = [{"p": F(1, 3), "r": F(2)}, {"p": F(1), "r": F(-3)}, {"p": F(1, 7), "r": F(7)}]
+
+
+@pytest.mark.parametrize("together", [True, False])
+@pytest.mark.parametrize("sense", ["max", "min"])
+def test_models_are_solved_all_at_once_or_one_by_one(sense: str, together: bool) -> None:
+    models = [varied({**at, "p": min(at["p"], F(6, 7))}, sense) for at in PLACES]
+    built = _Built(models, "draw {}".format)
+    assert built.batch is not None
+    assert built.size == built.batch.rows.size == 3 * 6 * 3
+    if not together:
+        built.batch = None
+    start, error, gap, doubt, policy = built.optimum()
+    for d, mdp in enumerate(models):
+        best, lost = exactly(mdp)
+        assert abs(F(start[d]) - best[0]) <= F(error[d]) < F(1, 10**9)
+        for pair, exact in enumerate(lost):
+            assert abs(F(gap[d, pair]) - exact) <= F(doubt[d, pair]) < F(1, 10**9)
+        taken = {
+            (int(mdp.pair_state[l]), int(mdp.pair_action[l])) for l, x in enumerate(lost) if not x
+        }
+        assert {*enumerate(policy[d].tolist())} <= taken
+    weights = np.array([0.25, 0.75, 1, 0.5, 0.5, 0])
+    nowhere = np.zeros(3, dtype=bool)
+    value, off = built.held(weights, nowhere)
+    totals, far = built.totals(weights, ["tip", "fare"], nowhere)
+    for d, mdp in enumerate(models):
+        for amounts, got, bound in (
+            (mdp.reward, value[d], off[d]),
+            (mdp.components[:, 1], totals[d, 0], far[d, 0]),
+            (mdp.components[:, 0], totals[d, 1], far[d, 1]),
+        ):
+            pairs = [[F(w), F(float(x)), row] for w, x, row in
+                     zip(weights.tolist(), amounts, rows_of(mdp), strict=True)]  # fmt: skip
+            mixed = []
+            for s in range(3):
+                own = [each for each in pairs if each[2][0] == s]
+                law = {t: sum(w * row[3].get(t, F(0)) for w, _, row in own) for t in range(3)}
+                mixed.append((s, 0, sum(w * x for w, x, _ in own), law))
+            exact = policy_values(mixed, F(3, 4))[0]
+            assert abs(F(got) - exact) <= F(bound) + F(1, 10**12)
+            assert bound < 1e-9
+
+
+def test_a_study_counts_optimal_actions_and_what_first_actions_lose() -> None:
+    family = Family(parameters={"p": "1/2", "r": 1}, build=varied)
+    places = [{**at, "p": min(at["p"], F(6, 7))} for at in PLACES]
+    table = {name: [at[name] for at in places] for name in ("p", "r")}
+    found = study(family, table)
+    counts = np.zeros((2, 3), dtype=int)
+    for d, at in enumerate(places):
+        mdp = varied(at)
+        _, lost = exactly(mdp)
+        for pair, exact in enumerate(lost):
+            state, action = int(mdp.pair_state[pair]), int(mdp.pair_action[pair])
+            if state != 1 and not exact:
+                counts[state // 2, action] += 1
+            if state == 0:
+                assert found.lost[d, action] == pytest.approx(float(exact), abs=1e-12)
+        assert np.isnan(found.lost[d, 2])
+    assert found.counts.tolist() == counts.tolist()
+    assert found.cut.tolist() == [False] * 3
+    several = Family(
+        parameters={"p": "1/2", "r": 1}, build=lambda at: varied(at, start={0: 1, 1: 0})
+    )
+    assert study(several, table).lost.shape[0] == 3
+    halves = Family(
+        parameters={"p": "1/2", "r": 1}, build=lambda at: varied(at, start={0: "1/2", 1: "1/2"})
+    )
+    assert study(halves, table).lost.shape == (3, 0)
+
+
+def test_many_points_are_as_each_alone() -> None:
+    """More points than a block holds: rows and places are joined in order."""
+    family = Family(parameters={"p": "1/2", "r": 1}, build=varied)
+    count = 75
+    rng = np.random.default_rng(1)
+    table = {"r": rng.integers(-5, 6, count).astype(float), "p": rng.integers(1, 8, count) / 8}
+    whole = study(family, table, [[0, 1, 0], [1, 1, 1]])
+    for d in (0, 31, 32, 33, 64, 74):
+        alone = study(
+            family, {name: column[d : d + 1] for name, column in table.items()}, [[1, 1, 1]]
+        )
+        assert whole.points[d].tolist() == alone.points[0].tolist()
+        assert whole.optimal[d] == pytest.approx(alone.optimal[0], abs=1e-12)
+        assert whole.fixed[d, 1] == pytest.approx(alone.fixed[0, 0], abs=1e-12)
+        assert whole.rows[whole.which[d]].tolist() == alone.rows[0].tolist()
+    assert whole.names == ("r", "p")
+    assert repr(whole) == "Study(75 points of r, p)"
+    frame = whole.frame()
+    assert [*frame.columns] == [
+        "r", "p", "value", "fixed_value_0", "regret_0", "fixed_value_1", "regret_1",
+        "error_bound", "claim"]  # fmt: skip
+    assert frame["regret_1"].tolist() == whole.regret[:, 1].tolist()
+    assert frame["fixed_value_0"].tolist() == whole.fixed[:, 0].tolist()
+    assert frame["r"].tolist() == table["r"].tolist()
+    bounds = [row[0] + max(row[1:]) for row in whole.error.tolist()]
+    assert frame["error_bound"].tolist() == bounds
+    assert [*whole.frame(["a", "a"]).columns[:2]] == ["a", "a"]
+    one = study(family, table, [[0, 1, 0]]).frame()
+    assert [*one.columns[2:5]] == ["value", "fixed_value", "regret"]
+
+
+def test_a_solver_says_what_a_policy_does() -> None:
+    solver = ModelSolver(Family(parameters={"p": "1/2", "r": 1}, build=varied), ("p",))
+    assert solver.labels == ("state 0", "state 2")
+    assert solver.place.tolist() == [0, -1, 1]
+    weights = np.array([0, 1, 1, 0, 0, 1.0])
+    assert solver.row(weights).tolist() == [1, 1, 2]
+    assert solver.shown(weights) == {"state 0": "1", "state 2": "2"}
+    mixed = np.array([0.5, 0.5, 1, 0, 0, 1.0])
+    assert solver.row(mixed).tolist() == [-1, 1, 2]
+    assert solver.shown(mixed) is None
+    assert solver.held([1, 1, 2]).tolist() == weights.tolist()
+    assert solver._where(np.array([[0.5], [0.25]]), 7, 1) == "draw 8, p = 0.25"
+    assert solver._where(np.array([[0.5], [0.25]]), 7, 0) == "draw 7, today's parameters"
+    value = solver.values(np.array([[0.25], [0.75]]), [weights, mixed], 0)
+    assert value["value"].shape == value["error"].shape == (2, 2)
+    totals, errors = solver.totals(np.array([[0.25], [0.75]]), [weights, mixed], ["fare", "tip"], 0)
+    assert totals.shape == errors.shape == (2, 2, 2)
+    assert totals.sum(axis=2) == pytest.approx(value["value"])
+    with pytest.raises(ModelError, match="components are fare, tip there"):
+        solver.totals(np.array([[0.25]]), [weights], ["toll"], 0)
+
+
+# ---- care scenarios ------------------------------------------------------------------------------
+
+
+def test_loops_of_a_care_scenario_are_as_its_models() -> None:
+    scenario = parametric(Scenario.load("yuan2025").with_(tasks=[2, 1], max_trial=2))
+    today = scenario.parameters[0]
+    name = today.name
+    draws = np.array([[float(today.value)], [float(today.value) * 0.5]])
+    fast, slow = solver_of(scenario, [name]), ModelSolver(scenario, [name])
+    assert isinstance(fast, CareSolver)
+    one, other = fast.solved(draws), slow.solved(draws)
+    assert one["start"] == pytest.approx(other["start"], rel=1e-12)
+    for d in range(2):
+        assert (one["rows"][one["which"][d]] == other["rows"][other["which"][d]])[fast.tried].all()
+    assert one["lost"] == pytest.approx(other["lost"][:, : one["lost"].shape[1]], abs=1e-9)
+    held = fast.held("optimal")
+    mine, theirs = (each.values(draws, [held], 0) for each in (fast, slow))
+    assert mine["value"] == pytest.approx(theirs["value"], rel=1e-12)
+    assert mine["error"].shape == (2, 1)
+    assert mine["value"][0, 0] == pytest.approx(one["start"][0])
+    statuses = len(fast.scenario.statuses)
+    assert fast.labels == tuple("".join(bits) for bits in product("01", repeat=statuses))
+    space = fast.mdp.space
+    for state in np.flatnonzero(fast.tried).tolist():
+        assert fast.labels[fast.place[state]] in space.label(state)
+    assert (
+        type(solver_of(Family(parameters={"p": "1/2", "r": 1}, build=varied), ["p"])) is ModelSolver
+    )
+
+
+# ---- what is refused -----------------------------------------------------------------------------
+
+
+def test_points_are_checked_by_column_and_draw() -> None:
+    family = Family(
+        parameters=(Parameter(name="p", value="1/2", low=0, high=1), Parameter(name="r", value=0)),
+        build=varied,
+    )
+    points = checked(family, {"r": [-(10.0**6), 2.0], "p": [0.0, 1.0]})
+    assert points.tolist() == [[-(10.0**6), 0.0], [2.0, 1.0]]
+    assert checked(family, {"p": ["1/3", 1]}).tolist() == [[F(1, 3)], [F(1)]]
+    for table, what, where in (
+        ({"p": [0.5, 1.5]}, "p is 1.5, outside [0, 1]", "draw 1"),
+        ({"p": [-0.5, 1]}, "p is -0.5, outside [0, 1]", "draw 0"),
+        ({"p": []}, "no row", "points"),
+        ({"p": [0.5], "r": [1.0, 2.0]}, "columns of shape (1,), (2,)", "points"),
+        ({"p": [[0.5]]}, "columns of shape (1, 1)", "points"),
+        ({}, "columns of shape none", "points"),
+    ):
+        with pytest.raises(ModelError) as caught:
+            checked(family, table)
+        assert (caught.value.what, caught.value.where) == (what, where)
+
+
+def test_room_ends_at_the_most_bytes() -> None:
+    require_room(MOST_BYTES // 32, 1, "fewer")
+    require_room(MOST_BYTES // 96, 3, "fewer")
+    with pytest.raises(ModelError):
+        require_room(MOST_BYTES // 32 + 1, 1, "fewer")
+
+
+def test_infinite_values_are_refused_with_the_ways_out() -> None:
+    endless = MDP.from_outcomes([(0, 0, [(1, 0, 1)]), (0, 1, [(1, 1, 1)]), (1, 0, [(1, 1, 0)])])
+    with pytest.raises(ModelError, match="the optimum is infinite") as caught:
+        finite_optimum(endless, "today's parameters")
+    assert "within(N)" in caught.value.fix
+    assert "another policy" not in caught.value.fix
+    assert "ranges" not in caught.value.fix
+    with pytest.raises(ModelError, match="the policy held fixed is infinite") as caught:
+        finite_worth(endless, [0, 0], "draw 3")
+    assert "another policy" in caught.value.fix
+    assert "ranges in which every value is finite" in caught.value.fix
+    assert finite_worth(endless, [1, 0], "draw 3").value == 1
