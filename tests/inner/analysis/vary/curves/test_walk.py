@@ -23,6 +23,7 @@ from exact_mdp.analysis.vary.curves.walk import (
     _earlier,
     _interpolated,
     _middle,
+    optimum,
     unending,
     values_of,
 )
@@ -142,6 +143,7 @@ def test_the_best_of_random_polynomials_is_followed(seed: int, sense: str) -> No
         ([[[0], [-99999, 100000]]], [F(99999, 100000)]),
         ([[[0], [0, 1]]], []),  # at the very end of the range
         ([[[0], [0]], [[1], [0]]], []),
+        ([[[0], [0, -1, 100000]]], [F(1, 100000)]),  # as good at 0, too
         ([[[0], [-1, 0, 2]], [[0], [F(-707, 1000), 1]]], [F(707, 1000), F(0.7071067811865476)]),
     ],
 )
@@ -332,3 +334,57 @@ def test_where_values_may_be_infinite_is_said_with_the_ways_out() -> None:
 
     with pytest.raises(ModelError, match="never ends"):
         curve(Family(parameters={"x": "1/2"}, build=build), "x", ("1/4", "3/4"))
+
+
+def test_a_model_gives_an_optimal_pair_of_every_state() -> None:
+    """Two states without an end, of 2 and 3 pairs; the second begins the better loop."""
+    rows = [
+        (0, 0, [(1, 0, 1)]),
+        (0, 1, [(1, 1, 0)]),
+        (1, 0, [(1, 0, 0)]),
+        (1, 1, [(1, 1, 4)]),
+        (1, 2, [(1, 1, 4)]),
+    ]
+    pairs, start = optimum(MDP.from_outcomes(rows, "1/2", start=0))
+    assert pairs.tolist() == [1, 3]
+    assert start.value == 4
+
+
+def test_rows_may_turn_at_a_breakpoint_and_nowhere_else() -> None:
+    """|x - 1/2| or 1/4: thresholds at 1/4 and 3/4, and sections that meet at 1/2."""
+
+    def build(at: dict[str, F]) -> MDP:
+        rows = [(0, 0, [(1, 1, abs(at["x"] - F(1, 2)))]), (0, 1, [(1, 1, F(1, 4))])]
+        return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])])
+
+    family = Family(parameters={"x": "1/4"}, build=build, breaks={"x": ["0", "1/2", "1", "2"]})
+    found = check_parts(family)
+    assert [[*map(float, each)] for each in found] == [
+        [0, pytest.approx(0.25)],
+        [pytest.approx(0.25), 0.5],
+        [0.5, pytest.approx(0.75)],
+        [pytest.approx(0.75), 1],
+    ]
+
+
+def check_parts(family: Family) -> list[tuple[F, F]]:
+    """Return the ends of the pieces from 0 to 1, which the checker proves."""
+    found = curve(family, "x", (0, 1))
+    assert found.violations() == []
+    return [(each.low[0], each.high[1]) for each in found.pieces]
+
+
+def test_a_run_that_may_end_beside_the_goal_is_refused_at_discount_1() -> None:
+    def build(at: dict[str, F]) -> MDP:
+        x = at["x"]
+        rows = [(0, 0, [(x, 1, -1), (1 - x, 2, -1)]), (1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 0)])]
+        goal = [1] if at["g"] == 1 else None  # of a total alone
+        return MDP.from_outcomes(rows, at["g"], goal=goal, start=0)
+
+    for discount, refused in ((F(1), True), (F(1, 2), False)):
+        family = Family(parameters={"x": "1/2", "g": discount}, build=build)
+        if not refused:
+            assert curve(family, "x", ("1/4", "3/4")).at("1/2") == -1
+            continue
+        with pytest.raises(ModelError, match="beside the goal"):
+            curve(family, "x", ("1/4", "3/4"))
