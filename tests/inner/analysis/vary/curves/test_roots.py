@@ -90,7 +90,7 @@ def test_roots_closer_than_a_bracket_are_told_apart() -> None:
 
 
 @pytest.mark.parametrize("lead", [1, -1])
-@pytest.mark.parametrize("width", [F(1, 3), F(1, 10), F(1, 10**6)])
+@pytest.mark.parametrize("width", [F(1, 3), F(1, 4), F(1, 10), F(1, 10**6)])
 def test_a_root_is_halved_until_it_is_narrow_and_no_further(lead: int, width: Fraction) -> None:
     """Whether the ends are roots themselves, or one of them, or neither."""
     low, high = F(-1, 2), F(3, 2)
@@ -207,3 +207,9 @@ def test_double_roots_become_single_ones() -> None:
     assert [each.low for each in roots(product([a]), F(0), F(1))] == [F(0)]
     assert roots_on(poly, b, c) == 3
     assert roots_on(poly, a, F(7, 10)) == 1
+
+
+def test_a_root_of_more_than_twelve_digits_is_not_looked_for() -> None:
+    number = F(10**12 + 1, 10**13 - 1)
+    near = Root(poly=product([number]), low=F(0), high=F(1)).apart(F(0), F(1, 10**26))
+    assert near.low < number < near.high
