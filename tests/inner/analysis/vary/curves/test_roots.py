@@ -213,3 +213,9 @@ def test_a_root_of_more_than_twelve_digits_is_not_looked_for() -> None:
     number = F(10**12 + 1, 10**13 - 1)
     near = Root(poly=product([number]), low=F(0), high=F(1)).apart(F(0), F(1, 10**26))
     assert near.low < number < near.high
+
+
+def test_a_root_at_an_end_is_not_the_one_inside() -> None:
+    number = F(1, 10**13 + 1)
+    near = Root(poly=product([F(0), number]), low=F(0), high=F(1)).apart(F(-1), F(1, 100))
+    assert 0 < near.low < number < near.high
