@@ -86,17 +86,18 @@ def run(out: Path, *, quick: bool, readme: Path | None = None) -> dict[str, Any]
     for entry in judged(list(CLAIMS.values()), reading, changed, best):
         claims.append(entry)
         say(f"{len(claims)} of {len(CLAIMS)} claims: {entry['name']}")
-    claims = rounded(claims)
-    results: dict[str, Any] = {
+    results = {
         "quick": quick,
         "runs": runs,
-        "values": rounded(values(reading)),
-        "readings": rounded(facts(evidence, [reading, *changed])),
+        "values": values(reading),
+        "readings": facts(evidence, [reading, *changed]),
         "claims": claims,
     }
-    write(out / "results.json", as_json(results))
-    write(out / "numbers.json", as_json([e for e in claims if e["exact"] is not None]))
-    write(out / "report.md", render(results))
+    written = rounded(results)
+    numbers = [each for each in written["claims"] if each["exact"] is not None]
+    write(out / "results.json", as_json(written))
+    write(out / "numbers.json", as_json(numbers))
+    write(out / "report.md", render(written))
     for picture in FIGURES.values():
         say(f"figure {picture.name}")
         save(picture, reading, out / "figures")
@@ -104,8 +105,8 @@ def run(out: Path, *, quick: bool, readme: Path | None = None) -> dict[str, Any]
             drawn = out / "figures" / f"{picture.name}.png"
             write(readme / "figures" / drawn.name, drawn.read_bytes())
     if readme is not None:
-        write(readme / "results.json", as_json(results))
-        write(readme / "README.md", render(results, code="./"))
+        write(readme / "results.json", as_json(written))
+        write(readme / "README.md", render(written, code="./"))
     record = run_record(reading.mdp, model="yuan2025", solver="auto", seed=SEED)
     scenario = reading.scenario
     record |= {
@@ -259,8 +260,6 @@ def disagreements(claims: Sequence[Mapping[str, Any]]) -> list[str]:
             off.append(f"{name} is {verdict}, not {' or '.join(verdicts)}")
         if ("value" in wanted) != (entry["exact"] is not None):
             off.append(f"{name} has {'no' if 'value' in wanted else 'a'} number")
-        elif "value" in wanted and (
-            abs(rounded(entry["exact"]) - rounded(wanted["value"])) > wanted["tolerance"]
-        ):
+        elif "value" in wanted and abs(entry["exact"] - wanted["value"]) > wanted["tolerance"]:
             off.append(f"{name} is {entry['exact']!r}, not {wanted['value']!r}")
     return off

@@ -4,11 +4,13 @@
 """
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from cli_runner import run as ask
 from golden import sources
 from golden.runner import ANSWERS, CASES, QVBS, answer, differences, run
 
@@ -60,6 +62,15 @@ def test_bounds_and_samples_are_compared_as_closely_as_they_claim() -> None:
 
 def test_every_pinned_answer_has_a_command() -> None:
     assert {path.stem for path in ANSWERS.iterdir()} == {*FAST, *CASES["slow"], *CASES["qvbs"]}
+
+
+def test_every_command_has_a_pinned_answer() -> None:
+    """Its report is looked through here: a new command cannot print a number without a claim."""
+    listed = re.findall(r"^  ([a-z][\w-]+)  +\w", ask("--help").out, re.M)
+    cases = [*FAST.values(), *CASES["slow"].values()]
+    lines = [line for case in cases for line in ([case] if isinstance(case, str) else case)]
+    assert len(listed) >= 25
+    assert {*listed} <= {line.split()[0] for line in lines}
 
 
 def test_the_models_are_still_built_as_they_were_saved(tmp_path: Path) -> None:

@@ -149,7 +149,7 @@ class Endpoint:
 
         It is sent in a thread, since nothing else bounds the look-up of a name.
         """
-        answers: queue.Queue[Any] = queue.Queue()
+        answers: queue.Queue[tuple[int, float, bytes] | Exception] = queue.Queue()
 
         def send() -> None:
             try:
@@ -164,7 +164,7 @@ class Endpoint:
             raise Transient(f"no answer within {self.timeout:g} s") from None
         if isinstance(answer, Exception):
             raise answer
-        return answer  # type: ignore[no-any-return]
+        return answer
 
     def _posted(self, body: Mapping[str, Any], key: str) -> tuple[int, float, bytes]:
         import httpx

@@ -1,16 +1,15 @@
 """Distributions of uncertain parameters: moments, streams, files, and what is refused."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas
 import pytest
 from numpy.random import SeedSequence
 from scipy import stats
+from scipy_laws import SCIPY_LAWS
 
 from exact_mdp import (
     MDP,
@@ -26,14 +25,6 @@ from exact_mdp import (
 
 YUAN = parametric(Scenario.load("yuan2025"))
 COUNT = 40_000
-KNOWN: dict[str, Callable[..., Any]] = {
-    "beta": stats.beta,
-    "normal": stats.norm,
-    "gamma": lambda shape, scale: stats.gamma(shape, scale=abs(scale)),
-    "lognormal": lambda mean, sd: stats.lognorm(sd, scale=np.exp(mean)),
-    "uniform": lambda low, high: stats.uniform(low, high - low),
-    "triangular": lambda a, mode, b: stats.triang((mode - a) / (b - a), a, b - a),
-}
 
 
 @pytest.mark.parametrize(
@@ -57,7 +48,7 @@ KNOWN: dict[str, Callable[..., Any]] = {
 )
 def test_draws_have_the_stated_mean_spread_and_law(kind: str, said: dict[str, float]) -> None:
     part = Uncertain.of("p", kind, **said)
-    law, (mean,), (sd,) = KNOWN[kind](*part.numbers), part.mean, part.sd
+    law, (mean,), (sd,) = SCIPY_LAWS[kind](*part.numbers), part.mean, part.sd
     assert (law.mean(), law.std()) == pytest.approx((abs(mean) if kind == "gamma" else mean, sd))
     if "mean" in said:
         size = said.get("effective_sample_size", np.inf)

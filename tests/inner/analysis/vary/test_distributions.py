@@ -1,7 +1,6 @@
 """Distributions by their moments and their draws, against those of scipy; and what is drawn."""
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -14,6 +13,7 @@ import pytest
 from model_contents import negated
 from numpy.random import SeedSequence
 from scipy import stats
+from scipy_laws import SCIPY_LAWS
 
 from exact_mdp import MDP, Family, ModelError, Parameter, moving, parametric
 from exact_mdp.analysis.vary import distributions
@@ -28,14 +28,6 @@ from exact_mdp.analysis.vary.distributions import (
     uncertainty,
 )
 
-LAWS: dict[str, Callable[..., Any]] = {
-    "beta": stats.beta,
-    "normal": stats.norm,
-    "gamma": lambda shape, scale: stats.gamma(shape, scale=abs(scale)),
-    "lognormal": lambda mean, sd: stats.lognorm(sd, scale=np.exp(mean)),
-    "uniform": lambda low, high: stats.uniform(low, high - low),
-    "triangular": lambda a, mode, b: stats.triang((mode - a) / (b - a), a, b - a),
-}
 OWN: dict[str, list[tuple[float, ...]]] = {
     "beta": [(2.0, 5.0), (0.5, 0.25), (84.0, 716.0)],
     "gamma": [(2.0, 3.0), (0.5, 45.0), (0.25, 0.5)],
@@ -55,7 +47,7 @@ def test_numbers_have_the_moments_of_another_library_and_draw_its_law(
     kind: str, numbers: tuple[float, ...]
 ) -> None:
     said = dict(zip(KINDS[kind].own, numbers, strict=True))
-    part, law = Uncertain.of("p", kind, **said), LAWS[kind](*numbers)
+    part, law = Uncertain.of("p", kind, **said), SCIPY_LAWS[kind](*numbers)
     assert part.numbers == numbers
     assert (part.mean[0], part.sd[0]) == pytest.approx((law.mean(), law.std()))
     drawn = part.draw(SeedSequence(1), 4000)
@@ -68,7 +60,7 @@ def test_numbers_have_the_moments_of_another_library_and_draw_its_law(
 def test_a_mean_and_a_spread_make_a_law_that_has_them(kind: str, mean: float, sd: float) -> None:
     for said in ({"sd": sd}, {"relative_sd": sd / mean}):
         part = Uncertain.of("p", kind, mean=mean, **said)
-        law = LAWS[kind](*part.numbers)
+        law = SCIPY_LAWS[kind](*part.numbers)
         assert (law.mean(), law.std()) == pytest.approx((mean, sd))
         assert (part.names, part.label, part.kind) == (("p",), "p", kind)
         assert (part.mean[0], part.sd[0]) == (mean, pytest.approx(sd))

@@ -7,32 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from oracle import Row, fixed_point, policies, policy_values, rows_of, solved, visits
+from integer_systems import Entries, eliminated, matrix_of, solution
+from oracle import Row, fixed_point, policies, policy_values, rows_of, visits
 
 from exact_mdp import MDP, ModelError
 from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.mdp.table import integers
 from exact_mdp.solvers.exact import linear
 from exact_mdp.solvers.exact.linear import Matrix, solve_all
-
-Entries = dict[tuple[int, int], int]
-
-
-def matrix_of(size: int, entries: Entries) -> Matrix:
-    row, column = np.array(list(entries), dtype=np.int64).reshape(-1, 2).T
-    return Matrix.of(size, row, column, integers(entries.values()))
-
-
-def eliminated(size: int, entries: Entries, side: list[int]) -> list[F] | None:
-    """The solution in fractions, None where there is not just one."""
-    rows = [{j: F(a) for (k, j), a in entries.items() if k == i and a} for i in range(size)]
-    solutions = solved(rows, [*map(F, side)])
-    return solutions and solutions[0]
-
-
-def solution(matrix: Matrix, side: list[int]) -> list[F]:
-    (level,) = solve_all(matrix, [side])
-    return list(level.fractions())
 
 
 def ring(size: int, pivot: int, weight: int) -> Matrix:

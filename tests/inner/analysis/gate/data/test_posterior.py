@@ -1,6 +1,7 @@
 """Models drawn from the posterior, beside its mean, and their regrets beside all policies."""
 
 from fractions import Fraction as F
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -79,6 +80,12 @@ def test_draws_differ_and_are_laws() -> None:
     assert (models.rows[:, ends] == mdp.transition.toarray()[ends]).all()
 
 
+def start_value(rows: Any, reward: Any, start: Any, pairs: Any) -> float:
+    """The value at the start of the policy that takes some pairs, at discount 9/10."""
+    chosen = list(pairs)
+    return float(start @ np.linalg.solve(np.eye(len(chosen)) - 0.9 * rows[chosen], reward[chosen]))
+
+
 def test_regrets_of_draws_are_those_of_all_policies() -> None:
     for seed in range(2):
         mdp = estimated(recorded(np.random.default_rng(seed), 10))
@@ -86,13 +93,7 @@ def test_regrets_of_draws_are_those_of_all_policies() -> None:
         models = drawn(mdp, known_of(mdp), 1.0, np.random.default_rng(seed), 6)
         found = drawn_regrets(models, own.astype(float))
         for k in range(6):
-
-            def start(pairs: Any, k: int = k) -> float:
-                chosen = list(pairs)
-                matrix = np.eye(mdp.n_states) - 0.9 * models.rows[k, chosen]  # noqa: B023
-                value = np.linalg.solve(matrix, models.reward[k, chosen])  # noqa: B023
-                return float(models.start[k] @ value)  # noqa: B023
-
+            start = partial(start_value, models.rows[k], models.reward[k], models.start[k])
             best = max(map(start, product(*(mdp.pairs_of(s) for s in range(mdp.n_states)))))
             lost = best - start(np.flatnonzero(own))
             assert found[k] == pytest.approx(lost, rel=1e-9, abs=1e-9)
