@@ -142,10 +142,13 @@ def lines_of(statement: ast.stmt) -> range:
 
 def put(parent: ast.AST, field: str, place: int, node: ast.AST) -> None:
     """Put a node into a field, or into its place of a list."""
-    if isinstance(old := getattr(parent, field), list):
-        old[place] = node
+    held = getattr(parent, field)
+    before = held[place] if isinstance(held, list) else held
+    ast.fix_missing_locations(ast.copy_location(node, before))
+    if isinstance(held, list):
+        held[place] = node
     else:
-        setattr(parent, field, ast.fix_missing_locations(ast.copy_location(node, parent)))
+        setattr(parent, field, node)
 
 
 def short(node: ast.AST) -> str:

@@ -123,12 +123,13 @@ class Mutants:
             gc.collect()
             gc.freeze()  # so that copies share the memory
             for change in islice(changes(tree), 0, None, self.every):
+                code = compile(tree, str(module), "exec")
                 while len(running) >= self.workers:
                     finish()
                 if pid := os.fork():
                     running[pid] = module, change
                 else:
-                    self.in_copy(module, change, tree, known, functions)
+                    self.in_copy(module, change, code, known, functions)
         while running:
             finish()
         return True
@@ -192,17 +193,16 @@ class Mutants:
         return runtestprotocol(self.items[name], log=False, nextitem=after)
 
     def in_copy(
-        self, module: Path, change: Change, tree: ast.Module, known: Known,
+        self, module: Path, change: Change, code: CodeType, known: Known,
         functions: list[FunctionType],
     ) -> None:  # fmt: skip
         """Put a change into this process, run the tests that come to it, and end with its fate."""
-        stage = 1
+        stage = 3  # what fails before the tests is a mistake here, and no test's merit
         try:
             os.setpgid(0, 0)
             resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
             quiet = os.open(os.devnull, os.O_WRONLY)
             os.dup2(quiet, 1), os.dup2(quiet, 2)
-            code = compile(tree, str(module), "exec")
             near, far = known.of(module, change)
             if self.only_beside or self.reasons[module].get(change.key):
                 far = []
@@ -215,7 +215,7 @@ class Mutants:
                     os._exit(stage)
                 signal.setitimer(timer, 0)
             os._exit(0)
-        except BaseException:  # whatever a change breaks is noticed
+        except BaseException:
             os._exit(stage)
 
     def fail(self, tests: list[str]) -> bool:
@@ -235,9 +235,11 @@ def functions_of(module: Path) -> list[FunctionType]:
 
 def exchange(functions: list[FunctionType], code: CodeType) -> bool:
     """Give functions the changed code of their module; False where one has none of its kind."""
-    changed = {name_of(each): each for each in codes_in(code)}
+    codes = list(codes_in(code))
+    count, changed = Counter(map(name_of, codes)), {name_of(each): each for each in codes}
     for function in functions:
-        other = changed.get(name_of(function.__code__))
+        name = name_of(function.__code__)
+        other = changed.get(name) if count[name] == 1 else None  # two on a line look alike
         if other is None or other.co_freevars != function.__code__.co_freevars:
             return False
         function.__code__ = other

@@ -1,13 +1,11 @@
 """Each numeric module has a test file beside it: the same path in tests/inner."""
 
-from pathlib import Path
+import ast
 
 import pytest
+from changes import changes
+from mutants import PACKAGE, beside
 
-import exact_mdp
-
-PACKAGE = Path(exact_mdp.__file__).parent
-INNER = Path(__file__).resolve().parents[1] / "inner"
 NUMERIC = ["solvers", "analysis/vary", "analysis/gate", "mdp/questions.py", "mdp/forms/rows.py"]
 
 
@@ -24,5 +22,41 @@ def numeric_modules() -> list[str]:
 
 @pytest.mark.parametrize("module", numeric_modules())
 def test_a_numeric_module_has_a_test_file_beside_it(module: str) -> None:
-    path = Path(module)
-    assert (INNER / path.parent / f"test_{path.stem}.py").is_file()
+    assert beside(PACKAGE / module).is_file()
+
+
+SOURCE = """
+LIMIT = 3
+def share(row: list[int], at: int, scale: float = 2.0) -> float:
+    if not row:
+        raise ValueError(f"{1 + 1}")
+    return sum(row[at], round(-scale, ndigits=1)) / max(1, len(row)) if at < LIMIT else True
+"""
+CHANGES = {
+    ("", "3", "4"),
+    ("share", "2.0", "3.0"),
+    ("share", "not row", "row"),
+    ("share", "at < LIMIT", "at <= LIMIT"),
+    ("share", "sum(row[at], round(-scale, ndigits=1)) / max(1, len(row))",
+     "sum(row[at], round(-scale, ndigits=1)) * max(1, len(row))"),
+    ("share", "sum(row[at], round(-scale, ndigits=1))", "sum(round(-scale, ndigits=1), row[at])"),
+    ("share", "row[at]", "row[at - 1]"),
+    ("share", "round(-scale, ndigits=1)", "round(-scale)"),
+    ("share", "-scale", "scale"),
+    ("share", "1", "2"),
+    ("share", "True", "False"),
+}  # fmt: skip
+
+
+def test_each_change_is_made_alone_and_taken_back() -> None:
+    """Types and what is raised are left out; of a maximum the order does not count."""
+    module = ast.parse(SOURCE)
+    before, seen, texts = ast.unparse(module), set(), set()
+    for change in changes(module):
+        seen.add(change.key)
+        texts.add(ast.unparse(module))
+        compile(module, "share.py", "exec")
+    assert seen == CHANGES
+    assert len(texts) == len(CHANGES) + 1  # "1 → 2" stands for two places
+    assert before not in texts
+    assert ast.unparse(module) == before

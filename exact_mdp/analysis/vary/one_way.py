@@ -105,7 +105,7 @@ class Tornado(Pictured):
         for swing, what in (("swing", "value"), ("fixed_swing", "fixed_value")):
             table[swing] = (table[f"{what}_high"] - table[f"{what}_low"]).abs()
         table["regret"] = table[["regret_low", "regret_high"]].max(axis=1)
-        table["claim"] = "bounded"
+        table["claim"] = str(study.claim)
         return table.sort_values(by, ascending=False, kind="stable", ignore_index=True)
 
 
@@ -126,7 +126,8 @@ class Curve(Pictured):
         """Return the values along the range."""
         points = self.frame().drop(columns="claim").to_dict("records")
         table = Table(title="value at the start", columns={self.parameter.name: "at:.6g"} | VALUES)
-        facts = {"parameter": self.parameter.name, "claim": Shown("bounded"), "points": points}
+        claim = Shown(self.table.claim)
+        facts = {"parameter": self.parameter.name, "claim": claim, "points": points}
         return Report(title="one-way", facts=facts, tables={"points": table})
 
     def frame(self) -> DataFrame:
@@ -271,7 +272,7 @@ class TwoWay(Pictured):
             facts={
                 "parameters": [self.x.name, self.y.name],
                 "policies": int(self.policy.max()) + 1,
-                "claim": Shown("bounded"),
+                "claim": Shown(self.table.claim),
                 "points": self.frame().drop(columns="claim").to_dict("records"),
             },
             tables={"points": Table(title="value at the start", columns=names | VALUES)},

@@ -92,7 +92,7 @@ class Study(Result):
             end = f"_{number}" * (len(self.fixed.T) > 1)
             table[[f"fixed_value{end}", f"regret{end}"]] = np.column_stack([fixed, regret])
         table["error_bound"] = self.error[:, 0] + self.error[:, 1:].max(axis=1, initial=0.0)
-        table["claim"] = "bounded"
+        table["claim"] = str(self.claim)
         for place, name in enumerate(self.names if names is None else names):
             column = self.points[:, place].astype(float)
             table.insert(place, name, column, allow_duplicates=True)
