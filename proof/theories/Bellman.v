@@ -133,7 +133,7 @@ Qed.
 Lemma falls_ok p rk inside : falls p rk inside = true ->
   exists o, In o (outcomes p) /\ (rk (next o) < rk (state p))%Z /\ inside (next o) = true.
 Proof.
-  unfold falls. rewrite existsb_exists. intros (o & I & H). split_and. reflect. eauto.
+  unfold falls, some_next. rewrite existsb_exists. intros (o & I & H). split_and. reflect. eauto.
 Qed.
 Lemma val_nneg x s : (0 < snd (x s))%Z -> (0 <= fst (x s))%Z -> 0 <= value x s.
 Proof. intros. apply injZ_pos in H. apply injZ_nneg in H0. unfold value. apply Qle_shift_div_l; lra. Qed.
@@ -143,7 +143,6 @@ Proof.
   rewrite Zle_Qle in H0. change (inject_Z 0) with 0 in H0. lra.
 Qed.
 
-Definition misses_goal (m : model) (s : Z) : bool := match goal m with Some g => negb (g s) | None => false end.
 
 Theorem values_sound m hs a low high rank :
   model_right m hs = true -> policy_right m a = true -> values m hs a low high rank = true ->
@@ -152,9 +151,10 @@ Theorem values_sound m hs a low high rank :
     (forall pi n h, plays m (fun p => 0 <= surplus_of (discount m) (r m p) p (value low)) pi ->
       value low s - pow lam n * C <= earns m (discount m) pi n h s) /\
     (forall n h, value low s - pow lam n * C <= earns m (discount m) (stationary m a) n h s) /\
-    (forall pi n h, valid m pi -> chance (misses_goal m) pi n h s <= pow lam n * C).
+    (forall pi n h, valid m pi -> chance (beside_goal m) pi n h s <= pow lam n * C).
 Proof.
   intros M P H. destruct (model_right_ok m hs M) as [wf ends_ok]. unfold values in H. split_and.
+  rename H into fits.
   rename H0 into pairs_ok, H1 into high_pos, H2 into low_pos. rewrite forallb_forall in pairs_ok.
   apply (level_right_ok m a _ P) in high_pos, low_pos.
   destruct (bounded m (value high)) as (C1 & C10 & B1). destruct (bounded m (value low)) as (C2 & C20 & B2).
@@ -171,17 +171,18 @@ Proof.
     (forall s, is_state m s -> 0 <= value high s + C * w s) /\
     (forall s, is_state m s -> value low s - C * w s <= 0) /\
     (forall p, In p (pairs m) -> discount m * mean p w <= lam * w (state p)) /\
-    (forall s, is_state m s -> misses_goal m s = true -> discount m == 1 /\ 1 <= w s)).
-  { destruct rank as [rk|].
-    - split_and. pose proof (rank_right_ok m a rk P H0) as rk0. reflect.
-      destruct (rank_potential m (ends hs) rk wf rk0) as (lam & w & L & WW & step).
+    (forall s, is_state m s -> beside_goal m s = true -> discount m == 1 /\ 1 <= w s)).
+  { unfold rank_fits in fits. destruct rank as [rk|].
+    - apply andb_true_iff in fits. destruct fits as [one rk0]. apply is_one_ok in one.
+      pose proof (rank_right_ok m a rk P rk0) as rk0'.
+      destruct (rank_potential m (ends hs) rk wf rk0') as (lam & w & L & WW & step).
       assert (at_end : forall s, is_state m s -> ends hs s = true ->
-        0 <= value high s /\ value low s <= 0 /\ misses_goal m s = false).
+        0 <= value high s /\ value low s <= 0 /\ beside_goal m s = false).
       { intros s Ss e. destruct (policy_pair m a s P Ss) as (p & I & <- & _). specialize (pairs_ok p I).
-        unfold values_pair in pairs_ok. rewrite e in pairs_ok. cbv iota in pairs_ok.
-        rewrite !andb_true_iff in pairs_ok. destruct pairs_ok as [[[[G0 L0] U0] _] _]. reflect.
-        split; [apply val_nneg; auto|]. split; [apply val_npos; auto|].
-        unfold misses_goal. destruct (goal m) as [g|]; [|reflexivity]. now rewrite G0. }
+        unfold values_pair, comes_to_an_end in pairs_ok. rewrite e in pairs_ok.
+        cbv iota in pairs_ok. rewrite !andb_true_iff in pairs_ok.
+        destruct pairs_ok as [[[[G0 L0] U0] _] _]. reflect. split; [apply val_nneg; auto|].
+        split; [apply val_npos; auto|]. now apply negb_true_iff. }
       exists lam, w. split; [exact L|]. split; [intro s; split; apply WW|]. split; [|split; [|split]].
       + intros s Ss. destruct (ends hs s) eqn:e.
         * destruct (at_end s Ss e) as [? _]. rewrite (w_in w _ WW s e). lra.
@@ -189,22 +190,22 @@ Proof.
       + intros s Ss. destruct (ends hs s) eqn:e.
         * destruct (at_end s Ss e) as [_ [? _]]. rewrite (w_in w _ WW s e). lra.
         * pose proof (w_out w _ WW s e). specialize (B2 s Ss). unfold C. nra.
-      + intros p I. rewrite H. rewrite Qmult_1_l. apply (step p I). destruct (ends hs (state p)) eqn:e.
+      + intros p I. rewrite one. rewrite Qmult_1_l. apply (step p I). destruct (ends hs (state p)) eqn:e.
         * intros o Io. destruct (ends_ok _ e p I eq_refl) as [_ stay]. rewrite (stay o Io). exact e.
-        * specialize (pairs_ok p I). unfold values_pair in pairs_ok. rewrite e in pairs_ok. cbv iota in pairs_ok.
-          rewrite !andb_true_iff in pairs_ok. destruct pairs_ok as [[F _] _].
+        * specialize (pairs_ok p I). unfold values_pair, comes_to_an_end in pairs_ok.
+          rewrite e in pairs_ok. cbv iota in pairs_ok. rewrite !andb_true_iff in pairs_ok. destruct pairs_ok as [[F _] _].
           apply falls_ok in F. destruct F as (o & ? & ? & _). eauto.
-      + intros s Ss Ms. split; [exact H|]. apply (w_out w _ WW). destruct (ends hs s) eqn:e; [|reflexivity].
+      + intros s Ss Ms. split; [exact one|]. apply (w_out w _ WW). destruct (ends hs s) eqn:e; [|reflexivity].
         destruct (at_end s Ss e) as (_ & _ & X). congruence.
-    - exists (discount m), (fun _ => 1). destruct (Qeq_bool (discount m) 1) eqn:e; [discriminate|].
+    - exists (discount m), (fun _ => 1). apply negb_true_iff in fits.
       assert (discount m <= 1) by apply wf.
-      assert (N : ~ discount m == 1) by (intro X; apply Qeq_bool_iff in X; congruence).
+      assert (N : ~ discount m == 1) by (intro X; apply is_one_ok in X; congruence).
       assert (discount m < 1) by (destruct (Qlt_le_dec (discount m) 1); [assumption|]; exfalso; apply N; lra).
       repeat split; try lra.
       + intros s Ss. specialize (B1 s Ss). unfold C. lra.
       + intros s Ss. specialize (B2 s Ss). unfold C. lra.
       + intros p I. rewrite (mean_const m p (wf_rows m wf p I)). lra.
-      + unfold misses_goal in H3. destruct (goal m) as [g|] eqn:G; [|discriminate].
+      + unfold beside_goal in H2. destruct (goal m) as [g|] eqn:G; [|discriminate].
         now destruct (wf_goal m wf g G). }
   destruct W as (lam & w & L & wb & hi0 & lo0 & step & mi). exists lam, (2 * C).
   assert (c0 : 0 <= C) by (unfold C; lra).
@@ -234,12 +235,12 @@ Proof.
       apply (weighted_upper m (fun _ => True) (fun _ => True) (fun _ => 0) 1 lam C _ w (fun _ => 0) pi); auto; try lra.
       * intros p I _ _. rewrite <- g1. auto.
       * intros p I _ _. unfold surplus_of. rewrite (mean_const m p (wf_rows m wf p I)). lra.
-      * intros t St _. destruct (misses_goal m t) eqn:e.
+      * intros t St _. destruct (beside_goal m t) eqn:e.
         -- destruct (mi t St e). unfold C. nra.
         -- specialize (wb t). nra.
     + apply Qle_trans with 0.
       * apply (run_upper m (fun _ => True) (fun _ => True) (fun _ => 0) 1 _ (fun _ _ => 0) pi); auto; try lra.
-        -- intros t _ _. unfold misses_goal. rewrite G. lra.
+        -- intros t _ _. unfold beside_goal. rewrite G. lra.
         -- intros k p I _ _. rewrite (mean_const m p (wf_rows m wf p I)). lra.
       * assert (0 <= pow lam n) by (apply pow_nneg; lra). nra.
 Qed.

@@ -178,7 +178,7 @@ Section Goal.
     intro I. pose proof (wf_rows m g_wf p I) as R. destruct (earned_ok m p (proj1 (proj2 R))) as [r0 rq].
     split; [|split]; intro X.
     - exact (surplus_le m 1 _ (earned m p) p h R g_level r0 rq X).
-    - exact (surplus_eq m 1 _ (earned m p) p h R g_level r0 rq X).
+    - exact (proj1 (surplus_eq m 1 _ (earned m p) p h R g_level r0 rq) X).
     - exact (surplus_gt m 1 _ (earned m p) p h R g_level r0 rq X).
   Qed.
 
@@ -353,7 +353,7 @@ Section Goal.
     - intros p I T Ap. pose proof (g_pair p I) as X. unfold reaching_pair in X. fold nev abv in X.
       assert (Sp : is_state m (state p)) by apply (wf_rows m g_wf p I).
       rewrite (not_goal _ Sp (or_intror Ap)), L, andb_false_r, Ap, T in X. cbn [negb orb] in X.
-      unfold of_above in X. fold abv in X. apply andb_true_iff in X. destruct X as [_ X].
+      unfold of_above, goes_round in X. fold abv in X. apply andb_true_iff in X. destruct X as [_ X].
       apply orb_true_iff in X. destruct X as [X|X].
       + left. rewrite !andb_true_iff in X. destruct X as [[X O] _]. rewrite all_next_ok in X. intros o Io.
         specialize (X o Io). cbv beta in X. split_and. reflect. split; [assumption|congruence].
@@ -430,7 +430,7 @@ Section Goal.
           { apply Qle_trans with (mean p (fun t => Hv t + C * m1 t)).
             - apply (mean_le m p R). intros o Io. now apply Y.
             - rewrite mean_plus, mean_times. apply Qle_refl. }
-          surplus_of (q * (r m p + 1 * mean p e1) <= q * Hv s + C * (q * (0 + 1 * mean p m1))).
+          change (q * (r m p + 1 * mean p e1) <= q * Hv s + C * (q * (0 + 1 * mean p m1))).
           assert (Z : r m p + 1 * mean p e1 <= Hv s + C * (0 + 1 * mean p m1)) by lra.
           clearbody e1 m1. clear - Z qp. set (x := r m p + _) in *. set (y := 0 + 1 * mean p m1) in *. nra.
         - left. assert (Z : q == 0) by (clear - qz q0; lra).
@@ -438,7 +438,7 @@ Section Goal.
       destruct X as [X|X]; [right|now left].
       unfold earns, missed_in, chance in *. cbn [run]. apply sumQ_le in X. apply Qle_trans with (1 := X).
       pose (v := fun c : pair * Q => snd c * (0 + 1 * mean (fst c) (missed_in pi n ((s, action (fst c)) :: hy)))).
-      surplus_of (sumQ (fun c => snd c * Hv s + C * v c) (pi hy s) <= Hv s + C * sumQ v (pi hy s)).
+      change (sumQ (fun c => snd c * Hv s + C * v c) (pi hy s) <= Hv s + C * sumQ v (pi hy s)).
       rewrite sumQ_plus, sumQ_scalr, sumQ_scal. clearbody v. rewrite S1. lra.
   Qed.
 
@@ -471,7 +471,7 @@ Section Goal.
     forall p, In p (pairs m) -> abv (state p) = true -> taken b p = true -> arrives rank infinite p = true.
   Proof.
     pose proof H as X. unfold reaching in X. rewrite !andb_true_iff in X. destruct X as [_ X]. rewrite L in X.
-    cbn [negb orb] in X. apply andb_true_iff in X. destruct X as [Pb X]. split; [exact Pb|].
+    cbn [negb orb] in X. unfold way_right in X. apply andb_true_iff in X. destruct X as [Pb X]. split; [exact Pb|].
     intros p I Ap T. rewrite forallb_forall in X. specialize (X p I). cbv beta in X. fold abv b in X.
     rewrite Ap, T in X. exact X.
   Qed.
@@ -489,7 +489,7 @@ Section Goal.
   Proof.
     intros I T As. apply A_next; [exact I|]. unfold A in As. apply orb_true_iff in As. destruct As as [F|Ap].
     - now apply A_fin_safe.
-    - pose proof (above_pair p I Ap T) as X. unfold of_above in X. apply andb_true_iff in X. tauto.
+    - pose proof (above_pair p I Ap T) as X. unfold of_above, goes_round in X. apply andb_true_iff in X. tauto.
   Qed.
   Lemma A_closed_b p : In p (pairs m) -> taken b p = true -> A (state p) = true ->
     forall o, In o (outcomes p) -> A (next o) = true.
@@ -568,7 +568,7 @@ Section Goal.
           rewrite (fin_closed p I (fun _ => Tk) Fp o Io). reflexivity. }
         rewrite (w_in w T WW (state p)) in * by (unfold T; now rewrite Fp). rewrite fs.
         assert (0 <= z * eta) by nra. set (ze := z * eta) in *. nra.
-      - pose proof (above_pair p I Ap Tk) as X. unfold of_above in X. apply andb_true_iff in X. destruct X as [_ X].
+      - pose proof (above_pair p I Ap Tk) as X. unfold of_above, goes_round in X. apply andb_true_iff in X. destruct X as [_ X].
         assert (kp : keeps order abv p /\ ((order (state p) = 0%Z /\ (forall o, In o (outcomes p) -> abv (next o) = true /\ order (next o) = 0%Z)
             /\ 0 < surplus_of 1 (r m p) p Hv) \/ ((0 < order (state p))%Z /\ exists o, In o (outcomes p) /\ (order (next o) < order (state p))%Z))).
         { apply orb_true_iff in X. destruct X as [X|X].

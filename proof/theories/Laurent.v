@@ -74,6 +74,53 @@ Proof.
     destruct (H p (or_introl eq_refl)) as [X|[X Y]]; [lra|]. rewrite X. lra.
 Qed.
 
+(* ---- the three tests in rationals -------------------------------------------------------------- *)
+
+Section Tests.
+  Variables (m : model) (g h w : level) (p : pair).
+  Hypotheses (R : row_ok m p) (Lg : level_pos m g) (Lh : level_pos m h) (Lw : level_pos m w).
+  Let positive_at x : level_pos m x -> positive (x (state p)).
+  Proof. intro L. apply L. apply R. Qed.
+
+  Lemma g_surplus_ok : let d := surplus_of 1 0 p (value g) in
+    ((g_surplus g p < 0)%Z -> d < 0) /\ (g_surplus g p = 0%Z <-> d == 0) /\
+    ((g_surplus g p <= 0)%Z -> d <= 0).
+  Proof.
+    unfold g_surplus. assert (c0 : positive (0, 1)%Z) by reflexivity.
+    assert (cq : quotient (0, 1)%Z == 0) by reflexivity. cbv zeta.
+    pose proof (surplus_eq m 1 _ _ p g R Lg c0 cq). pose proof (surplus_lt m 1 _ _ p g R Lg c0 cq).
+    pose proof (surplus_le m 1 _ _ p g R Lg c0 cq). tauto.
+  Qed.
+  Lemma h_surplus_ok : let d := surplus_of 1 (r m p - value g (state p)) p (value h) in
+    ((h_surplus m g h p < 0)%Z -> d < 0) /\ (h_surplus m g h p = 0%Z <-> d == 0) /\
+    ((h_surplus m g h p <= 0)%Z -> d <= 0).
+  Proof.
+    unfold h_surplus. destruct (earned_ok m p) as [r0 rq]; [apply R|].
+    pose proof (positive_at g Lg) as g0. unfold value at 1 3 5.
+    destruct (earned m p) as [top below], (g (state p)) as [t b].
+    unfold positive, quotient in *. cbn [fst snd] in *.
+    set (c := (top * b - below * t, below * b)%Z).
+    assert (c0 : positive c) by (unfold positive, c; cbn [snd]; now apply Z.mul_pos_pos).
+    assert (cq : quotient c == r m p - inject_Z t / inject_Z b).
+    { unfold quotient, c. cbn [fst snd]. rewrite <- rq. apply injZ_pos in r0, g0.
+      unfold Z.sub. rewrite inject_Z_plus, inject_Z_opp, !inject_Z_mult. field. split; lra. }
+    pose proof (surplus_eq m 1 _ _ p h R Lh c0 cq). pose proof (surplus_lt m 1 _ _ p h R Lh c0 cq).
+    pose proof (surplus_le m 1 _ _ p h R Lh c0 cq). cbv zeta. tauto.
+  Qed.
+  Lemma w_surplus_ok : let d := surplus_of 1 (- value h (state p)) p (value w) in
+    ((w_surplus h w p < 0)%Z -> d < 0) /\ (w_surplus h w p = 0%Z <-> d == 0) /\
+    ((w_surplus h w p <= 0)%Z -> d <= 0).
+  Proof.
+    unfold w_surplus. pose proof (positive_at h Lh) as h0. unfold value at 1 3 5.
+    destruct (h (state p)) as [t b]. unfold positive, quotient in *. cbn [fst snd] in *.
+    assert (c0 : positive (- t, b)%Z) by exact h0.
+    assert (cq : quotient (- t, b)%Z == - (inject_Z t / inject_Z b)).
+    { unfold quotient. cbn [fst snd]. apply injZ_pos in h0. rewrite inject_Z_opp. field. lra. }
+    pose proof (surplus_eq m 1 _ _ p w R Lw c0 cq). pose proof (surplus_lt m 1 _ _ p w R Lw c0 cq).
+    pose proof (surplus_le m 1 _ _ p w R Lw c0 cq). cbv zeta. tauto.
+  Qed.
+End Tests.
+
 Section Expansion.
   Variables (m : model) (hs : hints) (a : Z -> Z) (g h w : level).
   Hypotheses (M : model_right m hs = true) (P : policy_right m a = true) (H : expansion m a g h w = true).
@@ -89,35 +136,21 @@ Section Expansion.
     intros p I. pose proof H as X. unfold expansion in X. rewrite !andb_true_iff in X.
     destruct X as [[[Lg Lh] Lw] F]. rewrite forallb_forall in F. specialize (F p I).
     apply (level_right_ok m a _ P) in Lg, Lh, Lw.
-    pose proof (wf_rows m exp_wf p I) as R. pose proof R as (Ss & D & _ & _).
-    destruct (earned_ok m p D) as [r0 rq]. unfold expansion_pair, first_gain in F.
-    pose proof (Lg _ Ss) as gp. pose proof (Lh _ Ss) as hp.
-    destruct (g (state p)) as [gt gb] eqn:Eg. destruct (h (state p)) as [ht hb] eqn:Eh. cbn [fst snd] in gp, hp.
-    assert (q0 : inject_Z (fst (0, 1)%Z) / inject_Z (snd (0, 1)%Z) == 0) by reflexivity.
-    set (rg := (fst (earned m p) * gb - snd (earned m p) * gt, snd (earned m p) * gb)%Z) in *.
-    assert (rg0 : (0 < snd rg)%Z) by (unfold rg; cbn [snd]; now apply Z.mul_pos_pos).
-    assert (rgq : inject_Z (fst rg) / inject_Z (snd rg) == r m p - G (state p)).
-    { unfold rg, G, value. rewrite Eg. cbn [fst snd]. rewrite <- rq. apply injZ_pos in r0, gp.
-      unfold Z.sub. rewrite inject_Z_plus, inject_Z_opp, !inject_Z_mult. field. split; lra. }
-    assert (hq : inject_Z (fst (- ht, hb)%Z) / inject_Z (snd (- ht, hb)%Z) == - Hb (state p)).
-    { unfold Hb, value. rewrite Eh. cbn [fst snd]. rewrite inject_Z_opp. apply injZ_pos in hp. field. lra. }
-    pose proof (surplus_eq m 1 _ (0, 1)%Z p g R Lg ltac:(cbn; lia) q0) as e1.
-    pose proof (surplus_lt m 1 _ (0, 1)%Z p g R Lg ltac:(cbn; lia) q0) as l1.
-    pose proof (surplus_eq m 1 _ rg p h R Lh rg0 rgq) as e2.
-    pose proof (surplus_lt m 1 _ rg p h R Lh rg0 rgq) as l2.
-    pose proof (surplus_eq m 1 _ (- ht, hb)%Z p w R Lw ltac:(cbn; lia) hq) as e3.
-    pose proof (surplus_le m 1 _ (- ht, hb)%Z p w R Lw ltac:(cbn; lia) hq) as l3.
-    fold G in e1, l1. fold Hb in e2, l2. fold W in e3, l3.
-    fold (da p) in e1, l1. fold (db p) in e2, l2. fold (dc p) in e3, l3.
+    pose proof (wf_rows m exp_wf p I) as R. pose proof R as (Ss & _).
+    destruct (g_surplus_ok m g p R Lg) as (le & Ge & _).
+    destruct (h_surplus_ok m g h p R Lg Lh) as (lh & He & _).
+    destruct (w_surplus_ok m h w p R Lh Lw) as (lw & We & Wl).
+    unfold expansion_pair, first_surplus in F. unfold lex, da, db, dc, G, Hb, W.
     apply andb_true_iff in F. destruct F as [F1 F2]. apply Z.leb_le in F1.
-    unfold lex.
-    destruct (Z.eqb_spec (surplus 1 (0, 1)%Z p g) 0) as [z1|z1].
-    - destruct (Z.eqb_spec (surplus 1 rg p h) 0) as [z2|z2].
-      + split; [right; split; [auto|right; split; auto]|]. intro T. rewrite T in F2. cbn in F2.
-        apply Z.eqb_eq in F2. auto.
-      + split; [right; split; [auto|left; apply l2; lia]|]. intro T. rewrite T in F2. cbn in F2.
-        apply Z.eqb_eq in F2. lia.
-    - split; [left; apply l1; lia|]. intro T. rewrite T in F2. cbn in F2. apply Z.eqb_eq in F2. lia.
+    destruct (Z.eqb_spec (g_surplus g p) 0) as [z1|z1].
+    - destruct (Z.eqb_spec (h_surplus m g h p) 0) as [z2|z2].
+      + split; [right; split; [now apply Ge|right; split; [now apply He|now apply Wl]]|].
+        intro T. rewrite T in F2. cbn [negb orb] in F2. apply Z.eqb_eq in F2.
+        split; [now apply Ge|]. split; [now apply He|now apply We].
+      + split; [right; split; [now apply Ge|left; apply lh; lia]|].
+        intro T. rewrite T in F2. cbn [negb orb] in F2. apply Z.eqb_eq in F2. lia.
+    - split; [left; apply le; lia|].
+      intro T. rewrite T in F2. cbn [negb orb] in F2. apply Z.eqb_eq in F2. lia.
   Qed.
 
   Lemma exp_valid : valid m (stationary m a).
