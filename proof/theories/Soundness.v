@@ -166,22 +166,23 @@ Proof.
     split; [|split; [exact (values_optimal m hs _ h rank M P K)|now apply (unique_ok m _ hs)]].
     unfold values in K. rewrite !andb_true_iff in K. destruct K as [[[_ Lh] _] _].
     apply (level_right_ok m _ _ P) in Lh.
-    destruct (start_right_with_ok m zero h _ wf Lh S) as [[_ Y]|[Y|Y]]; [exact Y| |];
+    destruct (start_value_right_ok m zero h _ wf Lh S) as [[_ Y]|[Y|Y]]; [exact Y| |];
       destruct Y as [(s & _ & Y) _]; unfold zero in Y; lia.
   - pose proof (values_within m hs _ _ _ _ M P K) as B. split; [exact B|]. now apply between_limit.
   - apply andb_true_iff in K. destruct K as [K S]. pose proof K as Lv. unfold expansion in Lv.
     rewrite !andb_true_iff in Lv. destruct Lv as [[[Lg Lh] _] _].
     apply (level_right_ok m _ _ P) in Lg, Lh.
-    pose proof (limit_sound m hs _ g h w M P K) as La. destruct average.
+    pose proof (limit_sound m hs _ g h w M P K) as La. unfold expansion_start in S.
+    destruct average.
     + split; [exact (average_sound m hs _ g h w M P K)|]. split; [exact La|].
       split; [now apply is_mean_ok|now apply (unique_ok m _ hs)].
     + rewrite !andb_true_iff in S. destruct S as [[A _] S]. apply is_one_ok in A.
       split; [exact A|]. split; [exact La|]. split; [now apply laurent_total|].
-      split; [now apply start_right_with_ok|now apply (unique_ok m _ hs)].
+      split; [now apply start_value_right_ok|now apply (unique_ok m _ hs)].
   - apply andb_true_iff in K. destruct K as [K S]. unfold reaching_goal in K.
     destruct (goal m) as [g|] eqn:G; [|discriminate]. exists g. split; [reflexivity|].
     assert (Lh : level_pos m h) by
       (apply (g_level m (actions c) (way_out hs) h rank order infinite g P K)).
-    split; [|split; [now apply start_right_with_ok|now apply (unique_ok m _ hs)]].
+    split; [|split; [now apply start_value_right_ok|now apply (unique_ok m _ hs)]].
     now apply (reaching_optimum m hs (actions c) (way_out hs) h rank order infinite g).
 Qed.

@@ -46,10 +46,10 @@ Proof.
   apply Qnum_zero in H. lra.
 Qed.
 
-Lemma start_right_with_ok m sign x v : well_formed m -> level_pos m x ->
-  start_right_with m sign x v = true -> start_is m sign (value x) v.
+Lemma start_value_right_ok m sign x v : well_formed m -> level_pos m x ->
+  start_value_right m sign x v = true -> start_is m sign (value x) v.
 Proof.
-  intros wf L. unfold start_right_with, start_is.
+  intros wf L. unfold start_value_right, start_is.
   assert (No : forall f : Z -> bool,
     existsb (fun sq => begins sq && f (fst sq)) (start m) = false ->
     forall s, may_begin m s -> f s = false).
@@ -96,18 +96,32 @@ Qed.
 Lemma pair_at_ok m s a p : pair_at m s a = Some p -> In p (pairs m) /\ state p = s /\ action p = a.
 Proof. unfold pair_at. intro F. apply find_some in F. destruct F as [I F]. split_and. reflect. auto. Qed.
 
-Lemma follow_none m c l : fold_left (follow m c) l None = None.
-Proof. induction l; auto. Qed.
-Lemma follow_reached m c l : forall s t, fold_left (follow m c) l (Some s) = Some t ->
-  reached m (fun p => optimal m c p = true) s -> reached m (fun p => optimal m c p = true) t.
+(* From a state of the way, optimal pairs reach the target. *)
+Lemma target_reached_ok m c hs : target_reached m c hs = true -> well_formed m ->
+  reached m (fun p => optimal m c p = true) (target hs).
 Proof.
-  induction l as [|[a t'] l IH]; intros s t F R; cbn [fold_left] in F; [inversion F; now subst|].
-  cbn [follow fst snd] in F. destruct (leads m c s a t') eqn:D.
-  - apply (IH t' t F). unfold leads in D. destruct (pair_at m s a) as [p|] eqn:A; [|discriminate].
-    apply pair_at_ok in A. destruct A as (I & Es & _). apply andb_true_iff in D.
-    destruct D as [O N]. unfold some_next in N. apply existsb_exists in N.
-    destruct N as (o & Io & N). reflect. rewrite <- N. apply by_pair with p; auto. now rewrite Es.
-  - now rewrite follow_none in F.
+  intros X wf. unfold target_reached in X. rewrite !andb_true_iff in X. destruct X as [[P B] F].
+  rewrite forallb_forall in F.
+  assert (go : forall k s, (Z.to_nat (toward hs s) <= k)%nat -> on_way hs s = true ->
+    is_state m s -> reached m (fun p => optimal m c p = true) s ->
+    reached m (fun p => optimal m c p = true) (target hs)).
+  { induction k as [|k IH]; intros s Lk W S R;
+      destruct (policy_pair m (along hs) s P S) as (p & I & <- & T); specialize (F p I);
+      cbv beta in F; rewrite W, T in F; cbn [andb negb orb] in F; unfold leads_on in F;
+      unfold on_way in W; reflect;
+      (destruct (Z.eqb_spec (toward hs (state p)) 0) as [Z0|Z0]; [reflect; now rewrite <- F|]).
+    - lia.
+    - apply andb_true_iff in F. destruct F as [O Fa]. unfold falls, some_next in Fa.
+      apply existsb_exists in Fa. destruct Fa as (o & Io & Fa). apply andb_true_iff in Fa.
+      destruct Fa as [Lo Wo]. apply Z.ltb_lt in Lo. apply (IH (next o)).
+      + unfold on_way in Wo. reflect. lia.
+      + exact Wo.
+      + destruct (wf_rows m wf p I) as (_ & _ & _ & N). now apply N.
+      + now apply by_pair with p. }
+  apply existsb_exists in B. destruct B as ([s q] & I & B). apply andb_true_iff in B.
+  destruct B as [B W]. cbn [fst] in W. apply (go _ s (le_n _) W).
+  - destruct (wf_start m wf) as [_ D]. now apply (D s q).
+  - apply at_start. exists q. split; [exact I|]. now apply (may_begin_ok m s q wf).
 Qed.
 
 Lemma unique_ok m c hs (is_unique : bool) : model_right m hs = true ->
@@ -125,15 +139,11 @@ Proof.
         unfold all_next in C. rewrite forallb_forall in C. now apply C. }
     intros s Rs. destruct (ends hs s) eqn:e; [left; now apply en|right].
     intros p q Ip Iq Es Et Op Oq. apply (apart_once _ O); [| |congruence].
-    + apply filter_In. split; [exact Ip|]. now rewrite Es, (R s Rs), e, Op.
-    + apply filter_In. split; [exact Iq|]. now rewrite Et, (R s Rs), e, Oq.
-  - unfold two_somewhere in X. destruct (fold_left _ (way hs) _) as [s|] eqn:F; [|discriminate].
-    rewrite !andb_true_iff in X. destruct X as [[[[B D] O1] O2] Lv].
-    assert (R : reached m (fun p => optimal m c p = true) s).
-    { apply (follow_reached m c _ _ _ F). apply existsb_exists in B.
-      destruct B as ([t q] & I & B). apply andb_true_iff in B. destruct B as [B E].
-      cbn [fst] in E. apply Z.eqb_eq in E. subst t. apply at_start. exists q.
-      split; [exact I|]. now apply (may_begin_ok m (from hs) q wf). }
+    + apply filter_In. split; [exact Ip|]. unfold matters. now rewrite Es, (R s Rs), e, Op.
+    + apply filter_In. split; [exact Iq|]. unfold matters. now rewrite Et, (R s Rs), e, Oq.
+  - unfold two_somewhere in X. rewrite !andb_true_iff in X.
+    destruct X as [[[[R D] O1] O2] Lv]. apply target_reached_ok in R; [|exact wf].
+    set (s := target hs) in *.
     unfold optimal_at in O1, O2. unfold leaves in Lv.
     destruct (pair_at m s (first hs)) as [p|] eqn:A1; [|discriminate].
     destruct (pair_at m s (second hs)) as [q|] eqn:A2; [|discriminate].
