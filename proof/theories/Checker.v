@@ -15,24 +15,33 @@ Definition ratio := (Z * Z)%type.
 Definition level := Z -> ratio.
 Definition value (x : level) (s : Z) : Q := (inject_Z (fst (x s)) / inject_Z (snd (x s)))%Q.
 
-(* A number or an infinity. *)
-Inductive extended := Finite (number : Q) | Plus_infinity | Minus_infinity.
+Inductive extended :=
+  (* A number as start value. *)
+  | Finite (number : Q)
+  (* +∞ as start value. *)
+  | Plus_infinity
+  (* -∞ as start value. *)
+  | Minus_infinity.
 
-(* What is claimed, with the levels and ranks that prove it by the rules of the format. *)
+(* What is claimed, with the levels and ranks that prove it by the rules of the format *)
 Inductive claim :=
+  (* A total by its values; a rank shows that every run ends, at discount 1. *)
   | Values (h : level) (rank : option (Z -> Z))
+  (* Bounds of a total, and of the value of a policy. *)
   | Bounds (low high : level) (rank : option (Z -> Z))
+  (* An average, or a total at discount 1, by gain, bias and a third level. *)
   | Expansion (average : bool) (g h w : level)
+  (* A total until a goal that a run may miss: `infinite` is 1 for +∞, -1 for -∞, else 0. *)
   | Reaching (h : level) (rank order infinite : Z -> Z).
 
 (* A policy, by the action of each state, and what is claimed. *)
 Record certificate := Certificate {
   actions : Z -> Z; claims : claim; start_value : extended; unique : bool }.
 
-(* What is found without proof and tested here, so that a wrong hint can only refuse: which states
-   are ends; which ones optimal pairs reach from the start; of states of +∞, the actions that lead
-   to finite ones. If two pairs of a state are optimal: how many steps it takes to that target, or
-   -1, the actions along that way, the state, both actions, and one that leaves the state or earns. *)
+(* What is found without proof. It is tested, so that a wrong hint can only refuse. Which states
+   are ends; which ones optimal pairs reach from the start; of states of +∞, the actions that
+   lead to finite ones. If two pairs of a state are optimal: the number of steps to this target, or
+   -1; the actions along the way; the state; both actions; and one that leaves the state or earns. *)
 Record hints := Hints {
   ends : Z -> bool; reach : Z -> bool; way_out : Z -> Z;
   toward : Z -> Z; along : Z -> Z; target : Z; first : Z; second : Z; leaving : Z }.
@@ -89,8 +98,8 @@ Definition row_right (m : model) (p : pair) : bool :=
 
 (* Return whether the first of two pairs comes before the second. *)
 Definition before (both : pair * pair) : bool :=
-  let (p, q) := both in
-  (state p <? state q) || ((state p =? state q) && (action p <? action q)).
+  let (p, after) := both in
+  (state p <? state after) || ((state p =? state after) && (action p <? action after)).
 
 (* Return whether pairs are in the order of states and actions, each once. *)
 Definition in_order (l : list pair) : bool := forallb before (combine l (tl l)).
@@ -120,19 +129,15 @@ Definition model_right (m : model) (hs : hints) : bool :=
 (* Return whether a policy takes a pair. *)
 Definition taken (act : Z -> Z) (p : pair) : bool := act (state p) =? action p.
 
-(* Return the number after a state, if it is the one that is expected. *)
-Definition count (expected : option Z) (s : Z) : option Z :=
-  match expected with
-  | None => None
-  | Some i => if s =? i then Some (i + 1) else None
-  end.
+(* Return how many states there were, and whether they were 0, 1 and so on: with one more. *)
+Definition count (so_far : Z * bool) (s : Z) : Z * bool :=
+  let (expected, right) := so_far in
+  (expected + 1, right && (s =? expected)).
 
-(* Return whether each state has a pair that a policy takes: they are of the states 0, 1, … *)
+(* Return whether a policy takes a pair in each of the states 0, 1 and so on. *)
 Definition policy_right (m : model) (act : Z -> Z) : bool :=
-  match fold_left count (map state (filter (taken act) (pairs m))) (Some 0) with
-  | None => false
-  | Some n => n =? states m
-  end.
+  let (number, right) := fold_left count (map state (filter (taken act) (pairs m))) (0, true) in
+  right && (number =? states m).
 
 (* Return whether the denominators of a level are positive. *)
 Definition level_right (m : model) (x : level) : bool :=
@@ -154,7 +159,7 @@ Definition some_next (p : pair) (f : Z -> bool) : bool :=
 Definition falls (p : pair) (rank : Z -> Z) (inside : Z -> bool) : bool :=
   some_next p (fun s => (rank s <? rank (state p)) && inside s).
 
-(* ---- values: U ≥ r + γ P U, of the policy L ≤ r + γ P L; and runs end -------------------------- *)
+(* ---- values: U ≥ r + γ P U, of the policy L ≤ r + γ P L; and runs end ----------------------- *)
 
 (* Return whether there is a goal, and a state is not in it. *)
 Definition beside_goal (m : model) (s : Z) : bool :=
@@ -192,7 +197,7 @@ Definition values (m : model) (hs : hints) (act : Z -> Z) (low high : level)
   rank_fits m rank && level_right m low && level_right m high &&
   forallb (values_pair m hs act low high rank) (pairs m).
 
-(* ---- expansion: d(g), r - g + d(h), d(w) - h: the first that is not 0 is negative ------------- *)
+(* ---- expansion: d(g), r - g + d(h), d(w) - h: the first that is not 0 is negative ----------- *)
 
 (* Return the sign of d(g). *)
 Definition g_surplus (g : level) (p : pair) : Z := surplus 1 (0, 1) p g.
@@ -216,7 +221,7 @@ Definition first_surplus (m : model) (g h w : level) (p : pair) : Z :=
     if of_h =? 0 then w_surplus h w p else of_h
   else of_g.
 
-(* Return whether a pair satisfies its inequalities, those of the policy all three as equations. *)
+(* Return whether a pair satisfies its inequalities, and the policy's are equations. *)
 Definition expansion_pair (m : model) (act : Z -> Z) (g h w : level) (p : pair) : bool :=
   let sign := first_surplus m g h w p in
   (sign <=? 0) && (negb (taken act p) || (sign =? 0)).
@@ -226,7 +231,7 @@ Definition expansion (m : model) (act : Z -> Z) (g h w : level) : bool :=
   level_right m g && level_right m h && level_right m w &&
   forallb (expansion_pair m act g h w) (pairs m).
 
-(* ---- goals: `infinite` is 1 for states of +∞, -1 for states of -∞, and 0 for finite ones ------ *)
+(* ---- goals: `infinite` is 1 for states of +∞, -1 for states of -∞, and 0 for finite ones ---- *)
 
 (* Return whether the value of a state is finite. *)
 Definition finite (infinite : Z -> Z) (s : Z) : bool := infinite s =? 0.
@@ -285,11 +290,14 @@ Definition arrives (rank infinite : Z -> Z) (p : pair) : bool :=
 Definition arriving (infinite act out : Z -> Z) (s : Z) : Z :=
   if above infinite s then out s else act s.
 
+(* Return whether a pair of the way out of +∞ leads toward finite states. *)
+Definition way_pair (rank infinite act : Z -> Z) (p : pair) : bool :=
+  negb (above infinite (state p) && taken act p) || arrives rank infinite p.
+
 (* Return whether there is a safe way from all states of +∞. *)
 Definition way_right (m : model) (rank infinite act out : Z -> Z) : bool :=
   policy_right m (arriving infinite act out) &&
-  forallb (fun p => negb (above infinite (state p) && taken (arriving infinite act out) p) ||
-    arrives rank infinite p) (pairs m).
+  forallb (way_pair rank infinite (arriving infinite act out)) (pairs m).
 
 (* Return whether all pairs satisfy the rules of a goal. *)
 Definition reaching (m : model) (h : level) (rank order infinite : Z -> Z) (g : Z -> bool)
@@ -298,7 +306,7 @@ Definition reaching (m : model) (h : level) (rank order infinite : Z -> Z) (g : 
   forallb (reaching_pair m h rank order infinite g act) (pairs m) &&
   (negb (missing_is_least m) || way_right m rank infinite act out).
 
-(* ---- the value of the start, in the model's own sign ------------------------------------------ *)
+(* ---- the value of the start, in the model's own sign ---------------------------------------- *)
 
 (* Return the term of one state in the mean of a level over the start. *)
 Definition start_term (x : level) (sq : Z * Q) : Z * ratio :=
@@ -308,9 +316,9 @@ Definition start_term (x : level) (sq : Z * Q) : Z * ratio :=
 (* Return whether a number is the mean of a level over the start. *)
 Definition is_mean (m : model) (x : level) (v : extended) : bool :=
   match v with
-  | Finite q =>
+  | Finite number =>
       let (top, below) := sum_of (map (start_term x) (start m)) in
-      signed m (Qnum q) * below =? top * Zpos (Qden q)
+      signed m (Qnum number) * below =? top * Zpos (Qden number)
   | _ => false
   end.
 
@@ -341,13 +349,13 @@ Definition start_value_right (m : model) (sign : Z -> Z) (x : level) (v : extend
   else if down then is_least m v
   else is_mean m x v.
 
-(* ---- optimal pairs, and whether states that these reach from the start have one each ---------- *)
+(* ---- optimal pairs, and whether states that these reach from the start have one each -------- *)
 
 (* Return whether there is a goal, and a state is in it. *)
 Definition in_goal (m : model) (s : Z) : bool :=
   match goal m with None => false | Some g => g s end.
 
-(* Return whether a pair is optimal by g and h; of an infinite total, if it keeps the sign of g. *)
+(* Return whether a pair is optimal by g and h; of infinite totals, if it keeps the sign. *)
 Definition expansion_optimal (m : model) (average : bool) (g h : level) (p : pair) : bool :=
   let (t, b) := g (state p) in
   if negb average && negb (t =? 0) then (t <? 0) || (0 <? surplus 1 (t, b) p g)
@@ -369,7 +377,7 @@ Definition optimal (m : model) (c : claim) (p : pair) : bool :=
   end.
 
 (* Return whether the first of two pairs is of an earlier state than the second. *)
-Definition apart (both : pair * pair) : bool := let (p, q) := both in state p <? state q.
+Definition apart (both : pair * pair) : bool := let (p, after) := both in state p <? state after.
 
 (* Return whether a pair is optimal in a state that is reached and no end. *)
 Definition matters (m : model) (c : claim) (hs : hints) (p : pair) : bool :=
@@ -398,16 +406,16 @@ Definition target_reached (m : model) (c : claim) (hs : hints) : bool :=
     (pairs m).
 
 (* Return the pair of a state with an action, if there is one. *)
-Definition pair_at (m : model) (s a : Z) : option pair :=
+Definition find_pair (m : model) (s a : Z) : option pair :=
   find (fun p => (state p =? s) && (action p =? a)) (pairs m).
 
 (* Return whether there is such a pair, and it is optimal. *)
 Definition optimal_at (m : model) (c : claim) (s a : Z) : bool :=
-  match pair_at m s a with None => false | Some p => optimal m c p end.
+  match find_pair m s a with None => false | Some p => optimal m c p end.
 
 (* Return whether there is such a pair, and it leaves the state or earns. *)
 Definition leaves (m : model) (s a : Z) : bool :=
-  match pair_at m s a with None => false | Some p => negb (stays p) end.
+  match find_pair m s a with None => false | Some p => negb (stays p) end.
 
 (* Return whether optimal pairs reach a state that is no end and has two of them. *)
 Definition two_somewhere (m : model) (c : claim) (hs : hints) : bool :=
@@ -426,20 +434,22 @@ Definition zero (s : Z) : Z := 0.
 (* Return the sign of a level. *)
 Definition sign_of (g : level) (s : Z) : Z := fst (g s).
 
-(* Return whether there is a goal, and its rules are satisfied. *)
+(* Return whether there is a goal, its rules are satisfied, and the start value is right. *)
 Definition reaching_goal (m : model) (c : certificate) (hs : hints) (h : level)
     (rank order infinite : Z -> Z) : bool :=
   match goal m with
   | None => false
-  | Some g => reaching m h rank order infinite g (actions c) (way_out hs)
+  | Some g =>
+      reaching m h rank order infinite g (actions c) (way_out hs) &&
+      start_value_right m infinite h (start_value c)
   end.
 
-(* Return whether the start value of an expansion is right: a total needs discount 1, no goal. *)
+(* Return whether the start value of an expansion is right. Totals need discount 1 and no goal. *)
 Definition expansion_start (m : model) (average : bool) (g h : level) (v : extended) : bool :=
   if average then is_mean m g v
   else is_one (discount m) && no_goal m && start_value_right m (sign_of g) h v.
 
-(* Return whether what is claimed satisfies the rules of its kind, and the start value is right. *)
+(* Return whether a claim satisfies the rules of its kind, and the start value is right. *)
 Definition proves (m : model) (c : certificate) (hs : hints) : bool :=
   match claims c with
   | Values h rank =>
@@ -447,12 +457,10 @@ Definition proves (m : model) (c : certificate) (hs : hints) : bool :=
   | Bounds low high rank => values m hs (actions c) low high rank
   | Expansion average g h w =>
       expansion m (actions c) g h w && expansion_start m average g h (start_value c)
-  | Reaching h rank order infinite =>
-      reaching_goal m c hs h rank order infinite &&
-      start_value_right m infinite h (start_value c)
+  | Reaching h rank order infinite => reaching_goal m c hs h rank order infinite
   end.
 
-(* Return whether it is said rightly that the optimum is unique, or not; of bounds nothing is. *)
+(* Return whether it is said rightly that the optimum is unique, or is not. *)
 Definition uniqueness_right (m : model) (c : certificate) (hs : hints) : bool :=
   match claims c with
   | Bounds _ _ _ => true

@@ -14,7 +14,7 @@ Definition eventually (F : nat -> Prop) : Prop := exists N, forall n, (N <= n)%n
 Definition in_the_limit (F : Q -> nat -> Prop) : Prop :=
   forall eps, 0 < eps -> eventually (F eps).
 
-(* ---- values: kind "total" by h alone, and "bounds" ------------------------------------------- *)
+(* ---- values: kind "total" by h alone, and "bounds" ------------------------------------------ *)
 
 (* From every state and after every history, in the limit of many steps, no policy earns more than
    `high`, and the policy `best` earns at least `low`. *)
@@ -42,7 +42,7 @@ Definition optimal_pairs (m : model) (V : Z -> Q) (opt : pair -> Prop) : Prop :=
   (forall pi, plays m opt pi -> forall s hist, is_state m s ->
     in_the_limit (fun eps n => V s - eps <= earns m (discount m) pi n hist s)).
 
-(* ---- expansion: kind "average", and "total" by g, h and w ------------------------------------- *)
+(* ---- expansion: kind "average", and "total" by g, h and w ----------------------------------- *)
 
 (* g is the greatest average reward per step: for some C and from every state, no policy earns more
    than n g + C in n steps, and `best` earns n g + h, up to C. *)
@@ -82,7 +82,7 @@ Definition limit_total (m : model) (best : policy) (g h : Z -> Q) : Prop :=
     (g s < 0 -> forall B, near_one (fun gamma =>
       forall pi, valid m pi -> eventually (fun n => earns m gamma pi n hist s <= B))).
 
-(* ---- goals ------------------------------------------------------------------------------------ *)
+(* ---- goals ---------------------------------------------------------------------------------- *)
 
 (* the probability that n steps have not reached the goal: it consists of ends, so that what has
    reached it stays there *)
@@ -119,7 +119,7 @@ Definition goal_optimum (m : model) (g : Z -> bool) (best : policy) (V : Z -> Q)
     (infinite s = 1%Z -> missing_is_least m = true -> forall B, exists pi, valid m pi /\
       arrives_surely g pi [] s /\ eventually (fun n => B <= earns m 1 pi n [] s)).
 
-(* ---- the value of the start -------------------------------------------------------------------- *)
+(* ---- the value of the start ----------------------------------------------------------------- *)
 
 (* A run begins in s with a positive probability. *)
 Definition may_begin (m : model) (s : Z) : Prop := exists q, In (s, q) (start m) /\ 0 < q.
@@ -143,7 +143,7 @@ Definition start_is (m : model) (sign : Z -> Z) (x : Z -> Q) (v : extended) : Pr
     (forall s, may_begin m s -> (sign s <= 0)%Z) /\
     v = if maximise m then Minus_infinity else Plus_infinity).
 
-(* ---- whether the optimum is unique ------------------------------------------------------------- *)
+(* ---- whether the optimum is unique ---------------------------------------------------------- *)
 
 (* the states that optimal pairs reach from the start *)
 Inductive reached (m : model) (opt : pair -> Prop) : Z -> Prop :=
@@ -161,7 +161,7 @@ Definition one_optimum (m : model) (opt : pair -> Prop) (is_unique : bool) : Pro
   else exists s p q, reached m opt s /\ ~ is_end m s /\ In p (pairs m) /\ In q (pairs m) /\
     state p = s /\ state q = s /\ opt p /\ opt q /\ action p <> action q.
 
-(* ---- the whole --------------------------------------------------------------------------------- *)
+(* ---- the whole ------------------------------------------------------------------------------ *)
 
 Definition holds (m : model) (c : certificate) : Prop :=
   let best := stationary m (actions c) in

@@ -1,6 +1,6 @@
 (* The checker as JSON, for to_python.py. Functions of Coq's library on integers, booleans and lists
-   are left to Python, each under the name that the translator knows. *)
-From Coq Require Import ZArith QArith List Bool Extraction.
+   are left to Python, each under a name that the translator knows. *)
+From Coq Require Import ZArith List Bool Extraction.
 From MDP Require Import Spec Checker.
 Extraction Language JSON.
 Unset Extraction AutoInline.

@@ -472,7 +472,7 @@ Section Goal.
   Proof.
     pose proof H as X. unfold reaching in X. rewrite !andb_true_iff in X. destruct X as [_ X]. rewrite L in X.
     cbn [negb orb] in X. unfold way_right in X. apply andb_true_iff in X. destruct X as [Pb X]. split; [exact Pb|].
-    intros p I Ap T. rewrite forallb_forall in X. specialize (X p I). cbv beta in X. fold abv b in X.
+    intros p I Ap T. rewrite forallb_forall in X. specialize (X p I). unfold way_pair in X. fold abv b in X.
     rewrite Ap, T in X. exact X.
   Qed.
   Lemma b_fin p : fin (state p) = true -> taken b p = true -> taken a p = true.

@@ -283,20 +283,22 @@ Qed.
 
 (* ---- the policy ----------------------------------------------------------------------------- *)
 
-Lemma count_ok l : forall i n, fold_left count l (Some i) = Some n ->
-  forall s, (i <= s < n)%Z -> In s l.
+Lemma count_ok l : forall i right n, fold_left count l (i, right) = (n, true) ->
+  right = true /\ forall s, (i <= s < n)%Z -> In s l.
 Proof.
-  assert (N : forall l, fold_left count l None = None) by (induction l0; auto).
-  induction l as [|x l IH]; intros i n H s S; cbn [fold_left] in H; [inversion H; lia|].
-  cbn [count] in H. destruct (Z.eqb_spec x i) as [->|]; [|now rewrite N in H].
-  destruct (Z.eq_dec s i) as [->|]; [now left|]. right. apply (IH (i + 1)%Z n); [exact H|lia].
+  induction l as [|x l IH]; intros i right n H; cbn [fold_left] in H.
+  - inversion H. split; [reflexivity|]. intros s S. lia.
+  - cbn [count] in H. destruct (IH _ _ _ H) as [R All]. split_and. reflect. subst x.
+    split; [reflexivity || assumption|]. intros s S.
+    destruct (Z.eq_dec s i) as [->|]; [now left|]. right. apply All. lia.
 Qed.
 Lemma policy_pair m a s : policy_right m a = true -> is_state m s ->
   exists p, In p (pairs m) /\ state p = s /\ taken a p = true.
 Proof.
-  unfold policy_right. intros H S. destruct (fold_left _ _ _) as [n|] eqn:F; [|discriminate].
-  reflect. subst n. assert (I := count_ok _ _ _ F s S). apply in_map_iff in I.
-  destruct I as (p & <- & I). apply filter_In in I. exists p. tauto.
+  unfold policy_right. intros H S. destruct (fold_left _ _ _) as [n right] eqn:F.
+  apply andb_true_iff in H. destruct H as [-> H]. apply Z.eqb_eq in H. subst n.
+  destruct (count_ok _ _ _ _ F) as [_ All]. specialize (All s S). apply in_map_iff in All.
+  destruct All as (p & <- & I). apply filter_In in I. exists p. tauto.
 Qed.
 Lemma stationary_plays m a : policy_right m a = true -> plays m (fun p => taken a p = true) (stationary m a).
 Proof.

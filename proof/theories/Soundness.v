@@ -179,8 +179,8 @@ Proof.
     + rewrite !andb_true_iff in S. destruct S as [[A _] S]. apply is_one_ok in A.
       split; [exact A|]. split; [exact La|]. split; [now apply laurent_total|].
       split; [now apply start_value_right_ok|now apply (unique_ok m _ hs)].
-  - apply andb_true_iff in K. destruct K as [K S]. unfold reaching_goal in K.
-    destruct (goal m) as [g|] eqn:G; [|discriminate]. exists g. split; [reflexivity|].
+  - unfold reaching_goal in K. destruct (goal m) as [g|] eqn:G; [|discriminate].
+    apply andb_true_iff in K. destruct K as [K S]. exists g. split; [reflexivity|].
     assert (Lh : level_pos m h) by
       (apply (g_level m (actions c) (way_out hs) h rank order infinite g P K)).
     split; [|split; [now apply start_value_right_ok|now apply (unique_ok m _ hs)]].

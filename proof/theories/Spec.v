@@ -8,14 +8,14 @@ Open Scope Q_scope.
 
 (* ---- models --------------------------------------------------------------------------------- *)
 
-(* An outcome of a pair leads to the state `next` with probability weight / denominator, where the
-   denominator is that of the pair, and earns `reward` on the way. *)
+(* An outcome of a pair, of probability weight / denominator. It leads to the state `next` and earns
+   `reward` on the way; the denominator is that of the pair. *)
 Record outcome := Outcome { next : Z; weight : Z; reward : Q }.
 
 (* A pair (s, a): the action a may be taken in the state s. *)
 Record pair := Row { state : Z; action : Z; denominator : Z; outcomes : list outcome }.
 
-(* A model as its file says. States are 0, 1, …, states - 1. *)
+(* A model as its file says, whose states are 0, 1, …, states - 1. *)
 Record model := Model {
   states : Z;
   discount : Q;              (* γ *)

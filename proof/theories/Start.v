@@ -4,7 +4,7 @@ From MDP Require Import Spec Checker Claims Arith Integers.
 Import ListNotations.
 Open Scope Q_scope.
 
-(* ---- the value of the start -------------------------------------------------------------------- *)
+(* ---- the value of the start ----------------------------------------------------------------- *)
 
 Lemma is_mean_ok m x v : well_formed m -> level_pos m x -> is_mean m x v = true ->
   start_mean m (value x) v.
@@ -77,7 +77,7 @@ Proof.
     specialize (nd eq_refl s B). lia.
 Qed.
 
-(* ---- uniqueness -------------------------------------------------------------------------------- *)
+(* ---- uniqueness ----------------------------------------------------------------------------- *)
 
 Lemma apart_trans p q s : apart (p, q) = true -> apart (q, s) = true -> apart (p, s) = true.
 Proof. unfold apart. rewrite !Z.ltb_lt. lia. Qed.
@@ -93,8 +93,8 @@ Proof.
     + specialize (B p Ip). unfold apart in B. reflect. lia.
 Qed.
 
-Lemma pair_at_ok m s a p : pair_at m s a = Some p -> In p (pairs m) /\ state p = s /\ action p = a.
-Proof. unfold pair_at. intro F. apply find_some in F. destruct F as [I F]. split_and. reflect. auto. Qed.
+Lemma find_pair_ok m s a p : find_pair m s a = Some p -> In p (pairs m) /\ state p = s /\ action p = a.
+Proof. unfold find_pair. intro F. apply find_some in F. destruct F as [I F]. split_and. reflect. auto. Qed.
 
 (* From a state of the way, optimal pairs reach the target. *)
 Lemma target_reached_ok m c hs : target_reached m c hs = true -> well_formed m ->
@@ -145,10 +145,10 @@ Proof.
     destruct X as [[[[R D] O1] O2] Lv]. apply target_reached_ok in R; [|exact wf].
     set (s := target hs) in *.
     unfold optimal_at in O1, O2. unfold leaves in Lv.
-    destruct (pair_at m s (first hs)) as [p|] eqn:A1; [|discriminate].
-    destruct (pair_at m s (second hs)) as [q|] eqn:A2; [|discriminate].
-    destruct (pair_at m s (leaving hs)) as [l|] eqn:A3; [|discriminate].
-    apply pair_at_ok in A1, A2, A3. destruct A1 as (I1 & S1 & E1), A2 as (I2 & S2 & E2),
+    destruct (find_pair m s (first hs)) as [p|] eqn:A1; [|discriminate].
+    destruct (find_pair m s (second hs)) as [q|] eqn:A2; [|discriminate].
+    destruct (find_pair m s (leaving hs)) as [l|] eqn:A3; [|discriminate].
+    apply find_pair_ok in A1, A2, A3. destruct A1 as (I1 & S1 & E1), A2 as (I2 & S2 & E2),
       A3 as (I3 & S3 & _). exists s, p, q. repeat (split; [assumption || auto|]).
     + intro En. specialize (En l I3 S3). rewrite <- S3 in En.
       apply negb_true_iff in Lv. rewrite (proj2 (stays_ok m l (wf_rows m wf l I3)) En) in Lv.

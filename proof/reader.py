@@ -1,0 +1,335 @@
+"""Checks a certificate against a model, with Python's standard library alone.
+
+    python verified.py model.json certificate.json   exit status 0: it holds, 1: it does not, 2: bad
+
+What `check` accepts, holds: that is a theorem of Coq, in proof/theories/Soundness.v of the project;
+what it says is in Claims.v beside it. The functions before it are what Coq extracted, and those
+after it, which are not proven, read the two files, refuse what the format does not allow, compare
+the hash, and find hints, of which a wrong one can only refuse. The format of files is described in
+docs/reference/certificates.md.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from fractions import Fraction
+from functools import reduce
+from hashlib import sha256
+from itertools import chain, pairwise
+from math import gcd, lcm
+from pathlib import Path
+from typing import Any, NamedTuple
+
+# the proven program: to_python.py writes it here
+# ruff: noqa: F401, TID251
+from exact_mdp.solvers.exact.verified import (
+    Bounds,
+    Certificate,
+    Claim,
+    Expansion,
+    Extended,
+    Finite,
+    Hints,
+    Level,
+    MinusInfinity,
+    Model,
+    Outcome,
+    Pair,
+    PlusInfinity,
+    Q,
+    Reaching,
+    Values,
+    arrives,
+    check,
+    optimal,
+    reward_sum,
+    stays,
+)
+
+# end of the proven program
+
+
+def divided(a: int, b: int) -> int:
+    """Return the quotient of integers, rounded down; 0 for a divisor of 0, as in Coq."""
+    return a // b if b else 0
+
+
+# ---- reading, without proof ----------------------------------------------------------------------
+
+NUMBER = re.compile(r"(-?(?:0x[0-9a-f]+|[0-9]+))(?:/(0x[0-9a-f]+|[0-9]+))?")
+PARTS = {"state", "action", "denominator", "next", "weight", "reward"}
+HEAD = {"format", "version", "kind", "model", "sense", "policy", "rank"}
+KEYS = {
+    "total": HEAD | {"g", "h", "w", "infinite", "order", "start_value", "unique"},
+    "average": HEAD | {"g", "h", "w", "infinite", "order", "start_value", "unique"},
+    "bounds": HEAD | {"low", "high"},
+}
+
+
+class Unreadable(ValueError):
+    """What is no model, or no certificate."""
+
+
+def needed(condition: object, what: str) -> None:
+    """Raise Unreadable unless a condition holds."""
+    if not condition:
+        raise Unreadable(what)
+
+
+def fraction(given: object, where: str) -> Fraction:
+    """Read an integer, or a text such as "-7", "0x1f" or "1/3"."""
+    if type(given) is int:
+        return Fraction(given)
+    match = NUMBER.fullmatch(given) if isinstance(given, str) else None
+    needed(match, f"{where}: not a number")
+    assert match
+    try:
+        return Fraction(int(match[1], 0), int(match[2] or "1", 0))
+    except (ValueError, ZeroDivisionError) as error:  # 007, 1/0, more digits than Python reads
+        raise Unreadable(f"{where}: not a number; long ones are in hexadecimal") from error
+
+
+def integer(given: object, where: str) -> int:
+    """Read an integer."""
+    number = fraction(given, where)
+    needed(number.denominator == 1, f"{where}: not an integer")
+    return number.numerator
+
+
+def integers(given: object, where: str, length: int | None = None) -> list[int]:
+    """Read a list of integers, of a length if one is given."""
+    if not isinstance(given, list) or length not in (None, len(given)):
+        raise Unreadable(f"{where}: not a list, or not of this length")
+    return [integer(each, where) for each in given]
+
+
+def content_of(given: object, what: str) -> dict[str, Any]:
+    """Return an object that says it is of a kind, and of version 2."""
+    if not isinstance(given, dict):
+        raise Unreadable(f"not a {what}")
+    head = given.get("format"), given.get("version")
+    needed(head == (f"exact-mdp {what}", 2) and type(head[1]) is int, f"not a {what} of version 2")
+    return given
+
+
+def with_keys(given: object, keys: Iterable[str], where: str) -> dict[str, Any]:
+    """Return an object, which has these keys and no others."""
+    if not isinstance(given, dict) or given.keys() != {*keys}:
+        raise Unreadable(f"{where}: a key is missing, or there is one too many")
+    return given
+
+
+def pair_of(given: object, states: int) -> Pair:
+    """Read a pair."""
+    own = with_keys(given, PARTS, "a pair")
+    state, action, below = (integer(own[key], key) for key in ("state", "action", "denominator"))
+    where = f"state {state}, action {action}"
+    after, weight = integers(own["next"], where), integers(own["weight"], where)
+    each = own["reward"] if isinstance(own["reward"], list) else [own["reward"]] * len(after)
+    rewards = [fraction(x, where) for x in each]
+    needed(len(after) == len(weight) == len(rewards) > 0, f"{where}: not one of each next state")
+    needed(min(weight) > 0 and sum(weight) == below, f"{where}: the weights")
+    needed(0 <= min(after) <= max(after) < states, f"{where}: a next state is not a state")
+    rows = zip(after, weight, rewards, strict=True)
+    return Pair(state, action, below, [Outcome(t, w, Q(*x.as_integer_ratio())) for t, w, x in rows])
+
+
+def model_of(given: object) -> tuple[Model, str]:
+    """Read a model; return its hash, too."""
+    own = content_of(given, "model")
+    for key in ("states", "discount", "sense", "start", "pairs"):
+        needed(key in own, f"the model: {key} is missing")
+    sense, missing = own["sense"], own.get("unreached", "inf")
+    needed(sense in ("max", "min"), "sense is neither max nor min")
+    needed(missing in ("inf", "-inf"), "unreached is neither inf nor -inf")
+    states, discount = integer(own["states"], "states"), fraction(own["discount"], "discount")
+    needed(0 <= discount <= 1, "the discount is not from 0 to 1")
+    listed = own["pairs"] if isinstance(own["pairs"], list) else []
+    needed(states <= len(listed), "pairs: not a list with a pair of each state")
+    pairs = sorted((pair_of(each, states) for each in listed), key=lambda pair: pair[:2])
+    names = [pair[:2] for pair in pairs]
+    needed(len({*names}) == len(names), "two pairs have the same state and action")
+    needed({s for s, _ in names} == {*range(states)}, "the states of pairs are not 0, 1, …")
+    begin = own["start"] if isinstance(own["start"], dict) else {}
+    start = [(integer(s, "start"), fraction(share, "start")) for s, share in begin.items()]
+    shares = [share for _, share in start if share]
+    fits = {s for s, share in start if share} <= {*range(states)} and sum(shares) == 1
+    needed(fits and min(shares) > 0, "start: not a distribution of states")
+    goal = None
+    if own.get("goal") is not None:
+        goal = {*integers(own["goal"], "goal")}
+        moving = {pair.state for pair in pairs if not stays(pair)}
+        needed(discount == 1 and goal <= {*range(states)} - moving, "the goal is not made of ends")
+    live = sorted((s, share) for s, share in start if share)
+    model = Model(
+        states, Q(*discount.as_integer_ratio()), sense == "max",
+        [(s, Q(*share.as_integer_ratio())) for s, share in live], pairs,
+        None if goal is None else goal.__contains__, (missing == "-inf") is (sense == "max"),
+    )  # fmt: skip
+    aim = "" if goal is None else f" {missing} {sorted(goal)}"
+    return model, digest(model, f"exact-mdp model 2 {sense}{aim}")
+
+
+def digest(m: Model, first: str) -> str:
+    """Return the SHA-256 of all that counts: a first line, and integers in hexadecimal."""
+    rows, rewards = list[tuple[int, list[tuple[int, int]]]](), list[Fraction]()
+    for pair in m.pairs:
+        total = dict.fromkeys(sorted(outcome.next for outcome in pair.outcomes), 0)
+        for outcome in pair.outcomes:
+            total[outcome.next] += outcome.weight
+        shared = gcd(pair.denominator, *total.values())
+        rows.append((pair.denominator // shared, [(s, w // shared) for s, w in total.items()]))
+        top, below = reward_sum(pair)
+        rewards.append(Fraction(top, below * pair.denominator))
+    lines: list[Iterable[int]] = [
+        [m.states, *m.discount],
+        [n for s, (top, below) in m.start for n in (s, top, below)],
+        [pair.state for pair in m.pairs],
+        [pair.action for pair in m.pairs],
+        [reward.numerator for reward in rewards],
+        [reward.denominator for reward in rewards],
+        [below for below, _ in rows],
+        [len(row) for _, row in rows],
+        chain([s for _, row in rows for s, _ in row], [w for _, row in rows for _, w in row]),
+    ]
+    text = "\n".join([first, *(" ".join(map(hex, line)) for line in lines)])
+    return sha256(text.encode()).hexdigest()
+
+
+def level_of(given: object, where: str, states: int) -> Level:
+    """Read a level."""
+    own = with_keys(given, ("top", "below", "group"), where)
+    top, below = integers(own["top"], where, states), integers(own["below"], where)
+    group = integers(own["group"], where, states)
+    fits = {*group} == {*range(len(below))} and min(below, default=1) > 0
+    needed(fits, f"{where}: denominators that are not positive, or not those of the groups")
+    return [(x, below[k]) for x, k in zip(top, group, strict=True)].__getitem__
+
+
+def certificate_of(own: dict[str, Any], m: Model) -> Certificate | None:
+    """Read a certificate; return None where its parts prove nothing of its kind."""
+    some = {key: x for key, x in own.items() if x is not None}
+    policy = integers(own["policy"], "policy", m.states)
+    rank, order, infinite = (
+        integers(some[key], key, m.states) if key in some else None
+        for key in ("rank", "order", "infinite")
+    )
+    needed(min([*(rank or []), *(order or [])], default=0) >= 0, "a rank is negative")
+    levels = {
+        key: level_of(some[key], key, m.states)
+        for key in ("g", "h", "w", "low", "high") if key in some
+    }  # fmt: skip
+    ranks = None if rank is None else rank.__getitem__
+    value: Extended = MinusInfinity() if own.get("start_value") == "-inf" else PlusInfinity()
+    if own.get("start_value", 0) not in ("inf", "-inf"):
+        number = fraction(own.get("start_value", 0), "start_value")
+        value = Finite(Q(*number.as_integer_ratio()))
+    kind, parts = own["kind"], [*levels]
+    claim: Claim
+    if order is not None or infinite is not None:
+        if kind != "total" or parts != ["h"] or None in (rank, order, infinite):
+            return None
+        assert ranks
+        assert order is not None
+        assert infinite is not None
+        claim = Reaching(levels["h"], ranks, order.__getitem__, infinite.__getitem__)
+    elif (kind, parts) == ("bounds", ["low", "high"]):
+        claim = Bounds(levels["low"], levels["high"], ranks)
+    elif (kind, parts) == ("total", ["h"]):
+        claim = Values(levels["h"], ranks)
+    elif parts == ["g", "h", "w"] and rank is None:
+        claim = Expansion(kind == "average", levels["g"], levels["h"], levels["w"])
+    else:
+        return None
+    unique = own.get("unique", False)
+    return Certificate(policy.__getitem__, claim, value, unique) if type(unique) is bool else None
+
+
+# ---- hints ---------------------------------------------------------------------------------------
+
+
+def hints_of(m: Model, c: Certificate) -> Hints:
+    """Return what `check` is to test: ends, states that are reached, ways."""
+    own: list[list[Pair]] = [[] for _ in range(m.states)]
+    for pair in m.pairs:
+        own[pair.state].append(pair)
+    ends = [all(map(stays, pairs)) for pairs in own]
+    out, along = [0] * m.states, [c.actions(s) for s in range(m.states)]
+    if isinstance(c.claims, Reaching):
+        rank, infinite = c.claims.rank, c.claims.infinite
+        for s, pairs in enumerate(own):
+            out[s] = next((p.action for p in pairs if arrives(rank, infinite, p)), 0)
+    reached, toward, ways = [False] * m.states, [-1] * m.states, dict[int, tuple[int, int]]()
+    target = first = second = leaving = 0
+    waiting = [] if isinstance(c.claims, Bounds) else [s for s, _ in m.start]
+    for s in waiting:
+        reached[s] = True
+    for s in waiting:
+        best = [pair for pair in own[s] if optimal(m, c.claims, pair)]
+        if len(best) > 1 and not ends[s]:
+            target, first, second = s, best[0].action, best[1].action
+            leaving, steps = next(p.action for p in own[s] if not stays(p)), 0
+            toward[s] = 0
+            while s in ways:
+                s, action = ways[s]
+                steps += 1
+                toward[s], along[s] = steps, action
+            break
+        for pair in best:
+            for t in {outcome.next for outcome in pair.outcomes if not reached[outcome.next]}:
+                reached[t], ways[t] = True, (s, pair.action)
+                waiting.append(t)
+    return Hints(
+        ends.__getitem__, reached.__getitem__, out.__getitem__, toward.__getitem__,
+        along.__getitem__, target, first, second, leaving,
+    )  # fmt: skip
+
+
+# ---- files ---------------------------------------------------------------------------------------
+
+
+def holds(model: object, certificate: object) -> bool:
+    """Return whether what one file says holds of another; raises Unreadable for bad content."""
+    own = content_of(certificate, "certificate")
+    kind = own.get("kind")
+    if not isinstance(kind, str) or kind not in KEYS:
+        raise Unreadable(f"the proof covers {', '.join(KEYS)}, not {str(kind)[:40]!r}")
+    with_keys(own, KEYS[kind], "the certificate")
+    m, print_of_model = model_of(model)
+    if [own["model"], own["sense"]] != [print_of_model, "max" if m.maximise else "min"]:
+        return False
+    c = certificate_of(own, m)
+    return c is not None and check(m, c, hints_of(m, c))
+
+
+def once(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
+    """Return an object of a JSON file; raises Unreadable for a key that is written twice."""
+    needed(len(dict(pairs)) == len(pairs), "a key is written twice")
+    return dict(pairs)
+
+
+def read(path: str) -> Any:
+    """Return the content of a JSON file."""
+    try:
+        return json.loads(Path(path).read_text("utf-8-sig"), object_pairs_hook=once)
+    except (ValueError, RecursionError) as error:
+        raise Unreadable(f"{path}: {error}") from error
+
+
+def main(words: Sequence[str]) -> int:
+    """Check a certificate file against a model file."""
+    try:
+        needed(len(words) == 2, "give two files: model.json certificate.json")
+        right = holds(read(words[0]), read(words[1]))
+    except (ValueError, OSError) as error:
+        print(f"not checked: {error}", file=sys.stderr)
+        return 2
+    print("holds" if right else "does not hold")
+    return 0 if right else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
