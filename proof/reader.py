@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
 from functools import reduce
 from hashlib import sha256
-from itertools import chain, pairwise
+from itertools import pairwise
 from math import gcd, lcm
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -193,7 +193,8 @@ def digest(m: Model, first: str) -> str:
         [reward.denominator for reward in rewards],
         [below for below, _ in rows],
         [len(row) for _, row in rows],
-        chain([s for _, row in rows for s, _ in row], [w for _, row in rows for _, w in row]),
+        [s for _, row in rows for s, _ in row],
+        [w for _, row in rows for _, w in row],
     ]
     text = "\n".join([first, *(" ".join(map(hex, line)) for line in lines)])
     return sha256(text.encode()).hexdigest()
