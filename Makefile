@@ -21,8 +21,8 @@ COMPILE = $(PY) -m uv pip compile -q --universal --python-version 3.11 --fork-st
 ICU = 'gym==0.26.2 --hash=sha256:e0d882f4b54f0c65f203104c24ab8a38b039f1289986803c7d02cdbe214fbcc4' \
     'icu-sepsis==2.0.1 --hash=sha256:93cc0f70d06b23ad024856214942077edef58c62492c6641d1a47ac38cfb1f2f'
 
-.PHONY: help setup reproduce notebooks outputs docs test test-slow test-lowest lint format types mutants bench wheel lock clean
-reproduce notebooks outputs docs test test-slow lint format types mutants bench wheel lock: setup
+.PHONY: help setup reproduce notebooks outputs docs test test-slow test-lowest lint format types mutants proof proof-audit proof-compare bench wheel lock clean
+reproduce notebooks outputs docs test test-slow lint format types mutants proof-compare bench wheel lock: setup
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 setup: $(VENV)/.installed ## make .venv with the locked packages and the project itself
@@ -51,6 +51,13 @@ types: ## mypy over the four packages and the tests' helpers
 	$(PY) -m mypy && $(PY) -m mypy tests/support tests/cases
 mutants: ## change one thing at a time in FILE=solvers/exact/levels.py, a folder or several; which changes do tests notice?
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(PY) tests/mutation/mutants.py $(ARGS) $(FILE)
+proof: ## check with Coq that what the proven checker accepts holds, and that verified.py is that checker
+	@command -v coqc > /dev/null || { echo "Coq is missing: apt-get install --no-install-recommends coq"; exit 1; }
+	$(MAKE) --no-print-directory -C proof
+proof-audit: ## check the compiled proof once more, with Coq's independent checker
+	$(MAKE) --no-print-directory -C proof audit
+proof-compare: ## compare both checkers on 20,000 certificates (ARGS="2000 7": how many, which seed)
+	PYTHONPATH=. $(PY) tests/support/altered_certificates.py $(ARGS)
 bench: ## the benchmarks; rewrites tests/benchmarks/RESULTS.md
 	$(PY) -m pytest -m storm && $(PY) tests/benchmarks/compare.py
 wheel: ## build the wheel and the source archive into dist, the same bytes every time
