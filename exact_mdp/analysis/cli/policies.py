@@ -16,12 +16,14 @@ from exact_mdp.analysis.tradeoffs.front import Front
 from exact_mdp.analysis.tradeoffs.rationalize import Rationalization
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import endless
+from exact_mdp.mdp.io import model_json
 from exact_mdp.mdp.io.files import write_atomically
+from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.mdp.table import float_of
-from exact_mdp.solvers.exact import codec
-from exact_mdp.solvers.exact.certificate import BoundedCertificate, Certificate
+from exact_mdp.solvers.exact import codec, verified
+from exact_mdp.solvers.exact.certificate import BoundedCertificate, Certificate, Proof
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution, bounds
 from exact_mdp.solvers.objectives.totals import TotalsProof
 
@@ -120,31 +122,40 @@ def solve(
     return given.report(replace(report, facts={**report.facts, "written": written}))
 
 
-def verify(certificate: str, given: Given) -> Report:
+def verify(certificate: str, given: Given, *, proven: bool = False) -> Report:
     """Check a certificate of an optimum or of a front.
 
     It is what solve wrote, with limits or without, or tradeoff: a front then. The checker imports
-    no solver. The exit status is 1 where CERTIFICATE does not hold of MODEL.
+    no solver. With --proven a second one has to accept it, too, whose soundness is proven in Coq:
+    for totals, averages and bounds. The exit status is 1 where CERTIFICATE does not hold of MODEL.
 
     Example: exact-mdp verify proof.json yuan2025
+    Example: exact-mdp verify proof.json yuan2025 --proven
 
     Parameters
     ----------
     certificate : CERTIFICATE
+    proven : bool
+        Ask the checker whose soundness is proven, too.
 
     Keys
     ----
     certificate: the certificate's file; holds: whether the certificate holds; violations: rules
-    that are broken, empty if all hold; objectives: the totals that a front or limits are about.
+    that are broken, empty if all hold; proven: whether the checker whose soundness is proven was
+    asked, too; objectives: the totals that a front or limits are about.
     """
     mdp = given.mdp
     proof = replace(codec.load(KINDS, certificate), mdp=mdp)
     violations = proof.violations(mdp)
-    said = "does not hold" if violations else f"holds ({proof.claim})"
+    if proven and not accepted(proof, mdp) and not violations:
+        violations = ["the checker whose soundness is proven does not accept it"]
+    by = ", by the proven checker, too" if proven else ""
+    said = "does not hold" if violations else f"holds ({proof.claim}{by})"
     facts: dict[str, Any] = {
         "certificate": certificate,
         "holds": Shown(not violations, said),
         "violations": Shown(violations, [{"what is wrong": each} for each in violations]),
+        "proven": Shown(proven),
         "claim": Shown(None if violations else proof.claim),
     }
     if isinstance(proof, TotalsProof):
@@ -158,6 +169,18 @@ def verify(certificate: str, given: Given) -> Report:
             more = {"criterion": "average"} if proof.kind == "average" else {"unique": proof.unique}
             facts |= {"exact_start_value": Shown(proof.start_value)} | more
     return given.report(Report(title="proof", facts=facts, passed=not violations))
+
+
+def accepted(proof: Proof, mdp: MDP) -> bool:
+    """Return whether the proven checker accepts a proof; raises ModelError for other kinds."""
+    if proof.kind not in verified.KEYS:
+        raise ModelError(
+            f"the checker whose soundness is proven covers {', '.join(verified.KEYS)}, "
+            f"not {proof.kind}",
+            where="--proven",
+            fix="leave it out: the other checker covers this kind",
+        )
+    return verified.holds(model_json.content(mdp), codec.content(proof, int))
 
 
 def _proven_totals(proof: TotalsProof) -> dict[str, Any]:
