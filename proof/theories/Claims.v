@@ -161,6 +161,29 @@ Definition one_optimum (m : model) (opt : pair -> Prop) (is_unique : bool) : Pro
   else exists s p q, reached m opt s /\ ~ is_end m s /\ In p (pairs m) /\ In q (pairs m) /\
     state p = s /\ state q = s /\ opt p /\ opt q /\ action p <> action q.
 
+(* A run under the policy π may come to the state s with this history: every step of it has a
+   positive probability. *)
+Inductive meets (m : model) (pi : policy) : history -> Z -> Prop :=
+  | meets_start s : may_begin m s -> meets m pi [] s
+  | meets_next hist s p q o : meets m pi hist s -> In (p, q) (pi hist s) -> 0 < q ->
+      In o (outcomes p) -> meets m pi ((s, action p) :: hist) (next o).
+
+(* π earns V from the start: it is optimal, if V is the optimum. *)
+Definition attains (m : model) (V : Z -> Q) (pi : policy) : Prop :=
+  forall s, may_begin m s -> in_the_limit (fun eps n => V s - eps <= earns m (discount m) pi n [] s).
+
+(* For totals by values alone, more is proven. Unique: whatever policy is optimal takes the actions
+   `act` in each state that it meets and that is no end; at discount 0, where later rewards count
+   for nothing, it may take others. Not unique: some optimal policy takes another one somewhere. *)
+Definition one_policy (m : model) (V : Z -> Q) (act : Z -> Z) (is_unique : bool) : Prop :=
+  if is_unique
+  then 0 < discount m -> forall pi, valid m pi -> attains m V pi ->
+    forall hist s, meets m pi hist s -> is_end m s \/
+      forall p q, In (p, q) (pi hist s) -> 0 < q -> action p = act s
+  else exists pi, valid m pi /\ attains m V pi /\
+    exists hist s p q, meets m pi hist s /\ ~ is_end m s /\
+      In (p, q) (pi hist s) /\ 0 < q /\ action p <> act s.
+
 (* ---- the whole ------------------------------------------------------------------------------ *)
 
 Definition holds (m : model) (c : certificate) : Prop :=
@@ -171,7 +194,7 @@ Definition holds (m : model) (c : certificate) : Prop :=
   | Values h _ =>
       between m best (value h) (value h) /\ between_in_the_limit m best (value h) (value h) /\
       start_mean m (value h) (start_value c) /\ optimal_pairs m (value h) opt /\
-      one_optimum m opt (unique c)
+      one_optimum m opt (unique c) /\ one_policy m (value h) (actions c) (unique c)
   | Bounds low high _ =>
       between m best (value low) (value high) /\
       between_in_the_limit m best (value low) (value high)

@@ -1,6 +1,6 @@
 (* What the checker accepts, holds. *)
 From Coq Require Import ZArith QArith Qreduction Qabs Qminmax Qfield List Bool Lqa Lia.
-From MDP Require Import Spec Checker Claims Arith Integers Bellman Laurent Goals Start.
+From MDP Require Import Spec Checker Claims Arith Integers Start Bellman Unique Laurent Goals.
 Import ListNotations.
 Open Scope Q_scope.
 
@@ -163,7 +163,11 @@ Proof.
   - apply andb_true_iff in K. destruct K as [K S].
     pose proof (values_within m hs _ _ _ _ M P K) as B.
     split; [exact B|]. split; [now apply between_limit|].
-    split; [|split; [exact (values_optimal m hs _ h rank M P K)|now apply (unique_ok m _ hs)]].
+    pose proof (values_optimal m hs _ h rank M P K) as Op.
+    pose proof (unique_ok m _ hs _ M Un) as One.
+    split; [|split; [exact Op|split; [exact One|]]].
+    2: { destruct (unique c); [now apply (one_policy_unique m hs _ h rank)|].
+      now apply (one_policy_not_unique m hs _ h rank). }
     unfold values in K. rewrite !andb_true_iff in K. destruct K as [[[_ Lh] _] _].
     apply (level_right_ok m _ _ P) in Lh.
     destruct (start_value_right_ok m zero h _ wf Lh S) as [[_ Y]|[Y|Y]]; [exact Y| |];
