@@ -1,30 +1,33 @@
-(* What the integers of the checker mean in rationals, and what its tests of the model, of the policy
+(* What the integers of the checker mean in rationals, and what its tests of the model,
+  of the policy
    and of levels show. *)
 From Coq Require Import ZArith QArith Qreduction Qfield List Bool Lqa Lia.
 From MDP Require Import Spec Checker Arith.
 Import ListNotations.
 Open Scope Q_scope.
 
-(* ---- ratios --------------------------------------------------------------------------------- *)
+(* ---- ratios ---------------------------------------------------------------------------------
+  *)
 
 Definition quotient (x : ratio) : Q := inject_Z (fst x) / inject_Z (snd x).
 Definition positive (x : ratio) : Prop := (0 < snd x)%Z.
 
-Lemma injZ_nz z : (0 < z)%Z -> ~ inject_Z z == 0.
-Proof. intro H. apply injZ_pos in H. lra. Qed.
+Lemma inject_nz z : (0 < z)%Z -> ~ inject_Z z == 0.
+Proof. intro H. apply inject_pos in H. lra. Qed.
 
 Lemma Q_num q : inject_Z (Qnum q) == q * inject_Z (Zpos (Qden q)).
 Proof.
-  destruct q as [n d]. cbn [Qnum Qden]. rewrite (Qmake_Qdiv n d). field. now apply injZ_nz.
+  destruct q as [n d]. cbn [Qnum Qden]. rewrite (Qmake_Qdiv n d). field. now apply inject_nz.
 Qed.
 Lemma ratio_of_ok q : positive (ratio_of q) /\ quotient (ratio_of q) == q.
 Proof.
   destruct q as [n d]. unfold positive, quotient, ratio_of. cbn [fst snd Qnum Qden].
   split; [lia|]. now rewrite <- Qmake_Qdiv.
 Qed.
-Lemma quotient_top x z : positive x -> quotient x == z -> inject_Z (fst x) == inject_Z (snd x) * z.
+Lemma quotient_top x z : positive x -> quotient x == z -> inject_Z (fst x) == inject_Z (snd x)
+  * z.
 Proof.
-  unfold positive, quotient. intros P H. apply injZ_pos in P. rewrite <- H. field. lra.
+  unfold positive, quotient. intros P H. apply inject_pos in P. rewrite <- H. field. lra.
 Qed.
 Lemma is_one_ok q : is_one q = true <-> q == 1.
 Proof. unfold is_one, Qeq. destruct q as [n d]. cbn. rewrite Z.eqb_eq. lia. Qed.
@@ -40,7 +43,7 @@ Lemma add_term_ok sum term : positive sum -> positive (snd term) ->
 Proof.
   destruct sum as [top below], term as [times [t b]]. unfold positive, quotient, add_term.
   cbn [fst snd]. intros B Bt. destruct (Z.eqb_spec b below) as [->|_]; cbn [fst snd].
-  - split; [exact B|]. rewrite inject_Z_plus, inject_Z_mult. field. now apply injZ_nz.
+  - split; [exact B|]. rewrite inject_Z_plus, inject_Z_mult. field. now apply inject_nz.
   - set (u := Z.lcm below b). set (k := (u / below)%Z). set (k' := (u / b)%Z).
     assert (U : (0 < u)%Z).
     { assert (0 <= u)%Z by apply Z.lcm_nonneg. assert (u <> 0)%Z; [|lia].
@@ -55,9 +58,9 @@ Proof.
     split; [exact U|]. rewrite inject_Z_plus.
     setoid_replace ((inject_Z (top * k) + inject_Z (times * t * k')) / inject_Z u) with
       (inject_Z (top * k) / inject_Z u + inject_Z (times * t * k') / inject_Z u)
-      by (field; now apply injZ_nz).
+      by (field; now apply inject_nz).
     rewrite K at 1. rewrite K'. rewrite !inject_Z_mult. field.
-    repeat split; apply injZ_nz; assumption.
+    repeat split; apply inject_nz; assumption.
 Qed.
 Lemma sum_of_ok l : (forall term, In term l -> positive (snd term)) ->
   positive (sum_of l) /\
@@ -73,10 +76,12 @@ Proof.
       destruct (IH _ P (fun y I => H y (or_intror I))) as [P' V'].
       split; [exact P'|]. rewrite V', V. ring. }
   intro H. destruct (F l (0, 1)%Z ltac:(reflexivity) H) as [P V]. split; [exact P|].
-  unfold sum_of. rewrite V. unfold quotient at 1. cbn [fst snd]. change (inject_Z 0) with 0. field.
+  unfold sum_of. rewrite V. unfold quotient at 1. cbn [fst snd].
+  change (inject_Z 0) with 0. field.
 Qed.
 
-(* ---- the surplus ---------------------------------------------------------------------------- *)
+(* ---- the surplus ----------------------------------------------------------------------------
+  *)
 
 Definition level_pos (m : model) (x : level) := forall s, is_state m s -> (0 < snd (x s))%Z.
 
@@ -100,14 +105,15 @@ Proof.
   { unfold ahead. rewrite sumQ_map. cbn [fst snd].
     rewrite (sumQ_ext _ (fun o => (inject_Z (Qnum gamma) * inject_Z (denominator p)) *
       (prob p o * value x (next o)))).
-    - rewrite sumQ_scal. fold (mean p (value x)). unfold scale. rewrite inject_Z_mult, Q_num. ring.
+    - rewrite sumQ_times. fold (mean p (value x)). unfold scale. rewrite inject_Z_mult, Q_num.
+      ring.
     - intros o _. change (value x (next o)) with (quotient (x (next o))).
-      rewrite inject_Z_mult. unfold prob. field. apply injZ_pos in D. lra. }
+      rewrite inject_Z_mult. unfold prob. field. apply inject_pos in D. lra. }
   cbn [sumQ fst snd] in V. rewrite S in V. change (quotient (x (state p))) with
     (value x (state p)) in V.
   assert (T := quotient_top _ _ P V). cbn [fst snd] in T, P. unfold positive in P, c0.
   cbn [snd] in P. exists (inject_Z (snd c) * inject_Z scale * inject_Z below).
-  apply injZ_pos in c0, scale0, P. split.
+  apply inject_pos in c0, scale0, P. split.
   - apply Qmult_lt_0_compat; [apply Qmult_lt_0_compat|]; assumption.
   - rewrite inject_Z_plus, !inject_Z_mult, T, inject_Z_opp. unfold surplus_of, quotient.
     field. lra.
@@ -151,16 +157,17 @@ Section Sign.
   Qed.
 End Sign.
 
-(* ---- rewards -------------------------------------------------------------------------------- *)
+(* ---- rewards --------------------------------------------------------------------------------
+  *)
 
 Lemma reward_sum_ok p : (0 < denominator p)%Z -> positive (reward_sum p) /\
   quotient (reward_sum p) == inject_Z (denominator p) * mean_reward p.
 Proof.
   intro D. unfold reward_sum. set (l := map _ (outcomes p)). destruct (sum_of_ok l) as [P V].
   { intros term I. apply in_map_iff in I. destruct I as (o & <- & _). apply ratio_of_ok. }
-  split; [exact P|]. rewrite V. unfold l, mean_reward, prob. rewrite sumQ_map, <- sumQ_scal.
+  split; [exact P|]. rewrite V. unfold l, mean_reward, prob. rewrite sumQ_map, <- sumQ_times.
   apply sumQ_ext. intros o _. cbn [fst snd]. destruct (ratio_of_ok (reward o)) as [_ ->].
-  field. now apply injZ_nz.
+  field. now apply inject_nz.
 Qed.
 Lemma signed_ok m x q : inject_Z x == q -> inject_Z (signed m x) == if maximise m then q else - q.
 Proof. intro H. unfold signed. destruct (maximise m); [|rewrite inject_Z_opp]; now rewrite H. Qed.
@@ -170,14 +177,14 @@ Proof.
   intro D. unfold earned, r. destruct (reward_sum_ok p D) as [P V].
   assert (T := quotient_top _ _ P V). destruct (reward_sum p) as [top below].
   unfold positive, quotient in *. cbn [fst snd] in *. split; [lia|].
-  rewrite (signed_ok _ _ _ T), inject_Z_mult. apply injZ_pos in P, D.
+  rewrite (signed_ok _ _ _ T), inject_Z_mult. apply inject_pos in P, D.
   destruct (maximise m); field; lra.
 Qed.
 Lemma stays_ok m p : row_ok m p ->
   stays p = true <-> mean_reward p == 0 /\ forall o, In o (outcomes p) -> next o = state p.
 Proof.
   intros (_ & D & _). unfold stays. destruct (reward_sum_ok p D) as [P V].
-  assert (T := quotient_top _ _ P V). unfold positive in P. apply injZ_pos in P, D.
+  assert (T := quotient_top _ _ P V). unfold positive in P. apply inject_pos in P, D.
   rewrite andb_true_iff, Z.eqb_eq, forallb_forall. split; intros [H N]; split.
   - rewrite H in T. change (inject_Z 0) with 0 in T.
     destruct (Qmult_integral _ _ (Qeq_sym _ _ T)) as [Z|Z]; [lra|].
@@ -188,7 +195,8 @@ Proof.
   - intros o I. apply Z.eqb_eq. now apply N.
 Qed.
 
-(* ---- the model ------------------------------------------------------------------------------ *)
+(* ---- the model ------------------------------------------------------------------------------
+  *)
 
 Ltac split_and := repeat match goal with
   | H : (_ && _)%bool = true |- _ => apply andb_true_iff in H; destruct H end.
@@ -216,7 +224,8 @@ Proof.
   now rewrite andb_true_iff, in_range_ok, Z.ltb_lt in O.
 Qed.
 
-(* If neighbours of a list are in a transitive relation, then so are all that follow each other. *)
+(* If neighbours of a list are in a transitive relation, then so are all that follow each other.
+*)
 Section Neighbours.
   Context {A : Type} (rel : A * A -> bool).
   Hypothesis trans : forall x y z, rel (x, y) = true -> rel (y, z) = true -> rel (x, z) = true.
@@ -271,8 +280,9 @@ Proof.
       destruct St as [Eq St]. reflect. subst top. split.
     + unfold l in V. rewrite sumQ_map in V.
       rewrite (sumQ_ext snd (fun sq : Z * Q => inject_Z 1 * quotient (ratio_of (snd sq)))).
-      * unfold positive in P. cbn [fst snd] in V, P. rewrite <- V. unfold quotient. cbn [fst snd]. field.
-        now apply injZ_nz.
+      * unfold positive in P. cbn [fst snd] in V, P. rewrite <- V. unfold quotient.
+        cbn [fst snd]. field.
+        now apply inject_nz.
       * intros sq _. destruct (ratio_of_ok (snd sq)) as [_ ->]. change (inject_Z 1) with 1. ring.
     + intros s q I. specialize (St (s, q) I). cbn [fst snd] in St. split_and. reflect.
       rewrite in_range_ok in *. split; [assumption|]. now apply Qnum_nneg.
@@ -281,7 +291,8 @@ Proof.
   - now apply of.
 Qed.
 
-(* ---- the policy ----------------------------------------------------------------------------- *)
+(* ---- the policy -----------------------------------------------------------------------------
+  *)
 
 Lemma count_ok l : forall i right n, fold_left count l (i, right) = (n, true) ->
   right = true /\ forall s, (i <= s < n)%Z -> In s l.
@@ -300,7 +311,8 @@ Proof.
   destruct (count_ok _ _ _ _ F) as [_ All]. specialize (All s S). apply in_map_iff in All.
   destruct All as (p & <- & I). apply filter_In in I. exists p. tauto.
 Qed.
-Lemma stationary_plays m a : policy_right m a = true -> plays m (fun p => taken a p = true) (stationary m a).
+Lemma stationary_plays m a : policy_right m a = true -> plays m (fun p => taken a p = true)
+  (stationary m a).
 Proof.
   intros H h s S. unfold stationary.
   destruct (find _ (pairs m)) as [p|] eqn:F.
@@ -312,14 +324,20 @@ Proof.
     rewrite Z.eqb_refl in I. cbn in I. rewrite T, Z.eqb_refl in I. discriminate.
 Qed.
 Lemma plays_valid m D pi : plays m D pi -> valid m pi.
-Proof. intros P h s S. destruct (P h s S) as [H S1]. split; [|exact S1]. intros p q I. destruct (H p q I) as (? & ? & ? & _). auto. Qed.
+Proof.
+  intros P h s S. destruct (P h s S) as [H S1]. split; [|exact S1]. intros p q I.
+  destruct (H p q I) as (? & ? & ? & _). auto.
+Qed.
 Lemma level_right_ok m a x : policy_right m a = true -> level_right m x = true -> level_pos m x.
 Proof.
-  unfold level_right. intros Hp H s S. reflect. destruct (policy_pair m a s Hp S) as (p & I & <- & _).
+  unfold level_right. intros Hp H s S. reflect.
+  destruct (policy_pair m a s Hp S) as (p & I & <- & _).
   specialize (H p I). now reflect.
 Qed.
-Lemma rank_right_ok m a rk : policy_right m a = true -> rank_right m rk = true -> forall s, is_state m s -> (0 <= rk s)%Z.
+Lemma rank_right_ok m a rk : policy_right m a = true -> rank_right m rk = true -> forall s,
+  is_state m s -> (0 <= rk s)%Z.
 Proof.
-  unfold rank_right. intros Hp H s S. reflect. destruct (policy_pair m a s Hp S) as (p & I & <- & _).
+  unfold rank_right. intros Hp H s S. reflect.
+  destruct (policy_pair m a s Hp S) as (p & I & <- & _).
   specialize (H p I). now reflect.
 Qed.

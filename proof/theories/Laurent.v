@@ -1,4 +1,12 @@
-(* Gain, bias and a third level: average earned, and totals at discount 1 as limits *)
+(* Gain g, bias h and a third level w: average rewards, and totals at discount 1 as limits.
+
+   Write d(x) = P x - x. With e = 1 - γ, i = 1 / e and j = 1 / γ let X = i g + j h + e j² w. Then
+
+       r + γ P X - X = γ i d(g) + (r - g + d(h)) + e j (d(w) - h) - e² j² w,
+
+   in which for γ near 1 each term is small beside the one before.
+   So, if of each pair the first of
+   the three that is not 0 is negative, then X and a term of order e bound discounted values. *)
 From Coq Require Import ZArith QArith Qreduction Qabs Qfield List Bool Lqa Lia.
 From MDP Require Import Spec Checker Arith Integers Bellman.
 Import ListNotations.
@@ -6,18 +14,22 @@ Open Scope Q_scope.
 
 Lemma absorb (x : Q) : exists B, 0 <= B /\ - B <= x <= B.
 Proof.
-  exists (Qabs x). pose proof (Qabs_nonneg x). pose proof (Qle_Qabs x). pose proof (Qle_Qabs (- x)).
+  exists (Qabs x). pose proof (Qabs_nonneg x). pose proof (Qle_Qabs x).
+  pose proof (Qle_Qabs (- x)).
   rewrite Qabs_opp in H1. lra.
 Qed.
 
-(* the order of the three levels for one pair *)
+(* The first of three numbers that is not 0 is negative; and what holds of γ, e, i and j. *)
 Definition lex (a b c : Q) : Prop := a < 0 \/ (a == 0 /\ (b < 0 \/ (b == 0 /\ c <= 0))).
 Record near (de gamma e i j : Q) : Prop := {
-  n_ga : gamma == 1 - e; n_e : 0 < e <= de; n_i : e * i == 1; n_j : gamma * j == 1; n_de : 0 < de <= 1 # 2 }.
+  n_ga : gamma == 1 - e; n_e : 0 < e <= de; n_i : e * i == 1; n_j : gamma * j == 1; n_de :
+    0 < de <= 1 # 2 }.
 Lemma near_j de gamma e i j : near de gamma e i j -> 1 <= j <= 2 /\ 2 <= i /\ 1 # 2 <= gamma < 1.
 Proof. intros []. assert ((1#2) <= gamma < 1) by lra. split; [split|split]; nra. Qed.
-Lemma near_le de de' gamma e i j : near de gamma e i j -> de <= de' <= 1 # 2 -> near de' gamma e i j.
+Lemma near_le de de' gamma e i j : near de gamma e i j -> de <= de' <= 1 # 2 ->
+  near de' gamma e i j.
 Proof. intros [] H. split; lra || assumption. Qed.
+(* Then the sum above is at most 0 for all γ from some 1 - δ on: of one pair, and of all. *)
 Lemma lex_small a b c : lex a b c -> exists de, 0 < de <= 1 # 2 /\
   forall gamma e i j, near de gamma e i j -> gamma * i * a + b + e * j * c <= 0.
 Proof.
@@ -27,7 +39,8 @@ Proof.
     assert (T : d * (2 * (B + C) - 2 * a) == - a) by (unfold d; field; lra).
     assert (d0 : 0 < d) by (unfold d; apply Qlt_shift_div_l; lra).
     assert (d1 : d <= 1 # 2) by (unfold d; apply Qle_shift_div_r; lra).
-    exists d. split; [lra|]. intros gamma e i j N. destruct (near_j _ _ _ _ _ N) as (J & I & G). destruct N.
+    exists d. split; [lra|]. intros gamma e i j N. destruct (near_j _ _ _ _ _ N) as (J & I & G).
+    destruct N.
     assert (2 * (B + C) * d <= - a) by nra.
     assert (id : 1 <= i * d) by nra.
     assert (2 * (B + C) <= i * - a).
@@ -41,14 +54,18 @@ Proof.
     assert (T : d * (2 * C - 2 * b) == - b) by (unfold d; field; lra).
     assert (d0 : 0 < d) by (unfold d; apply Qlt_shift_div_l; lra).
     assert (d1 : d <= 1 # 2) by (unfold d; apply Qle_shift_div_r; lra).
-    exists d. split; [lra|]. intros gamma e i j N. destruct (near_j _ _ _ _ _ N) as (J & I & G). destruct N.
+    exists d. split; [lra|]. intros gamma e i j N. destruct (near_j _ _ _ _ _ N) as (J & I & G).
+    destruct N.
     assert (ej : 0 <= e * j <= 2 * d) by nra.
     assert (e * j * c <= 2 * d * C) by nra. rewrite a0. nra.
-  - exists (1 # 2). split; [lra|]. intros gamma e i j N. destruct (near_j _ _ _ _ _ N) as (J & I & G). destruct N.
+  - exists (1 # 2). split; [lra|]. intros gamma e i j N.
+    destruct (near_j _ _ _ _ _ N) as (J & I & G). destruct N.
     assert (0 <= e * j) by nra. rewrite a0, b0. nra.
 Qed.
-Lemma lex_all (a b c : pair -> Q) l : (forall p, In p l -> lex (a p) (b p) (c p)) -> exists de, 0 < de <= 1 # 2 /\
-  forall gamma e i j, near de gamma e i j -> forall p, In p l -> gamma * i * a p + b p + e * j * c p <= 0.
+Lemma lex_all (a b c : pair -> Q) l : (forall p, In p l -> lex (a p) (b p) (c p)) -> exists de,
+  0 < de <= 1 # 2 /\
+  forall gamma e i j, near de gamma e i j -> forall p, In p l ->
+    gamma * i * a p + b p + e * j * c p <= 0.
 Proof.
   induction l as [|p l IH]; intro H; [exists (1 # 2); split; [lra|easy]|].
   destruct IH as (d & d0 & F); [intros; apply H; now right|].
@@ -58,7 +75,9 @@ Proof.
   - apply F'. apply near_le with (1 := N). lra.
   - apply (F gamma e i j); [apply near_le with (1 := N); lra|assumption].
 Qed.
-Lemma lex_times (a b c : pair -> Q) l : (forall p, In p l -> lex (a p) (b p) (c p)) -> exists M, 0 <= M /\
+(* And some multiple of g, added to h, makes up for what the first is short of. *)
+Lemma lex_times (a b c : pair -> Q) l : (forall p, In p l -> lex (a p) (b p) (c p)) -> exists M,
+  0 <= M /\
   forall p, In p l -> b p + M * a p <= 0.
 Proof.
   assert (neg : forall a b c, lex a b c -> a <= 0) by (unfold lex; intros; lra).
@@ -74,7 +93,8 @@ Proof.
     destruct (H p (or_introl eq_refl)) as [X|[X Y]]; [lra|]. rewrite X. lra.
 Qed.
 
-(* ---- the three tests in rationals -------------------------------------------------------------- *)
+(* ---- the three tests in rationals
+  -------------------------------------------------------------- *)
 
 Section Tests.
   Variables (m : model) (g h w : level) (p : pair).
@@ -88,7 +108,8 @@ Section Tests.
   Proof.
     unfold g_surplus. assert (c0 : positive (0, 1)%Z) by reflexivity.
     assert (cq : quotient (0, 1)%Z == 0) by reflexivity. cbv zeta.
-    pose proof (surplus_eq m 1 _ _ p g R Lg c0 cq). pose proof (surplus_lt m 1 _ _ p g R Lg c0 cq).
+    pose proof (surplus_eq m 1 _ _ p g R Lg c0 cq).
+    pose proof (surplus_lt m 1 _ _ p g R Lg c0 cq).
     pose proof (surplus_le m 1 _ _ p g R Lg c0 cq). tauto.
   Qed.
   Lemma h_surplus_ok : let d := surplus_of 1 (r m p - value g (state p)) p (value h) in
@@ -102,9 +123,10 @@ Section Tests.
     set (c := (top * b - below * t, below * b)%Z).
     assert (c0 : positive c) by (unfold positive, c; cbn [snd]; now apply Z.mul_pos_pos).
     assert (cq : quotient c == r m p - inject_Z t / inject_Z b).
-    { unfold quotient, c. cbn [fst snd]. rewrite <- rq. apply injZ_pos in r0, g0.
+    { unfold quotient, c. cbn [fst snd]. rewrite <- rq. apply inject_pos in r0, g0.
       unfold Z.sub. rewrite inject_Z_plus, inject_Z_opp, !inject_Z_mult. field. split; lra. }
-    pose proof (surplus_eq m 1 _ _ p h R Lh c0 cq). pose proof (surplus_lt m 1 _ _ p h R Lh c0 cq).
+    pose proof (surplus_eq m 1 _ _ p h R Lh c0 cq).
+    pose proof (surplus_lt m 1 _ _ p h R Lh c0 cq).
     pose proof (surplus_le m 1 _ _ p h R Lh c0 cq). cbv zeta. tauto.
   Qed.
   Lemma w_surplus_ok : let d := surplus_of 1 (- value h (state p)) p (value w) in
@@ -115,15 +137,17 @@ Section Tests.
     destruct (h (state p)) as [t b]. unfold positive, quotient in *. cbn [fst snd] in *.
     assert (c0 : positive (- t, b)%Z) by exact h0.
     assert (cq : quotient (- t, b)%Z == - (inject_Z t / inject_Z b)).
-    { unfold quotient. cbn [fst snd]. apply injZ_pos in h0. rewrite inject_Z_opp. field. lra. }
-    pose proof (surplus_eq m 1 _ _ p w R Lw c0 cq). pose proof (surplus_lt m 1 _ _ p w R Lw c0 cq).
+    { unfold quotient. cbn [fst snd]. apply inject_pos in h0. rewrite inject_Z_opp. field. lra. }
+    pose proof (surplus_eq m 1 _ _ p w R Lw c0 cq).
+    pose proof (surplus_lt m 1 _ _ p w R Lw c0 cq).
     pose proof (surplus_le m 1 _ _ p w R Lw c0 cq). cbv zeta. tauto.
   Qed.
 End Tests.
 
 Section Expansion.
   Variables (m : model) (hs : hints) (a : Z -> Z) (g h w : level).
-  Hypotheses (M : model_right m hs = true) (P : policy_right m a = true) (H : expansion m a g h w = true).
+  Hypotheses (M : model_right m hs = true) (P : policy_right m a = true) (H :
+    expansion m a g h w = true).
   Let G := value g. Let Hb := value h. Let W := value w.
   Let da (p : pair) := surplus_of 1 0 p G.
   Let db (p : pair) := surplus_of 1 (r m p - G (state p)) p Hb.
@@ -156,7 +180,7 @@ Section Expansion.
   Lemma exp_valid : valid m (stationary m a).
   Proof. eapply plays_valid, stationary_plays, P. Qed.
 
-  (* n steps earn n g(s), but for a constant, and no policy earns more *)
+  (* The policy earns n g + h in n steps, up to a constant, and no policy more than n g. *)
   Theorem average_sound : exists C, 0 <= C /\ forall s n hy, is_state m s ->
     (forall pi, valid m pi -> earns m 1 pi n hy s <= inject_Z (Z.of_nat n) * G s + C) /\
     inject_Z (Z.of_nat n) * G s + Hb s - C <= earns m 1 (stationary m a) n hy s <=
@@ -174,34 +198,41 @@ Section Expansion.
       apply (run_upper m (fun _ => True) (fun _ => True) (r m) 1 (fun _ => 0)
         (fun n s => inject_Z (Z.of_nat n) * G s + X s + C1) pi exp_wf); auto; try lra.
       + intros q Sq _. cbn [Z.of_nat]. change (inject_Z 0) with 0. specialize (B1 q Sq). lra.
-      + intros k p I _ _. rewrite mean_plus, mean_plus, mean_times, (mean_const m p (wf_rows m exp_wf p I)).
+      + intros k p I _ _. rewrite mean_plus, mean_plus, mean_times,
+          (mean_const m p (wf_rows m exp_wf p I)).
         unfold X. rewrite mean_plus, mean_times. specialize (T p I). specialize (da0 p I).
         unfold da, db, surplus_of in *. rewrite Nat2Z.inj_succ, <- Z.add_1_r, inject_Z_plus.
         change (inject_Z 1) with 1. set (z := inject_Z (Z.of_nat k)).
-        assert (0 <= z) by (apply injZ_nneg; lia). nra.
+        assert (0 <= z) by (apply inject_nneg; lia). nra.
     - apply Qle_trans with (inject_Z (Z.of_nat n) * G s + Hb s + - C2); [lra|].
       apply (run_lower m (fun p => taken a p = true) (fun _ => True) (r m) 1 (fun _ => 0)
         (fun n s => inject_Z (Z.of_nat n) * G s + Hb s + - C2) _ exp_wf); auto; try lra.
       + now apply stationary_plays.
       + intros q Sq _. cbn [Z.of_nat]. change (inject_Z 0) with 0. specialize (B2 q Sq). lra.
-      + intros k p I Tp _. rewrite mean_plus, mean_plus, mean_times, (mean_const m p (wf_rows m exp_wf p I)).
-        destruct (exp_pairs p I) as [_ Eq]. destruct (Eq Tp) as (e1 & e2 & _). unfold da, db, surplus_of in *.
+      + intros k p I Tp _. rewrite mean_plus, mean_plus, mean_times,
+          (mean_const m p (wf_rows m exp_wf p I)).
+        destruct (exp_pairs p I) as [_ Eq]. destruct (Eq Tp) as (e1 & e2 & _).
+        unfold da, db, surplus_of in *.
         rewrite Nat2Z.inj_succ, <- Z.add_1_r, inject_Z_plus. change (inject_Z 1) with 1.
         set (z := inject_Z (Z.of_nat k)).
-        assert (z * mean p G == z * G (state p)) by (setoid_replace (mean p G) with (G (state p)) by lra; reflexivity). lra.
+        assert (z * mean p G == z * G (state p)) by (setoid_replace (mean p G) with (G (state p))
+          by lra; reflexivity). lra.
     - apply Qle_trans with (inject_Z (Z.of_nat n) * G s + Hb s + C2); [|lra].
       apply (run_upper m (fun p => taken a p = true) (fun _ => True) (r m) 1 (fun _ => 0)
         (fun n s => inject_Z (Z.of_nat n) * G s + Hb s + C2) _ exp_wf); auto; try lra.
       + now apply stationary_plays.
       + intros q Sq _. cbn [Z.of_nat]. change (inject_Z 0) with 0. specialize (B2 q Sq). lra.
-      + intros k p I Tp _. rewrite mean_plus, mean_plus, mean_times, (mean_const m p (wf_rows m exp_wf p I)).
-        destruct (exp_pairs p I) as [_ Eq]. destruct (Eq Tp) as (e1 & e2 & _). unfold da, db, surplus_of in *.
+      + intros k p I Tp _. rewrite mean_plus, mean_plus, mean_times,
+          (mean_const m p (wf_rows m exp_wf p I)).
+        destruct (exp_pairs p I) as [_ Eq]. destruct (Eq Tp) as (e1 & e2 & _).
+        unfold da, db, surplus_of in *.
         rewrite Nat2Z.inj_succ, <- Z.add_1_r, inject_Z_plus. change (inject_Z 1) with 1.
         set (z := inject_Z (Z.of_nat k)).
-        assert (z * mean p G == z * G (state p)) by (setoid_replace (mean p G) with (G (state p)) by lra; reflexivity). lra.
+        assert (z * mean p G == z * G (state p)) by (setoid_replace (mean p G) with (G (state p))
+          by lra; reflexivity). lra.
   Qed.
 
-  (* the optimum of discounted values is g / (1 - γ) + h, but for a term of order 1 - γ *)
+  (* The optimum of discounted values is g / (1 - γ) + h, up to a term of order 1 - γ. *)
   Theorem limit_sound : exists K de, 0 <= K /\ 0 < de <= 1 # 2 /\
     forall gamma, 1 - de <= gamma < 1 -> forall s n hy, is_state m s ->
     let rest := K * (1 - gamma) + pow gamma n * (K / (1 - gamma)) in
@@ -212,7 +243,8 @@ Section Expansion.
     destruct (bounded m G) as (Cg & Cg0 & Bg). destruct (bounded m Hb) as (Ch & Ch0 & Bh).
     destruct (bounded m W) as (Cw & Cw0 & Bw). set (K := Cg + 2 * Ch + 8 * Cw).
     exists K, de. split; [unfold K; lra|]. split; [exact de0|].
-    intros gamma Hga s n hy Ss. cbv zeta. set (e := 1 - gamma). set (i := 1 / e). set (j := 1 / gamma).
+    intros gamma Hga s n hy Ss. cbv zeta. set (e := 1 - gamma). set (i := 1 / e).
+    set (j := 1 / gamma).
     assert (N : near de gamma e i j).
     { unfold i, j, e. split; try lra; try (field; lra). }
     pose proof (near_j _ _ _ _ _ N) as (J & I2 & Ghalf). pose proof N as [Nga Ne Ni Nj _].
@@ -223,23 +255,32 @@ Section Expansion.
     assert (CX : forall p, In p (pairs m) -> surplus_of gamma (r m p) p X ==
       gamma * i * da p + db p + e * j * dc p - e * e * (j * j) * W (state p)).
     { intros p I. unfold surplus_of at 1. unfold X. rewrite mean_plus, mean_plus, !mean_times.
-      unfold da, db, dc, surplus_of. set (eg := mean p G). set (eh := mean p Hb). set (ew := mean p W).
+      unfold da, db, dc, surplus_of. set (eg := mean p G). set (eh := mean p Hb).
+      set (ew := mean p W).
       unfold i, j, e. field. split; lra. }
-    assert (scaled : forall v V x C, 0 <= v <= V -> 0 <= C -> - C <= x <= C -> - (V * C) <= v * x <= V * C).
+    assert (scaled : forall v V x C, 0 <= v <= V -> 0 <= C -> - C <= x <= C -> - (V * C) <=
+      v * x <= V * C).
     { intros v V x C v0 C0 x0. assert (v * C <= V * C) by (apply Qmult_le_compat_r; lra).
       assert (0 <= v * (C - x)) by (apply Qmult_le_0_compat; lra).
       assert (0 <= v * (C + x)) by (apply Qmult_le_0_compat; lra). lra. }
-    assert (We : forall s, is_state m s -> - (4 * (e * e) * Cw) <= e * e * (j * j) * W s <= 4 * (e * e) * Cw).
+    assert (We : forall s, is_state m s -> - (4 * (e * e) * Cw) <= e * e * (j * j) * W s <=
+      4 * (e * e) * Cw).
     { intros q Sq. apply scaled; auto. assert (ee : 0 <= e * e) by nra. clear - ee jj.
       set (u := e * e) in *. set (v := j * j) in *. split; nra. }
-    assert (Xb : forall s, is_state m s -> - (Cg * i + 2 * Ch + 4 * e * Cw) <= X s <= Cg * i + 2 * Ch + 4 * e * Cw).
+    assert (Xb : forall s, is_state m s -> - (Cg * i + 2 * Ch + 4 * e * Cw) <= X s <=
+      Cg * i + 2 * Ch + 4 * e * Cw).
     { intros q Sq. specialize (Bg q Sq). specialize (Bh q Sq). specialize (Bw q Sq). unfold X.
-      assert (A1 := scaled i i (G q) Cg ltac:(lra) Cg0 Bg). assert (A2 := scaled j 2 (Hb q) Ch ltac:(lra) Ch0 Bh).
+      assert (A1 := scaled i i (G q) Cg ltac:(lra) Cg0 Bg).
+      assert (A2 := scaled j 2 (Hb q) Ch ltac:(lra) Ch0 Bh).
       assert (A3 := scaled (e * j * j) (4 * e) (W q) Cw ltac:(lra) Cw0 Bw). lra. }
     assert (Ki : Cg * i + 2 * Ch + 8 * e * Cw <= K / e).
-    { apply Qle_shift_div_l; [lra|]. unfold K. assert ((Cg * i) * e == Cg) by (setoid_replace (Cg * i * e) with (Cg * (e * i)) by ring; rewrite Ni; ring).
-      assert (e * Ch <= Ch) by nra. assert (0 <= e * Cw <= Cw) by nra. assert (e * (e * Cw) <= Cw) by nra. lra. }
-    assert (close : forall s, is_state m s -> - (K * e - 4 * e * Cw) <= X s - (G s / e + Hb s) <= K * e - 4 * e * Cw).
+    { apply Qle_shift_div_l; [lra|]. unfold K.
+      assert ((Cg * i) * e == Cg) by (setoid_replace (Cg * i * e) with (Cg * (e * i)) by ring;
+        rewrite Ni; ring).
+      assert (e * Ch <= Ch) by nra. assert (0 <= e * Cw <= Cw) by nra.
+      assert (e * (e * Cw) <= Cw) by nra. lra. }
+    assert (close : forall s, is_state m s -> - (K * e - 4 * e * Cw) <= X s - (G s / e + Hb s) <=
+      K * e - 4 * e * Cw).
     { intros q Sq. unfold X. specialize (Bh q Sq). specialize (Bw q Sq).
       setoid_replace (G q / e) with (i * G q) by (unfold i; field; lra).
       assert (jm : 0 <= j - 1 <= 2 * e) by (assert (e * j == j - 1) by (unfold e; lra); nra).
@@ -253,20 +294,26 @@ Section Expansion.
     specialize (close s Ss). assert (ec : 0 <= e * Cw) by nra. split.
     - intros pi V.
       apply Qle_trans with (X s + 4 * e * Cw + pow gamma n * (K / e) * 1); [|lra].
-      apply (weighted_upper m (fun _ => True) (fun _ => True) (r m) gamma gamma (K / e) (fun _ => 0) (fun _ => 1)
+      apply (weighted_upper m (fun _ => True) (fun _ => True) (r m) gamma gamma (K / e)
+        (fun _ => 0) (fun _ => 1)
         (fun s => X s + 4 * e * Cw) pi exp_wf); auto; try lra.
-      + intros p I _ _. unfold surplus_of. rewrite mean_plus, (mean_const m p (wf_rows m exp_wf p I)).
+      + intros p I _ _. unfold surplus_of.
+        rewrite mean_plus, (mean_const m p (wf_rows m exp_wf p I)).
         specialize (CX p I). unfold surplus_of at 1 in CX. specialize (L p I).
-        assert (Ss' : is_state m (state p)) by apply (wf_rows m exp_wf p I). specialize (We _ Ss'). nra.
+        assert (Ss' : is_state m (state p)) by apply (wf_rows m exp_wf p I).
+        specialize (We _ Ss'). nra.
       + intros q Sq _. specialize (Xb q Sq). lra.
     - apply Qle_trans with (X s + - (4 * e * Cw) - pow gamma n * (K / e) * 1); [lra|].
-      apply (weighted_lower m (fun p => taken a p = true) (fun _ => True) (r m) gamma gamma (K / e) (fun _ => 0) (fun _ => 1)
+      apply (weighted_lower m (fun p => taken a p = true) (fun _ => True) (r m)
+        gamma gamma (K / e) (fun _ => 0) (fun _ => 1)
         (fun s => X s + - (4 * e * Cw)) _ exp_wf); auto; try lra.
       + now apply stationary_plays.
-      + intros p I T _. unfold surplus_of. rewrite mean_plus, (mean_const m p (wf_rows m exp_wf p I)).
+      + intros p I T _. unfold surplus_of.
+        rewrite mean_plus, (mean_const m p (wf_rows m exp_wf p I)).
         specialize (CX p I). unfold surplus_of at 1 in CX. destruct (exp_pairs p I) as [_ Z].
         destruct (Z T) as (z1 & z2 & z3). rewrite z1, z2, z3 in CX.
-        assert (Ss' : is_state m (state p)) by apply (wf_rows m exp_wf p I). specialize (We _ Ss'). nra.
+        assert (Ss' : is_state m (state p)) by apply (wf_rows m exp_wf p I).
+        specialize (We _ Ss'). nra.
       + intros q Sq _. specialize (Xb q Sq). lra.
   Qed.
 End Expansion.

@@ -7,18 +7,22 @@ Open Scope Q_scope.
 Lemma between_limit m best low high : between m best low high ->
   between_in_the_limit m best low high.
 Proof.
-  intros (lam & C & L & C0 & X) s h Ss. destruct (X s Ss) as (U & Lo & _). split; [intros pi V|]; intros eps e0;
-    destruct (pow_vanishes lam C eps L C0 e0) as [N HN]; exists N; intros n Ln; specialize (HN n Ln).
+  intros (lam & C & L & C0 & X) s h Ss. destruct (X s Ss) as (U & Lo & _).
+  split; [intros pi V|]; intros eps e0;
+    destruct (pow_vanishes lam C eps L C0 e0) as [N HN]; exists N; intros n Ln;
+      specialize (HN n Ln).
   - specialize (U pi n h V). lra.
   - specialize (Lo n h). lra.
 Qed.
 
-Lemma rest_vanishes K gamma eps : 0 <= K -> 0 < eps -> 1 # 2 <= gamma < 1 -> K * (1 - gamma) * 2 <= eps ->
+Lemma rest_vanishes K gamma eps : 0 <= K -> 0 < eps -> 1 # 2 <= gamma < 1 -> K * (1 - gamma)
+  * 2 <= eps ->
   eventually (fun n => K * (1 - gamma) + pow gamma n * (K / (1 - gamma)) <= eps).
 Proof.
   intros K0 e0 G Hs. assert (c0 : 0 <= K / (1 - gamma)) by (apply Qle_shift_div_l; lra).
   assert (half : 0 < eps * (1 # 2)) by lra.
-  destruct (pow_vanishes gamma (K / (1 - gamma)) (eps * (1 # 2)) ltac:(lra) c0 half) as [N HN]. exists N. intros n Ln.
+  destruct (pow_vanishes gamma (K / (1 - gamma)) (eps * (1 # 2)) ltac:(lra) c0 half) as [N HN].
+  exists N. intros n Ln.
   specialize (HN n Ln). lra.
 Qed.
 Lemma laurent_total m best g h : laurent m best g h -> limit_total m best g h.
@@ -30,19 +34,23 @@ Proof.
     set (y := eps / (2 * (K + 1))) in *. assert (0 <= K * y) by nra.
     destruct (Qlt_le_dec de y) as [L|L]; [exists de|exists y]; (split; [lra|]); nra. }
   split; [|split].
-  - intros g0 eps e0. destruct (pick eps e0) as (d & D & Kd). exists d. split; [lra|]. intros gamma G.
+  - intros g0 eps e0. destruct (pick eps e0) as (d & D & Kd). exists d. split; [lra|].
+    intros gamma G.
     assert (G' : 1 - de <= gamma < 1) by lra. specialize (X gamma G').
     assert (Hs : K * (1 - gamma) * 2 <= eps) by nra.
     destruct (rest_vanishes K gamma eps K0 e0 ltac:(lra) Hs) as [N HN].
     assert (z : g s / (1 - gamma) == 0) by (rewrite g0; field; lra).
-    split; [intros pi V|]; exists N; intros n Ln; specialize (HN n Ln); destruct (X s n hy Ss) as [U Lo].
+    split; [intros pi V|]; exists N; intros n Ln; specialize (HN n Ln); destruct (X s n hy Ss)
+      as [U Lo].
     + specialize (U pi V). lra.
     + lra.
   - intros gp B. destruct (pick 1 ltac:(lra)) as (d & D & Kd).
-    set (b := Qabs B + Qabs (h s) + 1). pose proof (Qabs_nonneg B). pose proof (Qabs_nonneg (h s)).
+    set (b := Qabs B + Qabs (h s) + 1). pose proof (Qabs_nonneg B).
+    pose proof (Qabs_nonneg (h s)).
     set (d' := g s / b). assert (d'0 : 0 < d') by (unfold d', b; apply Qlt_shift_div_l; lra).
     exists (Qmin d d'). split; [apply Q.min_glb_lt; lra|]. intros gamma G.
-    assert (m1 : Qmin d d' <= d) by apply Q.le_min_l. assert (m2 : Qmin d d' <= d') by apply Q.le_min_r.
+    assert (m1 : Qmin d d' <= d) by apply Q.le_min_l.
+    assert (m2 : Qmin d d' <= d') by apply Q.le_min_r.
     assert (G' : 1 - de <= gamma < 1) by lra. specialize (X gamma G').
     assert (Hs : K * (1 - gamma) * 2 <= 1) by nra.
     destruct (rest_vanishes K gamma 1 K0 ltac:(lra) ltac:(lra) Hs) as [N HN].
@@ -50,48 +58,63 @@ Proof.
     { apply Qle_shift_div_l; [lra|]. assert (d' * b == g s) by (unfold d'; field; unfold b; lra).
       assert (0 < b) by (unfold b; lra). nra. }
     exists N. intros n Ln. specialize (HN n Ln). destruct (X s n hy Ss) as [_ Lo].
-    pose proof (Qle_Qabs B). pose proof (Qle_Qabs (- h s)). rewrite Qabs_opp in H2. unfold b in big. lra.
+    pose proof (Qle_Qabs B). pose proof (Qle_Qabs (- h s)).
+    rewrite Qabs_opp in H2. unfold b in big. lra.
   - intros gp B. destruct (pick 1 ltac:(lra)) as (d & D & Kd).
-    set (b := Qabs B + Qabs (h s) + 1). pose proof (Qabs_nonneg B). pose proof (Qabs_nonneg (h s)).
+    set (b := Qabs B + Qabs (h s) + 1). pose proof (Qabs_nonneg B).
+    pose proof (Qabs_nonneg (h s)).
     set (d' := - g s / b). assert (d'0 : 0 < d') by (unfold d', b; apply Qlt_shift_div_l; lra).
     exists (Qmin d d'). split; [apply Q.min_glb_lt; lra|]. intros gamma G.
-    assert (m1 : Qmin d d' <= d) by apply Q.le_min_l. assert (m2 : Qmin d d' <= d') by apply Q.le_min_r.
+    assert (m1 : Qmin d d' <= d) by apply Q.le_min_l.
+    assert (m2 : Qmin d d' <= d') by apply Q.le_min_r.
     assert (G' : 1 - de <= gamma < 1) by lra. specialize (X gamma G').
     assert (Hs : K * (1 - gamma) * 2 <= 1) by nra.
     destruct (rest_vanishes K gamma 1 K0 ltac:(lra) ltac:(lra) Hs) as [N HN].
     assert (big : g s / (1 - gamma) <= - b).
-    { apply Qle_shift_div_r; [lra|]. assert (d' * b == - g s) by (unfold d'; field; unfold b; lra).
+    { apply Qle_shift_div_r; [lra|].
+      assert (d' * b == - g s) by (unfold d'; field; unfold b; lra).
       assert (0 < b) by (unfold b; lra). nra. }
-    intros pi V. exists N. intros n Ln. specialize (HN n Ln). destruct (X s n hy Ss) as [U _]. specialize (U pi V).
-    pose proof (Qle_Qabs (- B)). pose proof (Qle_Qabs (h s)). rewrite Qabs_opp in H1. unfold b in big. lra.
+    intros pi V. exists N. intros n Ln. specialize (HN n Ln). destruct (X s n hy Ss) as [U _].
+    specialize (U pi V).
+    pose proof (Qle_Qabs (- B)). pose proof (Qle_Qabs (h s)).
+    rewrite Qabs_opp in H1. unfold b in big. lra.
 Qed.
 
 Lemma values_within m hs a low high rank : model_right m hs = true -> policy_right m a = true ->
   values m hs a low high rank = true -> between m (stationary m a) (value low) (value high).
 Proof.
   intros M P K. destruct (values_sound m hs a low high rank M P K) as (lam & C & L & C0 & X).
-  exists lam, C. split; [exact L|]. split; [exact C0|]. intros s Ss. destruct (X s Ss) as (U & _ & Lo & Mi). auto.
+  exists lam, C. split; [exact L|]. split; [exact C0|]. intros s Ss.
+  destruct (X s Ss) as (U & _ & Lo & Mi). auto.
 Qed.
-Lemma values_optimal m hs a h rank : model_right m hs = true -> policy_right m a = true -> values m hs a h h rank = true ->
+Lemma values_optimal m hs a h rank : model_right m hs = true -> policy_right m a = true ->
+  values m hs a h h rank = true ->
   optimal_pairs m (value h) (fun p => optimal m (Values h rank) p = true).
 Proof.
   intros M P K. pose proof (model_right_ok m hs M) as [wf _].
-  pose proof K as K'. unfold values in K'. rewrite !andb_true_iff in K'. destruct K' as [[[_ Lh] _] F].
+  pose proof K as K'. unfold values in K'. rewrite !andb_true_iff in K'.
+  destruct K' as [[[_ Lh] _] F].
   rewrite forallb_forall in F. apply (level_right_ok m _ _ P) in Lh.
-  assert (eq : forall p, In p (pairs m) -> (optimal m (Values h rank) p = true <-> surplus_of (discount m) (r m p) p (value h) == 0)
+  assert (eq : forall p, In p (pairs m) -> (optimal m (Values h rank) p = true <->
+    surplus_of (discount m) (r m p) p (value h) == 0)
     /\ surplus_of (discount m) (r m p) p (value h) <= 0).
-  { intros p I. pose proof (wf_rows m wf p I) as R. destruct (earned_ok m p (proj1 (proj2 R))) as [r0 rq].
+  { intros p I. pose proof (wf_rows m wf p I) as R.
+    destruct (earned_ok m p (proj1 (proj2 R))) as [r0 rq].
     cbn [optimal]. rewrite Z.eqb_eq. split.
     - exact (surplus_eq m _ _ (earned m p) p h R Lh r0 rq).
-    - apply (surplus_le m _ _ (earned m p) p h R Lh r0 rq). specialize (F p I). unfold values_pair in F.
+    - apply (surplus_le m _ _ (earned m p) p h R Lh r0 rq). specialize (F p I).
+      unfold values_pair in F.
       rewrite !andb_true_iff in F. destruct F as [[_ F] _]. now apply Z.leb_le. }
   split.
   - intros p I. destruct (eq p I) as [E1 E2]. unfold surplus_of in E1, E2. split.
     + rewrite E1. split; intro; lra.
     + intro N. apply Qnot_le_lt. intro Y. apply N, E1. lra.
-  - intros pi pl s hy Ss eps e0. destruct (values_sound m hs a h h rank M P K) as (lam & C & L & C0 & X).
-    destruct (pow_vanishes lam C eps L C0 e0) as [N HN]. exists N. intros n Ln. specialize (HN n Ln).
-    destruct (X s Ss) as (_ & Lo & _). assert (Pl : plays m (fun p => 0 <= surplus_of (discount m) (r m p) p (value h)) pi).
+  - intros pi pl s hy Ss eps e0. destruct (values_sound m hs a h h rank M P K)
+      as (lam & C & L & C0 & X).
+    destruct (pow_vanishes lam C eps L C0 e0) as [N HN]. exists N. intros n Ln.
+    specialize (HN n Ln).
+    destruct (X s Ss) as (_ & Lo & _).
+    assert (Pl : plays m (fun p => 0 <= surplus_of (discount m) (r m p) p (value h)) pi).
     { intros h' t St. destruct (pl h' t St) as [Y Z]. split; [|exact Z]. intros p q I.
       destruct (Y p q I) as (Ip & ? & ? & O). repeat split; auto. apply (eq p Ip) in O. lra. }
     specialize (Lo pi n hy Pl). lra.
@@ -172,7 +195,8 @@ Proof.
     apply (level_right_ok m _ _ P) in Lh.
     destruct (start_value_right_ok m zero h _ wf Lh S) as [[_ Y]|[Y|Y]]; [exact Y| |];
       destruct Y as [(s & _ & Y) _]; unfold zero in Y; lia.
-  - pose proof (values_within m hs _ _ _ _ M P K) as B. split; [exact B|]. now apply between_limit.
+  - pose proof (values_within m hs _ _ _ _ M P K) as B. split; [exact B|].
+    now apply between_limit.
   - apply andb_true_iff in K. destruct K as [K S]. pose proof K as Lv. unfold expansion in Lv.
     rewrite !andb_true_iff in Lv. destruct Lv as [[[Lg Lh] _] _].
     apply (level_right_ok m _ _ P) in Lg, Lh.

@@ -4,7 +4,8 @@ From MDP Require Import Spec Checker Claims Arith Integers.
 Import ListNotations.
 Open Scope Q_scope.
 
-(* ---- the value of the start ----------------------------------------------------------------- *)
+(* ---- the value of the start -----------------------------------------------------------------
+  *)
 
 Lemma is_mean_ok m x v : well_formed m -> level_pos m x -> is_mean m x v = true ->
   start_mean m (value x) v.
@@ -20,10 +21,10 @@ Proof.
     destruct (wf_start m wf) as [_ W]. specialize (L s (proj1 (W s p I))).
     unfold start_term, value, quotient. cbn [fst snd]. destruct (x s) as [t b].
     cbn [fst snd] in *. rewrite inject_Z_mult, Q_num. field.
-    split; apply injZ_nz; [exact L|lia]. }
+    split; apply inject_nz; [exact L|lia]. }
   assert (T := quotient_top _ _ P S). destruct (sum_of l) as [top below]. intro X. reflect.
-  unfold positive in P. cbn [fst snd] in P, T. apply injZ_pos in P.
-  assert (d0 : 0 < inject_Z (Zpos (Qden q))) by (apply injZ_pos; lia).
+  unfold positive in P. cbn [fst snd] in P, T. apply inject_pos in P.
+  assert (d0 : 0 < inject_Z (Zpos (Qden q))) by (apply inject_pos; lia).
   assert (Y : inject_Z (signed m (Qnum q)) * inject_Z below ==
     inject_Z top * inject_Z (Zpos (Qden q))) by (rewrite <- !inject_Z_mult, X; reflexivity).
   rewrite (signed_ok m _ _ (Q_num q)), T in Y. unfold own_sign.
@@ -77,7 +78,8 @@ Proof.
     specialize (nd eq_refl s B). lia.
 Qed.
 
-(* ---- uniqueness ----------------------------------------------------------------------------- *)
+(* ---- uniqueness -----------------------------------------------------------------------------
+  *)
 
 Lemma apart_trans p q s : apart (p, q) = true -> apart (q, s) = true -> apart (p, s) = true.
 Proof. unfold apart. rewrite !Z.ltb_lt. lia. Qed.
@@ -93,8 +95,12 @@ Proof.
     + specialize (B p Ip). unfold apart in B. reflect. lia.
 Qed.
 
-Lemma find_pair_ok m s a p : find_pair m s a = Some p -> In p (pairs m) /\ state p = s /\ action p = a.
-Proof. unfold find_pair. intro F. apply find_some in F. destruct F as [I F]. split_and. reflect. auto. Qed.
+Lemma find_pair_ok m s a p : find_pair m s a = Some p -> In p (pairs m) /\ state p = s /\
+  action p = a.
+Proof.
+  unfold find_pair. intro F. apply find_some in F. destruct F as [I F]. split_and. reflect.
+  auto.
+Qed.
 
 (* From a state of the way, optimal pairs reach the target. *)
 Lemma target_reached_ok m c hs : target_reached m c hs = true -> well_formed m ->

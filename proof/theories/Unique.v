@@ -4,7 +4,8 @@ From MDP Require Import Spec Checker Claims Arith Integers Start Bellman.
 Import ListNotations.
 Open Scope Q_scope.
 
-(* What one of several choices falls short of a bound, its share of the whole falls short of it. *)
+(* What one of several choices falls short of a bound, its share of the whole falls short of it.
+*)
 Lemma mix_short (v : pair -> Q) B l p q :
   (forall p' q', In (p', q') l -> 0 <= q' /\ v p' <= B) -> sumQ snd l == 1 -> In (p, q) l ->
   q * (B - v p) <= B - sumQ (fun c => snd c * v (fst c)) l.
@@ -16,7 +17,7 @@ Proof.
   assert (Y : sumQ (fun c : pair * Q => snd c * (B - v (fst c))) l +
     sumQ (fun c : pair * Q => snd c * v (fst c)) l == B).
   { rewrite <- sumQ_plus. rewrite (sumQ_ext _ (fun c : pair * Q => snd c * B)) by (intros; ring).
-    rewrite sumQ_scalr, S. ring. }
+    rewrite sumQ_times_right, S. ring. }
   lra.
 Qed.
 Lemma mean_short m p f g o : row_ok m p -> In o (outcomes p) ->
@@ -100,7 +101,8 @@ Section Unique.
     set (eps := q * d * (1 # 4)). assert (e0 : 0 < eps) by (unfold eps; nra).
     destruct (step_short hist s p q eps Ss L I e0) as [N H]. specialize (H N (le_n _)).
     cbv zeta in H. destruct H as [H1 H2].
-    assert (le : mean p (earns m gamma pi N ((s, action p) :: hist)) <= mean p (fun t => V t + eps))
+    assert (le : mean p (earns m gamma pi N ((s, action p) :: hist)) <=
+      mean p (fun t => V t + eps))
       by (apply (mean_le m p R); exact H2).
     rewrite mean_plus, (mean_const m p R) in le.
     assert (X : V s - (r m p + gamma * mean p (earns m gamma pi N ((s, action p) :: hist))) >=
@@ -124,7 +126,8 @@ Section Unique.
     { rewrite <- S1. apply (sumQ_one snd (pi hist s) (p, q)); [|exact I]. intros [p' q'] I'.
       destruct (Pl p' q' I') as (_ & _ & ? & _). assumption. }
     set (k := q * gamma * prob p o).
-    assert (k0 : 0 < k) by (unfold k; apply Qmult_lt_0_compat; [apply Qmult_lt_0_compat|]; assumption).
+    assert (k0 : 0 < k) by (unfold k; apply Qmult_lt_0_compat; [apply Qmult_lt_0_compat|];
+      assumption).
     set (small := eps * k * (1 # 3)).
     assert (s0 : 0 < small).
     { unfold small. assert (0 < eps * k) by (apply Qmult_lt_0_compat; assumption). lra. }
@@ -218,7 +221,7 @@ Qed.
 Lemma drawn_share m opt s p : In p (chosen m opt s) ->
   0 < 1 / inject_Z (Z.of_nat (length (chosen m opt s))).
 Proof.
-  intro I. apply Qlt_shift_div_l; [|lra]. apply injZ_pos.
+  intro I. apply Qlt_shift_div_l; [|lra]. apply inject_pos.
   destruct (chosen m opt s); [easy|cbn [length]; lia].
 Qed.
 
@@ -271,7 +274,8 @@ Proof.
         In (p, q) (drawn m opt hist s) /\ 0 < q /\ action p <> a s).
     { intros x Ix Ex Ox Nx. assert (I : In x (chosen m opt s)) by (apply drawn_in; auto).
       exists hist, s, x, (1 / inject_Z (Z.of_nat (length (chosen m opt s)))).
-      split; [exact Me|]. split; [exact En|]. split; [|split; [now apply (drawn_share m opt s x)|exact Nx]].
+      split; [exact Me|]. split; [exact En|].
+      split; [|split; [now apply (drawn_share m opt s x)|exact Nx]].
       unfold drawn. apply in_map_iff. exists x. auto. }
     destruct (Z.eq_dec (action p) (a s)) as [Ea|Na].
     + apply (both q Iq Et Opq). congruence.
