@@ -137,6 +137,24 @@ def test_a_loose_tolerance_does_not_make_an_optimum_stationary() -> None:
     assert run("solve yuan2025 --json").result["stationary"] is True
 
 
+def test_both_checkers_have_to_accept_a_proof(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    proof = tmp_path / "proof.json"
+    run("solve tea --certify --certificate", proof)
+    for words, said in (
+        ("--proven", "holds (certified, by the proven checker, too)"),
+        ("", "holds ("),
+    ):
+        done = run("verify", proof, "tea", words)
+        assert (done.status, said in done.out) == (0, True)
+    monkeypatch.setattr("exact_mdp.solvers.exact.verified.holds", lambda *_: False)
+    done = run("verify", proof, "tea", "--proven", "--json")
+    wrong = ["the checker whose soundness is proven does not accept it"]
+    assert (done.status, done.result["holds"], done.result["violations"]) == (1, False, wrong)
+    assert run("verify", proof, "tea").status == 0
+
+
 def test_a_file_may_be_standard_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     proof, records, model = (tmp_path / name for name in ("proof.json", "records.csv", "m.npz"))
     run("solve tea --certify --certificate", proof)
