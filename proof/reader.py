@@ -51,6 +51,7 @@ from exact_mdp.solvers.exact.verified import (
     Pair,
     PlusInfinity,
     Q,
+    Ratio,
     Reaching,
     Values,
     arrives,
@@ -61,6 +62,14 @@ from exact_mdp.solvers.exact.verified import (
 )
 
 # end of the proven program
+
+
+def grouped(terms: list[tuple[int, tuple[int, Ratio]]]) -> Callable[[int], list[tuple[int, Ratio]]]:
+    """Return the terms of each state, in their order."""
+    found: dict[int, list[tuple[int, Ratio]]] = {}
+    for state, term in terms:
+        found.setdefault(state, []).append(term)
+    return lambda state: found.get(state, [])
 
 
 def divided(a: int, b: int) -> int:

@@ -1,3 +1,4 @@
-(* What the theorem assumes: nothing. *)
-From MDP Require Import Soundness.
+(* What the theorems assume: nothing. *)
+From MDP Require Import Soundness LimitsProof.
 Print Assumptions sound.
+Print Assumptions limits_sound.

@@ -162,6 +162,31 @@ class Hints(NamedTuple):
     leaving: int
 
 
+class Limit(NamedTuple):
+    """A limit on the total of what pairs count, by state and action: it is at least a number.
+
+    At most is at least of the negatives. The price is what a unit of the limit costs.
+    """
+
+    counts: Callable[[int, int], Q]
+    least: Q
+    price: Q
+
+
+class Limited(NamedTuple):
+    """A policy, by the expected visits of pairs from the start, and what proves that it is best.
+
+    If no policy keeps the limits, `shift` is the least step by which all of them must move.
+    """
+
+    limits: list[Limit]
+    feasible: bool
+    visits: Callable[[int, int], Ratio]
+    dual: Level
+    shift: Q
+    end_rank: Callable[[int], int] | None
+
+
 def add_term(so_far: Ratio, term: tuple[int, Ratio]) -> Ratio:
     """Return a sum with one more term, which is a number of times a ratio."""
     top, below = so_far
@@ -803,6 +828,158 @@ def check(m: Model, c: Certificate, hs: Hints) -> bool:
         and proves(m, c, hs)
         and uniqueness_right(m, c, hs)
     )
+
+
+def counted(p: Pair, l: Limit) -> Ratio:
+    """Return what a pair counts for a limit, as a ratio."""
+    return ratio_of(l.counts(p.state, p.action))
+
+
+def priced(x: Ratio, q0: Q) -> tuple[int, Ratio]:
+    """Return a number times a price, as a term of a sum."""
+    t, b = x
+    return (q0.top, (t, b * q0.below))
+
+
+def lagrangian(m: Model, c: Limited, p: Pair) -> Ratio:
+    """Return what a pair counts, priced, and its reward unless no policy keeps the limits."""
+    return sum_of(
+        [
+            (1 if c.feasible else 0, earned(m, p)),
+            *[priced(counted(p, l), l.price) for l in c.limits],
+        ],
+    )
+
+
+def dual_pair(m: Model, hs: Hints, c: Limited, p: Pair) -> bool:
+    """Return whether a pair of an end counts for nothing, and another satisfies its inequality."""
+    if hs.ends(p.state):
+        return all(counted(p, l)[0] == 0 for l in c.limits) and c.dual(p.state)[0] >= 0
+    return surplus(m.discount, lagrangian(m, c, p), p, c.dual) <= 0
+
+
+def ends_by_rank(hs: Hints, rank: Callable[[int], int] | None, p: Pair) -> bool:
+    """Return whether the rank shows that a pair comes to an end."""
+    if rank is None:
+        return True
+    return hs.ends(p.state) or falls(p, rank, lambda _: True)
+
+
+def goal_kept(m: Model, hs: Hints) -> bool:
+    """Return whether no run ends beside the goal: of all states that are reached."""
+    return no_goal(m) or (
+        all(not begins(sq) or hs.reach(sq[0]) for sq in m.start)
+        and all(
+            not hs.reach(p.state)
+            or (all_next(p, hs.reach) and not (hs.ends(p.state) and beside_goal(m, p.state)))
+            for p in m.pairs
+        )
+    )
+
+
+def visits_of(c: Limited, p: Pair) -> Ratio:
+    """Return the visits of a pair."""
+    return c.visits(p.state, p.action)
+
+
+def given(m: Model, p: Pair, often: Ratio, o: Outcome) -> tuple[int, tuple[int, Ratio]]:
+    """Return what an outcome of a pair that is visited so often gives to the next state."""
+    t, b = often
+    return (o.next, (m.discount.top * o.weight, (t, b * p.denominator * m.discount.below)))
+
+
+def moved(m: Model, c: Limited, p: Pair) -> list[tuple[int, tuple[int, Ratio]]]:
+    """Return what a pair takes from its state, and gives to the next ones."""
+    return [
+        (p.state, (-1, visits_of(c, p))),
+        *[given(m, p, visits_of(c, p), o) for o in p.outcomes],
+    ]
+
+
+def flow_terms(m: Model, c: Limited) -> list[tuple[int, tuple[int, Ratio]]]:
+    """Return what is given to each state: by the start, and by the pairs that are visited."""
+    return [
+        *[(sq[0], (1, ratio_of(sq[1]))) for sq in m.start],
+        *[x for p in [p for p in m.pairs if visits_of(c, p)[0] != 0] for x in moved(m, c, p)],
+    ]
+
+
+def flow_right(m: Model, hs: Hints, c: Limited) -> bool:
+    """Return whether visits are those of a policy: in each state that is no end they balance."""
+    by_state = grouped(flow_terms(m, c))
+    return all(visits_of(c, p)[0] >= 0 and visits_of(c, p)[1] > 0 for p in m.pairs) and all(
+        hs.ends(p.state) or sum_of(by_state(p.state))[0] == 0 for p in m.pairs
+    )
+
+
+def visited_term(x: Ratio, y: Ratio) -> tuple[int, Ratio]:
+    """Return a term of what the visits of a pair count."""
+    t, b = x
+    top, below = y
+    return (top, (t, below * b))
+
+
+def flow_count(m: Model, c: Limited, l: Limit) -> Ratio:
+    """Return what the visits count for a limit."""
+    return sum_of([visited_term(counted(p, l), visits_of(c, p)) for p in m.pairs])
+
+
+def flow_reward(m: Model, c: Limited) -> Ratio:
+    """Return what the visits earn."""
+    return sum_of([visited_term(earned(m, p), visits_of(c, p)) for p in m.pairs])
+
+
+def keeps(m: Model, c: Limited, l: Limit) -> bool:
+    """Return whether the visits keep a limit, less the shift."""
+    return (
+        sum_of([(1, flow_count(m, c, l)), (-1, ratio_of(l.least)), (1, ratio_of(c.shift))])[0] >= 0
+    )
+
+
+def prices_right(c: Limited) -> bool:
+    """Return whether prices and shift are 0 or more; without a policy, that prices add up to 1."""
+    if all(l.price.top >= 0 for l in c.limits) and c.shift.top >= 0:
+        if c.feasible:
+            return c.shift.top == 0
+        return (
+            c.shift.top != 0
+            and sum_of([(-1, (1, 1)), *[(1, ratio_of(l.price)) for l in c.limits]])[0] == 0
+        )
+    return False
+
+
+def bound_right(m: Model, c: Limited) -> bool:
+    """Return whether the dual bounds all policies by what the visits earn, or by the shift."""
+    at_start = sum_of([start_term(c.dual, sq) for sq in m.start])
+    reward = flow_reward(m, c) if c.feasible else ratio_of(c.shift)
+    sign = 1 if c.feasible else -1
+    terms = [priced(ratio_of(l.least), l.price) for l in c.limits]
+    return sum_of([(-1, at_start), (sign, reward), *terms])[0] >= 0
+
+
+def check_limits(m: Model, c: Limited, hs: Hints) -> bool:
+    """Return whether a proof of an optimum under limits holds: if so, what it says is a theorem."""
+    return (
+        model_right(m, hs)
+        and policy_right(m, hs.way_out)
+        and rank_fits(m, c.end_rank)
+        and all(ends_by_rank(hs, c.end_rank, p) for p in m.pairs)
+        and goal_kept(m, hs)
+        and level_right(m, c.dual)
+        and all(dual_pair(m, hs, c, p) for p in m.pairs)
+        and flow_right(m, hs, c)
+        and all(keeps(m, c, l) for l in c.limits)
+        and prices_right(c)
+        and bound_right(m, c)
+    )
+
+
+def grouped(terms: list[tuple[int, tuple[int, Ratio]]]) -> Callable[[int], list[tuple[int, Ratio]]]:
+    """Return the terms of each state, in their order."""
+    found: dict[int, list[tuple[int, Ratio]]] = {}
+    for state, term in terms:
+        found.setdefault(state, []).append(term)
+    return lambda state: found.get(state, [])
 
 
 def divided(a: int, b: int) -> int:
