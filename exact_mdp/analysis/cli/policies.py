@@ -173,14 +173,17 @@ def verify(certificate: str, given: Given, *, proven: bool = False) -> Report:
 
 def accepted(proof: Proof, mdp: MDP) -> bool:
     """Return whether the proven checker accepts a proof; raises ModelError for other kinds."""
-    if proof.kind not in verified.KEYS:
+    if proof.kind not in (known := [*verified.KEYS, "limits"]):
         raise ModelError(
-            f"the checker whose soundness is proven covers {', '.join(verified.KEYS)}, "
-            f"not {proof.kind}",
+            f"the checker whose soundness is proven covers {', '.join(known)}, not {proof.kind}",
             where="--proven",
             fix="leave it out: the other checker covers this kind",
         )
-    return verified.holds(model_json.content(mdp), codec.content(proof, int))
+    if not isinstance(proof, TotalsProof):
+        return verified.holds(model_json.content(mdp), codec.content(proof, int))
+    totals = proof.of.counted()
+    content = model_json.content(mdp), codec.content(proof)
+    return verified.limits_hold(*content, totals.names, totals.amounts)
 
 
 def _proven_totals(proof: TotalsProof) -> dict[str, Any]:

@@ -997,6 +997,8 @@ KEYS = {
     "average": HEAD | {"g", "h", "w", "infinite", "order", "start_value", "unique"},
     "bounds": HEAD | {"low", "high"},
 }
+LIMITED = {"format", "version", "kind", "model", "objectives", "rank", "limits", "feasible",
+           "flow", "price", "dual", "shift"}  # fmt: skip
 
 
 class Unreadable(ValueError):
@@ -1219,6 +1221,84 @@ def hints_of(m: Model, c: Certificate) -> Hints:
     )  # fmt: skip
 
 
+# ---- optima under limits -------------------------------------------------------------------------
+
+
+def limits_hold(
+    model: object, certificate: object, names: Sequence[str], amounts: Sequence[Sequence[Fraction]]
+) -> bool:
+    """Return whether a proof of an optimum under limits holds; raises Unreadable for bad content.
+
+    What a file counts is a text such as "2*a-b": `names` are those of its objectives, of which the
+    first is the reward, and `amounts` what the pairs earn of each, more being better.
+    """
+    own = with_keys(content_of(certificate, "certificate"), LIMITED, "the certificate")
+    needed(own["kind"] == "limits", "not a proof of an optimum under limits")
+    m, print_of_model = model_of(model)
+    needed(type(own["feasible"]) is bool, "feasible is neither true nor false")
+    c = limited_of(own, m, names, amounts)
+    rewards = [Fraction(*earned(m, pair)) for pair in m.pairs]
+    if own["model"] != print_of_model or [*amounts[0]] != rewards:
+        return False
+    pairs: list[list[Pair]] = [[] for _ in range(m.states)]
+    for pair in m.pairs:
+        pairs[pair.state].append(pair)
+    moving = {pair.state for pair in m.pairs if any(o.next != pair.state for o in pair.outcomes)}
+    earning = {p.state for each in amounts for p, x in zip(m.pairs, each, strict=True) if x}
+    ends = [s not in moving | earning for s in range(m.states)]
+    waiting = [s for s, _ in m.start]
+    reached = {*waiting}
+    for s in waiting:
+        after = {outcome.next for pair in pairs[s] for outcome in pair.outcomes} - reached
+        reached |= after
+        waiting += after
+    first = [each[0].action for each in pairs].__getitem__
+    hints = Hints(ends.__getitem__, reached.__contains__, first, first, first, 0, 0, 0, 0)
+    return check_limits(m, c, hints)
+
+
+def limited_of(
+    own: dict[str, Any], m: Model, names: Sequence[str], amounts: Sequence[Sequence[Fraction]]
+) -> Limited:
+    """Read an optimum under limits: at most is at least of the negatives."""
+    places, sign = {pair[:2]: k for k, pair in enumerate(m.pairs)}, 1 if m.maximise else -1
+    needed(isinstance(own["limits"], list) and isinstance(own["price"], list), "limits, price")
+    needed(len(own["limits"]) == len(own["price"]), "not one price for each limit")
+    limits = list[Limit]()
+    for given_limit, price in zip(own["limits"], own["price"], strict=True):
+        each = with_keys(given_limit, ("name", "sign", "bound"), "a limit")
+        side, bound = integer(each["sign"], "a limit"), fraction(each["bound"], "a limit")
+        needed(each["name"] in names[1:], "what is limited is not counted")
+        needed(side in (1, -1), "a limit is neither >= nor <=")
+        column = amounts[[*names].index(each["name"])]
+        counts = [Q(*(side * sign * x).as_integer_ratio()) for x in column]
+        worth = Q(*fraction(price, "price").as_integer_ratio())
+        limits.append(
+            Limit(counted_by(places, counts), Q(*(side * bound).as_integer_ratio()), worth)
+        )
+    flow = with_keys(own["flow"], ("pairs", "visits"), "flow")
+    listed = integers(flow["pairs"], "flow")
+    visits = level_of(flow["visits"], "visits", len(listed))
+    often = [(0, 1)] * len(m.pairs)
+    for number, place in enumerate(listed):
+        needed(0 <= place < len(often) and not often[place][0], "a pair is none, or twice")
+        often[place] = visits(number)
+        needed(often[place][0] > 0, "visits are not above 0")
+    rank = None if own["rank"] is None else integers(own["rank"], "rank", m.states)
+    needed(min(rank or [], default=0) >= 0, "a rank is negative")
+    dual, shift = level_of(own["dual"], "dual", m.states), fraction(own["shift"], "shift")
+    ranks = rank.__getitem__ if rank and is_one(m.discount) else None
+    return Limited(
+        limits, own["feasible"], lambda s, a: often[places[s, a]], dual,
+        Q(*shift.as_integer_ratio()), ranks,
+    )  # fmt: skip
+
+
+def counted_by(places: dict[tuple[int, int], int], numbers: Sequence[Q]) -> Callable[[int, int], Q]:
+    """Return numbers of pairs as a function of state and action."""
+    return lambda state, action: numbers[places[state, action]]
+
+
 # ---- files ---------------------------------------------------------------------------------------
 
 
@@ -1226,6 +1306,8 @@ def holds(model: object, certificate: object) -> bool:
     """Return whether what one file says holds of another; raises Unreadable for bad content."""
     own = content_of(certificate, "certificate")
     kind = own.get("kind")
+    if kind == "limits":
+        raise Unreadable("what is limited is not in the files: ask exact-mdp verify --proven")
     if not isinstance(kind, str) or kind not in KEYS:
         raise Unreadable(f"the proof covers {', '.join(KEYS)}, not {str(kind)[:40]!r}")
     with_keys(own, KEYS[kind], "the certificate")
