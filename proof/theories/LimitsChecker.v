@@ -107,9 +107,13 @@ Definition bound_right (m : model) (c : limited) : bool :=
   let terms := map (fun l => priced (ratio_of (least l)) (price l)) (limits c) in
   0 <=? fst (sum_of ((-1, at_start) :: (sign, reward) :: terms)).
 
+(* Return whether the dual of a proof satisfies its inequalities, and every run ends. *)
+Definition dual_right (m : model) (c : limited) (hs : hints) : bool :=
+  policy_right m (way_out hs) && rank_fits m (end_rank c) &&
+  forallb (ends_by_rank hs (end_rank c)) (pairs m) && goal_kept m hs &&
+  level_right m (dual c) && forallb (dual_pair m hs c) (pairs m).
+
 (* Return whether a proof of an optimum under limits holds: if so, what it says is a theorem. *)
 Definition check_limits (m : model) (c : limited) (hs : hints) : bool :=
-  model_right m hs && policy_right m (way_out hs) && rank_fits m (end_rank c) &&
-  forallb (ends_by_rank hs (end_rank c)) (pairs m) && goal_kept m hs &&
-  level_right m (dual c) && forallb (dual_pair m hs c) (pairs m) && flow_right m hs c &&
-  forallb (keeps m c) (limits c) && prices_right c && bound_right m c.
+  model_right m hs && dual_right m c hs && flow_right m hs c && forallb (keeps m c) (limits c) &&
+  prices_right c && bound_right m c.

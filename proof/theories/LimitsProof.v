@@ -114,32 +114,27 @@ Proof. intro E. apply sumQ_ext. intros sq _. now rewrite (run_ext _ _ f g n E). 
 
 (* ---- what the tests of the checker show ------------------------------------------------------- *)
 
-Section Limits.
+Section Dual.
   Variables (m : model) (hs : hints) (c : limited).
-  Hypothesis H : check_limits m c hs = true.
+  Hypotheses (M : model_right m hs = true) (H : dual_right m c hs = true).
   Let V := value (dual c).
   Let gamma := discount m.
   Let base (p : pair) : Q := if feasible c then r m p else 0.
   Let W (p : pair) : Q := base p + sumQ (fun l => price l * amount l p) (limits c).
-  Let x (p : pair) : Q := quotient (visits_of c p).
 
-  Lemma parts : model_right m hs = true /\ policy_right m (way_out hs) = true /\
-    rank_fits m (end_rank c) = true /\
+  Lemma parts : policy_right m (way_out hs) = true /\ rank_fits m (end_rank c) = true /\
     (forall p, In p (pairs m) -> ends_by_rank hs (end_rank c) p = true) /\
     level_right m (dual c) = true /\
-    (forall p, In p (pairs m) -> dual_pair m hs c p = true) /\ flow_right m hs c = true /\
-    (forall l, In l (limits c) -> keeps m c l = true) /\ prices_right c = true /\
-    bound_right m c = true.
+    (forall p, In p (pairs m) -> dual_pair m hs c p = true).
   Proof.
-    pose proof H as X. unfold check_limits in X. rewrite !andb_true_iff, !forallb_forall in X.
-    tauto.
+    pose proof H as X. unfold dual_right in X. rewrite !andb_true_iff, !forallb_forall in X. tauto.
   Qed.
   Lemma l_wf : well_formed m.
-  Proof. destruct parts as (M & _). exact (wf m hs (model_right_ok m hs M)). Qed.
+  Proof. exact (wf m hs (model_right_ok m hs M)). Qed.
   Lemma l_end s : ends hs s = true -> is_end m s.
-  Proof. destruct parts as (M & _). exact (ends_ok m hs (model_right_ok m hs M) s). Qed.
+  Proof. exact (ends_ok m hs (model_right_ok m hs M) s). Qed.
   Lemma l_dual : level_pos m (dual c).
-  Proof. destruct parts as (_ & P & _ & _ & D & _). exact (level_right_ok m _ _ P D). Qed.
+  Proof. destruct parts as (P & _ & _ & D & _). exact (level_right_ok m _ _ P D). Qed.
   Lemma amount_ok p l : positive (counted p l) /\ quotient (counted p l) == amount l p.
   Proof. apply ratio_of_ok. Qed.
   Lemma priced_ok y q : positive y ->
@@ -170,9 +165,9 @@ Section Limits.
     r m p == 0 /\ (forall l, In l (limits c) -> amount l p == 0) /\
     (forall o, In o (outcomes p) -> next o = state p) /\ 0 <= V (state p).
   Proof.
-    intros I E. destruct (l_end _ E p I eq_refl) as [M S].
+    intros I E. destruct (l_end _ E p I eq_refl) as [Me S].
     split; [unfold r; destruct (maximise m); lra|].
-    destruct parts as (_ & _ & _ & _ & _ & D & _). specialize (D p I). unfold dual_pair in D.
+    destruct parts as (_ & _ & _ & _ & D). specialize (D p I). unfold dual_pair in D.
     rewrite E in D. apply andb_true_iff in D. destruct D as [D N]. rewrite forallb_forall in D.
     split; [|split; [exact S|]].
     - intros l J. specialize (D l J). apply Z.eqb_eq in D.
@@ -193,7 +188,7 @@ Section Limits.
     (forall s, ends hs s = false -> 1 <= w s) /\
     forall p, In p (pairs m) -> gamma * mean p w <= lam * w (state p).
   Proof.
-    destruct parts as (M & P & F & R & _). unfold rank_fits in F.
+    destruct parts as (P & F & R & _). unfold rank_fits in F.
     destruct (end_rank c) as [rk|].
     - apply andb_true_iff in F. destruct F as [one rk0]. apply is_one_ok in one.
       pose proof (rank_right_ok m _ rk P rk0) as nn.
@@ -224,7 +219,7 @@ Section Limits.
     { intros s Ss. apply Qle_trans with (V s + pow lam n * C * w s).
       - apply (weighted_upper m (fun _ => True) (fun _ => True) W gamma lam C (fun _ => 0) w V pi
           l_wf); auto; try lra; try (apply (wf_discount m l_wf)).
-        + intros p I _ _. destruct parts as (_ & _ & _ & _ & _ & D & _). specialize (D p I).
+        + intros p I _ _. destruct parts as (_ & _ & _ & _ & D). specialize (D p I).
           unfold dual_pair in D. destruct (ends hs (state p)) eqn:E.
           * destruct (end_pair p I E) as (_ & _ & S & V0). unfold surplus_of.
             rewrite (end_W p I E), (mean_ext p V (fun _ => V (state p)))
@@ -234,7 +229,7 @@ Section Limits.
           * apply Z.leb_le in D. destruct (lagrangian_ok p I) as [P E'].
             apply (surplus_le m gamma _ _ p (dual c) (wf_rows m l_wf p I) l_dual P E' D).
         + intros t St _. specialize (B t St). destruct (ends hs t) eqn:E.
-          * destruct parts as (_ & P & _). destruct (policy_pair m _ t P St) as (p & I & <- & _).
+          * destruct parts as (P & _). destruct (policy_pair m _ t P St) as (p & I & <- & _).
             destruct (end_pair p I E) as (_ & _ & _ & V0). specialize (wb (state p)). nra.
           * specialize (w1 t E). nra.
       - specialize (wb s). assert (0 <= pow lam n) by (apply pow_nneg; lra).
@@ -247,7 +242,19 @@ Section Limits.
         snd sq * (pow lam n * (2 * C)))) by (intros; ring).
       rewrite sumQ_plus, sumQ_times_right. destruct (wf_start m l_wf) as [S1 _]. rewrite S1. lra.
   Qed.
-  (* ---- visits that balance are those of a policy *)
+End Dual.
+
+(* ---- visits that balance are those of a policy ------------------------------------------------ *)
+
+Section Flow.
+  Variables (m : model) (hs : hints) (c : limited).
+  Hypotheses (M : model_right m hs = true) (H : dual_right m c hs = true)
+    (Fl : flow_right m hs c = true).
+  Let gamma := discount m.
+  Let x (p : pair) : Q := quotient (visits_of c p).
+  Let l_wf := l_wf m hs M.
+  Let end_pair := end_pair m hs c M H.
+  Let end_potential := end_potential m hs c M H.
 
   Let own (s : Z) : list pair := filter (fun p => (state p =? s)%Z) (pairs m).
   Definition flowing : policy := fun hist s =>
@@ -258,7 +265,7 @@ Section Limits.
   Proof. unfold own. rewrite filter_In, Z.eqb_eq. reflexivity. Qed.
   Lemma visits_right p : In p (pairs m) -> positive (visits_of c p) /\ 0 <= x p.
   Proof.
-    intro I. destruct parts as (_ & _ & _ & _ & _ & _ & F & _). unfold flow_right in F.
+    intro I. pose proof Fl as F. unfold flow_right in F.
     cbv zeta in F. apply andb_true_iff in F. destruct F as [F _]. rewrite forallb_forall in F.
     specialize (F p I). apply andb_true_iff in F. destruct F as [F0 F1].
     apply Z.leb_le in F0. apply Z.ltb_lt in F1. split; [exact F1|]. unfold x, quotient.
@@ -266,7 +273,7 @@ Section Limits.
   Qed.
   Lemma flowing_valid : valid m flowing.
   Proof.
-    destruct parts as (_ & P & _). intros hist s Ss. unfold flowing.
+    destruct (parts m hs c H) as (P & _). intros hist s Ss. unfold flowing.
     destruct (Qle_bool (sumQ x (own s)) 0) eqn:E.
     - exact (plays_valid m _ _ (stationary_plays m _ P) hist s Ss).
     - assert (A : 0 < sumQ x (own s)).
@@ -399,16 +406,16 @@ Section Limits.
     { apply (groups_zero f _ _ (le_n _)). intros s y I. apply in_map_iff in I.
       destruct I as (t & Eq & I). injection Eq as <- _.
       destruct (terms_ok t I) as [_ Ss]. destruct (ends hs (fst t)) eqn:E; [left; now apply fe|].
-      right. destruct parts as (_ & P & _ & _ & _ & _ & Fl & _). unfold flow_right in Fl.
-      cbv zeta in Fl. apply andb_true_iff in Fl. destruct Fl as [_ Fl].
-      rewrite forallb_forall in Fl. destruct (policy_pair m _ _ P Ss) as (p & Ip & Ep & _).
-      specialize (Fl p Ip). rewrite Ep, E in Fl. cbn [orb] in Fl. apply Z.eqb_eq in Fl.
+      right. destruct (parts m hs c H) as (P & _). pose proof Fl as B. unfold flow_right in B.
+      cbv zeta in B. apply andb_true_iff in B. destruct B as [_ B].
+      rewrite forallb_forall in B. destruct (policy_pair m _ _ P Ss) as (p & Ip & Ep & _).
+      specialize (B p Ip). rewrite Ep, E in B. cbn [orb] in B. apply Z.eqb_eq in B.
       destruct (sum_of_ok (grouped (flow_terms m c) (fst t))) as [Po Q].
       { intros term J. unfold grouped in J. apply in_map_iff in J. destruct J as (u & <- & J).
         apply filter_In in J. now apply terms_ok. }
       rewrite filter_of_map, sumQ_map. cbn [fst snd]. unfold grouped in Q.
       rewrite sumQ_map in Q. unfold worth. rewrite <- Q. unfold quotient at 1.
-      unfold grouped in Fl. rewrite Fl. change (inject_Z 0) with 0. unfold positive in Po.
+      unfold grouped in B. rewrite B. change (inject_Z 0) with 0. unfold positive in Po.
       apply inject_pos in Po. unfold grouped in Po. field. lra. }
     rewrite sumQ_map in Sum. cbn [fst snd] in Sum. unfold flow_terms in Sum.
     rewrite sumQ_app, sumQ_map, sumQ_flat in Sum. cbn [fst snd] in Sum.
@@ -439,7 +446,7 @@ Section Limits.
     forall n s, is_state m s ->
       - (pow lam n * R * w s) <= F (S n) s - F n s <= pow lam n * R * w s.
   Proof.
-    destruct end_potential as (lam & w & L & wb & w1 & step).
+    destruct end_potential as (lam & w & L & wb & w1 & step). fold gamma in step.
     destruct (bound_pairs a (pairs m)) as (R & R0 & HR).
     exists lam, R, w. split; [exact L|]. split; [exact R0|]. split; [exact wb|].
     destruct (wf_discount m l_wf) as [g0 _]. fold gamma in g0.
@@ -528,7 +535,7 @@ Section Limits.
     setoid_replace (pow lam n * (R * 2 * X)) with (k * X) by (unfold k; ring). lra.
   Qed.
   End Amount.
-End Limits.
+End Flow.
 
 (* ---- the theorem ----------------------------------------------------------------------------- *)
 
@@ -569,11 +576,12 @@ Qed.
 
 Theorem limits_sound m c hs : check_limits m c hs = true -> limits_hold m c.
 Proof.
-  intro H. pose proof (l_wf m hs c H) as wf.
-  destruct (parts m hs c H) as (_ & P & _ & _ & _ & _ & _ & Ke & Pr & Bo).
+  intro X. unfold check_limits in X. rewrite !andb_true_iff in X.
+  destruct X as [[[[[M H] Fl] Ke] Pr] Bo]. rewrite forallb_forall in Ke.
+  pose proof (l_wf m hs M) as wf. destruct (parts m hs c H) as (P & _).
   set (x := fun p => quotient (visits_of c p)).
   assert (xp : forall p, In p (pairs m) -> positive (visits_of c p) /\ 0 <= x p)
-    by (intros; now apply (visits_right m hs c H)).
+    by (intros; now apply (visits_right m hs c Fl)).
   assert (fr : positive (flow_reward m c) /\
     quotient (flow_reward m c) == sumQ (fun p => x p * r m p) (pairs m)).
   { unfold flow_reward. set (l := map _ (pairs m)). destruct (sum_of_ok l) as [S E].
@@ -608,7 +616,7 @@ Proof.
   { intros l I. specialize (Pr l I). apply Z.leb_le in Pr. now apply Qnum_nneg. }
   set (PL := sumQ (fun l => price l * least l) (limits c)).
   set (SP := sumQ price (limits c)). assert (SP0 : 0 <= SP) by (apply sumQ_pos; exact pr).
-  destruct (dual_bound m hs c H) as (lam & C & L & C0 & Du).
+  destruct (dual_bound m hs c M H) as (lam & C & L & C0 & Du).
   set (mu := sumQ (fun sq => snd sq * value (dual c) (fst sq)) (start m)) in *.
   set (base := fun p => if feasible c then r m p else 0) in *.
   assert (bound : mu <= (if feasible c then sumQ (fun p => x p * r m p) (pairs m)
@@ -656,19 +664,19 @@ Proof.
     specialize (pr l I). nra. }
   assert (keeping : keeps_less m (limits c) (shift c) (flowing m hs c)).
   { intros l I eps e0.
-    destruct (flow_total m hs c H (amount l)) as (la & D & La & D0 & T).
-    { intros p Ip E. now apply (end_pair m hs c H p Ip E). }
+    destruct (flow_total m hs c M H Fl (amount l)) as (la & D & La & D0 & T).
+    { intros p Ip E. now apply (end_pair m hs c M H p Ip E). }
     destruct (pow_vanishes la D eps La D0 e0) as [N HN]. exists N. intros n Ln.
     specialize (HN n Ln). specialize (T n). specialize (kept l I). 
     change (fun p => quotient (visits_of c p) * amount l p) with (fun p => x p * amount l p) in T.
     lra. }
-  split; [exact wf|]. exists (flowing m hs c). split; [exact (flowing_valid m hs c H)|].
+  split; [exact wf|]. exists (flowing m hs c). split; [exact (flowing_valid m hs c H Fl)|].
   destruct (feasible c) eqn:Fs.
   - apply Z.eqb_eq, Qnum_zero in Fe. split; [|split].
     + intros l I eps e0. destruct (keeping l I eps e0) as [N HN]. exists N. intros n Ln.
       specialize (HN n Ln). lra.
-    + intros eps e0. destruct (flow_total m hs c H (r m)) as (la & D & La & D0 & T).
-      { intros p Ip E. now apply (end_pair m hs c H p Ip E). }
+    + intros eps e0. destruct (flow_total m hs c M H Fl (r m)) as (la & D & La & D0 & T).
+      { intros p Ip E. now apply (end_pair m hs c M H p Ip E). }
       destruct (pow_vanishes la D eps La D0 e0) as [N HN]. exists N. intros n Ln.
       specialize (HN n Ln). specialize (T n).
       change (visits_earn m c) with (sumQ (fun p => x p * r m p) (pairs m)).

@@ -957,16 +957,23 @@ def bound_right(m: Model, c: Limited) -> bool:
     return sum_of([(-1, at_start), (sign, reward), *terms])[0] >= 0
 
 
-def check_limits(m: Model, c: Limited, hs: Hints) -> bool:
-    """Return whether a proof of an optimum under limits holds: if so, what it says is a theorem."""
+def dual_right(m: Model, c: Limited, hs: Hints) -> bool:
+    """Return whether the dual of a proof satisfies its inequalities, and every run ends."""
     return (
-        model_right(m, hs)
-        and policy_right(m, hs.way_out)
+        policy_right(m, hs.way_out)
         and rank_fits(m, c.end_rank)
         and all(ends_by_rank(hs, c.end_rank, p) for p in m.pairs)
         and goal_kept(m, hs)
         and level_right(m, c.dual)
         and all(dual_pair(m, hs, c, p) for p in m.pairs)
+    )
+
+
+def check_limits(m: Model, c: Limited, hs: Hints) -> bool:
+    """Return whether a proof of an optimum under limits holds: if so, what it says is a theorem."""
+    return (
+        model_right(m, hs)
+        and dual_right(m, c, hs)
         and flow_right(m, hs, c)
         and all(keeps(m, c, l) for l in c.limits)
         and prices_right(c)
