@@ -40,9 +40,11 @@ from exact_mdp.solvers.exact.verified import (
     Bounds,
     Certificate,
     Claim,
+    Corner,
     Expansion,
     Extended,
     Finite,
+    Front,
     Hints,
     Level,
     Limit,
@@ -56,8 +58,10 @@ from exact_mdp.solvers.exact.verified import (
     Ratio,
     Reaching,
     Values,
+    Vertex,
     arrives,
     check,
+    check_front,
     check_limits,
     earned,
     is_one,
@@ -94,6 +98,7 @@ KEYS = {
 }
 LIMITED = {"format", "version", "kind", "model", "objectives", "rank", "limits", "feasible",
            "flow", "price", "dual", "shift"}  # fmt: skip
+FRONT = {"format", "version", "kind", "model", "objectives", "rank", "attained", "corners"}
 
 
 class Unreadable(ValueError):
@@ -316,7 +321,7 @@ def hints_of(m: Model, c: Certificate) -> Hints:
     )  # fmt: skip
 
 
-# ---- optima under limits -------------------------------------------------------------------------
+# ---- several totals ------------------------------------------------------------------------------
 
 
 def limits_hold(
@@ -335,6 +340,11 @@ def limits_hold(
     rewards = [Fraction(*earned(m, pair)) for pair in m.pairs]
     if own["model"] != print_of_model or [*amounts[0]] != rewards:
         return False
+    return check_limits(m, c, hints_of_totals(m, amounts))
+
+
+def hints_of_totals(m: Model, amounts: Sequence[Sequence[Fraction]]) -> Hints:
+    """Return states in which nothing is earned any more, those that are reached, and actions."""
     pairs: list[list[Pair]] = [[] for _ in range(m.states)]
     for pair in m.pairs:
         pairs[pair.state].append(pair)
@@ -348,8 +358,7 @@ def limits_hold(
         reached |= after
         waiting += after
     first = [each[0].action for each in pairs].__getitem__
-    hints = Hints(ends.__getitem__, reached.__contains__, first, first, first, 0, 0, 0, 0)
-    return check_limits(m, c, hints)
+    return Hints(ends.__getitem__, reached.__contains__, first, first, first, 0, 0, 0, 0)
 
 
 def limited_of(
@@ -389,6 +398,69 @@ def limited_of(
     )  # fmt: skip
 
 
+def front_holds(model: object, certificate: object, amounts: Sequence[Sequence[Fraction]]) -> bool:
+    """Return whether a front of two objectives holds; raises Unreadable for bad content.
+
+    `amounts` are what the pairs earn of each objective, more being better.
+    """
+    own = with_keys(content_of(certificate, "certificate"), FRONT, "the certificate")
+    needed(own["kind"] == "front", "not a front")
+    needed(len(amounts) == 2, "the proof covers fronts of two objectives")
+    m, print_of_model = model_of(model)
+    listed = [vertex_of(each, m) for each in objects(own["attained"], "attained")]
+    vertices = [vertex for vertex in listed if vertex]
+    totals = [[Fraction(*x) for x in (v.first_total, v.second_total)] for v in vertices]
+    corners, shares = list[Corner](), [list[Fraction]() for _ in vertices]
+    for each in objects(own["corners"], "corners"):
+        part = with_keys(each, ("weights", "dual", "best"), "a corner")
+        weights = [fraction(x, "weights") for x in objects(part["weights"], "weights")]
+        needed(len(weights) == 2, "not one weight for each objective")
+        dual = level_of(part["dual"], "dual", m.states)
+        corners.append(Corner(Q(*weights[0].as_integer_ratio()), dual))
+        worth = [weights[0] * a + weights[1] * b for a, b in totals]
+        best = [k for k, x in enumerate(worth) if x == max(worth)]
+        if sum(weights) != 1 or integers(part["best"], "best") != best:
+            return False
+        for k in best:
+            shares[k].append(weights[0])
+    several = all(own_shares and min(own_shares) < max(own_shares) for own_shares in shares)
+    alike = len({tuple(total) for total in totals}) < len(totals)
+    if own["model"] != print_of_model or len(vertices) < len(listed) or alike or not several:
+        return False
+    rank = None if own["rank"] is None else integers(own["rank"], "rank", m.states)
+    needed(min(rank or [], default=0) >= 0, "a rank is negative")
+    places = {pair[:2]: k for k, pair in enumerate(m.pairs)}
+    first, second = ([Q(*x.as_integer_ratio()) for x in column] for column in amounts)
+    front = Front(
+        counted_by(places, first), counted_by(places, second), vertices,
+        sorted(corners, key=lambda corner: Fraction(*corner.share)),
+        rank.__getitem__ if rank and is_one(m.discount) else None,
+    )  # fmt: skip
+    return check_front(m, front, hints_of_totals(m, amounts))
+
+
+def vertex_of(given_vertex: object, m: Model) -> Vertex | None:
+    """Read a vertex; return None where its pairs are not one of each state."""
+    own = with_keys(given_vertex, ("pairs", "values", "total"), "a vertex")
+    pairs = integers(own["pairs"], "a vertex")
+    needed(all(0 <= pair < len(m.pairs) for pair in pairs), "a pair is none of the model")
+    values = [level_of(x, "values", m.states) for x in objects(own["values"], "values")]
+    total = [fraction(x, "total") for x in objects(own["total"], "total")]
+    needed(len(values) == len(total) == 2, "not one total for each objective")
+    if [m.pairs[pair].state for pair in pairs] != [*range(m.states)]:
+        return None
+    actions = [m.pairs[pair].action for pair in pairs].__getitem__
+    first, second = (Q(*x.as_integer_ratio()) for x in total)
+    return Vertex(actions, values[0], values[1], first, second)
+
+
+def objects(given: object, where: str) -> list[Any]:
+    """Return a list."""
+    if not isinstance(given, list):
+        raise Unreadable(f"{where}: not a list")
+    return given
+
+
 def counted_by(places: dict[tuple[int, int], int], numbers: Sequence[Q]) -> Callable[[int, int], Q]:
     """Return numbers of pairs as a function of state and action."""
     return lambda state, action: numbers[places[state, action]]
@@ -401,8 +473,8 @@ def holds(model: object, certificate: object) -> bool:
     """Return whether what one file says holds of another; raises Unreadable for bad content."""
     own = content_of(certificate, "certificate")
     kind = own.get("kind")
-    if kind == "limits":
-        raise Unreadable("what is limited is not in the files: ask exact-mdp verify --proven")
+    if kind in ("front", "limits"):
+        raise Unreadable("what is counted is not in the files: ask exact-mdp verify --proven")
     if not isinstance(kind, str) or kind not in KEYS:
         raise Unreadable(f"the proof covers {', '.join(KEYS)}, not {str(kind)[:40]!r}")
     with_keys(own, KEYS[kind], "the certificate")

@@ -1,4 +1,5 @@
 (* What the theorems assume: nothing. *)
-From MDP Require Import Soundness LimitsProof.
+From MDP Require Import Soundness LimitsProof FrontsProof.
 Print Assumptions sound.
 Print Assumptions limits_sound.
+Print Assumptions front_sound.

@@ -1,11 +1,13 @@
-(* Optima under limits: prices bound what policies earn, and visits that balance are a policy's. *)
+(* Optima under limits: prices bound what policies earn, and visits that balance are a policy's.
+*)
 From Coq Require Import ZArith QArith Qreduction Qabs Qfield List Bool Lqa Lia Wf_nat.
 From MDP Require Import Spec Checker Claims Arith Integers Start Bellman Goals.
 From MDP Require Import LimitsChecker LimitsClaims.
 Import ListNotations.
 Open Scope Q_scope.
 
-(* ---- sums ----------------------------------------------------------------------------------- *)
+(* ---- sums -----------------------------------------------------------------------------------
+  *)
 
 Lemma sumQ_filter {A} (f : A -> Q) (b : A -> bool) l :
   sumQ f l == sumQ f (filter b l) + sumQ f (filter (fun x => negb (b x)) l).
@@ -30,7 +32,8 @@ Proof.
   destruct (b (k x)); cbn [map]; now rewrite IH.
 Qed.
 Lemma filter_shorter {A} (b : A -> bool) l : (length (filter b l) <= length l)%nat.
-Proof. induction l as [|x l IH]; cbn [filter length]; [lia|]. destruct (b x); cbn [length]; lia. Qed.
+Proof. induction l as [|x l IH]; cbn [filter length]; [lia|]. destruct (b x); cbn [length]; lia.
+Qed.
 
 (* If what each state is given adds up to 0, unless f is 0 there, then the sum with f is 0. *)
 Lemma groups_zero (f : Z -> Q) : forall k (l : list (Z * Q)), (length l <= k)%nat ->
@@ -45,7 +48,8 @@ Proof.
     assert (own : sumQ (fun x => snd x * f (fst x)) (filter (fun x => (fst x =? s)%Z) all) == 0).
     { rewrite (sumQ_ext _ (fun x => snd x * f s)).
       - rewrite sumQ_times_right. destruct (H s a (or_introl eq_refl)) as [Z|Z]; rewrite Z; ring.
-      - intros x I. apply filter_In in I. destruct I as [_ E]. apply Z.eqb_eq in E. now rewrite E. }
+      - intros x I. apply filter_In in I. destruct I as [_ E]. apply Z.eqb_eq in E.
+        now rewrite E. }
     rewrite own. set (rest := filter (fun x => negb (fst x =? s)%Z) all).
     assert (sumQ (fun x => snd x * f (fst x)) rest == 0); [|lra]. apply IH.
     + unfold rest, all. cbn [filter fst]. rewrite Z.eqb_refl. cbn [negb].
@@ -62,7 +66,8 @@ Proof.
       now rewrite E.
 Qed.
 
-(* ---- what n steps earn is linear in the rewards ----------------------------------------------- *)
+(* ---- what n steps earn is linear in the rewards
+  ----------------------------------------------- *)
 
 Section Linear.
   Variables (gamma : Q) (pi : policy).
@@ -102,8 +107,10 @@ Lemma total_sum m pi base ls n :
   total m base pi n + sumQ (fun l => price l * total m (amount l) pi n) ls.
 Proof.
   unfold total.
-  rewrite (sumQ_ext _ (fun sq : Z * Q => snd sq * run base (discount m) (fun _ => 0) pi n [] (fst sq) +
-    snd sq * sumQ (fun l => price l * run (amount l) (discount m) (fun _ => 0) pi n [] (fst sq)) ls))
+  rewrite (sumQ_ext _ (fun sq : Z * Q => snd sq * run base (discount m) (fun _ => 0)
+    pi n [] (fst sq) +
+    snd sq * sumQ (fun l => price l * run (amount l) (discount m) (fun _ => 0) pi n [] (fst sq))
+      ls))
     by (intros; rewrite run_sum; ring).
   rewrite sumQ_plus. apply Qplus_inj_l. induction ls as [|l ls IH]; cbn [sumQ].
   - apply sumQ_zero. intros. ring.
@@ -112,7 +119,8 @@ Qed.
 Lemma total_ext m pi f g n : (forall p, f p == g p) -> total m f pi n == total m g pi n.
 Proof. intro E. apply sumQ_ext. intros sq _. now rewrite (run_ext _ _ f g n E). Qed.
 
-(* ---- what the tests of the checker show ------------------------------------------------------- *)
+(* ---- what the tests of the checker show
+  ------------------------------------------------------- *)
 
 Section Dual.
   Variables (m : model) (hs : hints) (c : limited).
@@ -127,7 +135,8 @@ Section Dual.
     level_right m (dual c) = true /\
     (forall p, In p (pairs m) -> dual_pair m hs c p = true).
   Proof.
-    pose proof H as X. unfold dual_right in X. rewrite !andb_true_iff, !forallb_forall in X. tauto.
+    pose proof H as X. unfold dual_right in X. rewrite !andb_true_iff, !forallb_forall in X.
+    tauto.
   Qed.
   Lemma l_wf : well_formed m.
   Proof. exact (wf m hs (model_right_ok m hs M)). Qed.
@@ -212,7 +221,8 @@ Section Dual.
   Lemma dual_bound : exists lam C, 0 <= lam < 1 /\ 0 <= C /\ forall pi n, valid m pi ->
     total m W pi n <= sumQ (fun sq => snd sq * V (fst sq)) (start m) + pow lam n * C.
   Proof.
-    destruct end_potential as (lam & w & L & wb & w1 & step). destruct (bounded m V) as (C & C0 & B).
+    destruct end_potential as (lam & w & L & wb & w1 & step).
+    destruct (bounded m V) as (C & C0 & B).
     exists lam, (2 * C). split; [exact L|]. split; [lra|]. intros pi n va.
     assert (each : forall s, is_state m s ->
       run W gamma (fun _ => 0) pi n [] s <= V s + pow lam n * (2 * C)).
@@ -244,7 +254,8 @@ Section Dual.
   Qed.
 End Dual.
 
-(* ---- visits that balance are those of a policy ------------------------------------------------ *)
+(* ---- visits that balance are those of a policy
+  ------------------------------------------------ *)
 
 Section Flow.
   Variables (m : model) (hs : hints) (c : limited).
@@ -427,7 +438,8 @@ Section Flow.
     set (G := fun p => - x p * f (state p) + gamma * x p * mean p f).
     assert (S2 : sumQ (fun p => sumQ (fun t => worth t * f (fst t)) (moved m c p))
       (filter nz (pairs m)) == sumQ G (pairs m)).
-    { rewrite (sumQ_filter G nz (pairs m)). rewrite (sumQ_zero G (filter (fun p => negb (nz p)) _)).
+    { rewrite (sumQ_filter G nz (pairs m)).
+      rewrite (sumQ_zero G (filter (fun p => negb (nz p)) _)).
       - rewrite Qplus_0_r. apply sumQ_ext. intros p I. apply filter_In in I. destruct I as [I _].
         unfold G. now apply moved_ok.
       - intros p I. apply filter_In in I. destruct I as [I N]. unfold nz in N.
@@ -457,7 +469,8 @@ Section Flow.
         intros [p q] I. cbn [fst snd]. destruct (Pl p q I) as (Ip & _).
         rewrite (mean_ext p (F 0) (fun _ => 0)) by (intros; reflexivity).
         rewrite (mean_const m p (wf_rows m l_wf p Ip)). ring. }
-      assert (b : forall p q, In (p, q) (flowing [] s) -> 0 <= q /\ - (R * w s) <= a p <= R * w s).
+      assert (b : forall p q, In (p, q) (flowing [] s) -> 0 <= q /\ - (R * w s) <= a p <=
+        R * w s).
       { intros p q I. destruct (Pl p q I) as (Ip & Es & q0 & _). split; [exact q0|].
         specialize (HR p Ip). specialize (wb s). destruct (ends hs (state p)) eqn:E0.
         - rewrite (a_end p Ip E0). nra.
@@ -468,7 +481,8 @@ Section Flow.
       + apply Qle_trans with (R * w s); [|lra].
         apply (mix_le a); [intros p q I; destruct (b p q I); lra|exact S1].
     - set (g := fun p => gamma * (mean p (F (S n)) - mean p (F n))).
-      assert (E : F (S (S n)) s - F (S n) s == sumQ (fun ch => snd ch * g (fst ch)) (flowing [] s)).
+      assert (E : F (S (S n)) s - F (S n) s == sumQ (fun ch => snd ch * g (fst ch))
+        (flowing [] s)).
       { rewrite (F_step (S n)), (F_step n).
         setoid_replace (sumQ (fun ch : pair * Q => snd ch * (a (fst ch) + gamma * mean (fst ch)
           (F (S n)))) (flowing [] s) - sumQ (fun ch : pair * Q => snd ch * (a (fst ch) +
@@ -493,7 +507,8 @@ Section Flow.
         unfold g. cbn [pow].
         setoid_replace (lam * pow lam n * R * w s) with (k * (lam * w s)) by (unfold k; ring).
         assert (k * (gamma * mean p w) <= k * (lam * w s)) by nra.
-        set (e1 := mean p (F (S n))) in *. set (e0 := mean p (F n)) in *. set (e := mean p w) in *.
+        set (e1 := mean p (F (S n))) in *. set (e0 := mean p (F n)) in *.
+        set (e := mean p w) in *.
         assert (gamma * (e1 - e0) <= gamma * (k * e)) by nra.
         assert (gamma * (e0 - e1) <= gamma * (k * e)) by nra.
         split; nra. }
@@ -525,19 +540,22 @@ Section Flow.
       sumQ (fun p => x p * F n (state p) + k * x p) (pairs m)).
     { apply sumQ_le. intros p I. destruct (visits_right p I) as [_ x0].
       destruct (wf_rows m l_wf p I) as (Ss & _). destruct (D n _ Ss) as [_ U].
-      specialize (wb (state p)). assert (pow lam n * R * w (state p) <= k) by (unfold k; nra). nra. }
+      specialize (wb (state p)). assert (pow lam n * R * w (state p) <= k) by (unfold k; nra).
+      nra. }
     assert (lo : sumQ (fun p => x p * F n (state p)) (pairs m) <=
       sumQ (fun p => x p * F (S n) (state p) + k * x p) (pairs m)).
     { apply sumQ_le. intros p I. destruct (visits_right p I) as [_ x0].
       destruct (wf_rows m l_wf p I) as (Ss & _). destruct (D n _ Ss) as [U _].
-      specialize (wb (state p)). assert (pow lam n * R * w (state p) <= k) by (unfold k; nra). nra. }
+      specialize (wb (state p)). assert (pow lam n * R * w (state p) <= k) by (unfold k; nra).
+      nra. }
     rewrite sumQ_plus, sumQ_times in up, lo. fold X in up, lo.
     setoid_replace (pow lam n * (R * 2 * X)) with (k * X) by (unfold k; ring). lra.
   Qed.
   End Amount.
 End Flow.
 
-(* ---- the theorem ----------------------------------------------------------------------------- *)
+(* ---- the theorem -----------------------------------------------------------------------------
+  *)
 
 Lemma nneg_quotient y : positive y -> (0 <= fst y)%Z -> 0 <= quotient y.
 Proof.
@@ -655,7 +673,8 @@ Proof.
     total m base pi n + sumQ (fun l => price l * total m (amount l) pi n) (limits c) <=
     mu + pow lam n * C).
   { intros pi n va. rewrite <- total_sum. now apply Du. }
-  assert (paid : forall pi n t, (forall l, In l (limits c) -> least l - t <= total m (amount l) pi n)
+  assert (paid : forall pi n t, (forall l, In l (limits c) -> least l - t <= total m (amount l)
+    pi n)
     -> PL - t * SP <= sumQ (fun l => price l * total m (amount l) pi n) (limits c)).
   { intros pi n t K. unfold PL, SP.
     setoid_replace (sumQ (fun l => price l * least l) (limits c) - t * sumQ price (limits c))
@@ -667,7 +686,7 @@ Proof.
     destruct (flow_total m hs c M H Fl (amount l)) as (la & D & La & D0 & T).
     { intros p Ip E. now apply (end_pair m hs c M H p Ip E). }
     destruct (pow_vanishes la D eps La D0 e0) as [N HN]. exists N. intros n Ln.
-    specialize (HN n Ln). specialize (T n). specialize (kept l I). 
+    specialize (HN n Ln). specialize (T n). specialize (kept l I).
     change (fun p => quotient (visits_of c p) * amount l p) with (fun p => x p * amount l p) in T.
     lra. }
   split; [exact wf|]. exists (flowing m hs c). split; [exact (flowing_valid m hs c H Fl)|].
@@ -689,7 +708,8 @@ Proof.
       destruct (pow_vanishes lam C (eps * (1 # 2)) L C0 half) as [N2 H2].
       exists (N1 + N2)%nat. intros n Ln. specialize (H2 n ltac:(lia)).
       specialize (parted pi n va).
-      assert (Pa : PL - small * SP <= sumQ (fun l => price l * total m (amount l) pi n) (limits c)).
+      assert (Pa : PL - small * SP <= sumQ (fun l => price l * total m (amount l) pi n)
+        (limits c)).
       { apply paid. intros l I. specialize (H1 n ltac:(lia) l I). cbv beta in H1. lra. }
       assert (Q : small * SP <= eps * (1 # 2)).
       { assert (E : small * (2 * (SP + 1)) == eps) by (unfold small; field; lra). nra. }
@@ -706,7 +726,8 @@ Proof.
       pose proof (zero_quotient _ S One) as Z0. rewrite E in Z0. cbn [sumQ fst snd] in Z0.
       rewrite sumQ_map in Z0. cbn [fst snd] in Z0.
       rewrite (sumQ_ext _ price) in Z0.
-      2: { intros l _. destruct (ratio_of_ok (price l)) as [_ ->]. change (inject_Z 1) with 1. ring. }
+      2: { intros l _. destruct (ratio_of_ok (price l)) as [_ ->].
+      change (inject_Z 1) with 1. ring. }
       change (inject_Z (-1)) with (-1) in Z0. change (quotient (1, 1)%Z) with (1 / 1) in Z0.
       unfold SP. assert (1 / 1 == 1) by reflexivity. lra. }
     assert (s0 : 0 < shift c).

@@ -173,9 +173,11 @@ def verify(certificate: str, given: Given, *, proven: bool = False) -> Report:
 
 def accepted(proof: Proof, mdp: MDP) -> bool:
     """Return whether the proven checker accepts a proof; raises ModelError for other kinds."""
-    if proof.kind not in (known := [*verified.KEYS, "limits"]):
+    several = isinstance(proof, Front) and len(proof.objectives) > 2
+    if proof.kind not in (known := [*verified.KEYS, "limits", "front"]) or several:
+        what = "a front of three objectives" if several else proof.kind
         raise ModelError(
-            f"the checker whose soundness is proven covers {', '.join(known)}, not {proof.kind}",
+            f"the checker whose soundness is proven covers {', '.join(known)}, not {what}",
             where="--proven",
             fix="leave it out: the other checker covers this kind",
         )
@@ -183,6 +185,8 @@ def accepted(proof: Proof, mdp: MDP) -> bool:
         return verified.holds(model_json.content(mdp), codec.content(proof, int))
     totals = proof.of.counted()
     content = model_json.content(mdp), codec.content(proof)
+    if isinstance(proof, Front):
+        return verified.front_holds(*content, totals.amounts)
     return verified.limits_hold(*content, totals.names, totals.amounts)
 
 

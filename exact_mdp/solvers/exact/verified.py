@@ -187,6 +187,33 @@ class Limited(NamedTuple):
     end_rank: Callable[[int], int] | None
 
 
+class Vertex(NamedTuple):
+    """A vertex: a policy by its actions, and its values and totals of both objectives."""
+
+    acts: Callable[[int], int]
+    first_value: Level
+    second_value: Level
+    first_total: Q
+    second_total: Q
+
+
+class Corner(NamedTuple):
+    """Weights of both objectives, the first and 1 less it, and values that no policy exceeds."""
+
+    share: Q
+    most: Level
+
+
+class Front(NamedTuple):
+    """A front: what pairs count for both objectives, its vertices, and corners by rising shares."""
+
+    first_count: Callable[[int, int], Q]
+    second_count: Callable[[int, int], Q]
+    vertices: list[Vertex]
+    corners: list[Corner]
+    front_rank: Callable[[int], int] | None
+
+
 def add_term(so_far: Ratio, term: tuple[int, Ratio]) -> Ratio:
     """Return a sum with one more term, which is a number of times a ratio."""
     top, below = so_far
@@ -981,6 +1008,97 @@ def check_limits(m: Model, c: Limited, hs: Hints) -> bool:
     )
 
 
+def rest_of(q0: Q) -> Q:
+    """Return 1 less a fraction."""
+    return Q(q0.below - q0.top, q0.below)
+
+
+def weighted(f: Front, k: Corner) -> Limited:
+    """Return the weighted objectives as a proof about limits has them: as two, by their prices."""
+    return Limited(
+        [Limit(f.first_count, Q(0, 1), k.share), Limit(f.second_count, Q(0, 1), rest_of(k.share))],
+        False,
+        lambda *_: (0, 1),
+        k.most,
+        Q(0, 1),
+        f.front_rank,
+    )
+
+
+def value_pair(
+    m: Model, hs: Hints, act: Callable[[int], int], c: Callable[[int, int], Q], x: Level, p: Pair
+) -> bool:
+    """Return whether values solve the equation of a pair that a policy takes, and are 0 at ends."""
+    if not taken(act, p):
+        return True
+    if hs.ends(p.state):
+        return x(p.state)[0] == 0
+    return surplus(m.discount, ratio_of(c(p.state, p.action)), p, x) == 0
+
+
+def is_total(m: Model, x: Level, q0: Q) -> bool:
+    """Return whether a total is the mean of values over the start."""
+    return sum_of([(1, sum_of([start_term(x, sq) for sq in m.start])), (-1, ratio_of(q0))])[0] == 0
+
+
+def vertex_right(m: Model, hs: Hints, f: Front, v: Vertex) -> bool:
+    """Return whether the policy of a vertex has its values and totals."""
+    return (
+        policy_right(m, v.acts)
+        and level_right(m, v.first_value)
+        and level_right(m, v.second_value)
+        and all(value_pair(m, hs, v.acts, f.first_count, v.first_value, p) for p in m.pairs)
+        and all(value_pair(m, hs, v.acts, f.second_count, v.second_value, p) for p in m.pairs)
+        and is_total(m, v.first_value, v.first_total)
+        and is_total(m, v.second_value, v.second_total)
+    )
+
+
+def corner_right(m: Model, hs: Hints, f: Front, k: Corner) -> bool:
+    """Return whether a share is from 0 to 1, and the values of a corner bound all policies."""
+    return k.share.top >= 0 and k.share.top <= k.share.below and dual_right(m, weighted(f, k), hs)
+
+
+def attained(m: Model, k: Corner, v: Vertex) -> bool:
+    """Return whether a vertex attains the bound of a corner."""
+    at_start = sum_of([start_term(k.most, sq) for sq in m.start])
+    first_one = priced(ratio_of(v.first_total), k.share)
+    other = priced(ratio_of(v.second_total), rest_of(k.share))
+    return sum_of([(-1, at_start), first_one, other])[0] >= 0
+
+
+def rising(both: tuple[Corner, Corner]) -> bool:
+    """Return whether the share of the first of two corners is less than that of the second."""
+    k, after = both
+    return k.share.top * after.share.below < after.share.top * k.share.below
+
+
+def meeting(m: Model, f: Front, both: tuple[Corner, Corner]) -> bool:
+    """Return whether some vertex attains the bounds of two corners."""
+    k, after = both
+    return any(attained(m, k, v) and attained(m, after, v) for v in f.vertices)
+
+
+def covering(m: Model, f: Front) -> bool:
+    """Return whether corners reach from share 0 to 1, and neighbours have a common vertex."""
+    return (
+        any(k.share.top == 0 for k in f.corners)
+        and any(is_one(k.share) for k in f.corners)
+        and all(rising(both) for both in pairwise(f.corners))
+        and all(meeting(m, f, both) for both in pairwise(f.corners))
+    )
+
+
+def check_front(m: Model, f: Front, hs: Hints) -> bool:
+    """Return whether a front of two objectives holds: if so, what it says is a theorem."""
+    return (
+        model_right(m, hs)
+        and all(vertex_right(m, hs, f, v) for v in f.vertices)
+        and all(corner_right(m, hs, f, k) for k in f.corners)
+        and covering(m, f)
+    )
+
+
 def grouped(terms: list[tuple[int, tuple[int, Ratio]]]) -> Callable[[int], list[tuple[int, Ratio]]]:
     """Return the terms of each state, in their order."""
     found: dict[int, list[tuple[int, Ratio]]] = {}
@@ -1006,6 +1124,7 @@ KEYS = {
 }
 LIMITED = {"format", "version", "kind", "model", "objectives", "rank", "limits", "feasible",
            "flow", "price", "dual", "shift"}  # fmt: skip
+FRONT = {"format", "version", "kind", "model", "objectives", "rank", "attained", "corners"}
 
 
 class Unreadable(ValueError):
@@ -1228,7 +1347,7 @@ def hints_of(m: Model, c: Certificate) -> Hints:
     )  # fmt: skip
 
 
-# ---- optima under limits -------------------------------------------------------------------------
+# ---- several totals ------------------------------------------------------------------------------
 
 
 def limits_hold(
@@ -1247,6 +1366,11 @@ def limits_hold(
     rewards = [Fraction(*earned(m, pair)) for pair in m.pairs]
     if own["model"] != print_of_model or [*amounts[0]] != rewards:
         return False
+    return check_limits(m, c, hints_of_totals(m, amounts))
+
+
+def hints_of_totals(m: Model, amounts: Sequence[Sequence[Fraction]]) -> Hints:
+    """Return states in which nothing is earned any more, those that are reached, and actions."""
     pairs: list[list[Pair]] = [[] for _ in range(m.states)]
     for pair in m.pairs:
         pairs[pair.state].append(pair)
@@ -1260,8 +1384,7 @@ def limits_hold(
         reached |= after
         waiting += after
     first = [each[0].action for each in pairs].__getitem__
-    hints = Hints(ends.__getitem__, reached.__contains__, first, first, first, 0, 0, 0, 0)
-    return check_limits(m, c, hints)
+    return Hints(ends.__getitem__, reached.__contains__, first, first, first, 0, 0, 0, 0)
 
 
 def limited_of(
@@ -1301,6 +1424,69 @@ def limited_of(
     )  # fmt: skip
 
 
+def front_holds(model: object, certificate: object, amounts: Sequence[Sequence[Fraction]]) -> bool:
+    """Return whether a front of two objectives holds; raises Unreadable for bad content.
+
+    `amounts` are what the pairs earn of each objective, more being better.
+    """
+    own = with_keys(content_of(certificate, "certificate"), FRONT, "the certificate")
+    needed(own["kind"] == "front", "not a front")
+    needed(len(amounts) == 2, "the proof covers fronts of two objectives")
+    m, print_of_model = model_of(model)
+    listed = [vertex_of(each, m) for each in objects(own["attained"], "attained")]
+    vertices = [vertex for vertex in listed if vertex]
+    totals = [[Fraction(*x) for x in (v.first_total, v.second_total)] for v in vertices]
+    corners, shares = list[Corner](), [list[Fraction]() for _ in vertices]
+    for each in objects(own["corners"], "corners"):
+        part = with_keys(each, ("weights", "dual", "best"), "a corner")
+        weights = [fraction(x, "weights") for x in objects(part["weights"], "weights")]
+        needed(len(weights) == 2, "not one weight for each objective")
+        dual = level_of(part["dual"], "dual", m.states)
+        corners.append(Corner(Q(*weights[0].as_integer_ratio()), dual))
+        worth = [weights[0] * a + weights[1] * b for a, b in totals]
+        best = [k for k, x in enumerate(worth) if x == max(worth)]
+        if sum(weights) != 1 or integers(part["best"], "best") != best:
+            return False
+        for k in best:
+            shares[k].append(weights[0])
+    several = all(own_shares and min(own_shares) < max(own_shares) for own_shares in shares)
+    alike = len({tuple(total) for total in totals}) < len(totals)
+    if own["model"] != print_of_model or len(vertices) < len(listed) or alike or not several:
+        return False
+    rank = None if own["rank"] is None else integers(own["rank"], "rank", m.states)
+    needed(min(rank or [], default=0) >= 0, "a rank is negative")
+    places = {pair[:2]: k for k, pair in enumerate(m.pairs)}
+    first, second = ([Q(*x.as_integer_ratio()) for x in column] for column in amounts)
+    front = Front(
+        counted_by(places, first), counted_by(places, second), vertices,
+        sorted(corners, key=lambda corner: Fraction(*corner.share)),
+        rank.__getitem__ if rank and is_one(m.discount) else None,
+    )  # fmt: skip
+    return check_front(m, front, hints_of_totals(m, amounts))
+
+
+def vertex_of(given_vertex: object, m: Model) -> Vertex | None:
+    """Read a vertex; return None where its pairs are not one of each state."""
+    own = with_keys(given_vertex, ("pairs", "values", "total"), "a vertex")
+    pairs = integers(own["pairs"], "a vertex")
+    needed(all(0 <= pair < len(m.pairs) for pair in pairs), "a pair is none of the model")
+    values = [level_of(x, "values", m.states) for x in objects(own["values"], "values")]
+    total = [fraction(x, "total") for x in objects(own["total"], "total")]
+    needed(len(values) == len(total) == 2, "not one total for each objective")
+    if [m.pairs[pair].state for pair in pairs] != [*range(m.states)]:
+        return None
+    actions = [m.pairs[pair].action for pair in pairs].__getitem__
+    first, second = (Q(*x.as_integer_ratio()) for x in total)
+    return Vertex(actions, values[0], values[1], first, second)
+
+
+def objects(given: object, where: str) -> list[Any]:
+    """Return a list."""
+    if not isinstance(given, list):
+        raise Unreadable(f"{where}: not a list")
+    return given
+
+
 def counted_by(places: dict[tuple[int, int], int], numbers: Sequence[Q]) -> Callable[[int, int], Q]:
     """Return numbers of pairs as a function of state and action."""
     return lambda state, action: numbers[places[state, action]]
@@ -1313,8 +1499,8 @@ def holds(model: object, certificate: object) -> bool:
     """Return whether what one file says holds of another; raises Unreadable for bad content."""
     own = content_of(certificate, "certificate")
     kind = own.get("kind")
-    if kind == "limits":
-        raise Unreadable("what is limited is not in the files: ask exact-mdp verify --proven")
+    if kind in ("front", "limits"):
+        raise Unreadable("what is counted is not in the files: ask exact-mdp verify --proven")
     if not isinstance(kind, str) or kind not in KEYS:
         raise Unreadable(f"the proof covers {', '.join(KEYS)}, not {str(kind)[:40]!r}")
     with_keys(own, KEYS[kind], "the certificate")

@@ -1,4 +1,4 @@
-"""The proven checker of optima under limits, beside the other one: whole and altered proofs."""
+"""The proven checker of optima under limits and of fronts, beside the other one."""
 
 import copy
 import random
@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from exact_mdp import MDP, ModelError, fingerprint, solve
+from exact_mdp import MDP, ModelError, fingerprint, solve, tradeoff
+from exact_mdp.analysis.tradeoffs.front import Front
 from exact_mdp.mdp.io import model_json
 from exact_mdp.solvers.exact import checker, codec, duals, verified
 from exact_mdp.solvers.objectives.amounts import Objectives
@@ -17,11 +18,14 @@ from exact_mdp.solvers.objectives.limits import ConstrainedSolution
 File = dict[str, Any]
 
 
+KINDS: dict[str, Any] = {"limits": ConstrainedSolution, "front": Front}
+
+
 def verdicts(mdp: MDP, content: File) -> tuple[bool, bool]:
     """Whether each of the two checkers accepts what a file has; what it cannot read, it refuses."""
     parts = {key: x for key, x in content.items() if key not in ("format", "version")}
     try:
-        proof = codec.decode(ConstrainedSolution, parts)
+        proof: Any = codec.decode(KINDS[content["kind"]], parts)
         totals = Objectives(mdp, proof.objectives).counted()
         known = proof.model == fingerprint(mdp)
         first = known and duals.violations(totals, codec.checked(proof)) == []
@@ -30,7 +34,10 @@ def verdicts(mdp: MDP, content: File) -> tuple[bool, bool]:
     totals = Objectives(mdp, content["objectives"]).counted()
     try:
         model = model_json.content(mdp)
-        second = verified.limits_hold(model, content, totals.names, totals.amounts)
+        if content["kind"] == "front":
+            second = verified.front_holds(model, content, totals.amounts)
+        else:
+            second = verified.limits_hold(model, content, totals.names, totals.amounts)
     except verified.Unreadable:
         second = False
     return first, second
@@ -149,3 +156,73 @@ def test_what_is_not_a_proof_of_limits_is_refused() -> None:
             verified.limits_hold(given[0], content | change, *given[1:])
     with pytest.raises(verified.Unreadable, match="ask exact-mdp verify --proven"):
         verified.holds(given[0], content)
+
+
+# ---- fronts --------------------------------------------------------------------------------------
+
+
+def altered_front(content: File, draw: random.Random) -> File:
+    """A front with one number changed, or one part left out."""
+    other = copy.deepcopy(content)
+    corner, vertex = draw.choice(other["corners"]), draw.choice(other["attained"])
+    key = draw.choice(["dual", "weights", "best", "pairs", "values", "total", "drop", "rank"])
+    if key == "weights":
+        step = F(draw.choice([-1, 1]), draw.choice([2, 7, 10**9]))
+        top, below = (int(part, 16) for part in corner["weights"][0].split("/"))
+        share = F(top, below) + step
+        each = (share, 1 - share if draw.random() < 0.8 else F(1, 3))
+        corner["weights"] = [f"{hex(x.numerator)}/{hex(x.denominator)}" for x in each]
+    elif key == "best":
+        corner[key] = draw.choice([[], ["0x0"], [*corner[key], "0x0"]])
+    elif key == "pairs":
+        vertex[key][draw.randrange(4)] += draw.choice([-1, 1])
+    elif key == "total":
+        place = draw.randrange(2)
+        vertex[key][place] = number(vertex[key][place], draw)
+    elif key == "drop":
+        part = other[draw.choice(["corners", "attained"])]
+        part.pop(draw.randrange(len(part)))
+    elif key == "rank" and other[key]:
+        other[key][draw.randrange(4)] += draw.choice([-1, 1])
+    elif key in ("dual", "values"):
+        level = corner[key] if key == "dual" else draw.choice(vertex[key])
+        part = draw.choice(["top", "top", "below"])
+        place = draw.randrange(len(level[part]))
+        level[part][place] = number(level[part][place], draw)
+    return other
+
+
+def test_both_checkers_say_the_same_of_whole_and_altered_fronts() -> None:
+    draw = random.Random(2)
+    found = Counter[tuple[bool, bool]]()
+    for _ in range(20):
+        mdp = drawn(draw)
+        content = codec.content(tradeoff(mdp, ["a", "b"]))
+        assert verdicts(mdp, content) == (True, True)
+        for _ in range(12):
+            found[verdicts(mdp, altered_front(content, draw))] += 1
+    assert found[True, False] == found[False, True] == 0
+    assert min(found[True, True], found[False, False]) >= 5
+
+
+def test_what_is_not_a_front_is_refused() -> None:
+    mdp = drawn(random.Random(3))
+    content = codec.content(tradeoff(mdp, ["a", "b"]))
+    amounts = Objectives(mdp, content["objectives"]).counted().amounts
+    model = model_json.content(mdp)
+    assert verified.front_holds(model, content, amounts)
+    assert not verified.front_holds(model, content | {"model": "0"}, amounts)
+    assert not verified.front_holds(model, content, amounts[::-1])
+    assert not verified.front_holds(model, content | {"corners": []}, amounts)
+    assert not verified.front_holds(model, content | {"attained": [], "corners": []}, amounts)
+    for change in (
+        {"kind": "limits"}, {"version": 2.0}, {"more": 1}, {"attained": None}, {"corners": {}},
+        {"rank": [0]}, {"attained": [{}]}, {"corners": [{}]},
+        {"corners": [content["corners"][0] | {"weights": [1]}]},
+        {"attained": [content["attained"][0] | {"pairs": [99] * 4}]},
+        {"attained": [content["attained"][0] | {"total": []}]},
+    ):  # fmt: skip
+        with pytest.raises(verified.Unreadable):
+            verified.front_holds(model, content | change, amounts)
+    with pytest.raises(verified.Unreadable, match="fronts of two objectives"):
+        verified.front_holds(model, content, [*amounts, amounts[0]])
