@@ -127,7 +127,7 @@ def verify(certificate: str, given: Given, *, proven: bool = False) -> Report:
 
     It is what solve wrote, with limits or without, or tradeoff: a front then. The checker imports
     no solver. With --proven a second one has to accept it, too, whose soundness is proven in Coq:
-    for totals, averages and bounds. The exit status is 1 where CERTIFICATE does not hold of MODEL.
+    for all but fronts of three objectives and weights. The exit status is 1 where CERTIFICATE does not hold of MODEL.
 
     Example: exact-mdp verify proof.json yuan2025
     Example: exact-mdp verify proof.json yuan2025 --proven
