@@ -126,8 +126,9 @@ def verify(certificate: str, given: Given, *, proven: bool = False) -> Report:
     """Check a certificate of an optimum or of a front.
 
     It is what solve wrote, with limits or without, or tradeoff: a front then. The checker imports
-    no solver. With --proven a second one has to accept it, too, whose soundness is proven in Coq:
-    for all but fronts of three objectives and weights. The exit status is 1 where CERTIFICATE does not hold of MODEL.
+    no solver. With --proven a second one has to accept it, too, whose soundness is proven in Coq,
+    for all but fronts of three objectives and weights. The exit status is 1 where CERTIFICATE does
+    not hold of MODEL.
 
     Example: exact-mdp verify proof.json yuan2025
     Example: exact-mdp verify proof.json yuan2025 --proven
