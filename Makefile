@@ -21,8 +21,8 @@ COMPILE = $(PY) -m uv pip compile -q --universal --python-version 3.11 --fork-st
 ICU = 'gym==0.26.2 --hash=sha256:e0d882f4b54f0c65f203104c24ab8a38b039f1289986803c7d02cdbe214fbcc4' \
     'icu-sepsis==2.0.1 --hash=sha256:93cc0f70d06b23ad024856214942077edef58c62492c6641d1a47ac38cfb1f2f'
 
-.PHONY: help setup reproduce notebooks outputs docs test test-slow test-lowest lint format types mutants proof proof-audit proof-compare bench wheel lock clean
-reproduce notebooks outputs docs test test-slow lint format types mutants proof-compare bench wheel lock: setup
+.PHONY: help setup reproduce notebooks outputs docs test test-slow test-lowest lint format types mutants proof proof-audit proof-compare proof-yuan2025 bench wheel lock clean
+reproduce notebooks outputs docs test test-slow lint format types mutants proof-compare proof-yuan2025 bench wheel lock: setup
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 setup: $(VENV)/.installed ## make .venv with the locked packages and the project itself
@@ -58,6 +58,12 @@ proof-audit: ## check the compiled proof once more, with Coq's independent check
 	$(MAKE) --no-print-directory -C proof audit
 proof-compare: ## compare both checkers on 20,000 certificates (ARGS="2000 7": how many, which seed)
 	PYTHONPATH=. $(PY) tests/support/altered_certificates.py $(ARGS)
+proof-yuan2025: proof ## state and prove in Coq the optimum of the paper's model, in build/yuan2025.v
+	mkdir -p build
+	$(VENV)/bin/exact-mdp convert yuan2025 build/model.json
+	$(VENV)/bin/exact-mdp solve yuan2025 --certify --certificate build/proof.json
+	$(PY) proof/to_coq.py build/model.json build/proof.json yuan2025 > build/yuan2025.v
+	coqc -q -Q proof/theories MDP build/yuan2025.v
 bench: ## the benchmarks; rewrites tests/benchmarks/RESULTS.md
 	$(PY) -m pytest -m storm && $(PY) tests/benchmarks/compare.py
 wheel: ## build the wheel and the source archive into dist, the same bytes every time

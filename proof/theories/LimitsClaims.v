@@ -17,9 +17,9 @@ Definition keeps_less (m : model) (ls : list limit) (t : Q) (pi : policy) : Prop
 Definition visits_earn (m : model) (c : limited) : Q :=
   sumQ (fun p => value (fun s => visits c s (action p)) (state p) * r m p) (pairs m).
 
-(* If some policy keeps the limits: that of the visits does and earns what these earn, and no policy
-   that keeps the limits earns more. Otherwise: the policy of the visits keeps the limits less the
-   shift, which is positive, and no policy keeps them less anything smaller. *)
+(* If the limits can be kept: some policy keeps them and earns what the visits earn, and no policy
+   that keeps them earns more. Otherwise: some policy keeps the limits less the shift, which is
+   positive, and no policy keeps them less anything smaller. *)
 Definition limits_hold (m : model) (c : limited) : Prop :=
   well_formed m /\ exists best, valid m best /\
   if feasible c
