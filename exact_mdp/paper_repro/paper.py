@@ -50,7 +50,7 @@ def table_3() -> dict[str, Fraction]:
     return numbers
 
 
-def words(status: str) -> str:
+def describe_status(status: str) -> str:
     """Return a status in words.
 
     >>> words("1100"), words("0000")
@@ -60,13 +60,13 @@ def words(status: str) -> str:
     return ", ".join(n for n, bit in zip(names, status, strict=True) if bit == "1") or "well"
 
 
-def fits(policy: dict[str, str], order: str) -> bool:
+def has_stated_actions(policy: dict[str, str], order: str) -> bool:
     """Return whether a policy takes the actions stated for 1100, 1000 and 0100, in one order."""
     stated = {"1100": REPORTED["stated"]["1100"], **ORDERS[order]}
     return all(policy[status] == action for status, action in stated.items())
 
 
-def write(path: Path, content: str | bytes) -> None:
+def write_file(path: Path, content: str | bytes) -> None:
     """Write a file whole or not at all, in a folder that is made; raises ModelError if it fails."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -23,7 +23,7 @@ import numpy as np
 
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.questions import direction
+from exact_mdp.mdp.questions import describe_sense
 from exact_mdp.mdp.report import Report
 from exact_mdp.mdp.result import ROWS_SHOWN, DataFrame, Pictured, data_frame, plain_report
 from exact_mdp.mdp.table import Floats, Integers
@@ -74,10 +74,10 @@ class PrecisionWarning(UserWarning):
 
 def warn_of_precision(error: float) -> None:
     """Issue a PrecisionWarning at the line that called this package."""
-    warn(f"the error bound is {error:.2g}: {Status.PRECISION}", PrecisionWarning)
+    warn_at_caller(f"the error bound is {error:.2g}: {Status.PRECISION}", PrecisionWarning)
 
 
-def warn(message: str, category: type[Warning]) -> None:
+def warn_at_caller(message: str, category: type[Warning]) -> None:
     """Issue a warning at the line that called this package."""
     frame, level = sys._getframe(1), 2
     while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in OWN:
@@ -182,7 +182,7 @@ class Bounded:
 Number = TypeVar("Number", Bounded, Certified | Bounded)
 
 
-def difference(one: Number, other: Number) -> Number:
+def subtract_numbers(one: Number, other: Number) -> Number:
     """Return one number less another, exactly where both are exact."""
     if isinstance(one, Certified) and isinstance(other, Certified):
         return Certified(value=one.value - other.value)
@@ -192,9 +192,9 @@ def difference(one: Number, other: Number) -> Number:
     return Bounded(value=value, error=float(np.nextafter(max(value - low, high - value), inf)))
 
 
-def regret(best: Number, own: Number, sense: str = "max") -> Number:
+def compute_regret(best: Number, own: Number, sense: str = "max") -> Number:
     """Return the optimum less what a policy is worth; of costs, the other way. Never below 0."""
-    lost = difference(best, own) if sense == "max" else difference(own, best)
+    lost = subtract_numbers(best, own) if sense == "max" else subtract_numbers(own, best)
     if isinstance(lost, Certified):
         return lost
     low, high = (max(0.0, end) for end in lost.interval)
@@ -202,7 +202,7 @@ def regret(best: Number, own: Number, sense: str = "max") -> Number:
     return Bounded(value=value, error=max(value - low, high - value))
 
 
-def regrets(best: Floats, own: Floats, error: Floats, sign: float = 1) -> Floats:
+def compute_regrets(best: Floats, own: Floats, error: Floats, sign: float = 1) -> Floats:
     """Return optima less what policies are worth; 0 where errors up to `error` leave that open."""
     lost = sign * (best - own)
     return np.where(np.abs(lost) > error, lost, 0.0)
@@ -311,16 +311,16 @@ class Found(Valued):
 
     def frame(self) -> DataFrame:
         """Return the value, its error bound and the action of each state."""
-        return self._states(self.mdp.n_states)
+        return self._tabulate_states(self.mdp.n_states)
 
-    def _states(self, n: int) -> DataFrame:
+    def _tabulate_states(self, n: int) -> DataFrame:
         columns = {"value": self.value[:n], "error": self.error[:n]}
         taken = {} if self.pairs is None else {"action": self.mdp.pair_action[self.pairs[:n]]}
-        return by_state(self.mdp, columns | taken)
+        return tabulate_by_state(self.mdp, columns | taken)
 
     def report(self) -> Report:
         """Return its text, and the first states."""
-        return plain_report(self, self._states(ROWS_SHOWN), self.mdp.n_states)
+        return plain_report(self, self._tabulate_states(ROWS_SHOWN), self.mdp.n_states)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -379,7 +379,7 @@ class Solution(Found, Pictured):
         return replace(self, mdp=mdp, value=0.0 - self.value)
 
     def __repr__(self) -> str:
-        asked = direction(self.mdp)
+        asked = describe_sense(self.mdp)
         asked = asked and f" ({asked})"
         return (
             f"{type(self).__name__}({self.method}: start value {self.start}{asked}, "
@@ -388,7 +388,7 @@ class Solution(Found, Pictured):
         )
 
 
-def least(mdp: MDP, solved: Callable[[MDP], Any]) -> Any:
+def solve_negated(mdp: MDP, solved: Callable[[MDP], Any]) -> Any:
     """Return what solves a model of costs, and have a SolverError hold what was reached of it."""
     try:
         return solved(mdp.maximised).negated(mdp)
@@ -398,7 +398,7 @@ def least(mdp: MDP, solved: Callable[[MDP], Any]) -> Any:
         raise
 
 
-def by_state(mdp: MDP | None, columns: Mapping[str, Any]) -> DataFrame:
+def tabulate_by_state(mdp: MDP | None, columns: Mapping[str, Any]) -> DataFrame:
     """Return columns beside the first states, and `action` by name; by number without a model."""
     states = range(len(next(iter(columns.values()))))
     if mdp is None:

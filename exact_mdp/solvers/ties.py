@@ -19,7 +19,7 @@ from exact_mdp.solvers.bounds.gains import gamma, rounding_facts
 from exact_mdp.solvers.solution import Solution
 
 
-def settled(solution: Solution) -> Solution:
+def break_near_ties(solution: Solution) -> Solution:
     """Return the solution with the better one of each two actions that float values can tell apart.
 
     Its values and bounds hold as before: no state takes a pair that is worse.

@@ -22,18 +22,29 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, ShapeError, located, of_type
+from exact_mdp.mdp.errors import ModelError, ShapeError, locate_errors, require_type
 from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.forms.threads import block_ends, run_blocks
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import COMPILED, Floats, Integers
-from exact_mdp.mdp.validate import counted
+from exact_mdp.mdp.validate import require_count
 from exact_mdp.solvers.bounds import linear
-from exact_mdp.solvers.bounds.bounds import Bounds, evaluated, margin_weights, verify
+from exact_mdp.solvers.bounds.bounds import (
+    Bounds,
+    bound_optimal_values,
+    evaluate_pairs,
+    margin_weights,
+)
 from exact_mdp.solvers.bounds.gains import UNIT, largest_error, rounding_facts
-from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain, swept
-from exact_mdp.solvers.solution import Solution, SolverError, Status, least, warn_of_precision
+from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain, sweep_system
+from exact_mdp.solvers.solution import (
+    Solution,
+    SolverError,
+    Status,
+    solve_negated,
+    warn_of_precision,
+)
 
 RELATIVE_TOLERANCE = 1e-9
 CACHED = 1_000_000  # transitions, 12 MB: beyond a cache, rows are read faster side by side
@@ -51,8 +62,8 @@ class Solver(ABC):
 
     def solve(self, model: MDP) -> Solution:
         """Return optimal values, a policy and their error bounds; see `solvers.solve`."""
-        if of_type(model, MDP, "model", "give an MDP").sense == "min":
-            costs: Solution = least(model, self.solve)
+        if require_type(model, MDP, "model", "give an MDP").sense == "min":
+            costs: Solution = solve_negated(model, self.solve)
             return costs
         with np.errstate(over="ignore", invalid="ignore"):
             return self.best(model)
@@ -88,7 +99,7 @@ class Values:
         mdp, before = self.mdp, self.pairs
         # Values that neither `take` nor `correct` left were improved one by one.
         self.relaxed = self.relaxed or not np.array_equal(self.value, self._stepped)
-        bottom, top = self._centred()
+        bottom, top = self._centre_values()
         self._error = largest_error(mdp, bottom, top)
         if not self.live.any():
             self.pairs, self.low, self.high = mdp.pair_offsets[:-1], 0.0, 0.0
@@ -103,7 +114,7 @@ class Values:
         self.stable = bool((self.pairs == before).all())
         self.best, self.idle = (half, 0) if half < 0.9 * self.best else (self.best, self.idle + 1)
 
-    def _centred(self) -> tuple[float, float]:
+    def _centre_values(self) -> tuple[float, float]:
         """Leave out what all values have in common, which would cost digits; return their range."""
         apart = self.weights.uniform and self.live.any()
         values = self.value[self.live] if apart and self.mdp.terminal.any() else self.value
@@ -153,10 +164,10 @@ class Values:
         known = self.value, self.pairs, self._ceilings, self._climbed, slack, self.rise
         extremes = np.empty((len(ends) - 1, 2))
 
-        def work(number: int, first: int, last: int) -> None:
-            bellman.improve(first, last, model, *known, extremes[number])
+        def improve_block(number: int, first: int, last: int) -> None:
+            bellman.improve_states(first, last, model, *known, extremes[number])
 
-        run_blocks(ends, work, mdp.n_transitions)
+        run_blocks(ends, improve_block, mdp.n_transitions)
         self.low, self.high = float(extremes[:, 0].min()), float(extremes[:, 1].max())
 
     @property
@@ -164,21 +175,23 @@ class Values:
         """Half of the gap between the bounds, in units of w."""
         return (self.high - self.low) / 2
 
-    def relative(self) -> float:
+    def compute_tolerance(self) -> float:
         """Return the tolerance where none is asked for: a part of the greatest value."""
         centre = self.low / 2 + self.high / 2
         largest = float(np.abs(self.value + centre * self.weights.value).max())
         return RELATIVE_TOLERANCE * max(1.0, largest)
 
-    def floor(self) -> float:
+    def bound_rounding(self) -> float:
         """Return how far rounding may have moved the bounds of the pass, at most."""
-        return self.weights.floor(self._error, max(abs(self.low), abs(self.high)))
+        return self.weights.bound_rounding(self._error, max(abs(self.low), abs(self.high)))
 
-    def proven(self) -> Bounds:
+    def prove_bounds(self) -> Bounds:
         """Return the bounds of the pass, wider by all that rounding may have done to them."""
-        value, weight, wide = self.value, self.weights.value, self.floor()
+        value, weight, wide = self.value, self.weights.value, self.bound_rounding()
         low, high = self.low - wide, self.high + wide
-        return Bounds(value=value, weight=weight, pairs=self.pairs, low=low, high=high).centred()
+        return Bounds(
+            value=value, weight=weight, pairs=self.pairs, low=low, high=high
+        ).centre_bounds()
 
     # ---- steps ---------------------------------------------------------------------------------
 
@@ -190,9 +203,9 @@ class Values:
         """
         if not self.relaxed:
             self._settle_level()
-        self._step(self.rise - self.level)
+        self._change_values(self.rise - self.level)
 
-    def _step(self, change: Floats) -> None:
+    def _change_values(self, change: Floats) -> None:
         """Add to the values of all states that go on."""
         self.value = self.value + self.live * change
         self._stepped = self.value.copy()
@@ -206,7 +219,7 @@ class Values:
 
         upward = np.arange(self.mdp.n_states)
         for order in (upward, upward[::-1]):
-            bellman.relax(order, self._model, self.value, self.level)
+            bellman.relax_states(order, self._model, self.value, self.level)
         self.spent += 4 * self.mdp.n_transitions
 
     def evaluate(self, goal: float) -> None:
@@ -227,10 +240,10 @@ class Values:
             matrix, row = self.mdp.transition, self.pairs
             if self.mdp.n_transitions > CACHED:
                 matrix, row = self.system.transition, np.arange(self.mdp.n_states)
-            left = self._left()
-            more, done = swept(matrix, row, self.mdp.discount, left, closed, enough, fine)
+            left = self._compute_residual()
+            more, done = sweep_system(matrix, row, self.mdp.discount, left, closed, enough, fine)
             if done:
-                self._add(more)
+                self._correct_values(more)
                 return
             self.price, self.slow = self.system.work / BAND or self.price, True
         due = self.spent >= self.price or (self.stable and self.idle) or goal == 0
@@ -248,24 +261,24 @@ class Values:
         What is left of a residual weighs 1 / (1 - γ) times as much in values: where policies are
         improved by these alone, they have to be solved `closely`, or may go round for ever.
         """
-        left, system = self._left(), self.system
+        left, system = self._compute_residual(), self.system
         if self.weights.uniform and self.live.any() and NEARLY_ONE < self.mdp.discount < 1:
-            self._add(*system.relatively(left, self.live * self.weights.margin))
+            self._correct_values(*system.solve_relatively(left, self.live * self.weights.margin))
         else:
-            self._add(system.roughly(left, closely=closely))
+            self._correct_values(system.solve_roughly(left, closely=closely))
 
-    def _left(self) -> Floats:
+    def _compute_residual(self) -> Floats:
         """Return what a step of the policy adds to values, beyond the level between the bounds."""
         self._settle_level()
         return self.live * (self.rise - self.level)
 
-    def _add(self, more: Floats, common: float = 0.0) -> None:
+    def _correct_values(self, more: Floats, common: float = 0.0) -> None:
         """Correct the values; what all of them have in common is left out where it is no matter."""
         if self.weights.uniform:
             middle = float(more.max() + more.min()) / 2
             more = more - middle
             self.level += self.facts.leak * (middle + common)
-        self._step(more)
+        self._change_values(more)
 
     def _settle_level(self) -> None:
         """Set the level to the middle between two d / m, where there is one."""
@@ -300,10 +313,10 @@ class Values:
     def _model(self) -> Any:
         from exact_mdp.solvers.kernels import bellman
 
-        return bellman.model_of(self.mdp, self.mdp.reward, self.weights.margin)
+        return bellman.build_compiled_model(self.mdp, self.mdp.reward, self.weights.margin)
 
 
-def iterate(mdp: MDP, solver: Any, start: Any) -> Solution:
+def iterate_values(mdp: MDP, solver: Any, start: Any) -> Solution:
     """Return the optimum within the solver's `tol`, if any: passes, and a `step` of it after each.
 
     The step gets the values, and how near those of a policy should come: a tenth of the least error
@@ -314,23 +327,23 @@ def iterate(mdp: MDP, solver: Any, start: Any) -> Solution:
     brings its values no nearer.
 
     Bounds near enough are proven: widened by the greatest rounding error of any pair, or where that
-    is too coarse by `verify`, which counts it pair by pair. Bounds of the size of rounding errors
-    that fall no longer say that double precision is at its limit; bounds that stay large say
-    nothing for as many passes as there are states, as values are carried on by one transition in
-    each. Where steps do not evaluate policies and `FEW` passes bring nothing, or `MANY` were too
-    few, every second one gives way to an evaluation of its policy.
+    is too coarse by `bound_optimal_values`, which counts it pair by pair. Bounds of the size of
+    rounding errors that fall no longer say that double precision is at its limit; bounds that stay
+    large say nothing for as many passes as there are states, as values are carried on by one
+    transition in each. Where steps do not evaluate policies and `FEW` passes bring nothing, or
+    `MANY` were too few, every second one gives way to an evaluation of its policy.
     """
     started, status, tol = perf_counter(), None, getattr(solver, "tol", None)
     evaluates, exact = solver.evaluates, solver.exact
-    values = Values(mdp, values_of(mdp, start))
+    values = Values(mdp, read_start_values(mdp, start))
     weight = float(values.weights.value.max(initial=0.0))
     doubt, hurried, seen = 1.0, False, set[bytes]()
     polished = evaluates and not exact and tol is None
     ready = not polished
     for iteration in range(1, solver.max_iterations + 1):
         values.improve()
-        half, floor, idle = values.half * weight, values.floor() * weight, values.idle
-        limit = values.relative() if tol is None else tol
+        half, floor, idle = values.half * weight, values.bound_rounding() * weight, values.idle
+        limit = values.compute_tolerance() if tol is None else tol
         stalled = idle >= PATIENCE and half <= 4 * floor
         close = doubt * half <= limit or stalled
         if exact:
@@ -339,9 +352,11 @@ def iterate(mdp: MDP, solver: Any, start: Any) -> Solution:
             seen.add(again)
         if close and (stalled or (ready and (values.stable or not polished))):
             if tol is not None:
-                reached = values.proven()
+                reached = values.prove_bounds()
             if tol is None or reached.error > limit:
-                reached = verify(mdp, values.value, strict=tol is not None).centred()
+                reached = bound_optimal_values(
+                    mdp, values.value, strict=tol is not None
+                ).centre_bounds()
             if exact:
                 status = Status.DIRECT
             elif reached.error <= limit:
@@ -366,11 +381,13 @@ def iterate(mdp: MDP, solver: Any, start: Any) -> Solution:
             solver.step(values, goal)
     if status in (None, Status.NO_BOUND):
         status = status or Status.ITERATION_LIMIT
-        reached = verify(mdp, values.value).centred()
-    return conclude(mdp, solver, reached, status=status, iterations=iteration, started=started)
+        reached = bound_optimal_values(mdp, values.value).centre_bounds()
+    return conclude_solution(
+        mdp, solver, reached, status=status, iterations=iteration, started=started
+    )
 
 
-def conclude(
+def conclude_solution(
     mdp: MDP, solver: Solver, bounds: Bounds, *, status: Status, iterations: int, started: float
 ) -> Solution:
     """Return the solution; warns where its tolerance is beyond double precision."""
@@ -404,15 +421,15 @@ def check_tolerance(where: str, tol: Any) -> None:
 
 def check_counts(where: str, **counts: Any) -> None:
     """Raise ModelError for what is not a whole number from 1 up; True is none."""
-    with located(where):
+    with locate_errors(where):
         for key, count in counts.items():
-            counted(count, key)
+            require_count(count, key)
 
 
 # ---- where to begin ------------------------------------------------------------------------------
 
 
-def values_of(mdp: MDP, start: Any) -> Floats:
+def read_start_values(mdp: MDP, start: Any) -> Floats:
     """Return (S,) values to begin with: those given, or those of a policy; 0 where all is over."""
     value = np.zeros(mdp.n_states) if start is None else given_values(mdp, start)
     if value is None:
@@ -424,7 +441,7 @@ def values_of(mdp: MDP, start: Any) -> Floats:
                 fix="give a solution of this model, a deterministic policy, or an action number "
                 "for each state",
             )
-        return evaluated(mdp, np.flatnonzero(policy.weights(mdp)))
+        return evaluate_pairs(mdp, np.flatnonzero(policy.weights(mdp)))
     return np.where(mdp.terminal, 0.0, value)
 
 
@@ -446,7 +463,7 @@ def given_values(mdp: MDP, start: Any) -> Floats | None:
     return np.asarray(start, dtype=np.float64)
 
 
-def opposite(mdp: MDP, start: Any) -> Any:
+def negate_start(mdp: MDP, start: Any) -> Any:
     """Return what is known for the model of the other sense: values negated, a policy as it is."""
     if isinstance(start, Solution):
         return start.policy

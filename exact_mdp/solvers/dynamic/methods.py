@@ -6,10 +6,10 @@
     policy iteration             π greedy for V,   V ← (I - γ P_π)⁻¹ r_π
     backward induction           V(s) ← (T V)(s) once, from the end to the start, without cycles
 
-`iterate` has the loop: it stops by two-sided bounds, never because a step changed little (Haddad
-and Monmege, Theoretical Computer Science 735, 2018), and answers with the middle between them.
-Sources: Puterman, Markov Decision Processes, 1994, sections 4.5 and 6.3 to 6.5; Puterman and Shin,
-Management Science 24, 1978; Howard, Dynamic Programming and Markov Processes, 1960.
+`iterate_values` has the loop: it stops by two-sided bounds, never because a step changed little
+(Haddad and Monmege, Theoretical Computer Science 735, 2018), and answers with the middle between
+them. Sources: Puterman, Markov Decision Processes, 1994, sections 4.5 and 6.3 to 6.5; Puterman and
+Shin, Management Science 24, 1978; Howard, Dynamic Programming and Markov Processes, 1960.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ import numpy as np
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import is_acyclic
 from exact_mdp.mdp.model import MDP
-from exact_mdp.solvers.bounds.bounds import backward, verify
+from exact_mdp.solvers.bounds.bounds import bound_optimal_values, solve_backward
 from exact_mdp.solvers.dynamic.iterate import (
     Solver,
     Values,
     check_counts,
     check_tolerance,
-    conclude,
-    iterate,
+    conclude_solution,
+    iterate_values,
 )
 from exact_mdp.solvers.solution import Solution, Status
 
@@ -64,11 +64,11 @@ class Improving(Solver):
 
     @abstractmethod
     def step(self, values: Values, goal: float) -> None:
-        """Improve the values after a pass over all pairs; see `iterate`."""
+        """Improve the values after a pass over all pairs; see `iterate_values`."""
 
     def best(self, model: MDP) -> Solution:
         """Return the optimum within `tol`."""
-        return iterate(model, self, self.start)
+        return iterate_values(model, self, self.start)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,7 +137,7 @@ class ModifiedPolicyIteration(Improving):
         begin = self.start
         if begin is None:
             begin = np.maximum.reduceat(model.reward, model.pair_offsets[:-1])
-        return iterate(model, self, begin)
+        return iterate_values(model, self, begin)
 
     def step(self, values: Values, goal: float) -> None:
         """Evaluate the policy; the first one is greedy for the next rewards alone."""
@@ -182,7 +182,7 @@ class PolicyIteration(Solver):
 
     def best(self, model: MDP) -> Solution:
         """Return the optimum up to rounding."""
-        return iterate(model, self, self.start)
+        return iterate_values(model, self, self.start)
 
     def step(self, values: Values, goal: float) -> None:
         """Solve the equations of the policy."""
@@ -212,5 +212,7 @@ class BackwardInduction(Solver):
                 where=f"model {model.name}".strip(),
                 fix="use ModifiedPolicyIteration or PolicyIteration",
             )
-        bounds = verify(model, backward(model, model.reward)).centred()
-        return conclude(model, self, bounds, status=Status.DIRECT, iterations=1, started=started)
+        bounds = bound_optimal_values(model, solve_backward(model, model.reward)).centre_bounds()
+        return conclude_solution(
+            model, self, bounds, status=Status.DIRECT, iterations=1, started=started
+        )

@@ -29,7 +29,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import DataFrame
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers.bounds.gains import POLICIES, SLACK, gains, greedy
+from exact_mdp.solvers.bounds.gains import POLICIES, SLACK, choose_greedy_pairs, compute_advantages
 from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.dynamic.iterate import RELATIVE_TOLERANCE, Solver
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram, least_above, own_states
@@ -38,9 +38,9 @@ from exact_mdp.solvers.dynamic.methods import (
     PolicyIteration,
     ValueIteration,
 )
-from exact_mdp.solvers.endless.chain import FloatChain, expansion
+from exact_mdp.solvers.endless.chain import FloatChain, compute_laurent_expansion
 from exact_mdp.solvers.endless.graph import Graph
-from exact_mdp.solvers.endless.quotient import derived
+from exact_mdp.solvers.endless.quotient import build_derived_model
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
 
 NEARNESS = Fraction(1, 2**12)  # 1 - γ of the policy to begin with
@@ -81,8 +81,8 @@ class AverageSolution(Solution):
         """Return gain, bias, their error bounds, and the action of each state."""
         return super().frame()
 
-    def _states(self, n: int) -> DataFrame:
-        frame = super()._states(n).rename(columns={"value": "gain"})
+    def _tabulate_states(self, n: int) -> DataFrame:
+        frame = super()._tabulate_states(n).rename(columns={"value": "gain"})
         frame.insert(3, "bias", self.bias[:n])
         frame.insert(4, "bias error", self.bias_error[:n])
         return frame
@@ -105,8 +105,8 @@ def solve_average(mdp: MDP, solver: Solver) -> AverageSolution:
         )
     step = mdp.undiscounted
     pairs, relative, iterations = METHODS[solver.name](step, solver)
-    gain, bias = FloatChain(step, pairs).evaluated()
-    above = _upper(step, relative) - gain.value
+    gain, bias = FloatChain(step, pairs).evaluate_chain()
+    above = _bound_gain_above(step, relative) - gain.value
     return AverageSolution(
         mdp=mdp,
         value=gain.value,
@@ -123,9 +123,9 @@ def solve_average(mdp: MDP, solver: Solver) -> AverageSolution:
     )
 
 
-def _upper(step: MDP, bias: Floats) -> Floats:
+def _bound_gain_above(step: MDP, bias: Floats) -> Floats:
     """Return (S,) what no policy earns more than per step, for any relative values (S,)."""
-    graph, added = Graph(step), gains(step, bias)
+    graph, added = Graph(step), compute_advantages(step, bias)
     label, inside = graph.end_components(np.ones(step.n_pairs, dtype=bool))
     own, most = label[step.pair_state], added.value + added.error * SLACK
     count = int(label.max()) + 1
@@ -137,7 +137,7 @@ def _upper(step: MDP, bias: Floats) -> Floats:
     label[passed] = count + np.arange(int(passed.sum()))
     pairs = np.flatnonzero(~inside)
     rests = [(number, Fraction(value)) for number, value in enumerate(top.tolist())]
-    model = derived(step, pairs, label, free=True, rests=rests)
+    model = build_derived_model(step, pairs, label, free=True, rests=rests)
     solution = PolicyIteration().solve(model.mdp)
     most = np.nextafter(solution.value + solution.state_error * SLACK, np.inf)
     return np.asarray(most[model.label])
@@ -150,17 +150,19 @@ Improved = tuple[Integers, Floats, int]
 """The pairs (S,) of a policy, relative values (S,), and iterations."""
 
 
-def improved(step: MDP, pairs: Integers | None = None, most: int = POLICIES) -> Improved:
+def improve_average_policy(
+    step: MDP, pairs: Integers | None = None, most: int = POLICIES
+) -> Improved:
     """Return a policy that is optimal up to rounding, from `pairs` (S,) or a patient policy."""
     if pairs is None:
-        pairs = _patient(step)
+        pairs = _choose_patient_pairs(step)
     seen: set[bytes] = set()
     before: tuple[Floats, Floats] | None = None
     for iteration in range(1, most + 1):
         seen.add(pairs.tobytes())
         chain = FloatChain(step, pairs)
-        _, bias, second = expansion(chain, step.reward[pairs])
-        added = gains(step, bias)
+        _, bias, second = compute_laurent_expansion(chain, step.reward[pairs])
+        added = compute_advantages(step, bias)
         own = FixedPoint(value=added.value[pairs], error=added.error[pairs])
         gain = chain.bounded_gain(own)
         if before is not None:
@@ -171,13 +173,13 @@ def improved(step: MDP, pairs: Integers | None = None, most: int = POLICIES) -> 
         before = gain.value, bias
         # Gains that are equal come out of different equations: their whole error counts, not only
         # that of their differences.
-        means = gains(step, gain.value, reward=np.zeros(step.n_pairs))
+        means = compute_advantages(step, gain.value, reward=np.zeros(step.n_pairs))
         unsure = step.transition @ gain.error + gain.error[step.pair_state]
-        pairs = greedy(
+        pairs = choose_greedy_pairs(
             step,
             replace(means, noise=means.noise + unsure),
-            gains(step, bias, reward=step.reward - gain.value[step.pair_state]),
-            gains(step, second, reward=-bias[step.pair_state]),
+            compute_advantages(step, bias, reward=step.reward - gain.value[step.pair_state]),
+            compute_advantages(step, second, reward=-bias[step.pair_state]),
             keep=pairs,
         )
         if pairs.tobytes() in seen:
@@ -185,7 +187,7 @@ def improved(step: MDP, pairs: Integers | None = None, most: int = POLICIES) -> 
     raise SolverError(Status.ITERATION_LIMIT, f"{most} policies were evaluated")
 
 
-def _patient(step: MDP) -> Integers:
+def _choose_patient_pairs(step: MDP) -> Integers:
     """Return the pairs (S,) that are best with a discount near 1: few are left to improve."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PrecisionWarning)
@@ -207,14 +209,14 @@ def _by_values(step: MDP, solver: ValueIteration) -> Improved:
         )
     first, bias = step.pair_offsets[:-1], np.zeros(step.n_states)
     for iteration in range(1, solver.max_iterations + 1):
-        added = gains(step, bias)
+        added = compute_advantages(step, bias)
         low, high = (
             np.maximum.reduceat(added.value + sign * added.error, first) for sign in (-1, 1)
         )
         width, middle = float(high.max() - low.min()), float(high.max() + low.min()) / 2
         limit = solver.tol or RELATIVE_TOLERANCE * max(1.0, abs(middle))
         if width <= limit or width <= 4 * float(added.error.max()):
-            return greedy(step, added), bias, iteration
+            return choose_greedy_pairs(step, added), bias, iteration
         bias += (np.maximum.reduceat(added.value, first) - middle) / 2
         bias -= bias[0]
     detail = f"{width:.2g} is the error bound after {solver.max_iterations} iterations"
@@ -229,13 +231,15 @@ def _by_program(step: MDP, solver: LinearProgram) -> Improved:
     least, cost = np.zeros((2, step.n_pairs)), np.zeros((2, step.n_states))
     least[1], cost[0] = step.reward / scale, 1.0
     level, steps = least_above(cost.ravel(), matrix, least.ravel(), solver.solver)
-    first = greedy(step, gains(step, scale * level[step.n_states :]))
-    pairs, bias, iterations = improved(step, first)
+    first = choose_greedy_pairs(step, compute_advantages(step, scale * level[step.n_states :]))
+    pairs, bias, iterations = improve_average_policy(step, first)
     return pairs, bias, steps + iterations
 
 
 METHODS: dict[str, Callable[[MDP, Any], Improved]] = {
-    PolicyIteration.name: lambda step, solver: improved(step, most=solver.max_iterations),
+    PolicyIteration.name: lambda step, solver: improve_average_policy(
+        step, most=solver.max_iterations
+    ),
     ValueIteration.name: _by_values,
     LinearProgram.name: _by_program,
 }

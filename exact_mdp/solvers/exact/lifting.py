@@ -57,14 +57,14 @@ class Lifting:
             self._factors = linalg.splu(matrix, permc_spec="MMD_AT_PLUS_A")
         except RuntimeError:  # singular, up to rounding
             self._widths = []
-        self._split()
+        self._split_limbs()
 
     @property
     def width(self) -> int:
         """Bits of a digit; 0 where floats cannot tell digits of any width."""
         return self._widths[0] if self._widths else 0
 
-    def _split(self) -> None:
+    def _split_limbs(self) -> None:
         """Split the entries into limbs; those below the last one have products within 64 bits."""
         offsets, column, left = self._entries
         lengths = np.diff(offsets)
@@ -90,14 +90,14 @@ class Lifting:
         `rows` are those of the matrix, to check it; `known` is a denominator to be tried first.
         """
         while self.width:
-            solution = self._solved(side, rows, known)
+            solution = self._solve_by_digits(side, rows, known)
             if solution is not None:
                 return solution
             del self._widths[0]  # floats cannot tell digits of this one
-            self._split()
+            self._split_limbs()
         return None
 
-    def _solved(
+    def _solve_by_digits(
         self, side: Sequence[Any], rows: Rows, known: fmpz | None
     ) -> tuple[list[fmpz], fmpz] | None:
         """Return the solution from digits of the present width; None where floats fail."""
@@ -106,13 +106,13 @@ class Lifting:
         # less than 2^54 times as large as b.
         lead = (max(int(number).bit_length() for number in side) + 54) // width + 1
 
-        def enough(below: fmpz) -> int:
+        def count_digits(below: fmpz) -> int:
             return lead + (int(below.bit_length()) + LACKING) // width + 1
 
         most = lead + 2 * (int(self.bits.sum()) + SPARE) // width + 1  # whatever det A is
         share = np.random.default_rng(0).integers(1, max(2, 2 ** (62 - width) // size), size)
-        coming, parts, mixed = self._digits(side, lead), list[Integers](), list[Integers]()
-        taken, count = 0, lead + FIRST if known is None else enough(known)
+        coming, parts, mixed = self._yield_digits(side, lead), list[Integers](), list[Integers]()
+        taken, count = 0, lead + FIRST if known is None else count_digits(known)
         below = known
         while True:
             with np.errstate(all="ignore"):
@@ -122,20 +122,20 @@ class Lifting:
             parts.append(fresh)
             mixed.append(fresh @ share)
             if below is None:
-                (number,) = _joined(np.concatenate(mixed)[:, None], width)
-                below = _denominator(flint.fmpz(number), width * (count - lead))
+                (number,) = _join_digits(np.concatenate(mixed)[:, None], width)
+                below = _find_denominator(flint.fmpz(number), width * (count - lead))
             if below is not None:
                 digits = np.concatenate(parts)
-                for few in sorted({min(count, enough(below)), count}):
-                    numbers = _joined(digits[:few], width)
+                for few in sorted({min(count, count_digits(below)), count}):
+                    numbers = _join_digits(digits[:few], width)
                     candidate = _over_one_denominator(numbers, width * (few - lead), below)
-                    if candidate is not None and _solves(rows, side, *candidate):
+                    if candidate is not None and _is_solution(rows, side, *candidate):
                         return candidate
             if count >= most:
                 return None
             below, taken, count = None, count, min(most, int(count * GROWTH) + 1)
 
-    def _digits(self, side: Sequence[Any], lead: int) -> Iterator[Integers]:
+    def _yield_digits(self, side: Sequence[Any], lead: int) -> Iterator[Integers]:
         """Yield the digits (K,) of the solution, of which `lead` stand before the point."""
         size, limb = self.size, self._limb
         coming = _digits_of(side, self.width, lead)
@@ -170,7 +170,7 @@ def _digits_of(numbers: Sequence[Any], width: int, count: int) -> Iterator[Integ
     return iter(ordered)
 
 
-def _joined(digits: Integers, width: int) -> list[int]:
+def _join_digits(digits: Integers, width: int) -> list[int]:
     """Return the numbers whose digits (T, K) to the base 2^width are given, the highest first."""
     low = np.empty_like(digits)  # of which the lowest bytes count, as many as a digit has
     carry = np.zeros(digits.shape[1], dtype=np.int64)
@@ -198,7 +198,7 @@ def _over_one_denominator(
         nearest = (product + half) >> bits
         rest = product - (nearest << bits)
         if rest.bit_length() > bits - SPARE:
-            factor = _denominator(rest, bits, excess=int(below.bit_length()))
+            factor = _find_denominator(rest, bits, excess=int(below.bit_length()))
             if factor is None:
                 return None
             below, top = below * factor, [value * factor for value in top]
@@ -207,7 +207,7 @@ def _over_one_denominator(
     return top, below
 
 
-def _denominator(number: fmpz, bits: int, excess: int = 0) -> fmpz | None:
+def _find_denominator(number: fmpz, bits: int, excess: int = 0) -> fmpz | None:
     """Return q with q · number / 2^bits far closer to an integer than by chance, or None."""
     # That distance may be `excess` bits longer than q is.
     basis = flint.fmpz_mat(2, 2, [number, flint.fmpz(1) << excess, flint.fmpz(1) << bits, 0]).lll()
@@ -215,7 +215,7 @@ def _denominator(number: fmpz, bits: int, excess: int = 0) -> fmpz | None:
     return below if below and below.bit_length() + rest.bit_length() < bits - SPARE else None
 
 
-def _solves(rows: Rows, side: Sequence[Any], top: list[fmpz], below: fmpz) -> bool:
+def _is_solution(rows: Rows, side: Sequence[Any], top: list[fmpz], below: fmpz) -> bool:
     """Return whether A n = q b."""
     return all(
         sum(map(mul, map(top.__getitem__, column), entry)) == below * own

@@ -25,7 +25,13 @@ from numpy.typing import NDArray
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows
 from exact_mdp.mdp.graph import longest_ways
-from exact_mdp.mdp.table import Integers, Numbers, common, row_sums, spans
+from exact_mdp.mdp.table import (
+    Integers,
+    Numbers,
+    concatenate_ranges,
+    row_sums,
+    to_common_denominator,
+)
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.exact.lifting import Lifting
 
@@ -97,7 +103,7 @@ class Matrix:
         for states in np.split(order, np.flatnonzero(apart) + 1):
             block = None
             if not single[states[0]]:
-                entries = spans(self.offsets[states], self.offsets[states + 1])
+                entries = concatenate_ranges(self.offsets[states], self.offsets[states + 1])
                 entries = entries[label[self.column[entries]] == label[states[0]]]
                 row, column = np.searchsorted(states, [self.row[entries], self.column[entries]])
                 block = Matrix.of(len(states), row, column, self.entry[entries])
@@ -118,10 +124,10 @@ def solve_all(matrix: Matrix, sides: Sequence[Sequence[Any]]) -> list[Level]:
     """
     solution = _Solution(matrix, sides)
     group, below = np.array(solution.group, dtype=np.int64), list(map(int, solution.below))
-    return [Level.grouped(list(map(int, top)), below, group) for top in solution.tops]
+    return [Level.from_groups(list(map(int, top)), below, group) for top in solution.tops]
 
 
-def equations(rows: BellmanRows, states: NDArray[np.bool_] | None = None) -> Matrix:
+def build_equations(rows: BellmanRows, states: NDArray[np.bool_] | None = None) -> Matrix:
     """Return the matrix of V = r + γ P V for rows of one pair in each state.
 
     Of some states (S,), those that are not terminal by default; the others have V = r.
@@ -136,24 +142,28 @@ def equations(rows: BellmanRows, states: NDArray[np.bool_] | None = None) -> Mat
     )
 
 
-def solved(matrix: Matrix, rows: BellmanRows, constant: Sequence[Fraction]) -> Level:
-    """Return V = constant + γ P V, constant (S,), for the `equations` of some rows."""
-    side, unit = common(constant)
+def solve_policy_equations(
+    matrix: Matrix, rows: BellmanRows, constant: Sequence[Fraction]
+) -> Level:
+    """Return V = constant + γ P V, constant (S,), for the `build_equations` of some rows."""
+    side, unit = to_common_denominator(constant)
     (level,) = solve_all(matrix, [[*map(mul, side, rows.scale.tolist())]])
     return replace(level, below=[unit * below for below in level.below])
 
 
-def evaluated(rows: BellmanRows, pairs: Integers, amounts: Sequence[Numbers] = ()) -> list[Level]:
+def evaluate_exactly(
+    rows: BellmanRows, pairs: Integers, amounts: Sequence[Numbers] = ()
+) -> list[Level]:
     """Return the values of the policy that takes some pairs (S,): of the rewards, or of amounts.
 
     Amounts (L,) are over the scales of the states, as the constants of the rows are.
     """
     live = ~rows.terminal
     sides = [(own[pairs] * live).tolist() for own in amounts or [rows.constant]]
-    return solve_all(equations(rows.of_pairs(pairs)), sides)
+    return solve_all(build_equations(rows.of_pairs(pairs)), sides)
 
 
-def visited(
+def compute_expected_visits(
     rows: BellmanRows, states: NDArray[np.bool_], *starts: Sequence[tuple[int, Fraction]]
 ) -> list[Level]:
     """Return how often each state is visited from each start, for rows of one pair in each state.
@@ -162,13 +172,13 @@ def visited(
     """
     sides, units = list[list[int]](), list[int]()
     for start in starts:
-        first, unit = common([share for _, share in start])
+        first, unit = to_common_denominator([share for _, share in start])
         side = [0] * len(rows.scale)
         for (state, _), number in zip(start, first, strict=True):
             side[state] += number
         sides.append(side)
         units.append(unit)
-    scale, levels = rows.scale.tolist(), solve_all(equations(rows, states).transposed, sides)
+    scale, levels = rows.scale.tolist(), solve_all(build_equations(rows, states).transposed, sides)
     return [
         replace(level, top=[*map(mul, level.top, scale)], below=[unit * x for x in level.below])
         for level, unit in zip(levels, units, strict=True)
@@ -188,14 +198,14 @@ class _Solution:
                 for base, alike in self._by_base(states).items():
                     self._substitute(base, alike)
                 continue
-            base = _lcm(self._by_base(states))
+            base = _compute_common_multiple(self._by_base(states))
             each = [
                 _solve_component(block, right, matrix.denominators, states[0])
                 for right in self._right_sides(base, states)
             ]
-            unit = _lcm(below for _, below in each)
+            unit = _compute_common_multiple(below for _, below in each)
             tops = [[n * (unit // below) for n in top] for top, below in each]
-            self._settle(states, tops, base * unit)
+            self._store_solution(states, tops, base * unit)
 
     def _by_base(self, states: Sequence[int]) -> dict[fmpz, list[int]]:
         """Return unknowns by the common denominator of those that they lead to."""
@@ -204,7 +214,7 @@ class _Solution:
         for s in states:
             met = frozenset([self.group[t] for t in self._rows[s][0]])
             if met not in bases:
-                bases[met] = _lcm(self.below[group] for group in met)
+                bases[met] = _compute_common_multiple(self.below[group] for group in met)
             groups.setdefault(bases[met], []).append(s)
         return groups
 
@@ -230,13 +240,15 @@ class _Solution:
         sides, places = self._right_sides(base, states), range(len(states))
         # They share a denominator unless it would be far longer than their own.
         far = 2 * max(pivot.bit_length() for pivot in pivots) + FAR
-        apart = _lcm(pivots).bit_length() > far
+        apart = _compute_common_multiple(pivots).bit_length() > far
         for some in [[i] for i in places] if apart else [places]:
-            unit = _lcm(pivots[i] for i in some)
+            unit = _compute_common_multiple(pivots[i] for i in some)
             tops = [[side[i] * (unit // pivots[i]) for i in some] for side in sides]
-            self._settle([states[i] for i in some], tops, base * unit)
+            self._store_solution([states[i] for i in some], tops, base * unit)
 
-    def _settle(self, states: Sequence[int], tops: Sequence[Sequence[fmpz]], below: fmpz) -> None:
+    def _store_solution(
+        self, states: Sequence[int], tops: Sequence[Sequence[fmpz]], below: fmpz
+    ) -> None:
         """Keep the numbers of some unknowns, all over one denominator in lowest terms."""
         listed, shared = [n for top in tops for n in top], below
         for n in listed:
@@ -253,7 +265,7 @@ class _Solution:
             self.group[s] = number if any(top[s] for top in self.tops) else 0
 
 
-def _lcm(numbers: Iterable[fmpz]) -> fmpz:
+def _compute_common_multiple(numbers: Iterable[fmpz]) -> fmpz:
     multiple = flint.fmpz(1)
     for number in numbers:
         multiple = number if multiple == 1 else multiple.lcm(number)

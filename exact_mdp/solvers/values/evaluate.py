@@ -30,10 +30,10 @@ import scipy.sparse as sp
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.exact import BellmanRows
-from exact_mdp.mdp.graph import Mask, closure, ways_out
+from exact_mdp.mdp.graph import Mask, find_reachable_nodes, ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.report import Report, Shown, Table, claimed
+from exact_mdp.mdp.report import Report, Shown, Table, list_claim_facts
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import COMPILED, Floats
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
@@ -56,13 +56,13 @@ from exact_mdp.solvers.solver import (
     require_no_target,
     solve,
 )
-from exact_mdp.solvers.values.average import AverageEvaluation, average
+from exact_mdp.solvers.values.average import AverageEvaluation, evaluate_average
 from exact_mdp.solvers.values.policy_chain import (
-    Equations,
     OfPolicy,
     PolicyChain,
-    arrives,
-    parted,
+    PolicyEquations,
+    has_sure_end,
+    split_infinite_returns,
 )
 from exact_mdp.solvers.values.returns import return_distribution
 
@@ -74,12 +74,12 @@ def _or_unknown(number: Callable[..., Bounded]) -> Callable[..., Bounded]:
     """Have a number be unknown where double precision cannot bound it."""
 
     @wraps(number)
-    def known(*given: object) -> Bounded:
+    def call_or_unknown(*given: object) -> Bounded:
         with suppress(SolverError):
             return number(*given)
         return UNKNOWN
 
-    return known
+    return call_or_unknown
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -145,7 +145,7 @@ class Evaluation(OfPolicy, Pictured):
         return Report(
             title="value of a policy",
             facts={
-                **claimed("mean", self.start),
+                **list_claim_facts("mean", self.start),
                 "sd": Shown(self.sd, self._sd if finite else "undefined: the mean is infinite"),
                 "steps": Shown(self.steps, self._steps if self.ends else "inf: it may never end"),
                 "ends": Shown(self.ends),
@@ -189,14 +189,14 @@ class Evaluation(OfPolicy, Pictured):
         if mdp.components.shape[1] == 1:
             return {mdp.component_names[0]: self.start}
         if not self.settled:
-            return {name: self._endless(name) for name in mdp.component_names}
+            return {name: self._evaluate_component(name) for name in mdp.component_names}
         try:
             discounted = self._discounted
         except SolverError:
             return dict.fromkeys(mdp.component_names, UNKNOWN)
         used, doubt = (_pair_visits(chain, x) for x in (discounted.value, discounted.error))
         with np.errstate(over="ignore", invalid="ignore"):
-            total, error = self._earned(used, doubt)
+            total, error = self._sum_components(used, doubt)
         numbers = {
             name: Bounded(value=float(value), error=float(bound)) if bound < inf else UNKNOWN
             for name, value, bound in zip(mdp.component_names, total, error, strict=True)
@@ -210,15 +210,15 @@ class Evaluation(OfPolicy, Pictured):
             ):
                 if often.any():
                     apart = ends.min(initial=0) < 0 < ends.max(initial=0)
-                    numbers[name] = UNKNOWN if apart else self._endless(name)
+                    numbers[name] = UNKNOWN if apart else self._evaluate_component(name)
         return numbers
 
-    def _endless(self, name: str) -> Bounded:
+    def _evaluate_component(self, name: str) -> Bounded:
         """Return the total of a component where a policy goes on for ever."""
         mdp, given = self.given.mdp, self.given
         if mdp.goal is not None:  # a run that misses it is infinite in all, not in its parts
             return UNKNOWN
-        table = mdp.table.earning(*mdp.component(name))
+        table = mdp.table.with_reward(*mdp.component(name))
         alone = mdp.with_(table=table, component_names=(name,))
         chain = PolicyChain(mdp=alone, chosen=given.chosen, policy=given.policy)
         with suppress(SolverError, ModelError):
@@ -263,11 +263,11 @@ class Evaluation(OfPolicy, Pictured):
             surprise = chain.gain + rate * there - here
             off = TINY + 5 * UNIT * (np.abs(chain.gain) + rate * np.abs(there) + np.abs(here))
             off += rate * error[chain.table.next] + error[chain.source]
-            constant = chain.total(chain.probability * surprise**2)
-            doubt = chain.total(chain.probability * (2 * np.abs(surprise) + off) * off)
+            constant = chain.sum_by_state(chain.probability * surprise**2)
+            doubt = chain.sum_by_state(chain.probability * (2 * np.abs(surprise) + off) * off)
             doubt += gamma(chain.outcomes + chain.roundings + 5) * constant + TINY
         rate_exact = self.mdp.discount_exact
-        equations = chain.discounted if rate_exact == 1 else chain.equations(rate_exact**2)
+        equations = chain.discounted if rate_exact == 1 else chain.build_equations(rate_exact**2)
         point = equations.solve(np.where(live, constant, 0.0), np.where(live, doubt, 0.0) * SLACK)
         # No variance is negative: a negative rounding error is nearer to the truth as 0.
         return FixedPoint(value=np.maximum(point.value, 0.0), error=point.error)
@@ -389,17 +389,19 @@ class Evaluation(OfPolicy, Pictured):
         if bits is None:
             return {}
         happened = (bits >> k & 1 == 1 for k in range(len(self.mdp.events)))
-        return dict(zip(self.mdp.events, map(self._event, happened), strict=True))
+        return dict(
+            zip(self.mdp.events, map(self._compute_event_probability, happened), strict=True)
+        )
 
     @_or_unknown
-    def _event(self, happens: Mask) -> Bounded:
+    def _compute_event_probability(self, happens: Mask) -> Bounded:
         """Return the probability that one of the marked outcomes (N,) ever happens."""
         chain, states = self.chain, self.mdp.n_states
         source, following = chain.source, chain.table.next
         live = ~self.mdp.terminal[source]  # nothing happens in an end
-        chance = chain.total(np.where(happens & live, chain.probability, 0.0))
+        chance = chain.sum_by_state(np.where(happens & live, chain.probability, 0.0))
         # Elsewhere the probability is 0; among these states the equation has a single solution.
-        possible = closure(chain.graph.T.tocsr(), chance > 0)
+        possible = find_reachable_nodes(chain.graph.T.tocsr(), chance > 0)
         on = ~happens & possible[source] & possible[following] & live
         entries = (chain.probability[on], (source[on], following[on]))
         matrix = sp.csr_array(entries, (states, states))
@@ -418,7 +420,7 @@ class Evaluation(OfPolicy, Pictured):
                 weight=weight[on],
             )
 
-        point = Equations(chain, possible, system, rows).solve(
+        point = PolicyEquations(chain, possible, system, rows).solve(
             chance, gamma(chain.outcomes + chain.roundings) * chance
         )
         ever = FixedPoint(value=np.clip(point.value, 0.0, 1.0), error=point.error)
@@ -498,15 +500,15 @@ def evaluate(
         require_no_target(mdp)
         if isinstance(policy, str) and policy == "optimal":
             policy = solve(mdp, criterion="average")
-        return average(PolicyChain.of(mdp, policy, kind=kind))
+        return evaluate_average(PolicyChain.of(mdp, policy, kind=kind))
     if horizon is not None:
         mdp = mdp.within(horizon)
     chain = PolicyChain.of(mdp, policy, kind=kind)
     mdp, given = chain.mdp, chain
-    if mdp.discount_exact == 1 and not arrives(chain):
+    if mdp.discount_exact == 1 and not has_sure_end(chain):
         lost: object = True
         with suppress(ModelError):  # the return has no limit, but the mean return has one
-            chain, lost = parted(given)
+            chain, lost = split_infinite_returns(given)
         if lost:
             alone = solve(given.model)
             return Evaluation(
@@ -516,7 +518,9 @@ def evaluate(
     known = chain.arriving if mdp.discount_exact == 1 else np.ones(mdp.n_states, dtype=bool)
     live = known & ~mdp.terminal
     reward, error = chain.reward
-    point = _closest(chain, np.where(live, reward, 0.0), np.where(live, error, 0.0) * SLACK)
+    point = _evaluate_closely(
+        chain, np.where(live, reward, 0.0), np.where(live, error, 0.0) * SLACK
+    )
     value, bound = np.where(known, point.value, np.nan), np.where(known, point.error, np.inf)
     if not known.all():
         with suppress(ModelError, SolverError):
@@ -526,7 +530,7 @@ def evaluate(
     return Evaluation(chain=chain, given=given, value=value, error=bound)
 
 
-def _closest(chain: PolicyChain, reward: Floats, error: Floats) -> FixedPoint:
+def _evaluate_closely(chain: PolicyChain, reward: Floats, error: Floats) -> FixedPoint:
     """Return a policy's values by its equations, next to discount 1 by improving them in rounds."""
     mdp = chain.mdp
     near = mdp.discount > NEARLY_ONE and mdp.discount_exact != 1

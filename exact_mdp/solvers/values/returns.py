@@ -32,14 +32,14 @@ from exact_mdp.mdp.components import require_amounts
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.report import Report, Shown, Table, at_most, decimal
+from exact_mdp.mdp.report import Report, Shown, Table, format_decimal, format_error_bound
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
-from exact_mdp.mdp.table import Floats, Numbers, exact, integers, multiply, shown
+from exact_mdp.mdp.table import Floats, Numbers, exact, format_rational, multiply, to_integer_array
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.solution import Claim, in_float
 from exact_mdp.solvers.solver import mdp_of
-from exact_mdp.solvers.values.policy_chain import PolicyChain, parted
-from exact_mdp.solvers.values.return_mass import Flow
+from exact_mdp.solvers.values.policy_chain import PolicyChain, split_infinite_returns
+from exact_mdp.solvers.values.return_mass import MassFlow
 
 WIDE = 2**31  # of multiples: a return adds up fewer than 2³² of them, which 64 bits hold
 LISTED = 1000  # returns that people see
@@ -86,14 +86,14 @@ class ReturnDistribution(Pictured):
         """(K,) bounds on the errors of the probabilities."""
         return self.relative_error * self.probabilities + self.remaining + TINY
 
-    def _value(self, place: int) -> Fraction | float:
+    def _compute_value(self, place: int) -> Fraction | float:
         multiple: Any = self.multiples[place]
         return multiple if isinstance(multiple, float) else self.unit * int(multiple)
 
     @cached_property
     def values(self) -> tuple[Fraction | float, ...]:
         """The returns as exact rationals, or infinite floats."""
-        return tuple(map(self._value, range(len(self.multiples))))
+        return tuple(map(self._compute_value, range(len(self.multiples))))
 
     @cached_property
     def _floats(self) -> Floats:
@@ -141,14 +141,14 @@ class ReturnDistribution(Pictured):
         wanted = exact(str(share) if isinstance(share, float) else share, "quantile")
         if not 0 <= wanted <= 1:  # of a float, its decimal
             raise ModelError(
-                f"no quantile is at {shown(wanted)}",
+                f"no quantile is at {format_rational(wanted)}",
                 where="quantile",
                 fix="choose a probability from 0 to 1",
             )
         if self.exact is None:
             slack = (self.relative_error + self.remaining + len(self.multiples) * UNIT) * SLACK
             wanted -= Fraction(slack)
-        return self._value(min(bisect_left(self._sums, wanted), len(self.multiples) - 1))
+        return self._compute_value(min(bisect_left(self._sums, wanted), len(self.multiples) - 1))
 
     def tail_mean(self, share: object, *, highest: bool = False) -> Fraction | float:
         """Return the mean of the lowest share of the returns (CVaR), or of the highest.
@@ -178,7 +178,7 @@ class ReturnDistribution(Pictured):
         >>> str(law.tail_mean("3/4")), str(law.tail_mean(1))
         ('10/3', '5')
         """
-        part = share_of(share)
+        part = parse_tail_share(share)
         if part <= self.remaining:
             what = f"returns with a probability of up to {self.remaining:.2g} are not listed"
             fix = "choose a greater share, or a horizon, which ends cycles"
@@ -198,13 +198,15 @@ class ReturnDistribution(Pictured):
 
     def report(self) -> Report:
         """Return the law of the return."""
-        law = {decimal(value): chance for value, chance in self.as_dict().items()}
+        law = {format_decimal(value): chance for value, chance in self.as_dict().items()}
         error = float(self.error.max())
         facts: dict[str, Any] = {
             "claim": Shown(self.claim),
             "mean": self.mean,
             "sd": self.sd,
-            "error_bound": Shown(error, f"{at_most(error)} of each probability ({self.claim})"),
+            "error_bound": Shown(
+                error, f"{format_error_bound(error)} of each probability ({self.claim})"
+            ),
             "remaining": Shown(self.remaining, self.remaining or None),
             "never_ends": Shown(self.never_ends, self.never_ends or None),
             "distribution": law,
@@ -229,12 +231,12 @@ class ReturnDistribution(Pictured):
         )
 
 
-def share_of(level: object) -> Fraction:
+def parse_tail_share(level: object) -> Fraction:
     """Return the share of the worst episodes that counts."""
     share = exact(level, "conditional value at risk")
     if not 0 < share <= 1:
         raise ModelError(
-            f"the level is {shown(share)}",
+            f"the level is {format_rational(share)}",
             where="conditional value at risk",
             fix="choose the share of the worst episodes: above 0, at most 1",
         )
@@ -301,9 +303,9 @@ def return_distribution(
         )
     if horizon is not None:
         mdp = mdp.within(horizon)
-    chain, lost = parted(PolicyChain.of(mdp, policy, kind=kind))
-    gain, unit = _lattice(chain)
-    multiples, masses, left, roundings = Flow(chain, gain, lost, exact=exact).carried()
+    chain, lost = split_infinite_returns(PolicyChain.of(mdp, policy, kind=kind))
+    gain, unit = _find_lattice(chain)
+    multiples, masses, left, roundings = MassFlow(chain, gain, lost, exact=exact).carry_mass()
     shares = tuple(masses) if exact else None
     return ReturnDistribution(
         multiples=multiples,
@@ -315,7 +317,7 @@ def return_distribution(
     )
 
 
-def _lattice(chain: PolicyChain) -> tuple[Numbers, Fraction]:
+def _find_lattice(chain: PolicyChain) -> tuple[Numbers, Fraction]:
     """Return the rewards (N,) as multiples of their greatest common unit, and that unit."""
     table = chain.table
     top, bottom = table.integer_gains()
@@ -323,7 +325,7 @@ def _lattice(chain: PolicyChain) -> tuple[Numbers, Fraction]:
     if len(top) == table.pairs:
         top = np.repeat(top, lengths)
     whole = lcm(*np.unique(bottom).tolist())
-    factor = np.repeat(integers(whole // int(number) for number in bottom), lengths)
+    factor = np.repeat(to_integer_array(whole // int(number) for number in bottom), lengths)
     scaled = multiply(top, factor)
     used = chain.reached[chain.source] & ~chain.mdp.terminal[chain.source]
     step = max(int(np.gcd.reduce(scaled[used])), 1)

@@ -20,7 +20,7 @@ from exact_mdp.mdp.components import require_amounts
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.report import Report, Shown, between, number
+from exact_mdp.mdp.report import Report, Shown, format_interval, format_number
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import RNG, seed_of
@@ -28,7 +28,7 @@ from exact_mdp.solvers.bounds.gains import SLACK, TINY
 from exact_mdp.solvers.dynamic.iterate import check_counts
 from exact_mdp.solvers.solution import Claim, Estimated
 from exact_mdp.solvers.solver import mdp_of
-from exact_mdp.solvers.values.policy_chain import PolicyChain, parted
+from exact_mdp.solvers.values.policy_chain import PolicyChain, split_infinite_returns
 
 MOST_STEPS = 10**8  # of an episode that need not end, minutes of work
 NEGLIGIBLE = 1e-12  # of the greatest return: what follows counts in the error, however small
@@ -117,7 +117,7 @@ class Simulation(Pictured):
         """Return the estimate and what it rests on."""
         finite = isfinite(self.mean)
         low, high = self.value.interval
-        ends = between(low, high, self.standard_error / 10)
+        ends = format_interval(low, high, self.standard_error / 10)
         return Report(
             title="simulation",
             facts={
@@ -127,7 +127,7 @@ class Simulation(Pictured):
                 "interval": Shown(self.value.interval, f"{ends} (95 %)" if finite else None),
                 "sd": Shown(
                     self.sd,
-                    number(self.sd, self.standard_error / 10)
+                    format_number(self.sd, self.standard_error / 10)
                     if finite
                     else "undefined: the mean is infinite",
                 ),
@@ -197,7 +197,7 @@ def simulate(
     unstopped = mdp_of(model)
     require_amounts(unstopped.table, "a sample of returns")
     given = unstopped if horizon is None else unstopped.within(horizon)
-    chain, infinite = parted(PolicyChain.of(given, policy, kind=kind))
+    chain, infinite = split_infinite_returns(PolicyChain.of(given, policy, kind=kind))
     mdp = chain.mdp
     size = float(np.abs(chain.gain[chain.reached[chain.source]]).max(initial=0.0))
     missing = float(1 - mdp.discount_exact)

@@ -16,15 +16,15 @@ WORK = """
 import sys
 import click
 import worker
-from exact_mdp.analysis.exit_status import leave, run
-from exact_mdp.solvers.parallel import many
+from exact_mdp.analysis.exit_status import end_process, run_command
+from exact_mdp.solvers.parallel import run_pieces
 
 @click.command()
 @click.argument("folder")
 def main(folder):
-    many(worker.piece, range(6), key={}, n_jobs=2, folder=folder)
+    run_pieces(worker.piece, range(6), key={}, n_jobs=2, folder=folder)
 
-leave(run(main, "job", sys.argv[1:]))
+end_process(run_command(main, "job", sys.argv[1:]))
 """
 
 PIECE = """

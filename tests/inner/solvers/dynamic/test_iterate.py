@@ -22,8 +22,8 @@ class OneByOne(Improving):
 
     def step(self, values: Values, goal: float) -> None:
         values.take()
-        model = bellman.model_of(values.mdp, values.mdp.reward, values.weights.margin)
-        bellman.relax(np.arange(values.mdp.n_states), model, values.value, values.level)
+        model = bellman.build_compiled_model(values.mdp, values.mdp.reward, values.weights.margin)
+        bellman.relax_states(np.arange(values.mdp.n_states), model, values.value, values.level)
 
 
 @pytest.mark.parametrize("name", ["howard-taxicab", "forest-10-24/25", "puterman-two-state-9/10"])
