@@ -23,7 +23,7 @@ from exact_mdp.mdp.policies.choices import state_names
 from exact_mdp.mdp.report import Report, Shown, Table, format_ratio
 from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import Flags
-from exact_mdp.solvers.dynamic.iterate import check_tolerance
+from exact_mdp.solvers.dynamic.base import check_tolerance
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.certify import certify as certified
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution

@@ -18,7 +18,7 @@ from exact_mdp.mdp.graph import has_improper_policy, is_acyclic
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions import REACHED
 from exact_mdp.mdp.table import COMPILED
-from exact_mdp.solvers.dynamic.iterate import Solver, check_tolerance, negate_start
+from exact_mdp.solvers.dynamic.base import Solver, check_tolerance
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram
 from exact_mdp.solvers.dynamic.methods import (
     BackwardInduction,
@@ -27,6 +27,7 @@ from exact_mdp.solvers.dynamic.methods import (
     PolicyIteration,
     ValueIteration,
 )
+from exact_mdp.solvers.dynamic.start import negate_start
 from exact_mdp.solvers.endless.average import solve_average
 from exact_mdp.solvers.endless.total import round_exact_solution, solve_total
 from exact_mdp.solvers.objectives.limits import solve_under

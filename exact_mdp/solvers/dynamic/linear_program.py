@@ -25,7 +25,7 @@ from exact_mdp.mdp.errors import require_extra, require_known_name
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.bounds import margin_weights
-from exact_mdp.solvers.dynamic.iterate import Solver
+from exact_mdp.solvers.dynamic.base import Solver
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.solution import Solution, SolverError, Status
 
@@ -56,14 +56,14 @@ class LinearProgram(Solver):
     def __post_init__(self) -> None:
         require_known_name(self.solver, OPTIMISERS, "solver", "LinearProgram")
 
-    def best(self, model: MDP) -> Solution:
+    def maximise(self, model: MDP) -> Solution:
         """Return the optimum up to rounding."""
         started, live = perf_counter(), ~model.terminal
         margin_weights(model)  # raises an error where no bound is possible
         start, objective, steps = self._run_optimiser(model, live)
         if not np.isfinite(start).all():
             raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
-        solution = PolicyIteration(start=start).best(model)
+        solution = PolicyIteration(start=start).maximise(model)
         reached = float(solution.value[live].mean()) if live.any() else 0.0
         scale = abs(reached) + float(np.abs(model.reward).max())
         if not abs(objective - reached) <= AGREEMENT * scale:

@@ -31,7 +31,7 @@ from exact_mdp.mdp.result import DataFrame
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.gains import POLICIES, SLACK, choose_greedy_pairs, compute_advantages
 from exact_mdp.solvers.bounds.linear import FixedPoint
-from exact_mdp.solvers.dynamic.iterate import RELATIVE_TOLERANCE, Solver
+from exact_mdp.solvers.dynamic.base import RELATIVE_TOLERANCE, Solver
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram, least_above, own_states
 from exact_mdp.solvers.dynamic.methods import (
     ModifiedPolicyIteration,

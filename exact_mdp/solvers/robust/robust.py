@@ -34,7 +34,7 @@ from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import MOST_BYTES, Floats, Integers
 from exact_mdp.solvers.bounds.gains import POLICIES, SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import LinearSystem
-from exact_mdp.solvers.dynamic.iterate import RELATIVE_TOLERANCE, check_counts, check_tolerance
+from exact_mdp.solvers.dynamic.base import RELATIVE_TOLERANCE, check_counts, check_tolerance
 from exact_mdp.solvers.robust.sets import (
     Ambiguity,
     Inner,

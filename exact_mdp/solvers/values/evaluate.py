@@ -38,8 +38,8 @@ from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import COMPILED, Floats
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem
-from exact_mdp.solvers.dynamic.iterate import NEARLY_ONE
 from exact_mdp.solvers.dynamic.methods import ModifiedPolicyIteration
+from exact_mdp.solvers.dynamic.values import NEARLY_ONE
 from exact_mdp.solvers.solution import (
     Bounded,
     Claim,
