@@ -16,11 +16,10 @@ the greatest expectation of that: a model in which every policy ends, whose valu
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from time import perf_counter
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -93,18 +92,13 @@ def solve_average(mdp: MDP, solver: Solver) -> AverageSolution:
     if mdp.sense == "min":
         return solve_average(mdp.maximised, solver).negated(mdp)
     started = perf_counter()
-    if solver.name not in METHODS:
-        raise ModelError(
-            f"{solver.name} does not apply to an average reward",
-            where="solve",
-            fix=f"choose {', '.join(METHODS)} or auto",
-        )
+    method = method_of(solver)
     if getattr(solver, "start", None) is not None:
         raise ModelError(
             "an average reward has no use for start=", where="solve", fix="leave start out"
         )
     step = mdp.undiscounted
-    pairs, relative, iterations = METHODS[solver.name](step, solver)
+    pairs, relative, iterations = method.run(step)
     gain, bias = FloatChain(step, pairs).evaluate_chain()
     above = _bound_gain_above(step, relative) - gain.value
     return AverageSolution(
@@ -150,41 +144,62 @@ Improved = tuple[Integers, Floats, int]
 """The pairs (S,) of a policy, relative values (S,), and iterations."""
 
 
-def improve_average_policy(
-    step: MDP, pairs: Integers | None = None, most: int = POLICIES
-) -> Improved:
-    """Return a policy that is optimal up to rounding, from `pairs` (S,) or a patient policy."""
-    if pairs is None:
-        pairs = _choose_patient_pairs(step)
-    seen: set[bytes] = set()
-    before: tuple[Floats, Floats] | None = None
-    for iteration in range(1, most + 1):
-        seen.add(pairs.tobytes())
-        chain = FloatChain(step, pairs)
-        _, bias, second = compute_laurent_expansion(chain, step.reward[pairs])
-        added = compute_advantages(step, bias)
-        own = FixedPoint(value=added.value[pairs], error=added.error[pairs])
-        gain = chain.bounded_gain(own)
-        if before is not None:
-            least = RELATIVE_TOLERANCE * float(np.abs(bias).max())
-            risen = (gain.value - before[0] > gain.error).any() or (bias - before[1] > least).any()
-            if not risen:
+@dataclass(frozen=True)
+class AveragePolicyIteration:
+    """Howard's policy iteration for average rewards, with g, h and w of each policy.
+
+    A policy is improved in the order of (d(g), r - g + d(h), d(w) - h): a better gain first, then
+    a better bias (Puterman, 1994, section 9.2.1; Howard, 1960).
+    """
+
+    max_iterations: int = POLICIES
+
+    def run(self, step: MDP, pairs: Integers | None = None) -> Improved:
+        """Return a policy that is optimal up to rounding, from `pairs` (S,) or a patient policy."""
+        if pairs is None:
+            pairs = _choose_patient_pairs(step)
+        seen: set[bytes] = set()
+        before: tuple[Floats, Floats] | None = None
+        for iteration in range(1, self.max_iterations + 1):
+            seen.add(pairs.tobytes())
+            # Evaluate the policy: its gain g with bounds, its bias h, and w.
+            chain = FloatChain(step, pairs)
+            _, bias, second = compute_laurent_expansion(chain, step.reward[pairs])
+            added = compute_advantages(step, bias)
+            own = FixedPoint(value=added.value[pairs], error=added.error[pairs])
+            gain = chain.bounded_gain(own)
+            # Stop once neither the gain nor the bias rises by more than rounding.
+            if before is not None and not self._has_risen(before, gain, bias):
                 return pairs, bias, iteration
-        before = gain.value, bias
+            before = gain.value, bias
+            pairs = self._improve_pairs(step, pairs, gain, bias, second)
+            if pairs.tobytes() in seen:
+                return pairs, bias, iteration
+        raise SolverError(Status.ITERATION_LIMIT, f"{self.max_iterations} policies were evaluated")
+
+    @staticmethod
+    def _has_risen(before: tuple[Floats, Floats], gain: FixedPoint, bias: Floats) -> bool:
+        """Return whether a policy is better than the one before, beyond rounding."""
+        least = RELATIVE_TOLERANCE * float(np.abs(bias).max())
+        gain_rises = (gain.value - before[0] > gain.error).any()
+        return bool(gain_rises or (bias - before[1] > least).any())
+
+    @staticmethod
+    def _improve_pairs(
+        step: MDP, pairs: Integers, gain: FixedPoint, bias: Floats, second: Floats
+    ) -> Integers:
+        """Return pairs (S,) that are greatest in all three levels, in their order."""
         # Gains that are equal come out of different equations: their whole error counts, not only
-        # that of their differences.
+        # the error of their differences.
         means = compute_advantages(step, gain.value, reward=np.zeros(step.n_pairs))
         unsure = step.transition @ gain.error + gain.error[step.pair_state]
-        pairs = choose_greedy_pairs(
+        return choose_greedy_pairs(
             step,
             replace(means, noise=means.noise + unsure),
             compute_advantages(step, bias, reward=step.reward - gain.value[step.pair_state]),
             compute_advantages(step, second, reward=-bias[step.pair_state]),
             keep=pairs,
         )
-        if pairs.tobytes() in seen:
-            return pairs, bias, iteration
-    raise SolverError(Status.ITERATION_LIMIT, f"{most} policies were evaluated")
 
 
 def _choose_patient_pairs(step: MDP) -> Integers:
@@ -197,49 +212,87 @@ def _choose_patient_pairs(step: MDP) -> Integers:
             return step.pair_offsets[:-1]
 
 
-def _by_values(step: MDP, solver: ValueIteration) -> Improved:
-    """Relative value iteration, until the span of T h - h is proven to be small."""
-    label, _ = Graph(step).end_components(np.ones(step.n_pairs, dtype=bool))
-    if (count := int(label.max()) + 1) > 1:
-        raise ModelError(
-            f"relative value iteration needs one gain for all states: there are {count} sets of "
-            "states that a policy need not leave",
-            where="solve",
-            fix="use policy-iteration, which takes every model",
-        )
-    first, bias = step.pair_offsets[:-1], np.zeros(step.n_states)
-    for iteration in range(1, solver.max_iterations + 1):
-        added = compute_advantages(step, bias)
-        low, high = (
-            np.maximum.reduceat(added.value + sign * added.error, first) for sign in (-1, 1)
-        )
-        width, middle = float(high.max() - low.min()), float(high.max() + low.min()) / 2
-        limit = solver.tol or RELATIVE_TOLERANCE * max(1.0, abs(middle))
-        if width <= limit or width <= 4 * float(added.error.max()):
-            return choose_greedy_pairs(step, added), bias, iteration
-        bias += (np.maximum.reduceat(added.value, first) - middle) / 2
-        bias -= bias[0]
-    detail = f"{width:.2g} is the error bound after {solver.max_iterations} iterations"
-    raise SolverError(Status.ITERATION_LIMIT, detail)
+@dataclass(frozen=True)
+class RelativeValueIteration:
+    """Relative value iteration, h ← h + (T h - h) / 2, until T h - h is proven to be level.
+
+    Half a step makes periodic chains converge, too (White, J. Math. Anal. Appl. 6, 1963; Puterman,
+    1994, section 8.5.4).
+    """
+
+    tol: float | None
+    max_iterations: int
+
+    def run(self, step: MDP) -> Improved:
+        """Return the greedy policy, the relative values and the number of iterations."""
+        self._require_one_gain(step)
+        first, bias = step.pair_offsets[:-1], np.zeros(step.n_states)
+        width = np.inf
+        for iteration in range(1, self.max_iterations + 1):
+            added = compute_advantages(step, bias)
+            residual = np.maximum.reduceat(added.value, first)
+            # The gain lies between the least and the greatest residual, rounding counted.
+            low = float(np.maximum.reduceat(added.value - added.error, first).min())
+            high = float(np.maximum.reduceat(added.value + added.error, first).max())
+            width, middle = high - low, (high + low) / 2
+            limit = self.tol or RELATIVE_TOLERANCE * max(1.0, abs(middle))
+            if width <= limit or width <= 4 * float(added.error.max()):
+                return choose_greedy_pairs(step, added), bias, iteration
+            bias += (residual - middle) / 2
+            bias -= bias[0]
+        detail = f"{width:.2g} is the error bound after {self.max_iterations} iterations"
+        raise SolverError(Status.ITERATION_LIMIT, detail)
+
+    @staticmethod
+    def _require_one_gain(step: MDP) -> None:
+        """Raise ModelError unless all states have the same optimal gain for sure."""
+        label, _ = Graph(step).end_components(np.ones(step.n_pairs, dtype=bool))
+        count = int(label.max()) + 1
+        if count > 1:
+            raise ModelError(
+                "relative value iteration needs one gain for all states: there are "
+                f"{count} sets of states that a policy need not leave",
+                where="solve",
+                fix="use policy-iteration, which takes every model",
+            )
 
 
-def _by_program(step: MDP, solver: LinearProgram) -> Improved:
-    """Take pairs that are greedy for the program's bias, and improve them by policy iteration."""
-    scale, own = float(np.abs(step.reward).max()) or 1.0, own_states(step)
-    stays = own - step.transition
-    matrix = sp.block_array([[stays, None], [own, stays]])
-    least, cost = np.zeros((2, step.n_pairs)), np.zeros((2, step.n_states))
-    least[1], cost[0] = step.reward / scale, 1.0
-    level, steps = least_above(cost.ravel(), matrix, least.ravel(), solver.solver)
-    first = choose_greedy_pairs(step, compute_advantages(step, scale * level[step.n_states :]))
-    pairs, bias, iterations = improve_average_policy(step, first)
-    return pairs, bias, steps + iterations
+@dataclass(frozen=True)
+class AverageLinearProgram:
+    """The linear program of gains and biases; policy iteration improves its greedy policy."""
+
+    optimiser: str
+
+    def run(self, step: MDP) -> Improved:
+        """Return the policy, its relative values, and the steps of both methods."""
+        scale, own = float(np.abs(step.reward).max()) or 1.0, own_states(step)
+        # Minimise Σ g subject to (I - P) g ≥ 0 and g + (I - P) h ≥ r.
+        stays = own - step.transition
+        matrix = sp.block_array([[stays, None], [own, stays]])
+        least, cost = np.zeros((2, step.n_pairs)), np.zeros((2, step.n_states))
+        least[1], cost[0] = step.reward / scale, 1.0
+        solved, steps = least_above(cost.ravel(), matrix, least.ravel(), self.optimiser)
+        bias = scale * solved[step.n_states :]
+        first = choose_greedy_pairs(step, compute_advantages(step, bias))
+        pairs, bias, iterations = AveragePolicyIteration().run(step, first)
+        return pairs, bias, steps + iterations
 
 
-METHODS: dict[str, Callable[[MDP, Any], Improved]] = {
-    PolicyIteration.name: lambda step, solver: improve_average_policy(
-        step, most=solver.max_iterations
-    ),
-    ValueIteration.name: _by_values,
-    LinearProgram.name: _by_program,
-}
+def method_of(
+    solver: Solver,
+) -> AveragePolicyIteration | RelativeValueIteration | AverageLinearProgram:
+    """Return the method for average rewards with the settings of a solver for total rewards."""
+    if isinstance(solver, PolicyIteration):
+        return AveragePolicyIteration(solver.max_iterations)
+    if isinstance(solver, ValueIteration):
+        return RelativeValueIteration(solver.tol, solver.max_iterations)
+    if isinstance(solver, LinearProgram):
+        return AverageLinearProgram(solver.solver)
+    raise ModelError(
+        f"{solver.name} does not apply to an average reward",
+        where="solve",
+        fix=f"choose {', '.join(METHODS)} or auto",
+    )
+
+
+METHODS = (PolicyIteration.name, ValueIteration.name, LinearProgram.name)

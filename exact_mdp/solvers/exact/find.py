@@ -36,7 +36,7 @@ from exact_mdp.mdp.graph import (
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers, row_sums
 from exact_mdp.solvers.bounds.gains import POLICIES, first_of
-from exact_mdp.solvers.endless.average import improve_average_policy
+from exact_mdp.solvers.endless.average import AveragePolicyIteration
 from exact_mdp.solvers.endless.chain import ExactChain
 from exact_mdp.solvers.endless.chain import compute_laurent_expansion as laurent
 from exact_mdp.solvers.endless.graph import Graph
@@ -119,7 +119,7 @@ def prove_gain_and_bias(mdp: MDP, kind: str) -> Certificate:
 def best_average(mdp: MDP) -> tuple[Integers, list[Level]]:
     """Return the pairs (S,) of a policy of greatest gain and bias, and the levels g, h and w."""
     try:
-        pairs, *_ = improve_average_policy(mdp.maximised.undiscounted)
+        pairs, *_ = AveragePolicyIteration().run(mdp.maximised.undiscounted)
     except SolverError:  # floats only suggest a policy to begin with
         pairs = mdp.pair_offsets[:-1]
     return optimise_expansion(exact_rows(mdp, average=True), pairs)

@@ -86,7 +86,7 @@ def test_the_search_for_averages_begins_anywhere(monkeypatch: pytest.MonkeyPatch
     def fails(*_: Any, **__: Any) -> Any:
         raise find.SolverError(None, "")
 
-    monkeypatch.setattr(find, "improve_average_policy", fails)
+    monkeypatch.setattr(find.AveragePolicyIteration, "run", fails)
     for mdp in [*endless(1)][:20]:
         gain, bias = best_average(maximised(mdp))
         _, levels = find.best_average(mdp)
