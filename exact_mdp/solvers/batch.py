@@ -142,7 +142,7 @@ class Batch:
         return (most[0], least) if (least > 0).all() else None
 
     def solve_models(self) -> tuple[Floats, Floats, Floats, Floats] | None:
-        """Return values and their errors (D, S), what each pair loses and its error (D, L)."""
+        """Return values and their errors (D, S), suboptimality gaps and their errors (D, L)."""
         best = self.improve_policies(self.reward)
         if best is None or self.weights is None:
             return None

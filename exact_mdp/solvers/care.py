@@ -88,7 +88,7 @@ def evaluate_care_policies(
 def _compute_draw_values(
     scenario: Scenario, names: Sequence[str], given: ArrayLike, shares: Floats
 ) -> tuple[Floats, CareValues]:
-    """Return what policies (N, G, V, A) are worth (D, N), or the optimum (D, 1), and the rest."""
+    """Return the values (D, N) of policies (N, G, V, A), or the optimum (D, 1), with details."""
     from exact_mdp.solvers.kernels import care as loops
 
     rules, drawn = rules_of(scenario), np.asarray(given, dtype=np.float64)

@@ -50,10 +50,10 @@ def run_pieces(
     progress: bool = False,
     what: str = "runs",
 ) -> list[Arrays]:
-    """Return `work(piece)` for every piece, in their order; what `work` raises is raised as it is.
+    """Return `work(piece)` for every piece, in their order; raises whatever `work` raises.
 
     `work` leads from what can be pickled to {name: array}, and can be sent to other processes;
-    `key` has the JSON values that say what it is: model, settings, seed. `n_jobs` are processes, at
+    `key` identifies the work by JSON values: model, settings, seed. `n_jobs` are processes, at
     most one for each core and each piece; None takes all cores, or all workers of the backend that
     `joblib.parallel_config` names. With
     `threads` they are threads of this process, for work that needs no interpreter lock. Finished
@@ -84,7 +84,7 @@ def run_pieces(
     except KeyboardInterrupt as stop:  # whoever ends the program says this
         if place is not None:
             stop.add_note(
-                f"what is finished ({what}: {len(done)} of {len(pieces)}) is kept in {place}, "
+                f"the finished part ({what}: {len(done)} of {len(pieces)}) is kept in {place}, "
                 "and the same command goes on from there"
             )
         raise
@@ -126,7 +126,7 @@ def _as_done(
         raise ModelError(
             "a worker process died, perhaps for want of memory",
             where="n_jobs",
-            fix="use fewer of them; what is finished is kept in the folder, where there is one",
+            fix="use fewer of them; finished work is kept in the folder, if there is one",
         ) from error
     finally:
         with warnings.catch_warnings():  # joblib warns of pieces that nobody took any more
@@ -167,7 +167,7 @@ def _track_quietly() -> None:
 
 
 def folder_of(given: object) -> Path:
-    """Return the folder in which work is kept; raises ModelError for what is no path."""
+    """Return the folder in which work is kept; raises ModelError unless a path is given."""
     return Path(require_type(given, str | os.PathLike, "folder", "give a path"))
 
 
@@ -225,7 +225,7 @@ def _read_piece(path: Path) -> Arrays | None:
 class How(TypedDict, total=False):
     """Where the work is done, as `run_pieces` takes it; results do not change.
 
-    The workers of a care scenario are threads, those of other models processes.
+    The workers of a care scenario are threads; for other models they are processes.
     """
 
     n_jobs: int | None

@@ -3,7 +3,7 @@
     CVaR_α(Z) = max over η of  η - E (η - Z)⁺ / α
 
 (Rockafellar and Uryasev, Journal of Risk 2, 2000). A policy that is best for a threshold η has to
-know the state and what is still wanted of the return, η less the reward so far (Bäuerle and Ott,
+know the state and the remaining target, η less the reward so far (Bäuerle and Ott,
 Mathematical Methods of Operations Research 74, 2011). `Budgeted` writes this into the states,
 and what results is a model of a total reward. It has no cycles, and `Certificate` proves its values
 for all thresholds at once.
@@ -56,7 +56,7 @@ RULES = 20  # rows of a policy with a memory that a table shows
 
 
 class Budgeted:
-    """The model of -E (η - Z)⁺, whose states hold what is still wanted of the return.
+    """The model of -E (η - Z)⁺, whose states hold the remaining target of the return.
 
     Rewards are multiples k of a unit, and returns from a state s lie between low(s) and high(s),
 
@@ -131,7 +131,7 @@ class Budgeted:
         return slice(int(self.table.offsets[pairs.start]), int(self.table.offsets[pairs.stop]))
 
     def list_successors(self, state: int) -> tuple[Integers, Numbers]:
-        """Return (budgets, outcomes) the new states, and what is earned, which is never above 0."""
+        """Return the new states (budgets, outcomes) and their rewards, which are never above 0."""
         here = self.outcomes_of(state)
         to, gain = self.table.next[here], self.table.gain[here]
         shift = (self.low[state] - gain - self.low[to]).astype(np.int64)
@@ -140,7 +140,7 @@ class Budgeted:
         return self.first[to] + within, -np.maximum(budget - within, 0)
 
     def find_state(self, state: int, wanted: int) -> int:
-        """Return the new state for a state and what is wanted."""
+        """Return the number of the new state for a state and a remaining target."""
         low, high = int(self.low[state]), int(self.high[state])
         return int(self.first[state]) + min(max(wanted, low), high) - low
 
@@ -248,7 +248,7 @@ class CVaROptimum(Result):
         return build_certificate(model, pairs, h=self.values, rank=prove_termination(model).rank)
 
     def action(self, state: int, so_far: object = 0) -> str:
-        """Return what the policy does in a state after a reward of so much."""
+        """Return the policy's action in a state, given the reward so far."""
         wanted = (self.threshold - exact(so_far, "reward so far")) / self._unit
         if wanted.denominator != 1:
             raise ModelError(
@@ -278,7 +278,7 @@ class CVaROptimum(Result):
         }
 
     def rules(self) -> list[tuple[int, Fraction, Fraction, str]]:
-        """Return what the policy does as (state, from, to, action), for rewards so far it meets."""
+        """Return the policy as rows (state, from, to, action) of rewards so far that it meets."""
         groups = (
             (state, action, [*group])
             for state, so_far in self._met.items()
@@ -296,7 +296,7 @@ class CVaROptimum(Result):
         return dict(sorted(total.items()))
 
     def violations(self) -> list[str]:
-        """Return what does not hold, in words: nothing where the policy is the best."""
+        """Return the violations in words: an empty list if the policy is optimal."""
         of, law = self.budgeted, self.distribution()
         wrong, threshold = self.certificate.violations(), self.threshold / self._unit
         each: dict[Any, Fraction]

@@ -1,4 +1,4 @@
-"""What a solver answers with: values, a policy, and the claim that it makes about them.
+"""Solutions: values, a policy, and a claim about each number.
 
 A number leaves the toolkit as one of four types, so that a table or a plot cannot confuse them:
 `Certified` (an exact rational with a proof), `Bounded` (a float and a sound bound on its error),
@@ -69,7 +69,7 @@ class Status(StrEnum):
 
 
 class PrecisionWarning(UserWarning):
-    """The tolerance asked for is beyond double precision; the error bound says what was reached."""
+    """The tolerance is beyond double precision; the error bound says how near the result came."""
 
 
 def warn_of_precision(error: float) -> None:
@@ -86,13 +86,13 @@ def warn_at_caller(message: str, category: type[Warning]) -> None:
 
 
 class SolverError(RuntimeError):
-    """A solver that could not give what was asked for.
+    """A solver failed to reach its goal.
 
     Attributes
     ----------
     status : Status
     solution : Solution or None
-        The best that was reached, with its honest error bound, where there is any.
+        The best solution so far, with its error bound, if there is one.
 
     Examples
     --------
@@ -183,7 +183,7 @@ Number = TypeVar("Number", Bounded, Certified | Bounded)
 
 
 def subtract_numbers(one: Number, other: Number) -> Number:
-    """Return one number less another, exactly where both are exact."""
+    """Return the difference of two numbers; it is exact if both are."""
     if isinstance(one, Certified) and isinstance(other, Certified):
         return Certified(value=one.value - other.value)
     value = float(one) - float(other)
@@ -193,7 +193,7 @@ def subtract_numbers(one: Number, other: Number) -> Number:
 
 
 def compute_regret(best: Number, own: Number, sense: str = "max") -> Number:
-    """Return the optimum less what a policy is worth; of costs, the other way. Never below 0."""
+    """Return the optimal value less a policy's value (for costs, the reverse); never below 0."""
     lost = subtract_numbers(best, own) if sense == "max" else subtract_numbers(own, best)
     if isinstance(lost, Certified):
         return lost
@@ -203,7 +203,7 @@ def compute_regret(best: Number, own: Number, sense: str = "max") -> Number:
 
 
 def compute_regrets(best: Floats, own: Floats, error: Floats, sign: float = 1) -> Floats:
-    """Return optima less what policies are worth; 0 where errors up to `error` leave that open."""
+    """Return optimal values less policy values; 0 if an error of at most `error` may explain it."""
     lost = sign * (best - own)
     return np.where(np.abs(lost) > error, lost, 0.0)
 
@@ -216,7 +216,7 @@ class Estimated:
     ----------
     value, standard_error : float
     cut_off : float
-        How far what was left out of every sample may move the mean, at most; this is proven.
+        The most by which the end of an episode, cut off in every sample, can move the mean; proven.
 
     Examples
     --------
@@ -234,7 +234,7 @@ class Estimated:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """The normal 95 % interval, wider by what was cut off."""
+        """The normal 95 % interval, widened by `cut_off` on both sides."""
         half = NORMAL * self.standard_error + self.cut_off
         return self.value - half, self.value + half
 
@@ -250,7 +250,7 @@ class Estimated:
 
 
 class Valued:
-    """A result with the `value` of each state of an `mdp`, off by at most its `error`, all (S,)."""
+    """A result with the `value` (S,) of each state of an `mdp`, and its `error` bound (S,)."""
 
     @property
     def error_bound(self) -> float:
@@ -285,7 +285,7 @@ def at_start(mdp: MDP, valued: Any) -> Bounded:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Found(Valued):
-    """Values of a model that were found, with bounds that hold in every state, and a policy."""
+    """Values with error bounds in every state, and a policy: the base of all solutions."""
 
     mdp: MDP
     value: Floats  # (S,)
@@ -298,7 +298,7 @@ class Found(Valued):
 
     @cached_property
     def policy(self) -> Any:
-        """The policy, which also is the array (S,) of action numbers; None where one was given."""
+        """The policy, which is also an array (S,) of action numbers; None if it was given."""
         if self.pairs is None:
             return None
         mdp = self.mdp
@@ -306,7 +306,7 @@ class Found(Valued):
 
     @property
     def error(self) -> Floats:
-        """(S,) how far each value may be off."""
+        """(S,) the error bound of each value."""
         return self.state_error
 
     def frame(self) -> DataFrame:
@@ -319,7 +319,7 @@ class Found(Valued):
         return tabulate_by_state(self.mdp, columns | taken)
 
     def report(self) -> Report:
-        """Return its text, and the first states."""
+        """Return the text of the result and a table of its first states."""
         return plain_report(self, self._tabulate_states(ROWS_SHOWN), self.mdp.n_states)
 
 
@@ -368,14 +368,14 @@ class Solution(Found, Pictured):
 
     @property
     def gap_table(self) -> Floats:
-        """(S, A) what each action loses against the value; NaN where it is not offered."""
+        """(S, A) the suboptimality gap of each action; NaN if the state does not offer it."""
         here, there = self.value[self.mdp.pair_state], self.mdp.backup(self.value)
         with np.errstate(invalid="ignore"):  # two infinite values that are alike differ by nothing
             lost = np.where(here == there, 0.0, self.mdp.sign * (here - there))
         return self.mdp.by_action(lost)
 
     def negated(self, mdp: MDP) -> Self:
-        """Return the solution of `mdp`, of which this solution's model is the negation."""
+        """Return this solution for `mdp`, the model with negated rewards."""
         return replace(self, mdp=mdp, value=0.0 - self.value)
 
     def __repr__(self) -> str:
@@ -389,7 +389,7 @@ class Solution(Found, Pictured):
 
 
 def solve_negated(mdp: MDP, solved: Callable[[MDP], Any]) -> Any:
-    """Return what solves a model of costs, and have a SolverError hold what was reached of it."""
+    """Solve a model of costs as rewards; negate its solution, even one in a SolverError."""
     try:
         return solved(mdp.maximised).negated(mdp)
     except SolverError as error:
@@ -399,7 +399,7 @@ def solve_negated(mdp: MDP, solved: Callable[[MDP], Any]) -> Any:
 
 
 def tabulate_by_state(mdp: MDP | None, columns: Mapping[str, Any]) -> DataFrame:
-    """Return columns beside the first states, and `action` by name; by number without a model."""
+    """Return columns beside the labels of the first states, or their numbers without a model."""
     states = range(len(next(iter(columns.values()))))
     if mdp is None:
         return data_frame({"state": states, **columns})
@@ -410,12 +410,12 @@ def tabulate_by_state(mdp: MDP | None, columns: Mapping[str, Any]) -> DataFrame:
 
 
 def in_decimals(numbers: Iterable[Fraction | float | None]) -> list[float]:
-    """Return exact numbers as floats, infinite beyond their range, NaN where there is none."""
+    """Return numbers as floats: infinite beyond the range of floats, NaN for None."""
     return [nan if number is None else in_float(number) for number in numbers]
 
 
 def in_float(number: Fraction | float) -> float:
-    """Return a number as a float, an infinite one where it is beyond the range of floats."""
+    """Return a number as a float, which is infinite beyond the range of floats."""
     try:
         return float(number)
     except OverflowError:

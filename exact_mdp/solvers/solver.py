@@ -53,7 +53,7 @@ Criterion = Literal["total", "average"]
 
 
 def mdp_of(model: object) -> MDP:
-    """Return a model as an MDP: itself, a scenario's, or that of a file or environment."""
+    """Return a model as an MDP; a scenario is compiled, a file or an environment is read."""
     if isinstance(model, Scenario):
         return model.compile()
     if isinstance(model, MDP):
@@ -85,7 +85,7 @@ def solve(
     """Return optimal values and a policy, with bounds on their error.
 
     Optimal is the greatest value; of a model whose sense is "min", the least. At discount 1 a value
-    is infinite where what a policy earns has no bound; a policy may go on for ever.
+    is infinite if the reward of policies has no bound; a policy may go on forever.
 
     Parameters
     ----------
@@ -230,7 +230,7 @@ def require_no_horizon(horizon: object) -> None:
 
 
 def _configure_solver(solver: Any, **settings: Any) -> Solver:
-    """Return the solver, or that of a name, with what was given to `solve`."""
+    """Return a solver, given itself or by name, with the settings that `solve` was given."""
     if isinstance(solver, str):
         solver = SOLVERS[require_known_name(solver, [*SOLVERS, "auto"], "solver", "solve")]()
     if isinstance(solver, type):

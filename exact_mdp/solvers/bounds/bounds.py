@@ -94,7 +94,7 @@ def bound_optimal_values(mdp: MDP, value: Floats, *, strict: bool = False) -> Bo
     """Return bounds on V* and on the values of a greedy policy, around any `value` (S,).
 
     Each state takes the first pair that no other beats by more than rounding; where `strict`, that
-    of d alone, otherwise that of the values too, so that actions that are as good show as such.
+    of d alone, otherwise the error of the values too, so that equally good actions show as such.
     """
     weights, live = margin_weights(mdp), ~mdp.terminal
     if np.any(value[~live]):

@@ -1,4 +1,4 @@
-"""Rounding errors of double precision: what each pair adds to values, and how far that may be off.
+"""Advantages of pairs in double precision, with bounds on their rounding errors.
 
     d(l) = r(l) + γ Σ_s' P(l, s') V(s') - V(s)
          = r(l) + γ Σ_s' P(l, s') (V(s') - V(s)) - (1 - γ) V(s)
@@ -125,7 +125,7 @@ def _expectation_errors(table: OutcomeTable, earned: Floats) -> Floats:
 
 @np.errstate(over="ignore", invalid="ignore")
 def compute_advantages(mdp: MDP, value: Floats, *, reward: Floats | None = None) -> Gain:
-    """Return what each pair adds to `value` (S,), with the rounding errors bounded.
+    """Return the advantage of each pair over `value` (S,), with a bound on its rounding error.
 
     A `reward` (L,) other than the model's counts as exact.
     """
@@ -145,7 +145,7 @@ def compute_advantages(mdp: MDP, value: Floats, *, reward: Floats | None = None)
         size = flow + np.abs(own) + np.abs(earned)
         columns[2, here] = gamma(terms + 8) * size + columns[1, here]
 
-    # In parts that stay in the cache: what is worked with on the way takes no memory to speak of.
+    # In blocks that fit into the cache, so that intermediate arrays need almost no memory.
     with np.errstate(over="ignore", invalid="ignore"):
         ends = threads.block_ends(mdp.transition.indptr, most=threads.IN_CACHE)
         threads.run_blocks(ends, compute_block, mdp.n_transitions)
@@ -157,7 +157,7 @@ def compute_advantages(mdp: MDP, value: Floats, *, reward: Floats | None = None)
 def row_error(leak: Any, terms: Any, flow: Any, earned: Any, own: Any) -> Any:
     """Return how far d may be off: Σ γ p |V' - V| is the `flow`, V the `own` value, 1 - γ the leak.
 
-    The leak is rounded once. Underflow, and the error of what is earned, come on top. Any shapes
+    The leak is rounded once. Underflow and the error of the reward come on top. Any shapes
     that fit together do.
     """
     leaked = leak * np.abs(own)

@@ -294,7 +294,7 @@ class LinearSystem(ByFields):
 
     @cached_property
     def _band(self) -> tuple[Numbers | None, int, int]:
-        """An order of the states, None for that of their numbers; how far ways lead down and up."""
+        """An order of the states (None: by number), and its bandwidths below and above."""
         chain, (lower, upper) = self.transition, self._reach
         if self._narrow:
             return None, lower, upper
@@ -448,7 +448,7 @@ def transpose_system(system: LinearSystem) -> LinearSystem:
 def select_rows(
     matrix: sp.csr_array, rows: Integers, states: NDArray[np.bool_], *, inner: bool = False
 ) -> sp.csr_array:
-    """Return (S, S) rows, one for each state: those of some states, or what is between these."""
+    """Return the rows (S, S) of some states; the rows of all other states are empty."""
     if states.all():
         return matrix[rows]
     first, last = matrix.indptr[rows], matrix.indptr[rows + 1]

@@ -42,7 +42,7 @@ class BellmanPass:
     low, high : float
         The bounds h + low w and h + high w, without their rounding errors.
     policy_stays : bool
-        Whether the greedy policy is that of the pass before.
+        Whether the greedy policy is the same as in the pass before.
     """
 
     def __init__(self, mdp: MDP) -> None:

@@ -139,7 +139,7 @@ class ModifiedPolicyIteration(Improving):
     """Policy iteration with evaluation by sweeps; see `Improving` for the settings.
 
     A sweep for one policy costs the A-th part of a full one. Sweeps go on until the error within
-    the policy is a tenth of what was left; see `PolicyEvaluation` for chains that mix slowly.
+    the policy is a tenth of the error before; see `PolicyEvaluation` for chains that mix slowly.
 
     Examples
     --------

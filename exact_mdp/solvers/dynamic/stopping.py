@@ -68,7 +68,7 @@ class StoppingRule:
         self.is_near = self._proven_part * half_gap <= self._limit or self.is_stalled
 
     def prove(self) -> None:
-        """Prove the bounds, and set the status if they hold what they promise."""
+        """Prove the bounds, and set the status if the proven ones are near enough."""
         values = self.values
         self.bounds = None
         if self.tol is not None:
@@ -99,7 +99,7 @@ class StoppingRule:
         return self.is_slow and values.passes % 2 == 1
 
     def evaluation_goal(self) -> float:
-        """Return how near values should come to those of the policy, in units of w.
+        """Return how near values should come to the policy's values, in units of w.
 
         A tenth of the least gap so far, and ever less while that does not fall; half of the
         tolerance if the policy stays; 0, as near as floats allow, once the bounds are near.

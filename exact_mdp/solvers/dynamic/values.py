@@ -18,7 +18,7 @@ from exact_mdp.solvers.dynamic.base import RELATIVE_TOLERANCE
 from exact_mdp.solvers.dynamic.bellman_pass import BellmanPass
 
 NEARLY_ONE = 1 - 1e-7  # from this discount on, values are too large to be solved for as they are
-PROGRESS = 0.9  # a gap between bounds that falls by less than a tenth is no progress
+PROGRESS = 0.9  # a gap between bounds has to fall by a tenth to count as progress
 
 
 class Values:

@@ -4,9 +4,9 @@
 
 n steps earn n g + h in the mean, up to terms that vanish or average out; the long-run average of h
 is 0 (Puterman, Markov Decision Processes, 1994, theorem 8.2.6, corollary 8.2.9). One state of each
-recurrent class, an often visited one, is its base. The share of time is what is met between two
-visits of the base, over the time between them (Ross, Stochastic Processes, 1996, theorem 3.6.1). A
-bias is what is earned on the way to a base, y = f + P y, less its mean.
+recurrent class, an often visited one, is its base. The stationary distribution is the mean number
+of visits between two visits of the base, over the time between them (Ross, Stochastic Processes,
+1996, theorem 3.6.1). A bias is the reward on the way to a base, y = f + P y, less its mean.
 
 In floats, for any h' and w', min d ≤ g ≤ max d and min e ≤ mean of h' ≤ max e in each class, with
 d = r + P h' - h' and e = h' + w' - P w'. What h' is off by solves the equation of h with d - g for
@@ -40,7 +40,7 @@ STEPS = 64  # after which an often visited state shows; after 8, bounds are 20 t
 
 
 class Classes:
-    """The recurrent classes of a chain, C in number: what is never left, once entered."""
+    """The C recurrent classes of a chain: sets of states that are never left, once entered."""
 
     def __init__(self, graph: sp.csr_array) -> None:
         """Take the graph (S, S) of a chain, along whose entries states are visited."""
@@ -124,7 +124,7 @@ class FloatChain:
         chances = np.ones(len(pairs)) if weights is None else weights
         self.taken = sp.csr_array((chances, pairs, offsets), (mdp.n_states, mdp.n_pairs))
         self.transition = sp.csr_array(self.taken @ mdp.transition)
-        # However rarely: the matrix has lost what is below the range of floats.
+        # However rarely: entries below the range of floats are missing in the matrix.
         lengths = np.diff(table.offsets)[pairs]
         following = table.next[concatenate_ranges(table.offsets[pairs], table.offsets[pairs + 1])]
         rare = np.full(len(following), np.finfo(np.float64).tiny)
@@ -192,7 +192,7 @@ class FloatChain:
         mdp, classes = self.mdp, self.classes
 
         def of_policy(added: Gain) -> FixedPoint:
-            """Return (S,) what a step of the policy adds, from what each pair does."""
+            """Return the advantages (S,) of the policy's pairs, given all advantages."""
             terms = int(np.diff(mdp.pair_offsets).max()) + self._roundings + 2
             error = added.error + gamma(terms) * np.abs(added.value)
             return FixedPoint(value=self.taken @ added.value, error=self.taken @ error * SLACK)
@@ -217,7 +217,7 @@ class FloatChain:
     def compute_limit_distribution(self) -> tuple[FixedPoint, FixedPoint]:
         """Return (S,) the share of time in each state, from the start, and arrivals at bases.
 
-        The latter are expected visits in states that are no base.
+        The latter are expected visits in states other than a base.
         """
         at_base, inside, own = self.classes.at_base, self.classes.recurrent, self.classes.own
         begin, error = self.mdp.start_distribution, gamma(len(self.classes.base) + self._roundings)

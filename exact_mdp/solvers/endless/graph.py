@@ -1,7 +1,7 @@
 """What can be reached, what can be avoided, and where a policy can stay: the graph of the pairs.
 
 An end component is a set of states with pairs that never leave it and connect all of it; whatever a
-policy does, the states and pairs that it uses for ever are one, with probability 1 (de Alfaro,
+policy does, the states and pairs that it uses forever are one, with probability 1 (de Alfaro,
 Formal Verification of Probabilistic Systems, 1997, sections 3.1 to 3.3; Baier and Katoen,
 Principles of Model Checking, 2008, section 10.6). Maximal ones are found by splitting into strongly
 connected components, and peeling off what cannot stay, in turn.

@@ -60,7 +60,7 @@ class Derived:
             least /= COARSER
             if not (losing & (gain.value > least)).any():
                 break
-        raise SolverError(Status.NO_BOUND, "staying for ever loses too little a step")
+        raise SolverError(Status.NO_BOUND, "staying forever loses too little a step")
 
 
 def of_pairs(mdp: MDP, pairs: Integers) -> MDP:

@@ -2,7 +2,7 @@
 
 End components decide, each by the sign of its best mean reward g: positive is worth +∞ wherever it
 can be reached without a risk of -∞; negative is never worth staying in; where g = 0 and no reward
-is positive, the pairs that earn nothing can be used for ever. In any other model exact levels say
+is positive, the pairs without reward can be used forever. In any other model exact levels say
 what the value is (`exact.find`). With a goal nothing else can be stayed in: a run that never
 arrives is worth +∞ or -∞, and where that is -∞, costs may fall without end before it.
 
@@ -66,12 +66,12 @@ def solve_total(mdp: MDP, solved: Callable[[MDP], Solution]) -> Solution:
     try:
         solution = solved(part.mdp)
     except SolverError as failed:
-        failed.solution = None  # its states are not those of the model
+        failed.solution = None  # it has other states than the model
         raise
     if not _is_reduction_sound(whole, part, solution):
         closest = PolicyIteration().solve(part.mdp)
         if not _is_reduction_sound(whole, part, closest):
-            raise SolverError(Status.NO_BOUND, "staying for ever loses too little a step")
+            raise SolverError(Status.NO_BOUND, "staying forever loses too little a step")
     value, error = solution.value[whole.label], solution.state_error[whole.label]
     value[parts.sign > 0], value[parts.sign < 0] = inf, -inf
     return replace(

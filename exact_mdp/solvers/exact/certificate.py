@@ -1,4 +1,4 @@
-"""Proofs of what is optimal, in exact numbers, and of bounds around it.
+"""Proofs of optima in exact numbers, and of bounds around them.
 
     certificate = certify(mdp)                          # V, all optimal actions and gaps
     certificate = certify(mdp, criterion="average")     # gain and bias
@@ -70,7 +70,7 @@ def exact_rows(mdp: MDP, *, average: bool = False) -> BellmanRows:
 class Proof(Result):
     """A claim about a model that a checker can read: an optimum, bounds, or what totals allow."""
 
-    kind: str  # what is claimed, as files call it
+    kind: str  # the kind of claim, as files call it
     model: str  # its fingerprint
     mdp: MDP | None = None  # unless the proof was read from a file
 
@@ -78,7 +78,7 @@ class Proof(Result):
     kinds: ClassVar[tuple[str, ...]]
 
     def violations(self, model: MDP | None = None) -> list[str]:
-        """Return what does not hold, in words: nothing where the proof is sound.
+        """Return the violations in words: an empty list if the proof is sound.
 
         Parameters
         ----------
@@ -160,7 +160,7 @@ class Certificate(Proof, Pictured):
         Optimal value of the start distribution.
     unique : bool
         Whether every state that optimal actions reach from the start has only one optimal action,
-        ends aside, in which it does not matter what is done.
+        ends aside, whose actions do not matter.
     model, mdp
         See `Proof`.
 
@@ -273,7 +273,7 @@ class Certificate(Proof, Pictured):
 
     @cached_property
     def losses(self) -> list[Numbers]:
-        """(L,) by level: what each pair loses of the gain, and, where that is nothing, of h."""
+        """(L,) by level: each pair's loss of gain and, if that is 0, of h."""
         each = [
             _freeze_column(make_fraction(-top, below) for top, below in gain)
             for gain in self._gains
@@ -328,7 +328,7 @@ class Certificate(Proof, Pictured):
         ------
         ModelError
             Where some policy never ends and a state has several: each is right alone, and drawing
-            among them may go round for ever.
+            among them may go round forever.
 
         Examples
         --------
@@ -367,7 +367,7 @@ class Certificate(Proof, Pictured):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class BoundedCertificate(Proof, Pictured):
-    """Floats that the optimal values, and those of a policy, are proven to lie between.
+    """Floats that are proven to enclose the optimal values and the values of a policy.
 
     Attributes
     ----------

@@ -138,7 +138,7 @@ def _certify_bounds(mdp: MDP, solution: Solution | None) -> BoundedCertificate:
         return replace(proof, mdp=mdp, model=fingerprint(mdp), sense="min")
     if solution is None:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", PrecisionWarning)  # the bounds say what was reached
+            warnings.simplefilter("ignore", PrecisionWarning)  # the bounds say how near it came
             solution = solve(mdp)
     elif len(solution.value) != mdp.n_states or solution.mdp.n_pairs != mdp.n_pairs:
         raise ModelError("the solution is of another model", where="certify", fix="solve this one")

@@ -8,8 +8,8 @@
     a record             an object with the keys of its fields
     what may be None     null, or the other type
 
-A file has the keys `format` ("exact-mdp certificate") and `version` (2) as well as those of its
-record, of which `kind` says what it proves. Python refuses to read or write over 4,300 decimal
+A file has the keys `format` ("exact-mdp certificate") and `version` (2) beside the keys of its
+record, whose `kind` names the claim. Python refuses to read or write over 4,300 decimal
 digits; hexadecimal is quick, too. What is read is checked for its form; whether its claims hold is
 for `violations` to say.
 """
@@ -64,7 +64,7 @@ def encode_record(value: Any, integer: Callable[[int], object] = hex) -> Any:
 
 
 def decode_record(kind: Any, value: Any) -> Any:
-    """Return what JSON has as a value of a type; raises ValueError where it is none."""
+    """Decode a JSON value as a given type; raises ValueError if it does not fit."""
     of, record = get_args(kind), is_dataclass(kind)
     if get_origin(kind) in (Union, UnionType):
         for each in of:
@@ -120,7 +120,7 @@ def rebuild_proof(proof: Any) -> Any:
 
 
 def build_file_content(proof: Any, integer: Callable[[int], object] = hex) -> dict[str, Any]:
-    """Return what the file of a proof has."""
+    """Return the content of a proof's file."""
     return {"format": FORMAT, "version": VERSION, **encode_record(proof, integer)}
 
 

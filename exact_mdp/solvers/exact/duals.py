@@ -34,7 +34,7 @@ def _read_level(given: Any, count: int) -> Level:
 
 
 class Totals:
-    """Objectives of a model: a name for each, and what each pair earns (L,), more being better."""
+    """Objectives of a model: a name for each, and the amounts of its pairs (L,); more is better."""
 
     def __init__(self, model: Model, names: Sequence[str], amounts: Sequence[Point]) -> None:
         self.model, self.names, self.amounts = model, [*names], amounts
@@ -98,7 +98,7 @@ class Totals:
         return True
 
     def compute_earnings(self, flow: Any) -> list[Fraction]:
-        """Return what visits earn; raises Unreadable where they are not those of a policy."""
+        """Return the totals of visits; raises Unreadable unless they are the visits of a policy."""
         model, pairs = self.model, [*map(int, flow.pairs)]
         visits = _read_level(flow.visits, len(pairs))
         wanted({*pairs} <= {*range(len(model.state))}, "a pair is none of the model")
@@ -175,7 +175,7 @@ def _measure_hull(points: Sequence[Point]) -> Fraction:
 
 
 def _twice_below(points: Sequence[Point]) -> Fraction:
-    """Return what one chain of a convex hull adds to twice its area (Andrew, 1979)."""
+    """Return twice the area that one chain of a convex hull contributes (Andrew, 1979)."""
     chain: list[Point] = []
     for c in points:
         while len(chain) > 1:
@@ -281,7 +281,7 @@ KINDS: dict[str, Callable[[Totals, Any], Iterator[str]]] = {
 
 
 def list_totals_violations(totals: Totals, proof: Any) -> list[str]:
-    """Return what does not hold of a proof about totals, in words: nothing where it is sound.
+    """Return the violations of a proof about totals in words: an empty list if it is sound.
 
     Raises Unreadable where numbers of the proof do not fit the model.
     """

@@ -2,7 +2,7 @@
 
 Policy iteration: every state takes the first pair that gains most on the values of a policy, or on
 (d(g), r - g + d(h), d(w) - h) in this order, until none gains. Each change makes the value at small
-interest rates greater, so that no policy comes twice; what is left satisfies all that the checker
+interest rates greater, so that no policy comes twice; the last one satisfies all that the checker
 asks for (Puterman, Markov Decision Processes, 1994, sections 9.2.1 and 10.3; Veinott, Annals of
 Mathematical Statistics 37, 1966).
 
@@ -111,7 +111,7 @@ def one_optimum(mdp: MDP, optimal: Mask) -> bool:
 
 
 def prove_gain_and_bias(mdp: MDP, kind: str) -> Certificate:
-    """Return the proof of gain and bias, which are also those of a total at discount 1."""
+    """Return the proof of gain and bias, which also prove a total at discount 1."""
     pairs, (g, h, w) = best_average(mdp)
     return build_certificate(mdp, pairs, g=g, h=h, w=w, kind=kind)
 
@@ -140,7 +140,7 @@ def optimise_expansion(rows: BellmanRows, pairs: Integers) -> tuple[Integers, li
 def _iterate_policies(
     rows: BellmanRows, pairs: Integers, evaluate: Callable[[Integers], list[Step]]
 ) -> tuple[Integers, list[Level], Integers]:
-    """Return pairs (S,) that no other beats, their levels, and the sign (L,) of what each gains."""
+    """Return unbeaten pairs (S,), their levels, and the signs (L,) of all advantages."""
     while True:
         levels, sign = evaluate(pairs), np.zeros(len(rows.constant), dtype=np.int64)
         for step in levels:  # each settles ties of those before
@@ -257,11 +257,11 @@ def _restrict_rows(rows: BellmanRows, states: Mask) -> tuple[BellmanRows, Intege
 def optimise_exactly(
     rows: BellmanRows, first: Integers | None = None, amounts: Sequence[Numbers] = ()
 ) -> tuple[Integers, list[Level], Integers]:
-    """Return optimal pairs (S,), their values, and the sign (L,) of what each pair gains.
+    """Return optimal pairs (S,), their values, and the signs (L,) of all advantages.
 
     With several amounts (L,), one after the other settles ties of those before. The search begins
     with the pairs `first` (S,), which end, and so do all on the way: no class of states gains
-    anything for ever, as a pair takes the place of another only if it is better.
+    anything forever, as a pair takes the place of another only if it is better.
     """
     each = amounts or [rows.constant]
     listed, ones = [own.tolist() for own in each], [1] * len(rows.constant)

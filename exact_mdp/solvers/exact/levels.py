@@ -1,4 +1,4 @@
-"""Numbers of the states as exact integers, and what each pair gains against them.
+"""Numbers of the states as exact integers, and the advantages of pairs over them.
 
 With d(x) = Σ P(l, s') x(s') - x(s) for each pair l of state s, the levels of a certificate satisfy
 
@@ -123,11 +123,11 @@ def combine_levels(levels: Sequence[Level], weights: Sequence[int | Fraction]) -
 
 
 Step = tuple[Level, list[int], list[int]]
-"""A level x, and what each pair (L,) earns beside it times the scale of its state: top, below."""
+"""A level x, and the rewards (L,) beside it times the scale of their states: top, below."""
 
 
 def list_level_steps(rows: BellmanRows, *levels: Level) -> list[Step]:
-    """Return what pairs earn beside one level V, which is r, or beside g, h and w: 0, r - g, -h."""
+    """Return the rewards beside one level V, which are r, or beside g, h and w: 0, r - g, -h."""
     constant, ones = rows.constant.tolist(), [1] * len(rows.constant)
     if len(levels) == 1:
         return [(levels[0], constant, ones)]
@@ -145,7 +145,7 @@ def list_level_steps(rows: BellmanRows, *levels: Level) -> list[Step]:
 def yield_level_advantages(
     rows: BellmanRows, step: Step, pairs: Integers | None = None
 ) -> Iterator[tuple[int, int, int]]:
-    """Yield what pairs, all by default, gain against one level: what they earn + γ P x - x.
+    """Yield the advantages of pairs, all by default, over one level: reward + γ P x - x.
 
     As an integer, and two positive ones of whose product it is a part.
     """
@@ -162,7 +162,7 @@ def yield_level_advantages(
 def compute_surpluses(
     rows: BellmanRows, *levels: Level, pairs: Integers | None = None
 ) -> list[list[tuple[int, int]]]:
-    """Return what pairs, all by default, gain against one level V, or against g, h and w.
+    """Return the advantages of pairs, all by default, over one level V, or over g, h and w.
 
     That is r + γ P V - V, or d(g), r - g + d(h) and d(w) - h; each an integer over another.
     """
@@ -173,7 +173,7 @@ def compute_surpluses(
 
 
 def compute_surplus_signs(rows: BellmanRows, step: Step, own: Integers | None = None) -> Integers:
-    """Return (L,) the sign of what each pair gains; 0 of the pairs `own`, which gain nothing."""
+    """Return the sign (L,) of each advantage; it is 0 for the policy's pairs `own`."""
     asked = np.ones(len(rows.constant), dtype=bool)
     asked[[] if own is None else own] = False
     sign = np.zeros(len(asked), dtype=np.int64)

@@ -87,7 +87,7 @@ class Lifting:
     ) -> tuple[list[fmpz], fmpz] | None:
         """Return the solution as integers over one denominator, None where floats cannot start.
 
-        `rows` are those of the matrix, to check it; `known` is a denominator to be tried first.
+        `rows` are the rows of the matrix, to check it; `known` is a denominator to be tried first.
         """
         while self.width:
             solution = self._solve_by_digits(side, rows, known)

@@ -56,7 +56,7 @@ class Matrix:
 
     @classmethod
     def of(cls, size: int, row: Integers, column: Integers, entry: Numbers) -> Matrix:
-        """Return the matrix of some entries, in any order; those of the same place are added up."""
+        """Return the matrix of some entries, in any order; entries at one place are added up."""
         order = np.lexsort((column, row))
         row, column, entry = row[order], column[order], entry[order]
         first = np.flatnonzero(np.diff(row * size + column, prepend=-1))
@@ -219,7 +219,7 @@ class _Solution:
         return groups
 
     def _right_sides(self, base: fmpz, states: Sequence[int]) -> list[list[fmpz]]:
-        """Return b less what is known of A x, times `base`, for each right side."""
+        """Return the residual b - A x times `base`, for each right side."""
         ahead = {t for s in states for t in self._rows[s][0]}
         times = {group: base // self.below[group] for group in {self.group[t] for t in ahead}}
         reduced = []

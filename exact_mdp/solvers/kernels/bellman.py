@@ -36,7 +36,7 @@ class CompiledModel(NamedTuple):
 
 
 def build_compiled_model(mdp: MDP, reward: Floats, margin: Floats) -> CompiledModel:
-    """Return what compiled loops take of a model."""
+    """Return a model in the form that compiled loops take."""
     matrix = mdp.transition
     rows, leak = (matrix.indptr, matrix.indices, matrix.data), float(1 - mdp.discount_exact)
     return CompiledModel(mdp.pair_offsets, *rows, reward, margin, mdp.terminal, mdp.discount, leak)
@@ -44,7 +44,7 @@ def build_compiled_model(mdp: MDP, reward: Floats, margin: Floats) -> CompiledMo
 
 @inline_loop
 def gain_of(pair: int, model: CompiledModel, value: Floats, own: float) -> float:
-    """Return d of a pair, from `value` (S,) and that of its own state."""
+    """Return the advantage d of a pair, from `value` (S,) and the value of its own state."""
     ahead = 0.0
     for i in unsigned_range(
         model.indptr[unsigned_index(pair)], model.indptr[unsigned_index(pair + 1)]

@@ -20,7 +20,7 @@ COMPLETE, FAIL, SKIPPED = 0, 1, 2  # as in `mdp.care.rules`
 class CareDraws(NamedTuple):
     """The rules, as in `mdp.care.rules.Rules`, and the numbers of D draws.
 
-    Rows r are those of each action and vector, a V + s, and behind them those of a skip.
+    Row a V + s belongs to action a and vector s; the rows of a skip follow.
     """
 
     which: Numbers  # (n, (A+1)·V) which chance each status has in each row

@@ -58,7 +58,7 @@ class QLearning:
     discount : number or "p/q"
         That of the learner; the model's own discount plays no part.
     rate, exploration : Schedule or number
-        α and ε of each epoch, from 0 to 1; a number is that of all epochs.
+        α and ε of each epoch, from 0 to 1; a number holds for all epochs.
     rate_power : float
         The n-th update of an entry uses α n^-power.
     columns : tuple of str, optional

@@ -33,7 +33,7 @@ Seed: TypeAlias = RNG | SeedSequence
 class QTableRows:
     """Rows of a Q-table, by the columns of the state that it reads."""
 
-    space: StateSpace  # what each of the K rows stands for
+    space: StateSpace  # the meaning of each of the K rows
     key: Integers  # (S,) the row that each state reads
     # (K, A) actions to be compared in each row: those of its states with a choice, or, where it
     # has none, of all its states
@@ -119,6 +119,6 @@ def as_sequence(rng: Seed) -> SeedSequence:
 
 
 def spawn_child_seed(rng: Seed, number: int) -> SeedSequence:
-    """Return what `SeedSequence.spawn` would give as child `number`, without counting children."""
+    """Return the child `number` that `SeedSequence.spawn` would make, without counting children."""
     parent = as_sequence(rng)
     return SeedSequence(parent.entropy, spawn_key=(*parent.spawn_key, number))

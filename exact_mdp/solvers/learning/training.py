@@ -84,7 +84,7 @@ def train(
     learner: object = settings
     if not isinstance(learner, QLearning):
         fix = "give QLearning(), with settings of its own where need be"
-        raise ModelError(f"{learner!r} is no learner", where="train", fix=fix)
+        raise ModelError(f"{learner!r} is not a learner", where="train", fix=fix)
     if rng is None:
         raise ModelError("training needs a seed", where="rng", fix="give rng=0, or another number")
     space, root = build_q_table_rows(model, settings.columns).space, as_sequence(rng)

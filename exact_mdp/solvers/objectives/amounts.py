@@ -96,7 +96,7 @@ class Objectives:
         return replace(self.rows, constant=self.weigh_amounts(whole)), unit
 
     def to_totals(self) -> Totals:
-        """Return what the checker of proofs looks at."""
+        """Return the amounts in the form that the checker of proofs reads."""
         model, scale = (
             Model(model_json.encode_model(self.mdp)),
             self.rows.scale[self.mdp.pair_state],
@@ -112,7 +112,7 @@ class Objectives:
             return
         if not prove_termination(self.ending).proven:
             raise ModelError(
-                "a policy need not end, and totals at discount 1 would count for ever",
+                "a policy need not end, and totals at discount 1 would count forever",
                 where=where_endless(self.ending),
                 fix=ways_out(mdp),
             )
@@ -167,7 +167,7 @@ def _combine_terms(mdp: MDP, terms: Terms) -> Column:
 
 
 def reward_name(mdp: MDP) -> str:
-    """Return what the reward itself is called among the amounts of a model."""
+    """Return the name of the reward itself among the amounts of a model."""
     name = REWARD
     while name in mdp.component_names and len(mdp.component_names) > 1:
         name += "'"
@@ -200,7 +200,7 @@ def _find_arrivals(mdp: MDP, label: str) -> Numbers:
     begins = any(inside[state] for state, weight in mdp.start if weight)
     if begins or mdp.discount_exact < 1 or (here & ~there).any():
         raise ModelError(
-            f"the probability of label {label!r} is no expected total here",
+            f"the probability of label {label!r} is not an expected total here",
             where="objectives",
             fix="count a label at discount 1 whose states are not left again, and not started in",
         )

@@ -2,15 +2,15 @@
 
     maximise  r(π)   subject to   c_k(π) ≥ b_k,  k = 1 … m,     over all policies π
 
-The totals of policies are mixtures of those of deterministic ones. A linear program mixes the ones
-known so far; its prices p weigh the totals, and the policy that is best for r + p c joins them,
-until no policy exceeds the mixture by these weights (Dantzig and Wolfe, Operations Research 8,
-1960). Its value μ V for them is then the proof: no policy that keeps the limits earns more than
+The totals of a policy are a mixture of the totals of deterministic policies. A linear program mixes
+those known so far; its prices p weigh the totals, and the policy that is best for r + p c joins
+them, until no policy exceeds the mixture by these weights (Dantzig and Wolfe, Operations Research
+8, 1960). Its value μ V for them is then the proof: no policy that keeps the limits earns more than
 μ V - p b. Where no policy keeps the limits, the least step t by which they are all moved takes the
 place of the return, and prices sum to 1.
 
-Visits of the mixture are those of one policy, which has to draw its action in no more states than
-limits bind (Altman, Constrained Markov Decision Processes, 1999, theorem 3.8).
+The visits of the mixture are the visits of one policy, which has to draw its action in no more
+states than limits bind (Altman, Constrained Markov Decision Processes, 1999, theorem 3.8).
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class ConstrainedSolution(TotalsProof):
     Attributes
     ----------
     objectives : tuple of str
-        The reward, then what is limited.
+        The reward, then the limited amounts.
     limits : tuple of Limit
     feasible : bool
         Whether a policy keeps them.
@@ -127,7 +127,7 @@ class ConstrainedSolution(TotalsProof):
 
     @cached_property
     def totals(self) -> dict[str, Fraction]:
-        """The policy's total of what is limited."""
+        """The policy's totals of the limited amounts."""
         return dict(zip(self.of.names[1:], self._totals[1:], strict=True))
 
     @property
@@ -206,7 +206,7 @@ class ConstrainedSolution(TotalsProof):
         return Policy(space=mdp.space, actions=mdp.actions, rule=self.rule)
 
     def report(self) -> Report:
-        """Return what the optimum under limits is, or that no policy keeps them."""
+        """Return a text that states the optimum, or that no policy keeps the limits."""
         mdp, limits, feasible = self.of.mdp, self.limits, self.feasible
         drawn = [{mdp.actions[a]: c for a, c in enumerate(row) if c} for row in self.rule]
         said = ["they can be kept" if feasible else "no policy keeps them all (proven)"]
@@ -291,7 +291,7 @@ def limits_of(subject_to: Mapping[str, Any]) -> tuple[Limit, ...]:
             parts = LIMIT.match(str(text))
             if parts is None:
                 raise ModelError(
-                    f"{text!r} is no limit",
+                    f"{text!r} is not a limit",
                     where=f"subject_to {name!r}",
                     fix='write a text with >= or <=, such as ">= -1/2" or "<= 1/20"',
                 )
@@ -333,7 +333,7 @@ def _weigh_objectives(
 
 
 def _orient_totals(of: Objectives, limits: Sequence[Limit], totals: Point) -> list[Fraction]:
-    """Return what each limit is on, so that more is better."""
+    """Return the limited amounts with signs that make more better."""
     return [of.sign * limit.sign * totals[of.names.index(limit.name)] for limit in limits]
 
 

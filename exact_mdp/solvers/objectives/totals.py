@@ -71,7 +71,7 @@ class OccupancyMeasure:
         return chances
 
     def compute_totals(self, of: Objectives) -> Point:
-        """Return what the pairs earn of each objective; more is better."""
+        """Return each pair's amount of each objective; more is better."""
         scale = of.rows.scale[of.mdp.pair_state[self.pairs]].tolist()
 
         def sum_earnings(amount: Numbers) -> Fraction:
@@ -85,7 +85,7 @@ class OccupancyMeasure:
 class Attained:
     """A deterministic policy, the values of each objective under it, and its totals at the start.
 
-    More is better in all of them: those of a model of costs are negated.
+    More is better in all of them: the amounts of a model of costs are negated.
     """
 
     pairs: Integers
@@ -155,7 +155,7 @@ def find_extreme_policy(
 class TotalsProof(Proof):
     """What is proven about totals of a model."""
 
-    objectives: tuple[str, ...]  # what is counted, as `solvers.objectives.amounts` reads it
+    objectives: tuple[str, ...]  # names, as `solvers.objectives.amounts` reads them
     rank: Integers | None  # (S,) proof that every policy ends, at discount 1
 
     @cached_property

@@ -117,7 +117,9 @@ def solve_robust(
         raise ModelError(f"unknown nature {nature!r}", where="robust", fix="say worst or best")
     if not callable(getattr(ambiguity, "check", None)):
         fix = "give sets, such as Intervals.relative(model, 0.1), for ± 10 %"
-        raise ModelError(f"{ambiguity!r:.60} is no set of laws", where="ambiguity", fix=fix)
+        raise ModelError(
+            f"{ambiguity!r:.60} is not a set of distributions", where="ambiguity", fix=fix
+        )
     require_room_for_rows(model)
     ambiguity.check(model)
     require_amounts(model.table, "a value under other rows")
@@ -193,7 +195,7 @@ class Game:
         self.blocks = side_by_side(self.pairs, rows, outcomes)
 
     def solve_inner_problem(self, value: Floats) -> Inner:
-        """Return what nature makes of each of `pairs`, at values (S,)."""
+        """Return nature's best reply to each of `pairs`, at values (S,)."""
         return solve_inner_problem(
             self.ambiguity,
             self.blocks,
@@ -273,7 +275,7 @@ def _maximise_expected_steps(game: Game) -> Floats:
             raise ModelError(
                 "discount 1 needs every episode to end, and under laws within the sets one does "
                 "not",
-                where=f"it stays for ever among {named}{more}",
+                where=f"it stays forever among {named}{more}",
                 fix="choose a discount below 1, or smaller sets that keep a way out possible",
             )
         weight = LinearSystem(chain).approximate(live.astype(np.float64))

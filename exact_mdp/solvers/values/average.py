@@ -92,7 +92,7 @@ class AverageEvaluation(OfPolicy, Result):
 
 
 def evaluate_average(chain: PolicyChain) -> AverageEvaluation:
-    """Return what a policy earns per step: in rationals where floats cannot bound it.
+    """Return the average reward of a policy: in rationals if floats cannot bound it.
 
     Raises SolverError where that would take too long.
     """
@@ -104,7 +104,7 @@ def evaluate_average(chain: PolicyChain) -> AverageEvaluation:
             chain.going_on.evaluate_chain(),
             chain.going_on.compute_limit_distribution(),
         )
-        if chain.probability.min() < np.finfo(np.float64).tiny:  # errors are no longer relative
+        if chain.probability.min() < np.finfo(np.float64).tiny:  # below this, errors are absolute
             raise SolverError(Status.NO_BOUND, "probabilities are below the range of floats")
         exact = (
             is_too_inaccurate(share, mdp)

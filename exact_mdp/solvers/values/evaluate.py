@@ -1,4 +1,4 @@
-"""The return of a policy: its mean, its spread, what it is made of, and where it comes from.
+"""The return of a policy: its mean, its spread, its components, and where it is earned.
 
     V(s)   = E[r + γ V(s')]                              mean return
     Var(s) = E[(r + γ V(s') - V(s))²] + γ² E[Var(s')]    its variance
@@ -10,7 +10,7 @@ Expectations run over the joint law of reward and next state, which a table of e
 not hold. The second equation adds up squares and so loses no digits to cancellation (Sobel, Journal
 of Applied Probability 19, 1982). In the last one the first sum runs over the outcomes with the
 event, the second over the others (Puterman, Markov Decision Processes, 1994, section 6.9; Kemeny
-and Snell, Finite Markov Chains, 1960, chapter 3). Components are visits times what each pair earns.
+and Snell, Finite Markov Chains, 1960, chapter 3). A component is a sum of visits times rewards.
 Every number comes with a bound on its error that is sound in floating point.
 """
 
@@ -93,11 +93,11 @@ class Evaluation(OfPolicy, Pictured):
     value, error : (S,)
         Mean return from every state, which may be infinite, and how far it may be from the exact
         one. NaN and infinity where it is unknown: at discount 1 in states that no episode comes to,
-        where the policy may go on for ever in some of them.
+        if the policy may go on forever in some of them.
     given : PolicyChain
         The same without the ends that states of rest stand for; else the chain itself.
     settled : bool
-        False where an episode may go on for ever and earn: then only the mean is known.
+        False if an episode may go on forever and earn: then only the mean is known.
 
     Examples
     --------
@@ -139,7 +139,7 @@ class Evaluation(OfPolicy, Pictured):
         return data_frame(rows, columns=["number", "value", "error"])
 
     def report(self) -> Report:
-        """Return the mean and what it is made of, with quantiles."""
+        """Return the mean, its components and quantiles."""
         shares, finite = self.quantiles or {}, isfinite(self.mean)
         rows = [{"share": share, "return": value} for share, value in shares.items()]
         return Report(
@@ -173,13 +173,13 @@ class Evaluation(OfPolicy, Pictured):
     def __repr__(self) -> str:
         return f"Evaluation(mean {self.start}, sd {self.sd:.6g})"
 
-    # ---- the mean and what it is made of -----------------------------------------------------
+    # ---- the mean and its components ----------------------------------------------------------
 
     @property
     def components(self) -> dict[str, float]:
         """Expected discounted total of each reward component; they sum to `mean`.
 
-        At discount 1, one that is earned for ever is infinite; NaN where ends differ in sign.
+        At discount 1, a component that is earned forever is infinite; NaN if signs differ.
         """
         return {name: number.value for name, number in self._components.items()}
 
@@ -201,7 +201,7 @@ class Evaluation(OfPolicy, Pictured):
             name: Bounded(value=float(value), error=float(bound)) if bound < inf else UNKNOWN
             for name, value, bound in zip(mdp.component_names, total, error, strict=True)
         }
-        if mdp.discount_exact == 1:  # what is counted where all is over, or at rest, is so for ever
+        if mdp.discount_exact == 1:  # an event of an endless stay is counted forever
             given = self.given
             stays = (mdp.terminal & given.reached)[mdp.pair_state] & (given.weights > 0)
             over = stays & given.mdp.terminal[mdp.pair_state]
@@ -214,7 +214,7 @@ class Evaluation(OfPolicy, Pictured):
         return numbers
 
     def _evaluate_component(self, name: str) -> Bounded:
-        """Return the total of a component where a policy goes on for ever."""
+        """Return the total of a component under a policy that goes on forever."""
         mdp, given = self.given.mdp, self.given
         if mdp.goal is not None:  # a run that misses it is infinite in all, not in its parts
             return UNKNOWN
@@ -311,7 +311,7 @@ class Evaluation(OfPolicy, Pictured):
 
     @property
     def quantiles_missing(self) -> str:
-        """Why there are no quantiles; empty where there are."""
+        """The reason for missing quantiles; empty if there are quantiles."""
         return self._quantiles if isinstance(self._quantiles, str) else ""
 
     @cached_property
@@ -365,7 +365,7 @@ class Evaluation(OfPolicy, Pictured):
     def _discounted(self) -> FixedPoint:
         if not self.settled:
             raise ModelError(
-                "the policy goes on for ever, so that visits have no number",
+                "the policy goes on forever, so that visits have no number",
                 where="visits",
                 fix=ways_out(self.mdp),
             )
@@ -467,7 +467,7 @@ def evaluate(
     kind : "auto", "q" or "policy"
         What a two-dimensional array holds; see `mdp.policies.arrays`.
     horizon : int, optional
-        Stop after this many steps, without a further reward: what is found is that of
+        Stop after this many steps, without a further reward: the evaluation of
         `mdp.within(horizon)`. Policies over states are the same at every time there; those of
         `solve(mdp, horizon=…)` and tables (N, S, A) depend on time.
     criterion : "total" or "average"

@@ -87,7 +87,7 @@ def find_taken_pairs(mdp: MDP, key: Integers, policies: Numbers) -> Integers:
     """Return the pairs (S, N) of policies (N, K), by the row (S,) that each state reads of them."""
     pair = mdp.by_action(np.arange(mdp.n_pairs), -1).astype(np.int64)
     chosen = pair[np.arange(mdp.n_states)[:, None], policies[:, key].T]
-    # Where there is no choice the row says nothing.
+    # A state with one action does not depend on the row.
     alone = mdp.forced[:, None] | (chosen < 0)
     return np.where(alone, mdp.pair_offsets[:-1][:, None], chosen)
 

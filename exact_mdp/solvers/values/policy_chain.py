@@ -9,7 +9,7 @@ probability 1, which is where no state is reached from which the terminal ones c
 Markov Decision Processes, 1994, A.2); other policies of the model need not end.
 
 A policy has come to rest in classes of states that it never leaves, without a reward or an event.
-These count as ends for its return; only its steps have no end. Where it goes round for ever and
+These count as ends for its return; only its steps have no end. If it goes round forever and
 earns something else than 0 a step on average, its return is +∞ or -∞; so it is where a run misses
 its goal. What any policy is worth is the optimum of the model in which there is nothing else to do.
 """
@@ -119,7 +119,7 @@ class PolicyChain:
     def held_fixed(cls, mdp: MDP, policy: PolicyLike) -> tuple[PolicyChain, Mask]:
         """Return the chain of a policy that is held in models of other numbers, too.
 
-        And (S,) True for states with a choice of which it does not say what it does, as that does
+        And (S,) True for states with a choice that the policy leaves open, as the choice does
         not matter in this model. An optimum says nothing of states in which all is over.
         """
         chain = cls.of(mdp, policy)
@@ -131,7 +131,7 @@ class PolicyChain:
         return chain, open_
 
     def require_said(self, undecided: Mask, where: str) -> None:
-        """Raise ModelError if it matters in this model what is done in some states (S,)."""
+        """Raise ModelError if the choice of an action in some states (S,) matters in this model."""
         mdp = self.mdp
         matters = undecided & ~mdp.over & ~mdp.indifferent & self.reached
         if matters.any():
@@ -223,7 +223,7 @@ class PolicyChain:
         if self.pure and len(mdp.table.gain) == mdp.n_pairs:
             earned = mdp.reward[self.pairs]
             return earned, UNIT * np.abs(earned) + TINY * (mdp.table.gain[self.pairs] != 0)
-        with np.errstate(over="ignore"):  # what is beyond the floats is refused as it is solved for
+        with np.errstate(over="ignore"):  # overflow is refused when the equations are solved
             earned = np.add.reduceat(self.weights * mdp.reward, mdp.pair_offsets[:-1])
         error = self.sum_by_state(self.probability * np.abs(self.gain))
         earning = self.sum_by_state(self.gain != 0)  # nothing that is 0 is rounded
@@ -247,7 +247,7 @@ class PolicyChain:
     @cached_property
     def graph(self) -> sp.csr_array:
         """(S, S) entries where a transition is possible, however rare."""
-        if self.probability.min() > 0:  # else the matrix lacks what is below the range of floats
+        if self.probability.min() > 0:  # else entries below the range of floats are missing
             return self.transition
         moves = np.where(self.mdp.terminal, 0, self.outcomes)
         following = self.table.next[~self.mdp.terminal[self.source]]
@@ -292,7 +292,7 @@ class PolicyChain:
 
     @cached_property
     def going_on(self) -> FloatChain:
-        """The chain at discount 1, in which terminal states go on for ever."""
+        """The chain at discount 1, in which terminal states go on forever."""
         weights = self.weights[self.pairs]
         return FloatChain(self.mdp.undiscounted, self.pairs, weights, self.roundings)
 
@@ -322,7 +322,7 @@ class PolicyChain:
         if not self.ends_from_start:
             trapped = int(np.flatnonzero(self.reached & self.stuck)[0])
             raise ModelError(
-                "discount 1 needs a policy that ends, and this one may stay for ever",
+                "discount 1 needs a policy that ends, and this one may stay forever",
                 where=f"policy, {self.mdp.space.place(trapped)}",
                 fix=ways_out(self.mdp, "take a policy that leaves such states"),
             )
@@ -424,7 +424,7 @@ class PolicyChain:
 
     @cached_property
     def exactly(self) -> ExactChain:
-        """The chain in exact numbers, in which terminal states go on for ever, at discount 1."""
+        """The exact chain at discount 1, in which terminal states go on forever."""
         return ExactChain(self.build_bellman_rows(Fraction(1)))
 
     def make_terminal(self, states: Mask) -> PolicyChain:
@@ -458,7 +458,7 @@ class OfPolicy(Valued):
         return self.start.value
 
     def _sum_components(self, used: Floats, doubt: Floats) -> tuple[Floats, Floats]:
-        """Return what uses of pairs (L,) earn of each component, and how far that may be off."""
+        """Return the total of each component for given visits of pairs (L,), with error bounds."""
         rounding = gamma(len(self.chain.pairs) + self.chain.roundings + 6)
         amounts = self.mdp.components
         size = np.abs(amounts)
@@ -591,8 +591,8 @@ def has_sure_end(chain: PolicyChain) -> bool:
 def split_infinite_returns(chain: PolicyChain) -> tuple[PolicyChain, dict[float, Mask]]:
     """Return a chain whose every run ends, and the ends (S,) for returns of inf and -inf, if any.
 
-    These stand for states in which a run gains or loses for ever, or misses its goal; others for
-    states of rest. Raises ModelError where rewards cancel for ever, so that a return has no limit.
+    These stand for states in which a run gains or loses forever, or misses its goal; others for
+    states of rest. Raises ModelError if rewards cancel forever, so that a return has no limit.
     """
     mdp = chain.mdp
     if mdp.discount_exact != 1 or has_sure_end(chain):
@@ -606,7 +606,7 @@ def split_infinite_returns(chain: PolicyChain) -> tuple[PolicyChain, dict[float,
         gain = _find_gain_signs(chain, busy) if busy.any() else np.zeros(mdp.n_states)
         if (flat := busy & (gain == 0)).any():
             raise ModelError(
-                "rewards cancel for ever, and the return has no limit",
+                "rewards cancel forever, and the return has no limit",
                 where=f"policy, {mdp.space.place(int(np.flatnonzero(flat)[0]))}",
                 fix=ways_out(mdp, 'take evaluate(), with criterion="average"'),
             )

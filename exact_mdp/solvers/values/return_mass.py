@@ -41,10 +41,10 @@ Mass = tuple[Integers, Numbers, Numbers]  # states, multiples and masses (K,)
 
 
 class MassFlow:
-    """The outcomes that an episode can meet, among states numbered by block, and what they carry.
+    """The outcomes that an episode can meet, among states numbered by block, with their returns.
 
     The ends are a block of their own, the last: all finite ones together, and those for a return of
-    -∞ and of ∞. Their numbers follow those of the states.
+    -∞ and of ∞. Their numbers follow the numbers of the states.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class MassFlow:
         self.work = 0
 
     def _to_integer_shares(self, used: Integers, source: Integers, target: Integers) -> Numbers:
-        """Return shares (M,) of outcomes as integers, and make those of the masses at the start.
+        """Return the shares (M,) of outcomes as integers; make the masses at the start integers.
 
         A mass of block b is over start · common[0] ⋯ common[b-1]: the share of a transition that
         skips blocks is multiplied by every denominator between. `total` is the one at the end.
@@ -188,7 +188,7 @@ class MassFlow:
         return float((mass @ np.linalg.matrix_power(matrix, SWEEPS)).sum())
 
     def _handed_on(self, moving: Mass, outcomes: Integers) -> Mass:
-        """Return what becomes of a mass by some outcomes, in the order of their sources."""
+        """Propagate a probability mass along some outcomes, in the order of their sources."""
         state, multiple, mass = moving
         first, after = (
             np.searchsorted(self.source[outcomes], state, side) for side in ("left", "right")
@@ -242,7 +242,7 @@ class MassFlow:
         return to[place], low + int(gains[0]) + further, there[place, further]
 
     def _drop_small(self, moving: Mass, tolerance: float) -> Mass:
-        """Return a mass without what is too small to speak of, which is lost."""
+        """Return a mass without its negligible parts, and count these as lost."""
         if moving[2].dtype == object:
             return moving
         small = moving[2] < max(EDGE, tolerance * SLOW_EDGE)
@@ -252,7 +252,7 @@ class MassFlow:
 
 
 def _sum_masses(parts: list[Mass]) -> Mass:
-    """Return masses in the order of states and multiples, those of the same added up."""
+    """Return masses in the order of states and multiples; equal places are added up."""
     state, multiple, mass = (np.concatenate(each) for each in zip(*parts, strict=True))
     if multiple.dtype == np.int64 and mass.dtype == np.float64 and len(mass):
         low, least = int(multiple.min()), int(state.min())

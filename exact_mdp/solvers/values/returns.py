@@ -7,8 +7,8 @@ of every pair (state, reward so far) is carried along the policy's chain, from t
 
 state after state in an order in which no transition leads back. Only terms that are at least 0 are
 ever added, so every probability keeps a small *relative* error, however small it is. States that
-lead back to each other are swept until at most 10⁻¹² of the mass is left among them; what is left
-is reported. Runs that gain or lose for ever, or miss a goal, end with an infinite return (forward
+lead back to each other are swept until at most 10⁻¹² of the mass is left among them; the rest
+is reported. Runs that gain or lose forever, or miss a goal, end with an infinite return (forward
 dynamic programming; for the distribution of the return see Sobel, Journal of Applied Probability
 19, 1982, section 2, and Chung and Sobel, Discounted MDP's: distribution functions and exponential
 utility maximization, SIAM J. Control and Optimization 25, 1987).
@@ -52,14 +52,14 @@ class ReturnDistribution(Pictured):
     Attributes
     ----------
     multiples : (K,) ints
-        Returns, as multiples of `unit`; inf or -inf for runs that gain or lose for ever, or miss a
+        Returns, as multiples of `unit`; inf or -inf for runs that gain or lose forever, or miss a
         goal. Runs that come to rest, where nothing is earned any more, have a return as any other.
     unit : Fraction
     probabilities : (K,)
     relative_error : float
         Each probability is off by at most this part of itself, and by `remaining` more.
     remaining : float
-        Probability of the returns that are not listed, at most: what was still moving when the
+        A bound on the probability of all other returns: the mass that was still moving when the
         sweeps stopped, and parts below 10⁻²⁹⁰. 0 where all are listed.
     exact : tuple of Fraction, optional
         The probabilities as exact rationals, where these were asked for.
@@ -106,7 +106,7 @@ class ReturnDistribution(Pictured):
 
     @property
     def mean(self) -> float:
-        """Mean of the returns listed; `evaluate` bounds that of all, rare ones included.
+        """Mean of the listed returns; `evaluate` bounds the mean of all, rare ones included.
 
         Infinite where one is; NaN where some are +∞ and others -∞.
         """
@@ -281,7 +281,7 @@ def return_distribution(
     Raises
     ------
     ModelError
-        Below discount 1; where rewards cancel for ever, so that a return has no limit; where there
+        Below discount 1; where rewards cancel forever, so that a return has no limit; where there
         are too many different returns; where states that lead back to each other are left too
         slowly.
 

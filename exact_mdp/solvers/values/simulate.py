@@ -36,7 +36,7 @@ NEGLIGIBLE = 1e-12  # of the greatest return: what follows counts in the error, 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Simulation(Pictured):
-    """Returns of sampled episodes, and what they say of the policy's mean return.
+    """Returns of sampled episodes, and the estimate of the policy's mean return.
 
     Attributes
     ----------
@@ -51,10 +51,10 @@ class Simulation(Pictured):
         Episodes cut off before a terminal state: below discount 1, or by a horizon.
     truncation_error : float
         How much a cut may have changed a return, at most: γ^t max|r| / (1 - γ), rounding included.
-        `value` and its interval include it. A horizon is no error: its returns are those of
+        `value` and its interval include it. A horizon is not an error: its returns belong to
         episodes that stop there.
     endless : int
-        Episodes that never end: they gain or lose for ever, or have come to rest.
+        Episodes that never end: they gain or lose forever, or stay where rewards are 0.
 
     Examples
     --------
@@ -79,14 +79,14 @@ class Simulation(Pictured):
 
     @property
     def value(self) -> Estimated:
-        """The mean return with its standard error, and what was cut off."""
+        """The mean return with its standard error and a bound for the ends that were cut off."""
         return Estimated(
             value=self.mean, standard_error=self.standard_error, cut_off=self.truncation_error
         )
 
     @property
     def never_ends(self) -> float:
-        """Share of the episodes that gain or lose for ever; their return is infinite."""
+        """Share of the episodes that gain or lose forever; their return is infinite."""
         return float(np.isinf(self.returns).mean())
 
     @property
@@ -114,7 +114,7 @@ class Simulation(Pictured):
         return inf if self.endless else float(self.steps.mean())
 
     def report(self) -> Report:
-        """Return the estimate and what it rests on."""
+        """Return the estimate, the number of episodes, and their settings."""
         finite = isfinite(self.mean)
         low, high = self.value.interval
         ends = format_interval(low, high, self.standard_error / 10)
@@ -183,7 +183,7 @@ def simulate(
     Raises
     ------
     ModelError
-        For no episodes or no seed; at discount 1 where rewards cancel for ever.
+        For no episodes or no seed; at discount 1 if rewards cancel forever.
 
     Examples
     --------

@@ -60,7 +60,7 @@ def test_each_state_costs_its_gap_as_often_as_it_is_visited(discount: F, exact: 
 
 
 def test_waiting_for_ever_is_charged_to_those_who_wait() -> None:
-    """In state 1 one may stay for ever, or leave and earn 4; half of all runs come there."""
+    """In state 1 one may stay forever, or leave and earn 4; half of all runs come there."""
     rows: Any = [
         (0, 0, [(F(1, 2), 1, 0), (F(1, 2), 2, 1)]),
         (1, 0, [(1, 1, 0)]),

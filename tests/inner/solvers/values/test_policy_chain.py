@@ -263,7 +263,7 @@ def test_the_graph_says_what_is_reached_and_where_a_run_ends() -> None:
         assert np.array_equal(chain.arriving, chain.ends)
         assert chain.ends_from_start == (not reached & stuck) == has_sure_end(chain)
         if reached & stuck:
-            with pytest.raises(ModelError, match="may stay for ever") as refused:
+            with pytest.raises(ModelError, match="may stay forever") as refused:
                 chain.require_end()
             assert f"state {min(reached & stuck)}" in str(refused.value)
         else:
@@ -551,7 +551,7 @@ def test_runs_that_go_on_for_ever_are_told_apart_by_their_gain() -> None:
         busy -= set(np.flatnonzero(chain.resting).tolist())
         if any(gain[s] == 0 for s in busy):
             told["refused"] += 1
-            with pytest.raises(ModelError, match="rewards cancel for ever") as refused:
+            with pytest.raises(ModelError, match="rewards cancel forever") as refused:
                 split_infinite_returns(chain)
             assert f"state {min(s for s in busy if gain[s] == 0)}" in str(refused.value)
             continue
@@ -575,7 +575,7 @@ def test_rewards_that_cancel_are_told_from_those_that_hardly_do(more: F, sign: f
     rows: Any = [(0, 0, [(1, 1, 1)]), (1, 0, [(1, 0, -1 + F(more))])]
     chain = PolicyChain.of(MDP.from_outcomes(rows), "random")
     if sign is None:
-        with pytest.raises(ModelError, match="rewards cancel for ever"):
+        with pytest.raises(ModelError, match="rewards cancel forever"):
             split_infinite_returns(chain)
     else:
         ending, lost = split_infinite_returns(chain)
