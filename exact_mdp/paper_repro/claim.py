@@ -91,7 +91,9 @@ class PaperClaim:
         }
         if self.kind == "input":
             finding = replace(finding, verdict=words.get(finding.verdict, finding.verdict))
-        return finding if finding.says else replace(finding, says=str(finding.verdict))
+        if finding.says:
+            return finding
+        return replace(finding, says=str(finding.verdict))
 
 
 CLAIMS: dict[str, PaperClaim] = {}
@@ -141,7 +143,10 @@ def _bind_word(function: Callable[..., Finding], word: str) -> Callable[[Reading
 
 def judge_statement(holds: bool, why: str, **more: Any) -> Finding:
     """Judge by a predicate."""
-    verdict = ClaimVerdict.REPRODUCED if holds else ClaimVerdict.NOT_REPRODUCED
+    if holds:
+        verdict = ClaimVerdict.REPRODUCED
+    else:
+        verdict = ClaimVerdict.NOT_REPRODUCED
     return Finding(verdict=verdict, why=why, **more)
 
 
@@ -184,19 +189,30 @@ def compare_average(
 def judge_by_chance(chance: float, why: str, **more: Any) -> Finding:
     """Judge by the chance of what is at least as far off."""
     within = chance >= CHANCE
-    verdict = ClaimVerdict.COMPATIBLE if within else ClaimVerdict.NOT_REPRODUCED
+    if within:
+        verdict = ClaimVerdict.COMPATIBLE
+    else:
+        verdict = ClaimVerdict.NOT_REPRODUCED
     return Finding(verdict=verdict, why=why, says=f"{verdict}, p = {chance:.2g}", **more)
 
 
 def judge_by_runs(count: int, total: int, what: str, why: str, **more: Any) -> Finding:
     """Judge by how many of our own runs show it."""
     part = count / total
-    shown = f"{100 * part:.{0 if part >= 0.095 else 1}f} %" if count else "none"
+    shown = "none"
+    if count:
+        shown = f"{100 * part:.{0 if part >= 0.095 else 1}f} %"
     says = f"seen in {shown} of {total:,} {what}"
-    verdict = ClaimVerdict.SEEN if count else ClaimVerdict.NOT_REPRODUCED
+    if count:
+        verdict = ClaimVerdict.SEEN
+    else:
+        verdict = ClaimVerdict.NOT_REPRODUCED
     if part >= NEARLY_ALL:
         verdict = ClaimVerdict.REPRODUCED
-    says = says if verdict is ClaimVerdict.SEEN else f"{verdict}, {says}"
+    if verdict is ClaimVerdict.SEEN:
+        says = says
+    else:
+        says = f"{verdict}, {says}"
     smooth = (count + 0.5) / (total + 1)  # not 0 where all runs are alike
     number = Estimated(value=part, standard_error=sqrt(smooth * (1 - smooth) / total))
     details = {"count": count, "runs": total, **more.pop("details", {})}
@@ -249,8 +265,14 @@ def depends_on_reading(finding: Finding, others: Iterable[ClaimVerdict]) -> bool
 def entry_of(each: PaperClaim, finding: Finding) -> dict[str, Any]:
     """Return a claim with a finding, as JSON."""
     number, paper, errors = finding.number, finding.paper, finding.standard_error
-    exact = None if number is None else number.value
-    apart = None if exact is None or paper is None else float(exact - paper)
+    if number is None:
+        exact = None
+    else:
+        exact = number.value
+    if exact is None or paper is None:
+        apart = None
+    else:
+        apart = float(exact - paper)
     return {
         "name": each.id,
         "kind": each.kind,

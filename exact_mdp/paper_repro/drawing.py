@@ -141,12 +141,18 @@ def draw_diagram(
     for source, target, text in arrows:
         start, end = boxes[source], boxes[target]
         if start.x != end.x:
-            side = 1 if end.x > start.x else -1
+            if end.x > start.x:
+                side = 1
+            else:
+                side = -1
             a, b = start.x + side * start.width / 2, end.x - side * end.width / 2
             draw_arrow(ax, (a, start.y), (b, end.y))
             ax.text((a + b) / 2, start.y + 0.05, text, fontsize=7.5, ha="center", va="bottom")
         else:
-            side = 1 if end.y > start.y else -1
+            if end.y > start.y:
+                side = 1
+            else:
+                side = -1
             a, b = start.y + side * start.height / 2, end.y - side * end.height / 2
             draw_arrow(ax, (start.x, a), (end.x, b))
             ax.text(start.x + 0.08, (a + b) / 2, text, fontsize=7.5, ha="left", va="center")

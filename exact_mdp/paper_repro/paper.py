@@ -45,7 +45,10 @@ def table_3() -> dict[str, Fraction]:
     for row, (base, entries) in PAPER["table3"].items():
         numbers[f"base.{row}"] = Fraction(base, 100)
         for column, entry in zip(BITS, entries, strict=True):
-            name = f"persistence.{row}" if row == column else f"influence.{row}.{column}"
+            if row == column:
+                name = f"persistence.{row}"
+            else:
+                name = f"influence.{row}.{column}"
             numbers[name] = Fraction(entry, 100)
     return numbers
 

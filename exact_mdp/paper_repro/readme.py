@@ -186,6 +186,8 @@ def render_readme(results: Mapping[str, Any], *, code: str = "") -> str:
 def _build_link_filter(prefix: str) -> Any:
     def format_link(place: str) -> str:
         file, _, function = place.partition(", ")
-        return f"[{file}]({prefix}{file}) `{function}`" if prefix else f"{file} `{function}`"
+        if prefix:
+            return f"[{file}]({prefix}{file}) `{function}`"
+        return f"{file} `{function}`"
 
     return format_link

@@ -77,7 +77,9 @@ def round_numbers(data: Any) -> Any:
         return data
     if isinstance(data, list | tuple):
         return [round_numbers(value) for value in data]
-    return float(f"{data:.{DIGITS}g}") if isinstance(data, float) else data
+    if isinstance(data, float):
+        return float(f"{data:.{DIGITS}g}")
+    return data
 
 
 def as_json(data: object) -> str:
@@ -211,8 +213,12 @@ def format_claim(name: str, sets: Sequence[str], runs: int) -> str:
     finding = claim.find(reading)
     number, here = finding.number, ""
     if number is not None:
-        spread = number.standard_error if isinstance(number, Estimated) else 0
-        error = f" ± {spread:.2g}" if spread else ""
+        spread = 0.0
+        if isinstance(number, Estimated):
+            spread = number.standard_error
+        error = ""
+        if spread:
+            error = f" ± {spread:.2g}"
         here = f"{float(number.value):.10g}{error} ({number.claim}), {finding.number_is}"
     lines = {
         "paper": "" if finding.paper is None else f"{float(finding.paper):g}",
@@ -251,7 +257,10 @@ def format_claim_table(results: Mapping[str, Any]) -> str:
     lines = [f"{'claim':40}{'paper':>10}{'exact':>16}{'difference':>12}  verdict"]
     for each in results["claims"]:
         apart = each["difference"]
-        gap = "" if apart is None else f"{apart:+.4g}".replace("-", "−")
+        if apart is None:
+            gap = ""
+        else:
+            gap = f"{apart:+.4g}".replace("-", "−")
         lines.append(
             f"{each['name']:40}{format_paper_number(each):>10}{format_exact(each):>16}"
             f"{gap:>12}  {each['verdict_says']}"
@@ -270,7 +279,10 @@ def compare_with_pinned(claims: Sequence[Mapping[str, Any]]) -> list[str]:
         if wanted is None:
             off.append(f"{name} is not pinned")
             continue
-        verdicts = wanted["verdict"] if isinstance(wanted["verdict"], list) else [wanted["verdict"]]
+        if isinstance(wanted["verdict"], list):
+            verdicts = wanted["verdict"]
+        else:
+            verdicts = [wanted["verdict"]]
         if verdict not in verdicts:
             off.append(f"{name} is {verdict}, not {' or '.join(verdicts)}")
         if ("value" in wanted) != (entry["exact"] is not None):

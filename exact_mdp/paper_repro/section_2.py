@@ -50,7 +50,10 @@ def list_outcomes(mdp: MDP, state: int, action: int) -> list[tuple[Fraction, int
     In a state with a single action, that one is meant.
     """
     pairs = mdp.pairs_of(state)
-    pair = pairs[0] if len(pairs) == 1 else mdp.pair(state, action)
+    if len(pairs) == 1:
+        pair = pairs[0]
+    else:
+        pair = mdp.pair(state, action)
     return list(mdp.table.row(pair))
 
 
@@ -145,7 +148,10 @@ def table_3_entries(reading: Reading) -> Finding:
     for name in table_3():
         kind, row, *rest = name.split(".")
         if kind == "influence":
-            source, target = (row, rest[0]) if forwards else (rest[0], row)
+            if forwards:
+                source, target = (row, rest[0])
+            else:
+                source, target = (rest[0], row)
             model[name] = compute_effect(mdp, source, target)
         else:
             model[name] = compute_status_probability(
@@ -229,9 +235,14 @@ def assistance_keeps_statuses(reading: Reading) -> Finding:
             for vector in range(16):
                 name = f"{action}.{status}.{vector:04b}"
                 model[name] = compute_status_probability(mdp, vector, number, status)
-                stays = Fraction(named.get(status, 0), 100) if vector & BITS[status] else 0
+                stays = Fraction(0)
+                if vector & BITS[status]:
+                    stays = Fraction(named.get(status, 0), 100)
                 alone = compute_status_probability(mdp, vector, 0, status)
-                paper[name] = Fraction(stays) if status in named else alone
+                if status in named:
+                    paper[name] = Fraction(stays)
+                else:
+                    paper[name] = alone
     return compare_entries(
         paper, model, ": 3 assistances, 4 statuses, from each of the 16 status vectors"
     )
@@ -251,7 +262,9 @@ def skip_keeps_statuses(reading: Reading) -> Finding:
     paper, model = {}, {}
     for status, rates in PAPER["skip"].items():
         for kind, rate in rates.items():
-            other = BITS[COGNITIVE[status]] if kind == "with-other" else 0
+            other = 0
+            if kind == "with-other":
+                other = BITS[COGNITIVE[status]]
             paper[f"{status}.{kind}"] = Fraction(rate, 100)
             model[f"{status}.{kind}"] = _stays_on_skip(reading, BITS[status] | other, status)
     return compare_entries(paper, model)
@@ -420,7 +433,10 @@ def draw_mechanism(reading: Reading) -> Figure:
             boxes[source] = Box(0.4, y, f"{source} at t", PERSON, width=2.2, height=0.6)
             draw_arrow(ax, (1.5, y), (3.5, 2.6 - 0.4 * row))
             # The third arrow rises, and its words stand below it.
-            side, aside = ("bottom", 0.1) if row < 2 else ("top", -0.1)
+            if row < 2:
+                side, aside = ("bottom", 0.1)
+            else:
+                side, aside = ("top", -0.1)
             added = f"+{float(100 * compute_effect(mdp, source, status)):g} points"
             ax.text(1.65, y + aside, added, fontsize=7.5, va=side)
         acts = [

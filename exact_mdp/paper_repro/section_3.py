@@ -112,7 +112,10 @@ def list_rewards(reading: Reading) -> list[tuple[int, int, int, bool, Fraction]]
                 if probability:
                     ended = bool(mdp.terminal[following])
                     done = ended or bool(subtask[following] != subtask[state])
-                    after = 0 if ended else int(status[following])
+                    if ended:
+                        after = 0
+                    else:
+                        after = int(status[following])
                     rows.append((action, after, int(subtask[state]), done, gain))
     return rows
 

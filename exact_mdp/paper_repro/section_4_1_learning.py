@@ -334,7 +334,9 @@ def first_status_unsettled(reading: Reading) -> Finding:
     total, settled = int(fallen.sum()), int(fallen.max())
     error = sqrt((settled + 0.5) * (total - settled + 0.5) / total**3)
     best = set.intersection(*optimal_actions(reading, "0000"))
-    kind = "an optimal" if ACTIONS[int(fallen.argmax())] in best else "no optimal"
+    kind = "no optimal"
+    if ACTIONS[int(fallen.argmax())] in best:
+        kind = "an optimal"
     return judge_statement(
         settled < NEARLY_ALL * total,
         f"with the paper's constant learning rate {format_frequencies(constant)}, "

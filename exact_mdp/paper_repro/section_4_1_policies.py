@@ -327,12 +327,21 @@ def cost_of_choices(reading: Reading) -> Figure:
     shade = 1 - 0.75 * np.sqrt(lost / lost.max())
     for row, column in np.ndindex(lost.shape):
         light, loss = float(shade[row, column]), float(lost[row, column])
-        ink = "black" if light > 0.5 else "white"
+        ink = "white"
+        if light > 0.5:
+            ink = "black"
         cell = Rectangle((column, row), 1, 1, facecolor=str(light), edgecolor="0.85", lw=0.5)
         ax.add_patch(cell)
-        text = "best" if loss == 0 else f"{loss:.2f}" if loss >= 0.005 else "under 0.01"
+        if loss == 0:
+            text = "best"
+        elif loss >= 0.005:
+            text = f"{loss:.2f}"
+        else:
+            text = "under 0.01"
         look = {"ha": "center", "va": "center", "fontsize": 8, "color": ink}
-        weight = "bold" if loss == 0 else "normal"
+        weight = "normal"
+        if loss == 0:
+            weight = "bold"
         ax.text(column + 0.5, row + 0.5, text, fontweight=weight, **look)
         if policy[STATUSES[row]] == ACTIONS[column]:
             ax.plot(column + 0.12, row + 0.5, "o", color=ink, ms=4)

@@ -79,13 +79,16 @@ class Batch:
             state=np.array(one.pair_state),
             first=np.array(one.pair_offsets[:-1]),
         )
-        return None if batch.weights is None else batch
+        if batch.weights is None:
+            return None
+        return batch
 
     def compute_advantages(
         self, value: Floats, reward: Floats | None = None
     ) -> tuple[Floats, Floats]:
         """Return d(l) of values (D, S), and a bound on its rounding error, both (D, L)."""
-        reward = self.reward if reward is None else reward
+        if reward is None:
+            reward = self.reward
         here = value[:, self.state]
         apart = value[:, None, :] - here[:, :, None]
         ahead, flow = (
@@ -139,7 +142,9 @@ class Batch:
             return None
         falls, noise = self.compute_advantages(most[0], np.zeros_like(self.reward))
         least = np.where(alive, -falls - noise, 1.0).min(axis=1) / SLACK
-        return (most[0], least) if (least > 0).all() else None
+        if (least > 0).all():
+            return (most[0], least)
+        return None
 
     def solve_models(self) -> tuple[Floats, Floats, Floats, Floats] | None:
         """Return values and their errors (D, S), suboptimality gaps and their errors (D, L)."""

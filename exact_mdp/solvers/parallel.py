@@ -60,8 +60,14 @@ def run_pieces(
     pieces are kept in the `folder`, in files of these `names`, or else numbered; `what` they are
     called is said by the bar and by messages.
     """
-    n_jobs = None if n_jobs is None else require_count(n_jobs, "n_jobs")
-    place = None if folder is None else _open_folder(folder_of(folder), key, what=what)
+    if n_jobs is None:
+        n_jobs = None
+    else:
+        n_jobs = require_count(n_jobs, "n_jobs")
+    if folder is None:
+        place = None
+    else:
+        place = _open_folder(folder_of(folder), key, what=what)
     stems = names or (f"{index:06d}" for index in range(len(pieces)))
     paths = [place and place / f"{stem}.npz" for stem in stems]
     known = ((index, _read_piece(path)) for index, path in enumerate(paths) if path)
@@ -190,7 +196,9 @@ def _open_folder(folder: Path, record: Mapping[str, object], *, what: str) -> Pa
         raise ModelError(error.what, where=error.where, fix="choose another folder") from error
     wanted = json.loads(text)
     if content != wanted:
-        known = content if isinstance(content, dict) else {}
+        known = {}
+        if isinstance(content, dict):
+            known = content
         joined = ", ".join(key for key, value in wanted.items() if known.get(key) != value)
         raise ModelError(
             f"the folder holds {what} of other work: its record differs"
@@ -241,5 +249,6 @@ def seed_blocks(seed: int, n: int, block: int) -> list[tuple[SeedSequence, int]]
 
 def join_blocks(blocks: Sequence[Arrays], names: Iterable[str] | None = None) -> Arrays:
     """Return arrays of all draws, by name: all of them unless names are given."""
-    chosen = blocks[0] if names is None else names
-    return {name: np.concatenate([block[name] for block in blocks]) for name in chosen}
+    if names is None:
+        names = blocks[0]
+    return {name: np.concatenate([block[name] for block in blocks]) for name in names}

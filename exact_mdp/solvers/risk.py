@@ -86,7 +86,8 @@ class Budgeted:
             )
         table, pair = mdp.table, mdp.table.pair
         (weight, denominator), (gain, below) = table.integer_weights(), table.integer_gains()
-        gain = gain[pair] if len(gain) == table.pairs else gain
+        if len(gain) == table.pairs:
+            gain = gain[pair]
         shared = lcm(*below.tolist())
         whole = [
             g * (shared // b) for g, b in zip(gain.tolist(), below[pair].tolist(), strict=True)

@@ -133,7 +133,10 @@ class Certified:
         return float(np.nextafter(rounded, -np.inf)), float(np.nextafter(rounded, np.inf))
 
     def __str__(self) -> str:
-        top, below = (1, 1) if isinstance(self.value, float) else self.value.as_integer_ratio()
+        if isinstance(self.value, float):
+            top, below = (1, 1)
+        else:
+            top, below = self.value.as_integer_ratio()
         # Python writes no integer of over 4,300 digits; decimals are not bound to floats' range.
         if max(top.bit_length(), below.bit_length()) <= 80 and len(text := str(self.value)) <= 24:
             return f"{text} ({self.claim})"
@@ -194,7 +197,10 @@ def subtract_numbers(one: Number, other: Number) -> Number:
 
 def compute_regret(best: Number, own: Number, sense: str = "max") -> Number:
     """Return the optimal value less a policy's value (for costs, the reverse); never below 0."""
-    lost = subtract_numbers(best, own) if sense == "max" else subtract_numbers(own, best)
+    if sense == "max":
+        lost = subtract_numbers(best, own)
+    else:
+        lost = subtract_numbers(own, best)
     if isinstance(lost, Certified):
         return lost
     low, high = (max(0.0, end) for end in lost.interval)
@@ -242,7 +248,9 @@ class Estimated:
         return self.value
 
     def __str__(self) -> str:
-        cut = f" ± {self.cut_off:.2g} cut off" if self.cut_off else ""
+        cut = ""
+        if self.cut_off:
+            cut = f" ± {self.cut_off:.2g} cut off"
         if isinf(self.standard_error):
             return f"{self.value:.6g}{cut} ({self.claim}, of one draw)"
         error = float(f"{self.standard_error:.1g}")
@@ -278,7 +286,9 @@ def at_start(mdp: MDP, valued: Any) -> Bounded:
     if not np.isfinite(value).all():  # a total reward that is infinite is so exactly
         return Bounded(value=float(weights @ value), error=0.0)
     units = (len(states) + 3) * 2.0**-52  # twice as many as there are roundings
-    rounding = 0.0 if weights.tolist() == [1.0] else units
+    rounding = units
+    if weights.tolist() == [1.0]:
+        rounding = 0.0
     bound = float(weights @ (error + rounding * np.abs(value))) * (1 + 2 * units)
     return Bounded(value=float(weights @ value), error=bound)
 
@@ -315,7 +325,10 @@ class Found(Valued):
 
     def _tabulate_states(self, n: int) -> DataFrame:
         columns = {"value": self.value[:n], "error": self.error[:n]}
-        taken = {} if self.pairs is None else {"action": self.mdp.pair_action[self.pairs[:n]]}
+        if self.pairs is None:
+            taken = {}
+        else:
+            taken = {"action": self.mdp.pair_action[self.pairs[:n]]}
         return tabulate_by_state(self.mdp, columns | taken)
 
     def report(self) -> Report:
@@ -363,7 +376,10 @@ class Solution(Found, Pictured):
     @property
     def q(self) -> Floats:
         """(S, A) action values r + γ P V; -inf (of costs inf) where an action is not offered."""
-        never = np.inf if self.mdp.sense == "min" else -np.inf
+        if self.mdp.sense == "min":
+            never = np.inf
+        else:
+            never = -np.inf
         return self.mdp.by_action(self.mdp.backup(self.value), never)
 
     @property
@@ -419,4 +435,6 @@ def in_float(number: Fraction | float) -> float:
     try:
         return float(number)
     except OverflowError:
-        return inf if number > 0 else -inf
+        if number > 0:
+            return inf
+        return -inf

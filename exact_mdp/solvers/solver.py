@@ -147,14 +147,17 @@ def solve(
     >>> solve(turns, criterion="average").value.tolist()
     [2.5, 2.5]
     """
-    solver = "auto" if solver is None else solver
+    if solver is None:
+        solver = "auto"
     _check_fit(horizon, terminal_value, start, subject_to, (solver, tol, start, criterion))
     mdp = mdp_of(model)
     if is_average(criterion):
         require_no_horizon(horizon)
         require_no_target(mdp)
         check_tolerance("solve", tol)
-        chosen = PolicyIteration() if solver == "auto" else _configure_solver(solver, tol=tol)
+        chosen: Solver = PolicyIteration()
+        if solver != "auto":
+            chosen = _configure_solver(solver, tol=tol)
         try:
             solution: Solution = solve_average(mdp, _configure_solver(chosen, start=start))
         except SolverError:  # the chain mixes too slowly for floats
@@ -175,8 +178,9 @@ def solve(
     if solver == "auto" and is_acyclic(mdp):
         check_tolerance("solve", tol)
         return break_near_ties(_check_precision(BackwardInduction().solve(mdp), tol))
-    chosen = ModifiedPolicyIteration() if solver == "auto" else solver
-    return break_near_ties(_configure_solver(chosen, tol=tol, start=start).solve(mdp))
+    if solver == "auto":
+        solver = ModifiedPolicyIteration()
+    return break_near_ties(_configure_solver(solver, tol=tol, start=start).solve(mdp))
 
 
 def _check_fit(
@@ -252,7 +256,9 @@ def _configure_solver(solver: Any, **settings: Any) -> Solver:
                 where="solve",
                 fix=f"leave {name} out, or choose {', '.join(takers)}",
             )
-    chosen: Solver = replace(solver, **given) if given else solver
+    chosen: Solver = solver
+    if given:
+        chosen = replace(solver, **given)
     return chosen
 
 

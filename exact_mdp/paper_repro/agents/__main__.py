@@ -150,7 +150,9 @@ def converse_command(out: Path, resume: bool, limit: int | None, **words: Any) -
         click.echo(f"what was recorded before is in {out / NAME}; --resume goes on", err=True)
         raise
     record_run(out, talk, words)
-    state = "finished" if record.end else "not finished, --resume goes on"
+    state = "not finished, --resume goes on"
+    if record.end:
+        state = "finished"
     click.echo(f"{len(record.steps)} timesteps, {state}: {out / 'conversation.txt'}")
 
 
@@ -193,7 +195,9 @@ def measure_command(
     write_file(out / "confusion.csv", table.to_csv(index_label="status", lineterminator="\n"))
     record_run(out, talk, words)
     for rate in compute_rates(counts, talk.modules.statuses).itertuples():
-        shown = f"{rate.right / rate.total:.3f}" if rate.total else "none seen"
+        shown = "none seen"
+        if rate.total:
+            shown = f"{rate.right / rate.total:.3f}"
         interval = f"[{rate.low:.3f}, {rate.high:.3f}] of {rate.total}"
         click.echo(f"{rate.status:14} {rate.rate:11} {shown} {interval}")
     click.echo(out / "confusion.csv")

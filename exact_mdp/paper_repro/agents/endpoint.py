@@ -335,7 +335,9 @@ def _parse_retry_after(text: str | None) -> float:
         value = float(text or 0)
     except ValueError:
         return 0.0
-    return value if 0 <= value < math.inf else 0.0
+    if 0 <= value < math.inf:
+        return value
+    return 0.0
 
 
 def _suggest_remedy(status: int) -> str:

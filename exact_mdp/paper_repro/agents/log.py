@@ -103,7 +103,10 @@ def read_recording(path: Path) -> Recording | None:
         path.write_text("".join(line + "\n" for line in lines), "utf-8", newline="\n")
     if not entries:
         return None
-    end = entries.pop() if kinds[-1] == "end" else None
+    if kinds[-1] == "end":
+        end = entries.pop()
+    else:
+        end = None
     return Recording(path=path, header=entries[0], steps=entries[1:], end=end)
 
 
@@ -139,7 +142,9 @@ def format_amount(text: str) -> str:
     ('-8', '0.33')
     """
     value = Fraction(text)
-    return str(value) if value.denominator == 1 else f"{float(value):.2f}"
+    if value.denominator == 1:
+        return str(value)
+    return f"{float(value):.2f}"
 
 
 def format_recording(record: Recording) -> str:

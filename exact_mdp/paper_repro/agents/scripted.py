@@ -55,7 +55,9 @@ class Scripted:
             present = [name for name, value in facts["status"].items() if value]
             tables = [PHRASES["behaviour"][n] for n in present or ["calm"]]
             answers = facts["latest"] and not present and rng.random() < 0.6
-            spoken = "answering" if answers else "verbal"
+            spoken = "verbal"
+            if answers:
+                spoken = "answering"
             return {
                 "nonverbal": _compose_line([table["nonverbal"] for table in tables], facts, rng),
                 "verbal": _compose_line([table[spoken] for table in tables], facts, rng),
@@ -75,7 +77,12 @@ class Scripted:
         opening = [texts for name, texts in PHRASES["opening"].items() if status.get(name)]
         heard = self._detect_statuses(facts, list(PHRASES["opening"]))
         angry = heard.get("anger") or status.get("anger")
-        mood = "anger" if angry else "first" if any(heard.values()) else "calm"
+        if angry:
+            mood = "anger"
+        elif any(heard.values()):
+            mood = "first"
+        else:
+            mood = "calm"
         said = [*opening[:1], table.get(mood, table["first"])]
         return _compose_line(said + [table["more"]] * facts["detailed"], facts, rng)
 

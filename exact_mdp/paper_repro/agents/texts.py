@@ -129,7 +129,9 @@ class Modules:
 
     def ask_behaviour(self, place: Place, past: Exchanges, status: Status, seed: int) -> Request:
         """Ask what the person does and says in a status."""
-        latest = str(past[-1]["caregiver"]) if past else ""
+        latest = ""
+        if past:
+            latest = str(past[-1]["caregiver"])
         said = [exchange[part] for exchange in past for part in ("nonverbal", "verbal")]
         return self._build_request(
             "behaviour",

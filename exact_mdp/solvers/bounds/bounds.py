@@ -120,7 +120,10 @@ def solve_backward(mdp: MDP, reward: Floats) -> Floats:
         None if numbered_in_order(mdp) else topological_levels(mdp),
     )
     matrix, first, ends, ended = mdp.transition, mdp.pair_offsets, mdp.pair_offsets, mdp.terminal
-    order = np.arange(mdp.n_states) if level is None else np.argsort(-level, kind="stable")
+    if level is None:
+        order = np.arange(mdp.n_states)
+    else:
+        order = np.argsort(-level, kind="stable")
     if mdp.n_transitions >= COMPILED:
         from exact_mdp.solvers.kernels import bellman
 
@@ -154,7 +157,10 @@ def margin_weights(mdp: MDP) -> Weights:
     if is_acyclic(mdp):
         weight = solve_backward(mdp, np.ones(mdp.n_pairs))
     else:
-        weight = live.astype(np.float64) if mdp.discount < 1 else _expected_steps(mdp)
+        if mdp.discount < 1:
+            weight = live.astype(np.float64)
+        else:
+            weight = _expected_steps(mdp)
     margin, error = _compute_margins(mdp, weight)
     weights = Weights(value=weight, margin=margin, error=error)
     if np.isfinite(weight).all() and (weight[live] > 0).all() and weights.smallest > 0:

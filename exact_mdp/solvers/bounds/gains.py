@@ -130,8 +130,10 @@ def compute_advantages(mdp: MDP, value: Floats, *, reward: Floats | None = None)
     A `reward` (L,) other than the model's counts as exact.
     """
     facts, columns, terms_of = rounding_facts(mdp), np.empty((3, mdp.n_pairs)), count_roundings(mdp)
-    earned_of = mdp.reward if reward is None else reward
-    unknown = reward_errors(mdp) if reward is None else np.zeros(mdp.n_pairs)
+    if reward is None:
+        earned_of, unknown = mdp.reward, reward_errors(mdp)
+    else:
+        earned_of, unknown = reward, np.zeros(mdp.n_pairs)
     tiny = TINY * (1 + float(np.abs(value).max())) * bool(value.any())
 
     def compute_block(number: int, first: int, last: int) -> None:
@@ -187,7 +189,9 @@ def choose_greedy_pairs(mdp: MDP, *levels: Gain, keep: Integers | None = None) -
         best = np.maximum.reduceat(least, mdp.pair_offsets[:-1])[mdp.pair_state]
         left &= gain.value + gain.noise >= best
     chosen = first_of(mdp, left)
-    return chosen if keep is None else np.where(left[keep], keep, chosen)
+    if keep is None:
+        return chosen
+    return np.where(left[keep], keep, chosen)
 
 
 def first_of(mdp: MDP, some: NDArray[np.bool_]) -> Integers:

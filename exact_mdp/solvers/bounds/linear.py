@@ -99,7 +99,10 @@ class LinearSystem(ByFields):
         wanted = excess / largest + 2.0**-10
         nothing = np.zeros_like(wanted)
         for rough in (True, False):
-            error = self._solve_nearly(wanted, CORRECTION) if rough else self.approximate(wanted)
+            if rough:
+                error = self._solve_nearly(wanted, CORRECTION)
+            else:
+                error = self.approximate(wanted)
             slack = -self._compute_residual(nothing, error) - self._bound_rounding(
                 nothing, np.abs(error)
             )
@@ -155,7 +158,9 @@ class LinearSystem(ByFields):
         """Return x (S,) with a residual of about a hundredth of the constant (S,), or `closely`."""
         if self._direct:
             return self._direct(constant)
-        return self.approximate(constant) if closely else self._solve_iteratively(constant, 1e-2)
+        if closely:
+            return self.approximate(constant)
+        return self._solve_iteratively(constant, 1e-2)
 
     def solve_relatively(self, constant: Floats, leak: Floats) -> tuple[Floats, float]:
         """Return h (S,) and k with h + k = c + γ P (h + k), h being 0 in a state often visited.
@@ -253,7 +258,9 @@ class LinearSystem(ByFields):
             return out
 
         value = _run_bicgstab(apply_system, constant, rtol, steps)
-        return None if value is None else apply_preconditioner(value)
+        if value is None:
+            return None
+        return apply_preconditioner(value)
 
     @cached_property
     def _direct(self) -> Solve | None:
@@ -271,7 +278,9 @@ class LinearSystem(ByFields):
             )
         if chain.nnz <= SPARSE and not self.work:
             return self._factor_sparse(chain)
-        return self._within_band if chain.nnz <= SPARSE or self._narrow else None
+        if chain.nnz <= SPARSE or self._narrow:
+            return self._within_band
+        return None
 
     @cached_property
     def _reach(self) -> tuple[int, int]:
@@ -290,7 +299,9 @@ class LinearSystem(ByFields):
         _, lower, upper = self._band
         width, states = lower + upper + 1, self.states
         work = 2.0 * states * (lower + 1) * width
-        return work if work <= CHEAP or width * states <= NARROW * self.transition.nnz else 0.0
+        if work <= CHEAP or width * states <= NARROW * self.transition.nnz:
+            return work
+        return 0.0
 
     @cached_property
     def _band(self) -> tuple[Numbers | None, int, int]:
@@ -301,7 +312,9 @@ class LinearSystem(ByFields):
         one = sp.csr_array((np.ones(chain.nnz, np.int8), chain.indices, chain.indptr), chain.shape)
         order = csgraph.reverse_cuthill_mckee((one + one.T).tocsr(), symmetric_mode=True)
         down, up = _compute_bandwidths(chain, np.argsort(order))
-        return (order, down, up) if down + up < lower + upper else (None, lower, upper)
+        if down + up < lower + upper:
+            return (order, down, up)
+        return (None, lower, upper)
 
     @cached_property
     def _within_band(self) -> Solve:
@@ -312,7 +325,9 @@ class LinearSystem(ByFields):
     def _factor_sparse(self, chain: sp.csr_array) -> Solve:
         matrix = sp.csc_array(sp.eye_array(self.states) - self.discount * chain)
         matrix.indices, matrix.indptr = (x.astype(np.intc) for x in (matrix.indices, matrix.indptr))
-        how = "COLAMD" if self.order is None else "NATURAL"
+        how = "NATURAL"
+        if self.order is None:
+            how = "COLAMD"
         try:
             factors: Any = splu(matrix, permc_spec=how, diag_pivot_thresh=0.0)
         except RuntimeError as error:

@@ -76,7 +76,10 @@ def check_tolerance(where: str, tol: Any) -> None:
     """Raise ModelError unless a tolerance is None or a positive, finite number."""
     number = isinstance(tol, Real) and not isinstance(tol, bool)
     if tol is not None and not (number and 0 < tol < np.inf):
-        shown = tol if number else repr(tol)
+        if number:
+            shown = tol
+        else:
+            shown = repr(tol)
         raise ModelError(f"tol is {shown}", where=where, fix="choose a positive number, or None")
 
 

@@ -65,7 +65,10 @@ class PolicyEvaluation:
         """Sweep the policy until its residual is at most `goal`; return whether that succeeded."""
         values, mdp = self.values, self.values.mdp
         enough = goal * values.weights.smallest
-        fine = 8 * UNIT if goal == 0 else 0.0  # the exact values are those up to rounding
+        # the exact values are those up to rounding
+        fine = 0.0
+        if goal == 0:
+            fine = 8 * UNIT
         is_closed = values.weights.uniform and bool(values.live.all())
         matrix, rows = mdp.transition, values.search.pairs
         if mdp.n_transitions > CACHED:

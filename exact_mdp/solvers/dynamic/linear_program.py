@@ -64,7 +64,9 @@ class LinearProgram(Solver):
         if not np.isfinite(start).all():
             raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
         solution = PolicyIteration(start=start).maximise(model)
-        reached = float(solution.value[live].mean()) if live.any() else 0.0
+        reached = 0.0
+        if live.any():
+            reached = float(solution.value[live].mean())
         scale = abs(reached) + float(np.abs(model.reward).max())
         if not abs(objective - reached) <= AGREEMENT * scale:
             detail = f"{self.solver} found a mean value of {objective:.9g}, not {reached:.9g}"

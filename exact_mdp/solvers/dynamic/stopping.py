@@ -63,7 +63,10 @@ class StoppingRule:
         values = self.values
         half_gap = values.search.half_gap * self._weight
         self._floor = values.search.bound_rounding() * self._weight
-        self._limit = self.tol if self.tol is not None else values.default_tolerance()
+        if self.tol is not None:
+            self._limit = self.tol
+        else:
+            self._limit = values.default_tolerance()
         self.is_stalled = values.idle >= NEAR_ROUNDING and half_gap <= 4 * self._floor
         self.is_near = self._proven_part * half_gap <= self._limit or self.is_stalled
 

@@ -121,7 +121,9 @@ class FloatChain:
         self.mdp, self._roundings, table = mdp, roundings, mdp.table
         shape, source = (mdp.n_states, mdp.n_states), mdp.pair_state[pairs]
         offsets = np.append(0, np.cumsum(np.bincount(source, minlength=mdp.n_states)))
-        chances = np.ones(len(pairs)) if weights is None else weights
+        chances = weights
+        if weights is None:
+            chances = np.ones(len(pairs))
         self.taken = sp.csr_array((chances, pairs, offsets), (mdp.n_states, mdp.n_pairs))
         self.transition = sp.csr_array(self.taken @ mdp.transition)
         # However rarely: entries below the range of floats are missing in the matrix.
@@ -176,7 +178,9 @@ class FloatChain:
         half = half * SLACK + UNIT * (np.abs(low) + np.abs(high)) + TINY * (high != low)
         inside, own = self.classes.recurrent, self.classes.own
         gain = FixedPoint(value=middle[own] * inside, error=half[own] * inside)
-        return gain if inside.all() else self.until_class.solve(gain.value, gain.error)
+        if inside.all():
+            return gain
+        return self.until_class.solve(gain.value, gain.error)
 
     def bound_by_class(self, point: FixedPoint) -> tuple[Floats, Floats]:
         """Return (C,) the least and the greatest of numbers (S,) in each class, errors included."""

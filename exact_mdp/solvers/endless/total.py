@@ -97,11 +97,10 @@ def _is_reduction_sound(whole: Derived, part: Derived, solution: Solution) -> bo
 def round_exact_solution(mdp: MDP, criterion: str = "total") -> Solution:
     """Return exact values, of an average reward gain and bias, rounded once."""
     started, average = perf_counter(), criterion == "average"
-    proof = (
-        prove_goal_total(mdp)
-        if mdp.goal is not None and not average
-        else prove_gain_and_bias(mdp, criterion)
-    )
+    if mdp.goal is not None and not average:
+        proof = prove_goal_total(mdp)
+    else:
+        proof = prove_gain_and_bias(mdp, criterion)
     value = proof.value_float
     one_sign(mdp, proof.infinite_sign)
     with np.errstate(invalid="ignore"):
@@ -203,7 +202,9 @@ class Structure:
             leaving = self.graph.find_states_with(pairs) & (rest >= 0)
             merged &= np.bincount(rest[leaving], minlength=count) > 0
         label = np.append(np.where(merged, np.cumsum(merged) - 1, -1), -1)[rest]
-        rests = [(k, Fraction(0)) for k in range(int(merged.sum()))] if free else []
+        rests = []
+        if free:
+            rests = [(k, Fraction(0)) for k in range(int(merged.sum()))]
         single = finite & ~self.ends & (rest < 0)
         label[single] = int(merged.sum()) + np.arange(int(single.sum()))
         return build_derived_model(mdp, np.flatnonzero(pairs), label, rests=rests)
@@ -233,7 +234,10 @@ class Structure:
                 own = self._extract_components(self.core)
                 best = _solve_gain_in_floats(own)
                 sure = best is not None and bool((best.value > best.error)[:-1].all())
-                earning = best.pairs if best is not None and sure else best_average(own.mdp)[0]
+                if best is not None and sure:
+                    earning = best.pairs
+                else:
+                    earning = best_average(own.mdp)[0]
                 pairs[above] = own.source[earning[:-1]]
             safe = graph.find_pairs_within(self.sign >= 0) & (self.sign > 0)[mdp.pair_state]
             choose_nearer_pairs(graph, above, safe, pairs)

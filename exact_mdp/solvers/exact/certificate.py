@@ -43,7 +43,9 @@ from exact_mdp.solvers.solution import (
 
 def require_model(given: MDP | None, own: MDP | None, where: str = "violations") -> MDP:
     """Return the model given, or else the certificate's own; raises ModelError without either."""
-    mdp = own if given is None else given
+    mdp = given
+    if given is None:
+        mdp = own
     if mdp is None:
         raise ModelError(
             "a certificate read from a file does not contain the model",
@@ -190,10 +192,14 @@ class Certificate(Proof, Pictured):
     kinds: ClassVar[tuple[str, ...]] = ("total", "average")
 
     def __repr__(self) -> str:
-        best = "least " if self.sense == "min" else ""
+        best = ""
+        if self.sense == "min":
+            best = "least "
         if self.kind == "average":
             return f"Certificate({len(self.policy)} states, {best}gain at the start {self.start})"
-        unique = "the only optimal policy" if self.unique else "not the only optimal policy"
+        unique = "not the only optimal policy"
+        if self.unique:
+            unique = "the only optimal policy"
         return (
             f"Certificate({len(self.policy)} states, "
             f"{best}start value ≈ {in_float(self.start_value):.12g}, {unique})"
@@ -207,7 +213,9 @@ class Certificate(Proof, Pictured):
     @property
     def sign(self) -> int:
         """1, or -1 where the numbers are costs."""
-        return 1 if self.sense == "max" else -1
+        if self.sense == "max":
+            return 1
+        return -1
 
     @property
     def infinite_sign(self) -> Integers:
@@ -233,7 +241,9 @@ class Certificate(Proof, Pictured):
 
     @property
     def _values(self) -> Level:
-        return self.g if self.kind == "average" and self.g is not None else self.h
+        if self.kind == "average" and self.g is not None:
+            return self.g
+        return self.h
 
     def _with_infinite(self, values: Numbers) -> Numbers:
         extended = values.copy()
@@ -405,12 +415,16 @@ class BoundedCertificate(Proof, Pictured):
     @cached_property
     def lower(self) -> Floats:
         """(S,) a lower bound of the values."""
-        return self.low.to_floats() if self.sense == "max" else self.high.to_floats(-1)
+        if self.sense == "max":
+            return self.low.to_floats()
+        return self.high.to_floats(-1)
 
     @cached_property
     def upper(self) -> Floats:
         """(S,) an upper bound of the values."""
-        return self.high.to_floats() if self.sense == "max" else self.low.to_floats(-1)
+        if self.sense == "max":
+            return self.high.to_floats()
+        return self.low.to_floats(-1)
 
     @property
     def value(self) -> Floats:

@@ -122,7 +122,10 @@ def certify(
         return prove_goal_total(mdp)
     _, (value,), sign = optimise_exactly(exact_rows(mdp))
     optimal = sign == 0
-    rank = prove_termination(mdp).rank if mdp.discount_exact == 1 else None
+    if mdp.discount_exact == 1:
+        rank = prove_termination(mdp).rank
+    else:
+        rank = None
     return build_certificate(mdp, first_of(mdp, optimal), optimal, h=value, rank=rank)
 
 
@@ -133,7 +136,10 @@ ATTEMPTS = 3  # as values move, so do their rounding errors: the second has alwa
 
 def _certify_bounds(mdp: MDP, solution: Solution | None) -> BoundedCertificate:
     if mdp.sense == "min":
-        known = None if solution is None else solution.negated(mdp.maximised)
+        if solution is None:
+            known = None
+        else:
+            known = solution.negated(mdp.maximised)
         proof = _certify_bounds(mdp.maximised, known)
         return replace(proof, mdp=mdp, model=fingerprint(mdp), sense="min")
     if solution is None:

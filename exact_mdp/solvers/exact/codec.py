@@ -94,7 +94,9 @@ def decode_record(kind: Any, value: Any) -> Any:
         return np.array(value, dtype=np.int64)
     _require_fit(isinstance(value, list))
     items = [decode_record(of[0], each) for each in value]
-    return tuple(items) if get_origin(kind) is tuple else items
+    if get_origin(kind) is tuple:
+        return tuple(items)
+    return items
 
 
 def _require_fit(right: object) -> None:
@@ -137,7 +139,10 @@ def load_proof(kinds: Mapping[str, type[T]], path: str | Path) -> T:
     try:
         data = json.loads(text, object_pairs_hook=once)
         fault = "the file is damaged"
-        data = data if isinstance(data, dict) else {}
+        if isinstance(data, dict):
+            data = data
+        else:
+            data = {}
         head: dict[str, list[Any]] = {"format": [FORMAT], "version": [VERSION], "kind": [*kinds]}
         for key, known in head.items():
             own, each = data.get(key), " or ".join(map(repr, known))

@@ -75,7 +75,8 @@ def build_certificate(
         kind=kind,
         **none | parts,
     )
-    optimal = draft.optimal_pairs if optimal is None else optimal
+    if optimal is None:
+        optimal = draft.optimal_pairs
     infinite = one_sign(mdp, draft.infinite_sign)
     start = (draft.g if kind == "average" and draft.g else draft.h).compute_mean(mdp.start)
     start_value = draft.sign * (inf * infinite if infinite else start)
@@ -94,7 +95,9 @@ def one_sign(mdp: MDP, sign: Numbers) -> int:
             where="start",
             fix="start in one state: --start, or mdp.with_(start=…)",
         )
-    return signs.pop() if signs else 0
+    if signs:
+        return signs.pop()
+    return 0
 
 
 def one_optimum(mdp: MDP, optimal: Mask) -> bool:
@@ -164,7 +167,9 @@ def _iterate_policies(
 
 def prove_goal_total(mdp: MDP) -> Certificate:
     """Return the proof of a total until a goal that some policy never reaches."""
-    prove = _prove_missing_pays if mdp.maximised.unreached == inf else _prove_missing_costs
+    prove = _prove_missing_costs
+    if mdp.maximised.unreached == inf:
+        prove = _prove_missing_pays
     assert mdp.goal is not None
     return prove(mdp, exact_rows(mdp), Graph(mdp), mdp.goal)
 
@@ -265,14 +270,15 @@ def optimise_exactly(
     """
     each = amounts or [rows.constant]
     listed, ones = [own.tolist() for own in each], [1] * len(rows.constant)
-    begin = rows.pair_offsets[:-1] if first is None else first
+    if first is None:
+        first = rows.pair_offsets[:-1]
 
     def evaluate(pairs: Integers) -> list[Step]:
         values = evaluate_exactly(rows, pairs, each)
         return [(value, own, ones) for value, own in zip(values, listed, strict=True)]
 
     return _iterate_policies(
-        rows, improve_in_floats(replace(rows, constant=each[0]), begin), evaluate
+        rows, improve_in_floats(replace(rows, constant=each[0]), first), evaluate
     )
 
 
@@ -309,4 +315,6 @@ def improve_in_floats(rows: BellmanRows, first: Integers) -> Integers:
     chain = rows.of_pairs(pairs)
     graph = sp.csr_array((np.ones(len(chain.next)), chain.next, chain.offsets), (len(live),) * 2)
     ends = rows.terminal | (row_sums(chain.weight, chain.offsets) < chain.scale)
-    return pairs if find_reachable_nodes(graph.T.tocsr(), ends).all() else first
+    if find_reachable_nodes(graph.T.tocsr(), ends).all():
+        return pairs
+    return first

@@ -62,7 +62,9 @@ class Lifting:
     @property
     def width(self) -> int:
         """Bits of a digit; 0 where floats cannot tell digits of any width."""
-        return self._widths[0] if self._widths else 0
+        if self._widths:
+            return self._widths[0]
+        return 0
 
     def _split_limbs(self) -> None:
         """Split the entries into limbs; those below the last one have products within 64 bits."""
@@ -212,7 +214,9 @@ def _find_denominator(number: fmpz, bits: int, excess: int = 0) -> fmpz | None:
     # That distance may be `excess` bits longer than q is.
     basis = flint.fmpz_mat(2, 2, [number, flint.fmpz(1) << excess, flint.fmpz(1) << bits, 0]).lll()
     rest, below = basis[0, 0], abs(basis[0, 1]) >> excess
-    return below if below and below.bit_length() + rest.bit_length() < bits - SPARE else None
+    if below and below.bit_length() + rest.bit_length() < bits - SPARE:
+        return below
+    return None
 
 
 def _is_solution(rows: Rows, side: Sequence[Any], top: list[fmpz], below: fmpz) -> bool:

@@ -132,7 +132,8 @@ def build_equations(rows: BellmanRows, states: NDArray[np.bool_] | None = None) 
 
     Of some states (S,), those that are not terminal by default; the others have V = r.
     """
-    states = ~rows.terminal if states is None else states
+    if states is None:
+        states = ~rows.terminal
     inside, every = states[rows.pair], np.arange(len(rows.scale))
     return Matrix.of(
         len(every),
@@ -262,14 +263,22 @@ class _Solution:
             for s, own in zip(states, listed[k * len(states) :], strict=False):
                 values[s] = own
         for s in states:
-            self.group[s] = number if any(top[s] for top in self.tops) else 0
+            if any(top[s] for top in self.tops):
+                self.group[s] = number
+            else:
+                self.group[s] = 0
 
 
 def _compute_common_multiple(numbers: Iterable[fmpz]) -> fmpz:
     multiple = flint.fmpz(1)
     for number in numbers:
-        multiple = number if multiple == 1 else multiple.lcm(number)
-    return multiple if multiple > 0 else -multiple
+        if multiple == 1:
+            multiple = number
+        else:
+            multiple = multiple.lcm(number)
+    if multiple > 0:
+        return multiple
+    return -multiple
 
 
 def _solve_component(

@@ -157,9 +157,15 @@ class QLearning:
                 fix="set snapshot_episode=0, or keep fewer last policies",
             )
         entries, double = rows * mdp.n_actions, self.method == "double-q-learning"
-        initial = 0.0 - float(self.initial) if costs else float(self.initial)
+        if costs:
+            initial = 0.0 - float(self.initial)
+        else:
+            initial = float(self.initial)
         both = np.full((2, entries if double else 0), initial)
-        acting = np.full(entries, initial) if not double else both[0] + both[1]
+        if not double:
+            acting = np.full(entries, initial)
+        else:
+            acting = both[0] + both[1]
         counts = np.zeros(entries if self.rate_power else 0, dtype=np.int64)
         snapshots = np.zeros((self.epochs if self.snapshot_episode else 0, rows), dtype=np.int32)
         last = np.zeros((min(self.last, self.epochs * self.episodes), rows), dtype=np.int32)

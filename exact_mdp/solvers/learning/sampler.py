@@ -48,7 +48,9 @@ def build_q_table_rows(mdp: MDP, columns: Sequence[str] | None = None) -> QTable
     """
     names = mdp.space.names
     if columns is None:
-        columns = ("status",) if "status" in names else names
+        columns = names
+        if "status" in names:
+            columns = ("status",)
     space = space_over(mdp, tuple(columns))
     key = rows_read(mdp, space)
     mine = np.zeros((mdp.n_states, mdp.n_actions), dtype=bool)
@@ -115,7 +117,9 @@ def make_random_stream(rng: Seed) -> Numbers:
 
 def as_sequence(rng: Seed) -> SeedSequence:
     """Return the seed sequence of a whole number or a generator, or the sequence given."""
-    return rng if isinstance(rng, SeedSequence) else SeedSequence(seed_of(rng))
+    if isinstance(rng, SeedSequence):
+        return rng
+    return SeedSequence(seed_of(rng))
 
 
 def spawn_child_seed(rng: Seed, number: int) -> SeedSequence:

@@ -116,7 +116,10 @@ class Objectives:
                 where=where_endless(self.ending),
                 fix=ways_out(mdp),
             )
-        goal = np.ones_like(mdp.terminal) if mdp.goal is None else mdp.goal
+        if mdp.goal is None:
+            goal = np.ones_like(mdp.terminal)
+        else:
+            goal = mdp.goal
         if (beside := find_reachable_states(mdp) & self.ending.terminal & ~goal).any():
             raise ModelError(
                 "no total is finite: a policy may end beside the goal",

@@ -73,7 +73,9 @@ class Limit:
 
     def format_limit(self, digits: int | None = None) -> str:
         """Return the limit, its bound in decimals where a number of digits is given."""
-        bound = self.bound if digits is None else format_rational(self.bound, digits)
+        bound = str(self.bound)
+        if digits is not None:
+            bound = format_rational(self.bound, digits)
         return f"{self.name} {'>=' if self.sign > 0 else '<='} {bound}"
 
 
@@ -133,12 +135,16 @@ class ConstrainedSolution(TotalsProof):
     @property
     def start_value(self) -> Fraction | None:
         """The optimum, which the policy earns; None where no policy keeps the limits."""
-        return self._totals[0] if self.feasible else None
+        if self.feasible:
+            return self._totals[0]
+        return None
 
     @property
     def start(self) -> Certified | None:
         """The same as a claim."""
-        return None if self.start_value is None else Certified(value=self.start_value)
+        if self.start_value is None:
+            return None
+        return Certified(value=self.start_value)
 
     @cached_property
     def _totals(self) -> Point:
@@ -295,7 +301,10 @@ def limits_of(subject_to: Mapping[str, Any]) -> tuple[Limit, ...]:
                     where=f"subject_to {name!r}",
                     fix='write a text with >= or <=, such as ">= -1/2" or "<= 1/20"',
                 )
-            sign = 1 if parts[1] == ">=" else -1
+            if parts[1] == ">=":
+                sign = 1
+            else:
+                sign = -1
             with locate_errors(f"subject_to {name!r}"):
                 limits.append(Limit(name=str(name), sign=sign, bound=exact(parts[2])))
     return tuple(limits)
@@ -357,7 +366,9 @@ def _combine_policies(
         x, (most, *due) = solve_linear_program(
             earned + [-ONE] * short, columns, [ONE] + [ZERO] * size
         )
-        shift = x[-1] if short else ZERO
+        shift = ZERO
+        if short:
+            shift = x[-1]
         if short and not shift:
             short = False
             continue

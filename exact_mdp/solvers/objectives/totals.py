@@ -172,6 +172,9 @@ class TotalsProof(Proof):
 
 def list_proof_fields(of: Objectives, kind: str) -> dict[str, Any]:
     """Return the fields that all proofs about totals have."""
-    rank = prove_termination(of.ending).rank if of.mdp.discount_exact == 1 else None
+    if of.mdp.discount_exact == 1:
+        rank = prove_termination(of.ending).rank
+    else:
+        rank = None
     parts = {"kind": kind, "model": fingerprint(of.mdp), "mdp": of.mdp}
     return parts | {"objectives": of.texts, "rank": rank}

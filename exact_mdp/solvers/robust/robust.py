@@ -271,7 +271,9 @@ def _maximise_expected_steps(game: Game) -> Floats:
         stuck = np.flatnonzero(~find_reachable_nodes(chain.T.tocsr(), mdp.terminal.copy()))
         if len(stuck):
             named = ", ".join(f"({label})" for label in mdp.space.labels(stuck[:4]))
-            more = f" and {len(stuck) - 4} more" if len(stuck) > 4 else ""
+            more = ""
+            if len(stuck) > 4:
+                more = f" and {len(stuck) - 4} more"
             raise ModelError(
                 "discount 1 needs every episode to end, and under laws within the sets one does "
                 "not",
@@ -293,7 +295,10 @@ def _iterate_values(
         return Status.CONVERGED, value, value.copy(), game.solve_inner_problem(value), 0
     weight, margin = verify_margins(game)
     most, best, trust, step = float(weight.max()), np.inf, np.inf, value
-    terms = 1 if game.weights is None else np.diff(np.append(game.first, len(game.pairs))).max() + 1
+    if game.weights is None:
+        terms = 1
+    else:
+        terms = np.diff(np.append(game.first, len(game.pairs))).max() + 1
     for iteration in range(1, max_iterations + 1):
         asked, here = game.solve_inner_problem(value), value[live]
         share = game.choose_pairs(asked.value)
@@ -322,7 +327,10 @@ def _iterate_values(
         limit = tol or RELATIVE_TOLERANCE * max(1.0, float(np.abs(better).max()))
         noise = float((asked.high - asked.low).max() + doubt.max()) / float(margin.min())
         if error * most <= limit or best <= error <= 4 * noise:
-            status = Status.CONVERGED if error * most <= limit else Status.PRECISION
+            if error * most <= limit:
+                status = Status.CONVERGED
+            else:
+                status = Status.PRECISION
             return status, value, np.asarray(error * weight * SLACK), asked, iteration
         best = min(best, error)
         step = value.copy()
@@ -330,7 +338,9 @@ def _iterate_values(
         value = game.solve_chain(asked, share, order)
         # Both at once may go round, each undoing the other's choice: then nature settles first, and
         # what the agent gains grows, whatever the bounds do on the way.
-        trust = np.inf if iteration > TURNS else error
+        trust = error
+        if iteration > TURNS:
+            trust = np.inf
         for _ in range(SETTLING if iteration > TURNS else 0):
             before, value = value, game.solve_chain(game.solve_inner_problem(value), share, order)
             if not (np.abs(value - before) > 8 * UNIT * np.abs(before).max()).any():

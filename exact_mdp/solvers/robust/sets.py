@@ -181,7 +181,9 @@ class Ball(Ambiguity):
     def list_radii(self, block: RowBlock) -> Floats:
         """Return (K,) the radius of each row of a block."""
         each = self.radius
-        return each[block.pair] if isinstance(each, np.ndarray) else np.full(len(block.pair), each)
+        if isinstance(each, np.ndarray):
+            return each[block.pair]
+        return np.full(len(block.pair), each)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

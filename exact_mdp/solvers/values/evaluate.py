@@ -210,7 +210,10 @@ class Evaluation(OfPolicy, Pictured):
             ):
                 if often.any():
                     apart = ends.min(initial=0) < 0 < ends.max(initial=0)
-                    numbers[name] = UNKNOWN if apart else self._evaluate_component(name)
+                    if apart:
+                        numbers[name] = UNKNOWN
+                    else:
+                        numbers[name] = self._evaluate_component(name)
         return numbers
 
     def _evaluate_component(self, name: str) -> Bounded:
@@ -267,7 +270,10 @@ class Evaluation(OfPolicy, Pictured):
             doubt = chain.sum_by_state(chain.probability * (2 * np.abs(surprise) + off) * off)
             doubt += gamma(chain.outcomes + chain.roundings + 5) * constant + TINY
         rate_exact = self.mdp.discount_exact
-        equations = chain.discounted if rate_exact == 1 else chain.build_equations(rate_exact**2)
+        if rate_exact == 1:
+            equations = chain.discounted
+        else:
+            equations = chain.build_equations(rate_exact**2)
         point = equations.solve(np.where(live, constant, 0.0), np.where(live, doubt, 0.0) * SLACK)
         # No variance is negative: a negative rounding error is nearer to the truth as 0.
         return FixedPoint(value=np.maximum(point.value, 0.0), error=point.error)
@@ -307,12 +313,16 @@ class Evaluation(OfPolicy, Pictured):
 
         None where the distribution of the return is not a list: `quantiles_missing` says why.
         """
-        return self._quantiles if isinstance(self._quantiles, dict) else None
+        if isinstance(self._quantiles, dict):
+            return self._quantiles
+        return None
 
     @property
     def quantiles_missing(self) -> str:
         """The reason for missing quantiles; empty if there are quantiles."""
-        return self._quantiles if isinstance(self._quantiles, str) else ""
+        if isinstance(self._quantiles, str):
+            return self._quantiles
+        return ""
 
     @cached_property
     def _quantiles(self) -> dict[float, float] | str:
@@ -430,7 +440,10 @@ class Evaluation(OfPolicy, Pictured):
 def _pair_visits(chain: PolicyChain, visits: Floats) -> Floats:
     """Return (L,) the expected discounted uses of each pair; at discount 1 none where all ended."""
     mdp = chain.mdp
-    stay = 0.0 if mdp.discount_exact == 1 else float(1 / (1 - mdp.discount_exact))
+    if mdp.discount_exact == 1:
+        stay = 0.0
+    else:
+        stay = float(1 / (1 - mdp.discount_exact))
     return (visits * np.where(mdp.terminal, stay, 1.0))[mdp.pair_state] * chain.weights
 
 
@@ -515,7 +528,10 @@ def evaluate(
                 chain=given, given=given, value=alone.value, error=alone.state_error, settled=False
             )
         mdp = chain.mdp
-    known = chain.arriving if mdp.discount_exact == 1 else np.ones(mdp.n_states, dtype=bool)
+    if mdp.discount_exact == 1:
+        known = chain.arriving
+    else:
+        known = np.ones(mdp.n_states, dtype=bool)
     live = known & ~mdp.terminal
     reward, error = chain.reward
     point = _evaluate_closely(

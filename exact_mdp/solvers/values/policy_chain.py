@@ -149,13 +149,20 @@ class PolicyChain:
         """(L,) probability of each pair given its state; sums to 1 over the pairs of a state."""
         shares, mdp = self._shares, self.mdp
         total = np.add.reduceat(shares, mdp.pair_offsets[:-1])[mdp.pair_state]
-        return np.asarray(shares / total) if shares.dtype == np.float64 else divide(shares, total)
+        if shares.dtype == np.float64:
+            return np.asarray(shares / total)
+        return divide(shares, total)
 
     @cached_property
     def _shares(self) -> Numbers:
         """(L,) whole numbers in proportion to the exact probabilities, or floats that are."""
-        exactly = None if self.policy is None else self.policy.weights_exact(self.mdp)
-        return self.chosen if exactly is None else exactly
+        if self.policy is None:
+            exactly = None
+        else:
+            exactly = self.policy.weights_exact(self.mdp)
+        if exactly is None:
+            return self.chosen
+        return exactly
 
     def exact_weights(self, state: int) -> dict[int, Fraction]:
         """Return the exact probability of each pair that is taken in a state."""
@@ -179,7 +186,9 @@ class PolicyChain:
     @property
     def read_as(self) -> ReadAs:
         """What an array was taken for: "q" or "policy"."""
-        return "policy" if self.policy is None else self.policy.read_as
+        if self.policy is None:
+            return "policy"
+        return self.policy.read_as
 
     @property
     def pure(self) -> bool:
@@ -259,7 +268,9 @@ class PolicyChain:
     @cached_property
     def order(self) -> Integers | None:
         """(S,) numbers that fall along every transition; None where the model has cycles."""
-        return topological_levels(self.mdp) if self.mdp.terminal.any() else None
+        if self.mdp.terminal.any():
+            return topological_levels(self.mdp)
+        return None
 
     @cached_property
     def reached(self) -> Mask:
@@ -331,7 +342,10 @@ class PolicyChain:
 
     def build_equations(self, rate: Fraction) -> PolicyEquations:
         """Return x = c + rate · P_π x, at rate 1 in states that end; x is 0 where all has ended."""
-        live = self.ends & ~self.mdp.terminal if rate == 1 else ~self.mdp.terminal
+        if rate == 1:
+            live = self.ends & ~self.mdp.terminal
+        else:
+            live = ~self.mdp.terminal
         inner = select_rows(self.transition, np.arange(len(live)), live, inner=True)
         system = LinearSystem(inner, float(rate), order=self.order, roundings=self.roundings)
         return PolicyEquations(self, live, system, partial(self.build_bellman_rows, rate))
@@ -345,7 +359,9 @@ class PolicyChain:
     def discounted(self) -> PolicyEquations:
         """Equation x = c + γ P_π x; at discount 1 on the states that end."""
         rate = self.mdp.discount_exact
-        return self.undiscounted if rate == 1 else self.build_equations(rate)
+        if rate == 1:
+            return self.undiscounted
+        return self.build_equations(rate)
 
     # ---- exact numbers -----------------------------------------------------------------------
 
@@ -371,10 +387,15 @@ class PolicyChain:
 
     def build_bellman_rows(self, rate: Fraction | None = None) -> BellmanRows:
         """Return the equations of the chain in integers, at another discount if one is given."""
-        mdp = self.mdp if self.pure else self.model
+        if self.pure:
+            mdp = self.mdp
+        else:
+            mdp = self.model
         if rate not in (None, mdp.discount_exact):
             mdp = mdp.with_(discount=rate)
-        return bellman_rows(mdp).of_pairs(self.pairs) if self.pure else bellman_rows(mdp)
+        if self.pure:
+            return bellman_rows(mdp).of_pairs(self.pairs)
+        return bellman_rows(mdp)
 
     @cached_property
     def model(self) -> MDP:
@@ -603,7 +624,10 @@ def split_infinite_returns(chain: PolicyChain) -> tuple[PolicyChain, dict[float,
     else:
         rest = chain.resting
         busy = chain.reached & chain.classes.recurrent & ~rest & ~mdp.terminal
-        gain = _find_gain_signs(chain, busy) if busy.any() else np.zeros(mdp.n_states)
+        if busy.any():
+            gain = _find_gain_signs(chain, busy)
+        else:
+            gain = np.zeros(mdp.n_states)
         if (flat := busy & (gain == 0)).any():
             raise ModelError(
                 "rewards cancel forever, and the return has no limit",

@@ -170,7 +170,10 @@ class MassFlow:
         listed, chances = multiples[:finite], masses[:finite]
         for sign, some in ((-inf, masses[finite:above]), (inf, masses[above:])):
             if len(some):
-                place = 0 if sign < 0 else len(listed)
+                if sign < 0:
+                    place = 0
+                else:
+                    place = len(listed)
                 listed = np.insert(listed.astype(object), place, sign)
                 chances = np.insert(chances, place, some.sum())
         roundings += int(self.entering[self.last]) + 10 + len(end) - int(finite)
@@ -266,5 +269,7 @@ def _sum_masses(parts: list[Mass]) -> Mass:
     key = state * len(different) + place
     order = np.argsort(key, kind="stable")
     first = np.flatnonzero(np.diff(key[order], prepend=-1))
-    total = np.add.reduceat(mass[order], first) if len(first) else mass
+    total = mass
+    if len(first):
+        total = np.add.reduceat(mass[order], first)
     return state[order][first], multiple[order][first], total

@@ -88,7 +88,9 @@ class ReturnDistribution(Pictured):
 
     def _compute_value(self, place: int) -> Fraction | float:
         multiple: Any = self.multiples[place]
-        return multiple if isinstance(multiple, float) else self.unit * int(multiple)
+        if isinstance(multiple, float):
+            return multiple
+        return self.unit * int(multiple)
 
     @cached_property
     def values(self) -> tuple[Fraction | float, ...]:
@@ -122,13 +124,17 @@ class ReturnDistribution(Pictured):
     @cached_property
     def _sums(self) -> Any:
         """The cdf at each return: exact where the probabilities are."""
-        return np.cumsum(self.probabilities) if self.exact is None else [*accumulate(self.exact)]
+        if self.exact is None:
+            return np.cumsum(self.probabilities)
+        return [*accumulate(self.exact)]
 
     def cdf(self, value: object) -> float:
         """Return the probability of a return of at most `value` (a number or "p/q")."""
         bound = exact(value, "return") / self.unit
         count = bisect_right(self.multiples, bound.numerator // bound.denominator)
-        return float(self._sums[count - 1]) if count else 0.0
+        if count:
+            return float(self._sums[count - 1])
+        return 0.0
 
     def quantile(self, share: object) -> Fraction | float:
         """Return the least return whose cdf is at least `share`; it may be infinite.
@@ -306,7 +312,10 @@ def return_distribution(
     chain, lost = split_infinite_returns(PolicyChain.of(mdp, policy, kind=kind))
     gain, unit = _find_lattice(chain)
     multiples, masses, left, roundings = MassFlow(chain, gain, lost, exact=exact).carry_mass()
-    shares = tuple(masses) if exact else None
+    if exact:
+        shares = tuple(masses)
+    else:
+        shares = None
     return ReturnDistribution(
         multiples=multiples,
         unit=unit,

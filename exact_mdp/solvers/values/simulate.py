@@ -101,7 +101,9 @@ class Simulation(Pictured):
         if self.never_ends:
             return nan
         with np.errstate(over="ignore", invalid="ignore"):
-            return float(self.returns.std(ddof=1)) if self.episodes > 1 else inf
+            if self.episodes > 1:
+                return float(self.returns.std(ddof=1))
+            return inf
 
     @property
     def standard_error(self) -> float:
@@ -111,7 +113,9 @@ class Simulation(Pictured):
     @property
     def mean_steps(self) -> float:
         """Mean number of timesteps; infinite where an episode never ends."""
-        return inf if self.endless else float(self.steps.mean())
+        if self.endless:
+            return inf
+        return float(self.steps.mean())
 
     def report(self) -> Report:
         """Return the estimate, the number of episodes, and their settings."""
@@ -193,10 +197,16 @@ def simulate(
     True
     """
     check_counts("simulate", n=n)
-    generator = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(seed_of(rng))
+    if isinstance(rng, np.random.Generator):
+        generator = rng
+    else:
+        generator = np.random.default_rng(seed_of(rng))
     unstopped = mdp_of(model)
     require_amounts(unstopped.table, "a sample of returns")
-    given = unstopped if horizon is None else unstopped.within(horizon)
+    if horizon is None:
+        given = unstopped
+    else:
+        given = unstopped.within(horizon)
     chain, infinite = split_infinite_returns(PolicyChain.of(given, policy, kind=kind))
     mdp = chain.mdp
     size = float(np.abs(chain.gain[chain.reached[chain.source]]).max(initial=0.0))
@@ -204,7 +214,10 @@ def simulate(
     limit = horizon
     if limit is None and missing:
         # The greatest return is size / (1 - γ), and what follows t steps at most γ^t of it.
-        limit = 1 if missing == 1 else ceil(log(NEGLIGIBLE) / log1p(-missing))
+        if missing == 1:
+            limit = 1
+        else:
+            limit = ceil(log(NEGLIGIBLE) / log1p(-missing))
         if limit > MOST_STEPS and not chain.ends_from_start:
             raise ModelError(
                 f"episodes need not end, and at discount {mdp.discount:.12g} their first "
@@ -251,7 +264,9 @@ def simulate(
     if horizon is not None:
         over = mdp.n_states - unstopped.n_states  # the first state of the time when all is over
         stopped = int((~unstopped.terminal[state[state >= over] - over]).sum())
-    rest = (size * factor / missing * SLACK + TINY) if len(running) and size else 0.0
+    rest = 0.0
+    if len(running) and size:
+        rest = size * factor / missing * SLACK + TINY
     return Simulation(
         returns=returns,
         steps=steps,
