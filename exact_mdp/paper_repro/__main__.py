@@ -56,7 +56,7 @@ def main(context: click.Context, quick: bool, out: Path, readme: Path | None) ->
         results = run.run_reproduction(out, quick=quick, readme=readme)
     except KeyboardInterrupt as stop:
         if not getattr(stop, "__notes__", ()):
-            stop.add_note(f"what is finished is kept in {out}, and the same command goes on")
+            stop.add_note(f"finished work is kept in {out}, and the same command goes on")
         raise
     click.echo(run.format_claim_table(results))
     click.echo(f"\nReport: {out / 'report.md'}; figures: {out / 'figures'} (SVG and PNG)")

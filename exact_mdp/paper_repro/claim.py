@@ -66,7 +66,7 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True)
 class PaperClaim:
-    """One claim: its name, its places in the paper, what it says, and the function that checks.
+    """One claim: its name, its places in the paper, its words, and the function that checks it.
 
     `open` claims hinge on what the text leaves open and are tried under other readings; those that
     `learn` take training runs.
@@ -111,7 +111,7 @@ def register_claim(
     """Return a decorator that makes a function a claim, or one claim for `each` of some words.
 
     The function then takes the word too; {word} in the name and the docstring stands for it, and
-    {means} for what it means.
+    {means} for its meaning.
     """
 
     def keep_claim(function: Callable[..., Finding]) -> Callable[..., Finding]:
@@ -187,7 +187,7 @@ def compare_average(
 
 
 def judge_by_chance(chance: float, why: str, **more: Any) -> Finding:
-    """Judge by the chance of what is at least as far off."""
+    """Judge by the probability of a result that is at least as far off."""
     within = chance >= CHANCE
     if within:
         verdict = ClaimVerdict.COMPATIBLE
@@ -231,7 +231,7 @@ def judge_undecided(why: str, **more: Any) -> Finding:
 def judge_claims(
     claims: list[PaperClaim], default: Reading, others: list[Reading], best: Reading
 ) -> Iterator[dict[str, Any]]:
-    """Yield each claim with what is found of it, as `numbers.json` has it.
+    """Yield each claim with its finding, as `numbers.json` holds it.
 
     Open claims are tried under `others` and under the best supported reading, too; where they hold
     under some of these and not under the default, the verdict says so.

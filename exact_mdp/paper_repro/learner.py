@@ -2,7 +2,7 @@
 
 Q-learning over the 16 statuses, learning rate 0.05, discount 0.95, 6,000 epochs of 30 episodes, ε
 constant at 0.1 or decaying (Equation 2). The paper trains once with each schedule; here each is
-trained with many seeds, so that what one run shows can be told from chance.
+trained with many seeds, so that the outcome of one run can be told from chance.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ ANGRY = tuple(status for status in STATUSES if status[2] == "1")
 OPEN = ("0001", "0101", "1001", "1101")  # nothing is said of these
 
 AVERAGES: dict[str, float] = REPORTED["averages"]  # by the action in status 0000
-FINAL = next(iter(AVERAGES))  # that of the paper's final policy
+FINAL = next(iter(AVERAGES))  # the order of the paper's final policy
 EXPERIMENTS: int = REPORTED["experiments"]
 ABOUT = 5.0  # how far from a number that the text calls approximate: a tolerance of ours
 ORDERS = {  # of "directive or non-directive, respectively" for 1000 and 0100

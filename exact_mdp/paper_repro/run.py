@@ -7,7 +7,7 @@ figures/       each figure as SVG and PNG
 run.json       versions, commit and date
 
 Finished training runs are kept in OUT/work until the job is done, so that an interrupted one goes
-on where it stopped. `expected.toml` pins what each claim comes to; it is written by hand.
+on where it stopped. `expected.toml` pins the result of each claim; it is written by hand.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ DIGITS = 10  # of the numbers that are written
 
 
 def show_progress(text: str) -> None:
-    """Show what is worked on, where standard error is a terminal."""
+    """Show the current task, if standard error is a terminal."""
     if sys.stderr.isatty():
         print(f"\r\x1b[K{text:.78}", end="", file=sys.stderr, flush=True)
 

@@ -77,7 +77,7 @@ def compute_status_probability(
 
 
 def compute_effect(mdp: MDP, source: str, target: str) -> Fraction:
-    """Return what a status that is present adds to the chance of another one."""
+    """Return the change of a status's probability if another status is present."""
     return compute_status_probability(mdp, BITS[source], 0, target) - compute_status_probability(
         mdp, 0, 0, target
     )

@@ -57,7 +57,7 @@ def status_suffices(reading: Reading) -> Finding:
 
 
 def compute_losses(reading: Reading, status: str, action: int) -> list[Fraction]:
-    """Return what an action loses in each state with a status and a choice, taken once.
+    """Return the suboptimality gap of an action in each state with a status and a choice.
 
     All else is optimal: V(s) - Σ p (r + γ V(s')), exactly, V by the certificate.
     """

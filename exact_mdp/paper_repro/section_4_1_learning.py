@@ -259,7 +259,7 @@ def error_of_pairs(shown: np.ndarray) -> float:
 
 
 def told_together(reading: Reading) -> dict[str, np.ndarray]:
-    """Return by what is told of the two runs (R, R) the pairs, one of each schedule, that show it.
+    """Return, for each statement about the two runs, the pairs of runs (R, R) that show it.
 
     Of a run the policies of its last 100 episodes count.
     """

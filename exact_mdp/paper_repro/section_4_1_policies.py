@@ -359,7 +359,7 @@ def cost_of_choices(reading: Reading) -> Figure:
 
 
 def cost_of_each(reading: Reading) -> np.ndarray:
-    """Return (16, 4) what is lost at the start by an action in a status, all else being optimal."""
+    """Return the loss (16, 4) at the start of an action in a status, all else being optimal."""
     mdp, best = reading.mdp, reading.evaluate_policy("optimal").mean
     status, free = mdp.space.values("status"), ~mdp.forced & ~mdp.terminal
     lost = np.zeros((len(STATUSES), len(ACTIONS)))

@@ -58,7 +58,7 @@ class Reading:
     """The model under one reading of the text, with everything that claims ask of it."""
 
     scenario: Scenario
-    label: str = "default"  # what it changes
+    label: str = "default"  # the changed details
     order: str = "as written"  # of "respectively"
     runs: int = 100  # training runs of each schedule
     folder: Path | None = None  # where finished training runs are kept
@@ -213,7 +213,7 @@ def compute_support(base: Reading, progress: Callable[[str], None] = lambda text
         for order in ORDERS:
             logs.append(log_likelihood(one, order))
             label = "; ".join(changes + [SWAPPED] * (order == "swapped")) or "default"
-            # A reading anew: what it has worked out is not kept for all of them.
+            # A new reading each time, so that cached results do not fill memory.
             readings.append(replace(base, scenario=scenario, order=order, label=label))
             choices.append({**chosen, "respectively": order})
         progress(f"{len(readings) // 2} readings of the text")
@@ -222,7 +222,7 @@ def compute_support(base: Reading, progress: Callable[[str], None] = lambda text
 
 
 def describe_readings(evidence: Support, changed: Sequence[Reading]) -> dict[str, Any]:
-    """Return what the report says of the readings: options, the best, and the one-change ones."""
+    """Return the report's facts about the readings: options, the best, and single changes."""
     best = evidence.best
 
     def describe_reading(reading: Reading, order: str) -> dict[str, Any]:

@@ -147,7 +147,7 @@ def converse_command(out: Path, resume: bool, limit: int | None, **words: Any) -
     try:
         record = talk.hold(out, resume=resume, limit=limit, progress=print_step)
     except BackendError:
-        click.echo(f"what was recorded before is in {out / NAME}; --resume goes on", err=True)
+        click.echo(f"the recording so far is in {out / NAME}; --resume goes on", err=True)
         raise
     record_run(out, talk, words)
     state = "not finished, --resume goes on"
@@ -175,7 +175,7 @@ def converse_command(out: Path, resume: bool, limit: int | None, **words: Any) -
 def measure_command(
     each: int, recordings: tuple[Path, ...], scripted_behaviour: bool, out: Path, **words: Any
 ) -> None:
-    """Count a backend's perception: confusion.csv, rates with intervals, and what it costs."""
+    """Count a backend's perception: confusion.csv, rates with intervals, and the cost of errors."""
     import pandas
 
     talk = build_conversation(backend_of(words), **words)

@@ -76,7 +76,7 @@ class Endpoint:
         self._read_key()
 
     def describe(self) -> dict[str, Any]:
-        """Return the endpoint and how it is asked; the key is no part of it."""
+        """Return the endpoint and its settings, without the key."""
         return {
             "backend": "openai",
             "model": self.model,
@@ -243,7 +243,7 @@ def _checked_address(url: str) -> None:
         raise ModelError("not an http or https address", where="--base-url", fix="write https://…")
     if parts.scheme == "http" and not loopback:
         raise ModelError(
-            "what is sent would travel unencrypted",
+            "messages would travel unencrypted",
             where="--base-url",
             fix="use https; http is for this machine",
         )

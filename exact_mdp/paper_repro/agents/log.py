@@ -78,7 +78,7 @@ def read_recording(path: Path) -> Recording | None:
     Raises
     ------
     ModelError
-        For a file that is no recording, or is damaged before its last line.
+        For a file that is not a recording, or is damaged before its last line.
     """
     if not path.exists():
         return None
@@ -197,7 +197,7 @@ def format_status(names: Sequence[str], bits: str) -> str:
 
 
 def format_dialogue(header: Mapping[str, Any], step: Mapping[str, Any]) -> str:
-    """Return one timestep as a dialogue: what was done and said, and what came of it."""
+    """Return one timestep as a dialogue: behaviour, speech and the next status."""
     behaviour, place = step["behaviour"], header["steps"][step["subtask"]]
     action = header["actions"].index(step["action"])
     return f"""{step["timestep"]}. {clean_text(place["step"])} \

@@ -7,7 +7,7 @@ independently. So its confusion matrix is known:
     C(s, p) = Π_i (1 - ε)^[s_i = p_i] ε^[s_i ≠ p_i]
 
 Phrases that were not heard yet in a conversation come first. It shows that the parts work together.
-It is no evidence about language models.
+It says nothing about language models.
 """
 
 from __future__ import annotations

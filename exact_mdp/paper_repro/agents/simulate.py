@@ -52,7 +52,7 @@ class Backend(Protocol):
     """Whoever answers: a script, or a language model."""
 
     def describe(self) -> dict[str, Any]:
-        """Return what a recording says of it."""
+        """Return the header of a recording."""
 
     def answer(self, request: Request) -> dict[str, Any]:
         """Return an answer in the form that the request asks for."""
@@ -140,7 +140,7 @@ class Conversation:
         limit: int | None = None,
         progress: Callable[[dict[str, Any]], None] = lambda step: None,
     ) -> Recording:
-        """Run into a folder, or `resume` what it holds, up to `limit` timesteps in all.
+        """Run into a folder, or `resume` the recording in it, up to `limit` timesteps in all.
 
         Raises ModelError where the folder holds a conversation and `resume` is not asked for, or
         one with other settings. What was recorded before a failure stays.
@@ -153,12 +153,12 @@ class Conversation:
                     break
                 record.add_entry(self.simulate_step(record.steps))
                 progress(record.steps[-1])
-        finally:  # write what was recorded, whatever stopped the run
+        finally:  # write all records, whatever stopped the run
             write_file(record.path.with_suffix(".txt"), log.format_recording(record))
         return record
 
     def simulate_step(self, past: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """Return the timestep after those of `past`."""
+        """Return the timestep that follows the timesteps `past`."""
         modules, timestep = self.modules, len(past)
 
         def seed_for_purpose(purpose: str) -> int:
@@ -223,7 +223,7 @@ class Conversation:
         }
 
     def label_behaviours(self, path: Path, *, each: int, behave: Backend) -> None:
-        """Write `each` behaviours for every status vector to a file, and what is perceived in them.
+        """Write `each` behaviours for every status vector to a file, and the perceived statuses.
 
         The matrix C(s, p) = count(s, p) / each is the perception of the backend. Behaviours that
         the file holds already are not asked for again.

@@ -1,8 +1,8 @@
 """The words of the agents: prompts, guidelines, an activity; and the three questions made of them.
 
-    behaviour  (role, task, history, latest assistance, guidelines, status, format)  -> what is done
+    behaviour  (role, task, history, latest assistance, guidelines, status, format)  -> behaviour
     perception (purpose, definitions, behaviour, format)                             -> status seen
-    execution  (role, task, history, behaviour, action, format, guidelines, status?) -> what is said
+    execution  (role, task, history, behaviour, action, format, guidelines, status?) -> speech
 
 Source: Yuan et al. (2025), Sections 2.2, 3.1 and 3.3; the words are our own. Perception is given
 the behaviour alone. The status that execution may be given is the perceived one: the robot has no
@@ -55,7 +55,7 @@ class Request:
 
 
 def status_lines(statuses: Sequence[str]) -> str:
-    """Return what each status means and how it shows, one line each."""
+    """Return a line for each status: its meaning and its signs."""
     entries = {status: TEXTS["status"][status] for status in statuses}
     return "\n".join(
         f"- {status}: {entry['meaning']}. For instance: {'; '.join(entry['signs'])}."
@@ -64,7 +64,7 @@ def status_lines(statuses: Sequence[str]) -> str:
 
 
 def assistance_lines(*, detailed: bool) -> str:
-    """Return what each kind of assistance means; with examples where detailed."""
+    """Return the meaning of each kind of assistance; with examples if detailed."""
     lines = []
     for kind, entry in ASSISTANCE.items():
         examples = " ".join(to_safe_json(example) for example in entry["examples"])
@@ -100,7 +100,7 @@ class Modules:
 
     @classmethod
     def of(cls, scenario: Scenario, **more: Any) -> Modules:
-        """Return the modules for a scenario; raises ModelError where there are no words for it."""
+        """Return the modules for a scenario; raises ModelError if no texts exist for it."""
         lacking = {*scenario.statuses, *scenario.actions[1:]} - {*TEXTS["status"], *ASSISTANCE}
         if lacking:
             raise ModelError(
@@ -146,7 +146,7 @@ class Modules:
         )
 
     def ask_perception(self, behaviour: Mapping[str, str], seed: int) -> Request:
-        """Ask which statuses a behaviour shows. The true status is no part of the question."""
+        """Ask which statuses a behaviour shows. The question does not contain the true status."""
         return self._build_request(
             "perception",
             dict.fromkeys(self.statuses, "bit"),

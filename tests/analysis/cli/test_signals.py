@@ -1,4 +1,4 @@
-"""SIGTERM ends the work as Ctrl-C does: workers end, what is finished is kept and used again."""
+"""SIGTERM ends the work as Ctrl-C does: workers end, finished work is kept and used again."""
 
 import os
 import signal
