@@ -148,9 +148,12 @@ def _iterate_policies(
         levels, sign = evaluate(pairs), np.zeros(len(rows.constant), dtype=np.int64)
         for step in levels:  # each settles ties of those before
             sign = np.where(sign == 0, compute_surplus_signs(rows, step, pairs), sign)
+        # Only pairs of live states can improve the policy.
         gaining = np.flatnonzero((sign > 0) & ~rows.terminal[rows.pair_state])
         if not len(gaining):
             return pairs, [level for level, *_ in levels], sign
+        # Compare advantages as fractions, one level after the other, and take the best of each
+        # state.
         columns = (yield_level_advantages(rows, step, gaining) for step in levels)
         each = zip(
             *([make_fraction(x, a * b) for x, a, b in gain] for gain in columns), strict=True
@@ -177,13 +180,18 @@ def prove_goal_total(mdp: MDP) -> Certificate:
 def _prove_missing_pays(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Mask) -> Certificate:
     """Return the proof where a run that misses the goal is worth +∞."""
     every, state = np.ones(mdp.n_pairs, dtype=bool), mdp.pair_state
+    # A state from which some policy can stay in an end component beside the goal is worth +∞; its
+    # order is the distance to that component.
     label, staying = graph.end_components(~goal[state])
     order = graph.compute_distance(label >= 0, every)
     finite = order < 0
     part, number = _restrict_rows(rows, finite)
+    # All policies of the other states reach the goal, so that their optimum is that of proper
+    # policies.
     _, (values,), sign = optimise_exactly(part)
     optimal = np.zeros(mdp.n_pairs, dtype=bool)
     optimal[number[sign == 0]] = True
+    # In infinite states the optimal pairs stay, or lead nearer to a place to stay.
     optimal[~finite[state]] = (staying | graph.find_falling_pairs(order))[~finite[state]]
     return build_certificate(
         mdp,
@@ -198,6 +206,7 @@ def _prove_missing_pays(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Mask) -
 def _prove_missing_costs(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Mask) -> Certificate:
     """Return the proof where a run that misses the goal is worth -∞."""
     every, state = np.ones(mdp.n_pairs, dtype=bool), mdp.pair_state
+    # States with an order cannot be sure to reach the goal: they are worth -∞.
     order = graph.compute_rounds(goal, every)
     arriving, every_pair = order == 0, np.arange(mdp.n_pairs)
     above, policy = np.zeros(mdp.n_states, dtype=bool), mdp.pair_offsets[:-1]
@@ -206,6 +215,8 @@ def _prove_missing_costs(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Mask) 
     _, staying = graph.end_components(
         graph.find_pairs_within(arriving & ~goal) & (arriving & ~goal)[state]
     )
+    # Where a policy can go round with a positive gain and still reach the goal later, values are
+    # +∞.
     if (rows.constant[staying] > 0).any():  # going round may pay without end
         pairs, (gain, bias, _) = optimise_expansion(part, part.pair_offsets[:-1])
         recurrent = ExactChain(part.of_pairs(pairs)).classes.recurrent
@@ -215,12 +226,15 @@ def _prove_missing_costs(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Mask) 
     no_falling(mdp, above)
     finite = arriving & ~above
     part, number = _restrict_rows(rows, finite)
+    # The search needs a proper policy to begin with: pairs that lead nearer to the goal.
     among = np.isin(every_pair, number) & finite[state]
     nearer = among & graph.find_falling_pairs(graph.compute_distance(goal, among))
     nearer[mdp.pair_offsets[:-1][~finite | goal]] = True
     own, (values,), _ = optimise_exactly(part, np.searchsorted(number, first_of(mdp, nearer)))
     policy = np.where(finite, number[own], policy)
     used = np.isin(every_pair, policy[finite])
+    # The level is the value of finite states, the bias where values are +∞, and 0 where they are
+    # -∞.
     each = zip(values.top, bias.top, finite.tolist(), above.tolist(), strict=True)
     top = [x if inside else b * infinite for x, b, inside, infinite in each]
     group = np.where(finite, values.group, len(values.below))
@@ -287,6 +301,7 @@ def improve_in_floats(rows: BellmanRows, first: Integers) -> Integers:
     state, live = rows.pair_state, ~rows.terminal
     if len(state) == len(live):
         return first
+    # The model in floats: probabilities and rewards of the live pairs.
     scale = rows.scale[state].astype(object)
     try:
         share = (rows.weight / scale[rows.pair]).astype(np.float64) * live[state][rows.pair]
@@ -300,11 +315,13 @@ def improve_in_floats(rows: BellmanRows, first: Integers) -> Integers:
             value = splu(sp.csc_array(one - moves[pairs])).solve(earned[pairs])
         except RuntimeError:  # singular, up to rounding
             return first
+        # Advantages that rounding may explain count as 0, so that no policy comes twice.
         gain = earned + moves @ value - value[state]
         noise = NOISE * (np.abs(earned) + abs(moves) @ np.abs(value) + np.abs(value[state]))
         if not np.all(np.isfinite(gain)):
             return first
         gain[gain < noise.max(initial=0.0)] = 0.0
+        # Take the first best pair of each state that has one.
         most = np.maximum.reduceat(gain, rows.pair_offsets[:-1])
         better = np.flatnonzero((gain > 0) & (gain == most[state]))
         if not len(better):
@@ -313,6 +330,7 @@ def improve_in_floats(rows: BellmanRows, first: Integers) -> Integers:
         own, place = np.unique(state[better], return_index=True)
         pairs[own] = better[place]
     chain = rows.of_pairs(pairs)
+    # Floats may have found an improper policy: then the first pairs stay.
     graph = sp.csr_array((np.ones(len(chain.next)), chain.next, chain.offsets), (len(live),) * 2)
     ends = rows.terminal | (row_sums(chain.weight, chain.offsets) < chain.scale)
     if find_reachable_nodes(graph.T.tocsr(), ends).all():

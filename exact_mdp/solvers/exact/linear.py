@@ -147,6 +147,7 @@ def solve_policy_equations(
     matrix: Matrix, rows: BellmanRows, constant: Sequence[Fraction]
 ) -> Level:
     """Return V = constant + γ P V, constant (S,), for the `build_equations` of some rows."""
+    # Solve for integers, and divide by the common denominator afterwards.
     side, unit = to_common_denominator(constant)
     (level,) = solve_all(matrix, [[*map(mul, side, rows.scale.tolist())]])
     return replace(level, below=[unit * below for below in level.below])
@@ -173,6 +174,7 @@ def compute_expected_visits(
     """
     sides, units = list[list[int]](), list[int]()
     for start in starts:
+        # Each start as integers over one denominator.
         first, unit = to_common_denominator([share for _, share in start])
         side = [0] * len(rows.scale)
         for (state, _), number in zip(start, first, strict=True):
@@ -181,6 +183,7 @@ def compute_expected_visits(
         units.append(unit)
     scale, levels = rows.scale.tolist(), solve_all(build_equations(rows, states).transposed, sides)
     return [
+        # Rows are over the scales of their states, which visits are multiplied with.
         replace(level, top=[*map(mul, level.top, scale)], below=[unit * x for x in level.below])
         for level, unit in zip(levels, units, strict=True)
     ]
@@ -194,11 +197,13 @@ class _Solution:
         self.tops = [[zero] * matrix.size for _ in sides]
         self.group, self.below = [0] * matrix.size, [flint.fmpz(1)]
         self._rows, self._number = matrix.listed, {self.below[0]: 0}
+        # Components in reverse order: all that a component leads to is solved before it.
         for states, block in matrix.steps:
             if block is None:
                 for base, alike in self._by_base(states).items():
                     self._substitute(base, alike)
                 continue
+            # A component of several unknowns: solve for each right side over one denominator.
             base = _compute_common_multiple(self._by_base(states))
             each = [
                 _solve_component(block, right, matrix.denominators, states[0])
@@ -222,6 +227,7 @@ class _Solution:
     def _right_sides(self, base: fmpz, states: Sequence[int]) -> list[list[fmpz]]:
         """Return the residual b - A x times `base`, for each right side."""
         ahead = {t for s in states for t in self._rows[s][0]}
+        # Bring the known unknowns to the denominator `base`.
         times = {group: base // self.below[group] for group in {self.group[t] for t in ahead}}
         reduced = []
         for side, top in zip(self.sides, self.tops, strict=True):
@@ -251,12 +257,14 @@ class _Solution:
         self, states: Sequence[int], tops: Sequence[Sequence[fmpz]], below: fmpz
     ) -> None:
         """Keep the numbers of some unknowns, all over one denominator in lowest terms."""
+        # Reduce to lowest terms.
         listed, shared = [n for top in tops for n in top], below
         for n in listed:
             if shared == 1:
                 break
             shared = shared.gcd(n)
         listed, below = [n // shared for n in listed], below // shared
+        # Unknowns with the same denominator share a group; zeros belong to the group of 1.
         number = self._number.setdefault(below, len(self.below))
         self.below += [below] * (number == len(self.below))
         for k, values in enumerate(self.tops):
@@ -288,6 +296,7 @@ def _solve_component(
     size, solution = matrix.size, None
     if size > LARGEST:
         raise ModelError(f"a cycle of {size} states is too large to be solved exactly", fix=BOUNDED)
+    # Large components are lifted from floats; small and hard ones are left to FLINT.
     if size > FEW:
         solution = matrix.lifting.solve(side, matrix.listed, known.get(first))
     if solution is not None:
@@ -298,6 +307,7 @@ def _solve_component(
             f"the equations of {size} states that lead to each other are singular, or nearly so",
             fix=BOUNDED,
         )
+    # A dense exact solve.
     dense = np.zeros((size, size), dtype=object)
     dense[matrix.row, matrix.column] = matrix.entry
     system = flint.fmpz_mat(size, size, dense.ravel().tolist())
