@@ -85,6 +85,7 @@ class Budgeted:
                 fix="state a model of rewards or costs, without a question of a goal",
             )
         table, pair = mdp.table, mdp.table.pair
+        # Rewards of outcomes as integer multiples of one unit.
         (weight, denominator), (gain, below) = table.integer_weights(), table.integer_gains()
         if len(gain) == table.pairs:
             gain = gain[pair]
@@ -94,7 +95,8 @@ class Budgeted:
         ]
         size = gcd(*whole) or shared
         gain = to_integer_array(g // size for g in whole)
-        sort = np.lexsort((-gain, table.next, pair))  # new states rise within a pair
+        # Sort outcomes within their pair, so that the new states rise.
+        sort = np.lexsort((-gain, table.next, pair))
         self.table = replace(
             table,
             weight=weight[sort],
@@ -107,6 +109,7 @@ class Budgeted:
         # States that are not terminal, from the end on.
         self.order = [int(s) for s in np.argsort(level, kind="stable") if not ends[s]]
         self.low, self.high = low, high = np.zeros((2, mdp.n_states), dtype=object)
+        # The least and the greatest return from each state, by backward induction.
         cells = 0
         for state in self.order:
             here = self.outcomes_of(state)
@@ -135,8 +138,11 @@ class Budgeted:
         """Return the new states (budgets, outcomes) and their rewards, which are never above 0."""
         here = self.outcomes_of(state)
         to, gain = self.table.next[here], self.table.gain[here]
+        # Budgets count from low(s): an outcome shifts them by its reward and by low(s') - low(s).
         shift = (self.low[state] - gain - self.low[to]).astype(np.int64)
         budget = np.arange(self.high[state] - self.low[state] + 1)[:, None] + shift
+        # Below 0 nothing is lacking, whatever is done; above the greatest budget the surplus is
+        # paid.
         within = np.clip(budget, 0, self.first[to + 1] - self.first[to] - 1)
         return self.first[to] + within, -np.maximum(budget - within, 0)
 
@@ -162,6 +168,7 @@ class Budgeted:
 
     def build_budgeted_model(self, threshold: int) -> MDP:
         """Return the new model, with the start for a threshold."""
+        # Each state is repeated for its budgets, with all of its pairs.
         old, each = self.mdp, [self.list_successors(state) for state in range(self.mdp.n_states)]
         state = np.repeat(np.arange(old.n_states), np.diff(self.first))
         pairs = concatenate_ranges(old.pair_offsets[state], old.pair_offsets[state + 1])
@@ -194,16 +201,19 @@ def _solve_budgeted(of: Budgeted) -> tuple[Integers, Level, Level]:
     below = np.ones(of.mdp.n_states, dtype=object)
     pairs = np.repeat(of.mdp.pair_offsets[:-1], np.diff(first))
     for state in of.order:
+        # Backward induction over integers: values of one state share a denominator.
         here, (after, earned) = of.outcomes_of(state), of.list_successors(state)
         own, to = of.mdp.pairs_of(state), table.next[here]
         scale = below[to] * denominator[here]
         below[state] = lcm(*scale.tolist())
         times = table.weight[here] * (below[state] // scale)
         starts = table.offsets[own.start : own.stop] - here.start
+        # Two totals of each pair and budget: minus the shortage, and the return itself.
         totals, means = (
             np.add.reduceat(times * (x[after] + below[to] * gains), starts, axis=1)
             for x, gains in ((value, earned), (mean, table.gain[here]))
         )
+        # Least shortage first; among pairs that share it, the greatest mean return.
         most = totals.max(axis=1)
         means = np.where(totals == most[:, None], means, means.min() - 1)
         new = slice(int(first[state]), int(first[state + 1]))
@@ -268,6 +278,7 @@ class CVaROptimum(Result):
         for state, weight in of.mdp.start:
             met[state][0] += to_flint(weight)
         row = cache(lambda l: [(to_flint(p), to, int(k)) for p, to, k in of.table.row(l)])
+        # From the start to the end, as each state comes before all that follow it.
         for state in reversed(of.order):
             for so_far, mass in met[state].items():
                 for p, to, k in row(int(self.pairs[of.find_state(state, aim - so_far)])):

@@ -121,6 +121,7 @@ class FloatChain:
         self.mdp, self._roundings, table = mdp, roundings, mdp.table
         shape, source = (mdp.n_states, mdp.n_states), mdp.pair_state[pairs]
         offsets = np.append(0, np.cumsum(np.bincount(source, minlength=mdp.n_states)))
+        # The chain of the policy: its rows are means of the rows of the pairs that it takes.
         chances = weights
         if weights is None:
             chances = np.ones(len(pairs))
@@ -173,10 +174,12 @@ class FloatChain:
 
     def bounded_gain(self, step: FixedPoint) -> FixedPoint:
         """Return the gain (S,), from what a step of the policy adds to any values (S,)."""
+        # In a class the gain lies between the least and the greatest step of the policy.
         low, high = self.bound_by_class(step)
         middle, half = low / 2 + high / 2, (high - low) / 2
         half = half * SLACK + UNIT * (np.abs(low) + np.abs(high)) + TINY * (high != low)
         inside, own = self.classes.recurrent, self.classes.own
+        # Elsewhere it is the expected gain of the class that the chain ends in.
         gain = FixedPoint(value=middle[own] * inside, error=half[own] * inside)
         if inside.all():
             return gain
@@ -201,20 +204,26 @@ class FloatChain:
             error = added.error + gamma(terms) * np.abs(added.value)
             return FixedPoint(value=self.taken @ added.value, error=self.taken @ error * SLACK)
 
+        # Any bias gives bounds on the gain; w gives bounds on the error of the bias.
         _, bias, second = compute_laurent_expansion(self, self.taken @ mdp.reward)
         step = of_policy(compute_advantages(mdp, bias))
         gain = self.bounded_gain(step)
+        # The residual r - g + P h - h of the bias, rounding included.
         rest = np.abs(step.value - gain.value) * (1 + UNIT) + step.error + gain.error
         still, inside, own = np.zeros(len(bias)), classes.recurrent, classes.own
+        # Collected on the way to a base, the residual bounds the error up to a constant of the
+        # class.
         met = np.where(classes.at_base, 0.0, rest * SLACK)
         away = self.until_base.solve(still, met).error
         low, high = self.bound_by_class(
             of_policy(compute_advantages(mdp, second, reward=-bias[mdp.pair_state]))
         )
+        # That constant is bounded by the mean of the bias, which has to be 0.
         most = np.zeros(len(classes.base))
         np.maximum.at(most, own[inside], away[inside])
         off = (np.maximum(np.abs(low), np.abs(high)) + most)[own] + away
         if not inside.all():
+            # Transient states add their own residual to the error of the class that they enter.
             off = self.until_class.solve(still, np.where(inside, off, rest) * SLACK).error
         return gain, FixedPoint(value=bias, error=off * SLACK)
 
@@ -225,15 +234,18 @@ class FloatChain:
         """
         at_base, inside, own = self.classes.at_base, self.classes.recurrent, self.classes.own
         begin, error = self.mdp.start_distribution, gamma(len(self.classes.base) + self._roundings)
+        # Arrivals at bases, and visits between two visits of a base.
         arrivals = self.visits.solve(begin, UNIT * begin)
         met = self.visits.solve(self.onward, error * self.onward)
         times = np.where(at_base, 1.0, np.maximum(met.value, 0.0)) * inside
         doubt = np.where(at_base, 0.0, met.error) * inside
+        # The period of a class is the number of steps between two visits of its base.
         period, off = (np.bincount(own, each).astype(np.float64) for each in (times, doubt))
         off = off + gamma(len(own)) * period
         if not (period > off).all():
             raise SolverError(Status.NO_BOUND)
         base = self.classes.base[own]
+        # A state's long-run share is the mass that enters its class times its share of the period.
         mass, loose = np.maximum(arrivals.value, 0.0)[base], arrivals.error[base]
         share = mass * times / period[own]
         error = (loose * (times + doubt) + mass * doubt + share * off[own]) / (period - off)[own]
