@@ -37,7 +37,7 @@ SHOWN = {"constant": "constant ε", "decaying": "decaying ε"}
 def change_settings(schedule: str, changes: Mapping[str, Any]) -> QLearning:
     """Return the learner under an exploration schedule, with settings of `QLearning` changed.
 
-    >>> settings("constant", {"ties": "random"}).ties
+    >>> change_settings("constant", {"ties": "random"}).ties
     'random'
     """
     changes = dict(changes)

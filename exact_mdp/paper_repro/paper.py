@@ -56,7 +56,7 @@ def table_3() -> dict[str, Fraction]:
 def describe_status(status: str) -> str:
     """Return a status in words.
 
-    >>> words("1100"), words("0000")
+    >>> describe_status("1100"), describe_status("0000")
     ('forgetful, confused', 'well')
     """
     names = ("forgetful", "confused", "angry", "disengaged")

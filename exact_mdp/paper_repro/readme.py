@@ -49,7 +49,7 @@ def format_rounded(value: float | None, *, digits: int = 4) -> str:
 def format_signed(value: float) -> str:
     """Return a number with its sign and one decimal.
 
-    >>> signed(-0.01), signed(-2.66)
+    >>> format_signed(-0.01), format_signed(-2.66)
     ('+0.0', '−2.7')
     """
     return f"{value:+z.1f}".replace("-", "−")

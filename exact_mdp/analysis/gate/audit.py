@@ -236,7 +236,7 @@ class Audit(Pictured):
         if decision is None:
             more = "more records may decide it, or give a limit above the interval"
             if interval.draws is not None:
-                kept = interval.estimate_probability(limit or Fraction(0)).value
+                kept = interval.within(limit or Fraction(0)).value
                 more = f"it is kept with probability {kept:.3g} by the posterior"
             text += f", which leaves the limit open: {more}"
         return (Verdict("the regret", name, decision, text),)

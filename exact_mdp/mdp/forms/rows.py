@@ -47,9 +47,9 @@ def rationalize_row(row: Sequence[Fraction | float]) -> list[Fraction | float]:
 
     Examples
     --------
-    >>> meant([0.1, 0.2, 0.7])
+    >>> rationalize_row([0.1, 0.2, 0.7])
     [Fraction(1, 10), Fraction(1, 5), Fraction(7, 10)]
-    >>> meant([Fraction(1, 3), 1 / 6, 0.5])
+    >>> rationalize_row([Fraction(1, 3), 1 / 6, 0.5])
     [Fraction(1, 3), Fraction(1, 6), Fraction(1, 2)]
     """
     floats = [number for number in row if isinstance(number, float)]
@@ -151,7 +151,7 @@ def rows_to_integers(weight: Floats, offsets: Integers) -> tuple[Numbers, Number
 
     Examples
     --------
-    >>> top, bottom = exactly(np.array([0.1, 0.2, 0.7, 0.5, 0.5]), np.array([0, 3, 5]))
+    >>> top, bottom = rows_to_integers(np.array([0.1, 0.2, 0.7, 0.5, 0.5]), np.array([0, 3, 5]))
     >>> top.tolist(), bottom.tolist()
     ([1, 2, 7, 1, 1], [10, 2])
     """

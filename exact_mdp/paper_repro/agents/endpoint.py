@@ -252,7 +252,7 @@ def _checked_address(url: str) -> None:
 def build_schema(fields: Mapping[str, str]) -> dict[str, Any]:
     """Return the JSON schema of an answer.
 
-    >>> schema({"anger": "bit"})["properties"]
+    >>> build_schema({"anger": "bit"})["properties"]
     {'anger': {'type': 'integer', 'enum': [0, 1]}}
     """
     forms = {
@@ -270,7 +270,7 @@ def build_schema(fields: Mapping[str, str]) -> dict[str, Any]:
 def require_form(value: object, fields: Mapping[str, str]) -> dict[str, Any]:
     """Return an answer that has the asked form; raises Malformed.
 
-    >>> checked({"anger": 1}, {"anger": "bit"})
+    >>> require_form({"anger": 1}, {"anger": "bit"})
     {'anger': 1}
     """
     if not isinstance(value, dict) or value.keys() != fields.keys():
@@ -314,7 +314,7 @@ def _parse_completion(data: bytes, where: str) -> object:
 def decode_json(data: bytes) -> Any:
     """Return the value of JSON text; raises Malformed, also where a key is named twice.
 
-    >>> decoded(b'{"anger": 1}')
+    >>> decode_json(b'{"anger": 1}')
     {'anger': 1}
     """
 

@@ -129,7 +129,7 @@ def compute_totals(steps: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 def clean_text(text: object) -> str:
     """Return text on one line, without control characters.
 
-    >>> plain("one\\nTimestep 7\\x1b[31m")
+    >>> clean_text("one\\nTimestep 7\\x1b[31m")
     'one Timestep 7 [31m'
     """
     return " ".join("".join(c if c.isprintable() else " " for c in str(text)).split())
@@ -138,7 +138,7 @@ def clean_text(text: object) -> str:
 def format_amount(text: str) -> str:
     """Return an exact number for reading: whole where it is whole, else with two decimals.
 
-    >>> number("-8"), number("1/3")
+    >>> format_amount("-8"), format_amount("1/3")
     ('-8', '0.33')
     """
     value = Fraction(text)
@@ -190,7 +190,7 @@ return so far {format_amount(step["return"])}
 def format_status(names: Sequence[str], bits: str) -> str:
     """Return a status vector with its names.
 
-    >>> named(["anger", "disengagement"], "10")
+    >>> format_status(["anger", "disengagement"], "10")
     'Anger=1, Disengagement=0'
     """
     return ", ".join(f"{clean_text(n.capitalize())}={b}" for n, b in zip(names, bits, strict=True))

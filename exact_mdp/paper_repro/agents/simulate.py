@@ -61,7 +61,7 @@ class Backend(Protocol):
 def derive_seed(seed: int, timestep: int, purpose: str) -> int:
     """Return a seed for one draw of one timestep.
 
-    >>> seed_of(0, 3, "policy") == seed_of(0, 3, "transition")
+    >>> derive_seed(0, 3, "policy") == derive_seed(0, 3, "transition")
     False
     """
     sequence = np.random.SeedSequence([seed, timestep, DRAWS.index(purpose)])
@@ -71,7 +71,7 @@ def derive_seed(seed: int, timestep: int, purpose: str) -> int:
 def sample_index(chances: Sequence[Fraction], seed: int) -> int:
     """Return an index drawn with exact probabilities.
 
-    >>> choose([Fraction(0), Fraction(1)], seed=5)
+    >>> sample_index([Fraction(0), Fraction(1)], seed=5)
     1
     """
     total = sum(chances, Fraction(0))
@@ -296,8 +296,8 @@ def build_conversation(
 ) -> Conversation:
     """Return a conversation by names, as the commands give them.
 
-    >>> talk = conversation(Scripted(), policy="always:directive", seed=1)
-    >>> talk.step([])["action"]
+    >>> talk = build_conversation(Scripted(), policy="always:directive", seed=1)
+    >>> talk.simulate_step([])["action"]
     'directive'
     """
     model = Scenario.load(scenario)

@@ -82,7 +82,7 @@ def fill_prompt(purpose: str, *, without: Sequence[str] = (), **values: str) -> 
 def to_safe_json(value: object) -> str:
     """Return JSON that holds no angle bracket, so that it cannot close a tag around it.
 
-    >>> print(encode("</history> é"))
+    >>> print(to_safe_json("</history> é"))
     "\\u003c/history\\u003e é"
     """
     text = json.dumps(value, ensure_ascii=False)

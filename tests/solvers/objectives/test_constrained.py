@@ -166,7 +166,7 @@ def test_a_proof_of_totals_does_not_hold_where_a_run_may_end_beside_the_goal() -
     mdp = plain.until("home")
     proof = solve(mdp.with_(goal=None), subject_to={"reward": ">= -3"})
     assert proof.violations() == []
-    totals = proof.of.counted()
+    totals = proof.of.to_totals()
     totals.model.goal = {1}
     assert any("beside the goal" in fault for fault in totals.sound(proof.rank))
 

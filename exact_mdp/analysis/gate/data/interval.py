@@ -63,7 +63,7 @@ class RegretInterval(Result):
         """Return whether the regret is at most `limit`; None where the records leave it open."""
         return is_at_most((self.low, self.high), limit)
 
-    def estimate_probability(self, limit: Fraction) -> Ranged:
+    def within(self, limit: Fraction) -> Ranged:
         """Return the probability that the regret is at most `limit`, as the draws show it."""
         assert self.draws is not None
         hits = int((self.draws <= float_of(limit, "limit")).sum())
@@ -73,7 +73,7 @@ class RegretInterval(Result):
         """Return what a report says of it; of draws also how likely the limit is kept."""
         found = dict(self.found)
         if self.draws is not None and limit is not None:
-            found["probability_within"] = self.estimate_probability(limit)
+            found["probability_within"] = self.within(limit)
         return {
             "regret_interval": Shown((self.low, self.high), f"{self} ({self.claim})"),
             "confidence": Shown(self.confidence),
