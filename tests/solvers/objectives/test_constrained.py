@@ -168,7 +168,7 @@ def test_a_proof_of_totals_does_not_hold_where_a_run_may_end_beside_the_goal() -
     assert proof.violations() == []
     totals = proof.of.to_totals()
     totals.model.goal = {1}
-    assert any("beside the goal" in fault for fault in totals.sound(proof.rank))
+    assert any("beside the goal" in fault for fault in totals.find_faults(proof.rank))
 
 
 def test_weights_are_those_of_all_components() -> None:
