@@ -23,7 +23,7 @@ from types import ModuleType
 from typing import Any
 
 
-def _listed() -> dict[str, tuple[str, str]]:
+def _read_public_names() -> dict[str, tuple[str, str]]:
     """Return the module of each public name, and what it is called there."""
     source = Path(__file__).with_suffix(".pyi").read_text("utf-8")
     return {
@@ -34,7 +34,7 @@ def _listed() -> dict[str, tuple[str, str]]:
     }
 
 
-_HOMES = _listed()
+_HOMES = _read_public_names()
 
 
 class _Link(Loader, MetaPathFinder):
@@ -62,14 +62,14 @@ def names_of(room: str) -> tuple[list[str], Callable[[str], Any]]:
         room = f"{__name__}.{room}"
     names = sorted(name for name, (home, _) in _HOMES.items() if f"{home}.".startswith(f"{room}."))
 
-    def load(name: str) -> Any:
+    def load_public_name(name: str) -> Any:
         if name not in names:
             raise AttributeError(f"module {room!r} has no attribute {name!r}")
         home, own = _HOMES[name]
         module = import_module(home)
         return vars(module)[own] if own in vars(module) else import_module(f"{home}.{own}")
 
-    return names, load
+    return names, load_public_name
 
 
 __all__, _load = names_of(__name__)

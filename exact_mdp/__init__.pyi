@@ -61,7 +61,7 @@ from exact_mdp.mdp.policies.policy import Policy as Policy
 from exact_mdp.mdp.policies.policy import PolicyLike as PolicyLike
 from exact_mdp.mdp.space import Column as Column
 from exact_mdp.mdp.space import StateSpace as StateSpace
-from exact_mdp.solvers.dynamic.iterate import Solver as Solver
+from exact_mdp.solvers.dynamic.base import Solver as Solver
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram as LinearProgram
 from exact_mdp.solvers.dynamic.methods import BackwardInduction as BackwardInduction
 from exact_mdp.solvers.dynamic.methods import GaussSeidel as GaussSeidel

@@ -16,10 +16,10 @@ from exact_mdp.solvers.exact import checker
 def main(words: Sequence[str] | None = None) -> int:
     """Check a certificate file against a model, and say what does not hold."""
 
-    def content(model: str) -> Any:
-        return model_json.content(load(model))
+    def read_content(model: str) -> Any:
+        return model_json.encode_model(load(model))
 
-    return checker.main(sys.argv[1:] if words is None else words, content)
+    return checker.main(sys.argv[1:] if words is None else words, read_content)
 
 
 if __name__ == "__main__":

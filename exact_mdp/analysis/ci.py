@@ -47,7 +47,7 @@ def write_junit(
 ) -> None:
     """Write the report of one suite, the whole file or none; ModelError where that fails."""
 
-    def add(parent: ElementTree.Element, tag: str, **texts: str) -> ElementTree.Element:
+    def add_element(parent: ElementTree.Element, tag: str, **texts: str) -> ElementTree.Element:
         texts = {name: FORBIDDEN.sub("?", text) for name, text in texts.items()}
         return ElementTree.SubElement(parent, tag, texts)
 
@@ -57,15 +57,15 @@ def write_junit(
     shared = {name: str(count) for name, count in counts.items()} | {"time": f"{seconds:.3f}"}
     root = ElementTree.Element("testsuites", {"name": "exact-mdp"} | shared)
     at = datetime.now(UTC).isoformat(timespec="seconds")
-    group = add(root, "testsuite", name=suite, **shared, timestamp=at)
-    listed = add(group, "properties")
+    group = add_element(root, "testsuite", name=suite, **shared, timestamp=at)
+    listed = add_element(group, "properties")
     for name, value in properties.items():
-        add(listed, "property", name=name, value=value)
+        add_element(listed, "property", name=name, value=value)
     for case in cases:
         time = f"{seconds / len(cases):.3f}"
-        element = add(group, "testcase", classname=suite, name=case.name, time=time)
+        element = add_element(group, "testcase", classname=suite, name=case.name, time=time)
         if case.kind:
-            below = add(element, case.kind, message=case.message, type=TYPES[case.kind])
+            below = add_element(element, case.kind, message=case.message, type=TYPES[case.kind])
             below.text = FORBIDDEN.sub("?", case.text)
     ElementTree.indent(root)
     report: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
@@ -83,26 +83,29 @@ def write_error(path: str | None, suite: str, message: str) -> None:
 # ---- GitHub --------------------------------------------------------------------------------------
 
 
-def running() -> bool:
+def is_github_actions() -> bool:
     """Return whether this is a step of GitHub Actions."""
     return os.environ.get(ACTIONS) == "true"
 
 
-def inert(line: str) -> str:
+def defuse_line(line: str) -> str:
     """Return a line that no runner takes for a command; the line itself elsewhere."""
-    if not running():
+    if not is_github_actions():
         return line
     line = line.replace("##[", "## [")
     return line.replace("::", ": :", 1) if line.lstrip().startswith("::") else line
 
 
-def annotate(title: str, message: str) -> None:
+def print_annotation(title: str, message: str) -> None:
     """Print an error annotation on standard error, which the page of a run shows at its top."""
-    if running():
-        print(f"::error title={_escaped(title, ',:')}::{_escaped(message)}", file=sys.stderr)
+    if is_github_actions():
+        print(
+            f"::error title={_escape_annotation(title, ',:')}::{_escape_annotation(message)}",
+            file=sys.stderr,
+        )
 
 
-def summarise(markdown: str) -> None:
+def append_summary(markdown: str) -> None:
     """Append Markdown to the step's summary; ModelError where that cannot be written to."""
     if not (path := os.environ.get(SUMMARY)):
         return
@@ -117,7 +120,7 @@ def summarise(markdown: str) -> None:
         ) from error
 
 
-def _escaped(text: str, more: str = "") -> str:
+def _escape_annotation(text: str, more: str = "") -> str:
     for character in "%\r\n" + more:
         text = text.replace(character, f"%{ord(character):02X}")
     return text

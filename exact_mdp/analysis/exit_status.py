@@ -26,8 +26,8 @@ from typing import Any, NoReturn, TextIO
 
 import click
 
-from exact_mdp.analysis.ci import inert
-from exact_mdp.mdp.errors import ModelError, short, shown_text
+from exact_mdp.analysis.ci import defuse_line
+from exact_mdp.mdp.errors import ModelError, shorten_text, shown_text
 
 DONE, FAILED, REFUSED, BROKEN, PIPE_CLOSED = 0, 1, 2, 3, 141
 FORMAT = 2  # as `mdp.report` has it, which needs packages that may be what is missing
@@ -65,12 +65,12 @@ KINDS = {
 
 
 @contextmanager
-def answering() -> Iterator[None]:
+def refuse_exit() -> Iterator[None]:
     """Raise NoAnswer where code that is called ends the process by `sys.exit`."""
     try:
         yield
     except SystemExit as end:
-        said = short(f"sys.exit({end.code!r})")
+        said = shorten_text(f"sys.exit({end.code!r})")
         raise NoAnswer(f"{said} was called before there was an answer") from end
 
 
@@ -83,11 +83,11 @@ class Programs(click.Group):
         """Run, and end the process."""
         name = prog_name or str(self.name)
         if args is None:
-            leave(run(self, name, sys.argv[1:]))
-        sys.exit(run(self, name, args))
+            end_process(run_command(self, name, sys.argv[1:]))
+        sys.exit(run_command(self, name, args))
 
 
-def run(
+def run_command(
     command: click.Command,
     program: str,
     words: Sequence[str],
@@ -101,10 +101,10 @@ def run(
     """
     context = None
     try:
-        _open()
-        with _signals(), warnings.catch_warnings():
-            warnings.showwarning = partial(_warn, told=set())
-            with answering(), command.make_context(program, [*words], obj=[*words]) as context:
+        _open_closed_streams()
+        with _interrupt_on_signals(), warnings.catch_warnings():
+            warnings.showwarning = partial(_print_warning, told=set())
+            with refuse_exit(), command.make_context(program, [*words], obj=[*words]) as context:
                 status = command.invoke(context)
             sys.stdout.flush()
         return int(status or DONE)
@@ -119,19 +119,19 @@ def run(
     if context is not None and context.invoked_subcommand and isinstance(command, click.Group):
         command = command.get_command(context, context.invoked_subcommand) or command
         program = f"{program} {command.name}"
-    status, said = _described(error, command, program, words)
+    status, said = _describe_failure(error, command, program, words)
     kind = type(error).__name__ if said.where else ""
     message = f"{kind}: {said}" if kind else str(said)
-    say(message)
+    print_message(message)
     if "--json" in words:
         parts = {"kind": kind, "what": said.what, "where": said.where, "fix": said.fix}
-        say(json.dumps({"format": FORMAT, "status": status, "error": parts}))
+        print_message(json.dumps({"format": FORMAT, "status": status, "error": parts}))
     if on_error is not None:
         on_error(message)
     return status
 
 
-def leave(status: int) -> NoReturn:
+def end_process(status: int) -> NoReturn:
     """End the process; after a signal without taking the interpreter apart.
 
     Work that a signal cut short may have left a library in the middle of something, compiling for
@@ -141,29 +141,29 @@ def leave(status: int) -> NoReturn:
         sys.stdout.flush()
         os.dup2(2, sys.stdout.fileno())  # what a module prints at exit is no part of the result
     except (AttributeError, OSError, ValueError):
-        _silence(sys.stdout)
+        _silence_stream(sys.stdout)
     if status > SIGNALS and status != PIPE_CLOSED:
         os._exit(status)
     sys.exit(status)
 
 
-def say(text: str) -> None:
+def print_message(text: str) -> None:
     """Print on standard error, wherever that leads."""
     try:
-        print(*map(inert, text.split("\n")), sep="\n", file=sys.stderr, flush=True)
+        print(*map(defuse_line, text.split("\n")), sep="\n", file=sys.stderr, flush=True)
     except OSError:
-        _silence(sys.stderr)
+        _silence_stream(sys.stderr)
 
 
-def _warn(message: Warning | str, *_: object, told: set[str], **__: object) -> None:
+def _print_warning(message: Warning | str, *_: object, told: set[str], **__: object) -> None:
     """Say a warning in one line, each text once in a command."""
     text = shown_text(str(message), lines=True)
     if text not in told:
         told.add(text)
-        say(f"warning: {text}")
+        print_message(f"warning: {text}")
 
 
-def _described(
+def _describe_failure(
     error: BaseException, command: click.Command, usage: str, words: Sequence[str]
 ) -> tuple[int, ModelError]:
     """Return the status and what is said, without a place where the text says it all."""
@@ -174,7 +174,7 @@ def _described(
         notes = [f"stopped by {signal.Signals(number).name}", *getattr(error, "__notes__", ())]
         return SIGNALS + number, ModelError("; ".join(notes))
     if isinstance(error, click.ClickException):
-        what = short(error.format_message()).removesuffix(".")
+        what = shorten_text(error.format_message()).removesuffix(".")
         param = getattr(error, "param", None)
         near = ALSO_CALLED.get(getattr(error, "option_name", ""))
         what = f"{error.message} Did you mean {near!r}?" if near in options else what
@@ -200,10 +200,10 @@ def _described(
 
 
 @contextmanager
-def _signals() -> Iterator[None]:
+def _interrupt_on_signals() -> Iterator[None]:
     """Let SIGTERM, and SIGHUP unless it is ignored, stop the work as Ctrl-C does."""
 
-    def stop(number: int, _: object) -> None:
+    def raise_interrupt(number: int, _: object) -> None:
         # `timeout` and others signal the process, then its group with the process in it.
         signal.signal(number, signal.SIG_IGN)
         raise KeyboardInterrupt(number)
@@ -212,7 +212,7 @@ def _signals() -> Iterator[None]:
         for number in (getattr(signal, name, None) for name in ("SIGTERM", "SIGHUP")):
             if number is not None and signal.getsignal(number) is signal.SIG_DFL:
                 with suppress(ValueError):  # only the main thread may say what signals do
-                    signal.signal(number, stop)
+                    signal.signal(number, raise_interrupt)
                     restored.callback(signal.signal, number, signal.SIG_DFL)
         yield
 
@@ -220,7 +220,7 @@ def _signals() -> Iterator[None]:
 # ---- standard streams ----------------------------------------------------------------------------
 
 
-def _open() -> None:
+def _open_closed_streams() -> None:
     """Let closed streams lead nowhere; raises OSError where standard output is closed.
 
     A file that is opened later would take the number of a closed stream, and get its text.
@@ -239,7 +239,7 @@ def _open() -> None:
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
-def _silence(stream: TextIO) -> None:
+def _silence_stream(stream: TextIO) -> None:
     """Let a stream lead nowhere: Python flushes once more when it ends."""
     with suppress(AttributeError, OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

@@ -19,9 +19,9 @@ from typing import Any, Literal
 import numpy as np
 
 from exact_mdp.analysis.gate.audit import Audit
-from exact_mdp.analysis.gate.reasons import either
+from exact_mdp.analysis.gate.reasons import format_alternatives
 from exact_mdp.analysis.optimum import actions_of
-from exact_mdp.mdp.errors import ModelError, known
+from exact_mdp.mdp.errors import ModelError, require_known_name
 from exact_mdp.mdp.forms.names import text_of
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import Column, StateSpace
@@ -67,7 +67,7 @@ class Layout:
         """The states that are in the map."""
         return np.flatnonzero(self.row >= 0)
 
-    def cell(self, actions: Sequence[str]) -> str:
+    def format_actions(self, actions: Sequence[str]) -> str:
         """Return what a cell says of actions: up to two short signs side by side, else how many."""
         text = "/".join(self.signs[action] for action in actions)
         short = len(actions) < 2 or len(text) <= SHORT
@@ -88,24 +88,24 @@ def arrange(
     columns of the state space, or parts of states that are tuples; those that neither names go
     down. `at` holds columns fixed, such as `trial=0`: other states are left out.
     """
-    sides = _columns(model)
+    sides = _find_columns(model)
     down, across = ([each] if isinstance(each, str) else each for each in (down, across))
     named = [*(down or ()), *(across or ()), *at]
     for name in named:
-        known(name, sides, "state column", "state space")
+        require_known_name(name, sides, "state column", "state space")
     inside = np.ones(model.n_states, dtype=bool)
     for name, value in at.items():
         inside &= sides[name][1] == sides[name][0].number(value)
     rest = [name for name in sides if name not in named]
     if shape is not None:
-        sides = _of(_grid(model.space, shape, named))
+        sides = _columns_of(_build_grid_space(model.space, shape, named))
     elif len(sides) < 2 or not model.space.regular:
-        return _listed(model)
+        return _lay_out_list(model)
     elif len(rest) == 1 and sides[rest[0]][0].bits > 1 and not (down or across):
-        sides = _halves(*sides[rest[0]])
+        sides = _split_digits(*sides[rest[0]])
     labels = {name: [*map(own.label, range(own.size))] for name, (own, _) in sides.items()}
     values = {name: own for name, (_, own) in sides.items()}
-    heading = {} if shape is not None else _heading(model, values)
+    heading = {} if shape is not None else _find_map_directions(model, values)
     for name, sign in heading.items():
         if sign < 0:  # its values fall in the direction of the arrow
             values[name] = np.where(values[name] < 0, -1, len(labels[name]) - 1 - values[name])
@@ -130,11 +130,11 @@ def arrange(
         columns=tuple(map(", ".join, product(*(labels[name] for name in across)))),
         down=", ".join(below) or "-",
         across=", ".join(across) or "-",
-        signs=_signs(model, *last),
+        signs=_choose_arrows(model, *last),
     )
 
 
-def _columns(model: MDP) -> Sides:
+def _find_columns(model: MDP) -> Sides:
     """Return the columns of states; of tuples, their parts.
 
     Tuples have parts where all are of one length, other states are ends, and few cells are empty.
@@ -157,14 +157,14 @@ def _columns(model: MDP) -> Sides:
             place = {value: number for number, value in enumerate(distinct)}
             sides[name][1][inside] = [place[value] for value in own]
     few = 0 < prod(each.size for each, _ in sides.values()) <= SPARSE * len(tuples)
-    return sides if few else _of(space)
+    return sides if few else _columns_of(space)
 
 
-def _of(space: StateSpace) -> Sides:
+def _columns_of(space: StateSpace) -> Sides:
     return {each.name: (each, space.values(each.name)) for each in space.columns}
 
 
-def _halves(column: Column, value: Integers) -> Sides:
+def _split_digits(column: Column, value: Integers) -> Sides:
     """Return the first and the last digits of a column as two."""
     low = column.bits // 2
     high = column.bits - low
@@ -173,7 +173,9 @@ def _halves(column: Column, value: Integers) -> Sides:
     return {first.name: (first, value >> low), last.name: (last, value & (2**low - 1))}
 
 
-def _grid(space: StateSpace, shape: tuple[int, int], named: Sequence[str]) -> StateSpace:
+def _build_grid_space(
+    space: StateSpace, shape: tuple[int, int], named: Sequence[str]
+) -> StateSpace:
     """Return the space of the rows and columns that numbered states fill row by row."""
     what, fix = "", ""
     if named:
@@ -191,20 +193,20 @@ def _grid(space: StateSpace, shape: tuple[int, int], named: Sequence[str]) -> St
     return replace(space, columns=tuple(Column(name=name, size=size) for name, size in sides))
 
 
-def _heading(model: MDP, values: Mapping[str, Integers]) -> dict[str, float]:
+def _find_map_directions(model: MDP, values: Mapping[str, Integers]) -> dict[str, float]:
     """Return the columns that "down" and "right" change most, with the sign of the change.
 
     None where actions are no directions, or change one and the same.
     """
-    drift = _drift(model, [*values.values()])
-    signs = np.array([*symbols(model.actions).values()])
+    drift = _compute_drift(model, [*values.values()])
+    signs = np.array([*choose_symbols(model.actions).values()])
     left, down, right, up = (drift[:, signs == sign].sum(axis=1) for sign in ARROWS)
     most = {[*values][np.abs(each).argmax()]: each for each in (down - up, right - left)}
     signed = {name: float(each[np.abs(each).argmax()]) for name, each in most.items()}
     return signed if len(signed) == 2 and all(signed.values()) else {}
 
 
-def _listed(model: MDP) -> Layout:
+def _lay_out_list(model: MDP) -> Layout:
     """Return a list of states: a row for each of a few that have names, else rows of ten."""
     states = np.arange(model.n_states)
     names = [name.removeprefix("state ") for name in model.space.labels(states)]
@@ -213,7 +215,7 @@ def _listed(model: MDP) -> Layout:
     return Layout(
         row=states // wide,
         column=states % wide,
-        signs=symbols(model.actions),
+        signs=choose_symbols(model.actions),
         rows=tuple(names) if named else tuple(map(str, states[::wide].tolist())),
         columns=("",) if named else tuple(f"+{column}" for column in range(wide)),
         down="state",
@@ -222,7 +224,7 @@ def _listed(model: MDP) -> Layout:
     )
 
 
-def shortened(names: Sequence[str], most: int) -> list[str]:
+def shorten_names(names: Sequence[str], most: int) -> list[str]:
     """Return names of at most so many letters, different where they are: ends, else numbers."""
     half = most // 2
     for first, last in ((most - 1, 0), (0, most - 1), (most - 1 - half, half)):
@@ -232,7 +234,7 @@ def shortened(names: Sequence[str], most: int) -> list[str]:
     return [*map(str, range(len(names)))]
 
 
-def _drift(model: MDP, values: Sequence[Integers]) -> Floats:
+def _compute_drift(model: MDP, values: Sequence[Integers]) -> Floats:
     """Return (C, A) where each action leads along some coordinates (C, S), -1 outside of them.
 
     A move counts by its probability, whatever its length: one far back to a start is no direction.
@@ -242,15 +244,15 @@ def _drift(model: MDP, values: Sequence[Integers]) -> Floats:
     before, after = places[:, model.pair_state[table.pair]], places[:, table.next]
     moved = np.where((before < 0) | (after < 0), 0, np.sign(after - before))
     action = model.pair_action[table.pair]
-    weighted = moved * table.probabilities()
+    weighted = moved * table.compute_probabilities()
     return np.array([np.bincount(action, each, model.n_actions) for each in weighted])
 
 
-def _signs(model: MDP, row: Integers, column: Integers) -> dict[str, str]:
+def _choose_arrows(model: MDP, row: Integers, column: Integers) -> dict[str, str]:
     """Return a sign for each action: an arrow only where its moves go that way more than aside."""
-    right, down = _drift(model, [column, row])
+    right, down = _compute_drift(model, [column, row])
     ways = {"←": (-right, down), "↓": (down, right), "→": (right, down), "↑": (-down, right)}
-    signs = symbols(model.actions)
+    signs = choose_symbols(model.actions)
     for number, (action, sign) in enumerate(signs.items()):
         if sign in ways:
             ahead, aside = (float(each[number]) for each in ways[sign])
@@ -259,7 +261,7 @@ def _signs(model: MDP, row: Integers, column: Integers) -> dict[str, str]:
     return signs
 
 
-def symbols(actions: Sequence[str]) -> dict[str, str]:
+def choose_symbols(actions: Sequence[str]) -> dict[str, str]:
     """Return a sign for each action: an arrow where its name is a direction, else a short name.
 
     Names stand for themselves where all are short.
@@ -301,7 +303,7 @@ def ends_of(model: MDP) -> dict[int, tuple[str, str]]:
     return signs
 
 
-def cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
+def build_cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
     """Return the cell at each row and column of the map; None where no state is."""
     mdp, choices = audit.mdp, actions_of(audit.mdp, audit.chain.chosen > 0)
     grid: list[list[Cell | None]] = [[None] * len(layout.columns) for _ in layout.rows]
@@ -312,14 +314,14 @@ def cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
     for state in layout.shown.tolist():
         each, label = wrong.get(state), mdp.space.label(state)
         names = choices[state]
-        text, best = layout.cell(names), ""
-        said = f"{either(names)}; {audit.visits[state]:.6g} expected visits"
+        text, best = layout.format_actions(names), ""
+        said = f"{format_alternatives(names)}; {audit.visits[state]:.6g} expected visits"
         if mdp.over[state]:
             text, said = ends[state]
         elif each is not None:
-            text, best = f"✗ {text}", layout.cell(each.optimal)
+            text, best = f"✗ {text}", layout.format_actions(each.optimal)
             said = (
-                f"yours {each.learned}, optimal {either(each.optimal)}; "
+                f"yours {each.learned}, optimal {format_alternatives(each.optimal)}; "
                 f"{each.expected_visits:.6g} expected visits, loses {each.cost:.6g}"
             )
         grid[layout.row[state]][layout.column[state]] = Cell(

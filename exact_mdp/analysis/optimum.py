@@ -15,15 +15,15 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from exact_mdp.mdp.errors import known
-from exact_mdp.mdp.graph import other_question, reachable, ways_out
+from exact_mdp.mdp.errors import require_known_name
+from exact_mdp.mdp.graph import find_reachable_states, other_question, ways_out
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.choices import state_names
-from exact_mdp.mdp.report import Report, Shown, Table, ratio
+from exact_mdp.mdp.report import Report, Shown, Table, format_ratio
 from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import Flags
-from exact_mdp.solvers.dynamic.iterate import check_tolerance
+from exact_mdp.solvers.dynamic.base import check_tolerance
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.certify import certify as certified
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution
@@ -33,7 +33,7 @@ from exact_mdp.solvers.solution import (
     PrecisionWarning,
     Solution,
     SolverError,
-    warn,
+    warn_at_caller,
 )
 from exact_mdp.solvers.solver import SOLVERS, Criterion, is_average, solve
 
@@ -46,7 +46,7 @@ class Contradiction(RuntimeError):
     """A solver and a proof that do not agree, or a proof that does not hold."""
 
 
-def sound(proof: AnyProof) -> AnyProof:
+def require_sound_proof(proof: AnyProof) -> AnyProof:
     """Return a proof that its checker has accepted."""
     if faults := proof.violations():
         raise Contradiction(f"a proof does not hold: {faults[0]}")
@@ -81,7 +81,7 @@ class Optimum:
             lost = np.where(here == there, 0.0, here - there)
         return np.asarray(self.mdp.sign * lost <= 2 * self.best.error_bound)
 
-    def stationary(self) -> bool | None:
+    def is_stationary(self) -> bool | None:
         """Return whether the optimum depends on the status alone; None where bounds leave it open.
 
         Bounds rule actions out: where the others have none in common, no status policy is optimal.
@@ -97,10 +97,10 @@ class Optimum:
     def report(self) -> Report:
         """Return the optimum: its value with its claim, and the policy."""
         proof, solution, mdp = self.certificate, self.solution, self.mdp
-        exact = ratio(proof.start_value) if proof else ""
+        exact = format_ratio(proof.start_value) if proof else ""
         long = f"a rational of {len(exact):,} digits; --json prints it"
         status = "status" in mdp.space.names and not self.average
-        stationary = self.stationary() if status else None
+        stationary = self.is_stationary() if status else None
         policy = [mdp.actions[action] for action in np.asarray(self.best.policy)]
         key, reads, where, chosen = "policy_by_state", "state", "", None
         if {"subtask", "trial", "status"} <= set(mdp.space.names):
@@ -181,7 +181,7 @@ def actions_of(mdp: MDP, pairs: Flags) -> list[tuple[str, ...]]:
 def _serves_each_status(mdp: MDP, optimal: Flags) -> bool:
     """Return whether some action is optimal, by pairs (L,), in all states of each status."""
     values, size = mdp.space.values("status"), mdp.space.column("status").size
-    asked = reachable(mdp) & ~mdp.forced & (values >= 0)
+    asked = find_reachable_states(mdp) & ~mdp.forced & (values >= 0)
     states = np.bincount(values[asked], minlength=size)
     counted = optimal & asked[mdp.pair_state]
     keys = values[mdp.pair_state[counted]] * mdp.n_actions + mdp.pair_action[counted]
@@ -189,7 +189,7 @@ def _serves_each_status(mdp: MDP, optimal: Flags) -> bool:
     return bool(serves.any(axis=1).all())
 
 
-def optimum(
+def compute_optimum(
     model: MDP,
     method: str = "auto",
     tol: float | None = None,
@@ -202,7 +202,7 @@ def optimum(
     Raises ModelError and SolverError as `solve` does, unless the exact answer was asked for where a
     solver gives up; Contradiction. A tolerance that is not met is warned of.
     """
-    known(method, [*SOLVERS, "auto"], "method", "method")
+    require_known_name(method, [*SOLVERS, "auto"], "method", "method")
     check_tolerance("tol", tol)
     solution = None
     try:
@@ -210,8 +210,8 @@ def optimum(
     except SolverError as error:
         if not certify:
             raise
-        warn(f"{error} (the exact values stand)", PrecisionWarning)
-    exact = sound(certified(model, criterion=criterion)) if certify else None
+        warn_at_caller(f"{error} (the exact values stand)", PrecisionWarning)
+    exact = require_sound_proof(certified(model, criterion=criterion)) if certify else None
     start: Certified | Bounded
     if exact is not None:
         value, start = exact.value_float, exact.start

@@ -18,13 +18,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from exact_mdp.mdp.care.perception import by_place, checked, perceived, status_names, status_size
+from exact_mdp.mdp.care.perception import (
+    by_place,
+    perceived,
+    require_confusion_matrix,
+    status_names,
+    status_size,
+)
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.graph import reachable
+from exact_mdp.mdp.graph import find_reachable_states
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.report import Report, Shown, Table, at_most
-from exact_mdp.mdp.result import DataFrame, Pictured, data_frame, framed
+from exact_mdp.mdp.report import Report, Shown, Table, format_error_bound
+from exact_mdp.mdp.result import DataFrame, Pictured, data_frame, frame_to_table
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, gamma
 from exact_mdp.solvers.solution import Bounded
@@ -113,10 +119,12 @@ class ErrorCosts(Pictured):
             tables={
                 "errors": Table(
                     title="what errors cost where the status seen is taken for true (within "
-                    f"{at_most(self.error)})",
+                    f"{format_error_bound(self.error)})",
                     columns={"status": "", **each},
                 ),
-                "costliest": replace(framed(self.frame(), "the costliest confusions"), first=12),
+                "costliest": replace(
+                    frame_to_table(self.frame(), "the costliest confusions"), first=12
+                ),
             },
         )
 
@@ -152,13 +160,13 @@ def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCo
     (True, 'disengagement')
     """
     size = status_size(model)
-    matrix = checked(confusion, size=size, where="confusion matrix")
+    matrix = require_confusion_matrix(confusion, size=size, where="confusion matrix")
     matrix = matrix / matrix.sum(axis=1, keepdims=True)
     _check_actions(model)
     chosen = policy_of(model, policy)
     table = by_place(model, chosen.weights(model))  # by *perceived* status
     both = [evaluate(model, each) for each in (perceived(model, chosen, matrix), chosen)]
-    reached, doubt, largest, tables = reachable(model), 0.0, 0.0, list[Floats]()
+    reached, doubt, largest, tables = find_reachable_states(model), 0.0, 0.0, list[Floats]()
     for each in both:
         value = np.where(reached, each.value, 0.0)
         if not np.isfinite(value).all():

@@ -1,9 +1,10 @@
 """Models from arrays, from rows of pairs and from lists of outcomes, floats or exact rationals.
 
 Every form becomes columns: state and action of each pair, and next state, probability, reward and
-amounts of what follows; `_model` makes the parts of a model of these. Every number keeps its exact
-value (`mdp.forms.numbers`); rows of floats mean what `mdp.forms.rows` says. Where all numbers are
-doubles, and one at least was given as a float, the table holds floats; else integers.
+amounts of what follows; `_parts_from_columns` makes the parts of a model of these. Every number
+keeps its exact value (`mdp.forms.numbers`); rows of floats mean what `mdp.forms.rows` says. Where
+all numbers are doubles, and one at least was given as a float, the table holds floats; else
+integers.
 """
 
 from __future__ import annotations
@@ -17,18 +18,18 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from exact_mdp.mdp.components import each_component, named_components, of_length
+from exact_mdp.mdp.components import each_component, named_components, require_length
 from exact_mdp.mdp.errors import ModelError, ShapeError, words_of
 from exact_mdp.mdp.forms import listed
 from exact_mdp.mdp.forms.columns import table_of
-from exact_mdp.mdp.forms.names import names_of
+from exact_mdp.mdp.forms.names import name_things
 from exact_mdp.mdp.forms.numbering import action_names
 from exact_mdp.mdp.forms.numbers import (
     array_of,
     as_given,
-    dense,
-    is_table,
+    is_pandas_table,
     one_kind,
+    to_dense,
     whole_numbers,
 )
 from exact_mdp.mdp.space import StateSpace
@@ -115,16 +116,16 @@ class FromArrays(Parts):
             if layout not in (None, "sas"):
                 fix = "leave it out; what is listed goes by state, then action"
                 raise ModelError(f"dictionaries are not {layout!r}", where="layout", fix=fix)
-            pairs, names = listed.rows_of(P, R, {**names, "start": start})
+            pairs, names = listed.rows_from_listed(P, R, {**names, "start": start})
             return cls.from_outcomes(pairs, discount, **names)
         if layout == ACTIONS_LAST:
-            P, R, layout = _by_action(P, "P"), _by_action(R, "R"), "ass"
-            each_component(names, _by_action)
+            P, R, layout = _move_actions_first(P, "P"), _move_actions_first(R, "R"), "ass"
+            each_component(names, _move_actions_first)
         keys: list[Any] = []
         if isinstance(P, Mapping):
             keys = listed.keys_of(P)
             P = [P[key] for key in keys]
-        P, R, layout, listed_pairs = listed.filled(P, R, layout)
+        P, R, layout, listed_pairs = listed.fill_missing_rows(P, R, layout)
         rows, shape, order = _rows_of_matrices(P, "P", layout)
         states, actions = shape
         swapped = None
@@ -132,7 +133,7 @@ class FromArrays(Parts):
             swapped = np.arange(states * actions).reshape(shape).T.reshape(-1)
             _check_alike(rows, swapped)
         if keys != [*range(len(keys))]:
-            states_named = {"states": names_of(keys, "state")} if order == "sas" else {}
+            states_named = {"states": name_things(keys, "state")} if order == "sas" else {}
             names = (states_named or action_names(keys)) | names
 
         def of_pairs(values: Any, where: str) -> Any:
@@ -146,22 +147,26 @@ class FromArrays(Parts):
             return rewards
 
         reward = of_pairs(R, "R")
-        offered = _offered(reward, names, listed_pairs)
+        offered = _find_available_pairs(reward, names, listed_pairs)
         count = states * actions if offered is None else np.count_nonzero(offered)
 
-        def amounts(values: Any, where: str) -> Any:
-            if not (isinstance(values, Mapping) or is_table(values) or _holds_sparse(values)):
+        def read_amounts(values: Any, where: str) -> Any:
+            if not (
+                isinstance(values, Mapping) or is_pandas_table(values) or _holds_sparse(values)
+            ):
                 array = array_of(values, where)
                 if array.shape in ((count,), (states * actions,)):
                     return array  # one for each pair
             return of_pairs(values, where)
 
         names.setdefault("actions", [str(number) for number in range(actions)])
-        each_component(names, amounts)
+        each_component(names, read_amounts)
         pair = np.arange(states * actions)
         columns = pair // actions, pair % actions, rows, reward, offered
         own = not isinstance(P, np.ndarray) or not np.may_share_memory(rows, P)
-        return cls(**_of_pairs(*columns, names | {"discount": discount, "start": start}, own=own))
+        return cls(
+            **_parts_from_pairs(*columns, names | {"discount": discount, "start": start}, own=own)
+        )
 
     @classmethod
     def from_pairs(
@@ -213,9 +218,9 @@ class FromArrays(Parts):
             )
         rewards = _rewards_of_rows(reward, "reward", rows)
         each_component(names, lambda values, where: _rewards_of_rows(values, where, rows))
-        offered = _offered(rewards, names)
+        offered = _find_available_pairs(rewards, names)
         names |= {"discount": discount, "start": start}
-        return cls(**_of_pairs(state, action, rows, rewards, offered, names))
+        return cls(**_parts_from_pairs(state, action, rows, rewards, offered, names))
 
     @classmethod
     def from_outcomes(
@@ -274,19 +279,19 @@ class FromArrays(Parts):
         offsets = np.cumsum([0, *lengths])
         amounts: dict[str, Any] = {}
         if any(isinstance(reward, Mapping) for reward in gain):
-            amounts = _amounts(gain, names)
+            amounts = _collect_amounts(gain, names)
             gain = [sum(map(exact, r.values())) if isinstance(r, Mapping) else r for r in gain]
-        listed = _by_outcome(names.get("components"), lengths, order)
+        listed = _list_outcome_amounts(names.get("components"), lengths, order)
         if listed:
             amounts, names = listed, {k: v for k, v in names.items() if k != "components"}
         columns = offsets, following, one_kind(chance), one_kind(gain)
-        each_component(names, lambda values, where: of_length(values, where, len(pairs)))
+        each_component(names, lambda values, where: require_length(values, where, len(pairs)))
         names |= {"discount": discount, "start": start}
         settings: dict[str, Any] = {"by_pair": False, "amounts": amounts}
-        return cls(**_model(state, action, *columns, size, order, names, **settings))
+        return cls(**_parts_from_columns(state, action, *columns, size, order, names, **settings))
 
 
-def _amounts(gains: list[Any], names: dict[str, Any]) -> dict[str, Any]:
+def _collect_amounts(gains: list[Any], names: dict[str, Any]) -> dict[str, Any]:
     """Return the amounts (N,) of each component that rewards of outcomes (N,) name."""
     parted = [gain if isinstance(gain, Mapping) else {} for gain in gains]
     given = [as_given(amount) for amounts in parted for amount in amounts.values()]
@@ -298,7 +303,7 @@ def _amounts(gains: list[Any], names: dict[str, Any]) -> dict[str, Any]:
     return {name: _as_objects(amounts) for name, amounts in columns.items()}
 
 
-def _by_outcome(given: Any, lengths: list[int], order: Integers) -> dict[str, Any]:
+def _list_outcome_amounts(given: Any, lengths: list[int], order: Integers) -> dict[str, Any]:
     """Return amounts (N,) of outcomes by name, where some are listed so; else nothing.
 
     `given` has a number, or a list of numbers, for each pair; the model has them in `order`.
@@ -341,7 +346,7 @@ def _as_objects(values: Sequence[Any]) -> Numbers:
 # ---- layouts of arrays ---------------------------------------------------------------------------
 
 
-def _by_action(values: Any, where: str) -> Any:
+def _move_actions_first(values: Any, where: str) -> Any:
     """Return an array (S, S, A) as one of (A, S, S); others as they are."""
     if isinstance(values, Mapping) or _holds_sparse(values):
         raise ModelError(
@@ -378,7 +383,7 @@ def _rewards_of_arrays(
             fix=f"give an array ({states}, {actions}); or {{action: matrix}} beside such a P, and "
             "{state: {action: reward}} beside {state: {action: {next state: probability}}}",
         )
-    given = R if _holds_sparse(R) else dense(array_of(R, where))
+    given = R if _holds_sparse(R) else to_dense(array_of(R, where))
     of_transitions = _holds_sparse(R) or given.ndim == 3
     if of_transitions:
         reward, sizes, _ = _rows_of_matrices(given, where, layout)
@@ -448,7 +453,7 @@ def _rewards_of_rows(reward: Any, where: str, rows: Any) -> Any:
     """Return rewards as `from_pairs` takes them: of pairs (L,) or transitions (L, S)."""
     rewards = array_of(reward, where)
     if rewards.shape != rows.shape:
-        rewards = dense(rewards)
+        rewards = to_dense(rewards)
     if rewards.shape != rows.shape[:1] and rewards.shape != rows.shape:
         raise ShapeError(
             f"rewards have shape {rewards.shape}, not ({rows.shape[0]},)",
@@ -458,7 +463,9 @@ def _rewards_of_rows(reward: Any, where: str, rows: Any) -> Any:
     return rewards
 
 
-def _offered(reward: Any, names: dict[str, Any], listed: Flags | None = None) -> Flags | None:
+def _find_available_pairs(
+    reward: Any, names: dict[str, Any], listed: Flags | None = None
+) -> Flags | None:
     """Return which pairs there are: those listed, without the infinite reward; None for all."""
     if sp.issparse(reward):
         return listed
@@ -470,7 +477,7 @@ def _offered(reward: Any, names: dict[str, Any], listed: Flags | None = None) ->
     return None if offered.all() else offered
 
 
-def _of_pairs(
+def _parts_from_pairs(
     state: Integers,
     action: Integers,
     rows: Any,
@@ -504,10 +511,10 @@ def _of_pairs(
         reward = reward[np.repeat(np.arange(len(state)), np.diff(offsets)), following]
     columns = state, action, offsets.astype(np.int64), following, chance, reward
     settings = {"by_pair": by_pair, "own": not sparse, "total": total}
-    return _model(*columns, size, order, names, **settings)
+    return _parts_from_columns(*columns, size, order, names, **settings)
 
 
-def _model(
+def _parts_from_columns(
     state: Integers,
     action: Integers,
     offsets: Integers,
@@ -526,7 +533,7 @@ def _model(
     """Return a model's parts from columns: sorted pairs (L,), and their outcomes (N,).
 
     Components are those of all pairs that were given, of which the model has `order` (L,); or
-    `amounts` (N,) of outcomes by name.
+    `read_amounts` (N,) of outcomes by name.
     """
     total, parts = total or len(order), dict(amounts or {})
     table = table_of(offsets, following, chance, gain, size, names, parts, by_pair=by_pair, own=own)

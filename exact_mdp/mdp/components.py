@@ -21,45 +21,49 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, ShapeError
-from exact_mdp.mdp.forms.numbers import array_of, grouped
+from exact_mdp.mdp.forms.numbers import array_of, group_numbers
 from exact_mdp.mdp.forms.rows import NEXT
 from exact_mdp.mdp.table import (
     Floats,
     Numbers,
     OutcomeTable,
     divide,
-    dyadic,
-    integers,
+    make_ones,
     multiply,
-    ones,
     over_groups,
-    reduced,
+    reduce_fractions,
+    to_dyadic_integers,
+    to_integer_array,
 )
 
 REST = "rest"
 
 
-def made_of(table: OutcomeTable, columns: Sequence[tuple[Numbers, Numbers]]) -> OutcomeTable:
+def with_components(
+    table: OutcomeTable, columns: Sequence[tuple[Numbers, Numbers]]
+) -> OutcomeTable:
     """Return a table with components, given as numerators (L,) or (N,) and denominators (L,)."""
     if any(len(top) != table.pairs for top, _ in columns):
-        columns = [(_of_outcomes(top, table), below) for top, below in columns]
+        columns = [(_repeat_by_outcome(top, table), below) for top, below in columns]
     if all(top.dtype == np.float64 for top, _ in columns):
-        amounts, bottom = np.stack([top for top, _ in columns], axis=1), ones(table.pairs)
+        amounts, bottom = np.stack([top for top, _ in columns], axis=1), make_ones(table.pairs)
     else:
-        each = [_reduced(*_whole(column, table), table) for column in columns]
+        each = [
+            _cancel_common_divisor(*_column_to_integers(column, table), table) for column in columns
+        ]
         common = np.lcm.reduce([below.astype(object) for _, below in each])
         whole = [
             multiply(top, _of_length_of(top, common // below, table)).astype(object)
             for top, below in each
         ]
-        amounts = integers(np.stack(whole, axis=1).reshape(-1).tolist())
-        amounts, bottom = amounts.reshape(-1, len(columns)), integers(common.tolist())
+        amounts = to_integer_array(np.stack(whole, axis=1).reshape(-1).tolist())
+        amounts, bottom = amounts.reshape(-1, len(columns)), to_integer_array(common.tolist())
     made = copy(table)  # what is known of its rows still holds
     vars(made).update(components=amounts, component_denominator=bottom, averaged=False)
     return made
 
 
-def _of_outcomes(top: Numbers, table: OutcomeTable) -> Numbers:
+def _repeat_by_outcome(top: Numbers, table: OutcomeTable) -> Numbers:
     """Return numbers (N,) of outcomes; those (L,) of pairs are repeated."""
     return np.asarray(top[table.pair]) if len(top) == table.pairs else top
 
@@ -69,27 +73,33 @@ def _of_length_of(top: Numbers, below: Numbers, table: OutcomeTable) -> Numbers:
     return below if len(top) == table.pairs else np.asarray(below[table.pair])
 
 
-def _reduced(top: Numbers, below: Numbers, table: OutcomeTable) -> tuple[Numbers, Numbers]:
+def _cancel_common_divisor(
+    top: Numbers, below: Numbers, table: OutcomeTable
+) -> tuple[Numbers, Numbers]:
     """Return numerators (L,) or (N,) and denominators (L,) without a divisor that all share."""
     if len(top) == table.pairs:
-        return reduced(top, below)
+        return reduce_fractions(top, below)
     shared = np.gcd(np.gcd.reduceat(top, table.offsets[:-1]), below)
     return np.asarray(top // shared[table.pair]), np.asarray(below // shared)
 
 
-def _whole(column: tuple[Numbers, Numbers], table: OutcomeTable) -> tuple[Numbers, Numbers]:
+def _column_to_integers(
+    column: tuple[Numbers, Numbers], table: OutcomeTable
+) -> tuple[Numbers, Numbers]:
     """Return a column in integers."""
     top, bottom = column
     if top.dtype != np.float64:
         return top, bottom
-    return dyadic(top, np.arange(len(top) + 1) if len(top) == table.pairs else table.offsets)
+    return to_dyadic_integers(
+        top, np.arange(len(top) + 1) if len(top) == table.pairs else table.offsets
+    )
 
 
-def _completed(
+def _complete_components(
     columns: dict[str, tuple[Numbers, Numbers]], earned: OutcomeTable
 ) -> tuple[tuple[str, ...], OutcomeTable]:
     """Return names and table of components that were given by name, with the rest of the reward."""
-    names, table = _with_rest(columns, earned)
+    names, table = _add_remainder(columns, earned)
     # Where the reward differs between outcomes, components that were given by pair are means.
     means = not table.parted_by_outcome and not adds_up(table)
     return names, replace(table, averaged=True) if means else table
@@ -100,8 +110,8 @@ def adds_up(table: OutcomeTable) -> bool:
     if not (table.joint or table.parted_by_outcome):
         return True
     if np.float64 not in (table.gain.dtype, table.components.dtype):
-        return not np.asarray(_rest_of_outcomes(table)[0] != 0).any()
-    gain, below = table.gains(), table.component_denominator
+        return not np.asarray(_remainder_by_outcome(table)[0] != 0).any()
+    gain, below = table.compute_gains(), table.component_denominator
     counts = np.diff(table.offsets)
     parts = table.components
     if not table.parted_by_outcome:
@@ -113,18 +123,20 @@ def adds_up(table: OutcomeTable) -> bool:
     return bool((np.abs(each.sum(axis=1) - gain) <= (parts.shape[1] + 2) * NEXT * size).all())
 
 
-def _with_rest(
+def _add_remainder(
     columns: dict[str, tuple[Numbers, Numbers]], earned: OutcomeTable
 ) -> tuple[tuple[str, ...], OutcomeTable]:
     """Return names and table of the components, and of what they leave of the reward."""
-    table = made_of(earned, [*columns.values()])
-    left, below = _rest(table)
+    table = with_components(earned, [*columns.values()])
+    left, below = _compute_remainder(table)
     if not np.asarray(left != 0).any():
         return tuple(columns), table
     floats = np.float64 in (table.components.dtype, table.gain.dtype, table.weight.dtype)
     if floats and not wrong_rows(table, table.expected_gain()).any():
-        printed = made_of(table, [_as_printed(column, table) for column in columns.values()])
-        whole = not np.asarray(_rest(printed)[0] != 0).any()
+        printed = with_components(
+            table, [_as_printed(column, table) for column in columns.values()]
+        )
+        whole = not np.asarray(_compute_remainder(printed)[0] != 0).any()
         return tuple(columns), printed if whole else table
     if REST in columns:
         raise ModelError(
@@ -132,33 +144,33 @@ def _with_rest(
             where="components",
             fix=f"leave {REST!r} out: it is what the others leave of the reward",
         )
-    more = columns | {REST: _reduced(left, below, table)}
-    return tuple(more), made_of(table, [*more.values()])
+    more = columns | {REST: _cancel_common_divisor(left, below, table)}
+    return tuple(more), with_components(table, [*more.values()])
 
 
-def _rest(table: OutcomeTable) -> tuple[Numbers, Numbers]:
+def _compute_remainder(table: OutcomeTable) -> tuple[Numbers, Numbers]:
     """Return what components leave of the reward: of each pair (L,), over denominators (L,).
 
     Of each outcome (N,), where components are known by outcome.
     """
     if table.parted_by_outcome:
-        return _rest_of_outcomes(table)
+        return _remainder_by_outcome(table)
     amount, below = table.expected_components_exact()
-    total = np.asarray(multiply(amount, integers([1]), terms=amount.shape[1]).sum(axis=1))
+    total = np.asarray(multiply(amount, to_integer_array([1]), terms=amount.shape[1]).sum(axis=1))
     gain, bottom = table.expected_gain_exact()
     return multiply(gain, below) - multiply(total, bottom), multiply(bottom, below)
 
 
-def _rest_of_outcomes(table: OutcomeTable) -> tuple[Numbers, Numbers]:
+def _remainder_by_outcome(table: OutcomeTable) -> tuple[Numbers, Numbers]:
     """Return what components leave of the reward of each outcome (N,), over denominators (L,)."""
     gain, below = table.integer_gains()
-    left = _of_outcomes(gain, table).astype(object)
+    left = _repeat_by_outcome(gain, table).astype(object)
     for number in range(table.components.shape[1]):
-        part, under = table.earning_component(number).integer_gains()
-        part = _of_outcomes(part, table).astype(object)
+        part, under = table.with_component_reward(number).integer_gains()
+        part = _repeat_by_outcome(part, table).astype(object)
         left = left * under[table.pair] - part * below[table.pair].astype(object)
         below = multiply(below, under)
-    return integers(left.tolist()), below
+    return to_integer_array(left.tolist()), below
 
 
 def _as_printed(column: tuple[Numbers, Numbers], table: OutcomeTable) -> tuple[Numbers, Numbers]:
@@ -207,7 +219,7 @@ def each_component(names: dict[str, Any], change: Callable[[Any, str], Any]) -> 
     names["components"] = changed
 
 
-def of_length(values: Any, where: str, pairs: int) -> Any:
+def require_length(values: Any, where: str, pairs: int) -> Any:
     """Return amounts (L,) for L pairs."""
     amounts = array_of(values, where)
     if amounts.shape != (pairs,):
@@ -231,7 +243,7 @@ def named_components(
     if not (given or by_outcome) or not sound:  # a reward that is not a number is refused next
         parts.pop("components", None)
         return {"table": table}
-    each_component(parts, lambda values, where: _of_table(values, where, table))
+    each_component(parts, lambda values, where: _read_table_amounts(values, where, table))
     every: Mapping[str, Any] = parts.pop("components") if given else by_outcome or {}
     columns = {}
     for name, values in every.items():
@@ -244,22 +256,22 @@ def named_components(
             what = f"an amount is {top[~np.isfinite(top)][0]}"
             raise ModelError(what, where=f"component {name}", fix="give a finite number")
         columns[name] = top, bottom
-    names, table = _completed(columns, table)
+    names, table = _complete_components(columns, table)
     return {"component_names": names, "table": table}
 
 
-def of_outcomes(table: OutcomeTable, amounts: Mapping[str, Any]) -> OutcomeTable:
+def with_outcome_amounts(table: OutcomeTable, amounts: Mapping[str, Any]) -> OutcomeTable:
     """Return a table with components, given as amounts (N,) of its outcomes by name."""
     columns = [_by_pair_if_alike(np.asarray(values), table) for values in amounts.values()]
-    return made_of(table, columns)
+    return with_components(table, columns)
 
 
 def _by_pair_if_alike(values: Numbers, table: OutcomeTable) -> tuple[Numbers, Numbers]:
     """Return amounts (N,) of outcomes as the arrays of a table: by pair, if those of each agree."""
     of_pair = values[table.offsets[:-1]]
     if np.asarray(values == of_pair[table.pair], dtype=bool).all():
-        return grouped(of_pair, np.arange(table.pairs + 1))
-    return grouped(values, table.offsets)
+        return group_numbers(of_pair, np.arange(table.pairs + 1))
+    return group_numbers(values, table.offsets)
 
 
 def require_amounts(table: OutcomeTable, what: str) -> None:
@@ -277,9 +289,9 @@ def require_amounts(table: OutcomeTable, what: str) -> None:
         )
 
 
-def _of_table(values: Any, where: str, table: OutcomeTable) -> Any:
+def _read_table_amounts(values: Any, where: str, table: OutcomeTable) -> Any:
     """Return amounts of pairs (L,) or of transitions (L, S) as arrays."""
     amounts = array_of(values, where)
     if amounts.ndim == 2 and len(amounts) == table.pairs and amounts.shape[1] > table.next.max():
         return amounts
-    return of_length(amounts, where, table.pairs)
+    return require_length(amounts, where, table.pairs)

@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError, extra
+from exact_mdp.mdp.errors import ModelError, require_extra
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats
 
-with extra("models"):
+with require_extra("models"):
     import gymnasium
 
 YUAN2025 = "exact_mdp/Yuan2025-v0"
@@ -86,15 +86,22 @@ class MDPEnv(gymnasium.Env[np.int64, np.int64]):
         self._pair = pairs[:, numbers]
         self.observation_space = gymnasium.spaces.Discrete(self.observed.size)
         self.action_space = gymnasium.spaces.Discrete(len(numbers))
-        self._gains, self._chances = model.maximised.table.gains(), model.table.probabilities()
+        self._gains, self._chances = (
+            model.maximised.table.compute_gains(),
+            model.table.compute_probabilities(),
+        )
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.int64, dict[str, Any]]:
         """Begin an episode in a state drawn from the model's start distribution."""
         super().reset(seed=seed, options=options)
-        self.state = self.mdp.start[self._draw(float(weight) for _, weight in self.mdp.start)][0]
-        return self._seen[self.state], self._info(0, 0, np.zeros(len(self.mdp.component_names)))
+        self.state = self.mdp.start[
+            self._sample_index(float(weight) for _, weight in self.mdp.start)
+        ][0]
+        return self._seen[self.state], self._build_info(
+            0, 0, np.zeros(len(self.mdp.component_names))
+        )
 
     def step(self, action: np.int64) -> tuple[np.int64, float, bool, bool, dict[str, Any]]:
         """Take an action; return observation, reward, terminated, truncated and information."""
@@ -110,7 +117,7 @@ class MDPEnv(gymnasium.Env[np.int64, np.int64]):
         components = np.zeros(len(mdp.component_names))
         while True:
             first, last = int(table.offsets[pair]), int(table.offsets[pair + 1])
-            outcome = first + self._draw(self._chances[first:last].tolist())
+            outcome = first + self._sample_index(self._chances[first:last].tolist())
             reward += factor * float(self._gains[outcome])
             components += factor * mdp.components[pair]
             events |= 0 if table.event is None else int(table.event[outcome])
@@ -118,17 +125,17 @@ class MDPEnv(gymnasium.Env[np.int64, np.int64]):
             over = bool(mdp.over[self.state])
             passed = self.pass_forced and mdp.forced[self.state] and timesteps <= mdp.n_states
             if over or not passed:
-                info = self._info(timesteps, events, components)
+                info = self._build_info(timesteps, events, components)
                 return self._seen[self.state], reward, over, False, info
             factor, pair = factor * mdp.discount, int(mdp.pair_offsets[self.state])
 
-    def _draw(self, weights: Iterable[float]) -> int:
+    def _sample_index(self, weights: Iterable[float]) -> int:
         """Return a place, drawn by its weight."""
         totals = list(accumulate(weights))
         drawn = bisect_right(totals, float(self.np_random.random()) * totals[-1])
         return min(drawn, len(totals) - 1)
 
-    def _info(self, timesteps: int, events: int, components: Floats) -> dict[str, Any]:
+    def _build_info(self, timesteps: int, events: int, components: Floats) -> dict[str, Any]:
         return {
             "state": self.mdp.space.label(self.state),
             "timesteps": timesteps,

@@ -38,10 +38,10 @@ SHOWN = 40
 def shown_text(text: str, *, lines: bool = False) -> str:
     r"""Return a text with unsafe characters escaped, ends of lines kept where `lines` says so."""
 
-    def escaped(match: re.Match[str]) -> str:
+    def escape_character(match: re.Match[str]) -> str:
         return match[0] if lines and match[0] == "\n" else ascii(match[0])[1:-1]
 
-    return UNSAFE.sub(escaped, text)
+    return UNSAFE.sub(escape_character, text)
 
 
 class ModelError(ValueError):
@@ -65,8 +65,8 @@ class ModelError(ValueError):
     """
 
     def __init__(self, what: str, *, where: str = "", fix: str = "") -> None:
-        what, where = shown_text(short(what)), shown_text(short(where))
-        fix = shown_text(short(fix, LONGEST_FIX))
+        what, where = shown_text(shorten_text(what)), shown_text(shorten_text(where))
+        fix = shown_text(shorten_text(fix, LONGEST_FIX))
         self.what, self.where, self.fix = what, where, fix
         lines = [what]
         if where:
@@ -101,18 +101,20 @@ def no_such(what: str, number: object, size: int, *, where: str = "") -> ModelEr
     return ModelError(said, where=where, fix="choose one of these")
 
 
-def listed(given: Iterable[T], what: str) -> list[T]:
+def require_list(given: Iterable[T], what: str) -> list[T]:
     """Return what is listed; raises ModelError for a text or what is no list."""
     if isinstance(given, str) or not isinstance(given, Iterable):
         raise ModelError(f"{given!r} is no list of {what}", where=what, fix="give a list")
     return list(given)
 
 
-def of_type(value: Any, kind: Any, where: str, fix: str) -> Any:
+def require_type(value: Any, kind: Any, where: str, fix: str) -> Any:
     """Return a value of a type, or of one of several; raises ModelError for another value."""
     if not isinstance(value, kind):
         raise ModelError(
-            f"{short(repr(value), 80)} is of type {type(value).__name__}", where=where, fix=fix
+            f"{shorten_text(repr(value), 80)} is of type {type(value).__name__}",
+            where=where,
+            fix=fix,
         )
     return value
 
@@ -129,23 +131,23 @@ def once_each(items: Iterable[tuple[T, Any]], label: Callable[[T], str] = str) -
 
 def words_of(names: Iterable[object] | None, where: str) -> tuple[str, ...]:
     """Return names as texts; raises ModelError for a text alone, and for what is no list."""
-    return () if names is None else tuple(map(str, listed(names, where)))
+    return () if names is None else tuple(map(str, require_list(names, where)))
 
 
 @contextmanager
-def located(where: str, *, instead: bool = False) -> Iterator[None]:
+def locate_errors(where: str, *, instead: bool = False) -> Iterator[None]:
     """Put a place in front of that of a ModelError raised inside, or `instead` of it."""
     try:
         yield
     except ModelError as error:
-        if error.where.startswith(shown_text(short(where))):
+        if error.where.startswith(shown_text(shorten_text(where))):
             raise
         place = f"{where}, {error.where}" if error.where and not instead else where
         raise type(error)(error.what, where=place, fix=error.fix) from error
 
 
 @contextmanager
-def noted(where: str) -> Iterator[None]:
+def annotate_errors(where: str) -> Iterator[None]:
     """Note the place on an error of the user's own function, which stays what it is."""
     try:
         yield
@@ -154,7 +156,7 @@ def noted(where: str) -> Iterator[None]:
         raise
 
 
-def short(text: str, most: int = LONGEST) -> str:
+def shorten_text(text: str, most: int = LONGEST) -> str:
     """Return a text as it is, or its two ends where it has more than `most` characters."""
     if len(text) <= most:
         return text
@@ -163,7 +165,7 @@ def short(text: str, most: int = LONGEST) -> str:
     return f"{text[:length]}{note}{text[-length:]}"
 
 
-def suggest(name: str, known: Iterable[str]) -> str:
+def suggest_name(name: str, known: Iterable[str]) -> str:
     """Return advice that names the known spelling nearest to `name`."""
     options = list(known)
     close = [option for option in options if option.casefold() == str(name).casefold()]
@@ -172,21 +174,23 @@ def suggest(name: str, known: Iterable[str]) -> str:
     every = ", ".join(options)
     if len(options) <= 12 and len(every) <= LONGEST_LIST:
         return f"choose one of {every}"
-    few = ", ".join(short(option, LONGEST_LIST // 6) for option in options[:4])
+    few = ", ".join(shorten_text(option, LONGEST_LIST // 6) for option in options[:4])
     return f"choose one of the {len(options)} known names, such as {few}"
 
 
-def known(name: object, options: Collection[str], what: str, where: str = "") -> str:
+def require_known_name(name: object, options: Collection[str], what: str, where: str = "") -> str:
     """Return a name that is one of the options; raises ModelError with the nearest for another."""
     if not isinstance(name, str) or name not in options:
-        raise ModelError(f"unknown {what} {name!r}", where=where, fix=suggest(str(name), options))
+        raise ModelError(
+            f"unknown {what} {name!r}", where=where, fix=suggest_name(str(name), options)
+        )
     return name
 
 
 def no_option(name: str, known: Iterable[str], where: str) -> ModelError:
     """Return the error to raise for an option that a function does not have."""
     options = list(known)
-    fix = suggest(name, options)
+    fix = suggest_name(name, options)
     if name in ("gamma", "γ", "discount"):
         fix = "it is the model's: mdp.with_(discount=0.9), MDP.from_gymnasium(env, discount=0.9)"
         fix = "say discount=" if "discount" in options else fix
@@ -199,7 +203,7 @@ def named_options(function: F) -> F:
     """Let a function refuse an option that it does not have as it refuses any bad input."""
 
     @wraps(function)
-    def asked(*given: Any, **options: Any) -> Any:
+    def call_with_known_options(*given: Any, **options: Any) -> Any:
         try:
             return function(*given, **options)
         except TypeError as error:
@@ -210,7 +214,7 @@ def named_options(function: F) -> F:
                     raise no_option(name, known, place) from error
             raise
 
-    return cast("F", asked)
+    return cast("F", call_with_known_options)
 
 
 def check_names(
@@ -219,7 +223,7 @@ def check_names(
     r"""Raise ModelError for a name that is unsafe, too long, no text, or that of two things."""
     listed: list[Any] = list(names)
     for name in listed:
-        of_type(name, str, where, f"give the {what} a text as its name")
+        require_type(name, str, where, f"give the {what} a text as its name")
     if len(set(listed)) < len(listed):
         twice = Counter(listed).most_common(1)[0][0]
         said = f"two {what}s have the same name, {twice[:SHOWN]!r}"
@@ -238,7 +242,7 @@ def check_names(
 
 
 @contextmanager
-def extra(name: str) -> Iterator[None]:
+def require_extra(name: str) -> Iterator[None]:
     """Name the extra that brings a package which an import inside does not find."""
     try:
         yield

@@ -37,16 +37,16 @@ import flint
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.model import MDP, once
+from exact_mdp.mdp.model import MDP, cache_on_model
 from exact_mdp.mdp.table import (
     Integers,
     Numbers,
-    integers,
-    merged,
+    concatenate_ranges,
+    merge_outcomes,
     multiply,
-    reduced,
+    reduce_fractions,
     row_sums,
-    spans,
+    to_integer_array,
 )
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ class BellmanRows:
     def of_pairs(self, pairs: Integers) -> BellmanRows:
         """Return the equations with some pairs alone, as those of a policy, one of each state."""
         first, last = self.offsets[pairs], self.offsets[pairs + 1]
-        entries = spans(first, last)
+        entries = concatenate_ranges(first, last)
         return replace(
             self,
             pair_offsets=np.searchsorted(self.pair_state[pairs], np.arange(len(self.scale) + 1)),
@@ -94,18 +94,18 @@ class BellmanRows:
         )
 
 
-@once
+@cache_on_model
 def bellman_rows(model: MDP) -> BellmanRows:
     """Return the Bellman equations of a model in integers, made once and read-only."""
     table, pair_offsets, pair_state = model.table, model.pair_offsets, model.pair_state
-    offsets, following, weight, denominator = merged(table)
-    gain, gain_denominator = reduced(*table.expected_gain_exact())
+    offsets, following, weight, denominator = merge_outcomes(table)
+    gain, gain_denominator = reduce_fractions(*table.expected_gain_exact())
     over, under = model.discount_exact.numerator, model.discount_exact.denominator
-    bottom = multiply(denominator, integers([under]))
+    bottom = multiply(denominator, to_integer_array([under]))
     scale = multiply(bottom // np.gcd(bottom, gain_denominator), gain_denominator)
     state_scale = lcm_by_group(scale, pair_offsets)
     scale = state_scale[pair_state]
-    factor = multiply(scale // bottom, integers([over]))
+    factor = multiply(scale // bottom, to_integer_array([over]))
     lengths = np.diff(offsets)
     if over == 0:
         offsets, following, weight = np.zeros_like(offsets), following[:0], weight[:0]
@@ -139,7 +139,7 @@ def lcm_by_group(values: Numbers, offsets: Integers) -> Numbers:
 # ---- the hash -----------------------------------------------------------------------------------
 
 
-@once
+@cache_on_model
 def fingerprint(model: MDP) -> str:
     """Return the SHA-256 of the model's exact content in hexadecimal.
 
@@ -158,13 +158,17 @@ def fingerprint(model: MDP) -> str:
     >>> fingerprint(one) == fingerprint(other)
     True
     """
-    offsets, following, weight, _ = merged(model.table)
+    offsets, following, weight, _ = merge_outcomes(model.table)
     weight = weight // np.repeat(np.gcd.reduceat(weight, offsets[:-1]), np.diff(offsets))
     rate, start = model.discount_exact, sorted((s, p) for s, p in model.start if p)
     columns = (
         np.array([model.n_states, rate.numerator, rate.denominator], dtype=object),
         np.array([n for s, p in start for n in (s, p.numerator, p.denominator)], dtype=object),
-        *(model.pair_state, model.pair_action, *reduced(*model.table.expected_gain_exact())),
+        *(
+            model.pair_state,
+            model.pair_action,
+            *reduce_fractions(*model.table.expected_gain_exact()),
+        ),
         *(row_sums(weight, offsets), np.diff(offsets), following, weight),
     )
     head = f"exact-mdp model 2 {model.sense}"
@@ -179,12 +183,12 @@ def fingerprint(model: MDP) -> str:
 # ---- exact numbers in Python and in FLINT --------------------------------------------------------
 
 
-def rational(number: Fraction | int) -> fmpq:
+def to_flint(number: Fraction | int) -> fmpq:
     """Return a number as FLINT's rational."""
     number_q: fmpq = flint.fmpq(number.numerator, number.denominator)
     return number_q
 
 
-def fraction(number: fmpq) -> Fraction:
+def from_flint(number: fmpq) -> Fraction:
     """Return FLINT's rational as Python's."""
     return Fraction(int(number.p), int(number.q))

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csgraph
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.model import MDP, once
+from exact_mdp.mdp.model import MDP, cache_on_model
 from exact_mdp.mdp.table import COMPILED, Integers, Numbers
 
 Mask = NDArray[np.bool_]
@@ -46,7 +46,9 @@ class Termination:
     trapped: Integers
 
 
-def reachable(mdp: MDP, states: ArrayLike | None = None, pairs: ArrayLike | None = None) -> Mask:
+def find_reachable_states(
+    mdp: MDP, states: ArrayLike | None = None, pairs: ArrayLike | None = None
+) -> Mask:
     """Return (S,) True for states that can be reached, the first ones included.
 
     These are `states` (K,), by default the start; `pairs`, numbers or truth values, are the only
@@ -55,12 +57,12 @@ def reachable(mdp: MDP, states: ArrayLike | None = None, pairs: ArrayLike | None
     first = [state for state, weight in mdp.start if weight] if states is None else states
     begin = np.zeros(mdp.n_states, dtype=bool)
     begin[np.asarray(first, dtype=np.int64)] = True
-    return closure(_edges(mdp, pairs), begin)
+    return find_reachable_nodes(_build_edges(mdp, pairs), begin)
 
 
-def components(mdp: MDP) -> tuple[int, Integers]:
+def label_components(mdp: MDP) -> tuple[int, Integers]:
     """Return the number of strongly connected components, and each state's (S,)."""
-    labels = strong_components(_edges(mdp))
+    labels = strong_components(_build_edges(mdp))
     return int(labels.max()) + 1, labels
 
 
@@ -96,10 +98,10 @@ def longest_ways(graph: sp.csr_array) -> tuple[Integers, Integers]:
     waiting = np.diff(edges.indptr)
     owner, every = np.repeat(np.arange(count), waiting), np.ones(edges.nnz, dtype=bool)
     backward = Backward.of(np.arange(edges.nnz + 1), edges.indices, owner, count)
-    return label, backward.rounds(waiting == 0, every, waiting)[0][label]
+    return label, backward.rank_states(waiting == 0, every, waiting)[0][label]
 
 
-def closure(graph: sp.csr_array, first: Mask) -> Mask:
+def find_reachable_nodes(graph: sp.csr_array, first: Mask) -> Mask:
     """Return (K,) True for nodes that can be reached from `first` (K,) along a graph's rows."""
     # One more node leads to all the first ones, so that a single search serves.
     indices, size = np.concatenate([graph.indices, np.flatnonzero(first)]), len(first) + 1
@@ -110,7 +112,7 @@ def closure(graph: sp.csr_array, first: Mask) -> Mask:
     return reached[:-1]
 
 
-@once
+@cache_on_model
 def numbered_in_order(mdp: MDP) -> bool:
     """Return whether every transition leads to a higher number, terminal states apart."""
     first = int(mdp.transition.indices[0])  # most others show it at once
@@ -124,12 +126,12 @@ def is_acyclic(mdp: MDP) -> bool:
     return numbered_in_order(mdp) or topological_levels(mdp) is not None
 
 
-@once
+@cache_on_model
 def topological_levels(mdp: MDP) -> Integers | None:
     """Return (S,) the greatest number of steps to a terminal state; None where there is a cycle."""
     if not mdp.terminal.any():
         return None
-    edges = _edges(mdp)
+    edges = _build_edges(mdp)
     # Without cycles, some state leads to terminal states alone; most other models show at once
     # that they have none.
     last = np.logical_and.reduceat(mdp.terminal[edges.indices], edges.indptr[:-1]) & ~mdp.terminal
@@ -140,12 +142,12 @@ def topological_levels(mdp: MDP) -> Integers | None:
     steps, each = np.diff(edges.indptr), np.arange(len(edges.indices) + 1)
     owner = np.repeat(np.arange(mdp.n_states), steps)
     backward = Backward.of(each, edges.indices, owner, mdp.n_states)
-    level, _ = backward.rounds(mdp.terminal, ~mdp.terminal[owner], steps)
+    level, _ = backward.rank_states(mdp.terminal, ~mdp.terminal[owner], steps)
     return None if (level < 0).any() else level
 
 
-@once
-def termination(mdp: MDP) -> Termination:
+@cache_on_model
+def prove_termination(mdp: MDP) -> Termination:
     """Return a proof that every policy ends, or a policy that never does from some states."""
     if numbered_in_order(mdp):
         rank = np.where(mdp.terminal, 0, np.arange(mdp.n_states)[::-1])
@@ -153,7 +155,7 @@ def termination(mdp: MDP) -> Termination:
     matrix = mdp.transition
     backward = Backward.of(matrix.indptr, matrix.indices, mdp.pair_state, mdp.n_states)
     every = np.ones(mdp.n_pairs, dtype=bool)
-    rank, staying = backward.rounds(mdp.terminal, every, np.diff(mdp.pair_offsets))
+    rank, staying = backward.rank_states(mdp.terminal, every, np.diff(mdp.pair_offsets))
     trapped = np.flatnonzero(rank < 0)
     if not len(trapped):
         return Termination(proven=True, rank=rank, policy=None, trapped=trapped)
@@ -163,11 +165,11 @@ def termination(mdp: MDP) -> Termination:
     return Termination(proven=False, rank=rank, policy=mdp.pair_action[chosen], trapped=trapped)
 
 
-def endless(mdp: MDP) -> bool:
+def has_improper_policy(mdp: MDP) -> bool:
     """Return whether the discount is 1 and some policy never ends, or ends beside a goal."""
     if mdp.discount_exact != 1:
         return False
-    return bool(beside_goal(mdp).any()) or not termination(mdp).proven
+    return bool(beside_goal(mdp).any()) or not prove_termination(mdp).proven
 
 
 def beside_goal(mdp: MDP) -> Mask:
@@ -195,7 +197,7 @@ class Backward:
         reverse = sp.csr_array((ones, following, offsets), shape).tocsc()
         return cls(reverse.indptr, reverse.indices, owner)
 
-    def rounds(self, first: Mask, pairs: Mask, waiting: Integers) -> tuple[Integers, Mask]:
+    def rank_states(self, first: Mask, pairs: Mask, waiting: Integers) -> tuple[Integers, Mask]:
         """Return (S,) the round in which each joins the `first` ones, or -1; and (L,) pairs left.
 
         It joins once `waiting` (S,) of its `pairs` (L,) may lead to those before.
@@ -205,14 +207,14 @@ class Backward:
         queue[: len(start)] = start
         parts = (self.before, self.into, self.owner, left, waiting, rank, queue)
         if len(self.into) >= COMPILED:
-            _compiled()(*parts, len(start))
+            _compile_peeling()(*parts, len(start))
             return rank, left
         lists: list[Any] = [*(part.tolist() for part in parts), len(start)]
-        join(*lists)
+        peel_states(*lists)
         return np.array(lists[5], dtype=np.int64), np.array(lists[3], dtype=bool)
 
 
-def join(
+def peel_states(
     before: Any, into: Any, owner: Any, left: Any, waiting: Any, rank: Any, queue: Any, filled: int
 ) -> None:
     """Write into `rank` when each state joins those in the queue, one round after the other.
@@ -236,16 +238,16 @@ def join(
 
 
 @cache
-def _compiled() -> Any:
-    """Return `join` for arrays."""
+def _compile_peeling() -> Any:
+    """Return `peel_states` for arrays."""
     from exact_mdp.mdp.forms import compiling
 
-    return compiling.compiled(join)
+    return compiling.compile_loop(peel_states)
 
 
 def where_endless(mdp: MDP) -> str:
     """Return where a policy of an endless model stays for ever, or ends beside the goal."""
-    ending = termination(mdp)
+    ending = prove_termination(mdp)
     if ending.policy is None:
         goal = np.zeros(mdp.n_states, dtype=bool) if mdp.goal is None else mdp.goal
         states, before = np.flatnonzero(mdp.terminal & ~goal), "it ends beside the goal in "
@@ -282,10 +284,10 @@ def other_question(mdp: MDP) -> str:
 
 def require_termination(mdp: MDP) -> None:
     """Raise ModelError unless γ < 1, or every policy ends and none of them beside a goal."""
-    if not endless(mdp):
+    if not has_improper_policy(mdp):
         return
     ways = ["for the optimum of all policies use solve(mdp) or certify(mdp)"]
-    if termination(mdp).proven:
+    if prove_termination(mdp).proven:
         said = "a run that ends beside the goal is worth infinity, and some policy has such a run"
     else:
         said = "discount 1 needs every policy to end, and one does not"
@@ -293,7 +295,7 @@ def require_termination(mdp: MDP) -> None:
     raise ModelError(said, where=where_endless(mdp), fix=ways_out(mdp, *ways))
 
 
-def _edges(mdp: MDP, pairs: ArrayLike | None = None) -> sp.csr_array:
+def _build_edges(mdp: MDP, pairs: ArrayLike | None = None) -> sp.csr_array:
     """Return the (S, S) edges from each state to its successors, pair after pair."""
     matrix, offsets = mdp.transition, mdp.pair_offsets
     chosen: Numbers = np.ones(mdp.n_pairs, dtype=bool) if pairs is None else np.asarray(pairs)
@@ -314,7 +316,7 @@ def _least_successor(mdp: MDP) -> Numbers:
     return np.where(mdp.terminal, mdp.n_states, lowest)
 
 
-@once
+@cache_on_model
 def runs_in_order(mdp: MDP) -> Integers:
     """Return where runs of states begin that do not lead to each other; the last entry is S."""
     least, ends = _least_successor(mdp).tolist(), mdp.terminal.tolist()

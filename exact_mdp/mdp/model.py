@@ -25,10 +25,10 @@ from exact_mdp.mdp.components import named_components, wrong_rows
 from exact_mdp.mdp.errors import (
     ModelError,
     ShapeError,
-    known,
-    located,
+    locate_errors,
     named_options,
-    of_type,
+    require_known_name,
+    require_type,
     words_of,
 )
 from exact_mdp.mdp.forms.explore import FromFunction
@@ -39,7 +39,7 @@ from exact_mdp.mdp.io.transitions import FromTransitions
 from exact_mdp.mdp.questions import Questions
 from exact_mdp.mdp.result import ROWS_SHOWN, ByFields, DataFrame, data_frame, plain_report
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Floats, Integers, Numbers, OutcomeTable, distinct, divide
+from exact_mdp.mdp.table import Floats, Integers, Numbers, OutcomeTable, divide, find_outcome_runs
 from exact_mdp.mdp.validate import (
     as_discount,
     as_flags,
@@ -47,7 +47,7 @@ from exact_mdp.mdp.validate import (
     as_start,
     check_model,
     check_options,
-    counted,
+    require_count,
 )
 
 Found = TypeVar("Found")
@@ -142,7 +142,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
     def __post_init__(self) -> None:
         fill = object.__setattr__
         if isinstance(self.table, OutcomeTable):
-            fill(self, "table", self.table.settled())
+            fill(self, "table", self.table.with_normalized_rows())
         check_model(self)
         for name, numbers in (("probabilities", self.table.weight), ("rewards", self.table.gain)):
             if numbers.dtype == np.float64:
@@ -151,7 +151,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         if self.observations is not None:
             fill(self, "observations", whole_numbers(self.observations, "observations"))
         if self.time_limit is not None:
-            fill(self, "time_limit", counted(self.time_limit, "time_limit"))
+            fill(self, "time_limit", require_count(self.time_limit, "time_limit"))
         fill(self, "labels", as_labels(self.labels, self.space))
         if self.goal is not None:
             fill(self, "goal", as_flags(self.goal, self.space, "goal"))
@@ -166,12 +166,12 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         offsets = np.zeros(self.n_states + 1, dtype=np.int64)
         np.cumsum(np.bincount(self.pair_state, minlength=self.n_states), out=offsets[1:])
         fill(self, "pair_offsets", offsets)
-        fill(self, "transition", _transition(self.table, self.n_states))
+        fill(self, "transition", _build_transition_matrix(self.table, self.n_states))
         fill(self, "reward", self.table.expected_gain())
         if not np.all(np.isfinite(self.reward)):
             raise ModelError("an expected reward is too large for a float", fix="scale the rewards")
         _check_components(self)
-        self._lock()
+        self._lock_arrays()
         if self.goal is not None and not self.terminal[self.goal].all():
             raise ModelError(
                 "a run goes on, or earns, in a state of the goal",
@@ -179,7 +179,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
                 fix="use until, which ends every run there",
             )
 
-    def _lock(self) -> None:
+    def _lock_arrays(self) -> None:
         """Make all arrays read-only."""
         for part in (self, self.table, self.transition):
             for value in vars(part).values():
@@ -193,7 +193,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
     def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(state)
         object.__setattr__(self, "labels", as_labels(self.labels, self.space))
-        self._lock()
+        self._lock_arrays()
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, MDP):
@@ -209,7 +209,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         return SHOWN
 
     def __repr__(self) -> str:
-        asked = questions.direction(self)
+        asked = questions.describe_sense(self)
         return (
             f"MDP({self.name or 'unnamed'}: {self.n_states} states, {self.n_actions} actions, "
             f"{self.n_pairs} pairs, {self.n_transitions} transitions, discount {self._rate}"
@@ -243,9 +243,9 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         state 0,0,state 1,2/3,5
         """
         chosen = range(self.n_states) if states is None else self.space.numbers(states)
-        return self._outcomes(pair for state in chosen for pair in self.pairs_of(state))
+        return self._frame_outcomes(pair for state in chosen for pair in self.pairs_of(state))
 
-    def _outcomes(self, pairs: Iterable[int]) -> DataFrame:
+    def _frame_outcomes(self, pairs: Iterable[int]) -> DataFrame:
         label = self.space.label
         rows = [
             (label(self.pair_state[pair]), self.actions[self.pair_action[pair]], label(after), p, r)
@@ -257,7 +257,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         return data_frame(rows, columns=names)
 
     def _repr_html_(self) -> str:
-        few = self._outcomes(range(min(self.n_pairs, ROWS_SHOWN)))
+        few = self._frame_outcomes(range(min(self.n_pairs, ROWS_SHOWN)))
         return plain_report(self, few, len(self.table.next)).html(ROWS_SHOWN)
 
     @property
@@ -318,7 +318,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
 
     def component(self, name: str) -> tuple[Numbers, Numbers]:
         """Return integers (L,), (L,) whose ratio is the expected amount of a component, exactly."""
-        known(name, self.component_names, "component", "components")
+        require_known_name(name, self.component_names, "component", "components")
         amount, denominator = self.table.expected_components_exact()
         return np.asarray(amount[:, self.component_names.index(name)]), denominator
 
@@ -429,7 +429,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
 
         Raises ModelError where the state lacks the action.
         """
-        with located("states"):
+        with locate_errors("states"):
             place = self.space.number(state)
         number = self.action(action)
         for pair in self.pairs_of(place):
@@ -444,8 +444,8 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
 
     def action(self, name: object) -> int:
         """Return the number of an action; `mdp.forms.names` says how it is given."""
-        with located("actions"):
-            return self.action_names.number(name)
+        with locate_errors("actions"):
+            return self.action_names.find_number(name)
 
     @cached_property
     def action_names(self) -> Names:
@@ -498,7 +498,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         origin = questions.origin_of(self)
         if discount is not None and origin is not None and origin.paid:
             # What states are worth at the horizon is discounted: it is asked once more.
-            asked = replace(origin, model=origin.model.with_(discount=discount)).again()
+            asked = replace(origin, model=origin.model.with_(discount=discount)).rebuild_model()
             if start is not None or parts:
                 asked = asked.with_(start=start, **parts)
             whole: Self = asked
@@ -519,12 +519,12 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
             parts["start"] = as_start(start, parts.get("space", self.space))
             parts.setdefault("episodes", None)
         if "table" in parts:
-            table = of_type(parts["table"], OutcomeTable, "table", "give an OutcomeTable")
+            table = require_type(parts["table"], OutcomeTable, "table", "give an OutcomeTable")
             parts = questions.NO_DATA | parts
             if not parts.keys() & {"components", "component_names"}:
                 parts |= questions.ONE_COMPONENT
                 means = table.averaged and table.components is None
-                earned = table.earning(table.gain, table.gain_denominator)
+                earned = table.with_reward(table.gain, table.gain_denominator)
                 parts["table"] = replace(earned, averaged=means)
         if "components" in parts:
             if self.table.components is not None:
@@ -554,7 +554,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         """Return the model of the other sense, whose rewards are those times -1."""
         negated = replace(
             self,
-            table=self.table.negated(),
+            table=self.table.negate_rewards(),
             sense="max" if self.sense == "min" else "min",
             # Without a question nothing is missed, and to miss that of a later `until` is worth +∞.
             unreached=self.unreached if self.target is None else -self.unreached,
@@ -566,7 +566,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
     @property
     def maximised(self) -> MDP:
         """The model itself, or its negation where rewards are costs."""
-        return self if self.sense == "max" else _negated(self)
+        return self if self.sense == "max" else _negate_model(self)
 
     @classmethod
     @named_options
@@ -623,11 +623,11 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         exact_mdp.save(self, path)
 
 
-def _transition(table: OutcomeTable, states: int) -> sp.csr_array:
+def _build_transition_matrix(table: OutcomeTable, states: int) -> sp.csr_array:
     """Return the (L, S) matrix: outcomes with the same next state added up, rounded once."""
     data, indices, indptr = table.weight, table.next, table.offsets
     if not table.rising:
-        first, indptr = distinct(table)
+        first, indptr = find_outcome_runs(table)
         data, indices = np.asarray(np.add.reduceat(data, first)), indices[first]
     data = divide(data, table.denominator, np.diff(indptr))
     if len(data) < 2**31 - 1:
@@ -666,20 +666,20 @@ def _check_components(mdp: MDP) -> None:
         )
 
 
-def once(find: Callable[[MDP], Found]) -> Callable[[MDP], Found]:
+def cache_on_model(find: Callable[[MDP], Found]) -> Callable[[MDP], Found]:
     """Return a function that finds something once for each model, and keeps it as long as that."""
     key = f"once {find.__module__}.{find.__name__}"
 
     @wraps(find)
-    def known(mdp: MDP) -> Found:
-        cache: dict[str, Found] = vars(of_type(mdp, MDP, "model", "give an MDP"))
+    def find_cached(mdp: MDP) -> Found:
+        cache: dict[str, Found] = vars(require_type(mdp, MDP, "model", "give an MDP"))
         if key not in cache:
             cache[key] = find(mdp)
         return cache[key]
 
-    return known
+    return find_cached
 
 
-@once
-def _negated(mdp: MDP) -> MDP:
+@cache_on_model
+def _negate_model(mdp: MDP) -> MDP:
     return mdp.negated()

@@ -7,7 +7,7 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from exact_mdp.mdp.errors import ModelError, check_names
-from exact_mdp.mdp.table import beside, exact, shown
+from exact_mdp.mdp.table import exact, format_beside_limits, format_rational
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +68,8 @@ class Parameter:
                 object.__setattr__(self, part, number)
         if self.low is not None and self.high is not None and self.low > self.high:
             raise ModelError(
-                f"low is {shown(self.low)}, above high, which is {shown(self.high)}",
+                f"low is {format_rational(self.low)}, "
+                f"above high, which is {format_rational(self.high)}",
                 where=f"parameter {self.name}",
                 fix="give the lower end as low",
             )
@@ -79,11 +80,11 @@ class Parameter:
         below = self.low is not None and value < self.low
         above = self.high is not None and value > self.high
         if below or above:
-            low = "-∞" if self.low is None else shown(self.low)
-            high = "∞" if self.high is None else shown(self.high)
+            low = "-∞" if self.low is None else format_rational(self.low)
+            high = "∞" if self.high is None else format_rational(self.high)
             ends = [end for end in (self.low, self.high) if end is not None]
             raise ModelError(
-                f"{self.name} is {beside(value, *ends)}, outside [{low}, {high}]",
+                f"{self.name} is {format_beside_limits(value, *ends)}, outside [{low}, {high}]",
                 where=f"parameter {self.name}",
                 fix="choose a value in that range",
             )

@@ -27,8 +27,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from exact_mdp.mdp.components import made_of
-from exact_mdp.mdp.errors import ModelError, known, located, suggest
+from exact_mdp.mdp.components import with_components
+from exact_mdp.mdp.errors import ModelError, locate_errors, require_known_name, suggest_name
 from exact_mdp.mdp.space import TIME, Column, StateSpace
 from exact_mdp.mdp.table import (
     MOST_BYTES,
@@ -38,11 +38,11 @@ from exact_mdp.mdp.table import (
     Numbers,
     OutcomeTable,
     exact,
-    integers,
-    ones,
+    make_ones,
     over_groups,
+    to_integer_array,
 )
-from exact_mdp.mdp.validate import Flags, Parts, by_state, counted
+from exact_mdp.mdp.validate import Flags, Parts, numbers_by_state, require_count
 
 REACHED, TERMINAL_VALUE = "reached", "terminal value"
 FLOATS, OF_PAIR, OF_STATE = 20, 250, 560
@@ -82,7 +82,7 @@ class Origin:
             return False
         return any(each.options.get("terminal_value") is not None for each in self.questions)
 
-    def unpaid(self) -> Origin:
+    def without_terminal_value(self) -> Origin:
         """Return the same questions, where states are worth nothing at a horizon."""
         asked = (
             replace(each, options={**each.options, "terminal_value": None})
@@ -92,7 +92,7 @@ class Origin:
         )
         return replace(self, questions=tuple(asked))
 
-    def again(self) -> Any:
+    def rebuild_model(self) -> Any:
         """Return the model that answers."""
         return reduce(lambda model, ask: ask(model), self.questions, self.model)
 
@@ -189,8 +189,10 @@ class Questions(Parts):
         >>> certify(mdp.reaching("home")).start_value
         Fraction(1, 3)
         """
-        target, size, space = labelled(self, label), self.n_states, self.space
-        outside = np.zeros(size, dtype=bool) if allowed is None else ~labelled(self, allowed)
+        target, size, space = find_labelled_states(self, label), self.n_states, self.space
+        outside = (
+            np.zeros(size, dtype=bool) if allowed is None else ~find_labelled_states(self, allowed)
+        )
         for state, chance in self.start:
             if chance > 0 and outside[state] and not target[state]:
                 raise ModelError(
@@ -199,8 +201,8 @@ class Questions(Parts):
                     fix="allow it, or start elsewhere",
                 )
         states, pairs = np.append(self.pair_state, size), self.n_pairs
-        table = _ended(
-            self.table.earning(np.zeros(pairs, np.int64), ones(pairs)),
+        table = _redirect_pairs(
+            self.table.with_reward(np.zeros(pairs, np.int64), make_ones(pairs)),
             np.append((target | outside)[self.pair_state], True),
             np.where(np.append(target, False)[states], size, states),
         )
@@ -210,7 +212,7 @@ class Questions(Parts):
         )  # the new state has the last number
         arrives = arrives[order]
         table = replace(
-            table.mapped(lambda _, values: values, lambda _, values: values[order]),
+            table.map_numbers(lambda _, values: values, lambda _, values: values[order]),
             next=np.where(arrives, table.next.dtype.type(size), table.next[order]),
         )
         parts = {
@@ -262,11 +264,11 @@ class Questions(Parts):
         >>> certify(mdp.until("home")).value.tolist()
         [Fraction(3, 2), Fraction(0, 1)]
         """
-        target = labelled(self, label)
-        model = self if reward is None else _earning(self, reward)
+        target = find_labelled_states(self, label)
+        model = self if reward is None else _with_component_reward(self, reward)
         goal = target if self.discount_exact == 1 else None
         _refuse_paid_goal(model, label)
-        until: Self = ended(model, target, goal=goal, target=target)
+        until: Self = make_terminal(model, target, goal=goal, target=target)
         asked: Self = keep_origin(until, model, "until", label=label)
         return asked
 
@@ -309,14 +311,14 @@ class Questions(Parts):
         """
         mdp: Any = self  # which is whole
         offsets, over = mdp.pair_offsets, mdp.over
-        values = [] if terminal_value is None else _values(terminal_value, self.space)
+        values = [] if terminal_value is None else _read_terminal_values(terminal_value, self.space)
         if self.target is not None:
             for state in np.flatnonzero(self.target).tolist():
                 if values and values[state]:
                     raise _paid_goal(self.space.place(state))
         if any(values):
             over = over & np.array([value == 0 for value in values])
-        count, space = counted(steps, "horizon"), _in_columns(self, over)
+        count, space = require_count(steps, "horizon"), _in_columns(self, over)
         own, states = space.regular, self.n_states
         origin = origin_of(self)
         if origin is not None and any(each.method == "within" for each in origin.questions):
@@ -331,45 +333,45 @@ class Questions(Parts):
                 where="state space",
                 fix="unroll the model that it was made from, or name that column differently",
             )
-        rows = _kept(self, offsets, over)
+        rows = _select_active_pairs(self, offsets, over)
         table = self.table.of_pairs(rows)
         _check_size(table, own, count)
 
-        def layers(values: Numbers, last: Numbers) -> Numbers:
+        def repeat_layers(values: Numbers, last: Numbers) -> Numbers:
             """Return what each of the times 0 … N-1 has, and what the last one has."""
             return np.concatenate([np.tile(values, (count, *[1] * (values.ndim - 1))), last])
 
-        def ending(name: str, values: Numbers) -> Numbers:
-            return layers(values, _certain(name, values, states))
+        def append_end(name: str, values: Numbers) -> Numbers:
+            return repeat_layers(values, _fill_certain(name, values, states))
 
-        lengths = layers(np.diff(table.offsets), np.ones(states, np.int64))
+        lengths = repeat_layers(np.diff(table.offsets), np.ones(states, np.int64))
         layered = replace(
-            table.mapped(ending, ending),
+            table.map_numbers(append_end, append_end),
             offsets=np.concatenate([[0], np.cumsum(lengths)]),
-            next=_following(self, own, over, rows, table, count),
+            next=_list_next_states(self, own, over, rows, table, count),
         )
         time = np.repeat(np.arange(count + 1), [*[len(rows)] * count, states])
 
-        def timed(flags: Flags) -> Flags:
+        def repeat_flags(flags: Flags) -> Flags:
             return np.append(np.tile(flags[:own], count + 1), flags[own:])
 
         names = self.component_names
         if any(values):
             later = [self.discount_exact * values[state] for state in table.next]
-            names, layered = _paid(layered, len(rows) * (count - 1), later, names)
+            names, layered = _add_terminal_values(layered, len(rows) * (count - 1), later, names)
         parts = {
             "table": layered,
             "component_names": names,
-            "pair_state": layers(self.pair_state[rows], np.arange(states)) + own * time,
-            "pair_action": layers(self.pair_action[rows], self.pair_action[offsets[:-1]]),
+            "pair_state": repeat_layers(self.pair_state[rows], np.arange(states)) + own * time,
+            "pair_action": repeat_layers(self.pair_action[rows], self.pair_action[offsets[:-1]]),
             "space": StateSpace(
                 columns=(Column(name=TIME, size=count + 1), *space.columns), extra=space.extra
             ),
             "start": tuple((s if s < own else s + own * count, weight) for s, weight in self.start),
             "time_limit": None,
-            "labels": {name: timed(flags) for name, flags in self.labels.items()},
-            "goal": None if self.goal is None else timed(self.goal),
-            "target": None if self.target is None else timed(self.target),
+            "labels": {name: repeat_flags(flags) for name, flags in self.labels.items()},
+            "goal": None if self.goal is None else repeat_flags(self.goal),
+            "target": None if self.target is None else repeat_flags(self.target),
             **NO_DATA,
         }
         options = {"steps": count, "terminal_value": terminal_value}
@@ -385,7 +387,7 @@ def _refuse_paid_goal(model: Any, label: str) -> None:
     own, inside = origin.model.space, origin.model.labels.get(label, [])
     for question in origin.questions:
         given = question.options.get("terminal_value")
-        values = [] if given is None else _values(given, own)
+        values = [] if given is None else _read_terminal_values(given, own)
         for state in np.flatnonzero(inside).tolist():
             if values and values[state]:
                 raise _paid_goal(own.place(state))
@@ -401,23 +403,23 @@ def _paid_goal(where: str) -> ModelError:
     )
 
 
-def _earning(model: Any, name: str) -> Any:
+def _with_component_reward(model: Any, name: str) -> Any:
     """Return the model whose reward is one of its components."""
     if (name,) == model.component_names and not model.table.parted_by_outcome:
         return model
     if name not in model.component_names:
-        fix = suggest(name, model.component_names)
+        fix = suggest_name(name, model.component_names)
         raise ModelError(f"no reward component {name!r}", where="reward components", fix=fix)
     origin = origin_of(model)
     if origin is not None and name in origin.model.component_names:
         # What states are worth at a horizon is a component of its own, which does not count.
-        unpaid = origin.unpaid()
-        return replace(unpaid, model=_earning(origin.model, name)).again()
-    table = model.table.earning_component(model.component_names.index(name))
+        unpaid = origin.without_terminal_value()
+        return replace(unpaid, model=_with_component_reward(origin.model, name)).rebuild_model()
+    table = model.table.with_component_reward(model.component_names.index(name))
     return replace(model, table=table, component_names=(name,))
 
 
-def unlimited(model: Parts, within: str) -> list[str]:
+def describe_time_limit(model: Parts, within: str) -> list[str]:
     """Return the note that an answer leaves out the environment's limit; `within` keeps it."""
     if model.time_limit is None:
         return []
@@ -428,7 +430,7 @@ def unlimited(model: Parts, within: str) -> list[str]:
     ]
 
 
-def direction(model: Parts) -> str:
+def describe_sense(model: Parts) -> str:
     """Return in words what is least or greatest; nothing where rewards are maximised."""
     if REACHED in model.space.extra:
         best = "least" if model.sense == "min" else "greatest"
@@ -436,7 +438,7 @@ def direction(model: Parts) -> str:
     return "costs to minimise" if model.sense == "min" else ""
 
 
-def labelled(model: Parts, label: str) -> Flags:
+def find_labelled_states(model: Parts, label: str) -> Flags:
     """Return the states (S,) of a label, if any; raises ModelError where the label is unknown.
 
     So it does in the model of another question, where runs are over that the label may be asked of.
@@ -453,20 +455,20 @@ def labelled(model: Parts, label: str) -> Flags:
             where="labels",
             fix="the model has none: build it with labels={name: (S,) truth values}",
         )
-    return model.labels[known(label, model.labels, "label", "labels")]
+    return model.labels[require_known_name(label, model.labels, "label", "labels")]
 
 
-def _ended(table: OutcomeTable, ends: Flags, follows: Numbers) -> OutcomeTable:
+def _redirect_pairs(table: OutcomeTable, ends: Flags, follows: Numbers) -> OutcomeTable:
     """Return the table whose marked pairs lead for sure to the states that follow, and earn 0.
 
     `ends` and `follows` may say this of one more pair, which is appended.
     """
 
-    def longer(name: str, values: Numbers) -> Numbers:
-        return np.concatenate([values, _certain(name, values, 1)])
+    def append_certain_pair(name: str, values: Numbers) -> Numbers:
+        return np.concatenate([values, _fill_certain(name, values, 1)])
 
     ending = replace(
-        table.mapped(longer, longer),
+        table.map_numbers(append_certain_pair, append_certain_pair),
         offsets=np.append(table.offsets, table.offsets[-1] + 1),
         next=np.append(table.next, table.next.dtype.type(0)),
     )
@@ -476,13 +478,13 @@ def _ended(table: OutcomeTable, ends: Flags, follows: Numbers) -> OutcomeTable:
     return replace(ended, next=np.where(np.repeat(ends, lengths), moved, ended.next))
 
 
-def ended(model: Any, states: Flags, **changes: Any) -> Any:
+def make_terminal(model: Any, states: Flags, **changes: Any) -> Any:
     """Return the model with some states (S,) made terminal, and with other changes."""
-    table = _ended(model.table, states[model.pair_state], model.pair_state)
+    table = _redirect_pairs(model.table, states[model.pair_state], model.pair_state)
     return replace(model, table=table, **NO_DATA, **changes)
 
 
-def _certain(name: str, values: Numbers, count: int) -> Numbers:
+def _fill_certain(name: str, values: Numbers, count: int) -> Numbers:
     """Return the numbers of a name for outcomes that are certain, and earn 0."""
     one = name == "weight" or name.endswith("denominator")
     return np.full((count, *values.shape[1:]), int(one), dtype=values.dtype)
@@ -491,26 +493,26 @@ def _certain(name: str, values: Numbers, count: int) -> Numbers:
 # ---- episodes of N steps -------------------------------------------------------------------------
 
 
-def by_time(model: Any, weights: Numbers, steps: int) -> Numbers:
+def split_by_time(model: Any, weights: Numbers, steps: int) -> Numbers:
     """Return (N, L) what pairs of `model.within(N)` have, by time and pair of the model itself."""
-    rows = _kept(model, model.pair_offsets, model.over)
+    rows = _select_active_pairs(model, model.pair_offsets, model.over)
     by_step = np.zeros((steps, model.n_pairs))
     by_step[:, model.pair_offsets[:-1][model.over]] = 1.0
     by_step[:, rows] = weights[: steps * len(rows)].reshape(steps, len(rows))
     return by_step
 
 
-def _kept(model: Parts, offsets: Integers, over: Flags) -> Integers:
+def _select_active_pairs(model: Parts, offsets: Integers, over: Flags) -> Integers:
     """Return the pairs that each time but the last has: a single one where all is over."""
     inside = ~over[model.pair_state]
     inside[offsets[:-1][over]] = True
     return np.flatnonzero(inside[: offsets[_in_columns(model, over).regular]])
 
 
-def _values(numbers: object, space: StateSpace) -> list[Fraction]:
+def _read_terminal_values(numbers: object, space: StateSpace) -> list[Fraction]:
     """Return a number for each state: from a vector, or from {state: number}, 0 for the others."""
-    with located("terminal_value"):
-        values = by_state(list(numbers) if isinstance(numbers, tuple) else numbers, space)
+    with locate_errors("terminal_value"):
+        values = numbers_by_state(list(numbers) if isinstance(numbers, tuple) else numbers, space)
         if values is None:
             raise ModelError(
                 f"a {type(numbers).__name__} does not say what each state is worth",
@@ -519,7 +521,7 @@ def _values(numbers: object, space: StateSpace) -> list[Fraction]:
         return [exact(values.get(state, 0)) for state in range(space.size)]
 
 
-def _paid(
+def _add_terminal_values(
     table: OutcomeTable, first: int, more: Sequence[Fraction], names: tuple[str, ...]
 ) -> tuple[tuple[str, ...], OutcomeTable]:
     """Return a table whose outcomes from pair `first` on earn so much more; and its components."""
@@ -535,7 +537,7 @@ def _paid(
         for own, bottom, later in zip(gain[here], below[pair], more, strict=True)
     ]
     gain[here], below[last] = over_groups(earned, table.offsets[first : last.stop + 1] - begin)
-    paid = table.earning(integers(gain.tolist()), integers(below.tolist()))
+    paid = table.with_reward(to_integer_array(gain.tolist()), to_integer_array(below.tolist()))
     if table.components is None:
         return names, replace(paid, averaged=table.averaged)
     parts = table.components if table.parted_by_outcome else None
@@ -547,7 +549,7 @@ def _paid(
     while name in names:
         name += "'"
     columns.append(_of_last(table, begin, more))
-    return (*names, name), replace(made_of(paid, columns), averaged=table.averaged)
+    return (*names, name), replace(with_components(paid, columns), averaged=table.averaged)
 
 
 def _of_last(table: OutcomeTable, begin: int, more: Sequence[Fraction]) -> tuple[Numbers, Numbers]:
@@ -581,7 +583,7 @@ def _check_size(table: OutcomeTable, own: int, count: int) -> None:
         )
 
 
-def _following(
+def _list_next_states(
     model: Parts, own: int, over: Flags, rows: Integers, table: OutcomeTable, count: int
 ) -> Numbers:
     """Return the next states: a step later, but where all is over and at time N."""

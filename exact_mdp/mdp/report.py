@@ -29,7 +29,7 @@ import flint
 import numpy as np
 
 from exact_mdp.mdp.errors import shown_text
-from exact_mdp.mdp.table import shown
+from exact_mdp.mdp.table import format_rational
 
 FORMAT = 2  # of the JSON: another number where a key changes its meaning or goes
 DIGITS = 10  # significant digits of a number in a table
@@ -79,12 +79,12 @@ class Table:
     def cells(self) -> list[list[str]]:
         """Return the texts of the rows that are shown."""
         forms = [column.partition(":")[2] for column in self.columns.values()]
-        return [[*map(cell, row, forms)] for row in self.values()]
+        return [[*map(format_cell, row, forms)] for row in self.values()]
 
     def numeric(self) -> list[bool]:
         """Return which columns hold numbers alone."""
         return [
-            all(value is None or isinstance(value, int | float | Fraction) or _claims(value)
+            all(value is None or isinstance(value, int | float | Fraction) or _has_claim(value)
                 for value in column)
             and any(value is not None and not isinstance(value, bool) for value in column)
             for column in zip(*self.values(), strict=True)
@@ -110,12 +110,12 @@ class Report:
     def json(self, **more: Any) -> str:
         """Return strict JSON, which names its format first."""
         content = {"format": FORMAT, **self.facts, **more}
-        return json.dumps(plain(content), indent=2, allow_nan=False)
+        return json.dumps(to_json_values(content), indent=2, allow_nan=False)
 
     def lines(self) -> dict[str, str]:
         """Return the facts that are lines, for people."""
         return {
-            key.replace("_", " "): fact(value)
+            key.replace("_", " "): format_fact(value)
             for key, value in self._seen()
             if key not in self.tables and not _is_table(value)
         }
@@ -125,18 +125,18 @@ class Report:
         tables = []
         for key, value in self._seen():
             if key not in self.tables and _is_table(value):
-                tables.append(_table(key.replace("_", " "), value))
+                tables.append(_build_table(key.replace("_", " "), value))
         for key, table in self.tables.items():
             rows = self.facts.get(key) if table.rows is None else table.rows
             rows = rows.value if isinstance(rows, Shown) else rows
             if rows is not None and len(rows):
-                rows = _rows(rows) if isinstance(rows, Mapping) else rows
+                rows = _list_rows(rows) if isinstance(rows, Mapping) else rows
                 tables.append(replace(table, rows=rows))
         return tables
 
     def html(self, first: int) -> str:
         """Return what a notebook shows: title, notes, lines, and the first rows of tables."""
-        return str(template(TEMPLATE).module.notebook(self, first))
+        return str(load_template(TEMPLATE).module.notebook(self, first))
 
     def _seen(self) -> Iterator[tuple[str, Any]]:
         for key, value in self.facts.items():
@@ -151,27 +151,27 @@ def _is_table(value: Any) -> bool:
     return isinstance(value, list | tuple) and bool(value) and isinstance(value[0], Mapping)
 
 
-def _rows(named: Mapping[Any, Any]) -> list[dict[str, Any]]:
+def _list_rows(named: Mapping[Any, Any]) -> list[dict[str, Any]]:
     return [
         {"": str(name), **(value if isinstance(value, Mapping) else {"value": value})}
         for name, value in named.items()
     ]
 
 
-def _table(title: str, value: Any) -> Table:
+def _build_table(title: str, value: Any) -> Table:
     """Return the table of a mapping or of a list of mappings: the columns without nested values."""
-    rows = _rows(value) if isinstance(value, Mapping) else list(value)
+    rows = _list_rows(value) if isinstance(value, Mapping) else list(value)
     keys = [*dict.fromkeys(key for row in rows for key in row)]
 
-    def flat(value: Any) -> bool:
-        return not isinstance(value, Mapping) and (_claims(value) or not is_dataclass(value))
+    def is_flat(value: Any) -> bool:
+        return not isinstance(value, Mapping) and (_has_claim(value) or not is_dataclass(value))
 
-    shown = [key for key in keys if all(flat(row.get(key)) for row in rows)]
+    shown = [key for key in keys if all(is_flat(row.get(key)) for row in rows)]
     return Table(title=title, rows=rows, columns={key.replace("_", " "): key for key in shown})
 
 
 @cache
-def template(path: Path) -> Any:
+def load_template(path: Path) -> Any:
     r"""Return a template of HTML, which may import that of reports; an undefined name is an error.
 
     Names stay text: jinja2 escapes what stands in elements and attributes, `tojson` what a script
@@ -190,7 +190,7 @@ def template(path: Path) -> Any:
     ).get_template(path.name)
 
 
-def claimed(key: str, number: Any) -> dict[str, Any]:
+def list_claim_facts(key: str, number: Any) -> dict[str, Any]:
     """Return a number that a result rests on: value, error bound and claim, one key each."""
     error = {} if hasattr(number, "standard_error") else {"error_bound": Shown(error_of(number))}
     return {key: Shown(float(number.value), number), **error, "claim": Shown(number.claim)}
@@ -199,35 +199,37 @@ def claimed(key: str, number: Any) -> dict[str, Any]:
 # ---- one value -----------------------------------------------------------------------------------
 
 
-def _claims(value: Any) -> bool:
+def _has_claim(value: Any) -> bool:
     return hasattr(value, "claim") and hasattr(value, "value")
 
 
-def plain(value: Any) -> Any:
+def to_json_values(value: Any) -> Any:
     """Return the same made of what JSON has; NumPy arrays and numbers have `tolist`."""
     if isinstance(value, Shown):
-        return plain(value.value)
+        return to_json_values(value.value)
     if isinstance(value, Mapping):
-        return {str(key): plain(below) for key, below in value.items()}
+        return {str(key): to_json_values(below) for key, below in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(below) for below in value]
-    if _claims(value) and hasattr(value, "standard_error"):
+        return [to_json_values(below) for below in value]
+    if _has_claim(value) and hasattr(value, "standard_error"):
         error = value.standard_error
-        return plain({"value": value.value, "standard_error": error, "interval": value.interval})
-    if _claims(value):
-        return plain({"value": float(value.value), "error_bound": error_of(value)})
+        return to_json_values(
+            {"value": value.value, "standard_error": error, "interval": value.interval}
+        )
+    if _has_claim(value):
+        return to_json_values({"value": float(value.value), "error_bound": error_of(value)})
     if is_dataclass(value):
-        return {each.name: plain(getattr(value, each.name)) for each in fields(value)}
+        return {each.name: to_json_values(getattr(value, each.name)) for each in fields(value)}
     if isinstance(value, Fraction):
-        return ratio(value)
+        return format_ratio(value)
     if isinstance(value, float) and not math.isfinite(value):
         return None if math.isnan(value) else f"{value:g}"
     if not isinstance(value, str) and hasattr(value, "tolist"):
-        return plain(value.tolist())
+        return to_json_values(value.tolist())
     return value
 
 
-def cell(value: Any, form: str = "") -> str:
+def format_cell(value: Any, form: str = "") -> str:
     """Return a value as a table shows it."""
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return "-"
@@ -240,42 +242,43 @@ def cell(value: Any, form: str = "") -> str:
     if isinstance(value, int):
         return f"{value:,}"
     if isinstance(value, float):
-        return number(value)
+        return format_number(value)
     if isinstance(value, Fraction):
-        text = ratio(value)
-        return text if len(text) <= SHORT else shown(value, DIGITS)
-    if _claims(value) and hasattr(value, "standard_error"):
+        text = format_ratio(value)
+        return text if len(text) <= SHORT else format_rational(value, DIGITS)
+    if _has_claim(value) and hasattr(value, "standard_error"):
         error = value.standard_error
-        off = f" ± {number(float(f'{error:.1g}'))}" if math.isfinite(error) else ""
-        return f"{number(value.value, error if off else 0.0)}{off}"
-    if _claims(value):
-        return number(float(value.value), error_of(value))
+        off = f" ± {format_number(float(f'{error:.1g}'))}" if math.isfinite(error) else ""
+        return f"{format_number(value.value, error if off else 0.0)}{off}"
+    if _has_claim(value):
+        return format_number(float(value.value), error_of(value))
     if isinstance(value, Mapping):
-        return ", ".join(f"{name} {cell(each)}" for name, each in value.items())
+        return ", ".join(f"{name} {format_cell(each)}" for name, each in value.items())
     if isinstance(value, list | tuple):
-        return ", ".join(cell(each) for each in value)
+        return ", ".join(format_cell(each) for each in value)
     return str(value)
 
 
-def fact(value: Any) -> str:
+def format_fact(value: Any) -> str:
     """Return a value as a fact shows it: a number says what it claims."""
-    if not _claims(value):
-        return cell(value)
+    if not _has_claim(value):
+        return format_cell(value)
     if math.isnan(value.value):
         return "unknown: double precision cannot bound it"
     if hasattr(value, "standard_error"):
         error = value.standard_error
         if not math.isfinite(error):
-            return f"{number(value.value)} ({value.claim}, of one draw)"
-        cut = f", cut off within {at_most(value.cut_off)}" if value.cut_off else ""
-        return f"{number(value.value, error / 10)} ({value.claim}, standard error {error:.2g}{cut})"
-    within = f", within {at_most(value.error)}" if hasattr(value, "error") else ""
-    return f"{cell(value)} ({value.claim}{within})"
+            return f"{format_number(value.value)} ({value.claim}, of one draw)"
+        cut = f", cut off within {format_error_bound(value.cut_off)}" if value.cut_off else ""
+        said = f"{value.claim}, standard error {error:.2g}{cut}"
+        return f"{format_number(value.value, error / 10)} ({said})"
+    within = f", within {format_error_bound(value.error)}" if hasattr(value, "error") else ""
+    return f"{format_cell(value)} ({value.claim}{within})"
 
 
-def between(low: float, high: float, error: float = 0.0) -> str:
+def format_interval(low: float, high: float, error: float = 0.0) -> str:
     """Return both ends of an interval, with the digits that an error leaves."""
-    return f"{number(low, error)} to {number(high, error)}"
+    return f"{format_number(low, error)} to {format_number(high, error)}"
 
 
 def error_of(claimed: Any) -> float:
@@ -288,7 +291,7 @@ def error_of(claimed: Any) -> float:
     return math.nextafter(float(lost), math.inf) if lost else 0.0
 
 
-def number(value: float | None, error: float = 0.0) -> str:
+def format_number(value: float | None, error: float = 0.0) -> str:
     """Return a number with the digits that its error leaves, ten at most; "-" for none."""
     if value is None or math.isnan(value):
         return "-"
@@ -301,14 +304,14 @@ def number(value: float | None, error: float = 0.0) -> str:
     return f"{rounded:.{DIGITS}g}"
 
 
-def at_most(error: float) -> str:
+def format_error_bound(error: float) -> str:
     """Return an error bound with two digits, rounded up so that it still holds."""
     if error == 0 or not math.isfinite(error):
         return f"{error:g}"
     return f"{Context(prec=2, rounding=ROUND_UP).create_decimal(error):g}"
 
 
-def ratio(value: Fraction | float) -> str:
+def format_ratio(value: Fraction | float) -> str:
     """Return "p/q", or "p" for an integer, however many digits there are; "inf" or "-inf"."""
     if isinstance(value, float):
         return f"{value:g}"
@@ -316,7 +319,7 @@ def ratio(value: Fraction | float) -> str:
     return top if value.denominator == 1 else f"{top}/{digits_of(value.denominator)}"
 
 
-def decimal(value: Fraction | float) -> str:
+def format_decimal(value: Fraction | float) -> str:
     """Return the exact decimal where there is one, otherwise "p/q"; "inf" and "-inf" too."""
     if not isinstance(value, Fraction):
         return str(value)
@@ -326,7 +329,7 @@ def decimal(value: Fraction | float) -> str:
         try:
             return f"{Decimal(top) / Decimal(bottom):f}"
         except Inexact:
-            return ratio(value)
+            return format_ratio(value)
 
 
 def digits_of(whole: int) -> str:

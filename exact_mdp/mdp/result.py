@@ -38,7 +38,7 @@ class Brief:
 
     def __repr__(self) -> str:
         names = getattr(self, "__dataclass_fields__", {})
-        parts = (f"{name}={_text(getattr(self, name))}" for name in names)
+        parts = (f"{name}={_shorten_value(getattr(self, name))}" for name in names)
         return f"{type(self).__name__}({', '.join(parts)})"
 
 
@@ -108,13 +108,13 @@ def data_frame(*content: Any, **settings: Any) -> DataFrame:
 
 
 def plain_report(thing: object, frame: DataFrame, count: int = 0) -> Report:
-    """Return a report of something's text and table, as `framed` takes it."""
+    """Return a report of something's text and table, as `frame_to_table` takes it."""
     said, claim = repr(thing), str(getattr(thing, "claim", ""))
     title = said if claim in said else f"{said} ({claim})"
-    return Report(title=title, facts={}, tables={"rows": framed(frame, count=count)})
+    return Report(title=title, facts={}, tables={"rows": frame_to_table(frame, count=count)})
 
 
-def framed(frame: DataFrame, title: str = "", count: int = 0) -> Table:
+def frame_to_table(frame: DataFrame, title: str = "", count: int = 0) -> Table:
     """Return a table of a frame; of so many rows where these are only the first."""
     frame = frame.reset_index() if frame.index.name else frame
     columns: dict[str, str] = {}
@@ -125,7 +125,7 @@ def framed(frame: DataFrame, title: str = "", count: int = 0) -> Table:
     return Table(title=title, columns=columns, rows=rows, count=count)
 
 
-def _text(value: Any) -> str:
+def _shorten_value(value: Any) -> str:
     if isinstance(value, np.ndarray):
         return f"array {value.shape}"
     return _SHORT.repr(value)

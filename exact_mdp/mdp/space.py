@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from exact_mdp.mdp.errors import (
     ModelError,
     check_names,
-    known,
-    located,
+    locate_errors,
     no_such,
+    require_known_name,
     words_of,
 )
 from exact_mdp.mdp.forms.names import Names
@@ -75,9 +75,9 @@ class Column:
 
     def number(self, value: object) -> int:
         """Return the value that a text or a number is: see `mdp.forms.names`."""
-        with located(f"column {self.name}"):
+        with locate_errors(f"column {self.name}"):
             if not self.bits or not isinstance(value, str):
-                return self.lookup.number(value)
+                return self.lookup.find_number(value)
             text = value.strip()
             if len(text) != self.bits or not set(text) <= {"0", "1"}:
                 raise ModelError(
@@ -144,7 +144,7 @@ class StateSpace:
 
     def column(self, name: str) -> Column:
         """Return the column called `name`; raises ModelError where there is none."""
-        known(name, self.names, "state column", "state space")
+        require_known_name(name, self.names, "state column", "state space")
         return self.columns[self.names.index(name)]
 
     def values(self, name: str, states: Integers | None = None) -> Integers:
@@ -219,13 +219,13 @@ class StateSpace:
         >>> [space.number(state) for state in (2, "3", (1, "r"), "row 0, side r", "end")]
         [2, 3, 3, 1, 4]
         """
-        return self.lookup.number(state)
+        return self.lookup.find_number(state)
 
     def numbers(self, states: object) -> list[int]:
         """Return the numbers of some states, as `number` does of one."""
-        return self.lookup.numbers(states)
+        return self.lookup.find_numbers(states)
 
-    def _cells(self, state: int) -> Iterator[tuple[str, str]]:
+    def _list_cells(self, state: int) -> Iterator[tuple[str, str]]:
         """Yield the name and the printed value of each column, from the last one on."""
         for column in reversed(self.columns):
             state, value = divmod(state, column.size)
@@ -237,7 +237,7 @@ class StateSpace:
             raise no_such("state", state, self.size, where="state space")
         if state >= self.regular:
             return self.extra[state - self.regular]
-        return ", ".join([f"{name} {value}" for name, value in self._cells(state)][::-1])
+        return ", ".join([f"{name} {value}" for name, value in self._list_cells(state)][::-1])
 
     def place(self, state: int) -> str:
         """Return where a message says that one state is: "state A", "state (row 0, column 3)"."""
@@ -252,7 +252,7 @@ class StateSpace:
         """Return one state's column labels by name; an extra state is {"state": its name}."""
         if not 0 <= state < self.regular:
             return {"state": self.label(state)}
-        return dict([*self._cells(state)][::-1])
+        return dict([*self._list_cells(state)][::-1])
 
     @classmethod
     def plain(cls, size: int, labels: Iterable[object] | None = ()) -> StateSpace:

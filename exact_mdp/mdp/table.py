@@ -26,11 +26,17 @@ from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.forms.rows import FLOAT_ROW_TOLERANCE as FLOAT_ROW_TOLERANCE
-from exact_mdp.mdp.forms.rows import LONG, exactly, fine_unit, meant, settle
+from exact_mdp.mdp.forms.rows import (
+    LONG,
+    fine_unit,
+    normalize_rows_in_numpy,
+    rationalize_row,
+    rows_to_integers,
+)
 from exact_mdp.mdp.forms.rows import Floats as Floats
 from exact_mdp.mdp.forms.rows import Integers as Integers
 from exact_mdp.mdp.forms.rows import Numbers as Numbers
-from exact_mdp.mdp.forms.rows import dyadic as dyadic
+from exact_mdp.mdp.forms.rows import to_dyadic_integers as to_dyadic_integers
 from exact_mdp.mdp.forms.threads import block_ends, run_blocks
 
 COMPILED = 20_000
@@ -102,21 +108,21 @@ class OutcomeTable:
         shape = (self.pairs, int(self.next.max(initial=0)) + 1)
         return bool(sp.csr_array((self.next, self.next, offsets), shape).has_canonical_format)
 
-    def settled(self) -> OutcomeTable:
+    def with_normalized_rows(self) -> OutcomeTable:
         """Return the table with the floats next to what its rows mean (`mdp.forms.rows`)."""
         if self.weight.dtype != np.float64 or "is_settled" in vars(self):
             return self
         weight = self.weight.copy()
-        settle_rows(weight, self.offsets)
+        normalize_rows(weight, self.offsets)
         table = self if np.array_equal(weight, self.weight) else replace(self, weight=weight)
         vars(table)["is_settled"] = True
         return table
 
     def of_pairs(self, pairs: Integers) -> OutcomeTable:
         """Return the table of some pairs (K,), in the order given."""
-        chosen = spans(self.offsets[pairs], self.offsets[pairs + 1])
+        chosen = concatenate_ranges(self.offsets[pairs], self.offsets[pairs + 1])
         return replace(
-            self.mapped(lambda _, values: values[pairs], lambda _, values: values[chosen]),
+            self.map_numbers(lambda _, values: values[pairs], lambda _, values: values[chosen]),
             offsets=np.concatenate([[0], np.cumsum(np.diff(self.offsets)[pairs])]),
             next=self.next[chosen],
         )
@@ -129,7 +135,7 @@ class OutcomeTable:
         of_pair = len(some) == self.pairs
         return some if of_pair else np.logical_or.reduceat(some, self.offsets[:-1])
 
-    def mapped(
+    def map_numbers(
         self, of_pair: Callable[[str, Numbers], Numbers], of_outcome: Callable[[str, Numbers], Any]
     ) -> OutcomeTable:
         """Return a table whose numbers, by name, are what functions make of (L,) and (N,) ones."""
@@ -149,17 +155,17 @@ class OutcomeTable:
         }
         return replace(self, **changed)
 
-    def earning(self, gain: Numbers, below: Numbers) -> OutcomeTable:
+    def with_reward(self, gain: Numbers, below: Numbers) -> OutcomeTable:
         """Return the table of another reward, which has no components."""
         parts: dict[str, Any] = {"components": None, "component_denominator": None}
         return replace(self, gain=gain, gain_denominator=below, averaged=False, **parts)
 
-    def earning_component(self, number: int) -> OutcomeTable:
+    def with_component_reward(self, number: int) -> OutcomeTable:
         """Return the table whose reward is a component alone."""
         if self.components is None:
             return self
         gain = np.ascontiguousarray(self.components[:, number])
-        return replace(self.earning(gain, self.component_denominator), averaged=self.averaged)
+        return replace(self.with_reward(gain, self.component_denominator), averaged=self.averaged)
 
     @property
     def parted_by_outcome(self) -> bool:
@@ -167,7 +173,7 @@ class OutcomeTable:
         parts = self.components
         return parts is not None and len(parts) == len(self.next) and len(parts) != self.pairs
 
-    def negated(self) -> OutcomeTable:
+    def negate_rewards(self) -> OutcomeTable:
         """Return the table of the rewards times -1."""
         parts: dict[str, Any] = {"gain": self.gain, "components": self.components}
         for name, array in parts.items():
@@ -178,11 +184,11 @@ class OutcomeTable:
             parts[name] = -array
         return replace(self, **parts)
 
-    def probabilities(self) -> Floats:
+    def compute_probabilities(self) -> Floats:
         """Return the (N,) outcome probabilities, each rounded once."""
         return divide(self.weight, self.denominator, np.diff(self.offsets))
 
-    def gains(self) -> Floats:
+    def compute_gains(self) -> Floats:
         """Return the (N,) outcome rewards, each rounded once."""
         gains = self.shared_gains()
         return np.repeat(gains, np.diff(self.offsets)) if len(self.gain) == self.pairs else gains
@@ -198,7 +204,7 @@ class OutcomeTable:
         if len(self.gain) == self.pairs:
             return self.shared_gains()
         if self.weight.dtype == np.float64 or self.gain.dtype == np.float64:
-            product = self.probabilities() * self.gains()
+            product = self.compute_probabilities() * self.compute_gains()
             return np.asarray(np.add.reduceat(product, self.offsets[:-1]), dtype=np.float64)
         return divide(*self.expected_gain_exact())
 
@@ -211,7 +217,7 @@ class OutcomeTable:
         weight, below = self.integer_weights()
         gain, gain_below = self.gain[earning], self.gain_denominator
         if gain.dtype == np.float64:
-            gain, gain_below = dyadic(gain, offsets)
+            gain, gain_below = to_dyadic_integers(gain, offsets)
         total = row_sums(multiply(weight[earning], gain), offsets)
         return total, multiply(below, gain_below)
 
@@ -237,33 +243,33 @@ class OutcomeTable:
             tops, belows = zip(*each, strict=True)
             common = np.lcm.reduce([below.astype(object) for below in belows])
             whole = [
-                multiply(top, integers((common // below).tolist())).astype(object)
+                multiply(top, to_integer_array((common // below).tolist())).astype(object)
                 for top, below in zip(tops, belows, strict=True)
             ]
-            amounts = integers(np.stack(whole, axis=1).reshape(-1).tolist())
-            return amounts.reshape(self.pairs, -1), integers(common.tolist())
+            amounts = to_integer_array(np.stack(whole, axis=1).reshape(-1).tolist())
+            return amounts.reshape(self.pairs, -1), to_integer_array(common.tolist())
         if self.components.dtype != np.float64:
             return self.components, self.component_denominator
         pairs, parts = self.components.shape
-        top, below = dyadic(self.components.reshape(-1), np.arange(pairs + 1) * parts)
+        top, below = to_dyadic_integers(self.components.reshape(-1), np.arange(pairs + 1) * parts)
         return top.reshape(pairs, parts), below
 
     def _each_component(self) -> list[OutcomeTable]:
         """Return the tables that earn one component each."""
-        return [self.earning_component(number) for number in range(self.components.shape[1])]
+        return [self.with_component_reward(number) for number in range(self.components.shape[1])]
 
     def integer_weights(self) -> tuple[Numbers, Numbers]:
         """Return (N,), (L,) integers: what each row means, over a denominator of its own."""
         if self.weight.dtype != np.float64:
             return self.weight, self.denominator
-        return exactly(self.weight, self.offsets)
+        return rows_to_integers(self.weight, self.offsets)
 
     def integer_gains(self) -> tuple[Numbers, Numbers]:
         """Return the rewards as integers: (N,) or (L,), over (L,) denominators."""
         if self.gain.dtype != np.float64:
             return self.gain, self.gain_denominator
         each = np.arange(self.pairs + 1) if len(self.gain) == self.pairs else self.offsets
-        return dyadic(self.gain, each)
+        return to_dyadic_integers(self.gain, each)
 
     def row(self, pair: int) -> list[tuple[Fraction, int, Fraction]]:
         """Return the exact outcomes of one pair: probability, next state, reward.
@@ -278,7 +284,7 @@ class OutcomeTable:
         here = slice(int(self.offsets[pair]), int(self.offsets[pair + 1]))
         weight, below = self.weight[here].tolist(), int(self.denominator[pair])
         floats = self.weight.dtype == np.float64
-        chances = meant(weight) if floats else [Fraction(top, below) for top in weight]
+        chances = rationalize_row(weight) if floats else [Fraction(top, below) for top in weight]
         of_pair = len(self.gain) == self.pairs
         under = int(self.gain_denominator[pair])
         gains = [exact(top) / under for top in self.gain[[pair] if of_pair else here].tolist()]
@@ -289,7 +295,7 @@ class OutcomeTable:
 def row_sums(values: Numbers, offsets: Integers) -> Numbers:
     """Return (L,) exact sums of integers over the rows that `offsets` delimits, empty ones too."""
     lengths = np.diff(offsets)
-    if magnitude(values) * int(lengths.max(initial=0)) >= EXACT_IN_INT64:
+    if find_magnitude(values) * int(lengths.max(initial=0)) >= EXACT_IN_INT64:
         values = values.astype(object)
     sums = np.zeros(len(lengths), dtype=values.dtype)
     filled = lengths > 0
@@ -298,7 +304,7 @@ def row_sums(values: Numbers, offsets: Integers) -> Numbers:
     return sums
 
 
-def settle_rows(weight: Floats, offsets: Integers) -> bool:
+def normalize_rows(weight: Floats, offsets: Integers) -> bool:
     """Settle rows; return whether all are distributions of positive numbers."""
     fits = len(offsets) > 1 and offsets[0] == 0 and offsets[-1] == len(weight) == weight.size
     if not (fits and np.diff(offsets).min() > 0):
@@ -306,10 +312,12 @@ def settle_rows(weight: Floats, offsets: Integers) -> bool:
     longest = int(np.diff(offsets).max())
     if len(weight) < COMPILED or longest >= LONG:
         with np.errstate(all="ignore"):
-            return settle(weight, offsets)
+            return normalize_rows_in_numpy(weight, offsets)
     from exact_mdp.mdp.forms import loops
 
-    return all_rows(loops.settle, offsets, weight, weight.view(np.int64), fine_unit(longest))
+    return all_rows(
+        loops.normalize_block, offsets, weight, weight.view(np.int64), fine_unit(longest)
+    )
 
 
 def all_rows(look: Callable[..., bool], offsets: Integers, *given: Any) -> bool:
@@ -317,20 +325,20 @@ def all_rows(look: Callable[..., bool], offsets: Integers, *given: Any) -> bool:
     ends = block_ends(offsets)
     sound = [False] * (len(ends) - 1)
 
-    def work(number: int, first: int, last: int) -> None:
+    def check_block(number: int, first: int, last: int) -> None:
         sound[number] = look(first, last, offsets, *given)
 
-    run_blocks(ends, work)
+    run_blocks(ends, check_block)
     return all(sound)
 
 
-def merged(table: OutcomeTable) -> tuple[Integers, Numbers, Numbers, Numbers]:
+def merge_outcomes(table: OutcomeTable) -> tuple[Integers, Numbers, Numbers, Numbers]:
     """Return the exact (L, S) transition matrix in lowest terms, row by row.
 
     These are offsets (L+1,), next states and weights (M,), and denominators (L,).
     """
     weight, denominator = table.integer_weights()
-    first, offsets = distinct(table)
+    first, offsets = find_outcome_runs(table)
     following = table.next
     if len(first) < len(following):
         weight, following = np.asarray(np.add.reduceat(weight, first)), following[first]
@@ -338,7 +346,7 @@ def merged(table: OutcomeTable) -> tuple[Integers, Numbers, Numbers, Numbers]:
     return offsets, following, weight // np.repeat(shared, np.diff(offsets)), denominator // shared
 
 
-def distinct(table: OutcomeTable) -> tuple[Integers, Integers]:
+def find_outcome_runs(table: OutcomeTable) -> tuple[Integers, Integers]:
     """Return where runs of outcomes to the same next state begin, and each pair's first run."""
     fresh = np.empty(len(table.next), dtype=bool)
     fresh[1:] = table.next[1:] != table.next[:-1]
@@ -347,7 +355,7 @@ def distinct(table: OutcomeTable) -> tuple[Integers, Integers]:
     return first, np.searchsorted(first, table.offsets).astype(np.int64)
 
 
-def reduced(top: Numbers, bottom: Numbers) -> tuple[Numbers, Numbers]:
+def reduce_fractions(top: Numbers, bottom: Numbers) -> tuple[Numbers, Numbers]:
     """Return the fractions top / bottom in lowest terms, elementwise."""
     shared = np.gcd(top, bottom)
     return np.asarray(top // shared), np.asarray(bottom // shared)
@@ -385,7 +393,7 @@ def _check_length(text: str, where: str) -> None:
         raise ModelError(what, where=where, fix="scale the model")
 
 
-def shown(number: Fraction, digits: int = 6) -> str:
+def format_rational(number: Fraction, digits: int = 6) -> str:
     """Return a rational in decimals for a message, however large it is."""
     if number == 0 or FLOAT_RANGE[0] < abs(number) < FLOAT_RANGE[1]:
         return f"{float(number):.{digits}g}"
@@ -394,14 +402,14 @@ def shown(number: Fraction, digits: int = 6) -> str:
     return f"{quotient.normalize(context):e}".replace("e+", "e")
 
 
-def beside(number: Fraction, *limits: Fraction) -> str:
+def format_beside_limits(number: Fraction, *limits: Fraction) -> str:
     """Return a rational in decimals that is on the same side of every limit as the number is."""
-    text = shown(number)
+    text = format_rational(number)
     rounded = Fraction(text)
     for limit in limits:
         if (rounded > limit) - (rounded < limit) != (number > limit) - (number < limit):
             sign = "+" if number > limit else "-"
-            return f"{shown(limit)} {sign} {shown(abs(number - limit))}"
+            return f"{format_rational(limit)} {sign} {format_rational(abs(number - limit))}"
     return text
 
 
@@ -415,14 +423,14 @@ def as_float(number: Fraction | float, where: str = "") -> float:
     try:
         return float(number)
     except OverflowError as error:
-        raise _too_large(where) from error
+        raise _overflow_error(where) from error
 
 
-def _too_large(where: str = "") -> ModelError:
+def _overflow_error(where: str = "") -> ModelError:
     return ModelError("a number too large for a float", where=where, fix="choose smaller units")
 
 
-def common(numbers: Sequence[Fraction]) -> tuple[list[int], int]:
+def to_common_denominator(numbers: Sequence[Fraction]) -> tuple[list[int], int]:
     """Return integers over one common denominator."""
     bottom = lcm(*(number.denominator for number in numbers)) if numbers else 1
     return [number.numerator * (bottom // number.denominator) for number in numbers], bottom
@@ -430,11 +438,15 @@ def common(numbers: Sequence[Fraction]) -> tuple[list[int], int]:
 
 def over_groups(values: Sequence[Fraction], offsets: Integers) -> tuple[Numbers, Numbers]:
     """Return rationals (N,) as integers over one denominator for each group of them."""
-    groups = [common(values[first:last]) for first, last in pairwise(offsets.tolist())]
-    return integers(top for tops, _ in groups for top in tops), integers(b for _, b in groups)
+    groups = [
+        to_common_denominator(values[first:last]) for first, last in pairwise(offsets.tolist())
+    ]
+    return to_integer_array(top for tops, _ in groups for top in tops), to_integer_array(
+        b for _, b in groups
+    )
 
 
-def integers(values: Iterable[int]) -> Numbers:
+def to_integer_array(values: Iterable[int]) -> Numbers:
     """Return an array of 64-bit integers where they fit, of Python integers where not."""
     listed = list(values)
     if not listed or (min(listed) > -EXACT_IN_INT64 and max(listed) < EXACT_IN_INT64):
@@ -446,18 +458,18 @@ def integers(values: Iterable[int]) -> Numbers:
 
 def in_proportion(numbers: Sequence[Fraction]) -> list[int]:
     """Return whole numbers in proportion to rationals of at least 0, as small as they can be."""
-    whole, _ = common(numbers)
+    whole, _ = to_common_denominator(numbers)
     divisor = gcd(*whole) or 1
     return [number // divisor for number in whole]
 
 
 @lru_cache(maxsize=16)
-def ones(length: int) -> Numbers:
+def make_ones(length: int) -> Numbers:
     """Return (length,) ones that take no memory: the denominators of integers and floats."""
     return np.broadcast_to(np.int64(1), (length,))
 
 
-def magnitude(array: Numbers) -> int:
+def find_magnitude(array: Numbers) -> int:
     """Return the largest absolute value as a Python integer."""
     return max(abs(int(array.max())), abs(int(array.min()))) if array.size else 0
 
@@ -465,7 +477,7 @@ def magnitude(array: Numbers) -> int:
 def multiply(left: Numbers, right: Numbers, *, terms: int = 1) -> Numbers:
     """Return the exact product of integer arrays, wide enough to add up `terms` of them."""
     narrow = left.dtype != object and right.dtype != object
-    if narrow and magnitude(left) * magnitude(right) * terms < EXACT_IN_INT64:
+    if narrow and find_magnitude(left) * find_magnitude(right) * terms < EXACT_IN_INT64:
         return np.asarray(left * right)
     return np.asarray(left.astype(object) * right.astype(object))
 
@@ -477,16 +489,16 @@ def divide(top: Numbers, bottom: Numbers, counts: Integers | None = None) -> Flo
     if counts is not None:
         bottom = np.repeat(bottom, counts)
     small = top.dtype != object and bottom.dtype != object
-    if small and max(magnitude(top), magnitude(bottom)) <= EXACT_IN_FLOAT:
+    if small and max(find_magnitude(top), find_magnitude(bottom)) <= EXACT_IN_FLOAT:
         return np.asarray(top.astype(np.float64) / bottom, dtype=np.float64)
     try:
         quotients = [int(a) / int(b) for a, b in zip(top.flat, bottom.flat, strict=True)]
     except OverflowError as error:
-        raise _too_large() from error
+        raise _overflow_error() from error
     return np.array(quotients, dtype=np.float64).reshape(top.shape)
 
 
-def spans(first: Numbers, last: Numbers) -> Integers:
+def concatenate_ranges(first: Numbers, last: Numbers) -> Integers:
     """Return the numbers first[0] … last[0]-1, first[1] … last[1]-1, and so on, in one array."""
     lengths = last - first
     ends = np.cumsum(lengths, dtype=np.int64)

@@ -18,26 +18,26 @@ from exact_mdp.mdp.errors import (
     NegativeError,
     ShapeError,
     check_names,
-    located,
+    locate_errors,
     no_option,
     no_such,
-    of_type,
     once_each,
-    suggest,
+    require_type,
+    suggest_name,
 )
 from exact_mdp.mdp.forms.names import ByNumber
-from exact_mdp.mdp.forms.numbers import as_given, is_table, plain, refuse_masked
-from exact_mdp.mdp.forms.rows import meant, put_right
+from exact_mdp.mdp.forms.numbers import as_given, convert_tensors, is_pandas_table, refuse_masked
+from exact_mdp.mdp.forms.rows import put_right, rationalize_row
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     FLOAT_ROW_TOLERANCE,
     Integers,
     OutcomeTable,
-    beside,
     exact,
+    format_beside_limits,
+    format_rational,
     row_sums,
-    shown,
 )
 
 Flags = NDArray[np.bool_]
@@ -130,9 +130,9 @@ def check_model(model: Parts) -> None:
     """Raise ModelError, naming the place and the remedy, unless `model` is a finite MDP."""
     for name, kind in KINDS.items():
         wanted = str(getattr(kind, "__name__", kind)).rpartition(".")[2]
-        of_type(getattr(model, name), kind, name, f"give a {wanted}")
+        require_type(getattr(model, name), kind, name, f"give a {wanted}")
     for parameter in model.parameters:
-        of_type(parameter, Parameter, "parameters", "give a tuple of Parameter")
+        require_type(parameter, Parameter, "parameters", "give a tuple of Parameter")
     check_names((model.name,), "model")
     check_names(model.actions, "action", where="actions")
     check_names(model.component_names, "component", where="reward components")
@@ -153,7 +153,7 @@ def _check_sense(model: Parts) -> None:
         raise ModelError(
             f"the sense is {model.sense!r}",
             where="sense",
-            fix=f"{suggest(str(model.sense), SENSES)}: rewards are maximised, costs minimised",
+            fix=f"{suggest_name(str(model.sense), SENSES)}: rewards are maximised, costs minimised",
         )
     if model.unreached not in (inf, -inf):
         raise ModelError(
@@ -199,8 +199,8 @@ def as_flags(values: object, space: StateSpace, where: str) -> Flags:
     """Return one truth value for each state (S,), read-only; states may be named instead."""
     array, size = np.asarray(values), space.size
     if array.dtype != bool and not isinstance(values, Mapping):
-        with located(where):
-            array = np.isin(np.arange(size), _states(values, array, space))
+        with locate_errors(where):
+            array = np.isin(np.arange(size), _find_states(values, array, space))
     if array.shape != (size,) or array.dtype != bool:
         raise ModelError(
             f"an array of type {array.dtype} and shape {array.shape} for {size} states",
@@ -213,7 +213,7 @@ def as_flags(values: object, space: StateSpace, where: str) -> Flags:
     return array
 
 
-def _states(values: object, array: NDArray[Any], space: StateSpace) -> Integers | list[int]:
+def _find_states(values: object, array: NDArray[Any], space: StateSpace) -> Integers | list[int]:
     """Return the numbers of states that are named; an array, and only that, goes by numbers."""
     if array.shape == (space.size,) and array.dtype.kind in "iuf" and np.isin(array, (0, 1)).all():
         raise ModelError(
@@ -225,11 +225,11 @@ def _states(values: object, array: NDArray[Any], space: StateSpace) -> Integers 
         if len(outside):
             raise no_such("state", outside[0], space.size)
         return array
-    alone = isinstance(values, tuple) and space.lookup.knows(values)
+    alone = isinstance(values, tuple) and space.lookup.has_name(values)
     return [space.number(values)] if alone else space.numbers(values)
 
 
-def counted(number: object, where: str, least: int = 1) -> int:
+def require_count(number: object, where: str, least: int = 1) -> int:
     """Return a whole number as an int; raise ModelError for anything else and below the least."""
     if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < least:
         fix = f"give a whole number, {least} or more"
@@ -255,7 +255,7 @@ def as_discount(discount: object) -> Fraction:
 def _check_discount(value: Fraction) -> None:
     if not 0 <= value.numerator <= value.denominator:
         raise ModelError(
-            f"discount is {beside(value, Fraction(0), Fraction(1))}, outside [0, 1]",
+            f"discount is {format_beside_limits(value, Fraction(0), Fraction(1))}, outside [0, 1]",
             where="discount",
             fix="choose a discount from 0 to 1: a rate of 3 % a step is the factor 100/103",
         )
@@ -265,22 +265,22 @@ def as_start(start: object, space: StateSpace) -> ByNumber:
     """Return an initial distribution from a state, {state: probability}, or a vector."""
     if start is None:
         return ByNumber([(0, Fraction(1))])
-    start = plain(start)
-    with located("start"):
-        weights = dict(start) if isinstance(start, ByNumber) else by_state(start, space)
+    start = convert_tensors(start)
+    with locate_errors("start"):
+        weights = dict(start) if isinstance(start, ByNumber) else numbers_by_state(start, space)
         if weights is None:
             weights = {space.number(start): 1}
         given = np.empty(len(weights), dtype=object)
         given[:] = [as_given(weight) for weight in weights.values()]
-        chances = map(exact, meant(put_right(given, np.array([0, len(given)])).tolist()))
+        chances = map(exact, rationalize_row(put_right(given, np.array([0, len(given)])).tolist()))
         pairs = sorted(zip(weights, chances, strict=True))
     return ByNumber((state, weight) for state, weight in pairs if weight != 0)
 
 
-def by_state(numbers: Any, space: StateSpace) -> dict[int, Any] | None:
+def numbers_by_state(numbers: Any, space: StateSpace) -> dict[int, Any] | None:
     """Return numbers by state from {state: number} or from a vector; None for anything else."""
     refuse_masked(numbers)
-    if is_table(numbers) and numbers.ndim == 1:
+    if is_pandas_table(numbers) and numbers.ndim == 1:
         if numbers.index.nlevels > 1:
             raise ModelError(
                 "a table has several levels of labels, whose order may be another one",
@@ -310,7 +310,7 @@ def _is_state(given: object, space: StateSpace) -> bool:
     if not isinstance(given, tuple):
         return False
     many = len(space.columns) > 1 and len(given) == len(space.columns)
-    return many or any(each.objects for each in space.columns) or space.lookup.knows(given)
+    return many or any(each.objects for each in space.columns) or space.lookup.has_name(given)
 
 
 def _check_pairs(model: Parts) -> None:
@@ -355,7 +355,7 @@ def _check_pairs(model: Parts) -> None:
 def _check_table(model: Parts) -> None:
     """Raise ModelError unless the arrays of the table fit together, and hold finite numbers."""
     table = model.table
-    misfit = _misfit(table, model.n_pairs)
+    misfit = _describe_misfit(table, model.n_pairs)
     if misfit:
         raise ModelError(
             misfit,
@@ -376,7 +376,7 @@ def _check_table(model: Parts) -> None:
             )
 
 
-def _misfit(table: OutcomeTable, pairs: int) -> str:
+def _describe_misfit(table: OutcomeTable, pairs: int) -> str:
     """Return what is wrong with the form of a table's arrays, or nothing."""
     outcomes, offsets = len(table.next), table.offsets
     lengths = {
@@ -422,7 +422,7 @@ def _check_rows(model: Parts) -> None:
         pair = _pair_of(table, index, len(table.next))
         weight = exact(table.weight[index]) / exact(table.denominator[pair])
         raise NegativeError(
-            f"a probability is {shown(weight, 12)}",
+            f"a probability is {format_rational(weight, 12)}",
             where=model.where(pair),
             fix="probabilities are positive; leave out those that are 0",
         )
@@ -437,9 +437,10 @@ def _check_rows(model: Parts) -> None:
         pair = int(np.flatnonzero(wrong)[0])
         total = exact(sums[pair]) / exact(table.denominator[pair])
         off = total - 1
-        near = f"1 {'+' if off > 0 else '-'} {shown(abs(off), 3)}"
+        near = f"1 {'+' if off > 0 else '-'} {format_rational(abs(off), 3)}"
         raise DistributionError(
-            f"transition probabilities sum to {near if abs(off) < 1e-9 else shown(total, 12)}, "
+            "transition probabilities sum to "
+            f"{near if abs(off) < 1e-9 else format_rational(total, 12)}, "
             "not 1",
             where=model.where(pair),
             fix="add the missing outcome, or correct a probability in this row; divide rows of a "
@@ -463,7 +464,8 @@ def _check_start(model: Parts) -> None:
     total = sum(weights, Fraction(0))
     if any(weight < 0 for weight in weights) or total != 1:
         raise DistributionError(
-            f"start probabilities sum to {beside(total, Fraction(1))}, not 1, or one is negative",
+            f"start probabilities sum to {format_beside_limits(total, Fraction(1))}, not 1, "
+            "or one is negative",
             where="start",
             fix="give a distribution over states",
         )

@@ -53,31 +53,33 @@ def main(context: click.Context, quick: bool, out: Path, readme: Path | None) ->
     from exact_mdp.paper_repro import run  # the help does not wait for it
 
     try:
-        results = run.run(out, quick=quick, readme=readme)
+        results = run.run_reproduction(out, quick=quick, readme=readme)
     except KeyboardInterrupt as stop:
         if not getattr(stop, "__notes__", ()):
-            stop.add_note(f"what is finished is kept in {out}, and the same command goes on")
+            stop.add_note(f"finished work is kept in {out}, and the same command goes on")
         raise
-    click.echo(run.table(results))
+    click.echo(run.format_claim_table(results))
     click.echo(f"\nReport: {out / 'report.md'}; figures: {out / 'figures'} (SVG and PNG)")
-    off = run.disagreements(results["claims"])
+    off = run.compare_with_pinned(results["claims"])
     for line in off:
         click.echo(f"differs from expected.toml: {line}", err=True)
     if not off:
         agree = f"All {len(results['claims'])} claims are as pinned in expected.toml"
         click.echo(f"{agree}: verdicts, and numbers within their tolerances")
-    return FAILED if off else None
+    if off:
+        return FAILED
+    return None
 
 
 @main.command("list")
-def listed() -> None:
+def list_command() -> None:
     """List all claims with their places in the paper."""
     from exact_mdp.paper_repro import run
 
-    click.echo(run.listed())
+    click.echo(run.list_claims())
 
 
-@main.command()
+@main.command("claim")
 @click.argument("name", metavar="ID")
 @click.option(
     "--set",
@@ -88,22 +90,22 @@ def listed() -> None:
     "(base.anger=1/10) or setting of the learner (training.ties=random); repeatable.",
 )
 @RUNS
-def claim(name: str, sets: tuple[str, ...], runs: int) -> None:
+def claim_command(name: str, sets: tuple[str, ...], runs: int) -> None:
     """Work out one claim; `list` shows their names."""
     from exact_mdp.paper_repro import run
 
-    click.echo(run.one(name, sets, runs))
+    click.echo(run.format_claim(name, sets, runs))
 
 
-@main.command()
+@main.command("figure")
 @click.argument("name")
 @click.option("--out", type=OUT, default=Path("results/figures"), show_default=True)
 @RUNS
-def figure(name: str, out: Path, runs: int) -> None:
+def figure_command(name: str, out: Path, runs: int) -> None:
     """Draw one figure as SVG and PNG; `list` shows their names after the claims."""
     from exact_mdp.paper_repro import run
 
-    for path in run.draw(name, out, runs):
+    for path in run.draw_figure(name, out, runs):
         click.echo(path)
 
 

@@ -34,7 +34,7 @@ NEARLY_ALL = 0.95
 MEAN_RETURN = "mean return in points"
 
 
-class Verdict(StrEnum):
+class ClaimVerdict(StrEnum):
     """What is found of a claim."""
 
     AGREES = "agrees"  # of an input
@@ -47,14 +47,14 @@ class Verdict(StrEnum):
     NOT_DETERMINED = "not determined"
 
 
-HOLDS = {Verdict.AGREES, Verdict.REPRODUCED, Verdict.COMPATIBLE, Verdict.SEEN}
+HOLDS = {ClaimVerdict.AGREES, ClaimVerdict.REPRODUCED, ClaimVerdict.COMPATIBLE, ClaimVerdict.SEEN}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
     """What is found of a claim under one reading."""
 
-    verdict: Verdict
+    verdict: ClaimVerdict
     why: str  # in a sentence or two
     says: str = ""  # the verdict with its number, "seen in 24 % of runs"; else the bare word
     number: Number | None = None  # the exact counterpart of the paper's number
@@ -65,8 +65,8 @@ class Finding:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Claim:
-    """One claim: its name, its places in the paper, what it says, and the function that checks.
+class PaperClaim:
+    """One claim: its name, its places in the paper, its words, and the function that checks it.
 
     `open` claims hinge on what the text leaves open and are tried under other readings; those that
     `learn` take training runs.
@@ -85,17 +85,22 @@ class Claim:
     def find(self, reading: Reading) -> Finding:
         """Check the claim under a reading."""
         finding = self.check(reading)
-        words = {Verdict.REPRODUCED: Verdict.AGREES, Verdict.NOT_REPRODUCED: Verdict.DIFFERS}
+        words = {
+            ClaimVerdict.REPRODUCED: ClaimVerdict.AGREES,
+            ClaimVerdict.NOT_REPRODUCED: ClaimVerdict.DIFFERS,
+        }
         if self.kind == "input":
             finding = replace(finding, verdict=words.get(finding.verdict, finding.verdict))
-        return finding if finding.says else replace(finding, says=str(finding.verdict))
+        if finding.says:
+            return finding
+        return replace(finding, says=str(finding.verdict))
 
 
-CLAIMS: dict[str, Claim] = {}
+CLAIMS: dict[str, PaperClaim] = {}
 """Every claim by its name, in the order of the paper; filled by the sections."""
 
 
-def claim(
+def register_claim(
     name: str,
     *places: str,
     rule: str = "statement",
@@ -106,50 +111,53 @@ def claim(
     """Return a decorator that makes a function a claim, or one claim for `each` of some words.
 
     The function then takes the word too; {word} in the name and the docstring stands for it, and
-    {means} for what it means.
+    {means} for its meaning.
     """
 
-    def keep(function: Callable[..., Finding]) -> Callable[..., Finding]:
+    def keep_claim(function: Callable[..., Finding]) -> Callable[..., Finding]:
         where = function.__module__.rpartition(".")[2]
         text = " ".join((function.__doc__ or "").split())
         for word, means in (each or {"": ""}).items():
             one = name.format(word=word)
-            CLAIMS[one] = Claim(
+            CLAIMS[one] = PaperClaim(
                 id=one,
                 places=places,
                 says=text.format(word=word, means=means),
                 rule=rule,
                 kind=kind,
-                check=_with(function, word) if each else function,
+                check=_bind_word(function, word) if each else function,
                 code=f"{where}.py, {function.__name__}",
                 **more,
             )
         return function
 
-    return keep
+    return keep_claim
 
 
-def _with(function: Callable[..., Finding], word: str) -> Callable[[Reading], Finding]:
+def _bind_word(function: Callable[..., Finding], word: str) -> Callable[[Reading], Finding]:
     return lambda reading: function(reading, word)
 
 
 # ---- the rules -----------------------------------------------------------------------------------
 
 
-def statement(holds: bool, why: str, **more: Any) -> Finding:
+def judge_statement(holds: bool, why: str, **more: Any) -> Finding:
     """Judge by a predicate."""
-    verdict = Verdict.REPRODUCED if holds else Verdict.NOT_REPRODUCED
+    if holds:
+        verdict = ClaimVerdict.REPRODUCED
+    else:
+        verdict = ClaimVerdict.NOT_REPRODUCED
     return Finding(verdict=verdict, why=why, **more)
 
 
-def entries(
+def compare_entries(
     paper: Mapping[str, Fraction], model: Mapping[str, Fraction], note: str = ""
 ) -> Finding:
     """Compare the numbers of a table with the model's, all exact."""
     off = {name: model[name] for name, number in paper.items() if model[name] != number}
     why = f"{len(paper) - len(off)} of {len(paper)} entries agree{note}"
     why += "".join(f"; {name} is {value}" for name, value in off.items())
-    return statement(
+    return judge_statement(
         not off,
         why,
         number=Certified(value=Fraction(len(paper) - len(off))),
@@ -159,39 +167,52 @@ def entries(
     )
 
 
-def about(paper: float, number: Number, why: str = "", **more: Any) -> Finding:
+def compare_approximately(paper: float, number: Number, why: str = "", **more: Any) -> Finding:
     """Compare a number that the text says approximately."""
     near = abs(number.value - paper) <= ABOUT
     wording = f"{'within' if near else 'more than'} {ABOUT:g} {'of' if near else 'from'} {paper:g}"
     said = "; ".join(filter(None, [f"{wording}, which the text says approximately", why]))
-    return statement(near, said, paper=paper, number=number, number_is=MEAN_RETURN, **more)
+    return judge_statement(near, said, paper=paper, number=number, number_is=MEAN_RETURN, **more)
 
 
-def average(paper: float, mean: float, sd: float, n: int, *, error: float, why: str) -> Finding:
+def compare_average(
+    paper: float, mean: float, sd: float, n: int, *, error: float, why: str
+) -> Finding:
     """Compare an average of n experiments with its exact mean, by their exact standard error."""
     standard_error = sd / sqrt(n)
     chance = erfc(abs(mean - paper) / standard_error / sqrt(2))
     number = Bounded(value=mean, error=error)
     numbers: dict[str, Any] = {"paper": paper, "number": number, "number_is": MEAN_RETURN}
-    return by_chance(chance, why, standard_error=standard_error, **numbers)
+    return judge_by_chance(chance, why, standard_error=standard_error, **numbers)
 
 
-def by_chance(chance: float, why: str, **more: Any) -> Finding:
-    """Judge by the chance of what is at least as far off."""
+def judge_by_chance(chance: float, why: str, **more: Any) -> Finding:
+    """Judge by the probability of a result that is at least as far off."""
     within = chance >= CHANCE
-    verdict = Verdict.COMPATIBLE if within else Verdict.NOT_REPRODUCED
+    if within:
+        verdict = ClaimVerdict.COMPATIBLE
+    else:
+        verdict = ClaimVerdict.NOT_REPRODUCED
     return Finding(verdict=verdict, why=why, says=f"{verdict}, p = {chance:.2g}", **more)
 
 
-def share(count: int, total: int, what: str, why: str, **more: Any) -> Finding:
+def judge_by_runs(count: int, total: int, what: str, why: str, **more: Any) -> Finding:
     """Judge by how many of our own runs show it."""
     part = count / total
-    shown = f"{100 * part:.{0 if part >= 0.095 else 1}f} %" if count else "none"
+    shown = "none"
+    if count:
+        shown = f"{100 * part:.{0 if part >= 0.095 else 1}f} %"
     says = f"seen in {shown} of {total:,} {what}"
-    verdict = Verdict.SEEN if count else Verdict.NOT_REPRODUCED
+    if count:
+        verdict = ClaimVerdict.SEEN
+    else:
+        verdict = ClaimVerdict.NOT_REPRODUCED
     if part >= NEARLY_ALL:
-        verdict = Verdict.REPRODUCED
-    says = says if verdict is Verdict.SEEN else f"{verdict}, {says}"
+        verdict = ClaimVerdict.REPRODUCED
+    if verdict is ClaimVerdict.SEEN:
+        says = says
+    else:
+        says = f"{verdict}, {says}"
     smooth = (count + 0.5) / (total + 1)  # not 0 where all runs are alike
     number = Estimated(value=part, standard_error=sqrt(smooth * (1 - smooth) / total))
     details = {"count": count, "runs": total, **more.pop("details", {})}
@@ -199,18 +220,18 @@ def share(count: int, total: int, what: str, why: str, **more: Any) -> Finding:
     return Finding(verdict=verdict, why=why, says=says, details=details, **more)
 
 
-def undecided(why: str, **more: Any) -> Finding:
+def judge_undecided(why: str, **more: Any) -> Finding:
     """Say why nothing here can decide a claim."""
-    return Finding(verdict=Verdict.NOT_DETERMINED, why=why, **more)
+    return Finding(verdict=ClaimVerdict.NOT_DETERMINED, why=why, **more)
 
 
 # ---- all claims, worked out ----------------------------------------------------------------------
 
 
-def judged(
-    claims: list[Claim], default: Reading, others: list[Reading], best: Reading
+def judge_claims(
+    claims: list[PaperClaim], default: Reading, others: list[Reading], best: Reading
 ) -> Iterator[dict[str, Any]]:
-    """Yield each claim with what is found of it, as `numbers.json` has it.
+    """Yield each claim with its finding, as `numbers.json` holds it.
 
     Open claims are tried under `others` and under the best supported reading, too; where they hold
     under some of these and not under the default, the verdict says so.
@@ -230,22 +251,28 @@ def judged(
                     "reproduced": len(holding),
                     "example": next(iter(holding), ""),
                 }
-                if depends(finding, tried.values()):
-                    entry["verdict"] = entry["verdict_says"] = str(Verdict.DEPENDS)
+                if depends_on_reading(finding, tried.values()):
+                    entry["verdict"] = entry["verdict_says"] = str(ClaimVerdict.DEPENDS)
         yield entry
 
 
-def depends(finding: Finding, others: Iterable[Verdict]) -> bool:
+def depends_on_reading(finding: Finding, others: Iterable[ClaimVerdict]) -> bool:
     """Return whether a claim fails under the default reading and holds under another."""
-    fails = finding.verdict in (Verdict.NOT_REPRODUCED, Verdict.DIFFERS)
+    fails = finding.verdict in (ClaimVerdict.NOT_REPRODUCED, ClaimVerdict.DIFFERS)
     return fails and any(verdict in HOLDS for verdict in others)
 
 
-def entry_of(each: Claim, finding: Finding) -> dict[str, Any]:
+def entry_of(each: PaperClaim, finding: Finding) -> dict[str, Any]:
     """Return a claim with a finding, as JSON."""
     number, paper, errors = finding.number, finding.paper, finding.standard_error
-    exact = None if number is None else number.value
-    apart = None if exact is None or paper is None else float(exact - paper)
+    if number is None:
+        exact = None
+    else:
+        exact = number.value
+    if exact is None or paper is None:
+        apart = None
+    else:
+        apart = float(exact - paper)
     return {
         "name": each.id,
         "kind": each.kind,

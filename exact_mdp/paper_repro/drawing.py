@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from exact_mdp.paper_repro.paper import write
+from exact_mdp.paper_repro.paper import write_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -65,10 +65,10 @@ FIGURES: dict[str, Picture] = {}
 Draw = Callable[["Reading"], "Figure"]
 
 
-def figure(name: str, place: str = "", *, title: str) -> Callable[[Draw], Draw]:
+def register_figure(name: str, place: str = "", *, title: str) -> Callable[[Draw], Draw]:
     """Return a decorator that makes a function a figure, with its docstring as the caption."""
 
-    def keep(draw: Draw) -> Draw:
+    def keep_figure(draw: Draw) -> Draw:
         FIGURES[name] = Picture(
             name=name,
             title=title,
@@ -79,10 +79,10 @@ def figure(name: str, place: str = "", *, title: str) -> Callable[[Draw], Draw]:
         )
         return draw
 
-    return keep
+    return keep_figure
 
 
-def save(picture: Picture, reading: Reading, folder: Path, *, dpi: int = 110) -> list[Path]:
+def save_figure(picture: Picture, reading: Reading, folder: Path, *, dpi: int = 110) -> list[Path]:
     """Draw a figure into a folder as SVG and PNG, each written whole or not at all."""
     import matplotlib as mpl
     import matplotlib.pyplot as plt
@@ -94,12 +94,12 @@ def save(picture: Picture, reading: Reading, folder: Path, *, dpi: int = 110) ->
             bytes_ = io.BytesIO()
             drawn.savefig(bytes_, format=kind, dpi=dpi, metadata=metadata)
             paths.append(folder / f"{picture.name}.{kind}")
-            write(paths[-1], bytes_.getvalue())
+            write_file(paths[-1], bytes_.getvalue())
         plt.close(drawn)
     return paths
 
 
-def axes(width: float, height: float, **grid: Any) -> tuple[Figure, Any]:
+def create_axes(width: float, height: float, **grid: Any) -> tuple[Figure, Any]:
     """Return a new figure and its axes."""
     import matplotlib.pyplot as plt
 
@@ -122,7 +122,9 @@ class Box:
     height: float = 0.7
 
 
-def diagram(ax: Axes, boxes: Mapping[str, Box], arrows: Sequence[tuple[str, str, str]]) -> None:
+def draw_diagram(
+    ax: Axes, boxes: Mapping[str, Box], arrows: Sequence[tuple[str, str, str]]
+) -> None:
     """Draw boxes, and arrows (from, to, words) along a row or a column."""
     from matplotlib.patches import FancyBboxPatch
 
@@ -139,26 +141,32 @@ def diagram(ax: Axes, boxes: Mapping[str, Box], arrows: Sequence[tuple[str, str,
     for source, target, text in arrows:
         start, end = boxes[source], boxes[target]
         if start.x != end.x:
-            side = 1 if end.x > start.x else -1
+            if end.x > start.x:
+                side = 1
+            else:
+                side = -1
             a, b = start.x + side * start.width / 2, end.x - side * end.width / 2
-            arrow(ax, (a, start.y), (b, end.y))
+            draw_arrow(ax, (a, start.y), (b, end.y))
             ax.text((a + b) / 2, start.y + 0.05, text, fontsize=7.5, ha="center", va="bottom")
         else:
-            side = 1 if end.y > start.y else -1
+            if end.y > start.y:
+                side = 1
+            else:
+                side = -1
             a, b = start.y + side * start.height / 2, end.y - side * end.height / 2
-            arrow(ax, (start.x, a), (end.x, b))
+            draw_arrow(ax, (start.x, a), (end.x, b))
             ax.text(start.x + 0.08, (a + b) / 2, text, fontsize=7.5, ha="left", va="center")
     ax.set_axis_off()
     ax.set_aspect("equal")
 
 
-def arrow(ax: Axes, start: tuple[float, float], end: tuple[float, float]) -> None:
+def draw_arrow(ax: Axes, start: tuple[float, float], end: tuple[float, float]) -> None:
     """Draw an arrow."""
     look = {"arrowstyle": "-|>", "color": "0.35", "lw": 1, "shrinkA": 0, "shrinkB": 0}
     ax.annotate("", xy=end, xytext=start, arrowprops=look)
 
 
-def who_legend(ax: Axes, **place: Any) -> None:
+def draw_legend(ax: Axes, **place: Any) -> None:
     """Say what pink, orange and a dashed edge stand for."""
     from matplotlib.patches import Patch
 
@@ -179,7 +187,7 @@ def who_legend(ax: Axes, **place: Any) -> None:
 # ---- maps of statuses, curves --------------------------------------------------------------------
 
 
-def status_map(ax: Axes, actions: Sequence[str], notes: Sequence[str]) -> None:
+def draw_status_map(ax: Axes, actions: Sequence[str], notes: Sequence[str]) -> None:
     """Draw the action in each of 16 statuses, with a note under it.
 
     Rows: forgetfulness and confusion; columns: anger and disengagement.
@@ -200,13 +208,13 @@ def status_map(ax: Axes, actions: Sequence[str], notes: Sequence[str]) -> None:
     ax.spines[:].set_visible(False)
 
 
-def smoothed(values: np.ndarray, window: int) -> tuple[np.ndarray, np.ndarray]:
+def smooth_over_windows(values: np.ndarray, window: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the middles of the windows, and means over them."""
     means = np.convolve(values, np.ones(window) / window, mode="valid")
     return np.arange(len(means)) + (window - 1) / 2, means
 
 
-def strip(ax: Axes, values: np.ndarray, colour: str, width: int = 20) -> None:
+def draw_band(ax: Axes, values: np.ndarray, colour: str, width: int = 20) -> None:
     """Draw the range of values in bins as a pale band."""
     cut = values[: len(values) // width * width].reshape(-1, width)
     at = np.arange(len(cut)) * width + width / 2

@@ -2,7 +2,7 @@
 
 Q-learning over the 16 statuses, learning rate 0.05, discount 0.95, 6,000 epochs of 30 episodes, ε
 constant at 0.1 or decaying (Equation 2). The paper trains once with each schedule; here each is
-trained with many seeds, so that what one run shows can be told from chance.
+trained with many seeds, so that the outcome of one run can be told from chance.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from exact_mdp.analysis.learning.outcomes import Outcomes, common_rows, outcomes
 from exact_mdp.solvers.learning.q_learning import QLearning, TrainingRun
 from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING, Constant
 from exact_mdp.solvers.learning.training import train
-from exact_mdp.solvers.values.layers import policy_values
+from exact_mdp.solvers.values.layers import evaluate_row_policies
 
 SEED = 20250101
 CURVES = 2**20  # the child of the seed that curves are drawn from
@@ -34,10 +34,10 @@ SETTINGS = {
 SHOWN = {"constant": "constant ε", "decaying": "decaying ε"}
 
 
-def settings(schedule: str, changes: Mapping[str, Any]) -> QLearning:
+def change_settings(schedule: str, changes: Mapping[str, Any]) -> QLearning:
     """Return the learner under an exploration schedule, with settings of `QLearning` changed.
 
-    >>> settings("constant", {"ties": "random"}).ties
+    >>> change_settings("constant", {"ties": "random"}).ties
     'random'
     """
     changes = dict(changes)
@@ -67,7 +67,9 @@ class Learned:
         """(R, E) exact value of the greedy policy of every epoch of every run."""
         mdp, runs = self.outcomes.mdp, self.runs
         rows = common_rows(mdp, runs)
-        return np.array([policy_values(mdp, rows, r.policies).value[r.snapshots] for r in runs])
+        return np.array(
+            [evaluate_row_policies(mdp, rows, r.policies).value[r.snapshots] for r in runs]
+        )
 
     @cached_property
     def converged(self) -> np.ndarray:
@@ -87,31 +89,31 @@ class Learned:
     @property
     def drawn(self) -> LearningCurve:
         """The first run's curve as the paper draws it: 40 experiments each epoch."""
-        source = child(CURVES, list(SETTINGS).index(self.schedule))
+        source = spawn_seed(CURVES, list(SETTINGS).index(self.schedule))
         return learning_curve(self.outcomes.mdp, self.runs[0], rng=source)
 
-    def common(self) -> tuple[np.ndarray, np.ndarray]:
+    def find_common_actions(self) -> tuple[np.ndarray, np.ndarray]:
         """Return (16,) the most frequent final action of each status, and its share of runs."""
         actions = self.outcomes.mdp.n_actions
         shares = np.stack([(self.final == a).mean(axis=0) for a in range(actions)], axis=1)
         return shares.argmax(axis=1), shares.max(axis=1)
 
 
-def child(*numbers: int) -> np.random.SeedSequence:
+def spawn_seed(*numbers: int) -> np.random.SeedSequence:
     """Return a descendant of the seed, the same however many there are."""
     return np.random.SeedSequence(SEED, spawn_key=numbers)
 
 
-def learn(
+def train_learner(
     mdp: MDP, schedule: str, runs: int, *, folder: Path | None, changes: Mapping[str, Any]
 ) -> Learned:
     """Train with this many seeds; runs that the folder holds are not done again."""
-    chosen = settings(schedule, changes)
+    chosen = change_settings(schedule, changes)
     if folder is not None:
         rows = np.concatenate([mdp.transition.data, mdp.reward]).tobytes()
         mark = sha256(rows + repr(chosen).encode()).hexdigest()[:12]
         folder = folder / f"{schedule}-{mark}"
-    source = child(list(SETTINGS).index(schedule))
+    source = spawn_seed(list(SETTINGS).index(schedule))
     trained = train(mdp, chosen, runs, rng=source, n_jobs=None, out=folder)
     results = outcomes(mdp, trained, bound=False)
     return Learned(schedule=schedule, runs=trained, outcomes=results)

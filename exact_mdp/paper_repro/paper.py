@@ -30,7 +30,7 @@ ANGRY = tuple(status for status in STATUSES if status[2] == "1")
 OPEN = ("0001", "0101", "1001", "1101")  # nothing is said of these
 
 AVERAGES: dict[str, float] = REPORTED["averages"]  # by the action in status 0000
-FINAL = next(iter(AVERAGES))  # that of the paper's final policy
+FINAL = next(iter(AVERAGES))  # the order of the paper's final policy
 EXPERIMENTS: int = REPORTED["experiments"]
 ABOUT = 5.0  # how far from a number that the text calls approximate: a tolerance of ours
 ORDERS = {  # of "directive or non-directive, respectively" for 1000 and 0100
@@ -45,28 +45,31 @@ def table_3() -> dict[str, Fraction]:
     for row, (base, entries) in PAPER["table3"].items():
         numbers[f"base.{row}"] = Fraction(base, 100)
         for column, entry in zip(BITS, entries, strict=True):
-            name = f"persistence.{row}" if row == column else f"influence.{row}.{column}"
+            if row == column:
+                name = f"persistence.{row}"
+            else:
+                name = f"influence.{row}.{column}"
             numbers[name] = Fraction(entry, 100)
     return numbers
 
 
-def words(status: str) -> str:
+def describe_status(status: str) -> str:
     """Return a status in words.
 
-    >>> words("1100"), words("0000")
+    >>> describe_status("1100"), describe_status("0000")
     ('forgetful, confused', 'well')
     """
     names = ("forgetful", "confused", "angry", "disengaged")
     return ", ".join(n for n, bit in zip(names, status, strict=True) if bit == "1") or "well"
 
 
-def fits(policy: dict[str, str], order: str) -> bool:
+def has_stated_actions(policy: dict[str, str], order: str) -> bool:
     """Return whether a policy takes the actions stated for 1100, 1000 and 0100, in one order."""
     stated = {"1100": REPORTED["stated"]["1100"], **ORDERS[order]}
     return all(policy[status] == action for status, action in stated.items())
 
 
-def write(path: Path, content: str | bytes) -> None:
+def write_file(path: Path, content: str | bytes) -> None:
     """Write a file whole or not at all, in a folder that is made; raises ModelError if it fails."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

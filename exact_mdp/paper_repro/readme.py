@@ -12,9 +12,9 @@ from math import floor, log10
 from pathlib import Path
 from typing import Any
 
-from exact_mdp.paper_repro.agents.simulate import of_figures
+from exact_mdp.paper_repro.agents.simulate import texts_of_figures
 from exact_mdp.paper_repro.agents.texts import ASSISTANCE
-from exact_mdp.paper_repro.claim import Verdict
+from exact_mdp.paper_repro.claim import ClaimVerdict
 from exact_mdp.paper_repro.drawing import FIGURES
 from exact_mdp.paper_repro.paper import (
     ACTIONS,
@@ -27,15 +27,15 @@ from exact_mdp.paper_repro.paper import (
     PLACES,
     TABLE_4,
 )
-from exact_mdp.paper_repro.section_2 import chance, effect
-from exact_mdp.paper_repro.section_3 import weights
-from exact_mdp.paper_repro.silent_points import OPTIONS, Reading, default
+from exact_mdp.paper_repro.section_2 import compute_effect, compute_status_probability
+from exact_mdp.paper_repro.section_3 import derive_weights
+from exact_mdp.paper_repro.silent_points import OPTIONS, Reading, build_default_reading
 
 TEMPLATE = Path(__file__).parent / "README.md.j2"
 SECTIONS = ("Section 1", "Section 4.1", "Section 4.2")  # those with findings
 
 
-def number(value: float | None, *, digits: int = 4) -> str:
+def format_rounded(value: float | None, *, digits: int = 4) -> str:
     """Return a number for reading: few digits, and a true minus sign; nothing for None."""
     if value is None:
         return ""
@@ -46,57 +46,63 @@ def number(value: float | None, *, digits: int = 4) -> str:
     return text.replace("-", "−")
 
 
-def signed(value: float) -> str:
+def format_signed(value: float) -> str:
     """Return a number with its sign and one decimal.
 
-    >>> signed(-0.01), signed(-2.66)
+    >>> format_signed(-0.01), format_signed(-2.66)
     ('+0.0', '−2.7')
     """
     return f"{value:+z.1f}".replace("-", "−")
 
 
-def exact(entry: Mapping[str, Any]) -> str:
+def format_exact(entry: Mapping[str, Any]) -> str:
     """Return the exact number of a claim with how it is known."""
     if entry["exact"] is None:
         return ""
     if error := entry["estimate_standard_error"]:
         places = max(1 - floor(log10(error)), 0)
         return f"{entry['exact']:.{places}f} ± {error:.{places}f}".replace("-", "−")
-    return number(entry["exact"], digits=5 if abs(entry["exact"]) >= 100 else 4)
+    return format_rounded(entry["exact"], digits=5 if abs(entry["exact"]) >= 100 else 4)
 
 
-def paper(entry: Mapping[str, Any]) -> str:
+def format_paper_number(entry: Mapping[str, Any]) -> str:
     """Return the paper's number with the digits that it has there."""
     if entry["paper"] is None:
         return ""
-    return ("≈ " if entry["approximate"] else "") + number(entry["paper"], digits=10)
+    return ("≈ " if entry["approximate"] else "") + format_rounded(entry["paper"], digits=10)
 
 
-def counted(claims: list[Mapping[str, Any]], kind: str) -> str:
+def count_verdicts(claims: list[Mapping[str, Any]], kind: str) -> str:
     """Return how many claims of a kind have each verdict, in words."""
     verdicts = [entry["verdict"] for entry in claims if entry["kind"] == kind]
-    return ", ".join(f"{v} {verdicts.count(v)}" for v in Verdict if v in verdicts)
+    return ", ".join(f"{v} {verdicts.count(v)}" for v in ClaimVerdict if v in verdicts)
 
 
-def tables(reading: Reading) -> dict[str, list[list[str]]]:
+def build_tables(reading: Reading) -> dict[str, list[list[str]]]:
     """Return Tables 1 to 4 as the compiled model has them: headings, then rows."""
-    mdp, scenario, weight_of = reading.mdp, reading.scenario, weights(reading)
-    best, random = reading.value("optimal"), reading.value("random")
+    mdp, scenario, weight_of = reading.mdp, reading.scenario, derive_weights(reading)
+    best, random = reading.evaluate_policy("optimal"), reading.evaluate_policy("random")
 
     def per_cent(share: Any) -> str:
         return f"{float(100 * share):g} %"
 
     def table_2(action: int, name: str) -> list[str]:
-        stays = {s: [chance(mdp, b, a, s) for a in (action, 0)] for s, b in BITS.items()}
+        stays = {
+            s: [compute_status_probability(mdp, b, a, s) for a in (action, 0)]
+            for s, b in BITS.items()
+        }
         listed = [f"{s} {per_cent(with_)}" for s, (with_, alone) in stays.items() if with_ != alone]
         said = ASSISTANCE.get(name, {"brief": "the robot keeps silent", "examples": []})
-        weight = number(float(weight_of[f"assist.{name}"]))
+        weight = format_rounded(float(weight_of[f"assist.{name}"]))
         words = [said["brief"], " ".join(said["examples"]), ", ".join(listed) or "none"]
         return [f"a{action} {name}", *words, weight]
 
     def table_3(row: str, bit: int) -> list[str]:
-        base, stays = per_cent(chance(mdp, 0, 0, row)), per_cent(chance(mdp, bit, 0, row))
-        added = {c: "+" + per_cent(effect(mdp, row, c)) for c in BITS if c != row}
+        base, stays = (
+            per_cent(compute_status_probability(mdp, 0, 0, row)),
+            per_cent(compute_status_probability(mdp, bit, 0, row)),
+        )
+        added = {c: "+" + per_cent(compute_effect(mdp, row, c)) for c in BITS if c != row}
         return [row, base, *({**added, row: stays}[column] for column in BITS)]
 
     return {
@@ -129,12 +135,12 @@ def tables(reading: Reading) -> dict[str, list[list[str]]]:
         ],
         "Table 4": [
             ["weight", "value"],
-            *([name, number(float(weight_of[name]))] for name in TABLE_4),
+            *([name, format_rounded(float(weight_of[name]))] for name in TABLE_4),
         ],
     }
 
 
-def render(results: Mapping[str, Any], *, code: str = "") -> str:
+def render_readme(results: Mapping[str, Any], *, code: str = "") -> str:
     """Return the page; `code` is what links to files of the code begin with, none where empty."""
     import jinja2
 
@@ -144,8 +150,13 @@ def render(results: Mapping[str, Any], *, code: str = "") -> str:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters |= {"number": number, "exact": exact, "paper": paper, "signed": signed}
-    environment.filters["code"] = _linked(code)
+    environment.filters |= {
+        "number": format_rounded,
+        "exact": format_exact,
+        "paper": format_paper_number,
+        "signed": format_signed,
+    }
+    environment.filters["code"] = _build_link_filter(code)
     claims = results["claims"]
     by_name = {entry["name"]: entry for entry in claims}
     groups = {
@@ -157,24 +168,26 @@ def render(results: Mapping[str, Any], *, code: str = "") -> str:
         claim=by_name,
         groups=groups,
         inputs=[entry for entry in claims if entry["kind"] == "input"],
-        counted={kind: counted(claims, kind) for kind in ("input", "finding")},
+        counted={kind: count_verdicts(claims, kind) for kind in ("input", "finding")},
         places=PLACES,
         document=PAPER,
         points=OPTIONS,
-        not_reproduced=[e for e in claims if e["verdict"] == Verdict.NOT_REPRODUCED],
+        not_reproduced=[e for e in claims if e["verdict"] == ClaimVerdict.NOT_REPRODUCED],
         open_statuses=OPEN,
         averages=AVERAGES,
         orders=list(ORDERS),
         final=FINAL,
-        tables=tables(default()),
+        tables=build_tables(build_default_reading()),
         figures=list(FIGURES.values()),
-        texts=of_figures(),
+        texts=texts_of_figures(),
     )
 
 
-def _linked(prefix: str) -> Any:
-    def link(place: str) -> str:
+def _build_link_filter(prefix: str) -> Any:
+    def format_link(place: str) -> str:
         file, _, function = place.partition(", ")
-        return f"[{file}]({prefix}{file}) `{function}`" if prefix else f"{file} `{function}`"
+        if prefix:
+            return f"[{file}]({prefix}{file}) `{function}`"
+        return f"{file} `{function}`"
 
-    return link
+    return format_link

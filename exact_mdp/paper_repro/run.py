@@ -7,7 +7,7 @@ figures/       each figure as SVG and PNG
 run.json       versions, commit and date
 
 Finished training runs are kept in OUT/work until the job is done, so that an interrupted one goes
-on where it stopped. `expected.toml` pins what each claim comes to; it is written by hand.
+on where it stopped. `expected.toml` pins the result of each claim; it is written by hand.
 """
 
 from __future__ import annotations
@@ -26,15 +26,27 @@ from typing import Any
 
 from exact_mdp import Estimated, ModelError, evaluate
 from exact_mdp.analysis.record import run_record
-from exact_mdp.mdp.errors import extra, known
-from exact_mdp.mdp.report import at_most
+from exact_mdp.mdp.errors import require_extra, require_known_name
+from exact_mdp.mdp.report import format_error_bound
 from exact_mdp.paper_repro import section_4_1_learning, section_4_1_policies, section_4_2
-from exact_mdp.paper_repro.claim import CLAIMS, Claim, Verdict, depends, judged
-from exact_mdp.paper_repro.drawing import FIGURES, save
-from exact_mdp.paper_repro.learner import SEED, settings
-from exact_mdp.paper_repro.paper import AVERAGES, FINAL, OPEN, ORDERS, write
-from exact_mdp.paper_repro.readme import exact, paper, render
-from exact_mdp.paper_repro.silent_points import Reading, default, facts, one_change, support
+from exact_mdp.paper_repro.claim import (
+    CLAIMS,
+    ClaimVerdict,
+    PaperClaim,
+    depends_on_reading,
+    judge_claims,
+)
+from exact_mdp.paper_repro.drawing import FIGURES, save_figure
+from exact_mdp.paper_repro.learner import SEED, change_settings
+from exact_mdp.paper_repro.paper import AVERAGES, FINAL, OPEN, ORDERS, write_file
+from exact_mdp.paper_repro.readme import format_exact, format_paper_number, render_readme
+from exact_mdp.paper_repro.silent_points import (
+    Reading,
+    build_default_reading,
+    compute_support,
+    describe_readings,
+    one_change,
+)
 
 PARTS = (section_4_1_learning, section_4_1_policies, section_4_2)  # importing them fills CLAIMS
 FULL, QUICK = 400, 100  # training runs of each schedule
@@ -44,13 +56,13 @@ WIDE = 100  # characters of a line
 DIGITS = 10  # of the numbers that are written
 
 
-def say(text: str) -> None:
-    """Show what is worked on, where standard error is a terminal."""
+def show_progress(text: str) -> None:
+    """Show the current task, if standard error is a terminal."""
     if sys.stderr.isatty():
         print(f"\r\x1b[K{text:.78}", end="", file=sys.stderr, flush=True)
 
 
-def rounded(data: Any) -> Any:
+def round_numbers(data: Any) -> Any:
     """Return results with the digits that every processor gives, ten of each number.
 
     Sums in another order differ in the twelfth digit at most, where numbers nearly cancel out. An
@@ -58,14 +70,16 @@ def rounded(data: Any) -> Any:
     """
     if isinstance(data, Mapping):
         bound, number = data.get("error_bound"), data.get("exact")
-        data = {key: rounded(value) for key, value in data.items()}
+        data = {key: round_numbers(value) for key, value in data.items()}
         if bound is not None and number:
             unit = 10.0 ** (floor(log10(abs(number))) - DIGITS + 1)
-            data["error_bound"] = float(at_most(bound + unit / 2))
+            data["error_bound"] = float(format_error_bound(bound + unit / 2))
         return data
     if isinstance(data, list | tuple):
-        return [rounded(value) for value in data]
-    return float(f"{data:.{DIGITS}g}") if isinstance(data, float) else data
+        return [round_numbers(value) for value in data]
+    if isinstance(data, float):
+        return float(f"{data:.{DIGITS}g}")
+    return data
 
 
 def as_json(data: object) -> str:
@@ -73,40 +87,40 @@ def as_json(data: object) -> str:
     return json.dumps(data, indent=1, ensure_ascii=False) + "\n"
 
 
-def run(out: Path, *, quick: bool, readme: Path | None = None) -> dict[str, Any]:
+def run_reproduction(out: Path, *, quick: bool, readme: Path | None = None) -> dict[str, Any]:
     """Write everything into `out`, and the report with its figures into `readme`, too."""
     started, runs = time.perf_counter(), QUICK if quick else FULL
-    needs_matplotlib()
-    write(out / "run.json", as_json({"started": True}))  # a folder that cannot be written to
-    reading = default(runs=runs, folder=out / "work")
-    evidence = support(reading, say)
+    require_matplotlib()
+    write_file(out / "run.json", as_json({"started": True}))  # a folder that cannot be written to
+    reading = build_default_reading(runs=runs, folder=out / "work")
+    evidence = compute_support(reading, show_progress)
     changed = one_change(reading)
     best = replace(evidence.best, runs=runs // 4)
     claims = []
-    for entry in judged(list(CLAIMS.values()), reading, changed, best):
+    for entry in judge_claims(list(CLAIMS.values()), reading, changed, best):
         claims.append(entry)
-        say(f"{len(claims)} of {len(CLAIMS)} claims: {entry['name']}")
+        show_progress(f"{len(claims)} of {len(CLAIMS)} claims: {entry['name']}")
     results = {
         "quick": quick,
         "runs": runs,
-        "values": values(reading),
-        "readings": facts(evidence, [reading, *changed]),
+        "values": compute_values(reading),
+        "readings": describe_readings(evidence, [reading, *changed]),
         "claims": claims,
     }
-    written = rounded(results)
+    written = round_numbers(results)
     numbers = [each for each in written["claims"] if each["exact"] is not None]
-    write(out / "results.json", as_json(written))
-    write(out / "numbers.json", as_json(numbers))
-    write(out / "report.md", render(written))
+    write_file(out / "results.json", as_json(written))
+    write_file(out / "numbers.json", as_json(numbers))
+    write_file(out / "report.md", render_readme(written))
     for picture in FIGURES.values():
-        say(f"figure {picture.name}")
-        save(picture, reading, out / "figures")
+        show_progress(f"figure {picture.name}")
+        save_figure(picture, reading, out / "figures")
         if readme is not None:
             drawn = out / "figures" / f"{picture.name}.png"
-            write(readme / "figures" / drawn.name, drawn.read_bytes())
+            write_file(readme / "figures" / drawn.name, drawn.read_bytes())
     if readme is not None:
-        write(readme / "results.json", as_json(written))
-        write(readme / "README.md", render(written, code="./"))
+        write_file(readme / "results.json", as_json(written))
+        write_file(readme / "README.md", render_readme(written, code="./"))
     record = run_record(reading.mdp, model="yuan2025", solver="auto", seed=SEED)
     scenario = reading.scenario
     record |= {
@@ -118,50 +132,52 @@ def run(out: Path, *, quick: bool, readme: Path | None = None) -> dict[str, Any]
         "discount": str(scenario.discount),
         "seconds": round(time.perf_counter() - started, 2),
     }
-    write(out / "run.json", as_json(record))
+    write_file(out / "run.json", as_json(record))
     shutil.rmtree(out / "work", ignore_errors=True)
-    say("")
+    show_progress("")
     return results
 
 
-def needs_matplotlib() -> None:
+def require_matplotlib() -> None:
     """Raise ModelError, before anything is worked out, where no figure could be drawn."""
-    with extra("plots"):
+    with require_extra("plots"):
         import matplotlib.pyplot as plt
     del plt
 
 
-def values(reading: Reading) -> dict[str, Any]:
+def compute_values(reading: Reading) -> dict[str, Any]:
     """Return the exact values that the report names: each reported policy in both orders.
 
     And the final one with directive assistance where the text says nothing.
     """
-    named = {name: reading.value(name).mean for name in ("optimal", "random")}
-    orders = {o: {start: reading.value(start, o).mean for start in AVERAGES} for o in ORDERS}
+    named = {name: reading.evaluate_policy(name).mean for name in ("optimal", "random")}
+    orders = {
+        o: {start: reading.evaluate_policy(start, o).mean for start in AVERAGES} for o in ORDERS
+    }
     silent = {
         ", ".join(statuses): evaluate(
-            reading.mdp, reading.reported(FINAL) | dict.fromkeys(statuses, "directive")
+            reading.mdp, reading.find_reported_policy(FINAL) | dict.fromkeys(statuses, "directive")
         ).mean
         for statuses in (OPEN[1:], OPEN)
     }
     return {**named, **orders, "directive_in": silent}
 
 
-def chosen(name: str) -> Claim:
+def find_claim(name: str) -> PaperClaim:
     """Return a claim by its name; raises ModelError for an unknown one."""
     if there := [each.id for each in CLAIMS.values() if name in each.places]:
         said = f"{name} is a place, and no claim"
         raise ModelError(said, where="claim", fix=f"choose one of {', '.join(there)}")
-    return CLAIMS[known(name, CLAIMS, "claim", "claim")]
+    return CLAIMS[require_known_name(name, CLAIMS, "claim", "claim")]
 
 
-def draw(name: str, out: Path, runs: int) -> list[Path]:
+def draw_figure(name: str, out: Path, runs: int) -> list[Path]:
     """Draw one figure into a folder; raises ModelError for an unknown one."""
     by_place = {each.place.removeprefix("Figure "): each for each in FIGURES.values() if each.place}
     number = name.lower().removeprefix("figure").strip()
-    picture = by_place.get(number) or FIGURES[known(name, FIGURES, "figure", "figure")]
-    needs_matplotlib()
-    return save(picture, default(runs=runs), out)
+    picture = by_place.get(number) or FIGURES[require_known_name(name, FIGURES, "figure", "figure")]
+    require_matplotlib()
+    return save_figure(picture, build_default_reading(runs=runs), out)
 
 
 def changed_reading(base: Reading, sets: Sequence[str]) -> Reading:
@@ -177,28 +193,32 @@ def changed_reading(base: Reading, sets: Sequence[str]) -> Reading:
                 value = text
             training[name.removeprefix("training.")] = value
         elif name == "readings.respectively":
-            order = known(text.replace("-", " "), ORDERS, "order", name)
+            order = require_known_name(text.replace("-", " "), ORDERS, "order", name)
         else:
             scenario = scenario.set(each)
     label = ", ".join(sets) or base.label
     reading = replace(base, scenario=scenario, order=order, training=training, label=label)
     if training:
-        settings("decaying", training)  # refuses what does not fit
+        change_settings("decaying", training)  # refuses what does not fit
     return reading
 
 
-def one(name: str, sets: Sequence[str], runs: int) -> str:
+def format_claim(name: str, sets: Sequence[str], runs: int) -> str:
     """Return one claim with all that is found of it, as text.
 
     An open claim is tried under the readings with one change, too.
     """
-    claim = chosen(name)
-    reading = changed_reading(default(runs=runs), sets)
+    claim = find_claim(name)
+    reading = changed_reading(build_default_reading(runs=runs), sets)
     finding = claim.find(reading)
     number, here = finding.number, ""
     if number is not None:
-        spread = number.standard_error if isinstance(number, Estimated) else 0
-        error = f" ± {spread:.2g}" if spread else ""
+        spread = 0.0
+        if isinstance(number, Estimated):
+            spread = number.standard_error
+        error = ""
+        if spread:
+            error = f" ± {spread:.2g}"
         here = f"{float(number.value):.10g}{error} ({number.claim}), {finding.number_is}"
     lines = {
         "paper": "" if finding.paper is None else f"{float(finding.paper):g}",
@@ -215,14 +235,14 @@ def one(name: str, sets: Sequence[str], runs: int) -> str:
         differing = [f"{one.says}: {label}" for label, one in others if one.says != finding.says]
         same = f"{len(others) - len(differing)} of {len(others)} with one change come to the same"
         lines["other readings"] = "\n    ".join([same, *differing])
-        if depends(finding, [one.verdict for _, one in others]):
-            lines["verdict"] = f"{Verdict.DEPENDS}; {finding.says} under the default one"
+        if depends_on_reading(finding, [one.verdict for _, one in others]):
+            lines["verdict"] = f"{ClaimVerdict.DEPENDS}; {finding.says} under the default one"
     width = max(map(len, lines)) + 2
     body = [f"  {key + ':':{width}}{text}" for key, text in lines.items() if text]
     return "\n".join([f"{claim.id} ({', '.join(claim.places)})", claim.says, *body])
 
 
-def listed() -> str:
+def list_claims() -> str:
     """Return all claims with their places, one below the other, and the names of the figures."""
     lines = []
     for claim in CLAIMS.values():
@@ -232,19 +252,23 @@ def listed() -> str:
     return "\n".join([*lines, fill(f"figures: {', '.join(named)}", WIDE, subsequent_indent="    ")])
 
 
-def table(results: Mapping[str, Any]) -> str:
+def format_claim_table(results: Mapping[str, Any]) -> str:
     """Return all claims as a table: paper, exact, difference, verdict."""
     lines = [f"{'claim':40}{'paper':>10}{'exact':>16}{'difference':>12}  verdict"]
     for each in results["claims"]:
         apart = each["difference"]
-        gap = "" if apart is None else f"{apart:+.4g}".replace("-", "−")
+        if apart is None:
+            gap = ""
+        else:
+            gap = f"{apart:+.4g}".replace("-", "−")
         lines.append(
-            f"{each['name']:40}{paper(each):>10}{exact(each):>16}{gap:>12}  {each['verdict_says']}"
+            f"{each['name']:40}{format_paper_number(each):>10}{format_exact(each):>16}"
+            f"{gap:>12}  {each['verdict_says']}"
         )
     return "\n".join(lines)
 
 
-def disagreements(claims: Sequence[Mapping[str, Any]]) -> list[str]:
+def compare_with_pinned(claims: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return where claims differ from the pinned values."""
     pinned = tomllib.loads(EXPECTED.read_text("utf-8"))
     names = {entry["name"] for entry in claims}
@@ -255,7 +279,10 @@ def disagreements(claims: Sequence[Mapping[str, Any]]) -> list[str]:
         if wanted is None:
             off.append(f"{name} is not pinned")
             continue
-        verdicts = wanted["verdict"] if isinstance(wanted["verdict"], list) else [wanted["verdict"]]
+        if isinstance(wanted["verdict"], list):
+            verdicts = wanted["verdict"]
+        else:
+            verdicts = [wanted["verdict"]]
         if verdict not in verdicts:
             off.append(f"{name} is {verdict}, not {' or '.join(verdicts)}")
         if ("value" in wanted) != (entry["exact"] is not None):

@@ -18,8 +18,21 @@ import numpy as np
 
 from exact_mdp import MDP, Certified, evaluate
 from exact_mdp.paper_repro import drawing
-from exact_mdp.paper_repro.claim import Finding, claim, entries, statement, undecided
-from exact_mdp.paper_repro.drawing import PERSON, ROBOT, Box, arrow, diagram, figure
+from exact_mdp.paper_repro.claim import (
+    Finding,
+    compare_entries,
+    judge_statement,
+    judge_undecided,
+    register_claim,
+)
+from exact_mdp.paper_repro.drawing import (
+    PERSON,
+    ROBOT,
+    Box,
+    draw_arrow,
+    draw_diagram,
+    register_figure,
+)
 from exact_mdp.paper_repro.paper import ACTIONS, BITS, PAPER, SETTINGS, table_3
 from exact_mdp.paper_repro.silent_points import Reading
 
@@ -31,37 +44,46 @@ COGNITIVE = {"forgetfulness": "confusion", "confusion": "forgetfulness"}
 # ---- what the compiled rows say ------------------------------------------------------------------
 
 
-def outcomes(mdp: MDP, state: int, action: int) -> list[tuple[Fraction, int, Fraction]]:
+def list_outcomes(mdp: MDP, state: int, action: int) -> list[tuple[Fraction, int, Fraction]]:
     """Return the exact outcomes of an action: probability, next state, reward.
 
     In a state with a single action, that one is meant.
     """
     pairs = mdp.pairs_of(state)
-    pair = pairs[0] if len(pairs) == 1 else mdp.pair(state, action)
+    if len(pairs) == 1:
+        pair = pairs[0]
+    else:
+        pair = mdp.pair(state, action)
     return list(mdp.table.row(pair))
 
 
-def law(mdp: MDP, vector: int, action: int, *, trial: int = 0) -> dict[int, Fraction]:
+def compute_status_distribution(
+    mdp: MDP, vector: int, action: int, *, trial: int = 0
+) -> dict[int, Fraction]:
     """Return the exact law of the status vector after an action in the first subtask."""
     state = mdp.space.index(subtask=0, trial=trial, status=vector)
     chances = dict.fromkeys(range(16), Fraction(0))
-    for probability, following, _ in outcomes(mdp, state, action):
+    for probability, following, _ in list_outcomes(mdp, state, action):
         chances[max(int(mdp.space.values("status", np.array([following]))[0]), 0)] += probability
     return chances
 
 
-def chance(mdp: MDP, vector: int, action: int, status: str, *, trial: int = 0) -> Fraction:
+def compute_status_probability(
+    mdp: MDP, vector: int, action: int, status: str, *, trial: int = 0
+) -> Fraction:
     """Return the exact probability that a status is present next, from a status vector."""
-    after = law(mdp, vector, action, trial=trial)
+    after = compute_status_distribution(mdp, vector, action, trial=trial)
     return sum((p for vector, p in after.items() if vector & BITS[status]), Fraction(0))
 
 
-def effect(mdp: MDP, source: str, target: str) -> Fraction:
-    """Return what a status that is present adds to the chance of another one."""
-    return chance(mdp, BITS[source], 0, target) - chance(mdp, 0, 0, target)
+def compute_effect(mdp: MDP, source: str, target: str) -> Fraction:
+    """Return the change of a status's probability if another status is present."""
+    return compute_status_probability(mdp, BITS[source], 0, target) - compute_status_probability(
+        mdp, 0, 0, target
+    )
 
 
-def points(effects: Mapping[str, Fraction]) -> str:
+def format_points(effects: Mapping[str, Fraction]) -> str:
     """Return percentage points in words."""
     return ", ".join(f"{name} {float(100 * value):+g}" for name, value in effects.items())
 
@@ -69,34 +91,34 @@ def points(effects: Mapping[str, Fraction]) -> str:
 # ---- the simulator, Tables 1 and 2 ---------------------------------------------------------------
 
 
-@claim("simulator.open-source", "Section 1", rule="open")
+@register_claim("simulator.open-source", "Section 1", rule="open")
 def open_source(reading: Reading) -> Finding:
     """The simulator is open source."""
-    return undecided(
+    return judge_undecided(
         "the text gives no address for it. Earlier code of the same laboratory is public "
         "(github.com/ZhaoRobotLab/PLWDCareSim); whether it is the simulator of the paper is not "
         "stated. Nothing here is taken from it"
     )
 
 
-@claim("table1.example", "Table 1", kind="input", open=True)
+@register_claim("table1.example", "Table 1", kind="input", open=True)
 def table_1_example(reading: Reading) -> Finding:
     """The example has a first task of three items, each identified and then picked up: six
     subtasks; and a second task, choosing the cash.
     """
     tasks = ", ".join(map(str, reading.scenario.tasks))
     why = f"subtasks of each task here: {tasks}; the text does not say how many the experiments ran"
-    return statement(reading.scenario.tasks[0] == 6, why)
+    return judge_statement(reading.scenario.tasks[0] == 6, why)
 
 
-@claim("table1.timesteps", "Table 1", kind="input", open=True)
+@register_claim("table1.timesteps", "Table 1", kind="input", open=True)
 def table_1_timesteps(reading: Reading) -> Finding:
     """The timesteps of a scenario are the sum of the trials over all its subtasks."""
     mdp = reading.mdp
     trying = (mdp.space.values("trial") < reading.scenario.trials) & ~mdp.terminal
-    runs = [reading.value(name) for name in ("optimal", "random")]
+    runs = [reading.evaluate_policy(name) for name in ("optimal", "random")]
     apart = max(abs(run.steps - float(run.visits[trying].sum())) for run in runs)
-    return statement(
+    return judge_statement(
         apart < 1e-9,
         "expected timesteps equal expected trials under the optimal and the random policy"
         if apart < 1e-9
@@ -104,19 +126,19 @@ def table_1_timesteps(reading: Reading) -> Finding:
     )
 
 
-@claim("table2", "Table 2", "Section 3.2.2", kind="input", rule="statement")
+@register_claim("table2", "Table 2", "Section 3.2.2", kind="input", rule="statement")
 def table_2(reading: Reading) -> Finding:
     """The robot chooses among no assistance (a0), verbal supportive (a1), verbal non-directive (a2)
     and verbal directive assistance (a3).
     """
     names = reading.mdp.actions[: len(ACTIONS)]
-    return statement(tuple(names) == ACTIONS, f"a0 to a3 of the model: {', '.join(names)}")
+    return judge_statement(tuple(names) == ACTIONS, f"a0 to a3 of the model: {', '.join(names)}")
 
 
 # ---- Table 3 and what the text says of it --------------------------------------------------------
 
 
-@claim("table3", "Table 3", kind="input", rule="entries")
+@register_claim("table3", "Table 3", kind="input", rule="entries")
 def table_3_entries(reading: Reading) -> Finding:
     """Without assistance the statuses move by the twenty numbers of the table: base probabilities,
     persistence on the diagonal, influences beside it.
@@ -126,67 +148,82 @@ def table_3_entries(reading: Reading) -> Finding:
     for name in table_3():
         kind, row, *rest = name.split(".")
         if kind == "influence":
-            source, target = (row, rest[0]) if forwards else (rest[0], row)
-            model[name] = effect(mdp, source, target)
+            if forwards:
+                source, target = (row, rest[0])
+            else:
+                source, target = (rest[0], row)
+            model[name] = compute_effect(mdp, source, target)
         else:
-            model[name] = chance(mdp, BITS[row] if kind == "persistence" else 0, 0, row)
-    return entries(table_3(), model)
+            model[name] = compute_status_probability(
+                mdp, BITS[row] if kind == "persistence" else 0, 0, row
+            )
+    return compare_entries(table_3(), model)
 
 
-@claim("prose.no-recovery-alone", "Section 2.1", kind="input")
+@register_claim("prose.no-recovery-alone", "Section 2.1", kind="input")
 def no_recovery_alone(reading: Reading) -> Finding:
     """Without assistance a status hardly ever goes away by itself: it stays with a probability of
     almost 1.
     """
-    leaves = max(1 - chance(reading.mdp, bit, 0, status) for status, bit in BITS.items())
+    leaves = max(
+        1 - compute_status_probability(reading.mdp, bit, 0, status) for status, bit in BITS.items()
+    )
     why = f"a status alone goes away with probability {float(leaves):.0%} at most"
     number, number_is = Certified(value=leaves), "the largest of these probabilities"
-    return statement(leaves <= Fraction(1, 100), why, number=number, number_is=number_is)
+    return judge_statement(leaves <= Fraction(1, 100), why, number=number, number_is=number_is)
 
 
-@claim("states.independent", "Section 2.1", kind="input", rule="open")
-def independent(reading: Reading) -> Finding:
+@register_claim("states.independent", "Section 2.1", kind="input", rule="open")
+def statuses_are_independent(reading: Reading) -> Finding:
     """The four statuses of the next timestep are drawn one by one."""
     mdp, products = reading.mdp, 0
     for vector in range(16):
         for action in range(len(ACTIONS)):
-            ones = {bit: chance(mdp, vector, action, name) for name, bit in BITS.items()}
+            ones = {
+                bit: compute_status_probability(mdp, vector, action, name)
+                for name, bit in BITS.items()
+            }
             products += all(
                 p == prod(one if after & bit else 1 - one for bit, one in ones.items())
-                for after, p in law(mdp, vector, action).items()
+                for after, p in compute_status_distribution(mdp, vector, action).items()
             )
-    return undecided(
+    return judge_undecided(
         "the text gives the probability of each status alone and does not say that the four are "
         f"independent given statuses and assistance; here they are, in {products} of 64 rows"
     )
 
 
-@claim("prose.anger", "Section 2.1.1", kind="input", open=True)
+@register_claim("prose.anger", "Section 2.1.1", kind="input", open=True)
 def anger_weighs_most(reading: Reading) -> Finding:
     """Confusion, anger and disengagement raise forgetfulness, anger the most; and anger contributes
     more to the other statuses than they to each other."""
-    effects = {s: {t: effect(reading.mdp, s, t) for t in BITS if t != s} for s in BITS}
+    effects = {s: {t: compute_effect(reading.mdp, s, t) for t in BITS if t != s} for s in BITS}
     on = {s: effects[s]["forgetfulness"] for s in BITS if s != "forgetfulness"}
     total = {s: sum(each.values(), Fraction(0)) for s, each in effects.items()}
     holds = all(each["anger"] > each[s] for each in (on, total) for s in each if s != "anger")
-    why = f"percentage points on forgetfulness: {points(on)}; on the other three: {points(total)}"
-    return statement(holds and min(on.values()) > 0, why)
+    why = (
+        f"percentage points on forgetfulness: {format_points(on)}; "
+        f"on the other three: {format_points(total)}"
+    )
+    return judge_statement(holds and min(on.values()) > 0, why)
 
 
-@claim("prose.distress", "Section 2.1.1", kind="input", open=True)
-def distress(reading: Reading) -> Finding:
+@register_claim("prose.distress", "Section 2.1.1", kind="input", open=True)
+def distress_spreads(reading: Reading) -> Finding:
     """Forgetfulness and confusion lead to anger; these three lead to disengagement."""
     edges = [("forgetfulness", "anger"), ("confusion", "anger")]
     edges += [(name, "disengagement") for name in ("forgetfulness", "confusion", "anger")]
-    effects = {f"{a} on {b}": effect(reading.mdp, a, b) for a, b in edges}
-    return statement(min(effects.values()) > 0, f"percentage points: {points(effects)}")
+    effects = {f"{a} on {b}": compute_effect(reading.mdp, a, b) for a, b in edges}
+    return judge_statement(
+        min(effects.values()) > 0, f"percentage points: {format_points(effects)}"
+    )
 
 
 # ---- assistance and skipping ---------------------------------------------------------------------
 
 
-@claim("assistance", "Section 2.1.2", kind="input", rule="entries")
-def assistance(reading: Reading) -> Finding:
+@register_claim("assistance", "Section 2.1.2", kind="input", rule="entries")
+def assistance_keeps_statuses(reading: Reading) -> Finding:
     """Supportive assistance keeps anger and disengagement with 5 %; non-directive forgetfulness
     with 40 % and confusion with 60 %; directive both with 5 %. None of these begins under it; all
     other statuses move as without assistance.
@@ -197,32 +234,43 @@ def assistance(reading: Reading) -> Finding:
         for status in BITS:
             for vector in range(16):
                 name = f"{action}.{status}.{vector:04b}"
-                model[name] = chance(mdp, vector, number, status)
-                stays = Fraction(named.get(status, 0), 100) if vector & BITS[status] else 0
-                alone = chance(mdp, vector, 0, status)
-                paper[name] = Fraction(stays) if status in named else alone
-    return entries(paper, model, ": 3 assistances, 4 statuses, from each of the 16 status vectors")
+                model[name] = compute_status_probability(mdp, vector, number, status)
+                stays = Fraction(0)
+                if vector & BITS[status]:
+                    stays = Fraction(named.get(status, 0), 100)
+                alone = compute_status_probability(mdp, vector, 0, status)
+                if status in named:
+                    paper[name] = Fraction(stays)
+                else:
+                    paper[name] = alone
+    return compare_entries(
+        paper, model, ": 3 assistances, 4 statuses, from each of the 16 status vectors"
+    )
 
 
 def _stays_on_skip(reading: Reading, vector: int, status: str) -> Fraction:
-    return chance(reading.skip_model, vector, 0, status, trial=reading.scenario.trials)
+    return compute_status_probability(
+        reading.skip_model, vector, 0, status, trial=reading.scenario.trials
+    )
 
 
-@claim("skip", "Section 2.1.3", kind="input", rule="entries", open=True)
-def skip(reading: Reading) -> Finding:
+@register_claim("skip", "Section 2.1.3", kind="input", rule="entries", open=True)
+def skip_keeps_statuses(reading: Reading) -> Finding:
     """When a subtask is skipped, forgetfulness and confusion persist with 50 % together and 20 %
     alone, anger and disengagement with 50 %.
     """
     paper, model = {}, {}
     for status, rates in PAPER["skip"].items():
         for kind, rate in rates.items():
-            other = BITS[COGNITIVE[status]] if kind == "with-other" else 0
+            other = 0
+            if kind == "with-other":
+                other = BITS[COGNITIVE[status]]
             paper[f"{status}.{kind}"] = Fraction(rate, 100)
             model[f"{status}.{kind}"] = _stays_on_skip(reading, BITS[status] | other, status)
-    return entries(paper, model)
+    return compare_entries(paper, model)
 
 
-@claim("prose.stress-on-memory", "Section 2.1.3", kind="input", open=True)
+@register_claim("prose.stress-on-memory", "Section 2.1.3", kind="input", open=True)
 def stress_on_memory(reading: Reading) -> Finding:
     """What a skip leaves of forgetfulness and confusion reflects emotional stress."""
     stress = BITS["anger"] | BITS["disengagement"]
@@ -232,7 +280,7 @@ def stress_on_memory(reading: Reading) -> Finding:
         for name in COGNITIVE
         if vector & BITS[name]
     )
-    return statement(
+    return judge_statement(
         moved,
         "anger or disengagement changes them"
         if moved
@@ -244,14 +292,14 @@ def stress_on_memory(reading: Reading) -> Finding:
 # ---- figures -------------------------------------------------------------------------------------
 
 
-@figure("architecture", "Figure 1", title="The two agents and their modules")
-def architecture(reading: Reading) -> Figure:
+@register_figure("architecture", "Figure 1", title="The two agents and their modules")
+def draw_architecture(reading: Reading) -> Figure:
     """The statuses are drawn from the care model and the action is that of a policy; the three
     modules with a dashed edge are asked of a language model, or of a script.
     """
     from matplotlib.patches import Rectangle
 
-    fig, ax = drawing.axes(7.2, 4.3)
+    fig, ax = drawing.create_axes(7.2, 4.3)
     for x, text in ((-1.5, "agent PLWD"), (2.7, "agent Robot Caregiver")):
         ax.add_patch(Rectangle((x, -0.7), 3.0, 4.4, fill=False, edgecolor="0.6", lw=0.8))
         ax.text(x + 0.1, 3.6, text, va="top", fontsize=9, fontweight="bold")
@@ -263,7 +311,7 @@ def architecture(reading: Reading) -> Figure:
         "choice": box(4.2, 1.4, "choice of action a\nby a policy", ROBOT),
         "execution": box(4.2, 0.1, "action execution:\nwhat the robot says", ROBOT, model=True),
     }
-    diagram(
+    draw_diagram(
         ax,
         boxes,
         [
@@ -275,16 +323,16 @@ def architecture(reading: Reading) -> Figure:
         ],
     )
     ax.set(xlim=(-1.6, 5.8), ylim=(-0.75, 3.8))
-    drawing.who_legend(ax, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=3, fontsize=7.5)
+    drawing.draw_legend(ax, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=3, fontsize=7.5)
     return fig
 
 
-@figure("flow", "Figure 2", title="One timestep of their interaction")
-def flow(reading: Reading) -> Figure:
+@register_figure("flow", "Figure 2", title="One timestep of their interaction")
+def draw_flow(reading: Reading) -> Figure:
     """From the statuses at the start to the end of the activity. One round is one timestep, a
     trial at a subtask.
     """
-    fig, ax = drawing.axes(7.2, 5.2)
+    fig, ax = drawing.create_axes(7.2, 5.2)
     trials, box = SETTINGS["max_trial"], partial(Box, width=2.1)
     boxes = {
         "start": box(0, 5, "start: status 0000,\nfirst subtask"),
@@ -301,7 +349,7 @@ def flow(reading: Reading) -> Figure:
         "end": box(6.4, 5, "end"),
     }
     steps = ("start", "behave", "perceive", "choose", "say", "draw", "clear")
-    diagram(
+    draw_diagram(
         ax,
         boxes,
         [
@@ -314,14 +362,14 @@ def flow(reading: Reading) -> Figure:
         ],
     )
     # Back to the person: another trial, and the next subtask.
-    arrow(ax, (3.2, 2.35), (1.05, 3.85))
+    draw_arrow(ax, (3.2, 2.35), (1.05, 3.85))
     ax.text(2.35, 3.2, "no: another trial", fontsize=7.5)
-    arrow(ax, (5.35, 4.0), (1.05, 4.1))
+    draw_arrow(ax, (5.35, 4.0), (1.05, 4.1))
     ax.text(3.2, 4.15, "yes: next subtask", fontsize=7.5, ha="center")
     ax.plot([7.45, 7.75, 7.75], [0, 0, 4], color="0.35", lw=1)
-    arrow(ax, (7.75, 4.0), (7.45, 4.0))
+    draw_arrow(ax, (7.75, 4.0), (7.45, 4.0))
     ax.set(xlim=(-1.2, 7.9), ylim=(-0.5, 5.5))
-    drawing.who_legend(ax, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=3, fontsize=7.5)
+    drawing.draw_legend(ax, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=3, fontsize=7.5)
     return fig
 
 
@@ -335,14 +383,14 @@ def trial_flow(reading: Reading, policy: str) -> np.ndarray:
     return np.array([visits[here & (trial == t)].sum() for t in range(reading.scenario.trials + 1)])
 
 
-@figure("trials", "Figure 3", title="Trials of a subtask")
-def trials(reading: Reading) -> Figure:
+@register_figure("trials", "Figure 3", title="Trials of a subtask")
+def draw_trials(reading: Reading) -> Figure:
     """A trial that ends in status 0000 completes the subtask; the fifth failed one skips it. The
     numbers are exact, of the first subtask: in a box the probability that it is reached, at an
     arrow up that the trial completes the subtask; above under the optimal policy, below under
     random actions.
     """
-    fig, ax = drawing.axes(7.4, 2.7)
+    fig, ax = drawing.create_axes(7.4, 2.7)
     reached = [trial_flow(reading, name) for name in ("optimal", "random")]
     last, gap = reading.scenario.trials, 1.75
     end, wide, box = gap * last, gap * (last - 1), partial(Box, width=1.15, height=0.9)
@@ -354,9 +402,9 @@ def trials(reading: Reading) -> Figure:
     done = "status 0000: subtask completed"
     boxes["done"] = Box(wide / 2, 1.8, done, PERSON, width=wide + 1.2, height=0.45)
     boxes["next"] = box(end, 1.8, "next subtask\nor the end", height=0.6)
-    diagram(ax, boxes, [(a, b, "") for a, b in [*pairwise(order), ("done", "next")]])
+    draw_diagram(ax, boxes, [(a, b, "") for a, b in [*pairwise(order), ("done", "next")]])
     for t in range(last):
-        arrow(ax, (gap * t, 0.45), (gap * t, 1.575))
+        draw_arrow(ax, (gap * t, 0.45), (gap * t, 1.575))
         ends = "\n".join(f"{1 - p[t + 1] / p[t]:.1%}" for p in reached)
         ax.text(gap * t + 0.07, 1.0, ends, fontsize=8, va="center")
     key = "upper number: optimal policy; lower number: random actions"
@@ -365,36 +413,43 @@ def trials(reading: Reading) -> Figure:
     return fig
 
 
-@figure("mechanism", "Figure 4", title="What moves a status")
-def mechanism(reading: Reading) -> Figure:
+@register_figure("mechanism", "Figure 4", title="What moves a status")
+def draw_mechanism(reading: Reading) -> Figure:
     """The chance of each status at the next timestep: its base if it is absent and its persistence
     if it is present, the percentage points that other statuses add where it is absent (Table 3,
     read from row to column), and what replaces all this under an assistance that acts on it.
     """
     mdp = reading.mdp
-    fig, panels = drawing.axes(7.4, 6.4, nrows=2, ncols=2)
+    fig, panels = drawing.create_axes(7.4, 6.4, nrows=2, ncols=2)
     for ax, (status, bit) in zip(panels.flat, BITS.items(), strict=True):
-        base, stays = chance(mdp, 0, 0, status), chance(mdp, bit, 0, status)
+        base, stays = (
+            compute_status_probability(mdp, 0, 0, status),
+            compute_status_probability(mdp, bit, 0, status),
+        )
         own = f"{float(base):.0%} from absent\n{float(stays):.0%} if present"
         boxes = {"next": Box(4.6, 2, f"{status}\nat t + 1\n\n{own}", PERSON, width=2.2, height=1.8)}
         for row, source in enumerate(s for s in BITS if s != status):
             y = 3.4 - row
             boxes[source] = Box(0.4, y, f"{source} at t", PERSON, width=2.2, height=0.6)
-            arrow(ax, (1.5, y), (3.5, 2.6 - 0.4 * row))
+            draw_arrow(ax, (1.5, y), (3.5, 2.6 - 0.4 * row))
             # The third arrow rises, and its words stand below it.
-            side, aside = ("bottom", 0.1) if row < 2 else ("top", -0.1)
-            added = f"+{float(100 * effect(mdp, source, status)):g} points"
+            if row < 2:
+                side, aside = ("bottom", 0.1)
+            else:
+                side, aside = ("top", -0.1)
+            added = f"+{float(100 * compute_effect(mdp, source, status)):g} points"
             ax.text(1.65, y + aside, added, fontsize=7.5, va=side)
         acts = [
-            f"{action}: {float(chance(mdp, bit, number, status)):.0%} if present, "
-            f"{float(chance(mdp, 0, number, status)):.0%} from absent"
+            f"{action}: "
+            f"{float(compute_status_probability(mdp, bit, number, status)):.0%} if present, "
+            f"{float(compute_status_probability(mdp, 0, number, status)):.0%} from absent"
             for number, action in enumerate(ACTIONS)
             if status in PAPER["assistance"].get(action, {})
         ]
         boxes["assistance"] = Box(
             2.6, -0.1, "assistance\n" + "\n".join(acts), ROBOT, width=6.2, height=1.05
         )
-        arrow(ax, (4.6, 0.43), (4.6, 1.1))
-        diagram(ax, boxes, [])
+        draw_arrow(ax, (4.6, 0.43), (4.6, 1.1))
+        draw_diagram(ax, boxes, [])
         ax.set(xlim=(-0.85, 5.85), ylim=(-0.75, 3.85))
     return fig

@@ -12,9 +12,9 @@ from exact_mdp import Certified
 from exact_mdp.analysis.learning.curves import EXPERIMENTS as EXPERIMENTS_OF_A_POINT
 from exact_mdp.analysis.learning.outcomes import CANDIDATES
 from exact_mdp.paper_repro import learner
-from exact_mdp.paper_repro.claim import Finding, claim, entries, statement
+from exact_mdp.paper_repro.claim import Finding, compare_entries, judge_statement, register_claim
 from exact_mdp.paper_repro.paper import ACTIONS, BITS, SETTINGS, STATUSES, TABLE_4
-from exact_mdp.paper_repro.section_2 import outcomes
+from exact_mdp.paper_repro.section_2 import list_outcomes
 from exact_mdp.paper_repro.silent_points import Reading
 
 CHARGED = ("forget", "confuse", "anger", "disengaged")  # the weight of each status, in order
@@ -22,8 +22,8 @@ CHARGED = ("forget", "confuse", "anger", "disengaged")  # the weight of each sta
 # ---- states and actions --------------------------------------------------------------------------
 
 
-@claim("states", "Section 3.2.1", kind="input")
-def states(reading: Reading) -> Finding:
+@register_claim("states", "Section 3.2.1", kind="input")
+def statuses_make_states(reading: Reading) -> Finding:
     """Four binary statuses make 16 states; an episode starts with none present and ends when every
     subtask is completed or skipped.
     """
@@ -39,25 +39,25 @@ def states(reading: Reading) -> Finding:
             ~mdp.terminal[mdp.pair_state[leads.row]]
         ].all()
     )
-    return statement(
+    return judge_statement(
         statuses == 16 and len(ends) == 1 and "status 0000" in start[0] and onwards,
         f"{statuses} statuses; the start is {start[0]}; every timestep leads to a later trial or "
         f"subtask, so that the only terminal state, “{ends[0]}”, is reached within {longest}",
     )
 
 
-@claim("policy.status-suffices", "Section 3.2.1", kind="input", open=True)
+@register_claim("policy.status-suffices", "Section 3.2.1", kind="input", open=True)
 def status_suffices(reading: Reading) -> Finding:
     """A policy may read the 16 statuses alone, without the trial or the subtask."""
     lacking = [s for s in STATUSES if not set.intersection(*optimal_actions(reading, s))]
     why = "in every status one action is optimal in all subtasks and trials"
     if lacking:
         why = f"no action is optimal throughout in {', '.join(lacking)}"
-    return statement(not lacking, why)
+    return judge_statement(not lacking, why)
 
 
-def losses(reading: Reading, status: str, action: int) -> list[Fraction]:
-    """Return what an action loses in each state with a status and a choice, taken once.
+def compute_losses(reading: Reading, status: str, action: int) -> list[Fraction]:
+    """Return the suboptimality gap of an action in each state with a status and a choice.
 
     All else is optimal: V(s) - Σ p (r + γ V(s')), exactly, V by the certificate.
     """
@@ -67,7 +67,7 @@ def losses(reading: Reading, status: str, action: int) -> list[Fraction]:
         value[state]
         - sum(
             p * (gain + mdp.discount_exact * value[after])
-            for p, after, gain in outcomes(mdp, state, action)
+            for p, after, gain in list_outcomes(mdp, state, action)
         )
         for state in np.flatnonzero(here).tolist()
     ]
@@ -75,21 +75,21 @@ def losses(reading: Reading, status: str, action: int) -> list[Fraction]:
 
 def optimal_actions(reading: Reading, status: str) -> list[set[str]]:
     """Return the set of optimal actions of every state with a status and a choice."""
-    by_action = [losses(reading, status, action) for action in range(len(ACTIONS))]
+    by_action = [compute_losses(reading, status, action) for action in range(len(ACTIONS))]
     return [
         {name for name, lost in zip(ACTIONS, state, strict=True) if lost == 0}
         for state in zip(*by_action, strict=True)
     ]
 
 
-@claim("actions.max-trial", "Section 3.2.2", "Section 2.1", kind="input", open=True)
+@register_claim("actions.max-trial", "Section 3.2.2", "Section 2.1", kind="input", open=True)
 def max_trial(reading: Reading) -> Finding:
     """A subtask is skipped after 5 failed trials (MaxTrial)."""
     mdp, paper = reading.mdp, SETTINGS["max_trial"]
     trials = int(mdp.space.values("trial")[~mdp.forced & ~mdp.terminal].max()) + 1
     why = f"a subtask is skipped on failed trial {trials}"
     number, number_is = Certified(value=Fraction(trials)), "failed trials"
-    return statement(
+    return judge_statement(
         trials == paper, why, paper=Fraction(paper), number=number, number_is=number_is
     )
 
@@ -97,7 +97,7 @@ def max_trial(reading: Reading) -> Finding:
 # ---- rewards -------------------------------------------------------------------------------------
 
 
-def rewards(reading: Reading) -> list[tuple[int, int, int, bool, Fraction]]:
+def list_rewards(reading: Reading) -> list[tuple[int, int, int, bool, Fraction]]:
     """Return action, next status, subtask, whether it is completed, and reward of outcomes.
 
     Those with positive probability from a trial before the last one, from which no subtask is
@@ -108,22 +108,25 @@ def rewards(reading: Reading) -> list[tuple[int, int, int, bool, Fraction]]:
     before = ~mdp.terminal & ~mdp.forced & (trial < reading.scenario.trials - 1)
     for state in np.flatnonzero(before).tolist():
         for action in range(len(ACTIONS)):
-            for probability, following, gain in outcomes(mdp, state, action):
+            for probability, following, gain in list_outcomes(mdp, state, action):
                 if probability:
                     ended = bool(mdp.terminal[following])
                     done = ended or bool(subtask[following] != subtask[state])
-                    after = 0 if ended else int(status[following])
+                    if ended:
+                        after = 0
+                    else:
+                        after = int(status[following])
                     rows.append((action, after, int(subtask[state]), done, gain))
     return rows
 
 
-@claim("equation1", "Equation 1", "Section 3.2.3", kind="input")
+@register_claim("equation1", "Equation 1", "Section 3.2.3", kind="input")
 def equation_1(reading: Reading) -> Finding:
     """The immediate reward is the weighted sum of statuses, trial, completion, assistance, timestep
     and task completion.
     """
     last = (np.cumsum(reading.scenario.tasks) - 1).tolist()
-    wrong, outcomes = 0, rewards(reading)
+    wrong, outcomes = 0, list_rewards(reading)
     for action, after, subtask, done, gain in outcomes:
         present = zip(CHARGED, BITS.values(), strict=True)
         total = sum(TABLE_4[weight] for weight, bit in present if after & bit)
@@ -133,10 +136,10 @@ def equation_1(reading: Reading) -> Finding:
             total += TABLE_4["task-complete"] if subtask in last else 0
         wrong += gain != total
     why = f"{len(outcomes) - wrong:,} of {len(outcomes):,} outcomes earn what the equation gives"
-    return statement(wrong == 0, why)
+    return judge_statement(wrong == 0, why)
 
 
-def weights(reading: Reading) -> dict[str, Fraction]:
+def derive_weights(reading: Reading) -> dict[str, Fraction]:
     """Return the weights of Table 4 as differences of rewards in compiled rows.
 
     A trial is told from a timestep by the reading in which only failed trials cost, a skip by the
@@ -146,14 +149,14 @@ def weights(reading: Reading) -> dict[str, Fraction]:
     free = Reading(scenario=reading.scenario.with_(readings={"trial_cost": "failed-trials"}))
     failed: dict[int, Fraction] = {}
     completed: dict[tuple[int, bool], Fraction] = {}
-    for action, after, subtask, done, gain in rewards(reading):
+    for action, after, subtask, done, gain in list_rewards(reading):
         if done:
             completed[action, subtask == reading.scenario.tasks[0] - 1] = gain
         else:
             failed[after] = gain
     trial = completed[0, False] - next(
         gain
-        for action, _, subtask, done, gain in rewards(free)
+        for action, _, subtask, done, gain in list_rewards(free)
         if done and (action, subtask) == (0, 0)
     )
     two = {"forget": (12, 4), "confuse": (12, 8), "anger": (6, 4), "disengaged": (5, 4)}
@@ -166,7 +169,7 @@ def weights(reading: Reading) -> dict[str, Fraction]:
     state = mdp.space.index(subtask=0, trial=reading.scenario.trials, status=8)
     gain = next(
         gain
-        for p, after, gain in outcomes(mdp, state, 0)
+        for p, after, gain in list_outcomes(mdp, state, 0)
         if p and not mdp.space.values("status", np.array([after]))[0]
     )
     by_name["subtask-skip"] = gain - timestep
@@ -175,22 +178,24 @@ def weights(reading: Reading) -> dict[str, Fraction]:
     return by_name
 
 
-@claim("table4", "Table 4", kind="input", rule="entries")
+@register_claim("table4", "Table 4", kind="input", rule="entries")
 def table_4(reading: Reading) -> Finding:
     """The reward has the thirteen weights of the table."""
     paper = {name: Fraction(weight) for name, weight in TABLE_4.items()}
-    return entries(paper, weights(reading), ", each a difference of rewards in compiled rows")
+    return compare_entries(
+        paper, derive_weights(reading), ", each a difference of rewards in compiled rows"
+    )
 
 
-@claim("prose.weights", "Section 3.2.3", kind="input")
+@register_claim("prose.weights", "Section 3.2.3", kind="input")
 def weights_in_words(reading: Reading) -> Finding:
     """Anger is charged most of the four statuses, and completing a subtask costs more, the more
     intrusive the assistance.
     """
-    values = weights(reading)
+    values = derive_weights(reading)
     anger, others = values["anger"], [values[name] for name in CHARGED if name != "anger"]
     assist = [values[f"assist.{name}"] for name in ACTIONS]
-    return statement(
+    return judge_statement(
         anger < min(others) and assist == sorted(set(assist), reverse=True),
         f"anger {anger}, the others {', '.join(map(str, others))}; a0 to a3 "
         f"{', '.join(map(str, assist))}",
@@ -200,13 +205,13 @@ def weights_in_words(reading: Reading) -> Finding:
 # ---- learning ------------------------------------------------------------------------------------
 
 
-@claim("training.settings", "Section 3.2.4", "Section 3.2.5", kind="input", rule="entries")
+@register_claim("training.settings", "Section 3.2.4", "Section 3.2.5", kind="input", rule="entries")
 def training_settings(reading: Reading) -> Finding:
     """Q-learning has rate 0.05, discount 0.95, 6,000 epochs of 30 episodes, ε = 0.1; each epoch's
     policy is that of its 10th episode, a point of a curve is the average of 40 experiments, and the
     final policy is chosen among the five suggested most often.
     """
-    code = learner.settings("constant", reading.training)
+    code = learner.change_settings("constant", reading.training)
     settings = {
         "rate": code.rate.values(1)[0],
         "discount": code.discount,
@@ -218,18 +223,18 @@ def training_settings(reading: Reading) -> Finding:
         "candidates": CANDIDATES,
     }
     model = {name: Fraction(str(value)) for name, value in settings.items()}
-    return entries({name: Fraction(str(SETTINGS[name])) for name in model}, model)
+    return compare_entries({name: Fraction(str(SETTINGS[name])) for name in model}, model)
 
 
-@claim("equation2", "Equation 2", kind="input")
+@register_claim("equation2", "Equation 2", kind="input")
 def equation_2(reading: Reading) -> Finding:
     """The decaying ε is 1 at epoch 0 and 0.8 at epoch 300, and comes down to 0.03."""
-    code = learner.settings("decaying", reading.training)
+    code = learner.change_settings("decaying", reading.training)
     values, far = code.exploration.values(code.epochs), code.exploration.values(100_000)[-1]
     wanted = {int(epoch): float(value) for epoch, value in SETTINGS["epsilon_at"].items()}
     least = float(Fraction(SETTINGS["epsilon_minimum"]))
     close = all(abs(values[epoch] - value) <= 1e-12 for epoch, value in wanted.items())
-    return statement(
+    return judge_statement(
         close and abs(far - least) <= 1e-12,
         ", ".join(f"ε({epoch}) = {values[epoch]:.12g}" for epoch in wanted)
         + f", ε({code.epochs - 1:,}) = {values[-1]:.4f}, in the limit {far:.12g}",

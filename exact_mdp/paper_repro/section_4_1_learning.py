@@ -13,13 +13,28 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from exact_mdp import Estimated
-from exact_mdp.analysis.learning.curves import experiments
+from exact_mdp.analysis.learning.curves import sample_epoch_returns
 from exact_mdp.analysis.vary.intervals import mean_of
 from exact_mdp.paper_repro import drawing
-from exact_mdp.paper_repro.claim import NEARLY_ALL, Finding, about, claim, share, statement
-from exact_mdp.paper_repro.drawing import BLUE, FILLS, GREEN, RED, figure
-from exact_mdp.paper_repro.learner import CONVERGED, CURVES, SHOWN, child
-from exact_mdp.paper_repro.paper import ACTIONS, ANGRY, AVERAGES, ORDERS, REPORTED, STATUSES, fits
+from exact_mdp.paper_repro.claim import (
+    NEARLY_ALL,
+    Finding,
+    compare_approximately,
+    judge_by_runs,
+    judge_statement,
+    register_claim,
+)
+from exact_mdp.paper_repro.drawing import BLUE, FILLS, GREEN, RED, register_figure
+from exact_mdp.paper_repro.learner import CONVERGED, CURVES, SHOWN, spawn_seed
+from exact_mdp.paper_repro.paper import (
+    ACTIONS,
+    ANGRY,
+    AVERAGES,
+    ORDERS,
+    REPORTED,
+    STATUSES,
+    has_stated_actions,
+)
 from exact_mdp.paper_repro.section_3 import optimal_actions
 from exact_mdp.paper_repro.silent_points import Reading
 from exact_mdp.solvers.learning.q_learning import QLearning
@@ -33,29 +48,29 @@ NUMBER = {action: number for number, action in enumerate(ACTIONS)}
 # ---- learning curves -----------------------------------------------------------------------------
 
 
-@claim(
+@register_claim(
     "learning.converged.{word}", "Section 4.1", "Figure 9", rule="about", each=SHOWN, learns=True
 )
-def converged(reading: Reading, schedule: str) -> Finding:
+def converged_return(reading: Reading, schedule: str) -> Finding:
     """With {means} the average return after convergence is about 140."""
-    tails = reading.learned(schedule).converged
+    tails = reading.train_runs(schedule).converged
     low, high = np.quantile(tails, [0.05, 0.95]).tolist()
     why = (
         f"exact values of the greedy policies of the last {CONVERGED:,} epochs, mean of "
         f"{len(tails)} runs; in nine runs in ten the mean over these epochs is {low:.1f} to "
-        f"{high:.1f}, and the optimum is {reading.value('optimal').mean:.1f}"
+        f"{high:.1f}, and the optimum is {reading.evaluate_policy('optimal').mean:.1f}"
     )
-    return about(REPORTED["converged"], mean_of(tails), why)
+    return compare_approximately(REPORTED["converged"], mean_of(tails), why)
 
 
-@claim("learning.similar", "Section 4.1", "Figure 9", learns=True)
-def similar(reading: Reading) -> Finding:
+@register_claim("learning.similar", "Section 4.1", "Figure 9", learns=True)
+def schedules_perform_alike(reading: Reading) -> Finding:
     """Both exploration schedules perform alike."""
-    constant, decaying = (reading.learned(schedule).converged for schedule in SHOWN)
+    constant, decaying = (reading.train_runs(schedule).converged for schedule in SHOWN)
     apart = float(decaying.mean() - constant.mean())
     error = sqrt(constant.var(ddof=1) / len(constant) + decaying.var(ddof=1) / len(decaying))
-    point = reading.value("optimal").sd / sqrt(FEW)
-    return statement(
+    point = reading.evaluate_policy("optimal").sd / sqrt(FEW)
+    return judge_statement(
         abs(apart) <= 2 * point,
         f"decaying less constant: {apart:+.2f}; the standard error of one point of the plot "
         f"({FEW} experiments) is {point:.1f}, and alike means within twice that",
@@ -64,36 +79,38 @@ def similar(reading: Reading) -> Finding:
     )
 
 
-@claim("learning.superior", "Section 4.1", "Figure 9", rule="share", learns=True)
+@register_claim("learning.superior", "Section 4.1", "Figure 9", rule="share", learns=True)
 def learned_superior(reading: Reading) -> Finding:
     """After convergence both are above the random strategy."""
-    random = reading.value("random").mean
-    runs = np.concatenate([reading.learned(schedule).converged for schedule in SHOWN])
+    random = reading.evaluate_policy("random").mean
+    runs = np.concatenate([reading.train_runs(schedule).converged for schedule in SHOWN])
     why = f"random actions earn {random:.1f}, the lowest of the runs ends at {runs.min():.1f}"
-    return share(int((runs > random).sum()), len(runs), "runs", why)
+    return judge_by_runs(int((runs > random).sum()), len(runs), "runs", why)
 
 
-@figure("learning_curves", "Figure 9", title="Learning curves of three strategies")
+@register_figure("learning_curves", "Figure 9", title="Learning curves of three strategies")
 def learning_curves(reading: Reading) -> Figure:
     """Above, as the paper draws it: one run of each strategy, the average return of 40 experiments
     with the greedy policy of each epoch; pale the range within 20 epochs, heavy the mean of 100.
     Below, exact values of the same policies over all runs: the mean, and the band of nine runs in
     ten, for each epoch by itself.
     """
-    fig, panels = drawing.axes(6.8, 6.2, nrows=2, ncols=2)
+    fig, panels = drawing.create_axes(6.8, 6.2, nrows=2, ncols=2)
     grid = panels[0, 0].get_gridspec()
     for old in panels[0]:
         old.remove()
     top = fig.add_subplot(grid[0, :])
-    optimum = reading.value("optimal").mean
-    curves = {shown: reading.learned(name).drawn.sampled for name, shown in SHOWN.items()}
-    source = child(CURVES, len(SHOWN))
-    returns, _ = experiments(reading.mdp, QLearning().epochs, rng=source)
+    optimum = reading.evaluate_policy("optimal").mean
+    curves = {shown: reading.train_runs(name).drawn.sampled for name, shown in SHOWN.items()}
+    source = spawn_seed(CURVES, len(SHOWN))
+    returns, _ = sample_epoch_returns(reading.mdp, QLearning().epochs, rng=source)
     curves["random"] = returns.mean(axis=1)
     looks = ((BLUE, "-"), (RED, "--"), (GREEN, "-."))
     for (label, values), (colour, line) in zip(curves.items(), looks, strict=True):
-        drawing.strip(top, values, colour)
-        top.plot(*drawing.smoothed(values, 100), color=colour, ls=line, lw=1.6, label=label)
+        drawing.draw_band(top, values, colour)
+        top.plot(
+            *drawing.smooth_over_windows(values, 100), color=colour, ls=line, lw=1.6, label=label
+        )
     top.axhline(optimum, color="black", ls=":", lw=1, label=f"optimum {optimum:.1f}")
     top.legend(ncols=4, loc="lower center")
     top.set(ylim=(0, None), xlabel="epoch", ylabel="average return (points)")
@@ -102,10 +119,10 @@ def learning_curves(reading: Reading) -> Figure:
         "(pale: the range within 20 epochs; heavy: the mean of 100)"
     )
     for ax, (name, shown), (colour, line) in zip(panels[1], SHOWN.items(), looks, strict=False):
-        values = reading.learned(name).values
+        values = reading.train_runs(name).values
         low, high = np.quantile(values, [0.05, 0.95], axis=0)
-        at, middle = drawing.smoothed(values.mean(axis=0), 25)
-        band = (drawing.smoothed(each, 25)[1] for each in (low, high))
+        at, middle = drawing.smooth_over_windows(values.mean(axis=0), 25)
+        band = (drawing.smooth_over_windows(each, 25)[1] for each in (low, high))
         ax.fill_between(
             at,
             *band,
@@ -125,7 +142,7 @@ def learning_curves(reading: Reading) -> Figure:
 # ---- learned policies ----------------------------------------------------------------------------
 
 
-def named(policy: np.ndarray) -> dict[str, str]:
+def name_actions(policy: np.ndarray) -> dict[str, str]:
     """Return a policy (16,) by status."""
     return {status: ACTIONS[int(action)] for status, action in zip(STATUSES, policy, strict=True)}
 
@@ -133,15 +150,15 @@ def named(policy: np.ndarray) -> dict[str, str]:
 UNIQUE = {s: f"{SHOWN[s]} the run suggests {n}" for s, n in REPORTED["unique_policies"].items()}
 
 
-@claim(
+@register_claim(
     "learning.unique.{word}", "Section 4.1", "Section 3.2.5", rule="share", each=UNIQUE, learns=True
 )
-def unique(reading: Reading, schedule: str) -> Finding:
+def unique_policies(reading: Reading, schedule: str) -> Finding:
     """With {means} unique policies in its last 100 episodes."""
-    distinct = reading.learned(schedule).outcomes.distinct
+    distinct = reading.train_runs(schedule).outcomes.distinct
     paper = REPORTED["unique_policies"][schedule]
     number = mean_of(distinct.astype(float))
-    return share(
+    return judge_by_runs(
         int((distinct == paper).sum()),
         len(distinct),
         "runs",
@@ -153,58 +170,62 @@ def unique(reading: Reading, schedule: str) -> Finding:
     )
 
 
-@claim("learning.anger.{word}", "Section 4.1", "Figure 10", rule="share", each=SHOWN, learns=True)
+@register_claim(
+    "learning.anger.{word}", "Section 4.1", "Figure 10", rule="share", each=SHOWN, learns=True
+)
 def learned_anger(reading: Reading, schedule: str) -> Finding:
     """The run with {means} learns supportive assistance in all eight statuses with anger."""
-    final = reading.learned(schedule).final
+    final = reading.train_runs(schedule).final
     supportive = final[:, [int(status, 2) for status in ANGRY]] == NUMBER["supportive"]
     each = supportive.mean(axis=0)
     why = (
         f"status by status it is learned by {each.min():.0%} ({ANGRY[int(each.argmin())]}) to "
         f"{each.max():.0%} of the runs"
     )
-    return share(int(supportive.all(axis=1).sum()), len(final), "runs", why)
+    return judge_by_runs(int(supportive.all(axis=1).sum()), len(final), "runs", why)
 
 
-@claim("learning.stated.{word}", "Section 4.1", "Figure 10", rule="share", each=SHOWN, learns=True)
+@register_claim(
+    "learning.stated.{word}", "Section 4.1", "Figure 10", rule="share", each=SHOWN, learns=True
+)
 def learned_stated(reading: Reading, schedule: str) -> Finding:
     """The run with {means} learns the stated actions of 1100, 1000 and 0100."""
-    final = [named(policy) for policy in reading.learned(schedule).final]
-    orders = {order: sum(fits(policy, order) for policy in final) for order in ORDERS}
-    whole = sum(describes([policy]) for policy in final)
+    final = [name_actions(policy) for policy in reading.train_runs(schedule).final]
+    orders = {order: sum(has_stated_actions(policy, order) for policy in final) for order in ORDERS}
+    whole = sum(are_as_described([policy]) for policy in final)
     shares = ", ".join(f"{order} {count / len(final):.1%}" for order, count in orders.items())
     why = (
         f"by the order of 1000 and 0100: {shares} of the runs; all that the text says of a policy, "
         f"anger and 0000 included, holds for {whole / len(final):.1%}"
     )
-    return share(sum(orders.values()), len(final), "runs", why, details={"orders": orders})
+    return judge_by_runs(sum(orders.values()), len(final), "runs", why, details={"orders": orders})
 
 
-def describes(policies: Iterable[dict[str, str]]) -> bool:
+def are_as_described(policies: Iterable[dict[str, str]]) -> bool:
     """Return whether what the text says of statuses holds for all of some policies."""
     return all(
         all(policy[status] == "supportive" for status in ANGRY)
-        and any(fits(policy, order) for order in ORDERS)
+        and any(has_stated_actions(policy, order) for order in ORDERS)
         and policy["0000"] in AVERAGES
         for policy in policies
     )
 
 
-@claim("learning.same-but-first", "Section 4.1", "Figure 10", rule="share", learns=True)
+@register_claim("learning.same-but-first", "Section 4.1", "Figure 10", rule="share", learns=True)
 def same_but_first(reading: Reading) -> Finding:
     """The policies of the two runs, one of each schedule, differ in status 0000 alone."""
-    constant, decaying = (reading.learned(schedule).final for schedule in SHOWN)
+    constant, decaying = (reading.train_runs(schedule).final for schedule in SHOWN)
     apart = constant != decaying
     rest = apart[:, 1:].sum(axis=1)
     why = (
         f"{int((rest == 0).sum())} pairs agree outside 0000, and the mean pair differs in "
         f"{rest.mean():.1f} of the other 15 statuses"
     )
-    return share(int(((rest == 0) & apart[:, 0]).sum()), len(apart), "pairs of runs", why)
+    return judge_by_runs(int(((rest == 0) & apart[:, 0]).sum()), len(apart), "pairs of runs", why)
 
 
-@claim("learning.together", "Section 4.1", "Figure 10", rule="share", learns=True)
-def together(reading: Reading) -> Finding:
+@register_claim("learning.together", "Section 4.1", "Figure 10", rule="share", learns=True)
+def runs_show_everything(reading: Reading) -> Finding:
     """The two runs show all of this at once: the numbers of policies, that these differ in 0000
     alone, the three actions there, the agreement elsewhere, and the stated actions.
     """
@@ -219,7 +240,7 @@ def together(reading: Reading) -> Finding:
         why += f". {apart} of the pairs have no run in common: with 95 % confidence the chance is "
         why += f"below {1 - 0.05 ** (1 / apart):.2%}"
     number = Estimated(value=float(within.mean()), standard_error=error_of_pairs(within))
-    return share(int(within.sum()), int(within.size), "pairs of runs", why, number=number)
+    return judge_by_runs(int(within.sum()), int(within.size), "pairs of runs", why, number=number)
 
 
 def error_of_pairs(shown: np.ndarray) -> float:
@@ -238,65 +259,74 @@ def error_of_pairs(shown: np.ndarray) -> float:
 
 
 def told_together(reading: Reading) -> dict[str, np.ndarray]:
-    """Return by what is told of the two runs (R, R) the pairs, one of each schedule, that show it.
+    """Return, for each statement about the two runs, the pairs of runs (R, R) that show it.
 
     Of a run the policies of its last 100 episodes count.
     """
-    runs = [reading.learned(schedule) for schedule in SHOWN]
+    runs = [reading.train_runs(schedule) for schedule in SHOWN]
     places = [int(status, 2) for status in ANGRY]
 
-    def both(first: Iterable[bool], second: Iterable[bool]) -> np.ndarray:
+    def pair_runs(first: Iterable[bool], second: Iterable[bool]) -> np.ndarray:
         return np.logical_and.outer(list(first), list(second))
 
-    def alone(policies: np.ndarray) -> bool:
+    def differ_in_first_alone(policies: np.ndarray) -> bool:
         return bool((policies[:, 1:] == policies[0, 1:]).all())
 
-    def angry(policies: np.ndarray) -> bool:
+    def are_supportive_in_anger(policies: np.ndarray) -> bool:
         return bool((policies[:, places] == NUMBER["supportive"]).all())
 
-    def stated(policies: np.ndarray) -> bool:
-        return all(any(fits(named(policy), order) for order in ORDERS) for policy in policies)
+    def take_stated_actions(policies: np.ndarray) -> bool:
+        return all(
+            any(has_stated_actions(name_actions(policy), order) for order in ORDERS)
+            for policy in policies
+        )
 
     starts = [[sum(1 << a for a in set(p[:, 0].tolist())) for p in run.last] for run in runs]
     three = sum(1 << NUMBER[start] for start in AVERAGES)
     one, two = runs[0].final, runs[1].final
     numbers = REPORTED["unique_policies"]
     return {
-        "three and two policies": both(
+        "three and two policies": pair_runs(
             *([len(p) == numbers[run.schedule] for p in run.last] for run in runs)
         ),
-        "each run's differ in 0000 alone": both(*(map(alone, run.last) for run in runs)),
+        "each run's differ in 0000 alone": pair_runs(
+            *(map(differ_in_first_alone, run.last) for run in runs)
+        ),
         "a1, a2 and a3 there": np.bitwise_or.outer(*map(np.array, starts)) == three,
         "the final ones differ there": one[:, None, 0] != two[None, :, 0],
         "and agree elsewhere": (one[:, None, 1:] == two[None, :, 1:]).all(axis=2),
-        "supportive with anger": both(*(map(angry, run.last) for run in runs)),
-        "1100, 1000 and 0100 as stated": both(*(map(stated, run.last) for run in runs)),
+        "supportive with anger": pair_runs(
+            *(map(are_supportive_in_anger, run.last) for run in runs)
+        ),
+        "1100, 1000 and 0100 as stated": pair_runs(
+            *(map(take_stated_actions, run.last) for run in runs)
+        ),
     }
 
 
-@claim("learning.one-run-all-three", "Section 4.1", rule="share", learns=True)
+@register_claim("learning.one-run-all-three", "Section 4.1", rule="share", learns=True)
 def one_run_all_three(reading: Reading) -> Finding:
     """The policies of a run's last 100 episodes differ in status 0000 alone."""
-    changed = np.concatenate([reading.learned(s).outcomes.changed for s in SHOWN])
+    changed = np.concatenate([reading.train_runs(s).outcomes.changed for s in SHOWN])
     only = changed[:, 0] & ~changed[:, 1:].any(axis=1)
     why = f"in {int(changed.any(axis=1).sum())} runs of both schedules they differ anywhere"
-    return share(int(only.sum()), len(changed), "runs", why)
+    return judge_by_runs(int(only.sum()), len(changed), "runs", why)
 
 
-@claim("learning.selection", "Section 4.1", "Section 3.2.5", rule="share", learns=True)
-def selection(reading: Reading) -> Finding:
+@register_claim("learning.selection", "Section 4.1", "Section 3.2.5", rule="share", learns=True)
+def selection_finds_optimum(reading: Reading) -> Finding:
     """Choosing among the five most frequent policies gives the final, optimal policy."""
-    outcomes = [reading.learned(schedule).outcomes for schedule in SHOWN]
+    outcomes = [reading.train_runs(schedule).outcomes for schedule in SHOWN]
     regrets = np.concatenate([each.selected_regret for each in outcomes])
     last = np.concatenate([each.regret for each in outcomes])
     why = (
         "the choice is made by exact value here, the best that any choice among the five can do; "
         f"the mean regret is {regrets.mean():.2f} after it and {last.mean():.2f} before"
     )
-    return share(int((regrets == 0).sum()), len(regrets), "runs", why)
+    return judge_by_runs(int((regrets == 0).sum()), len(regrets), "runs", why)
 
 
-@claim("learning.first-status-unsettled", "Section 4.1", "Section 4.3", learns=True)
+@register_claim("learning.first-status-unsettled", "Section 4.1", "Section 4.3", learns=True)
 def first_status_unsettled(reading: Reading) -> Finding:
     """The best assistance in status 0000 is hard to tell because of the model's chance."""
     # The same model, the same chance and exploration: only the step falls.
@@ -304,11 +334,14 @@ def first_status_unsettled(reading: Reading) -> Finding:
     total, settled = int(fallen.sum()), int(fallen.max())
     error = sqrt((settled + 0.5) * (total - settled + 0.5) / total**3)
     best = set.intersection(*optimal_actions(reading, "0000"))
-    kind = "an optimal" if ACTIONS[int(fallen.argmax())] in best else "no optimal"
-    return statement(
+    kind = "no optimal"
+    if ACTIONS[int(fallen.argmax())] in best:
+        kind = "an optimal"
+    return judge_statement(
         settled < NEARLY_ALL * total,
-        f"with the paper's constant learning rate {shares(constant)}, over {constant.sum()} runs; "
-        f"with a step of 0.5 n^-0.7 {shares(fallen)}, over {total}: {kind} action. Model, chance "
+        f"with the paper's constant learning rate {format_frequencies(constant)}, "
+        f"over {constant.sum()} runs; with a step of 0.5 n^-0.7 {format_frequencies(fallen)}, "
+        f"over {total}: {kind} action. Model, chance "
         "and exploration are the same, so that the learning rate is the cause",
         number=Estimated(value=settled / total, standard_error=error),
         number_is="share of the runs with a falling rate that end with the same action",
@@ -318,16 +351,16 @@ def first_status_unsettled(reading: Reading) -> Finding:
 
 def first_actions(reading: Reading) -> np.ndarray:
     """Return (A,) how many runs of both schedules end with each action in status 0000."""
-    return np.asarray(sum(reading.learned(s).outcomes.choices(0)[: len(ACTIONS)] for s in SHOWN))
+    return np.asarray(sum(reading.train_runs(s).outcomes.choices(0)[: len(ACTIONS)] for s in SHOWN))
 
 
-def shares(counts: np.ndarray) -> str:
+def format_frequencies(counts: np.ndarray) -> str:
     """Return which actions runs end with, the most frequent first."""
     order = [int(a) for a in np.argsort(-counts, kind="stable") if counts[a]]
     return ", ".join(f"{ACTIONS[a]} {counts[a] / counts.sum():.0%}" for a in order)
 
 
-@figure(
+@register_figure(
     "learned_policies",
     "Figure 10",
     title="Learned policies of the two exploration schedules, and the optimal one",
@@ -338,21 +371,21 @@ def learned_policies(reading: Reading) -> Figure:
     trial.
     """
     best = [ACTIONS[action] for action in reading.optimum[: len(STATUSES)]]
-    fig, panels = drawing.axes(9.6, 3.6, ncols=3, sharey=True)
+    fig, panels = drawing.create_axes(9.6, 3.6, ncols=3, sharey=True)
     for ax, (name, shown) in zip(panels, SHOWN.items(), strict=False):
-        choices, often = reading.learned(name).common()
+        choices, often = reading.train_runs(name).find_common_actions()
         chosen = [ACTIONS[action] for action in choices]
         same = [a == b for a, b in zip(chosen, best, strict=True)]
         notes = [f"{s:.0%}{'' if b else ' *'}" for s, b in zip(often, same, strict=True)]
-        drawing.status_map(ax, chosen, notes)
-        runs = len(reading.learned(name).runs)
+        drawing.draw_status_map(ax, chosen, notes)
+        runs = len(reading.train_runs(name).runs)
         ax.set_title(f"{shown}: the commonest action\nat the end of {runs} runs")
-    drawing.status_map(panels[2], best, [""] * len(best))
+    drawing.draw_status_map(panels[2], best, [""] * len(best))
     panels[2].set_title("optimal action\n")
     return fig
 
 
-@figure("first_status", title="Why the first status does not settle")
+@register_figure("first_status", title="Why the first status does not settle")
 def first_status(reading: Reading) -> Figure:
     """Above, the action in 0000 that runs end with, under the paper's constant learning rate and
     with a step of 0.5 n^-0.7 at the n-th update; model, chance and exploration are the same. Below,
@@ -361,9 +394,9 @@ def first_status(reading: Reading) -> Figure:
     """
     from matplotlib.patches import Patch
 
-    fig, (above, below) = drawing.axes(7.6, 5.0, nrows=2)
+    fig, (above, below) = drawing.create_axes(7.6, 5.0, nrows=2)
     rows = [
-        (f"{shown}, {step}", view.learned(name))
+        (f"{shown}, {step}", view.train_runs(name))
         for step, view in (("constant rate", reading), ("falling step", reading.falling))
         for name, shown in SHOWN.items()
     ]

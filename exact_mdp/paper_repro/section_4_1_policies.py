@@ -22,14 +22,14 @@ from exact_mdp.paper_repro.claim import (
     CHANCE,
     NEARLY_ALL,
     Finding,
-    about,
-    average,
-    by_chance,
-    claim,
-    statement,
-    undecided,
+    compare_approximately,
+    compare_average,
+    judge_by_chance,
+    judge_statement,
+    judge_undecided,
+    register_claim,
 )
-from exact_mdp.paper_repro.drawing import BLUE, figure
+from exact_mdp.paper_repro.drawing import BLUE, register_figure
 from exact_mdp.paper_repro.paper import (
     ACTIONS,
     ANGRY,
@@ -40,9 +40,9 @@ from exact_mdp.paper_repro.paper import (
     REPORTED,
     SETTINGS,
     STATUSES,
-    words,
+    describe_status,
 )
-from exact_mdp.paper_repro.section_3 import losses, optimal_actions
+from exact_mdp.paper_repro.section_3 import compute_losses, optimal_actions
 from exact_mdp.paper_repro.silent_points import Reading
 
 if TYPE_CHECKING:
@@ -51,31 +51,34 @@ if TYPE_CHECKING:
 # ---- average returns -----------------------------------------------------------------------------
 
 
-@claim("return.random", "Section 4.1", "Figure 9", rule="about", open=True)
+@register_claim("return.random", "Section 4.1", "Figure 9", rule="about", open=True)
 def random_return(reading: Reading) -> Finding:
     """The random strategy reaches an average return of around 70."""
-    exact = reading.value("random")
-    return about(REPORTED["random"], exact.start, details={"sd": exact.sd})
+    exact = reading.evaluate_policy("random")
+    return compare_approximately(REPORTED["random"], exact.start, details={"sd": exact.sd})
 
 
-@claim("return.superior", "Section 4.1", open=True)
-def superior(reading: Reading) -> Finding:
+@register_claim("return.superior", "Section 4.1", open=True)
+def policies_beat_random(reading: Reading) -> Finding:
     """The learned policies are superior to the random strategy."""
-    random = reading.value("random").mean
-    lowest = min(reading.value(start, order).mean for start in AVERAGES for order in ORDERS)
+    random = reading.evaluate_policy("random").mean
+    lowest = min(
+        reading.evaluate_policy(start, order).mean for start in AVERAGES for order in ORDERS
+    )
     why = f"the least of the three policies in both orders earns {lowest:.1f}, random {random:.1f}"
-    return statement(lowest > random + 1e-6, why)
+    return judge_statement(lowest > random + 1e-6, why)
 
 
 def both_orders(reading: Reading, start: str) -> str:
     """Return the value of a reported policy in both orders, with its distance from the paper's."""
     return ", ".join(
-        f"{order} {reading.value(start, order).mean:.2f} ({reading.off(start, order):+.1f} s.e.)"
+        f"{order} {reading.evaluate_policy(start, order).mean:.2f} "
+        f"({reading.compute_deviation(start, order):+.1f} s.e.)"
         for order in ORDERS
     )
 
 
-@claim(
+@register_claim(
     "return.reported.{word}",
     "Section 4.1",
     rule="average",
@@ -84,16 +87,16 @@ def both_orders(reading: Reading, start: str) -> str:
 )
 def reported_return(reading: Reading, start: str) -> Finding:
     """The policy with {word} assistance in status 0000 averages {means} over 1,000 experiments."""
-    exact = reading.value(start)
+    exact = reading.evaluate_policy(start)
     why = f"exact value with 1000 and 0100 {both_orders(reading, start)}; judged {reading.order}"
-    mean = average(
+    mean = compare_average(
         AVERAGES[start], exact.mean, exact.sd, EXPERIMENTS, error=exact.start.error, why=why
     )
-    orders = {order: reading.value(start, order).mean for order in ORDERS}
+    orders = {order: reading.evaluate_policy(start, order).mean for order in ORDERS}
     return replace(mean, details={"sd": exact.sd, "orders": orders})
 
 
-@claim("return.together", "Section 4.1", rule="average", open=True)
+@register_claim("return.together", "Section 4.1", rule="average", open=True)
 def averages_together(reading: Reading) -> Finding:
     """The three averages, taken together."""
     # χ² of the squared standard errors, on three degrees of freedom.
@@ -101,12 +104,12 @@ def averages_together(reading: Reading) -> Finding:
     for order in ORDERS:
         squared = 0.0
         for start, paper in AVERAGES.items():
-            exact = reading.value(start, order)
+            exact = reading.evaluate_policy(start, order)
             squared += (exact.mean - paper) ** 2 / (exact.sd**2 / EXPERIMENTS)
         tail = sqrt(2 * squared / pi) * exp(-squared / 2)
         chances[order] = erfc(sqrt(squared / 2)) + tail
     listed = ", ".join(f"{order} p = {chance:.2g}" for order, chance in chances.items())
-    return by_chance(
+    return judge_by_chance(
         chances[reading.order],
         f"chance of averages as far off, with 1000 and 0100 {listed}; judged {reading.order}, and "
         f"compatible if p is {CHANCE} or more",
@@ -114,23 +117,26 @@ def averages_together(reading: Reading) -> Finding:
     )
 
 
-@claim("return.ranking", "Section 4.1", open=True)
-def ranking(reading: Reading) -> Finding:
+@register_claim("return.ranking", "Section 4.1", open=True)
+def first_status_ranking(reading: Reading) -> Finding:
     """In status 0000 non-directive assistance is better than directive, and that better than
     supportive.
     """
-    means = {order: [reading.value(start, order).mean for start in AVERAGES] for order in ORDERS}
+    means = {
+        order: [reading.evaluate_policy(start, order).mean for start in AVERAGES]
+        for order in ORDERS
+    }
     listed = "; ".join(f"{o} {' > '.join(f'{m:.2f}' for m in each)}" for o, each in means.items())
     falls = all(a > b + 1e-6 for a, b in pairwise(means[reading.order]))
-    return statement(falls, f"exact values of {', '.join(AVERAGES)}, 1000 and 0100 {listed}")
+    return judge_statement(falls, f"exact values of {', '.join(AVERAGES)}, 1000 and 0100 {listed}")
 
 
-@claim("return.ranking.by-experiments", "Section 4.1")
+@register_claim("return.ranking.by-experiments", "Section 4.1")
 def ranking_by_experiments(reading: Reading) -> Finding:
     """1,000 experiments tell this ranking."""
-    means = [reading.value(start).mean for start in AVERAGES]
-    chance = ranked(means, [reading.standard_error(start) for start in AVERAGES])
-    return statement(
+    means = [reading.evaluate_policy(start).mean for start in AVERAGES]
+    chance = probability_of_ranking(means, [reading.standard_error(start) for start in AVERAGES])
+    return judge_statement(
         chance >= NEARLY_ALL,
         f"{EXPERIMENTS:,} experiments with each rank them so with probability {chance:.5f}, by the "
         "normal law with the exact means and variances, 1000 and 0100 as written; 95 % or more "
@@ -140,7 +146,7 @@ def ranking_by_experiments(reading: Reading) -> Finding:
     )
 
 
-def ranked(means: list[float], errors: list[float]) -> float:
+def probability_of_ranking(means: list[float], errors: list[float]) -> float:
     """Return P(A > B > C) for independent normal averages."""
     nodes = np.linspace(-10.0, 10.0, 4001)  # the trapezoidal rule is exact to rounding here
     middle = means[1] + errors[1] * nodes
@@ -152,35 +158,35 @@ def ranked(means: list[float], errors: list[float]) -> float:
     return float((density * above * below).sum() * (nodes[1] - nodes[0]))
 
 
-@claim("return.experiments", "Section 4.1", "Section 3.2.5", kind="input", rule="open")
-def experiments(reading: Reading) -> Finding:
+@register_claim("return.experiments", "Section 4.1", "Section 3.2.5", kind="input", rule="open")
+def number_of_experiments(reading: Reading) -> Finding:
     """The final policies were compared by 1,000 experiments each; Section 3.2.5 says 10,000."""
-    least = reading.value(FINAL).sd / sqrt(SETTINGS["experiments_of_a_candidate"])
-    return undecided(
+    least = reading.evaluate_policy(FINAL).sd / sqrt(SETTINGS["experiments_of_a_candidate"])
+    return judge_undecided(
         f"standard errors of the final policy's average are {least:.2f} and "
         f"{reading.standard_error(FINAL):.2f}. The smaller number is used here, which is kinder to "
         "the paper"
     )
 
 
-@figure("three_policies", title="The three reported averages")
+@register_figure("three_policies", title="The three reported averages")
 def three_policies(reading: Reading) -> Figure:
     """Exact means of the three policies with exact standard errors of 1,000 experiments, beside
     what the paper reports, with both orders of “respectively”; supportive in the four statuses of
     which the text says nothing.
     """
-    fig, ax = drawing.axes(6.4, 4.0)
+    fig, ax = drawing.create_axes(6.4, 4.0)
     rows = [(start, order) for start in AVERAGES for order in ORDERS]
     for row, (start, order) in enumerate(rows):
-        exact, error = reading.value(start, order), reading.standard_error(start, order)
+        exact, error = reading.evaluate_policy(start, order), reading.standard_error(start, order)
         for reach, width in ((3, 1.2), (1, 4.0)):
             ends = [exact.mean - reach * error, exact.mean + reach * error]
             ax.plot(ends, [row, row], color="0.45", lw=width, solid_capstyle="butt")
         ax.plot(exact.mean, row, "o", color="black", ms=5)
         ax.plot(AVERAGES[start], row - 0.28, "D", color="black", mfc="white", ms=6)
-        apart = f"{reading.off(start, order):+.1f} s.e.".replace("-", "−")
+        apart = f"{reading.compute_deviation(start, order):+.1f} s.e.".replace("-", "−")
         ax.annotate(apart, (1.01, row), xycoords=("axes fraction", "data"), va="center")
-    optimum = reading.value("optimal").mean
+    optimum = reading.evaluate_policy("optimal").mean
     ax.axvline(optimum, color="black", ls=":", lw=1)
     ax.plot([], [], "o", color="black", ms=5, label="exact, ±1 and ±3 s.e.")
     ax.plot([], [], "D", color="black", mfc="white", ms=6, label="reported")
@@ -191,27 +197,29 @@ def three_policies(reading: Reading) -> Figure:
     return fig
 
 
-@figure("return_distributions", title="Distribution of the return")
+@register_figure("return_distributions", title="Distribution of the return")
 def return_distributions(reading: Reading) -> Figure:
     """Exact distribution of an episode's return, added up in stretches of 10 points, under the
     optimal policy, the reported final policy (1000 and 0100 as written, supportive where the text
     says nothing) and random actions. The dashed line is the mean.
     """
-    fig, panels = drawing.axes(6.2, 5.4, nrows=3, sharex=True, sharey=True)
+    fig, panels = drawing.create_axes(6.2, 5.4, nrows=3, sharex=True, sharey=True)
     shown = {
         "optimal": "optimal policy",
         FINAL: "reported final policy",
         "random": "random actions",
     }
     for ax, (name, label) in zip(panels, shown.items(), strict=True):
-        law = return_distribution(reading.mdp, reading.policy(name))
+        law = return_distribution(reading.mdp, reading.build_policy(name))
         values = np.asarray(law.multiples, dtype=float) * float(law.unit)
         bins = np.floor(values / 10) * 10
         at = np.unique(bins)
         ax.bar(at + 5, [law.probabilities[bins == b].sum() for b in at], width=9.4, color=BLUE)
-        mean = reading.value(name).mean
+        mean = reading.evaluate_policy(name).mean
         ax.axvline(mean, color="black", ls="--", lw=1)
-        ax.set_title(f"{label}: mean {mean:.1f}, standard deviation {reading.value(name).sd:.1f}")
+        ax.set_title(
+            f"{label}: mean {mean:.1f}, standard deviation {reading.evaluate_policy(name).sd:.1f}"
+        )
         ax.set_ylabel("probability")
     panels[-1].set(xlabel="return of an episode (points)", xlim=(-90, 185))
     return fig
@@ -228,7 +236,7 @@ BEST = {  # statuses and the action that the text gives
 }
 
 
-@claim(
+@register_claim(
     "policy.{word}",
     "Section 4.1",
     "Figure 10",
@@ -248,7 +256,7 @@ def best_action(reading: Reading, place: str) -> Finding:
     right = sum(action in each for each in best)
     others = sorted(set().union(*(each for each in best if action not in each)))
     instead = "".join(f"; elsewhere {other} is" for other in others)
-    return statement(
+    return judge_statement(
         right == len(best),
         f"{action} is optimal in {right} of {len(best)} states with "
         f"{'this status' if len(statuses) == 1 else 'anger'}{instead}",
@@ -257,8 +265,8 @@ def best_action(reading: Reading, place: str) -> Finding:
     )
 
 
-@claim("policy.respectively", "Section 4.1", "Figure 10", open=True)
-def respectively(reading: Reading) -> Finding:
+@register_claim("policy.respectively", "Section 4.1", "Figure 10", open=True)
+def respectively_holds(reading: Reading) -> Finding:
     """Forgetful only or confused only: directive in one and non-directive in the other, whichever
     is meant.
     """
@@ -268,27 +276,27 @@ def respectively(reading: Reading) -> Finding:
         for pair in ORDERS.values()
     )
     listed = ", ".join(f"{s}: {'/'.join(sorted(set().union(*each)))}" for s, each in best.items())
-    return statement(holds, f"optimal actions are {listed}")
+    return judge_statement(holds, f"optimal actions are {listed}")
 
 
-@claim("policy.personalised", "Section 4.1", open=True)
-def personalised(reading: Reading) -> Finding:
+@register_claim("policy.personalised", "Section 4.1", open=True)
+def assistance_is_personal(reading: Reading) -> Finding:
     """Forgetful only and confused only get different assistance, because people respond
     differently: decisions are personal.
     """
     best = [set.intersection(*optimal_actions(reading, status)) for status in ("1000", "0100")]
     names = ["/".join(sorted(each)) or "none" for each in best]
-    return statement(
+    return judge_statement(
         all(best) and not set.intersection(*best),
         f"optimal throughout: {names[0]} where forgetful only, {names[1]} where confused only. The "
         "model has the probabilities of one person: it compares statuses, not people",
     )
 
 
-@claim("policy.final-is-optimal", "Section 4.1", open=True)
+@register_claim("policy.final-is-optimal", "Section 4.1", open=True)
 def final_is_optimal(reading: Reading) -> Finding:
     """The final policy, with non-directive assistance in 0000, is optimal."""
-    audits = {order: check(reading.mdp, reading.policy(FINAL, order)) for order in ORDERS}
+    audits = {order: check(reading.mdp, reading.build_policy(FINAL, order)) for order in ORDERS}
     sentence = ", ".join(
         f"{order} {float(audit.regret.at_start.value):.2f} ({audit.relative_regret:.1%})"
         for order, audit in audits.items()
@@ -303,10 +311,10 @@ def final_is_optimal(reading: Reading) -> Finding:
         why += f"; {reading.order}, by status: {listed}"
     number, number_is = Certified(value=Fraction(audit.regret.at_start.value)), "regret in points"
     details = {"cost_by_status": costs}
-    return statement(audit.passed, why, number=number, number_is=number_is, details=details)
+    return judge_statement(audit.passed, why, number=number, number_is=number_is, details=details)
 
 
-@figure("cost_of_choices", title="What each choice costs")
+@register_figure("cost_of_choices", title="What each choice costs")
 def cost_of_choices(reading: Reading) -> Figure:
     """Expected return lost by taking an action whenever a status comes up, everything else being
     optimal; darker cells cost more. A dot marks the action of the reported final policy, with 1000
@@ -314,23 +322,34 @@ def cost_of_choices(reading: Reading) -> Figure:
     """
     from matplotlib.patches import Rectangle
 
-    lost, policy = cost_of_each(reading), reading.reported(FINAL)
-    fig, ax = drawing.axes(6.6, 5.8)
+    lost, policy = cost_of_each(reading), reading.find_reported_policy(FINAL)
+    fig, ax = drawing.create_axes(6.6, 5.8)
     shade = 1 - 0.75 * np.sqrt(lost / lost.max())
     for row, column in np.ndindex(lost.shape):
         light, loss = float(shade[row, column]), float(lost[row, column])
-        ink = "black" if light > 0.5 else "white"
+        ink = "white"
+        if light > 0.5:
+            ink = "black"
         cell = Rectangle((column, row), 1, 1, facecolor=str(light), edgecolor="0.85", lw=0.5)
         ax.add_patch(cell)
-        text = "best" if loss == 0 else f"{loss:.2f}" if loss >= 0.005 else "under 0.01"
+        if loss == 0:
+            text = "best"
+        elif loss >= 0.005:
+            text = f"{loss:.2f}"
+        else:
+            text = "under 0.01"
         look = {"ha": "center", "va": "center", "fontsize": 8, "color": ink}
-        weight = "bold" if loss == 0 else "normal"
+        weight = "normal"
+        if loss == 0:
+            weight = "bold"
         ax.text(column + 0.5, row + 0.5, text, fontweight=weight, **look)
         if policy[STATUSES[row]] == ACTIONS[column]:
             ax.plot(column + 0.12, row + 0.5, "o", color=ink, ms=4)
     ax.set(xlim=(0, len(ACTIONS)), ylim=(len(STATUSES), 0))
     ax.set_xticks(np.arange(4) + 0.5, ["none", "supportive", "non-\ndirective", "directive"])
-    ax.set_yticks(np.arange(16) + 0.5, [f"{words(status)}  {status}" for status in STATUSES])
+    ax.set_yticks(
+        np.arange(16) + 0.5, [f"{describe_status(status)}  {status}" for status in STATUSES]
+    )
     ax.xaxis.tick_top()
     ax.tick_params(length=0)
     ax.spines[:].set_visible(False)
@@ -340,12 +359,12 @@ def cost_of_choices(reading: Reading) -> Figure:
 
 
 def cost_of_each(reading: Reading) -> np.ndarray:
-    """Return (16, 4) what is lost at the start by an action in a status, all else being optimal."""
-    mdp, best = reading.mdp, reading.value("optimal").mean
+    """Return the loss (16, 4) at the start of an action in a status, all else being optimal."""
+    mdp, best = reading.mdp, reading.evaluate_policy("optimal").mean
     status, free = mdp.space.values("status"), ~mdp.forced & ~mdp.terminal
     lost = np.zeros((len(STATUSES), len(ACTIONS)))
     for vector, action in np.ndindex(lost.shape):
-        if any(losses(reading, STATUSES[vector], action)):  # exactly 0 where it is optimal
+        if any(compute_losses(reading, STATUSES[vector], action)):  # exactly 0 where it is optimal
             other = np.where(free & (status == vector), action, reading.optimum)
             lost[vector, action] = best - evaluate(mdp, Policy.of(mdp, other)).mean
     return lost

@@ -29,7 +29,7 @@ import numpy as np
 
 from exact_mdp import MDP, Certificate, Policy, Scenario, certify, evaluate, solve
 from exact_mdp.mdp import ScenarioWarning
-from exact_mdp.paper_repro.learner import Learned, learn
+from exact_mdp.paper_repro.learner import Learned, train_learner
 from exact_mdp.paper_repro.paper import (
     ABOUT,
     ANGRY,
@@ -58,7 +58,7 @@ class Reading:
     """The model under one reading of the text, with everything that claims ask of it."""
 
     scenario: Scenario
-    label: str = "default"  # what it changes
+    label: str = "default"  # the changed details
     order: str = "as written"  # of "respectively"
     runs: int = 100  # training runs of each schedule
     folder: Path | None = None  # where finished training runs are kept
@@ -67,7 +67,7 @@ class Reading:
     @cached_property
     def mdp(self) -> MDP:
         """The compiled model."""
-        return compiled(self.scenario)
+        return compile_quietly(self.scenario)
 
     @cached_property
     def certificate(self) -> Certificate:
@@ -79,38 +79,40 @@ class Reading:
         """(S,) an optimal action of each state."""
         return np.asarray(solve(self.mdp).policy)
 
-    def reported(self, start: str, order: str = "") -> dict[str, str]:
+    def find_reported_policy(self, start: str, order: str = "") -> dict[str, str]:
         """Return the reported policy with an action in status 0000, by status."""
         stated = {**REPORTED["stated"], **ORDERS[order or self.order]}
         return dict.fromkeys((*OPEN, *ANGRY), "supportive") | stated | {"0000": start}
 
-    def policy(self, name: str, order: str = "") -> Policy:
+    def build_policy(self, name: str, order: str = "") -> Policy:
         """Return a policy: "optimal", "random", or a reported one by its action in 0000."""
         if name == "optimal":
             return Policy.of(self.mdp, self.optimum)
-        return Policy.of(self.mdp, name if name == "random" else self.reported(name, order))
+        return Policy.of(
+            self.mdp, name if name == "random" else self.find_reported_policy(name, order)
+        )
 
-    def value(self, name: str, order: str = "") -> Any:
+    def evaluate_policy(self, name: str, order: str = "") -> Any:
         """Return the exact evaluation of a policy: mean, sd and the proven error of the mean."""
         key = ("value", name, order or self.order)
         if key not in self._known:
-            self._known[key] = evaluate(self.mdp, self.policy(name, order))
+            self._known[key] = evaluate(self.mdp, self.build_policy(name, order))
         return self._known[key]
 
     def standard_error(self, start: str, order: str = "") -> float:
         """Return the exact standard error of the paper's average of a reported policy."""
-        return float(self.value(start, order).sd / sqrt(EXPERIMENTS))
+        return float(self.evaluate_policy(start, order).sd / sqrt(EXPERIMENTS))
 
-    def off(self, start: str, order: str = "") -> float:
+    def compute_deviation(self, start: str, order: str = "") -> float:
         """Return by how many standard errors the exact mean is above the paper's average."""
-        above = self.value(start, order).mean - AVERAGES[start]
+        above = self.evaluate_policy(start, order).mean - AVERAGES[start]
         return float(above / self.standard_error(start, order))
 
-    def learned(self, schedule: str) -> Learned:
+    def train_runs(self, schedule: str) -> Learned:
         """Return the training runs under an exploration schedule, "constant" or "decaying"."""
         key = ("learned", schedule)
         if key not in self._known:
-            self._known[key] = learn(
+            self._known[key] = train_learner(
                 self.mdp, schedule, self.runs, folder=self.folder, changes=self.training
             )
         learned: Learned = self._known[key]
@@ -129,17 +131,17 @@ class Reading:
     @cached_property
     def skip_model(self) -> MDP:
         """The same model with a timestep of its own for *skip*, whose rows show the skip rule."""
-        return compiled(self.scenario.with_(readings={"skip_timestep": "own"}))
+        return compile_quietly(self.scenario.with_(readings={"skip_timestep": "own"}))
 
 
-def compiled(scenario: Scenario) -> MDP:
+def compile_quietly(scenario: Scenario) -> MDP:
     """Return the model; that influences may add up to over 1, and are cut off, is known here."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ScenarioWarning)
         return scenario.compile()
 
 
-def default(**sizes: Any) -> Reading:
+def build_default_reading(**sizes: Any) -> Reading:
     """Return the default reading."""
     return Reading(scenario=Scenario.load("yuan2025"), **sizes)
 
@@ -158,10 +160,10 @@ def one_change(base: Reading) -> list[Reading]:
 
 def log_likelihood(reading: Reading, order: str) -> float:
     """Return the logarithm of the likelihood of the reported returns, up to a constant."""
-    random = reading.value("random").mean
+    random = reading.evaluate_policy("random").mean
     total = -0.5 * ((random - REPORTED["random"]) / ABOUT) ** 2
     for start, average in AVERAGES.items():
-        exact = reading.value(start, order)
+        exact = reading.evaluate_policy(start, order)
         variance = exact.sd**2 / EXPERIMENTS
         total -= 0.5 * (exact.mean - average) ** 2 / variance + 0.5 * log(variance)
     return float(total)
@@ -196,7 +198,7 @@ class Support:
         }
 
 
-def support(base: Reading, progress: Callable[[str], None] = lambda text: None) -> Support:
+def compute_support(base: Reading, progress: Callable[[str], None] = lambda text: None) -> Support:
     """Evaluate all 576 combinations of the eight points, with both orders of "respectively"."""
     readings, choices, logs = [], [], []
     for options in product(*POINTS.values()):
@@ -211,7 +213,7 @@ def support(base: Reading, progress: Callable[[str], None] = lambda text: None) 
         for order in ORDERS:
             logs.append(log_likelihood(one, order))
             label = "; ".join(changes + [SWAPPED] * (order == "swapped")) or "default"
-            # A reading anew: what it has worked out is not kept for all of them.
+            # A new reading each time, so that cached results do not fill memory.
             readings.append(replace(base, scenario=scenario, order=order, label=label))
             choices.append({**chosen, "respectively": order})
         progress(f"{len(readings) // 2} readings of the text")
@@ -219,24 +221,26 @@ def support(base: Reading, progress: Callable[[str], None] = lambda text: None) 
     return Support(readings=readings, choices=choices, weights=weights / weights.sum())
 
 
-def facts(evidence: Support, changed: Sequence[Reading]) -> dict[str, Any]:
-    """Return what the report says of the readings: options, the best, and the one-change ones."""
+def describe_readings(evidence: Support, changed: Sequence[Reading]) -> dict[str, Any]:
+    """Return the report's facts about the readings: options, the best, and single changes."""
     best = evidence.best
 
-    def row(reading: Reading, order: str) -> dict[str, Any]:
+    def describe_reading(reading: Reading, order: str) -> dict[str, Any]:
         return {
             "label": reading.label,
             "order": order,
-            "averages": {start: reading.value(start, order).mean for start in AVERAGES},
-            "errors": {start: reading.off(start, order) for start in AVERAGES},
-            "random": reading.value("random").mean,
+            "averages": {start: reading.evaluate_policy(start, order).mean for start in AVERAGES},
+            "errors": {start: reading.compute_deviation(start, order) for start in AVERAGES},
+            "random": reading.evaluate_policy("random").mean,
             "log_likelihood": log_likelihood(reading, order),
         }
 
-    rows = [row(each, order) for each in changed[:1] for order in ORDERS]
+    rows = [describe_reading(each, order) for each in changed[:1] for order in ORDERS]
     for each in changed[1:]:
         if each.order == "as written":
-            rows.append(max((row(each, o) for o in ORDERS), key=lambda r: r["log_likelihood"]))
+            rows.append(
+                max((describe_reading(each, o) for o in ORDERS), key=lambda r: r["log_likelihood"])
+            )
     far = [row for row in rows if row["label"] in ELSEWHERE]
     chosen = evidence.choices[int(evidence.weights.argmax())].items()
     changes = [f"readings.{p}={option}" for p, option in chosen if option != next(iter(OPTIONS[p]))]
@@ -246,7 +250,8 @@ def facts(evidence: Support, changed: Sequence[Reading]) -> dict[str, Any]:
         "identified": [p for p, each in options.items() if max(each.values()) >= 0.95],
         "least_elsewhere": min(abs(error) for row in far for error in row["errors"].values()),
         "options": options,
-        "best": row(best, best.order) | {"weight": float(evidence.weights.max()), "set": changes},
+        "best": describe_reading(best, best.order)
+        | {"weight": float(evidence.weights.max()), "set": changes},
         "default_rank": evidence.rank,
         "default_weight": float(evidence.weights[0]),
         "one_change": rows,

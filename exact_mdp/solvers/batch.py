@@ -79,11 +79,16 @@ class Batch:
             state=np.array(one.pair_state),
             first=np.array(one.pair_offsets[:-1]),
         )
-        return None if batch.weights is None else batch
+        if batch.weights is None:
+            return None
+        return batch
 
-    def gains(self, value: Floats, reward: Floats | None = None) -> tuple[Floats, Floats]:
+    def compute_advantages(
+        self, value: Floats, reward: Floats | None = None
+    ) -> tuple[Floats, Floats]:
         """Return d(l) of values (D, S), and a bound on its rounding error, both (D, L)."""
-        reward = self.reward if reward is None else reward
+        if reward is None:
+            reward = self.reward
         here = value[:, self.state]
         apart = value[:, None, :] - here[:, :, None]
         ahead, flow = (
@@ -96,26 +101,26 @@ class Batch:
         alive = self.live[:, self.state]
         return np.where(alive, gain, 0.0), np.where(alive, error * SLACK, 0.0)
 
-    def solved(self, rows: Floats, rewards: Floats) -> Floats:
+    def solve_chains(self, rows: Floats, rewards: Floats) -> Floats:
         """Return (D, S, C) the values of chains (D, S, S) with several rewards (D, S, C)."""
         live = self.live[:, :, None]
         rows = np.where(live, rows * self.rate[:, None, None], 0.0)
         earned = np.where(live, rewards, 0.0)
         return np.asarray(np.linalg.solve(np.eye(rows.shape[1]) - rows, earned))
 
-    def improved(self, reward: Floats) -> tuple[Floats, Integers] | None:
+    def improve_policies(self, reward: Floats) -> tuple[Floats, Integers] | None:
         """Return values (D, S) and pairs (D, S), that no pair improves by more than rounding."""
         draw, pairs = np.arange(len(self.rows))[:, None], np.tile(self.first, (len(self.rows), 1))
         number = np.arange(len(self.state))
         for _ in range(POLICIES):
             try:
                 rewards = reward[draw, pairs][:, :, None]
-                value = self.solved(self.rows[draw, pairs], rewards)[:, :, 0]
+                value = self.solve_chains(self.rows[draw, pairs], rewards)[:, :, 0]
             except np.linalg.LinAlgError:
                 return None
             if not np.isfinite(value).all():
                 return None
-            gain, noise = self.gains(value, reward)
+            gain, noise = self.compute_advantages(value, reward)
             best = np.maximum.reduceat(gain, self.first, axis=1)
             noise = 2 * np.maximum.reduceat(noise, self.first, axis=1)
             better = best - gain[draw, pairs] > noise
@@ -132,21 +137,23 @@ class Batch:
         if (least > 0).all() and self.rate.max() < 1:
             return np.ones_like(self.start), least
         alive = self.live[:, self.state]
-        most = self.improved(alive.astype(float))
+        most = self.improve_policies(alive.astype(float))
         if most is None or not (most[0] >= 0).all():
             return None
-        falls, noise = self.gains(most[0], np.zeros_like(self.reward))
+        falls, noise = self.compute_advantages(most[0], np.zeros_like(self.reward))
         least = np.where(alive, -falls - noise, 1.0).min(axis=1) / SLACK
-        return (most[0], least) if (least > 0).all() else None
+        if (least > 0).all():
+            return (most[0], least)
+        return None
 
-    def optimum(self) -> tuple[Floats, Floats, Floats, Floats] | None:
-        """Return values and their errors (D, S), what each pair loses and its error (D, L)."""
-        best = self.improved(self.reward)
+    def solve_models(self) -> tuple[Floats, Floats, Floats, Floats] | None:
+        """Return values and their errors (D, S), suboptimality gaps and their errors (D, L)."""
+        best = self.improve_policies(self.reward)
         if best is None or self.weights is None:
             return None
         weight, least = self.weights
         value, pairs = best
-        gain, noise = self.gains(value)
+        gain, noise = self.compute_advantages(value)
         draw = np.arange(len(value))[:, None]
         above = (gain + noise).max(axis=1)
         below = (noise - gain)[draw, pairs].max(axis=1)
@@ -158,21 +165,23 @@ class Batch:
         """Return the values at the start (D,) of a policy (L,), and bounds on their errors."""
         assert self.weights is not None
         weight, least = self.weights
-        value = self._under(chosen, self.reward[:, :, None])[:, :, 0]
-        gain, noise = self.gains(value)
+        value = self._evaluate_amounts(chosen, self.reward[:, :, None])[:, :, 0]
+        gain, noise = self.compute_advantages(value)
         noise = noise + gamma(len(self.state) + 16) * np.abs(gain)
         off = np.abs(np.add.reduceat(gain * chosen, self.first, axis=1))
         off += np.add.reduceat(noise * chosen, self.first, axis=1)
         return self.at_start(value, weight * (off.max(axis=1) / least * SLACK)[:, None])
 
-    def totals(self, chosen: Floats, amounts: Floats) -> Floats:
+    def compute_totals(self, chosen: Floats, amounts: Floats) -> Floats:
         """Return (D, C) the expected totals of amounts (D, L, C) under a policy (L,)."""
-        return np.asarray(np.einsum("ds,dsc->dc", self.start, self._under(chosen, amounts)))
+        return np.asarray(
+            np.einsum("ds,dsc->dc", self.start, self._evaluate_amounts(chosen, amounts))
+        )
 
-    def _under(self, chosen: Floats, amounts: Floats) -> Floats:
+    def _evaluate_amounts(self, chosen: Floats, amounts: Floats) -> Floats:
         """Return (D, S, C) what a policy (L,) earns of amounts (D, L, C) from each state."""
         each = (np.add.reduceat(x * chosen[:, None], self.first, 1) for x in (self.rows, amounts))
-        return self.solved(*each)
+        return self.solve_chains(*each)
 
     def at_start(self, value: Floats, error: Floats) -> tuple[Floats, Floats]:
         """Return values (D, S) and their errors at the start, (D,) each."""

@@ -55,36 +55,40 @@ class CareValues:
     cut: NDArray[np.bool_]  # (D,) whether the numbers that add up to some chance pass 1
 
 
-def optimal(model: Scenario, names: Sequence[str], draws: ArrayLike) -> CareValues:
+def solve_care_draws(model: Scenario, names: Sequence[str], draws: ArrayLike) -> CareValues:
     """Return the optimum of a scenario at every draw (D, Q) of Q of its parameters.
 
     "discount" may be among them. Raises ModelError for rewards that overflow.
     """
     rules = rules_of(model)
-    return _values(model, names, draws, np.empty((0, 1, rules.vectors, rules.assistive)))[1]
+    return _compute_draw_values(
+        model, names, draws, np.empty((0, 1, rules.vectors, rules.assistive))
+    )[1]
 
 
-def policy_values(
+def evaluate_care_policies(
     model: Scenario, names: Sequence[str], draws: ArrayLike, policies: Floats
 ) -> tuple[Floats, Floats]:
     """Return the start value (D, N) of every policy in every draw, and its error (D,).
 
     Policies are probabilities of actions by state, (N, K, trials, flags, V, A). Raises ModelError
-    as `optimal` does.
+    as `solve_care_draws` does.
     """
     shares = np.asarray(policies, dtype=np.float64)
     shares = shares.reshape(len(shares), -1, *shares.shape[-2:])
     if (shares == shares[:, :1]).all():  # the same at every stage
         shares = shares[:, :1]
     # What the bound of the errors speaks of is the policy whose shares sum to 1.
-    value, beside = _values(model, names, draws, shares / shares.sum(axis=-1, keepdims=True))
+    value, beside = _compute_draw_values(
+        model, names, draws, shares / shares.sum(axis=-1, keepdims=True)
+    )
     return value, beside.error
 
 
-def _values(
+def _compute_draw_values(
     scenario: Scenario, names: Sequence[str], given: ArrayLike, shares: Floats
 ) -> tuple[Floats, CareValues]:
-    """Return what policies (N, G, V, A) are worth (D, N), or the optimum (D, 1), and the rest."""
+    """Return the values (D, N) of policies (N, G, V, A), or the optimum (D, 1), with details."""
     from exact_mdp.solvers.kernels import care as loops
 
     rules, drawn = rules_of(scenario), np.asarray(given, dtype=np.float64)
@@ -118,11 +122,11 @@ def _values(
         some = slice(begin, begin + TOGETHER)
         every = np.repeat(numbers[None], len(drawn[some]), axis=0)
         every[:, columns] = drawn[some]
-        laws = Laws.drawn(scenario, every[:, :-1])
-        beside.error[some] = _errors(scenario, laws)
+        laws = Laws.from_draws(scenario, every[:, :-1])
+        beside.error[some] = _bound_start_errors(scenario, laws)
         # Above what eight roundings make of a sum that is 1.
         beside.cut[some] = (laws.sums > 1 + 8 * UNIT).any(axis=1)
-        draws = loops.Draws(
+        draws = loops.CareDraws(
             which=which,
             gains=rules.gains,
             places=rules.places,
@@ -137,11 +141,13 @@ def _values(
             following=rules.next * laws.cost,
             discount=every[:, -1].copy(),
         )
-        loops.values(draws, room, shares, value[some], beside.gaps[some], beside.actions[some])
+        loops.evaluate_draws(
+            draws, room, shares, value[some], beside.gaps[some], beside.actions[some]
+        )
     return value, beside
 
 
-def _errors(scenario: Scenario, laws: Laws) -> Floats:
+def _bound_start_errors(scenario: Scenario, laws: Laws) -> Floats:
     """Return (D,) bounds on the errors of start values; raises ModelError where sums overflow."""
     rules = rules_of(scenario)
     bits = rules.bits.shape[1]

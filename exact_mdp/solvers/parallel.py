@@ -25,12 +25,12 @@ import numpy as np
 import tqdm
 from numpy.random import SeedSequence
 
-from exact_mdp.mdp.errors import ModelError, of_type
+from exact_mdp.mdp.errors import ModelError, require_type
 from exact_mdp.mdp.io.arrays import read_arrays
 from exact_mdp.mdp.io.files import LARGEST, read_bytes, read_text, write_atomically
 from exact_mdp.mdp.io.structured import json_of
 from exact_mdp.mdp.table import Numbers
-from exact_mdp.mdp.validate import counted
+from exact_mdp.mdp.validate import require_count
 
 Arrays = dict[str, Numbers]
 Work = Callable[[Any], Mapping[str, Any]]
@@ -38,7 +38,7 @@ Work = Callable[[Any], Mapping[str, Any]]
 DIGEST = 32  # bytes of a digest, which stands behind the archive of a piece
 
 
-def many(
+def run_pieces(
     work: Work,
     pieces: Sequence[Any],
     *,
@@ -50,21 +50,27 @@ def many(
     progress: bool = False,
     what: str = "runs",
 ) -> list[Arrays]:
-    """Return `work(piece)` for every piece, in their order; what `work` raises is raised as it is.
+    """Return `work(piece)` for every piece, in their order; raises whatever `work` raises.
 
     `work` leads from what can be pickled to {name: array}, and can be sent to other processes;
-    `key` has the JSON values that say what it is: model, settings, seed. `n_jobs` are processes, at
+    `key` identifies the work by JSON values: model, settings, seed. `n_jobs` are processes, at
     most one for each core and each piece; None takes all cores, or all workers of the backend that
     `joblib.parallel_config` names. With
     `threads` they are threads of this process, for work that needs no interpreter lock. Finished
     pieces are kept in the `folder`, in files of these `names`, or else numbered; `what` they are
     called is said by the bar and by messages.
     """
-    n_jobs = None if n_jobs is None else counted(n_jobs, "n_jobs")
-    place = None if folder is None else _opened(folder_of(folder), key, what=what)
+    if n_jobs is None:
+        n_jobs = None
+    else:
+        n_jobs = require_count(n_jobs, "n_jobs")
+    if folder is None:
+        place = None
+    else:
+        place = _open_folder(folder_of(folder), key, what=what)
     stems = names or (f"{index:06d}" for index in range(len(pieces)))
     paths = [place and place / f"{stem}.npz" for stem in stems]
-    known = ((index, _read(path)) for index, path in enumerate(paths) if path)
+    known = ((index, _read_piece(path)) for index, path in enumerate(paths) if path)
     done = {index: arrays for index, arrays in known if arrays is not None}
     tasks = {index: piece for index, piece in enumerate(pieces) if index not in done}
     bar = tqdm.tqdm(
@@ -78,20 +84,20 @@ def many(
         with bar, closing(_as_done(work, tasks, n_jobs, threads)) as results:
             for index, result in results:
                 if path := paths[index]:
-                    _write(path, result)
+                    _write_arrays(path, result)
                 done[index] = result
                 bar.update()
     except KeyboardInterrupt as stop:  # whoever ends the program says this
         if place is not None:
             stop.add_note(
-                f"what is finished ({what}: {len(done)} of {len(pieces)}) is kept in {place}, "
+                f"the finished part ({what}: {len(done)} of {len(pieces)}) is kept in {place}, "
                 "and the same command goes on from there"
             )
         raise
     return [done[index] for index in range(len(pieces))]
 
 
-def _one(work: Work, index: int, piece: Any) -> tuple[int, Mapping[str, Any]]:
+def _run_piece(work: Work, index: int, piece: Any) -> tuple[int, Mapping[str, Any]]:
     """Do one piece, wherever this is called."""
     return index, work(piece)
 
@@ -103,8 +109,8 @@ def _as_done(
     import joblib
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-    results: Any = (_one(work, *task) for task in left.items())
-    n_jobs = _workers(n_jobs, len(left))
+    results: Any = (_run_piece(work, *task) for task in left.items())
+    n_jobs = _count_workers(n_jobs, len(left))
     if n_jobs != 1:
         if not threads:
             _track_quietly()
@@ -118,7 +124,7 @@ def _as_done(
         except ValueError as error:  # a backend that cannot do so
             fix = 'choose "loky", "threading" or "dask"'
             raise ModelError(str(error), where="joblib.parallel_config", fix=fix) from error
-        results = parallel([joblib.delayed(_one)(work, *task) for task in left.items()])
+        results = parallel([joblib.delayed(_run_piece)(work, *task) for task in left.items()])
     try:
         for index, result in results:
             yield index, {name: np.asarray(value) for name, value in result.items()}
@@ -126,7 +132,7 @@ def _as_done(
         raise ModelError(
             "a worker process died, perhaps for want of memory",
             where="n_jobs",
-            fix="use fewer of them; what is finished is kept in the folder, where there is one",
+            fix="use fewer of them; finished work is kept in the folder, if there is one",
         ) from error
     finally:
         with warnings.catch_warnings():  # joblib warns of pieces that nobody took any more
@@ -134,7 +140,7 @@ def _as_done(
             results.close()
 
 
-def _workers(wanted: int | None, pieces: int) -> int | None:
+def _count_workers(wanted: int | None, pieces: int) -> int | None:
     """Return how many workers to start; None for what a backend of the user's own has.
 
     On this machine there are never more than it has cores, or than there are pieces.
@@ -167,11 +173,11 @@ def _track_quietly() -> None:
 
 
 def folder_of(given: object) -> Path:
-    """Return the folder in which work is kept; raises ModelError for what is no path."""
-    return Path(of_type(given, str | os.PathLike, "folder", "give a path"))
+    """Return the folder in which work is kept; raises ModelError unless a path is given."""
+    return Path(require_type(given, str | os.PathLike, "folder", "give a path"))
 
 
-def _opened(folder: Path, record: Mapping[str, object], *, what: str) -> Path:
+def _open_folder(folder: Path, record: Mapping[str, object], *, what: str) -> Path:
     """Return the folder, made where it is missing, after checking that it is of this record."""
     text = json.dumps(dict(record), indent=2)
     try:
@@ -190,7 +196,9 @@ def _opened(folder: Path, record: Mapping[str, object], *, what: str) -> Path:
         raise ModelError(error.what, where=error.where, fix="choose another folder") from error
     wanted = json.loads(text)
     if content != wanted:
-        known = content if isinstance(content, dict) else {}
+        known = {}
+        if isinstance(content, dict):
+            known = content
         joined = ", ".join(key for key, value in wanted.items() if known.get(key) != value)
         raise ModelError(
             f"the folder holds {what} of other work: its record differs"
@@ -201,14 +209,14 @@ def _opened(folder: Path, record: Mapping[str, object], *, what: str) -> Path:
     return folder
 
 
-def _write(path: Path, arrays: Mapping[str, Numbers]) -> None:
+def _write_arrays(path: Path, arrays: Mapping[str, Numbers]) -> None:
     """Write arrays as an .npz file with its digest; equal arrays give equal bytes."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, allow_pickle=False, **arrays)
     write_atomically(path, buffer.getvalue() + sha256(buffer.getvalue()).digest())
 
 
-def _read(path: Path) -> Arrays | None:
+def _read_piece(path: Path) -> Arrays | None:
     """Return the arrays of a piece; None where it is missing, ModelError where it is damaged."""
     if not path.exists():
         return None
@@ -223,9 +231,9 @@ def _read(path: Path) -> Arrays | None:
 
 
 class How(TypedDict, total=False):
-    """Where the work is done, as `many` takes it; results do not change.
+    """Where the work is done, as `run_pieces` takes it; results do not change.
 
-    The workers of a care scenario are threads, those of other models processes.
+    The workers of a care scenario are threads; for other models they are processes.
     """
 
     n_jobs: int | None
@@ -233,13 +241,14 @@ class How(TypedDict, total=False):
     progress: bool
 
 
-def seeded(seed: int, n: int, block: int) -> list[tuple[SeedSequence, int]]:
+def seed_blocks(seed: int, n: int, block: int) -> list[tuple[SeedSequence, int]]:
     """Return blocks of n draws: a stream and a number of draws for each."""
     sizes = [min(block, n - first) for first in range(0, n, block)]
     return list(zip(SeedSequence(seed).spawn(len(sizes)), sizes, strict=True))
 
 
-def joined(blocks: Sequence[Arrays], names: Iterable[str] | None = None) -> Arrays:
+def join_blocks(blocks: Sequence[Arrays], names: Iterable[str] | None = None) -> Arrays:
     """Return arrays of all draws, by name: all of them unless names are given."""
-    chosen = blocks[0] if names is None else names
-    return {name: np.concatenate([block[name] for block in blocks]) for name in chosen}
+    if names is None:
+        names = blocks[0]
+    return {name: np.concatenate([block[name] for block in blocks]) for name in names}

@@ -3,7 +3,7 @@
     CVaR_α(Z) = max over η of  η - E (η - Z)⁺ / α
 
 (Rockafellar and Uryasev, Journal of Risk 2, 2000). A policy that is best for a threshold η has to
-know the state and what is still wanted of the return, η less the reward so far (Bäuerle and Ott,
+know the state and the remaining target, η less the reward so far (Bäuerle and Ott,
 Mathematical Methods of Operations Research 74, 2011). `Budgeted` writes this into the states,
 and what results is a model of a total reward. It has no cycles, and `Certificate` proves its values
 for all thresholds at once.
@@ -27,8 +27,8 @@ import numpy as np
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.components import require_amounts
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.exact import fraction, rational
-from exact_mdp.mdp.graph import termination, topological_levels
+from exact_mdp.mdp.exact import from_flint, to_flint
+from exact_mdp.mdp.graph import prove_termination, topological_levels
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions import NO_DATA, ONE_COMPONENT
 from exact_mdp.mdp.report import Report, Shown, Table
@@ -37,18 +37,18 @@ from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     Integers,
     Numbers,
+    concatenate_ranges,
     exact,
-    integers,
-    ones,
-    shown,
-    spans,
+    format_rational,
+    make_ones,
+    to_integer_array,
 )
 from exact_mdp.solvers.exact.certificate import Certificate
-from exact_mdp.solvers.exact.find import certificate
+from exact_mdp.solvers.exact.find import build_certificate
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.solution import Certified, Claim
 from exact_mdp.solvers.solver import mdp_of
-from exact_mdp.solvers.values.returns import share_of, tail_mean
+from exact_mdp.solvers.values.returns import parse_tail_share, tail_mean
 
 CELLS = 20_000_000  # outcomes times returns
 WHERE = "risk of the return"
@@ -56,7 +56,7 @@ RULES = 20  # rows of a policy with a memory that a table shows
 
 
 class Budgeted:
-    """The model of -E (η - Z)⁺, whose states hold what is still wanted of the return.
+    """The model of -E (η - Z)⁺, whose states hold the remaining target of the return.
 
     Rewards are multiples k of a unit, and returns from a state s lie between low(s) and high(s),
 
@@ -85,36 +85,41 @@ class Budgeted:
                 fix="state a model of rewards or costs, without a question of a goal",
             )
         table, pair = mdp.table, mdp.table.pair
+        # Rewards of outcomes as integer multiples of one unit.
         (weight, denominator), (gain, below) = table.integer_weights(), table.integer_gains()
-        gain = gain[pair] if len(gain) == table.pairs else gain
+        if len(gain) == table.pairs:
+            gain = gain[pair]
         shared = lcm(*below.tolist())
         whole = [
             g * (shared // b) for g, b in zip(gain.tolist(), below[pair].tolist(), strict=True)
         ]
         size = gcd(*whole) or shared
-        gain = integers(g // size for g in whole)
-        sort = np.lexsort((-gain, table.next, pair))  # new states rise within a pair
+        gain = to_integer_array(g // size for g in whole)
+        # Sort outcomes within their pair, so that the new states rise.
+        sort = np.lexsort((-gain, table.next, pair))
         self.table = replace(
             table,
             weight=weight[sort],
             denominator=denominator,
             gain=gain[sort],
-            gain_denominator=ones(table.pairs),
+            gain_denominator=make_ones(table.pairs),
             event=None,
         )
         self.mdp, self.unit = mdp, Fraction(size, shared)
         # States that are not terminal, from the end on.
         self.order = [int(s) for s in np.argsort(level, kind="stable") if not ends[s]]
         self.low, self.high = low, high = np.zeros((2, mdp.n_states), dtype=object)
+        # The least and the greatest return from each state, by backward induction.
         cells = 0
         for state in self.order:
-            here = self.outcomes(state)
+            here = self.outcomes_of(state)
             to, gains = self.table.next[here], self.table.gain[here]
             low[state], high[state] = min(gains + low[to]), max(gains + high[to])
             cells += len(to) * (high[state] - low[state] + 1)
         if cells > CELLS:
             raise ModelError(
-                f"{cells:,} pairs of an outcome and a return, in steps of {shown(self.unit)}",
+                f"{cells:,} pairs of an outcome and a return, "
+                f"in steps of {format_rational(self.unit)}",
                 where=WHERE,
                 fix=f"use a model with at most {CELLS:,}: fewer states, or rounder rewards",
             )
@@ -124,22 +129,25 @@ class Budgeted:
         """(S+1,) the number of (s, low(s)) among the states of the new model."""
         return np.append(0, np.cumsum(self.high - self.low + 1)).astype(np.int64)
 
-    def outcomes(self, state: int) -> slice:
+    def outcomes_of(self, state: int) -> slice:
         """Return the outcomes of all pairs of a state."""
         pairs = self.mdp.pairs_of(state)
         return slice(int(self.table.offsets[pairs.start]), int(self.table.offsets[pairs.stop]))
 
-    def after(self, state: int) -> tuple[Integers, Numbers]:
-        """Return (budgets, outcomes) the new states, and what is earned, which is never above 0."""
-        here = self.outcomes(state)
+    def list_successors(self, state: int) -> tuple[Integers, Numbers]:
+        """Return the new states (budgets, outcomes) and their rewards, which are never above 0."""
+        here = self.outcomes_of(state)
         to, gain = self.table.next[here], self.table.gain[here]
+        # Budgets count from low(s): an outcome shifts them by its reward and by low(s') - low(s).
         shift = (self.low[state] - gain - self.low[to]).astype(np.int64)
         budget = np.arange(self.high[state] - self.low[state] + 1)[:, None] + shift
+        # Below 0 nothing is lacking, whatever is done; above the greatest budget the surplus is
+        # paid.
         within = np.clip(budget, 0, self.first[to + 1] - self.first[to] - 1)
         return self.first[to] + within, -np.maximum(budget - within, 0)
 
-    def place(self, state: int, wanted: int) -> int:
-        """Return the new state for a state and what is wanted."""
+    def find_state(self, state: int, wanted: int) -> int:
+        """Return the number of the new state for a state and a remaining target."""
         low, high = int(self.low[state]), int(self.high[state])
         return int(self.first[state]) + min(max(wanted, low), high) - low
 
@@ -149,32 +157,33 @@ class Budgeted:
         begins = [state for state, _ in self.mdp.start]
         return range(int(min(self.low[begins])), int(max(self.high[begins])) + 1)
 
-    def start(self, threshold: int) -> tuple[tuple[int, Fraction], ...]:
+    def list_start(self, threshold: int) -> tuple[tuple[int, Fraction], ...]:
         """Return the new states in which episodes start, with their probabilities."""
-        return tuple((self.place(s, threshold), p) for s, p in self.mdp.start)
+        return tuple((self.find_state(s, threshold), p) for s, p in self.mdp.start)
 
-    def objective(self, values: Level, threshold: int, level: Fraction) -> Fraction:
+    def compute_cvar(self, values: Level, threshold: int, level: Fraction) -> Fraction:
         """Return the CVaR of the best policy for a threshold."""
         lacking = sum(p * max(threshold - int(self.high[s]), 0) for s, p in self.mdp.start)
-        return threshold + (values.mean(self.start(threshold)) - lacking) / level
+        return threshold + (values.compute_mean(self.list_start(threshold)) - lacking) / level
 
-    def model(self, threshold: int) -> MDP:
+    def build_budgeted_model(self, threshold: int) -> MDP:
         """Return the new model, with the start for a threshold."""
-        old, each = self.mdp, [self.after(state) for state in range(self.mdp.n_states)]
+        # Each state is repeated for its budgets, with all of its pairs.
+        old, each = self.mdp, [self.list_successors(state) for state in range(self.mdp.n_states)]
         state = np.repeat(np.arange(old.n_states), np.diff(self.first))
-        pairs = spans(old.pair_offsets[state], old.pair_offsets[state + 1])
+        pairs = concatenate_ranges(old.pair_offsets[state], old.pair_offsets[state + 1])
         parts: dict[str, Any] = {
             "table": replace(
-                self.table.of_pairs(pairs).earning(
+                self.table.of_pairs(pairs).with_reward(
                     np.concatenate([earned.ravel() for _, earned in each]),
-                    ones(len(pairs)),
+                    make_ones(len(pairs)),
                 ),
                 next=np.concatenate([to.ravel() for to, _ in each]),
             ),
             "pair_state": np.repeat(np.arange(len(state)), np.diff(old.pair_offsets)[state]),
             "pair_action": old.pair_action[pairs],
             "space": StateSpace.plain(len(state)),
-            "start": self.start(threshold),
+            "start": self.list_start(threshold),
             "time_limit": None,
             "labels": {},
             "goal": None,
@@ -184,7 +193,7 @@ class Budgeted:
         return replace(old, **parts)
 
 
-def _optimum(of: Budgeted) -> tuple[Integers, Level, Level]:
+def _solve_budgeted(of: Budgeted) -> tuple[Integers, Level, Level]:
     """Return pairs of the old model for the new states, their values, and the means of returns."""
     first, table = of.first, of.table
     denominator = np.repeat(table.denominator, np.diff(table.offsets))
@@ -192,16 +201,19 @@ def _optimum(of: Budgeted) -> tuple[Integers, Level, Level]:
     below = np.ones(of.mdp.n_states, dtype=object)
     pairs = np.repeat(of.mdp.pair_offsets[:-1], np.diff(first))
     for state in of.order:
-        here, (after, earned) = of.outcomes(state), of.after(state)
+        # Backward induction over integers: values of one state share a denominator.
+        here, (after, earned) = of.outcomes_of(state), of.list_successors(state)
         own, to = of.mdp.pairs_of(state), table.next[here]
         scale = below[to] * denominator[here]
         below[state] = lcm(*scale.tolist())
         times = table.weight[here] * (below[state] // scale)
         starts = table.offsets[own.start : own.stop] - here.start
+        # Two totals of each pair and budget: minus the shortage, and the return itself.
         totals, means = (
             np.add.reduceat(times * (x[after] + below[to] * gains), starts, axis=1)
             for x, gains in ((value, earned), (mean, table.gain[here]))
         )
+        # Least shortage first; among pairs that share it, the greatest mean return.
         most = totals.max(axis=1)
         means = np.where(totals == most[:, None], means, means.min() - 1)
         new = slice(int(first[state]), int(first[state + 1]))
@@ -229,7 +241,7 @@ class CVaROptimum(Result):
 
     def __repr__(self) -> str:
         return (
-            f"CVaROptimum(worst {shown(self.level)}: {float(self.value):.6g}, "
+            f"CVaROptimum(worst {format_rational(self.level)}: {float(self.value):.6g}, "
             f"mean {float(self.mean):.6g}; certified)"
         )
 
@@ -241,21 +253,21 @@ class CVaROptimum(Result):
     def certificate(self) -> Certificate:
         """The proof of the values of `budgeted`, for all thresholds."""
         of = self.budgeted
-        model = of.model(int(self.threshold / self._unit))
+        model = of.build_budgeted_model(int(self.threshold / self._unit))
         first = np.repeat(of.mdp.pair_offsets[:-1], np.diff(of.first))
         pairs = model.pair_offsets[:-1] + self.pairs - first
-        return certificate(model, pairs, h=self.values, rank=termination(model).rank)
+        return build_certificate(model, pairs, h=self.values, rank=prove_termination(model).rank)
 
     def action(self, state: int, so_far: object = 0) -> str:
-        """Return what the policy does in a state after a reward of so much."""
+        """Return the policy's action in a state, given the reward so far."""
         wanted = (self.threshold - exact(so_far, "reward so far")) / self._unit
         if wanted.denominator != 1:
             raise ModelError(
-                f"no reward so far can be {shown(exact(so_far))}",
+                f"no reward so far can be {format_rational(exact(so_far))}",
                 where=WHERE,
-                fix=f"rewards are multiples of {shown(self.budgeted.unit)}",
+                fix=f"rewards are multiples of {format_rational(self.budgeted.unit)}",
             )
-        pair = self.pairs[self.budgeted.place(state, int(wanted))]
+        pair = self.pairs[self.budgeted.find_state(state, int(wanted))]
         return str(self.mdp.actions[self.mdp.pair_action[pair]])
 
     @cached_property
@@ -264,20 +276,21 @@ class CVaROptimum(Result):
         of, aim = self.budgeted, int(self.threshold / self._unit)
         met = [defaultdict[int, Any](int) for _ in range(of.mdp.n_states)]
         for state, weight in of.mdp.start:
-            met[state][0] += rational(weight)
-        row = cache(lambda l: [(rational(p), to, int(k)) for p, to, k in of.table.row(l)])
+            met[state][0] += to_flint(weight)
+        row = cache(lambda l: [(to_flint(p), to, int(k)) for p, to, k in of.table.row(l)])
+        # From the start to the end, as each state comes before all that follow it.
         for state in reversed(of.order):
             for so_far, mass in met[state].items():
-                for p, to, k in row(int(self.pairs[of.place(state, aim - so_far)])):
+                for p, to, k in row(int(self.pairs[of.find_state(state, aim - so_far)])):
                     met[to][so_far + k] += mass * p
         return {
-            state: dict(sorted((self._unit * k, fraction(mass)) for k, mass in own.items()))
+            state: dict(sorted((self._unit * k, from_flint(mass)) for k, mass in own.items()))
             for state, own in enumerate(met)
             if own
         }
 
     def rules(self) -> list[tuple[int, Fraction, Fraction, str]]:
-        """Return what the policy does as (state, from, to, action), for rewards so far it meets."""
+        """Return the policy as rows (state, from, to, action) of rewards so far that it meets."""
         groups = (
             (state, action, [*group])
             for state, so_far in self._met.items()
@@ -295,11 +308,11 @@ class CVaROptimum(Result):
         return dict(sorted(total.items()))
 
     def violations(self) -> list[str]:
-        """Return what does not hold, in words: nothing where the policy is the best."""
+        """Return the violations in words: an empty list if the policy is optimal."""
         of, law = self.budgeted, self.distribution()
         wrong, threshold = self.certificate.violations(), self.threshold / self._unit
         each: dict[Any, Fraction]
-        each = {k: of.objective(self.values, k, self.level) for k in of.thresholds}
+        each = {k: of.compute_cvar(self.values, k, self.level) for k in of.thresholds}
         if not each.get(threshold) == max(each.values()) == self.value / self._unit:
             wrong.append("another threshold gives more")
         if tail_mean(law, self.level, highest=self.mdp.sense == "min") != self.value:
@@ -368,11 +381,12 @@ def best_cvar(model: MDP | Scenario, level: object) -> CVaROptimum:
     >>> str(best.value), str(best.mean), best.action(0)
     ('4', '4', '1')
     """
-    mdp, share = mdp_of(model), share_of(level)
+    mdp, share = mdp_of(model), parse_tail_share(level)
     of = Budgeted(mdp)
-    pairs, values, means = _optimum(of)
+    pairs, values, means = _solve_budgeted(of)
     value, mean, least = max(
-        (of.objective(values, k, share), means.mean(of.start(k)), -k) for k in of.thresholds
+        (of.compute_cvar(values, k, share), means.compute_mean(of.list_start(k)), -k)
+        for k in of.thresholds
     )
     unit = mdp.sign * of.unit
     return CVaROptimum(

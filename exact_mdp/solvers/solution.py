@@ -1,4 +1,4 @@
-"""What a solver answers with: values, a policy, and the claim that it makes about them.
+"""Solutions: values, a policy, and a claim about each number.
 
 A number leaves the toolkit as one of four types, so that a table or a plot cannot confuse them:
 `Certified` (an exact rational with a proof), `Bounded` (a float and a sound bound on its error),
@@ -23,7 +23,7 @@ import numpy as np
 
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.questions import direction
+from exact_mdp.mdp.questions import describe_sense
 from exact_mdp.mdp.report import Report
 from exact_mdp.mdp.result import ROWS_SHOWN, DataFrame, Pictured, data_frame, plain_report
 from exact_mdp.mdp.table import Floats, Integers
@@ -69,15 +69,15 @@ class Status(StrEnum):
 
 
 class PrecisionWarning(UserWarning):
-    """The tolerance asked for is beyond double precision; the error bound says what was reached."""
+    """The tolerance is beyond double precision; the error bound says how near the result came."""
 
 
 def warn_of_precision(error: float) -> None:
     """Issue a PrecisionWarning at the line that called this package."""
-    warn(f"the error bound is {error:.2g}: {Status.PRECISION}", PrecisionWarning)
+    warn_at_caller(f"the error bound is {error:.2g}: {Status.PRECISION}", PrecisionWarning)
 
 
-def warn(message: str, category: type[Warning]) -> None:
+def warn_at_caller(message: str, category: type[Warning]) -> None:
     """Issue a warning at the line that called this package."""
     frame, level = sys._getframe(1), 2
     while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in OWN:
@@ -86,13 +86,13 @@ def warn(message: str, category: type[Warning]) -> None:
 
 
 class SolverError(RuntimeError):
-    """A solver that could not give what was asked for.
+    """A solver failed to reach its goal.
 
     Attributes
     ----------
     status : Status
     solution : Solution or None
-        The best that was reached, with its honest error bound, where there is any.
+        The best solution so far, with its error bound, if there is one.
 
     Examples
     --------
@@ -133,7 +133,10 @@ class Certified:
         return float(np.nextafter(rounded, -np.inf)), float(np.nextafter(rounded, np.inf))
 
     def __str__(self) -> str:
-        top, below = (1, 1) if isinstance(self.value, float) else self.value.as_integer_ratio()
+        if isinstance(self.value, float):
+            top, below = (1, 1)
+        else:
+            top, below = self.value.as_integer_ratio()
         # Python writes no integer of over 4,300 digits; decimals are not bound to floats' range.
         if max(top.bit_length(), below.bit_length()) <= 80 and len(text := str(self.value)) <= 24:
             return f"{text} ({self.claim})"
@@ -182,8 +185,8 @@ class Bounded:
 Number = TypeVar("Number", Bounded, Certified | Bounded)
 
 
-def difference(one: Number, other: Number) -> Number:
-    """Return one number less another, exactly where both are exact."""
+def subtract_numbers(one: Number, other: Number) -> Number:
+    """Return the difference of two numbers; it is exact if both are."""
     if isinstance(one, Certified) and isinstance(other, Certified):
         return Certified(value=one.value - other.value)
     value = float(one) - float(other)
@@ -192,9 +195,12 @@ def difference(one: Number, other: Number) -> Number:
     return Bounded(value=value, error=float(np.nextafter(max(value - low, high - value), inf)))
 
 
-def regret(best: Number, own: Number, sense: str = "max") -> Number:
-    """Return the optimum less what a policy is worth; of costs, the other way. Never below 0."""
-    lost = difference(best, own) if sense == "max" else difference(own, best)
+def compute_regret(best: Number, own: Number, sense: str = "max") -> Number:
+    """Return the optimal value less a policy's value (for costs, the reverse); never below 0."""
+    if sense == "max":
+        lost = subtract_numbers(best, own)
+    else:
+        lost = subtract_numbers(own, best)
     if isinstance(lost, Certified):
         return lost
     low, high = (max(0.0, end) for end in lost.interval)
@@ -202,8 +208,8 @@ def regret(best: Number, own: Number, sense: str = "max") -> Number:
     return Bounded(value=value, error=max(value - low, high - value))
 
 
-def regrets(best: Floats, own: Floats, error: Floats, sign: float = 1) -> Floats:
-    """Return optima less what policies are worth; 0 where errors up to `error` leave that open."""
+def compute_regrets(best: Floats, own: Floats, error: Floats, sign: float = 1) -> Floats:
+    """Return optimal values less policy values; 0 if an error of at most `error` may explain it."""
     lost = sign * (best - own)
     return np.where(np.abs(lost) > error, lost, 0.0)
 
@@ -216,7 +222,7 @@ class Estimated:
     ----------
     value, standard_error : float
     cut_off : float
-        How far what was left out of every sample may move the mean, at most; this is proven.
+        The most by which the end of an episode, cut off in every sample, can move the mean; proven.
 
     Examples
     --------
@@ -234,7 +240,7 @@ class Estimated:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """The normal 95 % interval, wider by what was cut off."""
+        """The normal 95 % interval, widened by `cut_off` on both sides."""
         half = NORMAL * self.standard_error + self.cut_off
         return self.value - half, self.value + half
 
@@ -242,7 +248,9 @@ class Estimated:
         return self.value
 
     def __str__(self) -> str:
-        cut = f" ± {self.cut_off:.2g} cut off" if self.cut_off else ""
+        cut = ""
+        if self.cut_off:
+            cut = f" ± {self.cut_off:.2g} cut off"
         if isinf(self.standard_error):
             return f"{self.value:.6g}{cut} ({self.claim}, of one draw)"
         error = float(f"{self.standard_error:.1g}")
@@ -250,7 +258,7 @@ class Estimated:
 
 
 class Valued:
-    """A result with the `value` of each state of an `mdp`, off by at most its `error`, all (S,)."""
+    """A result with the `value` (S,) of each state of an `mdp`, and its `error` bound (S,)."""
 
     @property
     def error_bound(self) -> float:
@@ -278,14 +286,16 @@ def at_start(mdp: MDP, valued: Any) -> Bounded:
     if not np.isfinite(value).all():  # a total reward that is infinite is so exactly
         return Bounded(value=float(weights @ value), error=0.0)
     units = (len(states) + 3) * 2.0**-52  # twice as many as there are roundings
-    rounding = 0.0 if weights.tolist() == [1.0] else units
+    rounding = units
+    if weights.tolist() == [1.0]:
+        rounding = 0.0
     bound = float(weights @ (error + rounding * np.abs(value))) * (1 + 2 * units)
     return Bounded(value=float(weights @ value), error=bound)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Found(Valued):
-    """Values of a model that were found, with bounds that hold in every state, and a policy."""
+    """Values with error bounds in every state, and a policy: the base of all solutions."""
 
     mdp: MDP
     value: Floats  # (S,)
@@ -298,7 +308,7 @@ class Found(Valued):
 
     @cached_property
     def policy(self) -> Any:
-        """The policy, which also is the array (S,) of action numbers; None where one was given."""
+        """The policy, which is also an array (S,) of action numbers; None if it was given."""
         if self.pairs is None:
             return None
         mdp = self.mdp
@@ -306,21 +316,24 @@ class Found(Valued):
 
     @property
     def error(self) -> Floats:
-        """(S,) how far each value may be off."""
+        """(S,) the error bound of each value."""
         return self.state_error
 
     def frame(self) -> DataFrame:
         """Return the value, its error bound and the action of each state."""
-        return self._states(self.mdp.n_states)
+        return self._tabulate_states(self.mdp.n_states)
 
-    def _states(self, n: int) -> DataFrame:
+    def _tabulate_states(self, n: int) -> DataFrame:
         columns = {"value": self.value[:n], "error": self.error[:n]}
-        taken = {} if self.pairs is None else {"action": self.mdp.pair_action[self.pairs[:n]]}
-        return by_state(self.mdp, columns | taken)
+        if self.pairs is None:
+            taken = {}
+        else:
+            taken = {"action": self.mdp.pair_action[self.pairs[:n]]}
+        return tabulate_by_state(self.mdp, columns | taken)
 
     def report(self) -> Report:
-        """Return its text, and the first states."""
-        return plain_report(self, self._states(ROWS_SHOWN), self.mdp.n_states)
+        """Return the text of the result and a table of its first states."""
+        return plain_report(self, self._tabulate_states(ROWS_SHOWN), self.mdp.n_states)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -363,23 +376,26 @@ class Solution(Found, Pictured):
     @property
     def q(self) -> Floats:
         """(S, A) action values r + γ P V; -inf (of costs inf) where an action is not offered."""
-        never = np.inf if self.mdp.sense == "min" else -np.inf
+        if self.mdp.sense == "min":
+            never = np.inf
+        else:
+            never = -np.inf
         return self.mdp.by_action(self.mdp.backup(self.value), never)
 
     @property
     def gap_table(self) -> Floats:
-        """(S, A) what each action loses against the value; NaN where it is not offered."""
+        """(S, A) the suboptimality gap of each action; NaN if the state does not offer it."""
         here, there = self.value[self.mdp.pair_state], self.mdp.backup(self.value)
         with np.errstate(invalid="ignore"):  # two infinite values that are alike differ by nothing
             lost = np.where(here == there, 0.0, self.mdp.sign * (here - there))
         return self.mdp.by_action(lost)
 
     def negated(self, mdp: MDP) -> Self:
-        """Return the solution of `mdp`, of which this solution's model is the negation."""
+        """Return this solution for `mdp`, the model with negated rewards."""
         return replace(self, mdp=mdp, value=0.0 - self.value)
 
     def __repr__(self) -> str:
-        asked = direction(self.mdp)
+        asked = describe_sense(self.mdp)
         asked = asked and f" ({asked})"
         return (
             f"{type(self).__name__}({self.method}: start value {self.start}{asked}, "
@@ -388,8 +404,8 @@ class Solution(Found, Pictured):
         )
 
 
-def least(mdp: MDP, solved: Callable[[MDP], Any]) -> Any:
-    """Return what solves a model of costs, and have a SolverError hold what was reached of it."""
+def solve_negated(mdp: MDP, solved: Callable[[MDP], Any]) -> Any:
+    """Solve a model of costs as rewards; negate its solution, even one in a SolverError."""
     try:
         return solved(mdp.maximised).negated(mdp)
     except SolverError as error:
@@ -398,8 +414,8 @@ def least(mdp: MDP, solved: Callable[[MDP], Any]) -> Any:
         raise
 
 
-def by_state(mdp: MDP | None, columns: Mapping[str, Any]) -> DataFrame:
-    """Return columns beside the first states, and `action` by name; by number without a model."""
+def tabulate_by_state(mdp: MDP | None, columns: Mapping[str, Any]) -> DataFrame:
+    """Return columns beside the labels of the first states, or their numbers without a model."""
     states = range(len(next(iter(columns.values()))))
     if mdp is None:
         return data_frame({"state": states, **columns})
@@ -410,13 +426,15 @@ def by_state(mdp: MDP | None, columns: Mapping[str, Any]) -> DataFrame:
 
 
 def in_decimals(numbers: Iterable[Fraction | float | None]) -> list[float]:
-    """Return exact numbers as floats, infinite beyond their range, NaN where there is none."""
+    """Return numbers as floats: infinite beyond the range of floats, NaN for None."""
     return [nan if number is None else in_float(number) for number in numbers]
 
 
 def in_float(number: Fraction | float) -> float:
-    """Return a number as a float, an infinite one where it is beyond the range of floats."""
+    """Return a number as a float, which is infinite beyond the range of floats."""
     try:
         return float(number)
     except OverflowError:
-        return inf if number > 0 else -inf
+        if number > 0:
+            return inf
+        return -inf

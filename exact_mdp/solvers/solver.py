@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError, known, named_options
-from exact_mdp.mdp.graph import endless, is_acyclic
+from exact_mdp.mdp.errors import ModelError, named_options, require_known_name
+from exact_mdp.mdp.graph import has_improper_policy, is_acyclic
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions import REACHED
 from exact_mdp.mdp.table import COMPILED
-from exact_mdp.solvers.dynamic.iterate import Solver, check_tolerance, opposite
+from exact_mdp.solvers.dynamic.base import Solver, check_tolerance
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram
 from exact_mdp.solvers.dynamic.methods import (
     BackwardInduction,
@@ -27,17 +27,18 @@ from exact_mdp.solvers.dynamic.methods import (
     PolicyIteration,
     ValueIteration,
 )
+from exact_mdp.solvers.dynamic.start import negate_start
 from exact_mdp.solvers.endless.average import solve_average
-from exact_mdp.solvers.endless.total import rounded, solve_total
+from exact_mdp.solvers.endless.total import round_exact_solution, solve_total
 from exact_mdp.solvers.objectives.limits import solve_under
 from exact_mdp.solvers.solution import (
     Solution,
     SolverError,
     Status,
-    least,
+    solve_negated,
     warn_of_precision,
 )
-from exact_mdp.solvers.ties import settled
+from exact_mdp.solvers.ties import break_near_ties
 
 SOLVERS: dict[str, type[Solver]] = {
     "value-iteration": ValueIteration,
@@ -52,7 +53,7 @@ Criterion = Literal["total", "average"]
 
 
 def mdp_of(model: object) -> MDP:
-    """Return a model as an MDP: itself, a scenario's, or that of a file or environment."""
+    """Return a model as an MDP; a scenario is compiled, a file or an environment is read."""
     if isinstance(model, Scenario):
         return model.compile()
     if isinstance(model, MDP):
@@ -84,7 +85,7 @@ def solve(
     """Return optimal values and a policy, with bounds on their error.
 
     Optimal is the greatest value; of a model whose sense is "min", the least. At discount 1 a value
-    is infinite where what a policy earns has no bound; a policy may go on for ever.
+    is infinite if the reward of policies has no bound; a policy may go on forever.
 
     Parameters
     ----------
@@ -146,34 +147,40 @@ def solve(
     >>> solve(turns, criterion="average").value.tolist()
     [2.5, 2.5]
     """
-    solver = "auto" if solver is None else solver
+    if solver is None:
+        solver = "auto"
     _check_fit(horizon, terminal_value, start, subject_to, (solver, tol, start, criterion))
     mdp = mdp_of(model)
     if is_average(criterion):
         require_no_horizon(horizon)
         require_no_target(mdp)
         check_tolerance("solve", tol)
-        chosen = PolicyIteration() if solver == "auto" else _set(solver, tol=tol)
+        chosen: Solver = PolicyIteration()
+        if solver != "auto":
+            chosen = _configure_solver(solver, tol=tol)
         try:
-            solution: Solution = solve_average(mdp, _set(chosen, start=start))
+            solution: Solution = solve_average(mdp, _configure_solver(chosen, start=start))
         except SolverError:  # the chain mixes too slowly for floats
             if solver != "auto" or mdp.n_transitions > COMPILED:
                 raise
-            solution = rounded(mdp, "average")
-        return _within(solution, tol)
+            solution = round_exact_solution(mdp, "average")
+        return _check_precision(solution, tol)
     if horizon is not None:
         mdp = mdp.within(horizon, terminal_value=terminal_value)
     if subject_to is not None:
         return solve_under(mdp, subject_to)
     if mdp.sense == "min":
-        return least(mdp, partial(solve, solver=solver, tol=tol, start=opposite(mdp, start)))
-    if endless(mdp):
+        return solve_negated(
+            mdp, partial(solve, solver=solver, tol=tol, start=negate_start(mdp, start))
+        )
+    if has_improper_policy(mdp):
         return solve_total(mdp, partial(solve, solver=solver, tol=tol))
     if solver == "auto" and is_acyclic(mdp):
         check_tolerance("solve", tol)
-        return settled(_within(BackwardInduction().solve(mdp), tol))
-    chosen = ModifiedPolicyIteration() if solver == "auto" else solver
-    return settled(_set(chosen, tol=tol, start=start).solve(mdp))
+        return break_near_ties(_check_precision(BackwardInduction().solve(mdp), tol))
+    if solver == "auto":
+        solver = ModifiedPolicyIteration()
+    return break_near_ties(_configure_solver(solver, tol=tol, start=start).solve(mdp))
 
 
 def _check_fit(
@@ -203,7 +210,7 @@ def _check_fit(
 
 def is_average(criterion: str) -> bool:
     """Return whether the average reward is asked for; raises ModelError for an unknown word."""
-    return known(criterion, CRITERIA, "criterion", "criterion") == "average"
+    return require_known_name(criterion, CRITERIA, "criterion", "criterion") == "average"
 
 
 def require_no_target(mdp: MDP) -> None:
@@ -226,10 +233,10 @@ def require_no_horizon(horizon: object) -> None:
         )
 
 
-def _set(solver: Any, **settings: Any) -> Solver:
-    """Return the solver, or that of a name, with what was given to `solve`."""
+def _configure_solver(solver: Any, **settings: Any) -> Solver:
+    """Return a solver, given itself or by name, with the settings that `solve` was given."""
     if isinstance(solver, str):
-        solver = SOLVERS[known(solver, [*SOLVERS, "auto"], "solver", "solve")]()
+        solver = SOLVERS[require_known_name(solver, [*SOLVERS, "auto"], "solver", "solve")]()
     if isinstance(solver, type):
         name = solver.__name__
         raise ModelError(f"{name} is a class", where="solve", fix=f"write {name}()")
@@ -249,11 +256,13 @@ def _set(solver: Any, **settings: Any) -> Solver:
                 where="solve",
                 fix=f"leave {name} out, or choose {', '.join(takers)}",
             )
-    chosen: Solver = replace(solver, **given) if given else solver
+    chosen: Solver = solver
+    if given:
+        chosen = replace(solver, **given)
     return chosen
 
 
-def _within(solution: Solution, tol: float | None) -> Solution:
+def _check_precision(solution: Solution, tol: float | None) -> Solution:
     """Return a direct solution; warns where its error bound is above the tolerance."""
     if tol is None or solution.error_bound <= tol:
         return solution

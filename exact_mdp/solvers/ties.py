@@ -19,7 +19,7 @@ from exact_mdp.solvers.bounds.gains import gamma, rounding_facts
 from exact_mdp.solvers.solution import Solution
 
 
-def settled(solution: Solution) -> Solution:
+def break_near_ties(solution: Solution) -> Solution:
     """Return the solution with the better one of each two actions that float values can tell apart.
 
     Its values and bounds hold as before: no state takes a pair that is worse.
@@ -28,6 +28,7 @@ def settled(solution: Solution) -> Solution:
     if not np.isfinite(value).all():
         return solution
     matrix, rate, facts = mdp.transition, mdp.discount, rounding_facts(mdp)
+    # Rivals of a pair: pairs whose values are so near that errors may have hidden the better one.
     q, first, state = mdp.backup(value), mdp.pair_offsets[:-1], mdp.pair_state
     size = facts.size + rate * float(np.abs(value).max())
     doubt = gamma(facts.most + 8) * size + rate * float(error.max())
@@ -40,6 +41,7 @@ def settled(solution: Solution) -> Solution:
     turn = np.arange(len(rivals)) - np.searchsorted(state[rivals], state[rivals])
     for number in range(int(turn.max()) + 1):  # each state's first rival, then its second, …
         rival = rivals[turn == number]
+        # Compare each rival with the pair that its state takes so far.
         holder = pairs[state[rival]]
         rows, earned = matrix[holder], mdp.reward[rival] - mdp.reward[holder]
         apart = matrix[rival] - rows
@@ -49,10 +51,13 @@ def settled(solution: Solution) -> Solution:
         most = np.repeat(np.maximum.reduceat(rows.data, rows.indptr[:-1]), np.diff(rows.indptr))
         places = np.where(rows.data == most, np.arange(rows.nnz), rows.nnz)
         likeliest = rows.indices[np.minimum.reduceat(places, rows.indptr[:-1])]
+        # The difference of both values, its rounding error, and the error that values bring in.
         step = share * (value[apart.indices] - value[likeliest][row])
         unknown = np.abs(share) * error[apart.indices]
         sums = [np.bincount(row, each, len(rival)) for each in (step, np.abs(step), unknown)]
         noise = gamma(np.diff(apart.indptr) + 8) * (np.abs(earned) + rate * sums[1])
         better = earned + rate * sums[0] > noise + rate * sums[2]
         pairs[state[rival[better]]] = rival[better]
-    return solution if np.array_equal(pairs, solution.pairs) else replace(solution, pairs=pairs)
+    if np.array_equal(pairs, solution.pairs):
+        return solution
+    return replace(solution, pairs=pairs)

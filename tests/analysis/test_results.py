@@ -80,7 +80,7 @@ MADE: dict[str, Callable[[], Any]] = {
     "ReturnDistribution": lambda: em.return_distribution(care(), "random"),
     "Rationalization": lambda: em.rationalize(care(), "always:directive"),
     "RegretInterval": lambda: recorded().interval,
-    "Robust": lambda: em.robust(care()),
+    "RobustComparison": lambda: em.robust(care()),
     "RobustSolution": lambda: em.solve_robust(care(), em.Intervals.relative(care(), 0.1)),
     "Study": moved,
     "Simulation": lambda: em.simulate(care(), "random", 20, 0),

@@ -271,8 +271,10 @@ def test_outcomes_are_kept_exactly_and_every_float_is_rounded_once(
         dense, first = model.transition.toarray(), model.table.offsets
         for pair in range(model.n_pairs):
             row, span = model.table.row(pair), slice(first[pair], first[pair + 1])
-            assert model.table.probabilities()[span].tolist() == [float(p) for p, _, _ in row]
-            assert model.table.gains()[span].tolist() == [float(r) for _, _, r in row]
+            assert model.table.compute_probabilities()[span].tolist() == [
+                float(p) for p, _, _ in row
+            ]
+            assert model.table.compute_gains()[span].tolist() == [float(r) for _, _, r in row]
             key = int(model.pair_state[pair]), model.actions[model.pair_action[pair]]
             law = exact[key]
             assert sum(p * r for p, _, r in row) == sum(p * r for (_, r), p in law.items())

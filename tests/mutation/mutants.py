@@ -37,6 +37,7 @@ import click
 import coverage
 import pytest
 from _pytest.runner import runtestprotocol
+from _pytest.warnings import catch_warnings_for_item
 from changes import Change, changes
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -172,6 +173,7 @@ class Mutants:
         files = [str(module) for module in self.modules]
         tracer = coverage.Coverage(data_file=None, config_file=False, include=files)
         seconds: dict[str, float] = {}
+        failed = list[str]()
         tracer.start()
         for name, following in zip(self.items, [*list(self.items)[1:], None], strict=True):
             tracer.switch_context(name)
@@ -179,9 +181,12 @@ class Mutants:
             for report in self.reports(name, following):
                 if report.failed:
                     print(f"{name}:\n{report.longreprtext}", file=sys.stderr, flush=True)
-                    os._exit(1)
+                    failed.append(name)
             seconds[name] = process_time() - began
         tracer.stop()
+        if failed:
+            print("these tests fail without any change:", *failed, file=sys.stderr, flush=True)
+            os._exit(1)
         data = tracer.get_data()
         return {
             "seconds": seconds,
@@ -189,8 +194,10 @@ class Mutants:
         }
 
     def reports(self, name: str, following: str | None) -> list[pytest.TestReport]:
-        after = self.items[following] if following else None
-        return runtestprotocol(self.items[name], log=False, nextitem=after)
+        """Run a test as pytest does, with the warnings that it allows, and return its reports."""
+        item, after = self.items[name], self.items[following] if following else None
+        with catch_warnings_for_item(item.config, item.ihook, when="runtest", item=item):
+            return runtestprotocol(item, log=False, nextitem=after)
 
     def in_copy(
         self, module: Path, change: Change, code: CodeType, known: Known,

@@ -16,7 +16,14 @@ from scipy import stats
 
 from exact_mdp import Bounded, ModelError, return_distribution
 from exact_mdp.paper_repro import run
-from exact_mdp.paper_repro.claim import CLAIMS, Verdict, average, by_chance, judged, share
+from exact_mdp.paper_repro.claim import (
+    CLAIMS,
+    ClaimVerdict,
+    compare_average,
+    judge_by_chance,
+    judge_by_runs,
+    judge_claims,
+)
 from exact_mdp.paper_repro.paper import (
     ANGRY,
     AVERAGES,
@@ -30,15 +37,15 @@ from exact_mdp.paper_repro.paper import (
     table_3,
 )
 from exact_mdp.paper_repro.section_2 import trial_flow
-from exact_mdp.paper_repro.section_3 import losses, weights
+from exact_mdp.paper_repro.section_3 import compute_losses, derive_weights
 from exact_mdp.paper_repro.section_4_1_learning import error_of_pairs
-from exact_mdp.paper_repro.section_4_1_policies import cost_of_each, ranked
+from exact_mdp.paper_repro.section_4_1_policies import cost_of_each, probability_of_ranking
 from exact_mdp.paper_repro.silent_points import (
     Reading,
-    default,
+    build_default_reading,
+    compute_support,
     log_likelihood,
     one_change,
-    support,
 )
 
 EXACT = [claim for claim in CLAIMS.values() if not claim.learns]
@@ -49,12 +56,12 @@ PINNED = tomllib.loads(run.EXPECTED.read_text("utf-8"))
 
 @pytest.fixture(scope="module")
 def reading() -> Reading:
-    return default(runs=6)
+    return build_default_reading(runs=6)
 
 
 @pytest.fixture(scope="module")
 def claims(reading: Reading) -> dict[str, Any]:
-    return {e["name"]: e for e in judged(EXACT, reading, one_change(reading), reading)}
+    return {e["name"]: e for e in judge_claims(EXACT, reading, one_change(reading), reading)}
 
 
 @pytest.fixture(scope="module")
@@ -77,13 +84,15 @@ def test_every_claim_has_its_places_and_a_reason_for_what_is_pinned() -> None:
 
 
 def test_the_exact_claims_are_as_pinned_and_as_committed(claims: dict[str, Any]) -> None:
-    assert not [line for line in run.disagreements(list(claims.values())) if "no claim" not in line]
+    assert not [
+        line for line in run.compare_with_pinned(list(claims.values())) if "no claim" not in line
+    ]
     for name in (claim.id for claim in EXACT):
         old, new = COMMITTED[name], claims[name]
         for key in ("says", "source", "paper", "code", "why", "verdict_of_default_reading"):
             assert new[key] == old[key], (name, key)
         if new["exact"] is not None:
-            committed = run.rounded(new)
+            committed = run.round_numbers(new)
             assert committed["exact"] == old["exact"], name
             assert abs(new["exact"] - old["exact"]) <= (old["error_bound"] or 1e-9), name
 
@@ -93,9 +102,9 @@ def test_the_committed_claims_are_as_pinned() -> None:
     for name, entry in COMMITTED.items():
         pinned = PINNED[name].get("value")
         if pinned is not None and PINNED[name]["tolerance"] < 1e-6:
-            assert entry["exact"] == run.rounded(pinned), name
+            assert entry["exact"] == run.round_numbers(pinned), name
             entry = entry | {"exact": pinned}
-        assert [x for x in run.disagreements([entry]) if "no claim" not in x] == [], name
+        assert [x for x in run.compare_with_pinned([entry]) if "no claim" not in x] == [], name
     assert RESULTS["runs"] == run.FULL
     assert not RESULTS["quick"]
 
@@ -103,28 +112,28 @@ def test_the_committed_claims_are_as_pinned() -> None:
 @pytest.mark.parametrize("status, action", [("anger", "supportive"), ("confusion", "directive")])
 def test_a_change_of_the_model_is_found_and_names_the_claims(status: str, action: str) -> None:
     change = f"assistance.{action}.{status}.persistence=1/20"
-    changed = run.changed_reading(default(), [change])
-    moved = run.changed_reading(default(), [change.replace("1/20", "9/10")])
+    changed = run.changed_reading(build_default_reading(), [change])
+    moved = run.changed_reading(build_default_reading(), [change.replace("1/20", "9/10")])
     names = ["assistance", "return.random", f"return.reported.{FINAL}"]
     for reading, off in ((changed, 0), (moved, 3)):
-        entries = list(judged([CLAIMS[n] for n in names], reading, [], reading))
-        lines = [line for line in run.disagreements(entries) if "no claim" not in line]
+        entries = list(judge_claims([CLAIMS[n] for n in names], reading, [], reading))
+        lines = [line for line in run.compare_with_pinned(entries) if "no claim" not in line]
         assert len({line.split()[0] for line in lines}) == off
 
 
 def test_a_changed_number_or_verdict_is_found() -> None:
     entry = COMMITTED["policy.0100"]
     for change in ({"exact": 0.5}, {"exact": None}, {"verdict_of_default_reading": "reproduced"}):
-        lines = run.disagreements([entry | change])
+        lines = run.compare_with_pinned([entry | change])
         assert [line for line in lines if line.startswith("policy.0100")]
-    assert "new is not pinned" in run.disagreements([entry | {"name": "new"}])
+    assert "new is not pinned" in run.compare_with_pinned([entry | {"name": "new"}])
 
 
 # ---- the independent model -----------------------------------------------------------------------
 
 
 def test_tables_3_and_4_against_the_independent_model(reading: Reading, oracle: Oracle) -> None:
-    read = {**table_3(), **{f"reward.{name}": w for name, w in weights(reading).items()}}
+    read = {**table_3(), **{f"reward.{name}": w for name, w in derive_weights(reading).items()}}
     for name, value in oracle.parameters.items():
         if not name.startswith(("assistance.", "skip.")):
             assert read.pop(name) == value, name
@@ -137,23 +146,25 @@ def test_values_against_the_independent_model(
     best, quarter = oracle.value(oracle.start), dict.fromkeys(ACTIONS, Fraction(1, 4))
     every = {("random", "as written"): (lambda state: quarter, RESULTS["values"]["random"])}
     for start, order in itertools.product(AVERAGES, ORDERS):
-        policy = reading.reported(start, order)
+        policy = reading.find_reported_policy(start, order)
         assert set(policy) == set(STATUSES)
         assert all(policy[status] == "supportive" for status in (*OPEN, *ANGRY))
         every[start, order] = acting(policy), RESULTS["values"][order][start]
     for named, (policy, committed) in every.items():
-        exact, known = reading.value(*named), oracle.evaluate(policy, distribution=False)
+        exact, known = reading.evaluate_policy(*named), oracle.evaluate(policy, distribution=False)
         assert abs(Fraction(exact.mean) - known["mean"]) <= Fraction(exact.start.error)
         assert exact.sd == pytest.approx(sqrt(known["variance"]), rel=1e-9)
-        assert committed == run.rounded(float(known["mean"]))
-    optimum = reading.value("optimal")
+        assert committed == run.round_numbers(float(known["mean"]))
+    optimum = reading.evaluate_policy("optimal")
     assert abs(Fraction(optimum.mean) - best) <= Fraction(optimum.start.error)
-    assert RESULTS["values"]["optimal"] == run.rounded(float(best))
+    assert RESULTS["values"]["optimal"] == run.round_numbers(float(best))
     for statuses, committed in RESULTS["values"]["directive_in"].items():
-        other = reading.reported(FINAL) | dict.fromkeys(statuses.split(", "), "directive")
+        other = reading.find_reported_policy(FINAL) | dict.fromkeys(
+            statuses.split(", "), "directive"
+        )
         known = oracle.evaluate(acting(other), distribution=False)["mean"]
-        assert committed == run.rounded(float(known))
-    final = oracle.evaluate(acting(reading.reported(FINAL)), distribution=False)["mean"]
+        assert committed == run.round_numbers(float(known))
+    final = oracle.evaluate(acting(reading.find_reported_policy(FINAL)), distribution=False)["mean"]
     assert Fraction(claims["policy.final-is-optimal"]["exact_rational"]) == best - final
 
 
@@ -176,7 +187,7 @@ def test_losses_against_the_independent_model(reading: Reading, oracle: Oracle) 
         outcomes = oracle.outcomes(state, "supportive")
         ahead = (p * (sum(gains.values()) + oracle.value(then)) for p, then, gains, _ in outcomes)
         exact.append(oracle.value(state) - sum(ahead))
-    assert sorted(losses(reading, "0100", 1)) == sorted(exact)
+    assert sorted(compute_losses(reading, "0100", 1)) == sorted(exact)
 
 
 def test_the_flow_of_trials_against_the_independent_model(reading: Reading, oracle: Oracle) -> None:
@@ -200,9 +211,9 @@ def test_the_flow_of_trials_against_the_independent_model(reading: Reading, orac
 
 
 def test_the_likelihood_is_that_of_three_averages_and_a_plot(reading: Reading) -> None:
-    expected = -0.5 * ((reading.value("random").mean - 70) / 5) ** 2
+    expected = -0.5 * ((reading.evaluate_policy("random").mean - 70) / 5) ** 2
     for start, paper in AVERAGES.items():
-        exact = reading.value(start, "swapped")
+        exact = reading.evaluate_policy(start, "swapped")
         error = exact.sd / sqrt(EXPERIMENTS)
         expected += -0.5 * ((exact.mean - paper) / error) ** 2 - np.log(error)
     assert log_likelihood(reading, "swapped") == pytest.approx(expected)
@@ -210,7 +221,7 @@ def test_the_likelihood_is_that_of_three_averages_and_a_plot(reading: Reading) -
 
 @pytest.mark.slow
 def test_the_support_of_the_readings_is_as_committed() -> None:
-    computed, committed = support(default()), RESULTS["readings"]
+    computed, committed = compute_support(build_default_reading()), RESULTS["readings"]
     assert computed.weights.sum() == pytest.approx(1)
     assert len({each.label for each in computed.readings}) == len(computed.readings) == 1152
     assert computed.rank == committed["default_rank"]
@@ -221,7 +232,7 @@ def test_the_support_of_the_readings_is_as_committed() -> None:
 
 
 def test_other_readings_are_named_once_and_change_verdicts(claims: dict[str, Any]) -> None:
-    readings = one_change(default())
+    readings = one_change(build_default_reading())
     assert len({each.label for each in readings}) == len(readings) == 17
     assert claims["return.random"]["verdict"] == "depends on the reading"
     assert claims["return.reported.supportive"]["verdict"] == "depends on the reading"
@@ -230,19 +241,19 @@ def test_other_readings_are_named_once_and_change_verdicts(claims: dict[str, Any
 
 
 def test_a_skip_with_a_timestep_of_its_own_breaks_table_1() -> None:
-    own = run.changed_reading(default(), ["readings.skip_timestep=own"])
-    assert CLAIMS["table1.timesteps"].find(own).verdict is Verdict.DIFFERS
+    own = run.changed_reading(build_default_reading(), ["readings.skip_timestep=own"])
+    assert CLAIMS["table1.timesteps"].find(own).verdict is ClaimVerdict.DIFFERS
 
 
 # ---- rules ---------------------------------------------------------------------------------------
 
 
 def test_reproduced_is_kept_for_nearly_all_runs() -> None:
-    verdicts = [share(count, 100, "runs", "").verdict for count in (0, 1, 94, 95, 100)]
-    seen, reproduced = Verdict.SEEN, Verdict.REPRODUCED
-    assert verdicts == [Verdict.NOT_REPRODUCED, seen, seen, reproduced, reproduced]
-    assert share(24, 100, "runs", "").says == "seen in 24 % of 100 runs"
-    assert share(0, 100, "runs", "").says == "not reproduced, seen in none of 100 runs"
+    verdicts = [judge_by_runs(count, 100, "runs", "").verdict for count in (0, 1, 94, 95, 100)]
+    seen, reproduced = ClaimVerdict.SEEN, ClaimVerdict.REPRODUCED
+    assert verdicts == [ClaimVerdict.NOT_REPRODUCED, seen, seen, reproduced, reproduced]
+    assert judge_by_runs(24, 100, "runs", "").says == "seen in 24 % of 100 runs"
+    assert judge_by_runs(0, 100, "runs", "").says == "not reproduced, seen in none of 100 runs"
 
 
 def test_the_error_of_a_share_of_pairs_counts_runs() -> None:
@@ -279,20 +290,20 @@ def test_the_error_of_a_share_of_pairs_is_that_of_runs_drawn_again() -> None:
 
 
 def test_an_average_is_compatible_within_three_standard_errors() -> None:
-    for errors, verdict in ((2.99, Verdict.COMPATIBLE), (3.01, Verdict.NOT_REPRODUCED)):
-        answer = average(errors, 0.0, 10.0, 100, error=0.0, why="")
+    for errors, verdict in ((2.99, ClaimVerdict.COMPATIBLE), (3.01, ClaimVerdict.NOT_REPRODUCED)):
+        answer = compare_average(errors, 0.0, 10.0, 100, error=0.0, why="")
         assert answer.verdict is verdict
         assert answer.number == Bounded(value=0.0, error=0.0)
         assert answer.paper == errors
-    assert by_chance(0.01, "").says == "compatible, p = 0.01"
+    assert judge_by_chance(0.01, "").says == "compatible, p = 0.01"
 
 
 def test_the_three_together_are_a_chi_squared_test(reading: Reading) -> None:
     chances = CLAIMS["return.together"].find(reading).details["probability"]
     for order in ORDERS:
         errors = [
-            (reading.value(s, order).mean - paper)
-            / (reading.value(s, order).sd / sqrt(EXPERIMENTS))
+            (reading.evaluate_policy(s, order).mean - paper)
+            / (reading.evaluate_policy(s, order).sd / sqrt(EXPERIMENTS))
             for s, paper in AVERAGES.items()
         ]
         expected = stats.chi2.sf(sum(e**2 for e in errors), 3)
@@ -306,16 +317,16 @@ def test_the_learned_claims_have_verdicts(reading: Reading) -> None:
     claims = [claim for claim in CLAIMS.values() if claim.learns]
     for claim in claims:
         finding = claim.find(reading)
-        assert isinstance(finding.verdict, Verdict)
+        assert isinstance(finding.verdict, ClaimVerdict)
         assert finding.why
     other = replace(reading, training={"ties": "random"})
-    assert (other.learned("constant").final != reading.learned("constant").final).any()
+    assert (other.train_runs("constant").final != reading.train_runs("constant").final).any()
 
 
 @pytest.mark.parametrize("change", ["training.tie=first", "training.epochs=0", "base.anger=2"])
 def test_changes_that_make_no_sense_are_refused(change: str) -> None:
     with pytest.raises(ModelError):
-        assert run.changed_reading(default(), [change]).mdp
+        assert run.changed_reading(build_default_reading(), [change]).mdp
 
 
 def test_costs_of_choices_are_those_of_single_changes(reading: Reading, oracle: Oracle) -> None:
@@ -333,7 +344,7 @@ def test_the_ranking_by_the_normal_law_is_near_the_exact_one(reading: Reading) -
     """The law of a sum of n returns is an n-fold convolution: a power of a Fourier transform."""
     laws = []
     for start in AVERAGES:
-        law = return_distribution(reading.mdp, reading.policy(start))
+        law = return_distribution(reading.mdp, reading.build_policy(start))
         single = np.zeros(1024)
         lattice = np.asarray(law.multiples) * float(law.unit)
         assert (lattice == np.round(lattice)).all()
@@ -342,6 +353,8 @@ def test_the_ranking_by_the_normal_law_is_near_the_exact_one(reading: Reading) -
         laws.append(np.fft.irfft(np.fft.rfft(single, size) ** EXPERIMENTS, size))
     above = np.append(np.cumsum(laws[0][::-1])[::-1][1:], 0.0)
     below = np.insert(np.cumsum(laws[2])[:-1], 0, 0.0)
-    exact = [reading.value(start) for start in AVERAGES]
-    normal = ranked([e.mean for e in exact], [e.sd / sqrt(EXPERIMENTS) for e in exact])
+    exact = [reading.evaluate_policy(start) for start in AVERAGES]
+    normal = probability_of_ranking(
+        [e.mean for e in exact], [e.sd / sqrt(EXPERIMENTS) for e in exact]
+    )
     assert normal == pytest.approx(float((laws[1] * above * below).sum()), abs=1e-5)

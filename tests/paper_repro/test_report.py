@@ -15,11 +15,11 @@ from refusal_tables import entries
 from exact_mdp import READINGS, evaluate
 from exact_mdp.paper_repro import run
 from exact_mdp.paper_repro.__main__ import main
-from exact_mdp.paper_repro.claim import CLAIMS, Verdict
-from exact_mdp.paper_repro.drawing import FIGURES, save
+from exact_mdp.paper_repro.claim import CLAIMS, ClaimVerdict
+from exact_mdp.paper_repro.drawing import FIGURES, save_figure
 from exact_mdp.paper_repro.paper import FINAL, ORDERS, PAPER, PLACES
-from exact_mdp.paper_repro.readme import render
-from exact_mdp.paper_repro.silent_points import OPTIONS, POINTS, default
+from exact_mdp.paper_repro.readme import render_readme
+from exact_mdp.paper_repro.silent_points import OPTIONS, POINTS, build_default_reading
 
 ROOT = Path(__file__).parents[2]
 RESULTS = json.loads((run.HERE / "results.json").read_text("utf-8"))
@@ -31,7 +31,7 @@ LEARNED = [name for name, figure in FIGURES.items() if "learning" in figure.code
 
 
 def test_the_committed_page_is_what_the_code_writes_of_all_that_the_paper_has() -> None:
-    assert render(RESULTS, code="./") == README
+    assert render_readme(RESULTS, code="./") == README
     numbered = [place for place in PLACES if place.startswith(("Table", "Figure"))]
     assert len(numbered) == 16
     for place in numbered:
@@ -60,14 +60,16 @@ def test_the_page_has_whole_tables_and_its_counts_and_values_first() -> None:
     assert "nan" not in README.split()
     assert "−0.0 " not in README
     verdicts = [entry["verdict"] for entry in RESULTS["claims"] if entry["kind"] == "finding"]
-    counted = ", ".join(f"{v} {verdicts.count(v)}" for v in Verdict if v in verdicts)
+    counted = ", ".join(f"{v} {verdicts.count(v)}" for v in ClaimVerdict if v in verdicts)
     assert f"{len(verdicts)} findings: {counted}." in README
     for order in ("as written", "swapped"):
         assert f"{RESULTS['values'][order]['non-directive']:.2f} with its “respect" in README
     assert "142.07" in (ROOT / "README.md").read_text("utf-8")
     for entry in RESULTS["claims"]:
         failed = f"\n- {entry['says']} `{entry['name']}`: {entry['why']}.\n"
-        assert (failed in README) == (entry["verdict"] == Verdict.NOT_REPRODUCED), entry["name"]
+        assert (failed in README) == (entry["verdict"] == ClaimVerdict.NOT_REPRODUCED), entry[
+            "name"
+        ]
         assert bool(entry["exact_is"]) == (entry["exact"] is not None), entry["name"]
         assert (
             not entry["exact_is"] or f", {entry['exact_is']} | {entry['verdict_says']} |" in README
@@ -102,9 +104,11 @@ def test_the_reported_policy_is_a_file_with_the_value_that_the_page_gives(
     file: str, order: str
 ) -> None:
     policy = run.HERE / file
-    assert json.loads(policy.read_text("utf-8")) == default().reported(FINAL, order)
-    value = evaluate(default().mdp, policy).mean
-    assert run.rounded(value) == RESULTS["values"][order][FINAL]
+    assert json.loads(policy.read_text("utf-8")) == build_default_reading().find_reported_policy(
+        FINAL, order
+    )
+    value = evaluate(build_default_reading().mdp, policy).mean
+    assert run.round_numbers(value) == RESULTS["values"][order][FINAL]
     assert file in README
 
 
@@ -112,9 +116,11 @@ def test_the_reported_policy_is_a_file_with_the_value_that_the_page_gives(
 
 
 def test_figures_of_learning_are_drawn(tmp_path: Path) -> None:
-    reading = default(runs=3)
+    reading = build_default_reading(runs=3)
     for name in LEARNED:
-        assert all(path.stat().st_size > 5000 for path in save(FIGURES[name], reading, tmp_path))
+        assert all(
+            path.stat().st_size > 5000 for path in save_figure(FIGURES[name], reading, tmp_path)
+        )
 
 
 # ---- commands ------------------------------------------------------------------------------------
@@ -154,12 +160,12 @@ def test_what_cannot_be_done_is_bad_input(line: str, said: str) -> None:
 
 def test_numbers_are_rounded_to_what_every_processor_gives_and_bounds_stay_true() -> None:
     claims = [{"exact": 146.23587074344982 + off, "error_bound": 7e-13 + off} for off in (0, 3e-14)]
-    one, other = run.rounded(claims)
+    one, other = run.round_numbers(claims)
     assert one == other == {"exact": 146.2358707, "error_bound": 5.1e-08}
     assert abs(one["exact"] - claims[0]["exact"]) + 7e-13 <= one["error_bound"]
     others = {"weights": (1e-30 / 3, 2), "none": None, "label": "1.23456789012345", "is": True}
-    assert run.rounded(others) == others | {"weights": [3.333333333e-31, 2]}
-    assert run.rounded({"exact": 0.0, "error_bound": 1e-9})["error_bound"] == 1e-9
+    assert run.round_numbers(others) == others | {"weights": [3.333333333e-31, 2]}
+    assert run.round_numbers({"exact": 0.0, "error_bound": 1e-9})["error_bound"] == 1e-9
 
 
 @pytest.mark.slow

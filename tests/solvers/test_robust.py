@@ -273,7 +273,7 @@ def test_sides_that_undo_each_other_settle_soon(discount: str) -> None:
     rows = [(0, 0, [(1, 1, -1)]), (0, 1, [(1, 0, 0)]), (1, 0, [(1, 0, 0)]), (2, 0, [(1, 2, 0)]),
             (1, 1, [("1/4", 0, 9), ("1/6", 1, 9), ("7/12", 2, 9)])]  # fmt: skip
     mdp = MDP.from_outcomes(rows, discount)
-    chance = mdp.table.probabilities()
+    chance = mdp.table.compute_probabilities()
     sets = Intervals(lower=chance / 2, upper=np.minimum(1, 2 * chance))
     solution = solve_robust(mdp, sets, tol=1e-6)
     # Nature sends 1/8, 1/12 and 19/24 of what goes on: x = 9 + γ (y / 8 + x / 12), y = -1 + γ x.

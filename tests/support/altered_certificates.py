@@ -89,7 +89,7 @@ def proofs(draw: random.Random) -> Iterator[Case]:
             )  # fmt: skip
         except ModelError:  # a start that mixes both infinities
             continue
-        yield kind, model_json.content(mdp), codec.content(proof, int)
+        yield kind, model_json.encode_model(mdp), codec.build_file_content(proof, int)
 
 
 # ---- changes -------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ from fractions import Fraction as F
 import numpy as np
 from oracle import solved
 
-from exact_mdp.mdp.table import integers
+from exact_mdp.mdp.table import to_integer_array
 from exact_mdp.solvers.exact.linear import Matrix, solve_all
 
 Entries = dict[tuple[int, int], int]
@@ -13,7 +13,7 @@ Entries = dict[tuple[int, int], int]
 
 def matrix_of(size: int, entries: Entries) -> Matrix:
     row, column = np.array(list(entries), dtype=np.int64).reshape(-1, 2).T
-    return Matrix.of(size, row, column, integers(entries.values()))
+    return Matrix.of(size, row, column, to_integer_array(entries.values()))
 
 
 def eliminated(size: int, entries: Entries, side: list[int]) -> list[F] | None:
@@ -25,4 +25,4 @@ def eliminated(size: int, entries: Entries, side: list[int]) -> list[F] | None:
 
 def solution(matrix: Matrix, side: list[int]) -> list[F]:
     (level,) = solve_all(matrix, [side])
-    return list(level.fractions())
+    return list(level.to_fractions())

@@ -150,7 +150,7 @@ def evaluate_exact(
 
 
 def every_policy_ends(n_states: int, pairs: Iterable[Row]) -> bool:
-    """Whether no policy can stay for ever among the states that are not absorbing."""
+    """Whether no policy can stay forever among the states that are not absorbing."""
     inside = set(range(n_states)) - _absorbing(model := _by_state(n_states, pairs))
     while True:
         stay = {s for s in inside if any(inside.issuperset(r[3]) for r in model[s].values())}

@@ -19,7 +19,7 @@ from click.shell_completion import shell_complete
 
 from exact_mdp.analysis import ci
 from exact_mdp.analysis.cli.commands import HELP, Commands
-from exact_mdp.analysis.exit_status import REFUSED, leave, run, say
+from exact_mdp.analysis.exit_status import REFUSED, end_process, print_message, run_command
 
 PROGRAM = "exact-mdp"
 COMPLETE = "_EXACT_MDP_COMPLETE"  # set by the shell's line that completes words
@@ -42,16 +42,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if asked := os.environ.get(COMPLETE):
         return shell_complete(cli, {}, PROGRAM, COMPLETE, asked)
     if words:
-        status = run(cli, PROGRAM, words, on_error=_reporting(words))
+        status = run_command(cli, PROGRAM, words, on_error=_prepare_error_report(words))
     else:  # a job whose command came out empty has no verdict, so this is no success
-        say(cli.get_help(click.Context(cli, info_name=PROGRAM, **cli.context_settings)))
+        print_message(cli.get_help(click.Context(cli, info_name=PROGRAM, **cli.context_settings)))
         status = REFUSED
     if arguments is None:
-        leave(status)
+        end_process(status)
     return status
 
 
-def _reporting(words: list[str]) -> Callable[[str], None] | None:
+def _prepare_error_report(words: list[str]) -> Callable[[str], None] | None:
     """Let the reports of a check say why it did not end: its JUnit file, GitHub's page of the run.
 
     The file says so from the start, so that no report of an earlier run stays, whatever happens to
@@ -68,8 +68,8 @@ def _reporting(words: list[str]) -> Callable[[str], None] | None:
 
     def on_error(message: str) -> None:
         ci.write_error(junit, title, message)
-        ci.annotate(title, message)
+        ci.print_annotation(title, message)
         with suppress(ValueError, OSError):
-            ci.summarise(f"## The check came to no verdict\n\n{indent(message, ' ' * 4)}")
+            ci.append_summary(f"## The check came to no verdict\n\n{indent(message, ' ' * 4)}")
 
     return on_error

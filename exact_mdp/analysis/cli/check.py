@@ -10,15 +10,20 @@ from typing import Any
 
 import exact_mdp
 from exact_mdp.analysis import ci
-from exact_mdp.analysis.cli.given import Given, advice
-from exact_mdp.analysis.cli.render import markdown
-from exact_mdp.analysis.cli.words import limits_from, refuse, settings_of, typed
+from exact_mdp.analysis.cli.given import Given, list_advice
+from exact_mdp.analysis.cli.render import format_report_markdown
+from exact_mdp.analysis.cli.words import (
+    limits_from,
+    list_command_words,
+    refuse_options,
+    settings_of,
+)
 from exact_mdp.analysis.gate import check as gate
 from exact_mdp.analysis.gate.audit import Audit
-from exact_mdp.analysis.layout import MOST_CELLS, arrange, cells
+from exact_mdp.analysis.layout import MOST_CELLS, arrange, build_cells
 from exact_mdp.analysis.learning.trainers import TrainerAudit
-from exact_mdp.analysis.pages import ADVICE, render
-from exact_mdp.mdp.errors import known
+from exact_mdp.analysis.pages import ADVICE, render_page
+from exact_mdp.mdp.errors import require_known_name
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.report import Report, Shown
 
@@ -26,7 +31,7 @@ ON_PAGE = 2000  # disagreements
 AT_THE_TOP = ("passed", "checks")  # of the page
 
 
-def check(
+def check_command(
     given: Given,
     learned: Sequence[str],
     *,
@@ -116,7 +121,7 @@ def check(
     limits; proven: whether the share of all seeds is at least `share`, or null where that is open.
     """
     started = perf_counter()
-    ci.summarise("")  # where it cannot be written to, that is said before any work
+    ci.append_summary("")  # where it cannot be written to, that is said before any work
     asked: dict[str, Any] = {
         "max_regret": max_regret,
         "max_relative_regret": max_relative_regret,
@@ -127,28 +132,28 @@ def check(
     audit: Audit | TrainerAudit
     if len(learned) == 1:
         of_many = {"--share": share, "--alpha": alpha, "--prove": prove}
-        refuse(of_many, "a single policy", "name the policy of each run, as in runs/*.npy")
-        (name,), asked = learned, asked | _evidence(given, confidence, by, evidence)
+        refuse_options(of_many, "a single policy", "name the policy of each run, as in runs/*.npy")
+        (name,), asked = learned, asked | _read_interval_options(given, confidence, by, evidence)
         audit, report = _of_one(given, name, asked, explain=not no_explain)
     else:
         of_one: dict[str, Any] = {"--html": html, "--no-explain": no_explain}
         of_one |= {"--confidence": confidence, "--by": by, "--evidence": evidence}
-        refuse(of_one, "several policies")
+        refuse_options(of_one, "several policies")
         asked |= {"share": share or "9/10", "alpha": alpha or "1/100", "prove": prove}
         policies = (given.policy_from(each) for each in learned)
         audit = exact_mdp.check_trainer(given.mdp, policies, runs=len(learned), **asked)
-        report = given.report(audit.report(learned))
+        report = given.complete_report(audit.report(learned))
         name = f"{len(report.facts['policies'])} policies"
     passed = "passed" if audit.passed else "failed"
     report = replace(report, title=f"{name} in {given.loaded.name}: {passed}")
     if html is not None and isinstance(audit, Audit):
-        write_atomically(html, _page(audit, report, given.loaded.name, name))
+        write_atomically(html, _render_audit_page(audit, report, given.loaded.name, name))
     text = audit.message(explain=report.facts.get("representation") is not None)
     if junit is not None:
         _write_junit(junit, given, audit, name, text, perf_counter() - started)
-    ci.summarise(markdown(report))
+    ci.append_summary(format_report_markdown(report))
     if not report.passed:
-        ci.annotate(report.title, text)
+        ci.print_annotation(report.title, text)
     return report
 
 
@@ -158,7 +163,7 @@ def _of_one(
     """Return the audit of one policy, and its report, which begins with what was read."""
     policy = given.policy_from(name)
     audit = gate.check(given.asked if "by" in asked else given.mdp, policy, **asked)
-    report = given.report(audit.report(explain=explain), policy=Shown(name), learned=name)
+    report = given.complete_report(audit.report(explain=explain), policy=Shown(name), learned=name)
     horizon = "none" if given.horizon is None else f"{given.horizon:,} steps"
     facts = {"read_as": Shown(policy.read_as, policy.source or "a policy"), **report.facts}
     facts |= {"horizon": Shown(given.horizon, horizon), "start": Shown(given.start, audit.begins)}
@@ -176,16 +181,16 @@ def _write_junit(
     asked = {"question": given.in_words(), "sense": given.mdp.sense}
     values = {"model": model, "learned": name} | audit.measures
     values |= {key: said for key, said in asked.items() if said is not None}
-    values |= {"notice": ADVICE} if advice(given.loaded) else {}
+    values |= {"notice": ADVICE} if list_advice(given.loaded) else {}
     properties = {key: str(value) for key, value in values.items()}
     ci.write_junit(path, f"exact-mdp check {model}", cases, seconds=seconds, properties=properties)
 
 
-def _page(audit: Audit, report: Report, model: str, policy: str) -> str:
+def _render_audit_page(audit: Audit, report: Report, model: str, policy: str) -> str:
     """Return the page: verdict, what is lost, the policy with its wrong states, every table."""
     layout = arrange(audit.mdp)
     legend = [f"{sign} {action}" for action, sign in layout.signs.items() if sign != action]
-    return render(
+    return render_page(
         "audit.html.j2",
         model=model,
         policy=policy,
@@ -193,23 +198,25 @@ def _page(audit: Audit, report: Report, model: str, policy: str) -> str:
         verdict="; ".join(map(str, audit.verdicts)),
         facts=[each for each in report.lines().items() if each[0] not in AT_THE_TOP],
         layout=layout,
-        cells=cells(audit, layout) if layout.cells <= MOST_CELLS else [],
+        cells=build_cells(audit, layout) if layout.cells <= MOST_CELLS else [],
         legend=", ".join(legend),
         tables=[replace(each, first=ON_PAGE) for each in report.shown_tables()],
         notes=[note for note in report.notes if note != ADVICE],  # at the foot of every page
-        rerun=shlex.join(["exact-mdp", *typed()]),
+        rerun=shlex.join(["exact-mdp", *list_command_words()]),
     )
 
 
-def _evidence(
+def _read_interval_options(
     given: Given, confidence: str | None, by: str | None, evidence: Sequence[str]
 ) -> dict[str, Any]:
-    """Return what `check` takes for an interval, of a model whose episodes do not stop."""
+    """Return what `check_command` takes for an interval, of a model whose episodes do not stop."""
     if confidence is None:
         fix = "give --confidence 0.95"
-        refuse({"--by": by, "--evidence": evidence}, "a check without an interval", fix)
+        refuse_options({"--by": by, "--evidence": evidence}, "a check without an interval", fix)
         return {}
-    kind = gate.EVIDENCE[known(by or "robust", gate.EVIDENCE, "kind of interval", "--by")]
+    kind = gate.EVIDENCE[
+        require_known_name(by or "robust", gate.EVIDENCE, "kind of interval", "--by")
+    ]
     stated = settings_of(kind, evidence, "--evidence")
     if by == "posterior":
         stated["progress"] = True

@@ -37,7 +37,7 @@ from typing import Any, NamedTuple
 import click
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.io.files import aside
+from exact_mdp.mdp.io.files import redirect_output
 
 PACKAGE = Path(__file__).resolve().parents[2]
 HELP = ["-h", "--help"]
@@ -59,47 +59,47 @@ HELD = (*VARIED, *OF_POLICY, *ASKED)
 
 MADE: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
     "Check": {
-        "check": ("check:check", ("criterion", *OF_POLICY, *ASKED)),
-        "verify": ("policies:verify", ("horizon", *ASKED)),
+        "check": ("check:check_command", ("criterion", *OF_POLICY, *ASKED)),
+        "verify": ("policies:verify_command", ("horizon", *ASKED)),
     },
     "Solve": {
-        "solve": ("policies:solve", ("horizon", "criterion", *ASKED)),
-        "evaluate": ("policies:evaluate", ("criterion", *OF_POLICY, *ASKED)),
-        "returns": ("policies:returns", (*OF_POLICY, *ASKED)),
-        "simulate": ("policies:simulate", (*OF_POLICY, *ASKED)),
+        "solve": ("policies:solve_command", ("horizon", "criterion", *ASKED)),
+        "evaluate": ("policies:evaluate_command", ("criterion", *OF_POLICY, *ASKED)),
+        "returns": ("policies:returns_command", (*OF_POLICY, *ASKED)),
+        "simulate": ("policies:simulate_command", (*OF_POLICY, *ASKED)),
     },
     "Vary": {
-        "tornado": ("vary:tornado", HELD),
-        "gradient": ("vary:gradient", ("parameters", *HELD[3:])),
-        "threshold": ("vary:threshold", (*VARIED[:3], "horizon", *ASKED)),
-        "curve": ("vary:curve", HELD),
-        "one-way": ("vary:one_way", HELD),
-        "two-way": ("vary:two_way", HELD),
-        "psa": ("vary:psa", ("parameters", *HELD[3:])),
-        "sobol": ("vary:sobol", HELD),
-        "robust": ("vary:robust", HELD),
-        "explore": ("vary:explore", ("ranges", "relative", "kind", "horizon", *ASKED)),
+        "tornado": ("vary:tornado_command", HELD),
+        "gradient": ("vary:gradient_command", ("parameters", *HELD[3:])),
+        "threshold": ("vary:threshold_command", (*VARIED[:3], "horizon", *ASKED)),
+        "curve": ("vary:curve_command", HELD),
+        "one-way": ("vary:one_way_command", HELD),
+        "two-way": ("vary:two_way_command", HELD),
+        "psa": ("vary:psa_command", ("parameters", *HELD[3:])),
+        "sobol": ("vary:sobol_command", HELD),
+        "robust": ("vary:robust_command", HELD),
+        "explore": ("vary:explore_command", ("ranges", "relative", "kind", "horizon", *ASKED)),
     },
     "Trade": {
-        "tradeoff": ("trade:tradeoff", ("horizon", *SETS)),
-        "rationalize": ("trade:rationalize", (*OF_POLICY, *SETS)),
-        "risk": ("trade:risk", ("horizon", *SETS)),
+        "tradeoff": ("trade:tradeoff_command", ("horizon", *SETS)),
+        "rationalize": ("trade:rationalize_command", (*OF_POLICY, *SETS)),
+        "risk": ("trade:risk_command", ("horizon", *SETS)),
     },
     "Models": {
-        "info": ("models:info", SETS),
-        "convert": ("models:convert", SETS),
-        "data": ("models:data", ()),
-        "train": ("train:train", SETS),
+        "info": ("models:info_command", SETS),
+        "convert": ("models:convert_command", SETS),
+        "data": ("models:data_command", ()),
+        "train": ("train:train_command", SETS),
     },
     "Care": {
-        "new": ("models:new", ()),
-        "lint": ("models:lint", ()),
-        "perception": ("trade:perception", SETS),
+        "new": ("models:new_command", ()),
+        "lint": ("models:lint_command", ()),
+        "perception": ("trade:perception_command", SETS),
     },
 }
 
 
-class Parameter(NamedTuple):
+class CommandParameter(NamedTuple):
     """A parameter of a function, with what the docstring says of its type and of itself."""
 
     name: str
@@ -114,7 +114,7 @@ class Parameter(NamedTuple):
         """The endings that a file may have which is written."""
         return re.findall(r"\.\w+", self.form)
 
-    def click(self) -> click.Parameter:
+    def to_click(self) -> click.Parameter:
         """Return the argument or option."""
         required, multiple = self.default is inspect.Parameter.empty, self.kind[:8] == "Sequence"
         words = re.findall(r'"([^"]+)"', self.form)
@@ -142,22 +142,24 @@ class Parameter(NamedTuple):
         )
 
 
-def function(target: str) -> tuple[str, list[Parameter]]:
+def parse_signature(target: str) -> tuple[str, list[CommandParameter]]:
     """Return what the docstring of "module:name" says, and its parameters."""
     module, _, name = target.partition(":")
-    near, far = stubs(module), stubs(GIVEN.partition(":")[0])
+    near, far = load_stubs(module), load_stubs(GIVEN.partition(":")[0])
     said = defaultdict[str, tuple[str, str]](lambda: ("", ""))
     for each in (*reversed(near.values()), *far.values(), near[name]):
-        said |= _documented(each)[1]  # what one does not explain, another one does
+        said |= _parse_docstring(each)[1]  # what one does not explain, another one does
     known = [
-        Parameter(p.name, str(p.annotation), p.default, p.kind is p.KEYWORD_ONLY, *said[p.name])
+        CommandParameter(
+            p.name, str(p.annotation), p.default, p.kind is p.KEYWORD_ONLY, *said[p.name]
+        )
         for p in inspect.signature(near[name]).parameters.values()
     ]
-    return _documented(near[name])[0], known
+    return _parse_docstring(near[name])[0], known
 
 
 @cache
-def stubs(module: str) -> dict[str, Any]:
+def load_stubs(module: str) -> dict[str, Any]:
     """Return the functions and dataclasses of a module without their code, and so without delay."""
     path = PACKAGE.joinpath(*module.split(".")).with_suffix(".py")
     nodes: dict[str, ast.FunctionDef | ast.ClassDef] = {}
@@ -172,7 +174,7 @@ def stubs(module: str) -> dict[str, Any]:
     return {name: names[name] for name in nodes}
 
 
-def _documented(section: object) -> tuple[str, dict[str, tuple[str, str]]]:
+def _parse_docstring(section: object) -> tuple[str, dict[str, tuple[str, str]]]:
     """Return a docstring's text, and type and text of each parameter."""
     head, *sections = re.split(r"\n\n(?=Parameters\n-|Keys\n-)", inspect.getdoc(section) or "")
     rest = next((each for each in sections if each.startswith("Parameters")), "\n\n")
@@ -180,12 +182,12 @@ def _documented(section: object) -> tuple[str, dict[str, tuple[str, str]]]:
     for block in re.split(r"\n(?=\S)", rest.split("\n", 2)[2]):
         form, _, below = block.partition("\n")
         names, _, kind = form.partition(" : ")
-        text = re.sub(r"\{([\w.]+):(\w+)\}", _keys, " ".join(below.split()))
+        text = re.sub(r"\{([\w.]+):(\w+)\}", _read_dict_keys, " ".join(below.split()))
         said |= dict.fromkeys(names.split(", "), (kind, text))
     return head, said
 
 
-def _keys(match: re.Match[str]) -> str:
+def _read_dict_keys(match: re.Match[str]) -> str:
     """Return the keys of a dict "{module:NAME}", read from the module's source."""
     path = PACKAGE.joinpath(*match[1].split(".")).with_suffix(".py")
     (found,) = (
@@ -220,38 +222,38 @@ class Command(click.Command):
                     formatter.write_dl(records)
 
 
-def command(name: str, target: str, shared: Sequence[str], epilog: str) -> click.Command:
+def make_command(name: str, target: str, shared: Sequence[str], epilog: str) -> click.Command:
     """Return the command that calls the function "module:name" of this package.
 
     `shared` are the parameters of `Given` that it has as options; `epilog` stands below these.
     """
-    text, own = function(target)
+    text, own = parse_signature(target)
     said, *examples = re.split(r"\s*^Example: ", text, flags=re.M)
     named = {each.name for each in own}
-    asked = [each for each in function(GIVEN)[1] if each.name in {*shared} - named]
+    asked = [each for each in parse_signature(GIVEN)[1] if each.name in {*shared} - named]
     params: list[click.Parameter]
-    params = [click.Argument(["model"]) if p.name == "given" else p.click() for p in own]
-    params += [each.click() for each in asked]
+    params = [click.Argument(["model"]) if p.name == "given" else p.to_click() for p in own]
+    params += [each.to_click() for each in asked]
     for form, what in (("json", "one JSON object"), ("markdown", "Markdown")):
         option = [f"--{form}", f"as_{form}"]
         params.append(click.Option(option, is_flag=True, help=f"Print {what}."))
 
-    def work(*, as_json: bool, as_markdown: bool, **options: Any) -> int:
+    def run_and_print(*, as_json: bool, as_markdown: bool, **options: Any) -> int:
         if as_json and as_markdown:
             raise ModelError("two forms of one output", where="--markdown", fix="leave out --json")
         try:
-            with aside():  # a module of the user's may print: the result is printed below
-                report = _report(target, own, [each.name for each in asked], options)
+            with redirect_output():  # a module of the user's may print: the result is printed below
+                report = _call_function(target, own, [each.name for each in asked], options)
         except click.exceptions.Exit as end:  # not of --help, but of code that was called
             sys.exit(end.exit_code)
-        show = import_module("exact_mdp.analysis.cli.render").show
-        show(report, as_json=as_json, as_markdown=as_markdown)
+        print_report = import_module("exact_mdp.analysis.cli.render").print_report
+        print_report(report, as_json=as_json, as_markdown=as_markdown)
         return int(report.passed is False)
 
     made = Command(
         name,
         params=params,
-        callback=work,
+        callback=run_and_print,
         help="\n".join([said, "", "\b", "Example:", *examples]),
         short_help=text.partition("\n")[0],
         epilog=epilog,
@@ -261,7 +263,9 @@ def command(name: str, target: str, shared: Sequence[str], epilog: str) -> click
     return made
 
 
-def _report(target: str, own: list[Parameter], asked: list[str], options: dict[str, Any]) -> Any:
+def _call_function(
+    target: str, own: list[CommandParameter], asked: list[str], options: dict[str, Any]
+) -> Any:
     """Call the function with what was typed, and return its report."""
     module, _, name = target.partition(":")
     call: Callable[..., Any] = getattr(import_module(f"exact_mdp.{module}"), name)
@@ -293,7 +297,9 @@ class Commands(click.Group):
             target, shared = made[cmd_name]
             policies = {"kind", "perception"} & {*shared} or cmd_name in ("risk", "tradeoff")
             epilog = POLICY if policies else ""
-            self.commands[cmd_name] = command(cmd_name, f"analysis.cli.{target}", shared, epilog)
+            self.commands[cmd_name] = make_command(
+                cmd_name, f"analysis.cli.{target}", shared, epilog
+            )
         return self.commands.get(cmd_name)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

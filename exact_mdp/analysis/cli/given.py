@@ -9,7 +9,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
-from exact_mdp.analysis.cli.words import typed
+from exact_mdp.analysis.cli.words import list_command_words
 from exact_mdp.analysis.pages import ADVICE
 from exact_mdp.analysis.record import run_record
 from exact_mdp.mdp.care import perception as seeing
@@ -20,7 +20,7 @@ from exact_mdp.mdp.io.load import Loaded, read_model
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.questions import Question, unlimited
+from exact_mdp.mdp.questions import Question, describe_time_limit
 from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.solvers.solver import Criterion, is_average, require_no_horizon
 from exact_mdp.solvers.values.policy_chain import policy_of
@@ -30,7 +30,7 @@ ARRAYS = (".npy", ".npz", ".json")  # endings of files whose numbers are read as
 QUESTION = ("reach", "until", "reward", "allowed", "minimize", "maximize", "start")
 
 
-def posed(mdp: MDP, *, asked: dict[str, Any]) -> MDP:
+def pose_question(mdp: MDP, *, asked: dict[str, Any]) -> MDP:
     """Return the model whose optimal value answers what --reach, --until and others ask.
 
     A probability is the greatest one unless the least is asked for, even where rewards are costs.
@@ -169,7 +169,7 @@ class Given:
     def question(self) -> partial[MDP] | None:
         """What makes the model of the question; None where there is none."""
         asked = {name: getattr(self, name) for name in QUESTION}
-        return partial(posed, asked=asked) if {*asked.values()} - {None, False} else None
+        return partial(pose_question, asked=asked) if {*asked.values()} - {None, False} else None
 
     @cached_property
     def asked(self) -> MDP:
@@ -220,7 +220,7 @@ class Given:
         policy: Policy = policy_of(self.mdp, form, kind=self.kind, criterion=self.criterion)
         if self.perception is None:
             return policy
-        matrix, _ = seeing.read(self.perception, self.mdp)
+        matrix, _ = seeing.read_confusion_matrix(self.perception, self.mdp)
         return replace(seeing.perceived(self.mdp, policy, matrix), source=policy.source)
 
     def in_words(self) -> str | None:
@@ -239,7 +239,7 @@ class Given:
             return f"{best} {'cost' if costs else 'reward'} per step in the long run"
         return f"{best} expected {'costs' if costs else 'rewards'}"
 
-    def _sense(self) -> Shown:
+    def _describe_sense(self) -> Shown:
         """Return the sense; people read it where costs count, which nothing else may say."""
         costs = self.mdp.sense == "min" and self.reach is None
         return Shown(self.mdp.sense, "min: costs are minimised" if costs else None)
@@ -249,7 +249,7 @@ class Given:
         """How a report begins; what a policy was read as comes first."""
         has, head = self.has, dict[str, Any](model=self.loaded.name)
         if "reach" in has:
-            head |= {"sense": self._sense(), "question": self.in_words()}
+            head |= {"sense": self._describe_sense(), "question": self.in_words()}
         if "reach" in has or self.start is not None:
             head["start"] = self.start
         if "criterion" in has:
@@ -269,22 +269,24 @@ class Given:
             head["horizon"] = Shown(steps, None if steps is None else f"{steps:,} steps")
         return head
 
-    def report(self, report: Report, **more: Any) -> Report:
+    def complete_report(self, report: Report, **more: Any) -> Report:
         """Return what was found, after what was asked; `more` are facts that stand between."""
         facts = {**self.head, **more, **report.facts}
         stops = "horizon" in self.has and not is_average(self.criterion)
-        in_python = unlimited(self.mdp, "horizon={}" * stops)
+        in_python = describe_time_limit(self.mdp, "horizon={}" * stops)
         notes = [each for each in report.notes if each not in in_python]
-        notes += unlimited(self.mdp, "--horizon {}" * stops)
-        return replace(report, facts=facts, notes=(*notes, *advice(self.loaded)))
+        notes += describe_time_limit(self.mdp, "--horizon {}" * stops)
+        return replace(report, facts=facts, notes=(*notes, *list_advice(self.loaded)))
 
-    def record(self, solver: str, seed: int | None = None) -> str:
+    def format_record(self, solver: str, seed: int | None = None) -> str:
         """Return the record of a result, as JSON."""
         name = self.loaded.name
-        made = run_record(self.mdp, model=name, solver=solver, seed=seed, command=typed())
+        made = run_record(
+            self.mdp, model=name, solver=solver, seed=seed, command=list_command_words()
+        )
         return json.dumps(made, indent=2) + "\n"
 
-    def saved(
+    def save_report(
         self, report: Report, out: str | None, name: str, made: tuple[str, int], *also: Path
     ) -> Report:
         """Write a report and its record (solver and seed) into a folder that holds `also`."""
@@ -293,11 +295,11 @@ class Given:
         paths = [Path(out, name), *also, Path(out, "run.json")]
         report = replace(report, facts={**report.facts, "written": [str(path) for path in paths]})
         write_atomically(paths[0], report.json() + "\n")
-        write_atomically(paths[-1], self.record(*made))
+        write_atomically(paths[-1], self.format_record(*made))
         return report
 
 
-def advice(loaded: Loaded) -> tuple[str, ...]:
+def list_advice(loaded: Loaded) -> tuple[str, ...]:
     """Return the note on models of care, and on models from records; nothing on others."""
     care = loaded.scenario is not None or loaded.name.startswith(OF_CARE)
     return (ADVICE,) * (care or loaded.mdp.observations is not None)

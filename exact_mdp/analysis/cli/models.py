@@ -11,18 +11,23 @@ from typing import Any
 import numpy as np
 
 import exact_mdp
-from exact_mdp.analysis.cli.given import Given, advice
+from exact_mdp.analysis.cli.given import Given, list_advice
 from exact_mdp.analysis.cli.words import pairs_of
-from exact_mdp.analysis.gate.data.interval import cut_off, entered, never_taken, observations_of
+from exact_mdp.analysis.gate.data.interval import (
+    cut_off,
+    list_entered_states,
+    never_taken,
+    observations_of,
+)
 from exact_mdp.analysis.pages import ADVICE
 from exact_mdp.mdp.care import lint as linter
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.graph import Termination, is_acyclic, reachable, termination
+from exact_mdp.mdp.graph import Termination, find_reachable_states, is_acyclic, prove_termination
 from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.io.files import SMALL, STANDARD_INPUT, read_text, write_atomically
 from exact_mdp.mdp.io.load import read_model
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.report import Report, Shown, Table, ratio
+from exact_mdp.mdp.report import Report, Shown, Table, format_ratio
 
 NAMED = 1000  # pairs that nobody took, in JSON
 SHOWN = 4  # states of a policy that never ends, and start states, that are printed
@@ -43,7 +48,7 @@ ENDS = (
 )
 
 
-def new(target: str) -> Report:
+def new_command(target: str) -> Report:
     """Write a commented scenario to change.
 
     Example: exact-mdp new mine.toml
@@ -59,7 +64,7 @@ def new(target: str) -> Report:
     return Report(title="new scenario", facts={"written": target}, notes=[ADVICE])
 
 
-def lint(file: str) -> Report:
+def lint_command(file: str) -> Report:
     """List all problems of a scenario file.
 
     An error keeps the scenario from being read; a warning is about numbers that can be read, and
@@ -73,7 +78,7 @@ def lint(file: str) -> Report:
     """
     if file != STANDARD_INPUT and Path(file).suffix.lower() != ".toml":
         raise ModelError("not a scenario file", where=file, fix="name a .toml file")
-    problems = linter.lint(read_text(file, most=SMALL), Path(file).stem)
+    problems = linter.lint_scenario(read_text(file, most=SMALL), Path(file).stem)
     rows = [each | {"what": f"{each['severity']}: {each['what']}"} for each in problems]
     columns = {"line": "line", "what": "what", "fix": "fix"}
     table = Table(title="problems", rows=rows, columns=columns, first=max(1, len(rows)))
@@ -90,7 +95,7 @@ def lint(file: str) -> Report:
     )
 
 
-def info(given: Given) -> Report:
+def info_command(given: Given) -> Report:
     """Describe a model: sizes, discount, whether every policy ends.
 
     Example: exact-mdp info gymnasium:FrozenLake-v1
@@ -111,15 +116,15 @@ def info(given: Given) -> Report:
     and their values.
     """
     mdp, scenario = given.mdp, given.loaded.scenario
-    ending = termination(mdp)
+    ending = prove_termination(mdp)
     start = [(mdp.space.label(state), weight) for state, weight in mdp.start]
-    begins = (f"{label} ({ratio(weight)})" for label, weight in start)
+    begins = (f"{label} ({format_ratio(weight)})" for label, weight in start)
     facts: dict[str, Any] = {
         "title": scenario.title if scenario else None,
         "source": scenario.source if scenario else None,
         "states": mdp.n_states,
         "columns": {column.name: column.size for column in mdp.space.columns},
-        "reachable": int(reachable(mdp).sum()),
+        "reachable": int(find_reachable_states(mdp).sum()),
         "terminal": int(mdp.terminal.sum()),
         "with_choice": int((~mdp.forced).sum()),
         "actions": mdp.n_actions,
@@ -127,7 +132,7 @@ def info(given: Given) -> Report:
         "pairs": mdp.n_pairs,
         "transitions": mdp.n_transitions,
         "discount_exact": Shown(mdp.discount_exact),
-        "start": Shown(start, some(begins, len(start))),
+        "start": Shown(start, format_first_few(begins, len(start))),
         "terminates": Shown(ending.proven, "every policy ends" if ending.proven else "no"),
         "never_ends": _never_ends(mdp, ending),
         "acyclic": is_acyclic(mdp),
@@ -146,7 +151,7 @@ def info(given: Given) -> Report:
             "parameters": Shown(scenario.values(), [*scenario.values()]),
         }
     facts["model_hash"] = exact_mdp.fingerprint(mdp)
-    return given.report(Report(title=f"model {given.loaded.name}", facts=facts))
+    return given.complete_report(Report(title=f"model {given.loaded.name}", facts=facts))
 
 
 def _never_ends(mdp: MDP, ending: Termination) -> Shown | None:
@@ -155,18 +160,20 @@ def _never_ends(mdp: MDP, ending: Termination) -> Shown | None:
         return None
     trapped, choice = ending.trapped.tolist(), ending.policy
     policy = {mdp.space.label(s): mdp.actions[choice[s]] for s in trapped[:SHOWN]}
-    states = some((f"{state}: {action}" for state, action in policy.items()), len(trapped))
+    states = format_first_few(
+        (f"{state}: {action}" for state, action in policy.items()), len(trapped)
+    )
     content = {"states": len(trapped), "policy": policy}
     return Shown(content, f"a policy that stays for ever: {states}")
 
 
-def some(texts: Iterable[str], count: int) -> str:
+def format_first_few(texts: Iterable[str], count: int) -> str:
     """Return the first few of some texts, and how many more there are."""
     first = [*islice(texts, SHOWN)]
     return "; ".join(first) + (f"; {count - len(first)} more" if count > len(first) else "")
 
 
-def data(
+def data_command(
     file: str,
     *,
     out: str,
@@ -210,15 +217,17 @@ def data(
     truncated and that no record leaves.
     """
     names = pairs_of(columns, "--column", "NAME=COLUMN")
-    record = transitions.counted(file, names, progress=True)
-    mdp = MDP(**record.parts(discount, unseen))
+    record = transitions.count_transitions(file, names, progress=True)
+    mdp = MDP(**record.build_parts(discount, unseen))
     exact_mdp.save(mdp, out)
-    return _estimated(mdp, record, file, out, rare)
+    return _report_estimate(mdp, record, file, out, rare)
 
 
-def _estimated(mdp: MDP, record: transitions.Record, file: str, out: str, rare: int) -> Report:
+def _report_estimate(
+    mdp: MDP, record: transitions.TransitionRecord, file: str, out: str, rare: int
+) -> Report:
     """Return what was counted, and what the records do not tell."""
-    seen, ends, never = observations_of(mdp), entered(mdp), never_taken(mdp)
+    seen, ends, never = observations_of(mdp), list_entered_states(mdp), never_taken(mdp)
     label, few = mdp.space.label, np.flatnonzero((seen > 0) & (seen < rare))
     rows = [
         {
@@ -238,12 +247,12 @@ def _estimated(mdp: MDP, record: transitions.Record, file: str, out: str, rare: 
         "actions": mdp.n_actions,
         "pairs": int((seen > 0).sum()),
         "discount": mdp.discount,
-        "ends": Shown(ends, ends and f"{some(ends, len(ends))} (entered, never left)"),
+        "ends": Shown(ends, ends and f"{format_first_few(ends, len(ends))} (entered, never left)"),
         "n_never_taken": Shown(len(never)),
-        "never_taken": Shown(named, named and some(named, len(never))),
+        "never_taken": Shown(named, named and format_first_few(named, len(never))),
         "rare": rows,
         "cut_off": Shown(record.n_cut_off, record.n_cut_off or None),
-        "cut_off_states": Shown(unknown, unknown and some(unknown, len(unknown))),
+        "cut_off_states": Shown(unknown, unknown and format_first_few(unknown, len(unknown))),
         "model_hash": exact_mdp.fingerprint(mdp),
     }
     keys = {key: key for key in ("state", "action", "observations")}
@@ -254,7 +263,7 @@ def _estimated(mdp: MDP, record: transitions.Record, file: str, out: str, rare: 
     return Report(title=f"model from {file}", facts=facts, tables={"rare": table}, notes=notes)
 
 
-def convert(
+def convert_command(
     source: str,
     target: str,
     *,
@@ -281,4 +290,4 @@ def convert(
     sizes = {"states": loaded.mdp.n_states, "pairs": loaded.mdp.n_pairs}
     facts = {"written": target, "model": loaded.name, **sizes}
     facts["transitions"] = loaded.mdp.n_transitions
-    return Report(title=f"{source} as {target}", facts=facts, notes=advice(loaded))
+    return Report(title=f"{source} as {target}", facts=facts, notes=list_advice(loaded))

@@ -10,12 +10,12 @@ from typing import Any
 
 import exact_mdp
 from exact_mdp.analysis.cli.given import Given
-from exact_mdp.analysis.cli.words import limits_from, refuse
-from exact_mdp.analysis.optimum import optimum, sound
+from exact_mdp.analysis.cli.words import limits_from, refuse_options
+from exact_mdp.analysis.optimum import compute_optimum, require_sound_proof
 from exact_mdp.analysis.tradeoffs.front import Front
 from exact_mdp.analysis.tradeoffs.rationalize import Rationalization
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.graph import endless
+from exact_mdp.mdp.graph import has_improper_policy
 from exact_mdp.mdp.io import model_json
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.model import MDP
@@ -24,7 +24,7 @@ from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.mdp.table import float_of
 from exact_mdp.solvers.exact import codec, verified
 from exact_mdp.solvers.exact.certificate import BoundedCertificate, Certificate, Proof
-from exact_mdp.solvers.objectives.limits import ConstrainedSolution, bounds
+from exact_mdp.solvers.objectives.limits import ConstrainedSolution, name_bounds
 from exact_mdp.solvers.objectives.totals import TotalsProof
 
 PROOFS = (Certificate, BoundedCertificate, Front, ConstrainedSolution, Rationalization)
@@ -34,7 +34,7 @@ KINDS: dict[str, Any] = {kind: proof for proof in PROOFS for kind in proof.kinds
 # ---- the optimum ---------------------------------------------------------------------------------
 
 
-def solve(
+def solve_command(
     given: Given,
     *,
     certify: bool = False,
@@ -93,17 +93,17 @@ def solve(
     proof: Any
     if subject_to:
         refused = {"--method": method != "auto", "--tol": tol, "--out": out}
-        refuse(refused | {"--criterion average": average}, "limits")
-        proof = sound(exact_mdp.solve(mdp, subject_to=limits_from(subject_to)))
+        refuse_options(refused | {"--criterion average": average}, "limits")
+        proof = require_sound_proof(exact_mdp.solve(mdp, subject_to=limits_from(subject_to)))
         policy: Policy = proof.policy
         solver, report = "limits", proof.report()
     else:
-        if certificate and not certify and (average or endless(mdp)):
+        if certificate and not certify and (average or has_improper_policy(mdp)):
             what = "bounds are proved of totals of rewards where every policy ends"
             fix = "add --certify, which proves the exact values"
             raise ModelError(what, where="--certificate", fix=fix)
         error = None if tol is None else float_of(tol, "--tol")
-        best = optimum(mdp, method, error, certify=certify, criterion=given.criterion)
+        best = compute_optimum(mdp, method, error, certify=certify, criterion=given.criterion)
         proof = best.certificate
         if certificate and proof is None:
             proof = exact_mdp.certify(mdp, bounded=True, solution=best.solution)
@@ -118,11 +118,11 @@ def solve(
         proof.save(certificate)
     written = [path for path in (policy_out, out, certificate) if path]
     for path in written:
-        write_atomically(Path(path).with_suffix(".run.json"), given.record(solver))
-    return given.report(replace(report, facts={**report.facts, "written": written}))
+        write_atomically(Path(path).with_suffix(".run.json"), given.format_record(solver))
+    return given.complete_report(replace(report, facts={**report.facts, "written": written}))
 
 
-def verify(certificate: str, given: Given, *, proven: bool = False) -> Report:
+def verify_command(certificate: str, given: Given, *, proven: bool = False) -> Report:
     """Check a certificate of an optimum or of a front.
 
     It is what solve wrote, with limits or without, or tradeoff: a front then. The checker imports
@@ -146,9 +146,9 @@ def verify(certificate: str, given: Given, *, proven: bool = False) -> Report:
     asked, too; objectives: the totals that a front or limits are about.
     """
     mdp = given.mdp
-    proof = replace(codec.load(KINDS, certificate), mdp=mdp)
+    proof = replace(codec.load_proof(KINDS, certificate), mdp=mdp)
     violations = proof.violations(mdp)
-    if proven and not accepted(proof, mdp) and not violations:
+    if proven and not is_accepted_by_proven_checker(proof, mdp) and not violations:
         violations = ["the checker whose soundness is proven does not accept it"]
     by = ", by the proven checker, too" if proven else ""
     said = "does not hold" if violations else f"holds ({proof.claim}{by})"
@@ -169,10 +169,10 @@ def verify(certificate: str, given: Given, *, proven: bool = False) -> Report:
         if exact:
             more = {"criterion": "average"} if proof.kind == "average" else {"unique": proof.unique}
             facts |= {"exact_start_value": Shown(proof.start_value)} | more
-    return given.report(Report(title="proof", facts=facts, passed=not violations))
+    return given.complete_report(Report(title="proof", facts=facts, passed=not violations))
 
 
-def accepted(proof: Proof, mdp: MDP) -> bool:
+def is_accepted_by_proven_checker(proof: Proof, mdp: MDP) -> bool:
     """Return whether the proven checker accepts a proof; raises ModelError for other kinds."""
     several = isinstance(proof, Front) and len(proof.objectives) > 2
     if proof.kind not in (known := [*verified.KEYS, "limits", "front"]) or several:
@@ -183,9 +183,9 @@ def accepted(proof: Proof, mdp: MDP) -> bool:
             fix="leave it out: the other checker covers this kind",
         )
     if not isinstance(proof, TotalsProof):
-        return verified.holds(model_json.content(mdp), codec.content(proof, int))
-    totals = proof.of.counted()
-    content = model_json.content(mdp), codec.content(proof)
+        return verified.holds(model_json.encode_model(mdp), codec.build_file_content(proof, int))
+    totals = proof.of.to_totals()
+    content = model_json.encode_model(mdp), codec.build_file_content(proof)
     if isinstance(proof, Front):
         return verified.front_holds(*content, totals.amounts)
     return verified.limits_hold(*content, totals.names, totals.amounts)
@@ -211,7 +211,7 @@ def _proven_totals(proof: TotalsProof) -> dict[str, Any]:
         [replace(limit, name=text[limit.name]) for limit in each]
         for each in (proof.limits, proof.moved)
     )
-    closest = bounds(limits, moved)
+    closest = name_bounds(limits, moved)
     none = "none: no policy keeps the limits (proven)"
     return {
         "limits": [str(limit) for limit in limits],
@@ -219,14 +219,14 @@ def _proven_totals(proof: TotalsProof) -> dict[str, Any]:
         "exact_start_value": Shown(proof.start_value, proof.start or none),
         "totals": {text[name]: total for name, total in proof.totals.items()},
         "prices": {text[name]: price for name, price in proof.prices.items()},
-        "closest": Shown(closest, [limit.text(10) for limit in moved]),
+        "closest": Shown(closest, [limit.format_limit(10) for limit in moved]),
     }
 
 
 # ---- one policy ----------------------------------------------------------------------------------
 
 
-def evaluate(given: Given, policy: Policy) -> Report:
+def evaluate_command(given: Given, policy: Policy) -> Report:
     """Compute a policy's mean return, its spread and its parts.
 
     Example: exact-mdp evaluate yuan2025 always:directive
@@ -238,10 +238,12 @@ def evaluate(given: Given, policy: Policy) -> Report:
     expected return; by_state: gain, bias and share of time of each state, or null if there are
     many; recurrent_classes: number of classes of states in which the policy stays.
     """
-    return given.report(exact_mdp.evaluate(given.mdp, policy, criterion=given.criterion).report())
+    return given.complete_report(
+        exact_mdp.evaluate(given.mdp, policy, criterion=given.criterion).report()
+    )
 
 
-def returns(given: Given, policy: Policy, *, exact: bool = False) -> Report:
+def returns_command(given: Given, policy: Policy, *, exact: bool = False) -> Report:
     """Compute the exact law of a policy's return, at discount 1.
 
     Example: exact-mdp returns yuan2025 random --set tasks=[1]
@@ -261,10 +263,10 @@ def returns(given: Given, policy: Policy, *, exact: bool = False) -> Report:
     report, moments = law.report(), exact_mdp.evaluate(given.mdp, policy).report().facts
     bounds = {name: moments["error_bounds"].value[name] for name in ("mean", "sd")}
     more = {name: moments[name] for name in bounds} | {"error_bounds": Shown(bounds)}
-    return given.report(replace(report, facts={**report.facts, **more}))
+    return given.complete_report(replace(report, facts={**report.facts, **more}))
 
 
-def simulate(given: Given, policy: Policy, *, episodes: int, seed: int = 0) -> Report:
+def simulate_command(given: Given, policy: Policy, *, episodes: int, seed: int = 0) -> Report:
     """Estimate a policy's mean return by simulation.
 
     Example: exact-mdp simulate tea random --episodes 10000
@@ -285,4 +287,4 @@ def simulate(given: Given, policy: Policy, *, episodes: int, seed: int = 0) -> R
     episodes on the mean.
     """
     runs = exact_mdp.simulate(given.asked, policy, episodes, seed, horizon=given.horizon)
-    return given.report(runs.report(), seed=seed)
+    return given.complete_report(runs.report(), seed=seed)

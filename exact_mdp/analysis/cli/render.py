@@ -16,7 +16,7 @@ from exact_mdp.mdp.errors import ModelError, shown_text
 from exact_mdp.mdp.report import Report
 
 
-def show(report: Report, *, as_json: bool, as_markdown: bool) -> None:
+def print_report(report: Report, *, as_json: bool, as_markdown: bool) -> None:
     """Print a report, its notes on standard error; advice is part of every form."""
     if as_json and as_markdown:
         raise ModelError("two forms of one output", where="--markdown", fix="leave out --json")
@@ -25,15 +25,15 @@ def show(report: Report, *, as_json: bool, as_markdown: bool) -> None:
             print(f"note: {note}", file=sys.stderr)
     if as_json or as_markdown:
         notice = {"notice": ADVICE} if ADVICE in report.notes else {}
-        printed = report.json(**notice) if as_json else markdown(report)
+        printed = report.json(**notice) if as_json else format_report_markdown(report)
         # "##[" in a name would begin a command to a runner.
-        print(printed.replace("##[", "##\\u005b") if ci.running() else printed)
+        print(printed.replace("##[", "##\\u005b") if ci.is_github_actions() else printed)
     else:
-        for line in text(report).splitlines():
-            print(ci.inert(line.rstrip()))
+        for line in format_report_text(report).splitlines():
+            print(ci.defuse_line(line.rstrip()))
 
 
-def text(report: Report) -> str:
+def format_report_text(report: Report) -> str:
     """Return facts and tables as text."""
     from rich import box, console, table
 
@@ -41,48 +41,53 @@ def text(report: Report) -> str:
     with out.capture() as captured:
         facts = table.Table.grid(padding=(0, 2, 0, 0))
         for name, value in report.lines().items():
-            facts.add_row(_text(name), _text(value))
+            facts.add_row(_to_console_text(name), _to_console_text(value))
         out.print(facts)
         for each in report.shown_tables():
             grid = table.Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
             for heading, right in zip(each.columns, each.numeric(), strict=True):
                 side: Literal["left", "right"] = "right" if right else "left"
-                grid.add_column(_text(heading), overflow="fold", justify=side)
+                grid.add_column(_to_console_text(heading), overflow="fold", justify=side)
             for row in each.cells():
-                grid.add_row(*map(_text, row))
-            out.print(_text(f"\n{each.heading()}"))
+                grid.add_row(*map(_to_console_text, row))
+            out.print(_to_console_text(f"\n{each.heading()}"))
             if each.note:
-                out.print(_text(each.note))
+                out.print(_to_console_text(each.note))
             out.print(grid)
         if ADVICE in report.notes:
-            out.print(_text(f"\n{ADVICE}"))
+            out.print(_to_console_text(f"\n{ADVICE}"))
     return str(captured.get())
 
 
-def markdown(report: Report) -> str:
+def format_report_markdown(report: Report) -> str:
     """Return facts and tables as Markdown; no name in them is read as markup."""
     facts = [[*each] for each in report.lines().items()]
-    parts = [f"## {_escaped(report.title)}\n", _pipes(["", ""], [False, False], facts)]
+    parts = [
+        f"## {_escape_markdown(report.title)}\n",
+        _format_pipe_table(["", ""], [False, False], facts),
+    ]
     for each in report.shown_tables():
-        note = f"{_escaped(each.note)}\n\n" if each.note else ""
-        grid = _pipes(list(each.columns), each.numeric(), each.cells())
-        parts.append(f"### {_escaped(each.heading())}\n\n{note}{grid}")
-    parts += [f"Note: {_escaped(note)}\n" for note in report.notes]
+        note = f"{_escape_markdown(each.note)}\n\n" if each.note else ""
+        grid = _format_pipe_table(list(each.columns), each.numeric(), each.cells())
+        parts.append(f"### {_escape_markdown(each.heading())}\n\n{note}{grid}")
+    parts += [f"Note: {_escape_markdown(note)}\n" for note in report.notes]
     return "\n".join(parts)
 
 
-def _pipes(headings: Sequence[str], right: Sequence[bool], rows: Sequence[Sequence[str]]) -> str:
+def _format_pipe_table(
+    headings: Sequence[str], right: Sequence[bool], rows: Sequence[Sequence[str]]
+) -> str:
     sides = ["---:" if side else "---" for side in right]
-    lines = [[_escaped(each) for each in row] for row in (headings, *rows)]
+    lines = [[_escape_markdown(each) for each in row] for row in (headings, *rows)]
     return "".join(f"| {' | '.join(line)} |\n" for line in (lines[0], sides, *lines[1:]))
 
 
-def _escaped(said: str) -> str:
+def _escape_markdown(said: str) -> str:
     """Return a text that Markdown shows as it is, on one line."""
     return re.sub(r"([\\`*_\[\]<>|~$&#])", r"\\\1", shown_text(said))
 
 
-def _text(said: str) -> Any:
+def _to_console_text(said: str) -> Any:
     """Return a text as it is: the name of a file may hold what steers a terminal."""
     from rich import text
 

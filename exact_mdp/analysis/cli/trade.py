@@ -9,7 +9,7 @@ from typing import Any
 
 import exact_mdp
 from exact_mdp.analysis.cli.given import Given
-from exact_mdp.mdp.care.perception import read, status_names
+from exact_mdp.mdp.care.perception import read_confusion_matrix, status_names
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.policies.policy import Policy
@@ -19,7 +19,7 @@ from exact_mdp.mdp.table import float_of
 from exact_mdp.solvers.values.policy_chain import policy_of
 
 
-def tradeoff(
+def tradeoff_command(
     given: Given,
     names: Sequence[str],
     *,
@@ -54,10 +54,10 @@ def tradeoff(
     if certificate:
         front.save(certificate)
     report = front.report(beside)
-    return given.report(report, written=[certificate] if certificate else [])
+    return given.complete_report(report, written=[certificate] if certificate else [])
 
 
-def rationalize(given: Given, policy: Policy) -> Report:
+def rationalize_command(given: Given, policy: Policy) -> Report:
     """Find the least change of weights that makes a policy optimal.
 
     The least relative change of the weights, exactly, with its proof; and for each component the
@@ -71,10 +71,10 @@ def rationalize(given: Given, policy: Policy) -> Report:
     Of Rationalization.
     change: the least such relative change, "p/q".
     """
-    return given.report(exact_mdp.rationalize(given.mdp, policy).report())
+    return given.complete_report(exact_mdp.rationalize(given.mdp, policy).report())
 
 
-def risk(
+def risk_command(
     given: Given, *, cvar: str, policies: Sequence[str] = (), policy_out: str | None = None
 ) -> Report:
     """Find the best policy for the worst share of the episodes.
@@ -120,13 +120,13 @@ def risk(
             table = data_frame(rules, columns=["state", "from", "to", "action"])
             content = table.to_csv(index=False, lineterminator="\n")
         write_atomically(policy_out, content)
-    return given.report(report, written=[policy_out] if policy_out else [])
+    return given.complete_report(report, written=[policy_out] if policy_out else [])
 
 
 # ---- perception ----------------------------------------------------------------------------------
 
 
-def perception(
+def perception_command(
     given: Given,
     *,
     perception: str | None = None,
@@ -167,11 +167,11 @@ def perception(
         rates = [right] * len(status_names(mdp))
         matrix = exact_mdp.independent(rates, rates)
     else:
-        matrix, counted = read(perception, mdp)
+        matrix, counted = read_confusion_matrix(perception, mdp)
     optimum = exact_mdp.solve(mdp)
     chosen = policy_of(mdp, optimum if policy == "optimal" else policy)
     costs = exact_mdp.error_costs(mdp, chosen, matrix)
-    return given.report(
+    return given.complete_report(
         costs.report(),
         policy=policy,
         perception=perception or f"accuracy {accuracy}",

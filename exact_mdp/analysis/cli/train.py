@@ -11,7 +11,7 @@ import numpy as np
 import exact_mdp
 from exact_mdp.analysis.cli.given import Given
 from exact_mdp.analysis.cli.words import settings_of
-from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.errors import ModelError, locate_errors
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import Report
@@ -23,7 +23,7 @@ from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING,
 SCHEDULES: dict[str, Schedule] = {"constant": PAPER_CONSTANT, "decaying": PAPER_DECAYING}
 
 
-def train(
+def train_command(
     given: Given,
     *,
     epsilon: str = "constant",
@@ -77,7 +77,7 @@ def train(
         stated["columns"] = mdp.space.names
     stated["exploration"] = SCHEDULES.get(epsilon) or float_of(epsilon, "epsilon")
     stated.setdefault("snapshot_episode", min(10, stated.get("episodes", 10)))
-    with located("--learner"):
+    with locate_errors("--learner"):
         settings = QLearning(**stated)
     if np.isinf(exact_mdp.solve(mdp).start.value):  # refused before the work
         raise ModelError(
@@ -87,7 +87,7 @@ def train(
         )
     runs = training.train(mdp, settings, seeds, rng=seed, n_jobs=n_jobs, out=out, progress=True)
     results = exact_mdp.outcomes(mdp, runs)
-    report = given.report(results.report(), settings=repr(settings), seed=seed)
+    report = given.complete_report(results.report(), settings=repr(settings), seed=seed)
     if out is None:
         return report
     policy, table = files = Path(out, "policy.csv"), Path(out, "q.npy")
@@ -97,4 +97,4 @@ def train(
     content = io.BytesIO()
     np.save(content, run.q if rows.space == mdp.space else run.q[:, free])
     write_atomically(table, content.getvalue())
-    return given.saved(report, out, "summary.json", (repr(settings), seed), *files)
+    return given.save_report(report, out, "summary.json", (repr(settings), seed), *files)

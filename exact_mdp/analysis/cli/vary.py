@@ -11,24 +11,24 @@ from tqdm import tqdm
 
 import exact_mdp
 from exact_mdp.analysis.cli.given import Given
-from exact_mdp.analysis.cli.words import pairs_of, refuse, typed
+from exact_mdp.analysis.cli.words import list_command_words, pairs_of, refuse_options
 from exact_mdp.analysis.vary.curves.thresholds import report_of
-from exact_mdp.analysis.vary.curves.walk import optimum
+from exact_mdp.analysis.vary.curves.walk import find_optimal_pairs
 from exact_mdp.analysis.vary.distributions import drawn_family
 from exact_mdp.analysis.vary.ranges import (
     RELATIVE,
     Ranges,
-    checked,
     is_probability,
+    list_usual_parameters,
     ranges_of,
-    usual,
+    read_ranges,
 )
 from exact_mdp.analysis.vary.robust import SETS
 from exact_mdp.analysis.vary.study import finite_worth, solver_of
-from exact_mdp.mdp.errors import ModelError, known
+from exact_mdp.mdp.errors import ModelError, require_known_name
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.report import Report, Shown, claimed
+from exact_mdp.mdp.report import Report, Shown, list_claim_facts
 from exact_mdp.mdp.table import exact, float_of
 
 ROUNDED = "of the perception, and the probabilities of actions that it makes, as rounded to floats"
@@ -44,7 +44,7 @@ BOX = "box"
 # ---- one parameter at a time ---------------------------------------------------------------------
 
 
-def tornado(given: Given) -> Report:
+def tornado_command(given: Given) -> Report:
     """Compute values at both ends of each parameter's range.
 
     One parameter moves at a time, the others stay at today's values.
@@ -57,13 +57,13 @@ def tornado(given: Given) -> Report:
     bars: each parameter with both ends of its range, both values, both regrets; policy_value: the
     value of the policy held fixed; regret: loss of that policy at the start.
     """
-    spans, without = _spans(given)
+    spans, without = _select_ranges(given)
     result = exact_mdp.tornado(given.family, policy=given.fixed, names=list(spans), ranges=spans)
     by = "fixed_swing" if given.perception else "swing"  # what it does to the policy
-    return _report(given, "tornado", result.report(by), without_range=without)
+    return _report_with_policy(given, "tornado", result.report(by), without_range=without)
 
 
-def gradient(given: Given) -> Report:
+def gradient_command(given: Given) -> Report:
     """Compute the derivative of the value by each parameter.
 
     They are those of the optimum, or of the --policy held fixed. Where the optimal policy changes
@@ -79,10 +79,10 @@ def gradient(given: Given) -> Report:
     """
     result = exact_mdp.gradient(given.family, policy=given.fixed, names=given.parameters or None)
     more = {"claim_of": ROUNDED} if given.perception else {}
-    return _report(given, "gradient", result.report(), **more)
+    return _report_with_policy(given, "gradient", result.report(), **more)
 
 
-def threshold(given: Given) -> Report:
+def threshold_command(given: Given) -> Report:
     """Find where an optimal action changes along a parameter.
 
     One parameter moves at a time. The policy is optimal knowing the state at every value.
@@ -94,15 +94,15 @@ def threshold(given: Given) -> Report:
     switches: each value at which an optimal action changes, and where; stable: for each parameter,
     the range around today's value without a change.
     """
-    spans, without = _spans(given)
+    spans, without = _select_ranges(given)
     steps = tqdm(spans, desc="thresholds", disable=None, leave=False)
     results = {name: exact_mdp.thresholds(given.family, name, spans) for name in steps}
-    start = claimed("start_value", optimum(given.family.at({}))[1])
+    start = list_claim_facts("start_value", find_optimal_pairs(given.family.at({}))[1])
     report = report_of(results)
-    return given.report(report, kind="threshold", **start, without_range=without)
+    return given.complete_report(report, kind="threshold", **start, without_range=without)
 
 
-def curve(
+def curve_command(
     given: Given,
     *,
     parameters: Sequence[str] = (),
@@ -131,18 +131,18 @@ def curve(
     the value is a ratio of polynomials with coefficients "p/q", from the constant up; within: the
     intervals in which the policy keeps the limit.
     """
-    (name,) = _named(parameters, 1, "curve")
-    spans = _spans(given, [name])[0] if given.ranges or given.relative else None
+    (name,) = _require_parameter_count(parameters, 1, "curve")
+    spans = _select_ranges(given, [name])[0] if given.ranges or given.relative else None
     limited = max_regret or max_relative_regret
     result = exact_mdp.curve(
         given.family, name, spans, policy=given.fixed if limited else given.taken
     )
     within = result.within(max_regret, max_relative_regret) if limited else None
-    start = claimed("start_value", optimum(given.family.at({}))[1])
-    return given.report(result.report(within), kind="curve", **start)
+    start = list_claim_facts("start_value", find_optimal_pairs(given.family.at({}))[1])
+    return given.complete_report(result.report(within), kind="curve", **start)
 
 
-def one_way(given: Given, *, parameters: Sequence[str] = (), points: int = 21) -> Report:
+def one_way_command(given: Given, *, parameters: Sequence[str] = (), points: int = 21) -> Report:
     """Compute values along the range of one parameter.
 
     The policy is optimal at each of the values, and held fixed beside it.
@@ -160,13 +160,13 @@ def one_way(given: Given, *, parameters: Sequence[str] = (), points: int = 21) -
     ----
     parameter: the parameter that varies; points: points with their values.
     """
-    (name,) = _named(parameters, 1, "one-way")
-    spans, _ = _spans(given, [name])
+    (name,) = _require_parameter_count(parameters, 1, "one-way")
+    spans, _ = _select_ranges(given, [name])
     result = exact_mdp.one_way(given.family, name, spans, policy=given.fixed, points=points)
-    return _report(given, "one-way", result.report(), **_start(given))
+    return _report_with_policy(given, "one-way", result.report(), **_claim_start_value(given))
 
 
-def two_way(given: Given, *, parameters: Sequence[str] = (), points: int = 11) -> Report:
+def two_way_command(given: Given, *, parameters: Sequence[str] = (), points: int = 11) -> Report:
     """Compute values and best policies over two parameters.
 
     Give --parameter twice: the first lies across, the second along.
@@ -183,16 +183,16 @@ def two_way(given: Given, *, parameters: Sequence[str] = (), points: int = 11) -
     parameters: the parameters that vary; points: points with their values; policies: the policies
     that are optimal somewhere.
     """
-    x, y = _named(parameters, 2, "two-way")
-    spans, _ = _spans(given, [x, y])
+    x, y = _require_parameter_count(parameters, 2, "two-way")
+    spans, _ = _select_ranges(given, [x, y])
     result = exact_mdp.two_way(given.family, x, y, policy=given.fixed, points=points, ranges=spans)
-    return _report(given, "two-way", result.report(), **_start(given))
+    return _report_with_policy(given, "two-way", result.report(), **_claim_start_value(given))
 
 
 # ---- all parameters at once ----------------------------------------------------------------------
 
 
-def psa(
+def psa_command(
     given: Given,
     *,
     samples: int | None = None,
@@ -244,14 +244,14 @@ def psa(
         size = float_of(effective_sample_size, "--effective-sample-size")
     chosen = exact_mdp.uncertainty(model, uncertain, default=size, names=names)
     n = samples or (10_000 if solver_of(model, ()).compiled else 500)
-    how = _work(n_jobs, out)
+    how = _read_work_options(n_jobs, out)
     result = exact_mdp.psa(model, n, rng=seed, uncertain=chosen, policy=given.fixed, **how)
     report = result.report(given.policy or "optimal", evppi=True)
-    report = _report(given, "psa", report, effective_sample_size=chosen.default)
-    return given.saved(report, out, "psa.json", ("psa", seed))
+    report = _report_with_policy(given, "psa", report, effective_sample_size=chosen.default)
+    return given.save_report(report, out, "psa.json", ("psa", seed))
 
 
-def sobol(
+def sobol_command(
     given: Given,
     *,
     samples: int = 1024,
@@ -280,23 +280,27 @@ def sobol(
     total: share of the variance including all interactions with others; total_interval: interval of
     `total`; regret: the same indices, of the regret of a policy held fixed.
     """
-    spans, without = _spans(given, _together(given))
+    spans, without = _select_ranges(given, _choose_parameters(given))
     if not spans:
         raise ModelError(
             "every chosen parameter is 0, and a share of 0 gives no range",
             where=f"sobol of {given.loaded.name}",
             fix="give a range: --range NAME=LOW:HIGH",
         )
-    how = _work(n_jobs, out) | {"n": samples, "rng": seed, "policy": given.fixed}
+    how = _read_work_options(n_jobs, out) | {"n": samples, "rng": seed, "policy": given.fixed}
     result = exact_mdp.sobol(given.family, names=list(spans), ranges=spans, **how)
-    report = _report(given, "sobol", result.report(), **_start(given), without_range=without)
-    return given.saved(report, out, "sobol.json", ("sobol", seed))
+    report = _report_with_policy(
+        given, "sobol", result.report(), **_claim_start_value(given), without_range=without
+    )
+    return given.save_report(report, out, "sobol.json", ("sobol", seed))
 
 
 # ---- the worst case ------------------------------------------------------------------------------
 
 
-def robust(given: Given, *, set_kind: str = "interval", radius: str | None = None) -> Report:
+def robust_command(
+    given: Given, *, set_kind: str = "interval", radius: str | None = None
+) -> Report:
     """Compute the worst case within sets around the tables.
 
     And the policy that is best against them, with the price of that where the tables are right.
@@ -323,21 +327,23 @@ def robust(given: Given, *, set_kind: str = "interval", radius: str | None = Non
     """
     boxed = {"--parameter": given.parameters, "--range": given.ranges, "--relative": given.relative}
     if set_kind == BOX:
-        refuse({"--radius": radius}, "a box", "give --relative X or --range NAME=LOW:HIGH instead")
-        return _box(given, any(boxed.values()))
-    meaning = ROWS[known(set_kind, [*ROWS, BOX], "set", "--set-kind")]
-    refuse(boxed, "rows on their own", "add --set-kind box, or give --radius instead")
+        refuse_options(
+            {"--radius": radius}, "a box", "give --relative X or --range NAME=LOW:HIGH instead"
+        )
+        return _report_worst_point(given, any(boxed.values()))
+    meaning = ROWS[require_known_name(set_kind, [*ROWS, BOX], "set", "--set-kind")]
+    refuse_options(boxed, "rows on their own", "add --set-kind box, or give --radius instead")
     size = exact(SETS[set_kind][1] if radius is None else radius, "radius")
     result = exact_mdp.robust(given.mdp, set_kind, radius=size, policy=given.fixed)
     kind = Shown(set_kind, meaning.format(f"{float(size):.4g}"))
-    return _report(given, "robust", result.report(), set_kind=kind, radius=float(size))
+    return _report_with_policy(given, "robust", result.report(), set_kind=kind, radius=float(size))
 
 
-def _box(given: Given, stated: bool) -> Report:
+def _report_worst_point(given: Given, stated: bool) -> Report:
     """Return the worst point that is found for the policy over one shared box of parameters."""
     family = given.family
     chances = [each.name for each in family.parameters if is_probability(each)]
-    box, _ = _spans(given, _together(given) if stated else chances)
+    box, _ = _select_ranges(given, _choose_parameters(given) if stated else chances)
     if not box:
         raise ModelError(
             "no parameter moves",
@@ -345,17 +351,19 @@ def _box(given: Given, stated: bool) -> Report:
             fix="give a range (--range NAME=LOW:HIGH), or another kind of set",
         )
     report = exact_mdp.worst_point(family, given.fixed, box).report()
-    start = claimed("start_value", finite_worth(given.mdp, given.fixed, "today's parameters"))
+    start = list_claim_facts(
+        "start_value", finite_worth(given.mdp, given.fixed, "today's parameters")
+    )
     ends = {name: [float(span.low), float(span.high)] for name, span in box.items()}
     radius = None if stated else float(RELATIVE)
     more = {"set_kind": BOX, "radius": radius, "box": Shown(ends)}
-    return _report(given, "robust", report, **start, **more)
+    return _report_with_policy(given, "robust", report, **start, **more)
 
 
 # ---- the page ------------------------------------------------------------------------------------
 
 
-def explore(
+def explore_command(
     given: Given,
     policy: PolicyLike | None = None,
     *,
@@ -383,22 +391,22 @@ def explore(
     ----
     parameters: parameters that move; pieces: number of pieces on the page.
     """
-    spans, _ = _spans(given, parameters)
+    spans, _ = _select_ranges(given, parameters)
     page = exact_mdp.explore(given.family, *parameters, ranges=spans, policy=policy, n=points)
     page = replace(page, model=given.loaded.name, policy=given.policy)
-    write_atomically(html, page.page(rerun=shlex.join(["exact-mdp", *typed()])))
-    return given.report(page.report(), written=html)
+    write_atomically(html, page.page(rerun=shlex.join(["exact-mdp", *list_command_words()])))
+    return given.complete_report(page.report(), written=html)
 
 
 # ---- what the options say ------------------------------------------------------------------------
 
 
-def _report(given: Given, kind: str, report: Report, **more: Any) -> Report:
+def _report_with_policy(given: Given, kind: str, report: Report, **more: Any) -> Report:
     """Return a report with the policy held fixed."""
-    return given.report(report, kind=kind, policy=given.policy or "optimal", **more)
+    return given.complete_report(report, kind=kind, policy=given.policy or "optimal", **more)
 
 
-def _named(parameters: Sequence[str], count: int, kind: str) -> Sequence[str]:
+def _require_parameter_count(parameters: Sequence[str], count: int, kind: str) -> Sequence[str]:
     if len(parameters) != count:
         raise ModelError(
             f"{len(parameters)} parameters, and {kind} varies {count}",
@@ -409,11 +417,11 @@ def _named(parameters: Sequence[str], count: int, kind: str) -> Sequence[str]:
     return parameters
 
 
-def _start(given: Given) -> dict[str, Any]:
-    return claimed("start_value", exact_mdp.solve(given.mdp).start)
+def _claim_start_value(given: Given) -> dict[str, Any]:
+    return list_claim_facts("start_value", exact_mdp.solve(given.mdp).start)
 
 
-def _spans(given: Given, names: Sequence[str] | None = None) -> tuple[Ranges, list[str]]:
+def _select_ranges(given: Given, names: Sequence[str] | None = None) -> tuple[Ranges, list[str]]:
     """Return the ranges of the parameters that the options name, or of `names`, and who has none.
 
     Those that are 0 today have none, which is 0 ± 20 %.
@@ -421,22 +429,22 @@ def _spans(given: Given, names: Sequence[str] | None = None) -> tuple[Ranges, li
     model, stated = given.family, Ranges()
     files = [each for each in given.ranges if each.lower().endswith(".toml") and "=" not in each]
     for file in files:
-        stated.update(checked(model, file))
+        stated.update(read_ranges(model, file))
     texts = [each for each in given.ranges if each not in files]
     pairs = pairs_of(texts, "--range", "NAME=LOW:HIGH")
-    stated.update(checked(model, {name: ends.split(":") for name, ends in pairs.items()}))
+    stated.update(read_ranges(model, {name: ends.split(":") for name, ends in pairs.items()}))
     names = given.parameters or None if names is None else names
     every = ranges_of(model, names, stated, given.relative)
     spans = Ranges({name: span for name, span in every.items() if span.low < span.high})
     return spans, sorted(every.keys() - spans.keys())
 
 
-def _together(given: Given) -> Sequence[str] | None:
+def _choose_parameters(given: Given) -> Sequence[str] | None:
     """Return the parameters to vary together where none is named."""
-    return None if given.parameters or given.ranges else usual(given.family)
+    return None if given.parameters or given.ranges else list_usual_parameters(given.family)
 
 
-def _work(n_jobs: int | None, out: str | None) -> dict[str, Any]:
+def _read_work_options(n_jobs: int | None, out: str | None) -> dict[str, Any]:
     if out is not None and not out.strip():
         raise ModelError("--out is empty", where="--out", fix="name a folder")
     return {"n_jobs": n_jobs, "folder": out, "progress": True}

@@ -10,18 +10,18 @@ from typing import Any
 
 import click
 
-from exact_mdp.mdp.errors import ModelError, known, suggest
+from exact_mdp.mdp.errors import ModelError, require_known_name, suggest_name
 from exact_mdp.mdp.table import exact, float_of
 
 
-def refuse(options: Mapping[str, Any], of: str, fix: str = "leave it out") -> None:
+def refuse_options(options: Mapping[str, Any], of: str, fix: str = "leave it out") -> None:
     """Raise ModelError for the first of some options that is given."""
     for option, value in options.items():
         if value:
             raise ModelError(f"{option} does not apply to {of}", where=option, fix=fix)
 
 
-def typed() -> list[str]:
+def list_command_words() -> list[str]:
     """Return the words of this command."""
     context = click.get_current_context(silent=True)
     return [] if context is None else list(context.find_root().obj or ())
@@ -42,7 +42,7 @@ def limits_from(texts: Sequence[str]) -> dict[str, list[str]]:
     return limits
 
 
-def whole_of(text: str, where: str) -> int:
+def parse_whole_number(text: str, where: str) -> int:
     """Return the whole number from 0 up that a text states."""
     number = exact(text, where)
     if number.denominator != 1 or number < 0:
@@ -61,15 +61,17 @@ def pairs_of(texts: Sequence[str], option: str, form: str = "NAME=VALUE") -> dic
     return pairs
 
 
-def _parts(text: str, _: str) -> Any:
+def _parse_parts(text: str, _: str) -> Any:
     return text if text == "known" else tuple(each.strip() for each in text.split(","))
 
 
 READ: dict[str, Callable[[str, str], Any]] = {  # by the beginning of a field's type
-    **dict.fromkeys(("int", "RNG"), whole_of),
+    **dict.fromkeys(("int", "RNG"), parse_whole_number),
     **dict.fromkeys(("float", "Schedule"), float_of),
-    **dict.fromkeys(("tuple", "Ends", "Given"), _parts),
-    "bool": lambda text, where: known(text, ("true", "false"), "truth value", where) == "true",
+    **dict.fromkeys(("tuple", "Ends", "Given"), _parse_parts),
+    "bool": lambda text, where: (
+        require_known_name(text, ("true", "false"), "truth value", where) == "true"
+    ),
 }
 
 
@@ -84,7 +86,7 @@ def settings_of(kind: type, texts: Sequence[str], option: str) -> dict[str, Any]
         key, _, part = name.partition(".")
         if key not in types:
             what = f"{key!r} does not apply to {getattr(kind, 'by', kind.__name__)}"
-            raise ModelError(what, where=option, fix=suggest(key, types))
+            raise ModelError(what, where=option, fix=suggest_name(key, types))
         if types[key] == "Mapping":
             settings[key] = settings.get(key, {}) | {part: text}
         else:

@@ -11,24 +11,24 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.analysis.gate.criteria import Total, Verdict, number
+from exact_mdp.analysis.gate.criteria import Total, Verdict, format_claimed_number
 from exact_mdp.analysis.gate.data.interval import RegretInterval
 from exact_mdp.analysis.gate.reasons import (
     Disagreement,
     Findings,
     QError,
     Representation,
-    either,
+    format_alternatives,
     q_error,
 )
-from exact_mdp.analysis.gate.regret import Regret, ends
+from exact_mdp.analysis.gate.regret import Regret, interval_of
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, ReadAs
-from exact_mdp.mdp.questions import direction, unlimited
+from exact_mdp.mdp.questions import describe_sense, describe_time_limit
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
-from exact_mdp.mdp.table import Floats, shown
+from exact_mdp.mdp.table import Floats, format_rational
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError, in_float
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -124,7 +124,7 @@ class Audit(Pictured):
     def relative_regret(self) -> float | None:
         """Regret at the start over the absolute optimal value; None where that is, or may be, 0."""
         lost, best = self.value.value, self.regret.optimal
-        low, high = ends(best)
+        low, high = interval_of(best)
         if not isfinite(float(best)) or low <= 0 <= high:
             return None
         return inf if lost == inf else in_float(Fraction(lost) / abs(Fraction(best.value)))
@@ -144,7 +144,7 @@ class Audit(Pictured):
 
     @cached_property
     def _findings(self) -> Findings:
-        visits, wrong = self.criterion.findings(self.regret)
+        visits, wrong = self.criterion.find_disagreements(self.regret)
         return visits, wrong if self.feasible else ()
 
     @property
@@ -168,14 +168,14 @@ class Audit(Pictured):
 
         `unclear` states count as agreement. NaN where no policy keeps the limits.
         """
-        return self._agreeing(np.ones(self.mdp.n_states))
+        return self._compute_agreement(np.ones(self.mdp.n_states))
 
     @property
     def agreement_by_visits(self) -> float:
         """The same share of the policy's visits to states with a choice."""
-        return self._agreeing(self.visits)
+        return self._compute_agreement(self.visits)
 
-    def _agreeing(self, weight: Floats) -> float:
+    def _compute_agreement(self, weight: Floats) -> float:
         if not self.feasible:
             return nan
         total = float(weight[self.mdp.asked].sum())
@@ -230,9 +230,9 @@ class Audit(Pictured):
         if interval is None:
             return tuple(self._of_model())
         # Of records the interval decides, never the estimate; without a limit, that it is 0.
-        name = "zero" if limit is None else f"at most {shown(limit, 10)}"
-        decision = interval.decided(self.forgiven if limit is None else limit)
-        text = f"it is in {interval}; {number(self.value)} in the estimated model"
+        name = "zero" if limit is None else f"at most {format_rational(limit, 10)}"
+        decision = interval.keeps_limit(self.forgiven if limit is None else limit)
+        text = f"it is in {interval}; {format_claimed_number(self.value)} in the estimated model"
         if decision is None:
             more = "more records may decide it, or give a limit above the interval"
             if interval.draws is not None:
@@ -244,29 +244,35 @@ class Audit(Pictured):
     def _of_model(self) -> Iterator[Verdict]:
         """Yield the verdict on each limit given; without one, on whether the regret is zero."""
         regret, criterion, share = self.regret, self.criterion, self.max_relative_regret
-        yield from criterion.verdicts()
+        yield from criterion.list_verdicts()
         if not criterion.feasible:
             return
-        text = f"it is {number(regret.at_start)}{criterion.against}"
+        text = f"it is {format_claimed_number(regret.at_start)}{criterion.against}"
         if self.max_regret is None and share is None:
             name = criterion.least
             if regret.forgiven:
                 name += " up to the rounding of the given floats"
                 text += f"; rounding can move it by up to {float(regret.forgiven):.2g}"
-            zero = regret.decided(Fraction(0)) or regret.decided(regret.forgiven)
-            yield _decided("the regret", name, zero, text)
+            zero = regret.keeps_limit(Fraction(0)) or regret.keeps_limit(regret.forgiven)
+            yield _make_verdict("the regret", name, zero, text)
         if self.max_regret is not None:
-            name = f"at most {shown(self.max_regret, 10)}"
-            yield _decided("the regret", name, regret.decided(self.max_regret), text)
+            name = f"at most {format_rational(self.max_regret, 10)}"
+            yield _make_verdict("the regret", name, regret.keeps_limit(self.max_regret), text)
         if share is not None:
             ratio = self.relative_regret
             decision: bool | None = False
             text = "it is undefined, because the optimal value is, or may be, 0"
             if ratio is not None:
-                low, high = sorted(share * abs(Fraction(end)) for end in ends(regret.optimal))
-                decision = regret.decided(low) or (False if regret.decided(high) is False else None)
+                low, high = sorted(
+                    share * abs(Fraction(end)) for end in interval_of(regret.optimal)
+                )
+                decision = regret.keeps_limit(low) or (
+                    False if regret.keeps_limit(high) is False else None
+                )
                 text = f"it is {ratio:.6g} ({regret.claim})"
-            yield _decided("the relative regret", f"at most {shown(share, 10)}", decision, text)
+            yield _make_verdict(
+                "the relative regret", f"at most {format_rational(share, 10)}", decision, text
+            )
 
     @property
     def passed(self) -> bool:
@@ -323,7 +329,7 @@ class Audit(Pictured):
         space = self.mdp.space
         steps = "" if space.untimed is None else f", horizon {space.columns[0].size - 1}"
         read = self.policy.source or "a policy"
-        asked = direction(self.mdp)
+        asked = describe_sense(self.mdp)
         sums = self.criterion.sums + (asked and f", {asked}")
         return f"read as {read}, {sums}{steps}, start {self.begins}"
 
@@ -333,22 +339,22 @@ class Audit(Pictured):
     @property
     def _outcome(self) -> str:
         if not self.feasible:
-            return f"failed: no policy keeps {', '.join(self.criterion.facts()['limits'])}"
-        lost = f"regret {number(self.value)}"
+            return f"failed: no policy keeps {', '.join(self.criterion.list_facts()['limits'])}"
+        lost = f"regret {format_claimed_number(self.value)}"
         if self.interval is not None:
-            lost = f"regret in {self.interval}; estimated {number(self.value)}"
+            lost = f"regret in {self.interval}; estimated {format_claimed_number(self.value)}"
         word = "passed" if self.passed else "failed, left open" if self.undecided else "failed"
         best = float(self.regret.optimal.value)
         count = len(self.disagreements)
         return f"{word}: {lost} of {best:.6g}, {count} disagreement{'s' * (count != 1)}"
 
     def __str__(self) -> str:
-        lines = [self.question, self._outcome, *self._costliest(AT_A_GLANCE)]
+        lines = [self.question, self._outcome, *self._describe_costliest(AT_A_GLANCE)]
         return "\n".join([*lines, *self._unlimited])
 
     @property
     def _unlimited(self) -> list[str]:
-        return unlimited(self.mdp, "horizon={}" * (self.criterion.name == "total"))
+        return describe_time_limit(self.mdp, "horizon={}" * (self.criterion.name == "total"))
 
     def message(self, *, explain: bool = True) -> str:
         """Return in words what was found, the costly states by name.
@@ -365,16 +371,17 @@ class Audit(Pictured):
         )
         if self.unclear:
             lines.append(f"in {self.unclear} more the bounds leave it open")
-        lines += self._costliest(SHOWN)
+        lines += self._describe_costliest(SHOWN)
         if explain and self._partial:
             lines.append(str(self.representation or UNEXPLAINED))
         return "\n".join([*lines, *self._unlimited])
 
-    def _costliest(self, most: int) -> list[str]:
+    def _describe_costliest(self, most: int) -> list[str]:
         """Return a line for each of the costliest states, one for others, one for never visited."""
         met = [each for each in self.disagreements if each.expected_visits != 0]
         lines = [
-            f"  {each.label}: yours {each.learned}, optimal {either(each.optimal)}; {_lost(each)}"
+            f"  {each.label}: yours {each.learned}, "
+            f"optimal {format_alternatives(each.optimal)}; {_describe_loss(each)}"
             for each in met[:most]
         ]
         if len(met) > most:
@@ -409,7 +416,7 @@ class Audit(Pictured):
         facts: dict[str, Any] = {
             "passed": Shown(self.passed, "yes" if self.passed else "no: FAILED"),
             "checks": Shown(checks, "; ".join(each.told for each in self.verdicts)),
-            **(self.interval.facts(self.max_regret) if self.interval is not None else {}),
+            **(self.interval.list_facts(self.max_regret) if self.interval is not None else {}),
             "claim": Shown(self.claim),
             "regret_claim": Shown(self.value.claim),
             "regret": claimed(self.value),
@@ -428,8 +435,8 @@ class Audit(Pictured):
             "unclear": Shown(self.unclear, self.unclear or None),
             "disagreements": self._listed,
             "regret_by_state": Shown(dict(by_state) if mdp.n_states <= LISTED_STATES else None),
-            **self.criterion.facts(),
-            **(dict.fromkeys(("representation", "rows")) if why is None else why.facts()),
+            **self.criterion.list_facts(),
+            **(dict.fromkeys(("representation", "rows")) if why is None else why.list_facts()),
             "q_error": self.q_error,
         }
         columns = {"state": "state", "yours": "learned", "optimal": "either"}
@@ -438,7 +445,7 @@ class Audit(Pictured):
         wrong = Table(
             title="where it is not optimal, the costliest first",
             note=COLUMNS,
-            rows=[row | {"either": either(row["optimal_actions"])} for row in met],
+            rows=[row | {"either": format_alternatives(row["optimal_actions"])} for row in met],
             columns=columns | numbers,
             first=IN_TABLE,
         )
@@ -453,14 +460,14 @@ class Audit(Pictured):
         return Report(
             title=f"audit: {self.question}",
             facts=facts,
-            tables=self.criterion.tables()
+            tables=self.criterion.list_tables()
             | {"disagreements": wrong, "rows of the policy": changes},
             notes=[*notes, *self._unlimited],
             passed=self.passed,
         )
 
 
-def _lost(each: Disagreement) -> str:
+def _describe_loss(each: Disagreement) -> str:
     """Return in words what is lost in a state."""
     if isinf(each.expected_visits) and isfinite(each.cost):
         return f"waits for ever and loses {each.cost:.6g}"
@@ -469,5 +476,5 @@ def _lost(each: Disagreement) -> str:
     return f"loses {each.gap:.6g} x {each.expected_visits:.6g} visits = {each.cost:.6g}"
 
 
-def _decided(subject: str, limit: str, decision: bool | None, text: str) -> Verdict:
+def _make_verdict(subject: str, limit: str, decision: bool | None, text: str) -> Verdict:
     return Verdict(subject, limit, decision, text + f", {UNDECIDED}" * (decision is None))

@@ -19,13 +19,13 @@ from exact_mdp.analysis.gate.criteria import Average, Total, UnderLimits
 from exact_mdp.analysis.gate.data.off_policy import OffPolicy
 from exact_mdp.analysis.gate.data.posterior import Posterior
 from exact_mdp.analysis.gate.data.robust import Robust
-from exact_mdp.analysis.gate.regret import LAST_CYCLE, cheap, limit_of
+from exact_mdp.analysis.gate.regret import LAST_CYCLE, is_cheap_to_certify, limit_of
 from exact_mdp.analysis.vary.intervals import confidence_of
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError, known, named_options
+from exact_mdp.mdp.errors import ModelError, named_options, require_known_name
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.questions import by_time
+from exact_mdp.mdp.questions import split_by_time
 from exact_mdp.solvers.solution import SolverError
 from exact_mdp.solvers.solver import Criterion, is_average, mdp_of, require_no_horizon
 from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
@@ -101,7 +101,7 @@ def check(
     >>> audit.passed, round(float(audit.regret.at_start.value), 3), round(audit.agreement, 3)
     (False, 63.062, 0.333)
     """
-    evidence = None if confidence is None else _evidence(by)
+    evidence = None if confidence is None else _resolve_interval_method(by)
     average, limited = is_average(criterion), subject_to is not None
     if evidence is None and by != "robust":
         fix = "give confidence=0.95"
@@ -126,30 +126,30 @@ def check(
     if subject_to is not None:
         about = UnderLimits.of(chain, subject_to)
 
-    def audit(exactly: bool | None) -> Audit:
-        return Audit(criterion=about, regret=about.regret(exactly), **most)
+    def make_audit(exactly: bool | None) -> Audit:
+        return Audit(criterion=about, regret=about.compute_regret(exactly), **most)
 
-    last = exact_values is None and cheap(mdp, LAST_CYCLE)
+    last = exact_values is None and is_cheap_to_certify(mdp, LAST_CYCLE)
     try:
-        result = audit(exact_values)
+        result = make_audit(exact_values)
     except SolverError:  # floats cannot bound the answer, which rational arithmetic may give
         if not last:
             raise
-        result = audit(True)
+        result = make_audit(True)
     if last and result.undecided:
         with suppress(ModelError):  # a cycle that is too ill-conditioned leaves it undecided
-            result = audit(True)
+            result = make_audit(True)
     if evidence is None:
         return result
     level, own = confidence_of(confidence), chain.weights
-    own = own if horizon is None else by_time(recorded, own, horizon)
+    own = own if horizon is None else split_by_time(recorded, own, horizon)
     return replace(result, interval=evidence.interval(recorded, own, level))
 
 
-def _evidence(by: object) -> Evidence:
+def _resolve_interval_method(by: object) -> Evidence:
     """Return what an interval is made by."""
     if isinstance(by, str):
-        return EVIDENCE[known(by, EVIDENCE, "kind of interval", "by")]()
+        return EVIDENCE[require_known_name(by, EVIDENCE, "kind of interval", "by")]()
     if not isinstance(by, Evidence):
         fix = 'give "robust", "posterior" or "off-policy", or one of their classes'
         raise ModelError(f"{by!r} is not a kind of interval", where="by", fix=fix)

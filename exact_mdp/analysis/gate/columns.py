@@ -20,20 +20,20 @@ import scipy.sparse as sp
 import tqdm
 
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError, listed
-from exact_mdp.mdp.graph import reachable, topological_levels
+from exact_mdp.mdp.errors import ModelError, require_list
+from exact_mdp.mdp.graph import find_reachable_states, topological_levels
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.arrays import rows_read, space_over
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.mdp.validate import Flags, counted
+from exact_mdp.mdp.validate import Flags, require_count
 from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.bounds.gains import SLACK, first_of, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, policy_chain
 from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.solver import mdp_of
-from exact_mdp.solvers.values.layers import NUMBERS, layers_of, taken
+from exact_mdp.solvers.values.layers import NUMBERS, find_taken_pairs, layers_of
 
 WORK = 2**25  # transitions times relaxations, unless a limit is given
 ITERATIONS = 1000  # of policies; a bound counts what is left to gain wherever they end
@@ -114,17 +114,17 @@ def best_policy(
     mdp = mdp_of(model)
     if node_limit is None:
         node_limit = max(100, min(5000, WORK // mdp.n_transitions))
-    limit = counted(node_limit, "node_limit")
-    rows = Rows(mdp.maximised, listed(columns, "columns"))
-    search = _Search(rows)
+    limit = require_count(node_limit, "node_limit")
+    rows = PolicyRows(mdp.maximised, require_list(columns, "columns"))
+    search = _BranchAndBound(rows)
     if start is not None:
-        search.offer(rows.choices(start)[None])
-    search.split(limit)
+        search.offer_policies(rows.choices_of(start)[None])
+    search.split_nodes(limit)
     value = Bounded(value=search.value, error=search.error)
     upper = max(search.upper, value.interval[0])
     return BestPolicy(
         columns=rows.space.names,
-        policy=rows.policy(search.choice),
+        policy=rows.to_policy(search.choice),
         value=value if mdp.sense == "max" else -value,
         upper_bound=0.0 + mdp.sign * upper,
         mixed_upper_bound=0.0 + mdp.sign * search.mixed,
@@ -133,7 +133,7 @@ def best_policy(
     )
 
 
-class Rows:
+class PolicyRows:
     """The K rows that some columns make of a model's states, and relaxations over its A actions.
 
     Of a row, `asked` (K,) says whether a state with a choice can be reached, and `available` (K, A)
@@ -145,7 +145,7 @@ class Rows:
         space = space_over(mdp, columns)
         row = rows_read(mdp, space)
         # Where all is over, or all actions are alike, a policy may say anything.
-        free, met = mdp.asked & ~mdp.indifferent, reachable(mdp)
+        free, met = mdp.asked & ~mdp.indifferent, find_reachable_states(mdp)
         entry, size = row[mdp.pair_state] * mdp.n_actions + mdp.pair_action, space.size
         offers = np.bincount(entry[free[mdp.pair_state]], minlength=size * mdp.n_actions)
         states = np.bincount(row[free], minlength=size)[:, None]
@@ -168,23 +168,23 @@ class Rows:
         self._passes = Cycles(mdp) if topological_levels(mdp) is None else layers_of(mdp)
         weights = margin_weights(mdp)
         self._reach = float(mdp.start_distribution @ weights.value) * SLACK / weights.smallest
-        self._gain = float(np.abs(mdp.table.gains()).max())
+        self._gain = float(np.abs(mdp.table.compute_gains()).max())
         self._terms = int(np.diff(mdp.table.offsets).max())
 
-    def policy(self, choice: Integers) -> Policy:
+    def to_policy(self, choice: Integers) -> Policy:
         """Return the policy of one action number (K,) a row, silent where there is no choice."""
         table = np.eye(self.mdp.n_actions)[choice]
         table[~self.available.any(axis=1)] = np.nan
         return Policy(space=self.space, actions=self.mdp.actions, rule=table)
 
-    def choices(self, policy: Policy) -> Integers:
+    def choices_of(self, policy: Policy) -> Integers:
         """Return the likeliest action numbers (K,) of a policy that reads nothing else."""
         taken: Integers = self.available.argmax(axis=1)
         free = np.flatnonzero(self.free)
         taken[self.key[free]] = policy.choices(self.mdp)[free]
         return taken
 
-    def relaxed(self, allowed: Flags) -> tuple[Floats, Integers, Floats]:
+    def bound_relaxations(self, allowed: Flags) -> tuple[Floats, Integers, Floats]:
         """Return upper bounds (N,) of relaxations (N, K, A), and a policy for each, (N, K).
 
         Its action in a row is the one that loses least at the visits of the relaxation's own
@@ -192,34 +192,37 @@ class Rows:
         """
         mdp, flat = self.mdp, allowed.reshape(len(allowed), -1)
         pairs = np.concatenate([flat, np.ones((len(flat), 1), dtype=bool)], axis=1).T[self._entry]
-        value, q, apart = self._passes.best(pairs)
+        value, q, apart = self._passes.solve_allowed(pairs)
         upper, error = self._at_start(value, apart)
         offsets, state = mdp.pair_offsets[:-1], mdp.pair_state
         q = np.where(pairs, q, -np.inf)
         best = np.maximum.reduceat(q, offsets)[state]
         number = np.where(q >= best, np.arange(mdp.n_pairs)[:, None], mdp.n_pairs)
-        visits = self._passes.visits(number == np.minimum.reduceat(number, offsets)[state])
+        visits = self._passes.compute_visits(number == np.minimum.reduceat(number, offsets)[state])
         lost = visits[state] * np.where(pairs, value[state] - q, 0.0)
         lost = np.asarray((self._sums @ lost).T).reshape(allowed.shape)
         # What rounding leaves is not a loss: of equal actions, the lowest number is taken.
-        lost[lost <= self._rounding(value)[:, None, None]] = 0.0
+        lost[lost <= self._bound_rounding(value)[:, None, None]] = 0.0
         lost[~allowed] = np.inf
         return upper + error, lost.argmin(axis=2), lost.min(axis=2)
 
-    def values(self, choices: Integers) -> FixedPoint:
+    def evaluate_choices(self, choices: Integers) -> FixedPoint:
         """Return the start values (N,) of policies (N, K)."""
         parts = np.array_split(choices, -(-len(choices) * self.mdp.n_states // NUMBERS))
-        each = (self._passes.values(taken(self.mdp, self.key, part)) for part in parts)
+        each = (
+            self._passes.evaluate_pairs(find_taken_pairs(self.mdp, self.key, part))
+            for part in parts
+        )
         value, error = zip(*(self._at_start(*solved) for solved in each), strict=True)
         return FixedPoint(value=np.concatenate(value), error=np.concatenate(error))
 
     def _at_start(self, value: Floats, apart: Floats) -> tuple[Floats, Floats]:
         """Return start values (N,) and their errors, of values (S, N) so far from a fixed point."""
-        off = (apart + self._rounding(value)) * self._reach
+        off = (apart + self._bound_rounding(value)) * self._reach
         summing = gamma(len(self.mdp.start) + 2) * np.abs(value).max(axis=0)
         return self.mdp.start_distribution @ value, (off + summing) * SLACK
 
-    def _rounding(self, value: Floats) -> Floats:
+    def _bound_rounding(self, value: Floats) -> Floats:
         """Return (N,) how far a computed r + γPV - V may be from the exact one."""
         size = np.abs(value).max(axis=0)
         return np.asarray(gamma(self._terms + 8) * (self._gain + 2 * size))
@@ -231,8 +234,8 @@ class Cycles:
     def __init__(self, mdp: MDP) -> None:
         self.mdp = mdp
 
-    def best(self, allowed: Flags) -> tuple[Floats, Floats, Floats]:
-        """See `Layers.best`."""
+    def solve_allowed(self, allowed: Flags) -> tuple[Floats, Floats, Floats]:
+        """See `Layers.solve_allowed`."""
         mdp, first = self.mdp, self.mdp.pair_offsets[:-1]
         values, actions = np.empty((mdp.n_states, allowed.shape[1])), np.empty(allowed.shape)
         apart, pairs = np.empty(allowed.shape[1]), first
@@ -253,14 +256,14 @@ class Cycles:
             apart[column] = np.abs(best - value).max()
         return values, actions, apart
 
-    def values(self, taken: Integers) -> tuple[Floats, Floats]:
-        """See `Layers.values`."""
+    def evaluate_pairs(self, taken: Integers) -> tuple[Floats, Floats]:
+        """See `Layers.evaluate_pairs`."""
         alone = np.zeros((self.mdp.n_pairs, taken.shape[1]), dtype=bool)
         np.put_along_axis(alone, taken, True, axis=0)
-        value, _, apart = self.best(alone)
+        value, _, apart = self.solve_allowed(alone)
         return value, apart
 
-    def visits(self, taken: Flags) -> Floats:
+    def compute_visits(self, taken: Flags) -> Floats:
         """Return (S, N) discounted visits from the start where the pairs (L, N) are taken."""
         chains = (policy_chain(self.mdp, first_of(self.mdp, mask))[0] for mask in taken.T)
         systems = (LinearSystem(chain.T.tocsr(), self.mdp.discount) for chain in chains)
@@ -268,16 +271,16 @@ class Cycles:
         return np.stack([system.approximate(start) for system in systems], axis=1)
 
 
-class _Search:
+class _BranchAndBound:
     """Branch and bound over the rows: `choice` (K,) is best so far, no policy is above `upper`."""
 
-    def __init__(self, rows: Rows) -> None:
+    def __init__(self, rows: PolicyRows) -> None:
         self.rows, self.nodes = rows, 0
         self.heap: list[tuple[float, int, Flags, int]] = []
         self.value, self.error = -np.inf, 0.0
         self.choice: Integers = rows.available.argmax(axis=1)
         asked, alone = rows.asked[:, None], np.eye(rows.mdp.n_actions, dtype=bool)
-        self._expand(np.where(asked, rows.available, alone[self.choice])[None])
+        self._expand_nodes(np.where(asked, rows.available, alone[self.choice])[None])
         self.mixed = self.upper = -self.heap[0][0]
 
     @property
@@ -285,7 +288,7 @@ class _Search:
         """Whether no node is left whose bound is above the best value by more than rounding."""
         return not self.heap or -self.heap[0][0] <= self.value + 4 * self.error
 
-    def split(self, limit: int) -> None:
+    def split_nodes(self, limit: int) -> None:
         """Split the nodes that may hold a better policy, until `limit` relaxations are solved."""
         alone = -np.inf  # the greatest bound of a node of one policy
         words = {"desc": "policies", "unit": " nodes", "delay": 1, "disable": None, "leave": False}
@@ -298,22 +301,22 @@ class _Search:
                 actions = np.flatnonzero(node[row])
                 children = np.repeat(node[None], len(actions), axis=0)
                 children[:, row] = np.eye(node.shape[1], dtype=bool)[actions]
-                self._expand(children)
+                self._expand_nodes(children)
                 bar.update(len(children))
         self.upper = min(self.upper, max(alone, *(-node[0] for node in self.heap[:1]), -np.inf))
 
-    def _expand(self, nodes: Flags) -> None:
+    def _expand_nodes(self, nodes: Flags) -> None:
         """Bound some nodes (N, K, A), keep each with the row that costs most, offer policies."""
-        upper, choice, lost = self.rows.relaxed(nodes)
-        self.offer(choice)
+        upper, choice, lost = self.rows.bound_relaxations(nodes)
+        self.offer_policies(choice)
         rows = np.where(nodes.sum(axis=2) > 1, lost, -1.0).argmax(axis=1)
         for bound, node, row in zip(upper.tolist(), nodes, rows.tolist(), strict=True):
             self.nodes += 1
             heappush(self.heap, (-bound, self.nodes, node, row))
 
-    def offer(self, choices: Integers) -> None:
+    def offer_policies(self, choices: Integers) -> None:
         """Take the best of some policies (N, K) if it beats the best so far beyond rounding."""
-        own = self.rows.values(choices)
+        own = self.rows.evaluate_choices(choices)
         best = int(own.value.argmax())
         value, error = float(own.value[best]), float(own.error[best])
         if value > self.value + error + self.error:

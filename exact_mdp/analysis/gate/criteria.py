@@ -25,19 +25,26 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from exact_mdp.analysis.gate.forgiveness import per_use, rounded
-from exact_mdp.analysis.gate.reasons import Findings, findings, listed
-from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap, policy_regret, proven, tied
-from exact_mdp.analysis.gate.waiting import taking
-from exact_mdp.analysis.optimum import sound
-from exact_mdp.mdp.report import Shown, Table, cell
-from exact_mdp.mdp.table import Floats, common, integers
+from exact_mdp.analysis.gate.forgiveness import per_use, round_finite_values
+from exact_mdp.analysis.gate.reasons import Findings, find_policy_disagreements, list_disagreements
+from exact_mdp.analysis.gate.regret import (
+    LAST_CYCLE,
+    Regret,
+    certify_and_check,
+    include_near_ties,
+    is_cheap_to_certify,
+    policy_regret,
+)
+from exact_mdp.analysis.gate.waiting import chain_of_pairs
+from exact_mdp.analysis.optimum import require_sound_proof
+from exact_mdp.mdp.report import Shown, Table, format_cell
+from exact_mdp.mdp.table import Floats, to_common_denominator, to_integer_array
 from exact_mdp.solvers.bounds.gains import SLACK
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution, Limit, solve_under
 from exact_mdp.solvers.solution import Bounded, Certified
 from exact_mdp.solvers.solver import solve
-from exact_mdp.solvers.values.average import AverageEvaluation, average
+from exact_mdp.solvers.values.average import AverageEvaluation, evaluate_average
 from exact_mdp.solvers.values.policy_chain import PolicyChain, flow_of
 
 
@@ -70,7 +77,7 @@ class Verdict:
         return f"{'passed' if self.passed else 'failed'}: {self.told}"
 
 
-def number(value: Certified | Bounded) -> str:
+def format_claimed_number(value: Certified | Bounded) -> str:
     """Return a number with its claim; an exact one may have thousands of digits, and is rounded."""
     if isinstance(value, Certified):
         return f"{float(value.value):.10g} ({value.claim})"
@@ -98,24 +105,24 @@ class Total:
         """Whether there is an optimum to compare with."""
         return True
 
-    def regret(self, exact: bool | None) -> Regret:
+    def compute_regret(self, exact: bool | None) -> Regret:
         """Return what the policy loses against the optimum: exactly, or in bounds."""
         return policy_regret(self.chain, exact=exact)
 
-    def findings(self, lost: Regret) -> Findings:
+    def find_disagreements(self, lost: Regret) -> Findings:
         """Return where the policy loses what it loses."""
-        return findings(self.chain, lost)
+        return find_policy_disagreements(self.chain, lost)
 
-    def verdicts(self) -> Iterator[Verdict]:
+    def list_verdicts(self) -> Iterator[Verdict]:
         """Yield the verdicts beside those on the regret."""
         return iter(())
 
-    def facts(self) -> dict[str, Any]:
+    def list_facts(self) -> dict[str, Any]:
         """Return what a report says of limits; null without them."""
         names = ("feasible", "limits", "kept", "totals", "prices", "closest", "room")
         return dict.fromkeys(names)
 
-    def tables(self) -> dict[str, Table]:
+    def list_tables(self) -> dict[str, Table]:
         """Return the tables of these facts."""
         return {}
 
@@ -134,34 +141,34 @@ class Average(Total):
     @cached_property
     def own(self) -> AverageEvaluation:
         """What the policy earns per step; raises SolverError where floats cannot tell."""
-        return average(self._undiscounted)
+        return evaluate_average(self._undiscounted)
 
     @cached_property
     def _undiscounted(self) -> PolicyChain:
         return replace(self.chain, mdp=self.chain.mdp.maximised.undiscounted)
 
-    def regret(self, exact: bool | None) -> Regret:
+    def compute_regret(self, exact: bool | None) -> Regret:
         """Return what the policy loses per step: exactly unless that takes long."""
         mdp = self.chain.mdp
-        exact = cheap(mdp, LAST_CYCLE) if exact is None else exact
-        return (self._certified() if exact else self._bounded()).of_sense(mdp.sense)
+        exact = is_cheap_to_certify(mdp, LAST_CYCLE) if exact is None else exact
+        return (self._certify_regret() if exact else self._bound_regret()).of_sense(mdp.sense)
 
-    def findings(self, lost: Regret) -> Findings:
+    def find_disagreements(self, lost: Regret) -> Findings:
         """Return where the policy loses what it loses; bounds do not tell."""
         chain = self._undiscounted
         certified = isinstance(lost.at_start, Certified)
-        visits = _visits(chain) if certified else self.own.visits
-        return listed(chain, lost, visits, np.full(chain.mdp.n_states, -1))
+        visits = _compute_long_run_visits(chain) if certified else self.own.visits
+        return list_disagreements(chain, lost, visits, np.full(chain.mdp.n_states, -1))
 
-    def _certified(self) -> Regret:
+    def _certify_regret(self) -> Regret:
         """Return the exact regret, of rewards.
 
         One use of a pair can move the gain by what was rounded in its own row, and on the way to
         where the policy stays by what that moves of g*: the means of both are forgiven.
         """
         chain = self._undiscounted
-        step, best = chain.mdp, proven(self.chain.mdp.maximised, "average")
-        mine, (lost, short) = proven(chain.model, "average"), best.losses
+        step, best = chain.mdp, certify_and_check(self.chain.mdp.maximised, "average")
+        mine, (lost, short) = certify_and_check(chain.model, "average"), best.losses
         gap = np.where(chain.exactly.classes.recurrent[step.pair_state], lost + short, lost)
         optimal = np.asarray(gap == 0, dtype=bool)
         gap, whole = gap.astype(np.float64), best.start_value - mine.start_value
@@ -170,38 +177,40 @@ class Average(Total):
             # The rounding of a row, and of the best one, can cause the whole gap.
             most = _per_use(chain, best)
             near = gap * SLACK <= most + most[best.pairs][step.pair_state]
-            moved = _movable(taking(step, best.pairs), best) + _movable(chain, mine)
+            moved = _compute_gain_allowance(
+                chain_of_pairs(step, best.pairs), best
+            ) + _compute_gain_allowance(chain, mine)
             movable = partial(Fraction, moved * SLACK)
-            optimal = tied(chain, optimal, near, whole, movable)
+            optimal = include_near_ties(chain, optimal, near, whole, movable)
         both = (best.start, best.value_float), (mine.start, mine.value_float)
         apart = (best.value - mine.value).astype(np.float64)
-        return Regret.between(*both, optimal, by_state=apart, gap=gap, movable=movable)
+        return Regret.from_values(*both, optimal, by_state=apart, gap=gap, movable=movable)
 
-    def _bounded(self) -> Regret:
+    def _bound_regret(self) -> Regret:
         mdp, own = self.chain.mdp.maximised, self.own
         best, gap = solve(mdp, criterion="average"), np.zeros(mdp.n_pairs)
         other = np.bincount(best.pairs, minlength=mdp.n_pairs) == 0
         both = (best.start, best.value), (own.start, own.value)
         apart = np.maximum(best.value - own.value, 0.0)
-        return Regret.between(*both, gap == 0, by_state=apart, gap=gap, unclear=other)
+        return Regret.from_values(*both, gap == 0, by_state=apart, gap=gap, unclear=other)
 
 
-def _visits(chain: PolicyChain) -> Floats:
+def _compute_long_run_visits(chain: PolicyChain) -> Floats:
     """Return (S,) the share of time; in transient states the expected visits from the start."""
-    share, met = chain.exactly.shares(chain.mdp.start)
+    share, met = chain.exactly.compute_limit_distribution(chain.mdp.start)
     return np.where(chain.exactly.classes.recurrent, share, met).astype(np.float64)
 
 
 def _per_use(chain: PolicyChain, proof: Certificate) -> Floats:
     """Return (L,) what the rounding of a row moves of the bias; on the way, of the gain."""
     step, stays = chain.mdp, chain.exactly.classes.recurrent[chain.mdp.pair_state]
-    on_the_way = per_use(step, rounded(proof.value), rewards=False)
-    return np.where(stays, per_use(step, rounded(proof.bias)), on_the_way)
+    on_the_way = per_use(step, round_finite_values(proof.value), rewards=False)
+    return np.where(stays, per_use(step, round_finite_values(proof.bias)), on_the_way)
 
 
-def _movable(chain: PolicyChain, proof: Certificate) -> float:
+def _compute_gain_allowance(chain: PolicyChain, proof: Certificate) -> float:
     """Return what the rounding of floats can move of a policy's gain at the start."""
-    uses = _visits(chain)[chain.mdp.pair_state] * chain.weights
+    uses = _compute_long_run_visits(chain)[chain.mdp.pair_state] * chain.weights
     return float(uses @ _per_use(chain, proof))
 
 
@@ -218,7 +227,7 @@ class UnderLimits(Total):
     @classmethod
     def of(cls, chain: PolicyChain, subject_to: Mapping[str, Any]) -> UnderLimits:
         """Return the criterion of limits, as `solve` takes them."""
-        return cls(chain=chain, best=sound(solve_under(chain.mdp, subject_to)))
+        return cls(chain=chain, best=require_sound_proof(solve_under(chain.mdp, subject_to)))
 
     @property
     def feasible(self) -> bool:
@@ -229,7 +238,7 @@ class UnderLimits(Total):
     def _attained(self) -> list[Fraction]:
         of = self.best.of
         assert self.chain.policy is not None
-        return [of.sign * total for total in flow_of(of, self.chain.policy).totals(of)]
+        return [of.sign * total for total in flow_of(of, self.chain.policy).compute_totals(of)]
 
     @property
     def earned(self) -> Fraction:
@@ -247,7 +256,7 @@ class UnderLimits(Total):
         left = (limit.sign * (self.totals[limit.name] - limit.bound) for limit in self.best.limits)
         return sum((p * room for p, room in zip(self.best.price, left, strict=True)), Fraction(0))
 
-    def keeps(self, limit: Limit) -> bool:
+    def keeps_limit(self, limit: Limit) -> bool:
         """Return whether the policy keeps a limit."""
         return limit.sign * (self.totals[limit.name] - limit.bound) >= 0
 
@@ -257,21 +266,21 @@ class UnderLimits(Total):
         of, best = self.best.of, self.best
         if not best.feasible:
             return Total(chain=replace(self.chain, mdp=of.mdp))
-        whole, below = common(best.weights)
+        whole, below = to_common_denominator(best.weights)
         scale = of.rows.scale[of.mdp.pair_state].astype(object)
         table = replace(
             of.mdp.table,
-            gain=integers((of.sign * of.weighted(whole).astype(object)).tolist()),
-            gain_denominator=integers((scale * below).tolist()),
+            gain=to_integer_array((of.sign * of.weigh_amounts(whole).astype(object)).tolist()),
+            gain_denominator=to_integer_array((scale * below).tolist()),
         )
         priced = of.mdp.with_(table=table, goal=None)
         return Total(chain=replace(self.chain, mdp=priced))
 
-    def regret(self, exact: bool | None) -> Regret:
+    def compute_regret(self, exact: bool | None) -> Regret:
         """Return the regret against the optimum under limits; NaN where no policy keeps them."""
         best = self.best.start or Certified(value=nan)
         lost = replace(
-            self._total.regret(True),
+            self._total.compute_regret(True),
             optimal=best,
             learned=Certified(value=self.earned),
             at_start=Certified(value=self.best.of.sign * (best.value - self.earned)),
@@ -282,36 +291,36 @@ class UnderLimits(Total):
             lost = replace(lost, by_state=none, optimal_value=none)
         return lost
 
-    def findings(self, lost: Regret) -> Findings:
+    def find_disagreements(self, lost: Regret) -> Findings:
         """Return where the policy loses what it loses, of the priced model."""
-        return self._total.findings(lost)
+        return self._total.find_disagreements(lost)
 
-    def verdicts(self) -> Iterator[Verdict]:
+    def list_verdicts(self) -> Iterator[Verdict]:
         """Yield the verdict on each limit, and on whether any policy keeps them all."""
         for limit in self.best.limits:
-            total = number(Certified(value=self.totals[limit.name]))
+            total = format_claimed_number(Certified(value=self.totals[limit.name]))
             name = f"within the limit {limit}"
-            yield Verdict("the policy", name, self.keeps(limit), f"its total is {total}")
+            yield Verdict("the policy", name, self.keeps_limit(limit), f"its total is {total}")
         if not self.feasible:
-            near = ", ".join(limit.text(10) for limit in self.best.moved)
+            near = ", ".join(limit.format_limit(10) for limit in self.best.moved)
             text = f"none does (proven); the closest that can be kept: {near}"
             yield Verdict("there", "a policy that keeps all limits", False, text)
 
-    def facts(self) -> dict[str, Any]:
+    def list_facts(self) -> dict[str, Any]:
         """Return what a report says of the limits."""
         best = self.best
-        room = f"{cell(self.room)}: the value of the room left under the limits"
+        room = f"{format_cell(self.room)}: the value of the room left under the limits"
         return {
             "feasible": best.feasible,
             "limits": [str(limit) for limit in best.limits],
-            "kept": Shown([self.keeps(limit) for limit in best.limits]),
+            "kept": Shown([self.keeps_limit(limit) for limit in best.limits]),
             "totals": Shown(self.totals),
             "prices": Shown(best.prices if best.feasible else None),
             "closest": Shown(best.closest),
             "room": Shown(self.room, room) if best.feasible else None,
         }
 
-    def tables(self) -> dict[str, Table]:
+    def list_tables(self) -> dict[str, Table]:
         """Return each limit with the policy's total, and its price or the closest to be kept."""
-        answers = ["yes" if self.keeps(limit) else "NO" for limit in self.best.limits]
+        answers = ["yes" if self.keeps_limit(limit) else "NO" for limit in self.best.limits]
         return {"limits of the policy": self.best.table(self.totals, answers)}

@@ -28,10 +28,10 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 def _rounded_rewards(mdp: MDP) -> Floats:
     """Return ρ (L,)."""
-    table, gain = mdp.table, mdp.table.gains()
+    table, gain = mdp.table, mdp.table.compute_gains()
     if not mdp.float_rewards:
         return np.zeros(mdp.n_pairs)
-    earned = np.where(gain, table.probabilities() * np.spacing(np.abs(gain)) / 2, 0.0)
+    earned = np.where(gain, table.compute_probabilities() * np.spacing(np.abs(gain)) / 2, 0.0)
     return np.add.reduceat(earned, table.offsets[:-1])
 
 
@@ -40,7 +40,7 @@ def _moved_by_rows(mdp: MDP, x: Floats, error: Floats) -> Floats:
     table, first, pair = mdp.table, mdp.table.offsets[:-1], mdp.table.pair
     if not mdp.float_probabilities:
         return np.zeros(mdp.n_pairs)
-    chance = table.probabilities()
+    chance = table.compute_probabilities()
     half = np.where(chance < 1, np.spacing(chance) / 2, 0.0)
     order = np.lexsort((x, pair))
     ahead = np.cumsum(half[order])
@@ -50,26 +50,28 @@ def _moved_by_rows(mdp: MDP, x: Floats, error: Floats) -> Floats:
     return np.add.reduceat(half * (np.abs(x - median[pair]) + error), first)
 
 
-def rounded(exact: Numbers) -> FixedPoint:
+def round_finite_values(exact: Numbers) -> FixedPoint:
     """Return exact values as floats, with the error of that; 0 where they are infinite."""
     value = np.nan_to_num(exact.astype(np.float64), posinf=0.0, neginf=0.0)
     return FixedPoint(value=value, error=UNIT * np.abs(value) + TINY)
 
 
-def _worth(mdp: MDP, known: FixedPoint, rewards: bool = True) -> tuple[Floats, Floats]:
+def _compute_outcome_values(
+    mdp: MDP, known: FixedPoint, rewards: bool = True
+) -> tuple[Floats, Floats]:
     """Return r + γ V of outcomes (N,) and its error, for values (S,) known up to an error."""
-    gain, there, rate = mdp.table.gains() * rewards, mdp.table.next, mdp.discount
+    gain, there, rate = mdp.table.compute_gains() * rewards, mdp.table.next, mdp.discount
     x = gain + rate * known.value[there]
     return x, rate * known.error[there] + 3 * UNIT * (np.abs(gain) + np.abs(x))
 
 
 def per_use(mdp: MDP, known: FixedPoint, *, rewards: bool = True) -> Floats:
     """Return e (L,) for values (S,) known up to an error; without `rewards`, with r = 0."""
-    moved = _moved_by_rows(mdp, *_worth(mdp, known, rewards))
+    moved = _moved_by_rows(mdp, *_compute_outcome_values(mdp, known, rewards))
     return (_rounded_rewards(mdp) * rewards + moved) * SLACK + TINY
 
 
-def widest(mdp: MDP, known: FixedPoint) -> float:
+def bound_per_use(mdp: MDP, known: FixedPoint) -> float:
     """Return what no e is above, from the greatest numbers alone.
 
     Half a unit in the last place of p is at most UNIT p, and the middle of all x may stand for c.
@@ -81,7 +83,7 @@ def widest(mdp: MDP, known: FixedPoint) -> float:
     return moved * UNIT * SLACK + TINY
 
 
-def forgiven(
+def compute_rounding_allowance(
     mdp: MDP, own: tuple[PolicyChain, FixedPoint], best: tuple[PolicyChain, FixedPoint]
 ) -> Fraction:
     """Return what can be moved at the start; 0 where floats do not suffice to say so.
@@ -95,7 +97,7 @@ def forgiven(
     with np.errstate(over="ignore", invalid="ignore"):
         for sign, (chain, known) in ((-1, own), (1, best)):
             if mdp.discount_exact == 1 and not chain.ends_from_start:
-                chain = chain.ended(chain.classes.recurrent)
+                chain = chain.make_terminal(chain.classes.recurrent)
             try:
                 met = chain.discounted.visits
             except SolverError:
@@ -103,7 +105,7 @@ def forgiven(
             live = (chain.reached & ~chain.mdp.terminal)[mdp.pair_state] * chain.weights
             uses, loose = live * met.value[mdp.pair_state], live * met.error[mdp.pair_state]
             loose += 4 * UNIT * np.abs(uses)
-            value, error = _worth(mdp, known)
+            value, error = _compute_outcome_values(mdp, known)
             each, more = uses[mdp.table.pair], loose[mdp.table.pair]
             x += sign * each * value
             off += (more * np.abs(value) + (np.abs(each) + more) * error) + 3 * UNIT * np.abs(x)
@@ -113,7 +115,7 @@ def forgiven(
     return Fraction(bound) if np.isfinite(bound) else Fraction(0)
 
 
-def ties(best: PolicyChain, known: FixedPoint) -> Floats:
+def compute_tie_gaps(best: PolicyChain, known: FixedPoint) -> Floats:
     """Return (L,) the gap up to which a pair ties with the best action; SolverError."""
     mdp, each = best.mdp, per_use(best.mdp, known)
     counted = ~mdp.terminal & (best.ends if mdp.discount_exact == 1 else True)

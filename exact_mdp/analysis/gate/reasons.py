@@ -18,17 +18,17 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.analysis.gate.columns import BestPolicy, Rows, best_policy
+from exact_mdp.analysis.gate.columns import BestPolicy, PolicyRows, best_policy
 from exact_mdp.analysis.gate.regret import Regret, policy_regret
-from exact_mdp.analysis.gate.waiting import attaining, final_class, shares
-from exact_mdp.mdp.graph import reachable
+from exact_mdp.analysis.gate.waiting import charge_class_losses, final_class, find_attaining_pairs
+from exact_mdp.mdp.graph import find_reachable_states
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.arrays import rows_read
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.report import Shown, cell
+from exact_mdp.mdp.report import Shown, format_cell
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.exact.certificate import Certificate
-from exact_mdp.solvers.solution import Bounded, Certified, SolverError, difference, in_float
+from exact_mdp.solvers.solution import Bounded, Certified, SolverError, in_float, subtract_numbers
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 LISTED = 4  # actions that a text names in one state
@@ -51,7 +51,7 @@ class Disagreement:
 Findings = tuple[Floats, tuple[Disagreement, ...]]  # visits (S,), and where it is not optimal
 
 
-def findings(chain: PolicyChain, regret: Regret) -> Findings:
+def find_policy_disagreements(chain: PolicyChain, regret: Regret) -> Findings:
     """Return the visits of the policy of `chain`, and the states that make up its regret.
 
     Visits are infinite where the policy stays for ever at discount 1, the end left out; and NaN
@@ -61,12 +61,12 @@ def findings(chain: PolicyChain, regret: Regret) -> Findings:
     label = np.full(mdp.n_states, -1)
     if mdp.discount_exact == 1 and not chain.ends_from_start:
         label = np.where(chain.reached, final_class(chain), -1)
-    leaving = chain.ended(label >= 0) if (label >= 0).any() else chain
-    came = _visits(leaving, exactly=isinstance(regret.at_start, Certified))
-    return listed(chain, regret, np.where(chain.reached, came, 0.0), label)
+    leaving = chain.make_terminal(label >= 0) if (label >= 0).any() else chain
+    came = _compute_state_visits(leaving, exactly=isinstance(regret.at_start, Certified))
+    return list_disagreements(chain, regret, np.where(chain.reached, came, 0.0), label)
 
 
-def _visits(chain: PolicyChain, *, exactly: bool) -> Floats:
+def _compute_state_visits(chain: PolicyChain, *, exactly: bool) -> Floats:
     """Return (S,) expected visits; `exactly` where the digits of floats are not all right."""
     try:
         visits = chain.discounted.visits
@@ -75,10 +75,12 @@ def _visits(chain: PolicyChain, *, exactly: bool) -> Floats:
     except SolverError:
         if not exactly:
             return np.full(chain.mdp.n_states, np.nan)
-    return chain.exact_visits.floats()
+    return chain.exact_visits.to_floats()
 
 
-def listed(chain: PolicyChain, regret: Regret, came: Floats, label: Integers) -> Findings:
+def list_disagreements(
+    chain: PolicyChain, regret: Regret, came: Floats, label: Integers
+) -> Findings:
     """Return visits (S,) and the states that make up the regret, the costliest first.
 
     `came` (S,) are visits, in the classes of `label`, which are never left, arrivals.
@@ -88,13 +90,13 @@ def listed(chain: PolicyChain, regret: Regret, came: Floats, label: Integers) ->
     gap = np.add.reduceat(weights * np.where(weights > 0, regret.gap, 0.0), first)
     wrong = np.add.reduceat(weights * ~regret.optimal_pairs, first) > 0
     cost = np.where(gap > 0, visits, 0.0) * np.where(visits > 0, gap, 0.0)
-    waits = shares(label, came, regret.by_state, gap, wrong)
+    waits = charge_class_losses(label, came, regret.by_state, gap, wrong)
     gap, cost = np.where(waits > 0, regret.by_state, gap), cost + waits
     states, disagreements = np.flatnonzero(wrong & ~mdp.terminal), []
     for state in states[np.lexsort((states, -gap[states], -cost[states]))].tolist():
         right = [pair for pair in mdp.pairs_of(state) if regret.optimal_pairs[pair]]
         if isinstance(regret.optimum, Certificate):
-            right = attaining(mdp, regret.optimum, regret.optimal_pairs, state)
+            right = find_attaining_pairs(mdp, regret.optimum, regret.optimal_pairs, state)
         disagreements.append(
             Disagreement(
                 state=state,
@@ -120,15 +122,15 @@ def action_of(chain: PolicyChain, state: int) -> str:
         if len({f"{weights[pair]:.4g}" for pair in taken}) == 1:
             return f"any of {len(taken)}"
         taken.sort(key=lambda pair: -weights[pair])
-    return _few([f"{weights[pair]:.4g} {names[pair]}" for pair in taken], ", ")
+    return _join_few([f"{weights[pair]:.4g} {names[pair]}" for pair in taken], ", ")
 
 
-def either(names: Sequence[str]) -> str:
+def format_alternatives(names: Sequence[str]) -> str:
     """Return actions that are all optimal, in words."""
-    return _few(names, " or ")
+    return _join_few(names, " or ")
 
 
-def _few(texts: Sequence[str], between: str) -> str:
+def _join_few(texts: Sequence[str], between: str) -> str:
     more = 0 if len(texts) <= LISTED else len(texts) - LISTED + 1
     return between.join([*texts[: len(texts) - more], *[f"{more} others"] * bool(more)])
 
@@ -159,8 +161,10 @@ class Representation:
         return cls(
             best=best,
             loss=loss,
-            learning_error=difference(lost.at_start, loss),
-            rows=_changes(Rows(mdp.maximised, read), policy) if policy.deterministic else (),
+            learning_error=subtract_numbers(lost.at_start, loss),
+            rows=_find_row_changes(PolicyRows(mdp.maximised, read), policy)
+            if policy.deterministic
+            else (),
             unseen=", ".join(name for name in mdp.space.names if name not in read),
         )
 
@@ -171,14 +175,15 @@ class Representation:
 
     def __str__(self) -> str:
         best = self.best
-        proof = "proven" if best.proven else f"bound {cell(best.upper_bound)}"
+        proof = "proven" if best.proven else f"bound {format_cell(best.upper_bound)}"
         return (
             f"the best policy that reads {', '.join(best.columns) or 'nothing'} alone has "
-            f"{cell(best.value)} ({proof}): {cell(self.loss)} is lost because it cannot see "
-            f"{self.unseen}, {cell(self.learning_error)} because of what was learned"
+            f"{format_cell(best.value)} ({proof}): {format_cell(self.loss)} is lost "
+            "because it cannot see "
+            f"{self.unseen}, {format_cell(self.learning_error)} because of what was learned"
         )
 
-    def facts(self) -> dict[str, Any]:
+    def list_facts(self) -> dict[str, Any]:
         """Return what a report says of it."""
         best = self.best
         details = {
@@ -196,14 +201,14 @@ class Representation:
         return {"representation": Shown(details, str(self)), "rows": Shown(self.rows)}
 
 
-def _changes(rows: Rows, policy: Policy) -> tuple[dict[str, Any], ...]:
+def _find_row_changes(rows: PolicyRows, policy: Policy) -> tuple[dict[str, Any], ...]:
     """Return the rows of a deterministic policy whose change alone gains, the most first."""
-    own, names = rows.choices(policy), rows.mdp.actions
+    own, names = rows.choices_of(policy), rows.mdp.actions
     other = rows.available & rows.asked[:, None] & (own[:, None] != np.arange(len(names)))
     row, action = np.nonzero(other)
     choices = np.repeat(own[None], len(row) + 1, axis=0)
     choices[np.arange(len(row)), row] = action
-    values = rows.values(choices)
+    values = rows.evaluate_choices(choices)
     gain, changes = values.value[:-1] - values.value[-1], dict[str, dict[str, Any]]()
     for k in np.lexsort((action, -gain)).tolist():  # the best of each row first
         label = rows.space.label(int(row[k])) or "all states"
@@ -226,9 +231,11 @@ class QError:
 
     def __str__(self) -> str:
         return (
-            f"promises {cell(self.promised)} at the start; its error: mean {cell(self.mean)}, "
-            f"root mean square {cell(self.root_mean_square)} ({cell(self.visited)} by visits), at "
-            f"most {cell(self.largest)} in {self.where}"
+            f"promises {format_cell(self.promised)} at the start; "
+            f"its error: mean {format_cell(self.mean)}, "
+            f"root mean square {format_cell(self.root_mean_square)} "
+            f"({format_cell(self.visited)} by visits), at "
+            f"most {format_cell(self.largest)} in {self.where}"
         )
 
 
@@ -247,7 +254,7 @@ def q_error(mdp: MDP, policy: Policy, optimal: Floats, used: Floats) -> QError |
     with np.errstate(over="ignore"):
         exact = values.dtype == object
         said[known] = [in_float(x) for x in values] if exact else values.astype(np.float64)
-    asked = (reachable(mdp) & ~mdp.forced & ~mdp.terminal)[mdp.pair_state]
+    asked = (find_reachable_states(mdp) & ~mdp.forced & ~mdp.terminal)[mdp.pair_state]
     asked &= np.isfinite(said) & np.isfinite(optimal)
     if not asked.any():
         return None

@@ -20,18 +20,29 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.analysis.gate.forgiveness import forgiven, rounded, ties, widest
-from exact_mdp.analysis.gate.waiting import final_class, outcomes, taking, to_blame
-from exact_mdp.analysis.optimum import sound
+from exact_mdp.analysis.gate.forgiveness import (
+    bound_per_use,
+    compute_rounding_allowance,
+    compute_tie_gaps,
+    round_finite_values,
+)
+from exact_mdp.analysis.gate.waiting import chain_of_pairs, compute_exact_row, final_class, to_blame
+from exact_mdp.analysis.optimum import require_sound_proof
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.graph import components, endless, is_acyclic, other_question, ways_out
-from exact_mdp.mdp.model import MDP, once
+from exact_mdp.mdp.graph import (
+    has_improper_policy,
+    is_acyclic,
+    label_components,
+    other_question,
+    ways_out,
+)
+from exact_mdp.mdp.model import MDP, cache_on_model
 from exact_mdp.mdp.result import Brief
-from exact_mdp.mdp.table import LARGEST, Floats, shown
+from exact_mdp.mdp.table import LARGEST, Floats, format_rational
 from exact_mdp.mdp.table import exact as exact_number
 from exact_mdp.mdp.validate import Flags
-from exact_mdp.solvers.bounds.bounds import Bounds, margin_weights, verify
-from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, first_of, gains
+from exact_mdp.solvers.bounds.bounds import Bounds, bound_optimal_values, margin_weights
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, compute_advantages, first_of
 from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.exact.certificate import Certificate
@@ -43,17 +54,17 @@ from exact_mdp.solvers.solution import (
     Number,
     SolverError,
     at_start,
+    compute_regret,
     in_decimals,
-    regret,
 )
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
-def proven(mdp: MDP, criterion: str = "total") -> Certificate:
+def certify_and_check(mdp: MDP, criterion: str = "total") -> Certificate:
     """Return a certificate that its checker has accepted."""
-    return sound(certify(mdp, criterion=criterion))
+    return require_sound_proof(certify(mdp, criterion=criterion))
 
 
 # Up to these numbers a regret is certified, in a few seconds; beyond, its bounds are proven.
@@ -82,10 +93,10 @@ class Regret(Brief):
     gap: Floats  # (L,) what a pair falls short of the optimum, 0 for optimal pairs
     unclear: Flags | bool = False  # (L,) which optimal ones the bounds do not prove to be
     optimum: Certificate | Bounds | None = None  # of a total, what vouches for the values
-    movable: Callable[[], Fraction] = Fraction  # works out `forgiven`
+    movable: Callable[[], Fraction] = Fraction  # works out `compute_rounding_allowance`
 
     @classmethod
-    def between(
+    def from_values(
         cls, best: tuple[Number, Floats], own: tuple[Number, Floats], optimal: Flags, **parts: Any
     ) -> Regret:
         """Return the regret, by what both are worth at the start and in every state (S,)."""
@@ -93,7 +104,7 @@ class Regret(Brief):
         return cls(
             optimal=best[0],
             learned=own[0],
-            at_start=regret(best[0], own[0]),
+            at_start=compute_regret(best[0], own[0]),
             optimal_value=best[1],
             learned_value=own[1],
             optimal_pairs=optimal,
@@ -130,17 +141,17 @@ class Regret(Brief):
         """The regret that counts as none: what the rounding of the given floats can move."""
         return self.movable()
 
-    def decided(self, limit: Fraction) -> bool | None:
+    def keeps_limit(self, limit: Fraction) -> bool | None:
         """Return whether the regret is at most `limit`; None where the bounds do not decide."""
-        return kept(ends(self.at_start), limit)
+        return is_at_most(interval_of(self.at_start), limit)
 
 
-def ends(number: Certified | Bounded) -> tuple[Fraction | float, Fraction | float]:
+def interval_of(number: Certified | Bounded) -> tuple[Fraction | float, Fraction | float]:
     """Return between what a number lies: exactly where it is certified."""
     return (number.value, number.value) if isinstance(number, Certified) else number.interval
 
 
-def kept(within: tuple[Fraction | float, Fraction | float], limit: Fraction) -> bool | None:
+def is_at_most(within: tuple[Fraction | float, Fraction | float], limit: Fraction) -> bool | None:
     """Return whether a number between two ends is at most `limit`; None where it may be."""
     low, high = within
     if high <= limit:
@@ -148,7 +159,7 @@ def kept(within: tuple[Fraction | float, Fraction | float], limit: Fraction) -> 
     return False if low > limit else None
 
 
-proven_optimum = once(proven)  # of the total reward, found once for each model
+proven_optimum = cache_on_model(certify_and_check)  # of the total reward, found once for each model
 
 
 def policy_regret(chain: PolicyChain, *, exact: bool | None = None) -> Regret:
@@ -160,10 +171,10 @@ def policy_regret(chain: PolicyChain, *, exact: bool | None = None) -> Regret:
     if mdp.sense == "min":
         negated = replace(chain, mdp=mdp.maximised)
         return policy_regret(negated, exact=exact).of_sense(mdp.sense)
-    exact = cheap(mdp) if exact is None else exact
-    if exact or endless(mdp):  # bounds are of models in which every policy ends
-        return _certified(mdp, chain, proven_optimum(mdp))
-    return _bounded(mdp, chain, bounded_optimum(mdp))
+    exact = is_cheap_to_certify(mdp) if exact is None else exact
+    if exact or has_improper_policy(mdp):  # bounds are of models in which every policy ends
+        return _certify_regret(mdp, chain, proven_optimum(mdp))
+    return _bound_regret(mdp, chain, bounded_optimum(mdp))
 
 
 def limit_of(name: str, limit: object) -> Fraction:
@@ -172,37 +183,37 @@ def limit_of(name: str, limit: object) -> Fraction:
     if not 0 <= value <= LARGEST:
         large = value > 0
         beyond, fix = (", beyond the floats", "choose less") if large else ("", "choose 0 or more")
-        raise ModelError(f"{name} is {shown(value)}{beyond}", where=name, fix=fix)
+        raise ModelError(f"{name} is {format_rational(value)}{beyond}", where=name, fix=fix)
     return value
 
 
-def cheap(mdp: MDP, cycle: int = EXACT_CYCLE) -> bool:
+def is_cheap_to_certify(mdp: MDP, cycle: int = EXACT_CYCLE) -> bool:
     """Return whether rational arithmetic is quick: few transitions, cycles of few states."""
     most = EXACT_TRANSITIONS if mdp.space.untimed is None else EXACT_IN_TIME
     return mdp.n_transitions <= most and _longest_cycle(mdp) <= cycle
 
 
-@once
+@cache_on_model
 def _longest_cycle(mdp: MDP) -> int:
     """Return the greatest number of states that lead to one another."""
-    return 1 if is_acyclic(mdp) else int(np.bincount(components(mdp)[1]).max())
+    return 1 if is_acyclic(mdp) else int(np.bincount(label_components(mdp)[1]).max())
 
 
 # ---- rational arithmetic -----------------------------------------------------------------------
 
 
-def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
+def _certify_regret(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
     """Return the exact regret.
 
     At discount 1 where some policy never ends, a pair that keeps the value of a state need not
     attain it, so that the policy is judged by its own model, in which it is the only one.
     """
-    unending = endless(mdp)
-    own = proven(chain.model) if unending else best
+    unending = has_improper_policy(mdp)
+    own = certify_and_check(chain.model) if unending else best
     value, mine, learned, level = best.value_float, own.value_float, own.start_value, own.h
     if not unending and not best.optimal_pairs[chain.pairs].all():
         level = chain.exact_value
-        mine, learned = level.floats(), level.mean(mdp.start)
+        mine, learned = level.to_floats(), level.compute_mean(mdp.start)
     if isinstance(learned, float) and learned == best.start_value:
         raise ModelError(
             "the optimum and the policy are both infinite, so that nothing can be compared",
@@ -210,9 +221,11 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
             fix=ways_out(mdp, other_question(mdp)),
         )
     lost = best.start_value - learned
-    ideal = taking(mdp, best.pairs if unending else first_of(mdp, best.optimal_pairs))
-    known = (chain, rounded(mine)), (ideal, rounded(value))
-    movable = partial(forgiven, mdp, *known) if isinstance(lost, Fraction) else Fraction
+    ideal = chain_of_pairs(mdp, best.pairs if unending else first_of(mdp, best.optimal_pairs))
+    known = (chain, round_finite_values(mine)), (ideal, round_finite_values(value))
+    movable = (
+        partial(compute_rounding_allowance, mdp, *known) if isinstance(lost, Fraction) else Fraction
+    )
     # The exact differences, each rounded once.
     parts = zip(best.h.top, best.h.each_below, level.top, level.each_below, strict=True)
     by_state = np.array([(a * d - c * b) / (b * d) for a, b, c, d in parts])
@@ -234,13 +247,15 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
             optimal |= (chain.chosen > 0) & chain.reached[mdp.pair_state]
     elif mdp.floats:
         with suppress(SolverError):
-            near = np.nextafter(gap, inf) <= ties(ideal, rounded(value))
-            optimal = tied(chain, optimal, near, lost, movable)
+            near = np.nextafter(gap, inf) <= compute_tie_gaps(ideal, round_finite_values(value))
+            optimal = include_near_ties(chain, optimal, near, lost, movable)
     both = (best.start, value), (Certified(value=learned), mine)
-    return Regret.between(*both, optimal, by_state=by_state, gap=gap, optimum=best, movable=movable)
+    return Regret.from_values(
+        *both, optimal, by_state=by_state, gap=gap, optimum=best, movable=movable
+    )
 
 
-def tied(
+def include_near_ties(
     chain: PolicyChain,
     optimal: Flags,
     near: Flags,
@@ -258,14 +273,14 @@ def tied(
 # ---- bounds --------------------------------------------------------------------------------------
 
 
-def _bounded(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
+def _bound_regret(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
     own = known = FixedPoint(value=optimum.value, error=optimum.state_error)
     if not np.array_equal(chain.pairs, optimum.pairs):
         evaluation = evaluate(mdp, chain)
         own = FixedPoint(value=evaluation.value, error=evaluation.error)
-    near, ideal = ActionBounds(mdp, optimum), taking(mdp, optimum.pairs)
-    loses = _losing(ideal, known, near.least_gap)
-    lost = Regret.between(
+    near, ideal = ActionBounds(mdp, optimum), chain_of_pairs(mdp, optimum.pairs)
+    loses = _find_losing_pairs(ideal, known, near.least_gap)
+    lost = Regret.from_values(
         (at_start(mdp, known), known.value),
         (at_start(mdp, own), own.value),
         ~loses,
@@ -273,35 +288,35 @@ def _bounded(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
         unclear=~loses & near.open,
         gap=near.gap,
         optimum=optimum,
-        movable=partial(forgiven, mdp, (chain, own), (ideal, known)),
+        movable=partial(compute_rounding_allowance, mdp, (chain, own), (ideal, known)),
     )
     certain = near.all_best(chain)
     return replace(lost, at_start=Certified(value=Fraction(0))) if certain else lost
 
 
-def _losing(ideal: PolicyChain, known: FixedPoint, least_gap: Floats) -> Flags:
+def _find_losing_pairs(ideal: PolicyChain, known: FixedPoint, least_gap: Floats) -> Flags:
     """Return the pairs (L,) that lose more than rounding can move."""
     mdp, loses = ideal.mdp, least_gap > 0
     if mdp.floats:
         # Few pairs are so near to the best that it could: F ≤ E w / m, as w - γ P w ≥ m > 0.
         weights = margin_weights(mdp)
         uses = float(weights.value.max() / weights.smallest)
-        open_ = loses & (least_gap <= widest(mdp, known) * (1 + 2 * uses) * SLACK)
+        open_ = loses & (least_gap <= bound_per_use(mdp, known) * (1 + 2 * uses) * SLACK)
         if open_.any():
             with suppress(SolverError):
-                loses &= ~open_ | (least_gap > ties(ideal, known))
+                loses &= ~open_ | (least_gap > compute_tie_gaps(ideal, known))
     return loses
 
 
-@once
+@cache_on_model
 def bounded_optimum(mdp: MDP) -> Bounds:
     """Return bounds around the optimal values, as narrow as double precision allows."""
     solved = solve(mdp)
-    bounds = verify(mdp, solved.value)
+    bounds = bound_optimal_values(mdp, solved.value)
     if bounds.error <= CLOSE * float(np.abs(bounds.value).max()):
         return bounds
     # A solver may stop at its tolerance; the values of a policy have no error but rounding.
-    better = verify(mdp, PolicyIteration(start=solved).solve(mdp).value)
+    better = bound_optimal_values(mdp, PolicyIteration(start=solved).solve(mdp).value)
     return better if better.error <= bounds.error else bounds
 
 
@@ -313,7 +328,7 @@ class ActionBounds:
 
     def __init__(self, mdp: MDP, optimum: Bounds) -> None:
         # Q*(l) - V(s) = d(l) + γ P_l (V* - V), and low · w ≤ V* - V ≤ high · w.
-        self.mdp, added = mdp, gains(mdp, optimum.value)
+        self.mdp, added = mdp, compute_advantages(mdp, optimum.value)
         value, flow = added.value, mdp.discount * (mdp.transition @ optimum.weight)
         off = (added.error + 8 * UNIT * np.abs(value)) * SLACK + TINY
         off += (SLACK - 1) * max(abs(optimum.low), abs(optimum.high)) * flow
@@ -332,7 +347,7 @@ class ActionBounds:
         mdp = self.mdp
         live = (chain.reached & ~mdp.terminal)[mdp.pair_state]
         return all(  # all other pairs are worse, or have the same outcomes
-            outcomes(mdp, other) == outcomes(mdp, pair)
+            compute_exact_row(mdp, other) == compute_exact_row(mdp, pair)
             for pair in np.flatnonzero(live & (chain.chosen > 0) & self.open).tolist()
             for other in mdp.pairs_of(int(mdp.pair_state[pair]))
             if other != pair and self.high[other] > self.low[pair]

@@ -20,12 +20,12 @@ import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.mdp.exact import bellman_rows
-from exact_mdp.mdp.graph import closure, endless
+from exact_mdp.mdp.graph import find_reachable_nodes, has_improper_policy
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.exact.certificate import Certificate
-from exact_mdp.solvers.exact.levels import surplus
+from exact_mdp.solvers.exact.levels import compute_surpluses
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
@@ -34,7 +34,7 @@ def final_class(chain: PolicyChain) -> Integers:
     return np.where(chain.mdp.terminal, -1, chain.classes.label)
 
 
-def outcomes(mdp: MDP, pair: int) -> tuple[Fraction, frozenset[tuple[int, Fraction]]]:
+def compute_exact_row(mdp: MDP, pair: int) -> tuple[Fraction, frozenset[tuple[int, Fraction]]]:
     """Return the exact expected reward and the exact row of a pair, which its twins share."""
     reward, row = Fraction(0), dict[int, Fraction]()
     for chance, following, gain in mdp.table.row(pair):
@@ -54,13 +54,15 @@ def to_blame(chain: PolicyChain, best: Certificate, lost: Floats) -> Flags:
     at_fault, named = taken & ~optimal, np.zeros(mdp.n_states, dtype=bool)
     for pairs in (at_fault, leaves, None, departs):
         open_ = ((label >= 0) & (lost > 0) & ~named[label])[of]
-        some = _falling(mdp, best, departs & open_) if pairs is None else pairs & open_
+        some = (
+            _find_third_order_losses(mdp, best, departs & open_) if pairs is None else pairs & open_
+        )
         at_fault = at_fault | some
         named[label[of[some]]] = True
     at_fault = at_fault | _giving_up(chain, best, lost, at_fault)
     near = np.flatnonzero(np.isin(of, of[at_fault])).tolist()  # twins are to blame, too
-    kinds = {(of[pair], outcomes(mdp, pair)) for pair in near if at_fault[pair]}
-    at_fault[near] = [(of[pair], outcomes(mdp, pair)) in kinds for pair in near]
+    kinds = {(of[pair], compute_exact_row(mdp, pair)) for pair in near if at_fault[pair]}
+    at_fault[near] = [(of[pair], compute_exact_row(mdp, pair)) in kinds for pair in near]
     return at_fault
 
 
@@ -79,17 +81,19 @@ def _giving_up(chain: PolicyChain, best: Certificate, lost: Floats, known: Flags
     return next((pairs for pairs in (leaves & departs, departs, leaves) if pairs.any()), taken)
 
 
-def _falling(mdp: MDP, best: Certificate, pairs: Flags) -> Flags:
+def _find_third_order_losses(mdp: MDP, best: Certificate, pairs: Flags) -> Flags:
     """Return those pairs (L,) of finite states for which V + w > P w."""
     falling = np.zeros(len(pairs), dtype=bool)
     if best.g is not None and best.w is not None:
         some = np.flatnonzero(pairs & (best.infinite_sign == 0)[mdp.pair_state])
-        third = surplus(bellman_rows(mdp), best.g, best.h, best.w, pairs=some)[2]
+        third = compute_surpluses(bellman_rows(mdp), best.g, best.h, best.w, pairs=some)[2]
         falling[some] = [top < 0 for top, _ in third]
     return falling
 
 
-def shares(label: Integers, came: Floats, by_state: Floats, gap: Floats, wrong: Flags) -> Floats:
+def charge_class_losses(
+    label: Integers, came: Floats, by_state: Floats, gap: Floats, wrong: Flags
+) -> Floats:
     """Return (S,) what is lost by waiting, charged to the states (S,) that are `wrong`.
 
     `came` (S,) are arrivals in the classes of `label`, 0 where the policy never comes. Where the
@@ -104,32 +108,34 @@ def shares(label: Integers, came: Floats, by_state: Floats, gap: Floats, wrong: 
     return np.where(blamed, whole[label] / np.maximum(number[label], 1), 0.0)
 
 
-def taking(mdp: MDP, pairs: Integers) -> PolicyChain:
+def chain_of_pairs(mdp: MDP, pairs: Integers) -> PolicyChain:
     """Return the chain of a policy that takes these pairs (S,)."""
     return PolicyChain(mdp=mdp, chosen=np.bincount(pairs, minlength=mdp.n_pairs).astype(float))
 
 
-def attaining(mdp: MDP, best: Certificate, optimal: Flags, state: int) -> list[int]:
+def find_attaining_pairs(mdp: MDP, best: Certificate, optimal: Flags, state: int) -> list[int]:
     """Return the optimal pairs (L,) of a state that belong to some optimal policy."""
     pairs = [pair for pair in mdp.pairs_of(state) if optimal[pair]]
-    if not endless(mdp) or len(pairs) < 2:
+    if not has_improper_policy(mdp) or len(pairs) < 2:
         return pairs
-    sign, stays = best.infinite_sign, taking(mdp, best.pairs).classes.recurrent
+    sign, stays = best.infinite_sign, chain_of_pairs(mdp, best.pairs).classes.recurrent
     if stays[state] or sign[state] < 0:
         return pairs
     used = np.flatnonzero(optimal & (mdp.pair_state != state))
     shape = (mdp.n_states, mdp.n_pairs)
     choice = sp.csr_array((np.ones(len(used)), (mdp.pair_state[used], used)), shape)
-    rests = resting(mdp, best, optimal)
+    rests = find_zero_reward_pairs(mdp, best, optimal)
     stays = stays | np.logical_or.reduceat(rests, mdp.pair_offsets[:-1])
-    arrives = closure((choice @ mdp.transition).T.tocsr(), stays & (sign == sign[state]))
+    arrives = find_reachable_nodes(
+        (choice @ mdp.transition).T.tocsr(), stays & (sign == sign[state])
+    )
     arrives[state] = False
     return [
         pair for pair in pairs if rests[pair] or arrives[mdp.transition[[pair]].indices].any()
     ] or pairs
 
 
-def resting(mdp: MDP, best: Certificate, optimal: Flags) -> Flags:
+def find_zero_reward_pairs(mdp: MDP, best: Certificate, optimal: Flags) -> Flags:
     """Return the optimal pairs (L,) of states worth 0 with which a policy can earn 0 for ever."""
     worth = np.array([value == 0 for value in best.value], dtype=bool)
     earned = np.array([gain == 0 for gain in mdp.table.expected_gain_exact()[0]], dtype=bool)

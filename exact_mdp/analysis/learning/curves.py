@@ -16,11 +16,17 @@ from exact_mdp.analysis.learning.outcomes import common_rows
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats
-from exact_mdp.mdp.validate import counted
+from exact_mdp.mdp.validate import require_count
 from exact_mdp.solvers.learning.q_learning import TrainingRun
-from exact_mdp.solvers.learning.sampler import Seed, child, rows_of, stream, tables
+from exact_mdp.solvers.learning.sampler import (
+    Seed,
+    build_q_table_rows,
+    build_sampling_tables,
+    make_random_stream,
+    spawn_child_seed,
+)
 from exact_mdp.solvers.solution import Claim
-from exact_mdp.solvers.values.layers import policy_values
+from exact_mdp.solvers.values.layers import evaluate_row_policies
 
 EXPERIMENTS = 40
 MAX_STEPS = 10_000  # an experiment is cut short after this many timesteps
@@ -30,7 +36,7 @@ MAX_STEPS = 10_000  # an experiment is cut short after this many timesteps
 class LearningCurve(Pictured):
     """Mean returns of the greedy policies of E epochs, by experiment and exact."""
 
-    sampled: Floats  # (E,) the mean of `experiments` returns
+    sampled: Floats  # (E,) the mean of `sample_epoch_returns` returns
     standard_error: Floats
     value: Floats  # (E,) of the same policy, up to rounding
     error: Floats
@@ -84,8 +90,8 @@ def learning_curve(
     >>> curve.value.shape, bool(abs(curve.sampled - curve.value).mean() < 15)
     ((50,), True)
     """
-    values = policy_values(model, common_rows(model, [run]), run.policies)
-    returns, cut_short = experiments(model, run, rng=rng, n=n)
+    values = evaluate_row_policies(model, common_rows(model, [run]), run.policies)
+    returns, cut_short = sample_epoch_returns(model, run, rng=rng, n=n)
     return LearningCurve(
         sampled=returns.mean(axis=1),
         standard_error=returns.std(axis=1, ddof=1) / np.sqrt(returns.shape[1]),
@@ -96,7 +102,7 @@ def learning_curve(
     )
 
 
-def experiments(
+def sample_epoch_returns(
     model: MDP, run: TrainingRun | int, *, rng: Seed, n: int = EXPERIMENTS
 ) -> tuple[Floats, int]:
     """Return (E, n) returns with the greedy policies of a run's E epochs, and how many are cut.
@@ -104,18 +110,22 @@ def experiments(
     Of a number of epochs instead of a run, they are those of actions drawn uniformly.
     """
     if random := isinstance(run, int):
-        rows, which = rows_of(model), np.zeros(run, dtype=np.int64)
+        rows, which = build_q_table_rows(model), np.zeros(run, dtype=np.int64)
         table = np.zeros((1, rows.offered.size))
     else:
-        rows, which = rows_of(model, run.space.names), run.snapshots.astype(np.int64)
+        rows, which = build_q_table_rows(model, run.space.names), run.snapshots.astype(np.int64)
         table = np.eye(model.n_actions)[run.policies].reshape(len(run.policies), -1)
-    returns = np.zeros((len(which), counted(n, "n", 2)))
+    returns = np.zeros((len(which), require_count(n, "n", 2)))
     from exact_mdp.solvers.kernels import learning as kernels
 
-    laid_out, source, cut_short = tables(model, rows), stream(child(rng, 0)), 0
+    laid_out, source, cut_short = (
+        build_sampling_tables(model, rows),
+        make_random_stream(spawn_child_seed(rng, 0)),
+        0,
+    )
     for row in range(len(which)):  # one after the other, so that they can be interrupted
         here = slice(row, row + 1)
-        more = kernels.rollouts(
+        more = kernels.sample_returns(
             laid_out,
             source,
             table,

@@ -19,18 +19,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.columns import BestPolicy, best_policy
-from exact_mdp.analysis.vary.intervals import mean_interval, share_of
-from exact_mdp.mdp.errors import ModelError, listed
+from exact_mdp.analysis.vary.intervals import estimate_share, mean_interval
+from exact_mdp.mdp.errors import ModelError, require_list
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.report import Report, Shown, Table, number
+from exact_mdp.mdp.report import Report, Shown, Table, format_number
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers.learning.q_learning import TrainingRun
-from exact_mdp.solvers.learning.sampler import Rows, rows_of
-from exact_mdp.solvers.solution import Bounded, regrets
+from exact_mdp.solvers.learning.sampler import QTableRows, build_q_table_rows
+from exact_mdp.solvers.solution import Bounded, compute_regrets
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import QUANTILES, evaluate
-from exact_mdp.solvers.values.layers import policy_values
+from exact_mdp.solvers.values.layers import evaluate_row_policies
 
 CANDIDATES = 5
 LISTED_ROWS = 1000  # policies over more rows are left to files
@@ -43,7 +43,7 @@ class Outcomes(Pictured):
     """Final policies of R runs, U of them distinct, with their exact values at the start."""
 
     mdp: MDP  # values are those at its discount
-    rows: Rows
+    rows: QTableRows
     policies: Numbers  # (U, K) final and selected greedy ones, the most frequent final one first
     value: Floats  # (U,) exact up to the error
     error: Floats
@@ -76,7 +76,7 @@ class Outcomes(Pictured):
     @property
     def policy_regret(self) -> Floats:
         """(U,) exact regret of each policy; 0 where rounding can explain it."""
-        return self._below(self.optimum)
+        return self._compute_regrets(self.optimum)
 
     @property
     def regret(self) -> Floats:
@@ -96,11 +96,11 @@ class Outcomes(Pictured):
     @property
     def learning_error(self) -> Floats:
         """(R,) how far final policies are below the best that reads what the learner reads."""
-        return self._below(self.best_value)[self.final]
+        return self._compute_regrets(self.best_value)[self.final]
 
-    def _below(self, reference: Bounded) -> Floats:
+    def _compute_regrets(self, reference: Bounded) -> Floats:
         best = np.full_like(self.value, reference.value)
-        return regrets(best, self.value, self.error + reference.error, self.mdp.sign)
+        return compute_regrets(best, self.value, self.error + reference.error, self.mdp.sign)
 
     @cached_property
     def regret_interval(self) -> Interval | None:
@@ -122,9 +122,9 @@ class Outcomes(Pictured):
         taken = self.policies[self.final, row]
         return np.bincount(taken, minlength=self.mdp.n_actions)
 
-    def _share(self, count: int) -> dict[str, Any]:
+    def _estimate_share(self, count: int) -> dict[str, Any]:
         """Return the share of so many runs, with Wilson's 95 % interval."""
-        share = share_of(count, self.runs)
+        share = estimate_share(count, self.runs)
         return {"fraction": share.value, "interval": share.interval}
 
     def frame(self) -> DataFrame:
@@ -143,23 +143,28 @@ class Outcomes(Pictured):
         """Return what the runs ended with."""
         best, ends = self.best, self.regret_interval
         losses = self.regret, self.learning_error, self.selected_regret
-        optimal, good, chosen = (self._share(int((each == 0).sum())) for each in losses)
-        lost, learning, selected = map(_spread, losses)
-        quantiles = ", ".join(f"{float(q):.0%}: {number(v)}" for q, v in lost["quantiles"].items())
-        apart = "" if ends is None else f" (95 %: {_percent(ends, '.4g')})"
-        mean = f"mean regret {number(lost['mean'])}{apart}; quantiles {quantiles}"
+        optimal, good, chosen = (self._estimate_share(int((each == 0).sum())) for each in losses)
+        lost, learning, selected = map(_summarise_losses, losses)
+        quantiles = ", ".join(
+            f"{float(q):.0%}: {format_number(v)}" for q, v in lost["quantiles"].items()
+        )
+        apart = "" if ends is None else f" (95 %: {_format_percent_interval(ends, '.4g')})"
+        mean = f"mean regret {format_number(lost['mean'])}{apart}; quantiles {quantiles}"
         rows = zip(self.frame().to_dict("records"), self.policies[self.counts > 0], strict=True)
         listed = [
-            row | self._share(row["count"]) | {"policy": _named(self.mdp, self.rows, policy)}
+            row
+            | self._estimate_share(row["count"])
+            | {"policy": _name_choices(self.mdp, self.rows, policy)}
             for row, policy in rows
         ]
         many, runs = np.unique(self.distinct, return_counts=True)
         distinct = {
-            str(n): {"count": k} | self._share(k) for n, k in zip(many, runs.tolist(), strict=True)
+            str(n): {"count": k} | self._estimate_share(k)
+            for n, k in zip(many, runs.tolist(), strict=True)
         }
         labels = self.rows.space.labels(range(self.rows.space.size))
         changes = zip(labels, self.changed.sum(axis=0).tolist(), strict=True)
-        changed = {row: self._share(count) for row, count in changes if count}
+        changed = {row: self._estimate_share(count) for row, count in changes if count}
         facts = {
             "seeds": self.runs,
             "columns": self.rows.space.names,
@@ -175,15 +180,15 @@ class Outcomes(Pictured):
             "optimal_fraction": Shown(
                 optimal["fraction"],
                 f"{optimal['fraction']:.1%} of the runs end optimal "
-                f"(95 %: {_percent(optimal['interval'])})",
+                f"(95 %: {_format_percent_interval(optimal['interval'])})",
             ),
             "optimal_fraction_interval": Shown(optimal["interval"]),
-            "learning_error": Shown(learning, f"mean {number(learning['mean'])}"),
+            "learning_error": Shown(learning, f"mean {format_number(learning['mean'])}"),
             "best_fraction": Shown(good["fraction"], f"{good['fraction']:.1%}"),
             "best_fraction_interval": Shown(good["interval"]),
             "selected": Shown(
                 {"regret": selected, "optimal_fraction": chosen["fraction"]},
-                f"mean regret of the best of five {number(selected['mean'])}",
+                f"mean regret of the best of five {format_number(selected['mean'])}",
             ),
             "first_run": Shown(self.first_run),
             "policies": listed,
@@ -206,7 +211,10 @@ class Outcomes(Pictured):
             return ", ".join(f"{row} {action}" for row, action in own.items())
 
         def rows_of(shares: dict[str, Any]) -> list[dict[str, Any]]:
-            return [{"": k} | s | {"interval": _percent(s["interval"])} for k, s in shares.items()]
+            return [
+                {"": k} | s | {"interval": _format_percent_interval(s["interval"])}
+                for k, s in shares.items()
+            ]
 
         share = {"share of runs": "fraction:.1%", "95 %": "interval"}
         tables = {
@@ -230,7 +238,7 @@ class Outcomes(Pictured):
         return Report(title="training", facts=facts, tables=tables)
 
 
-def _named(mdp: MDP, rows: Rows, choices: Numbers) -> dict[str, str] | None:
+def _name_choices(mdp: MDP, rows: QTableRows, choices: Numbers) -> dict[str, str] | None:
     """Return {row: action}, or None where there are too many rows to list."""
     space = rows.space
     if space.size > LISTED_ROWS:
@@ -239,11 +247,11 @@ def _named(mdp: MDP, rows: Rows, choices: Numbers) -> dict[str, str] | None:
     return {label(row): mdp.actions[action] for row, action in enumerate(choices.tolist())}
 
 
-def _percent(interval: Interval, form: str = ".1%") -> str:
+def _format_percent_interval(interval: Interval, form: str = ".1%") -> str:
     return f"{interval[0]:{form}} to {interval[1]:{form}}"
 
 
-def _spread(values: Floats) -> dict[str, Any]:
+def _summarise_losses(values: Floats) -> dict[str, Any]:
     quantiles = zip(map(str, QUANTILES), np.quantile(values, QUANTILES).tolist(), strict=True)
     return {
         "mean": float(values.mean()),
@@ -285,7 +293,7 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
 
     candidates = [[number(run.policies[i]) for i in run.last_counts()][:CANDIDATES] for run in runs]
     final = np.array([number(run.final) for run in runs])
-    values = policy_values(mdp, rows, policies := np.array([*known]))
+    values = evaluate_row_policies(mdp, rows, policies := np.array([*known]))
     reward = mdp.sign * values.value
     selected = np.array([max(tried, key=lambda i: reward[i]) for tried in candidates])
     used = np.union1d(final, selected)
@@ -315,7 +323,7 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
                     "episodes": episodes,
                     "value": float(values.value[i]),
                     "error_bound": float(values.error[i]),
-                    "policy": _named(mdp, rows, policies[i]),
+                    "policy": _name_choices(mdp, rows, policies[i]),
                 }
                 for episodes, i in top
             ],
@@ -325,12 +333,12 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
     )
 
 
-def common_rows(model: MDP, runs: Sequence[TrainingRun]) -> Rows:
+def common_rows(model: MDP, runs: Sequence[TrainingRun]) -> QTableRows:
     """Return the rows that the runs read; raises ModelError for runs on another model."""
-    if not listed(runs, "runs") or not all(isinstance(run, TrainingRun) for run in runs):
+    if not require_list(runs, "runs") or not all(isinstance(run, TrainingRun) for run in runs):
         fix = "give what train(model, QLearning(), …) returns"
         raise ModelError("no run of training", where="learning", fix=fix)
-    rows = rows_of(model, runs[0].space.names)
+    rows = build_q_table_rows(model, runs[0].space.names)
     if any(run.space != rows.space or run.q.shape != rows.offered.shape for run in runs):
         raise ModelError(
             "the runs read other states than this model has",

@@ -30,7 +30,7 @@ from typing import Any, ClassVar
 
 from scipy import special
 
-from exact_mdp.analysis.exit_status import answering
+from exact_mdp.analysis.exit_status import refuse_exit
 from exact_mdp.analysis.gate.audit import Audit
 from exact_mdp.analysis.gate.check import check
 from exact_mdp.analysis.gate.criteria import Verdict
@@ -40,9 +40,9 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
-from exact_mdp.mdp.table import exact, shown
-from exact_mdp.mdp.validate import counted
-from exact_mdp.solvers.learning.sampler import Seed, as_sequence, child
+from exact_mdp.mdp.table import exact, format_rational
+from exact_mdp.mdp.validate import require_count
+from exact_mdp.solvers.learning.sampler import Seed, as_sequence, spawn_child_seed
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.solver import mdp_of
 
@@ -105,14 +105,14 @@ class TrainerAudit(Pictured):
         return (
             f"TrainerAudit({'passed' if self.passed else 'failed'}: {self.within} of "
             f"{len(self.audits)} runs within the limits, a share from {float(low):.3f} to "
-            f"{float(high):.3f}; at least {shown(self.share, 10)} is {shown_as})"
+            f"{float(high):.3f}; at least {format_rational(self.share, 10)} is {shown_as})"
         )
 
     @property
     def verdicts(self) -> tuple[Verdict]:
         """What was checked: the share of all runs."""
         decision = True if self.passed else self.proven
-        least = f"at least {shown(self.share, 10)}"
+        least = f"at least {format_rational(self.share, 10)}"
         return (Verdict("the share of runs within the limits", least, decision, self._found),)
 
     @property
@@ -127,7 +127,8 @@ class TrainerAudit(Pictured):
         low, high = map(float, self.interval)
         return (
             f"{self.within} of {len(self.audits)} runs are, of {self.runs} at most; the share of "
-            f"all is from {low:.4f} to {high:.4f}, wrong with probability {shown(self.alpha, 10)} "
+            f"all is from {low:.4f} to {high:.4f}, "
+            f"wrong with probability {format_rational(self.alpha, 10)} "
             "at most, whenever one stops"
         )
 
@@ -137,7 +138,7 @@ class TrainerAudit(Pictured):
         said = {True: "is at least", False: "is not at least", None: open_}[self.proven]
         lines = [
             f"{'passed' if self.passed else 'failed'}: the share of runs within the limits {said} "
-            f"{shown(self.share, 10)}",
+            f"{format_rational(self.share, 10)}",
             self._found,
         ]
         if self.within < len(self.audits):
@@ -225,28 +226,28 @@ def check_trainer(
     TrainerAudit(passed: 10 of 10 runs within the limits, a share from 0.530 to 1.000;
     at least 0.5 is proven)
     """
-    wanted, risk = _between("share", share), _between("alpha", alpha)
+    wanted, risk = _parse_share("share", share), _parse_share("alpha", alpha)
     if risk == 1:
         what = "a risk of error of 1 proves nothing"
         raise ModelError(what, where="alpha", fix="choose less: 1/100")
-    runs = counted(runs, "runs")
+    runs = require_count(runs, "runs")
     if not prove:
         _require_runs(runs, wanted, risk)
     mdp = mdp_of(model)
     if (horizon := limits.pop("horizon", None)) is not None:
         mdp = mdp.within(horizon)
-    policies = islice(_policies(train, rng), runs)
+    policies = islice(_yield_policies(train, rng), runs)
     each, same = tee((name, check(mdp, policy, **limits)) for name, policy in policies)
     shares = share_intervals((audit.passed for _, audit in same), risk)
     names, audits, intervals = list[Any](), list[Audit](), list[Interval]()
     hits, proven = 0, None
-    with answering():
+    with refuse_exit():
         for (name, audit), interval in zip(each, shares, strict=True):
             names.append(name)
             audits.append(audit)
             intervals.append(interval)
             hits += audit.passed
-            proven = _decided(hits, len(audits), wanted, risk)
+            proven = _is_share_reached(hits, len(audits), wanted, risk)
             if proven is not None:
                 break
     if not audits:
@@ -267,24 +268,24 @@ def check_trainer(
 
 def _require_runs(runs: int, share: Fraction, alpha: Fraction) -> None:
     """Raise ModelError where so few runs leave the share open even if none is within the limits."""
-    if excluded(share, 0, runs, alpha):
+    if is_share_excluded(share, 0, runs, alpha):
         return
-    least = fewest(share, alpha)
+    least = count_fewest_misses(share, alpha)
     raise ModelError(
         f"of {runs} run{'s' * (runs > 1)} no outcome could fail: even if none keeps the limits, a "
-        f"share of {shown(share, 10)} stays possible",
+        f"share of {format_rational(share, 10)} stays possible",
         where="runs",
         fix=f"give {least} runs or more, or ask for a proof that the share is kept (--prove, "
         "prove=True)",
     )
 
 
-def _decided(hits: int, n: int, share: Fraction, alpha: Fraction) -> bool | None:
+def _is_share_reached(hits: int, n: int, share: Fraction, alpha: Fraction) -> bool | None:
     """Return whether the chance of success is at least `share`; None where that is open."""
-    return hits > n * share if excluded(share, hits, n - hits, alpha) else None
+    return hits > n * share if is_share_excluded(share, hits, n - hits, alpha) else None
 
 
-def _policies(
+def _yield_policies(
     train: Callable[[int], PolicyLike] | Iterable[PolicyLike], rng: Seed | None
 ) -> Iterator[tuple[Any, PolicyLike]]:
     """Yield the policies with the names of their runs."""
@@ -305,7 +306,7 @@ def _policies(
         )
     root = as_sequence(rng)
     for number in count():
-        seed = int(child(root, number).generate_state(1)[0])
+        seed = int(spawn_child_seed(root, number).generate_state(1)[0])
         yield seed, train(seed)
 
 
@@ -316,18 +317,20 @@ def _is_one(given: object) -> bool:
     return actions or named or not isinstance(given, Iterable)
 
 
-def _between(name: str, number: object) -> Fraction:
+def _parse_share(name: str, number: object) -> Fraction:
     """Return a number above 0 and at most 1."""
     value = exact(number, name)
     if not 0 < value <= 1:
-        raise ModelError(f"{name} is {shown(value)}", where=name, fix="choose from 0 to 1, not 0")
+        raise ModelError(
+            f"{name} is {format_rational(value)}", where=name, fix="choose from 0 to 1, not 0"
+        )
     return value
 
 
 # ---- an interval of a share that holds at every moment -------------------------------------------
 
 
-def excluded(share: Fraction, hits: int, misses: int, alpha: Fraction) -> bool:
+def is_share_excluded(share: Fraction, hits: int, misses: int, alpha: Fraction) -> bool:
     """Return whether E_n(share) ≥ 1/α after so many trials."""
     top, below, n = share.numerator, share.denominator, hits + misses
     won = comb(2 * hits, hits) * comb(2 * misses, misses) * below**n * alpha.numerator
@@ -335,7 +338,7 @@ def excluded(share: Fraction, hits: int, misses: int, alpha: Fraction) -> bool:
     return bool(won >= fair)
 
 
-def fewest(share: Fraction, alpha: Fraction) -> int:
+def count_fewest_misses(share: Fraction, alpha: Fraction) -> int:
     """Return the least number of misses, without a hit, that exclude a share below 1.
 
     E_n(p) falls and then rises in the number of misses, so that it is found by bisection; in
@@ -344,13 +347,13 @@ def fewest(share: Fraction, alpha: Fraction) -> int:
     if share == 1:
         return 1
 
-    def excludes(misses: int) -> bool:
+    def can_exclude(misses: int) -> bool:
         if misses < FEW:
-            return excluded(share, 0, misses, alpha)
+            return is_share_excluded(share, 0, misses, alpha)
         mixed = special.betaln(misses + 0.5, 0.5) - log(pi)  # C(2m, m) / 4^m
         return bool(mixed - misses * log1p(-float(share)) >= -log(alpha))
 
-    return bisect_left(range(MOST), True, key=excludes)
+    return bisect_left(range(MOST), True, key=can_exclude)
 
 
 def share_intervals(trials: Iterable[bool], alpha: Fraction) -> Iterator[Interval]:
@@ -361,18 +364,18 @@ def share_intervals(trials: Iterable[bool], alpha: Fraction) -> Iterator[Interva
     low = high = hits = misses = 0
     for trial in trials:
         hits, misses = hits + bool(trial), misses + (not trial)
-        low = _raised(low, hits, misses, alpha)
-        high = min(GRID - low, _raised(high, misses, hits, alpha))  # from 1 downwards
+        low = _raise_bound(low, hits, misses, alpha)
+        high = min(GRID - low, _raise_bound(high, misses, hits, alpha))  # from 1 downwards
         yield Fraction(low, GRID), Fraction(GRID - high, GRID)
 
 
-def _raised(known: int, hits: int, misses: int, alpha: Fraction) -> int:
+def _raise_bound(known: int, hits: int, misses: int, alpha: Fraction) -> int:
     """Return the greatest number on the grid that is excluded from below, `known` at least."""
 
-    def kept(number: int) -> bool:
-        return not excluded(Fraction(number, GRID), hits, misses, alpha)
+    def is_kept(number: int) -> bool:
+        return not is_share_excluded(Fraction(number, GRID), hits, misses, alpha)
 
     seen = hits * GRID // (hits + misses)  # a share that never is excluded
-    if known >= seen or kept(known + 1):
+    if known >= seen or is_kept(known + 1):
         return known
-    return bisect_left(range(seen + 1), True, lo=known + 2, key=kept) - 1
+    return bisect_left(range(seen + 1), True, lo=known + 2, key=is_kept) - 1

@@ -7,12 +7,12 @@ A template fills the blocks `title`, `style`, `main` and `script` of the base. N
 from pathlib import Path
 from typing import Any
 
-from exact_mdp.mdp.report import template
+from exact_mdp.mdp.report import load_template
 
 ADVICE = "this is research software and no medical advice"
 TEMPLATES = Path(__file__).parent / "templates"
 
 
-def render(name: str, **data: Any) -> str:
+def render_page(name: str, **data: Any) -> str:
     """Return the page of a template in the folder `templates`."""
-    return str(template(TEMPLATES / name).render(data, advice=ADVICE))
+    return str(load_template(TEMPLATES / name).render(data, advice=ADVICE))

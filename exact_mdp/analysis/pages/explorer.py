@@ -20,24 +20,24 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.analysis.gate.regret import proven
+from exact_mdp.analysis.gate.regret import certify_and_check
 from exact_mdp.analysis.layout import MOST_CELLS, arrange
 from exact_mdp.analysis.optimum import actions_of
-from exact_mdp.analysis.pages import render
+from exact_mdp.analysis.pages import render_page
 from exact_mdp.analysis.vary.curves import curve as exact_curves
 from exact_mdp.analysis.vary.curves.checker import RationalFunction
 from exact_mdp.analysis.vary.curves.curve import ValueFunction
 from exact_mdp.analysis.vary.ranges import Stated, ranges_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
-from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.errors import ModelError, locate_errors
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Family, Parametric, parameter_of, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown
-from exact_mdp.mdp.result import DataFrame, Result, framed
-from exact_mdp.mdp.table import shown
-from exact_mdp.mdp.validate import Flags, counted
+from exact_mdp.mdp.result import DataFrame, Result, frame_to_table
+from exact_mdp.mdp.table import format_rational
+from exact_mdp.mdp.validate import Flags, require_count
 
 GRID = 11  # values of the second parameter
 MOST_GRID = 101
@@ -60,7 +60,7 @@ class Explorer(Result):
         curve = self.curves[0]
         also = f", {len(self.grid)} values of {self.second.name}" if self.second else ""
         count = sum(len(each.pieces) for each in self.curves)
-        low, high = shown(curve.range.low), shown(curve.range.high)
+        low, high = format_rational(curve.range.low), format_rational(curve.range.high)
         return f"Explorer({curve.parameter.name} from {low} to {high}, {count} pieces{also})"
 
     def frame(self) -> DataFrame:
@@ -76,19 +76,19 @@ class Explorer(Result):
         also = [self.second.name] if self.second else []
         facts = {"parameters": [self.curves[0].parameter.name, *also], "pieces": len(self.frame())}
         facts["claim"] = Shown(self.curves[0].claim)
-        table = framed(self.frame(), "pieces of the optimal value")
+        table = frame_to_table(self.frame(), "pieces of the optimal value")
         return Report(title="explorer", facts=facts, tables={"listed": table})
 
     def page(self, *, rerun: str = "") -> str:
         """Return the page; `rerun` is the command that makes it again."""
         name = self.curves[0].parameter.name
         title = f"{name}, {self.second.name}" if self.second else name
-        return render(
+        return render_page(
             "explorer.html.j2",
             title=f"{self.model}: {title}",
             model=self.model,
             policy=self.policy,
-            data=_data(self),
+            data=_build_page_data(self),
             rerun=rerun,
         )
 
@@ -146,7 +146,7 @@ def explore(
         raise ModelError(
             f"{len(names)} parameters, or one twice", where="explorer", fix="name one or two"
         )
-    if not 2 <= counted(n, "n", 2) <= MOST_GRID:
+    if not 2 <= require_count(n, "n", 2) <= MOST_GRID:
         raise ModelError(f"{n} values", where="explorer", fix=f"choose from 2 to {MOST_GRID}")
     family = parametric(model)
     spans = ranges_of(family, names, ranges, relative)
@@ -158,16 +158,18 @@ def explore(
         second, span = parameter_of(family, names[1]), spans[names[1]]
         steps = {span.low + (span.high - span.low) * k / (n - 1) for k in range(n)}
         grid = sorted(steps | {x for x in (second.value,) if span.low <= x <= span.high})
-        models = [(f"{names[1]} = {shown(x)}", held_at(family, names[1], x)) for x in grid]
+        models = [
+            (f"{names[1]} = {format_rational(x)}", held_at(family, names[1], x)) for x in grid
+        ]
     curves = []
     for where, here in models:
-        with located(where):
+        with locate_errors(where):
             curve = exact_curves.curve(here, names[0], spans[names[0]], policy=policy)
-            for point in certified(curve):
-                if proven(here.at({names[0]: point})).start_value != curve.at(point):
+            for point in list_certified_points(curve):
+                if certify_and_check(here.at({names[0]: point})).start_value != curve.at(point):
                     raise ModelError(
                         "the rows of the model do not follow the polynomials of the curve",
-                        where=f"parameter {names[0]} = {shown(point)}",
+                        where=f"parameter {names[0]} = {format_rational(point)}",
                         fix=f'state breaks={{"{names[0]}": [value, …]}} where the formula changes',
                     )
         curves.append(curve)
@@ -194,7 +196,7 @@ def held_at(family: Parametric, name: str, value: Fraction) -> Parametric:
     )
 
 
-def certified(curve: ValueFunction) -> list[Fraction]:
+def list_certified_points(curve: ValueFunction) -> list[Fraction]:
     """Return the values of the parameter at which the optimum is proved, in rising order."""
     low, high, today = curve.range.low, curve.range.high, curve.parameter.value
     ends = {end for piece in curve.pieces for end in (*piece.low, *piece.high)}
@@ -204,18 +206,18 @@ def certified(curve: ValueFunction) -> list[Fraction]:
 # ---- what the script of the page reads ---------------------------------------------------------
 
 
-def _data(explorer: Explorer) -> dict[str, Any]:
+def _build_page_data(explorer: Explorer) -> dict[str, Any]:
     first = explorer.curves[0]
     mdp, layout = first.mdp, arrange(first.mdp)
     known: dict[tuple[str, ...], int] = {}
 
-    def numbers(pairs: Flags) -> list[int]:
+    def number_action_sets(pairs: Flags) -> list[int]:
         """Return the number of the set of actions, by pairs (L,), of each state."""
         return [known.setdefault(each, len(known)) for each in actions_of(mdp, pairs)]
 
     drawn = layout.cells <= MOST_CELLS
-    curves = [_curve(curve, numbers) for curve in explorer.curves]
-    taken = None if first.chain is None else numbers(first.chain.chosen > 0)
+    curves = [_encode_curve(curve, number_action_sets) for curve in explorer.curves]
+    taken = None if first.chain is None else number_action_sets(first.chain.chosen > 0)
     every = np.array([piece["sets"] for curve in curves for piece in curve["pieces"]])
     moving = np.flatnonzero((every != every[0]).any(axis=0)).tolist()
     for curve in curves:  # of each piece but the first, only what has changed
@@ -226,12 +228,12 @@ def _data(explorer: Explorer) -> dict[str, Any]:
             del piece["sets"]
     states = layout.shown.tolist() if drawn else moving
     return {
-        "parameter": _parameter(first.parameter),
-        "low": _exact(first.range.low),
-        "high": _exact(first.range.high),
+        "parameter": _encode_parameter(first.parameter),
+        "low": _encode_rational(first.range.low),
+        "high": _encode_rational(first.range.high),
         "steps": STEPS,
-        "second": explorer.second and _parameter(explorer.second),
-        "grid": [_exact(value) for value in explorer.grid],
+        "second": explorer.second and _encode_parameter(explorer.second),
+        "grid": [_encode_rational(value) for value in explorer.grid],
         "curves": curves,
         "sets": [list(each) for each in known],
         "signs": [*layout.signs.items()],
@@ -250,39 +252,39 @@ def _data(explorer: Explorer) -> dict[str, Any]:
             "cells": [[s, int(layout.row[s]), int(layout.column[s])] for s in states],
         },
         "checked": first.checked,
-        "bounds": sum(len(certified(curve)) for curve in explorer.curves),
+        "bounds": sum(len(list_certified_points(curve)) for curve in explorer.curves),
     }
 
 
-def _curve(curve: ValueFunction, numbers: Callable[[Flags], list[int]]) -> dict[str, Any]:
+def _encode_curve(curve: ValueFunction, numbers: Callable[[Flags], list[int]]) -> dict[str, Any]:
     """Return the pieces of a curve, and the different values of the policy held fixed."""
     fixed = list(dict.fromkeys(piece.fixed for piece in curve.pieces if piece.fixed is not None))
     return {
         "pieces": [
             {
-                "low": [_exact(end) for end in piece.low],
-                "high": [_exact(end) for end in piece.high],
-                "value": _whole(piece.value),
+                "low": [_encode_rational(end) for end in piece.low],
+                "high": [_encode_rational(end) for end in piece.high],
+                "value": _encode_polynomials(piece.value),
                 "fixed": fixed.index(piece.fixed) if piece.fixed is not None else None,
                 "sets": numbers(piece.optimal),
             }
             for piece in curve.pieces
         ],
-        "fixed": [_whole(each) for each in fixed],
-        "certified": [_exact(point) for point in certified(curve)],
+        "fixed": [_encode_polynomials(each) for each in fixed],
+        "certified": [_encode_rational(point) for point in list_certified_points(curve)],
     }
 
 
-def _parameter(own: Parameter) -> dict[str, str]:
-    return {"name": own.name, "unit": unit_of(own), "today": _exact(own.value)}
+def _encode_parameter(own: Parameter) -> dict[str, str]:
+    return {"name": own.name, "unit": unit_of(own), "today": _encode_rational(own.value)}
 
 
-def _exact(number: Fraction) -> str:
+def _encode_rational(number: Fraction) -> str:
     """Return a rational in hexadecimal, "p/q": no number of digits is too large."""
     return f"{number.numerator:x}/{number.denominator:x}"
 
 
-def _whole(ratio: RationalFunction) -> list[list[str]]:
+def _encode_polynomials(ratio: RationalFunction) -> list[list[str]]:
     """Return the coefficients of N and of D, times a number that makes them whole."""
     both: tuple[Sequence[Fraction], ...] = (ratio.numerator, ratio.denominator)
     scale = lcm(*(c.denominator for part in both for c in part))

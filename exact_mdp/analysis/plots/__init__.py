@@ -4,9 +4,9 @@ Readable in greyscale and by colour-blind readers: actions differ in lightness, 
 the letters written into them, curves in line style. `result.plot()` calls the one of its result.
 """
 
-from exact_mdp.mdp.errors import extra
+from exact_mdp.mdp.errors import require_extra
 
-with extra("plots"):
+with require_extra("plots"):
     from exact_mdp.analysis.plots.models import plot_influence, plot_transitions
     from exact_mdp.analysis.plots.runs import plot_distinct, plot_learning_curves, plot_regrets
     from exact_mdp.analysis.plots.sensitivity import plot_optimal_actions, plot_thresholds

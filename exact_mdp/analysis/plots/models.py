@@ -20,15 +20,15 @@ from exact_mdp.analysis.plots.style import (
     LOW,
     MARKS,
     Look,
+    add_bars,
+    apply_style,
     axes_or_new,
-    bars,
-    described,
-    picture,
-    swatch,
+    label_axes,
+    make_swatch,
 )
 from exact_mdp.analysis.tradeoffs.front import Front
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError, extra
+from exact_mdp.mdp.errors import ModelError, require_extra
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.choices import state_names
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -40,7 +40,7 @@ FEW = 8  # states up to which all actions are drawn beside the policy's
 MANY = 80  # outcomes above which no graph can be read
 
 
-@picture
+@apply_style
 def plot_transitions(
     model: MDP | Scenario, policy: PolicyLike | None = None, *, ax: Axes | None = None
 ) -> Axes:
@@ -65,7 +65,7 @@ def plot_transitions(
     >>> sorted(text.get_text() for text in plot_transitions(mdp).texts)
     ['0', '0', '1', '1/3', '2/3, 5']
     """
-    with extra("plots"):
+    with require_extra("plots"):
         import networkx as nx
     model = mdp_of(model)
     if model.n_states > MOST:
@@ -95,7 +95,7 @@ def plot_transitions(
         action = model.actions[model.pair_action[pair]]
         graph.add_edge(int(model.pair_state[pair]), point, label=action, **look)
         for chance, following, gain in model.table.row(pair):
-            text = _number(chance) + (f", {_number(gain)}" if gain else "")
+            text = _format_rational(chance) + (f", {_format_rational(gain)}" if gain else "")
             before = graph.get_edge_data(point, following, {}).get("label")
             text = text if before is None else f"{before}; {text}"
             graph.add_edge(point, following, label=text, **look)
@@ -108,7 +108,7 @@ def plot_transitions(
     _draw_graph(ax, graph, place, font=font, head=9, bend=0.2, at=0.5)
     ax.margins(0.05)
     what = "Transitions; at an arrow its probability, and its reward if any"
-    return described(ax, what, model.name)
+    return label_axes(ax, what, model.name)
 
 
 def _too_much(what: str, instead: str) -> ModelError:
@@ -116,7 +116,7 @@ def _too_much(what: str, instead: str) -> ModelError:
     return ModelError(f"a graph of {what}", where="graph", fix=fix)
 
 
-def _number(value: Fraction) -> str:
+def _format_rational(value: Fraction) -> str:
     """Return a rational as it is where that is short, else four digits."""
     exact = str(value) if value.denominator < 10**4 else ""
     return exact if 0 < len(exact) < 12 else f"{float(value):.4g}"
@@ -152,7 +152,7 @@ def _draw_graph(
     ax.set_axis_off()
 
 
-@picture
+@apply_style
 def draw_front(
     front: Front, *, policies: Mapping[str, PolicyLike] | None = None, ax: Axes | None = None
 ) -> Axes:
@@ -177,13 +177,13 @@ def draw_front(
     first, second = front.names
     names = {"x": f"expected total of {first}", "y": f"expected total of {second}"}
     model = "" if front.mdp is None else front.mdp.name
-    return described(ax, f"The front of {second} against {first}", model, **names)
+    return label_axes(ax, f"The front of {second} against {first}", model, **names)
 
 
 # ---- care ----------------------------------------------------------------------------------------
 
 
-@picture
+@apply_style
 def plot_influence(scenario: Scenario, *, ax: Axes | None = None) -> Axes:
     """Draw who raises whom; widths and labels are percentage points per timestep.
 
@@ -203,7 +203,7 @@ def plot_influence(scenario: Scenario, *, ax: Axes | None = None) -> Axes:
     >>> ax.texts[0].get_text().splitlines()[0]
     'forgetfulness'
     """
-    with extra("plots"):
+    with require_extra("plots"):
         import networkx as nx
     ax, graph = axes_or_new(ax, high=6.0), nx.DiGraph()
     for status in scenario.statuses:
@@ -221,10 +221,10 @@ def plot_influence(scenario: Scenario, *, ax: Axes | None = None) -> Axes:
     # Labels are nearer to where an arrow comes from, so that they do not meet.
     _draw_graph(ax, graph, place, font=9, head=16, bend=0.11, at=0.35)
     ax.margins(0.2)
-    return described(ax, "Who raises whom, in points of chance per timestep", scenario.name)
+    return label_axes(ax, "Who raises whom, in points of chance per timestep", scenario.name)
 
 
-@picture
+@apply_style
 def plot_error_costs(costs: ErrorCosts, *, ax: Axes | None = None) -> Axes:
     """Draw the loss by status: missed where present, and seen where absent."""
     by_cost = sorted(costs.by_status.items(), key=lambda item: -sum(item[1]))
@@ -234,13 +234,13 @@ def plot_error_costs(costs: ErrorCosts, *, ax: Axes | None = None) -> Axes:
         for row, (_, losses) in enumerate(by_cost)
         for aside, loss, look in zip((-0.2, 0.2), losses, (LOW, HIGH), strict=True)
     ]
-    ax = bars(axes_or_new(ax, names * 2), names, drawn)
+    ax = add_bars(axes_or_new(ax, names * 2), names, drawn)
     for place, loss, _ in drawn:
         ax.text(loss, place, f" {loss:.2f}", va="center", fontsize=8)
     ax.margins(x=0.12)
-    return described(
+    return label_axes(
         ax,
         "What errors in reading each status cost",
         x="loss against perfect perception (reward)",
-        handles=[swatch("present, not seen", LOW), swatch("absent, but seen", HIGH)],
+        handles=[make_swatch("present, not seen", LOW), make_swatch("absent, but seen", HIGH)],
     )

@@ -16,14 +16,14 @@ from exact_mdp.analysis.plots.style import (
     HATCHES,
     INK,
     Look,
+    add_horizontal_line,
+    add_lines,
+    apply_style,
     axes_or_new,
-    described,
-    level,
-    line,
-    lines,
-    picture,
+    choose_line_style,
+    label_axes,
 )
-from exact_mdp.analysis.vary.intervals import wilson
+from exact_mdp.analysis.vary.intervals import compute_wilson_interval
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.values.returns import ReturnDistribution
 from exact_mdp.solvers.values.simulate import Simulation
@@ -32,7 +32,7 @@ MEAN: Look = {"color": "black", "linestyle": "--", "linewidth": 1}
 BIN = 20  # epochs that a band of sampled values is drawn over
 
 
-@picture
+@apply_style
 def plot_return_distribution(distribution: ReturnDistribution, *, ax: Axes | None = None) -> Axes:
     """Draw the probability of each return, with the mean as a line."""
     ax = axes_or_new(ax)
@@ -49,10 +49,10 @@ def plot_return_distribution(distribution: ReturnDistribution, *, ax: Axes | Non
     else:
         ax.axvline(distribution.mean, label="mean", **MEAN)
     what = f"Distribution of the return: {title}"
-    return described(ax, what, x="return (reward)", y="probability")
+    return label_axes(ax, what, x="return (reward)", y="probability")
 
 
-@picture
+@apply_style
 def plot_simulation(simulation: Simulation, *, ax: Axes | None = None) -> Axes:
     """Draw how many sampled episodes had which return, and the mean with its 95 % interval."""
     ax = axes_or_new(ax)
@@ -64,13 +64,13 @@ def plot_simulation(simulation: Simulation, *, ax: Axes | None = None) -> Axes:
         ax.axvspan(*simulation.value.interval, color="0.85", zorder=0)
         ax.axvline(simulation.mean, label=f"mean {simulation.value}", **MEAN)
     what = f"Returns of {len(simulation.returns):,} simulated episodes"
-    return described(ax, what, x="return (reward)", y="episodes")
+    return label_axes(ax, what, x="return (reward)", y="episodes")
 
 
 # ---- learning ------------------------------------------------------------------------------------
 
 
-@picture
+@apply_style
 def plot_learning_curves(
     curves: LearningCurve | Mapping[str, LearningCurve],
     *,
@@ -112,16 +112,18 @@ def plot_learning_curves(
         at = np.linspace(0, len(curve.sampled) - 1, len(parts))
         bands[label] = at, [part.min() for part in parts], [part.max() for part in parts]
         if np.ptp(curve.value) > 0:
-            ax.plot(curve.value, ".", color=line(number)["color"], markersize=1, alpha=0.3)
-    means = {label: smoothed(curve.value, window) for label, curve in every.items()}
-    lines(ax, means, bands, words="range of sampled means", linewidth=1.6)
+            ax.plot(
+                curve.value, ".", color=choose_line_style(number)["color"], markersize=1, alpha=0.3
+            )
+    means = {label: average_epochs(curve.value, window) for label, curve in every.items()}
+    add_lines(ax, means, bands, words="range of sampled means", linewidth=1.6)
     if optimum is not None:
-        level(ax, optimum)
+        add_horizontal_line(ax, optimum)
     what = "Value of the greedy policy while it learns"
-    return described(ax, what, x="epoch", y="return (reward)")
+    return label_axes(ax, what, x="epoch", y="return (reward)")
 
 
-def smoothed(values: Floats, window: int) -> tuple[Floats, Floats]:
+def average_epochs(values: Floats, window: int) -> tuple[Floats, Floats]:
     """Return the middle of each window of epochs, and the mean of the values in it."""
     size = min(window, len(values))
     means: Floats = np.convolve(values, np.full(size, 1 / size), mode="valid").astype(float)
@@ -129,7 +131,7 @@ def smoothed(values: Floats, window: int) -> tuple[Floats, Floats]:
     return middles, means
 
 
-@picture
+@apply_style
 def plot_regrets(outcomes: Outcomes | Mapping[str, Outcomes], *, ax: Axes | None = None) -> Axes:
     """Draw the share of runs whose final regret is at most x, one step line for each training.
 
@@ -156,10 +158,10 @@ def plot_regrets(outcomes: Outcomes | Mapping[str, Outcomes], *, ax: Axes | None
     for label, each in every.items():
         words = f"{label}:\nmean {each.regret.mean():.2f}, optimal {each.optimal_fraction:.1%}"
         steps[words] = np.append(0.0, np.sort(each.regret)), np.linspace(0, 1, each.runs + 1)
-    lines(ax, steps, drawstyle="steps-post")
+    add_lines(ax, steps, drawstyle="steps-post")
     ax.set_xlim(left=0)
     ax.set_ylim(0, 1.02)
-    return described(
+    return label_axes(
         ax,
         "What trained policies lose",
         next(iter(every.values())).mdp.name,
@@ -168,7 +170,7 @@ def plot_regrets(outcomes: Outcomes | Mapping[str, Outcomes], *, ax: Axes | None
     )
 
 
-@picture
+@apply_style
 def plot_trainer(audit: TrainerAudit, *, ax: Axes | None = None) -> Axes:
     """Draw the share of runs within the limits, and its interval, after every run."""
     ax, frame = axes_or_new(ax), audit.frame()
@@ -178,14 +180,14 @@ def plot_trainer(audit: TrainerAudit, *, ax: Axes | None = None) -> Axes:
     ax.fill_between(runs, frame["low"], frame["high"], label=label, **band)
     passed = np.cumsum(frame["passed"]) / runs
     ax.step(runs, passed, where="mid", color=INK[0], label="share of the runs so far")
-    level(ax, float(audit.share), "share required")
+    add_horizontal_line(ax, float(audit.share), "share required")
     ax.set_ylim(-0.02, 1.02)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     names = {"x": "run", "y": "share of runs within the limits"}
-    return described(ax, "How often the trainer is good enough", audit.audits[0].mdp.name, **names)
+    return label_axes(ax, "How often the trainer is good enough", audit.audits[0].mdp.name, **names)
 
 
-@picture
+@apply_style
 def plot_distinct(outcomes: Mapping[str, Outcomes], *, ax: Axes | None = None) -> Axes:
     """Draw how many policies are greedy in the last episodes of a run, with 95 % intervals.
 
@@ -212,7 +214,7 @@ def plot_distinct(outcomes: Mapping[str, Outcomes], *, ax: Axes | None = None) -
         many = np.arange(1, each.distinct.max() + 1)
         counts = [int((each.distinct == size).sum()) for size in many]
         shares = np.array(counts) / each.runs
-        low, high = wilson(counts, each.runs)
+        low, high = compute_wilson_interval(counts, each.runs)
         ax.bar(
             many + (number - (len(outcomes) - 1) / 2) * width,
             shares,
@@ -229,4 +231,4 @@ def plot_distinct(outcomes: Mapping[str, Outcomes], *, ax: Axes | None = None) -
         )
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     names = {"x": "policies greedy in the last episodes", "y": "share of runs"}
-    return described(ax, "How many policies a run ends between", **names)
+    return label_axes(ax, "How many policies a run ends between", **names)

@@ -21,25 +21,25 @@ from exact_mdp.analysis.plots.style import (
     INK,
     LOW,
     Look,
+    add_bar,
+    add_bars,
+    add_lines,
+    apply_style,
     axes_or_new,
-    bar,
-    bars,
-    described,
-    lines,
+    label_axes,
+    make_swatch,
     name_rows,
-    picture,
-    swatch,
 )
 from exact_mdp.analysis.vary.curves.curve import ValueFunction
 from exact_mdp.analysis.vary.curves.gradient import Gradient
 from exact_mdp.analysis.vary.curves.thresholds import Thresholds
-from exact_mdp.analysis.vary.economics import WTP, CostEffectiveness, price
+from exact_mdp.analysis.vary.economics import WTP, CostEffectiveness, parse_price
 from exact_mdp.analysis.vary.intervals import tolerances_of
 from exact_mdp.analysis.vary.one_way import Curve, Tornado, TwoWay
 from exact_mdp.analysis.vary.psa import PSA
 from exact_mdp.analysis.vary.ranges import unit_of
 from exact_mdp.analysis.vary.sobol import Sobol
-from exact_mdp.mdp.errors import ModelError, known
+from exact_mdp.mdp.errors import ModelError, require_known_name
 from exact_mdp.mdp.parameter import Parameter
 
 OUTPUT = {
@@ -56,26 +56,26 @@ STEEP = 50  # times the usual value, beyond which values leave the picture
 
 
 def _with_range(name: str, low: float | Fraction, high: float | Fraction) -> str:
-    return f"{name} [{_number(low)}, {_number(high)}]"
+    return f"{name} [{_format_short_number(low)}, {_format_short_number(high)}]"
 
 
-def _number(value: float | Fraction) -> str:
+def _format_short_number(value: float | Fraction) -> str:
     """Return a number in three digits, or a whole one without an exponent."""
     number = float(value)
     return f"{number:,.0f}" if 1000 <= abs(number) < 1e9 else f"{number:.3g}"
 
 
-def _of(shown: int, every: int, what: str = "parameters") -> str:
+def _format_shown_count(shown: int, every: int, what: str = "parameters") -> str:
     """Return what a title says where not all are shown."""
     return f", {shown} of {every} {what}" * (shown < every)
 
 
-def _axis(parameter: Parameter) -> str:
+def _label_axis(parameter: Parameter) -> str:
     unit = unit_of(parameter)
     return parameter.name if unit == "number" else f"{parameter.name} ({unit})"
 
 
-@picture
+@apply_style
 def plot_gradient(gradient: Gradient, *, most: int = 15, ax: Axes | None = None) -> Axes:
     """Draw the largest elasticities: per cent of the start value for a per cent of a parameter.
 
@@ -85,17 +85,17 @@ def plot_gradient(gradient: Gradient, *, most: int = 15, ax: Axes | None = None)
     table = every.head(most)
     looks = [HIGH if slope > 0 else LOW for slope in table["derivative (reward per unit)"]]
     drawn = zip(range(len(table)), table["elasticity (% per %)"], looks, strict=True)
-    return described(
-        bars(ax, table["parameter"].tolist(), drawn),
-        f"Which parameters move the value most{_of(len(table), len(every))}",
+    return label_axes(
+        add_bars(ax, table["parameter"].tolist(), drawn),
+        f"Which parameters move the value most{_format_shown_count(len(table), len(every))}",
         gradient.model,
         x="elasticity of the value at the start (% per %)",
-        handles=[swatch("raises the value", HIGH), swatch("lowers the value", LOW)],
+        handles=[make_swatch("raises the value", HIGH), make_swatch("lowers the value", LOW)],
         legend="a higher parameter",
     )
 
 
-@picture
+@apply_style
 def plot_tornado(
     tornado: Tornado, *, most: int = 15, output: str | None = None, ax: Axes | None = None
 ) -> Axes:
@@ -106,7 +106,7 @@ def plot_tornado(
     """
     lost = tornado.today["regret"]
     output = output or ("fixed" if lost.value > lost.error else "optimal")
-    known(output, OUTPUT, "output", "output")
+    require_known_name(output, OUTPUT, "output", "output")
     middle = tornado.today[output].value
     column = {"optimal": "value", "fixed": "fixed_value", "regret": "regret"}[output]
     table = tornado.frame()
@@ -118,24 +118,25 @@ def plot_tornado(
     wider_first = (sorted(each, key=lambda end: -abs(end[0])) for each in ends)
     drawn = ((row, *end) for row, each in enumerate(wider_first) for end in each)
     what = "regret" if output == "regret" else "value"
-    return described(
-        bars(ax, names, drawn, middle),
-        f"Tornado: the {what} at both ends of each range{_of(len(rows), len(table))}",
+    return label_axes(
+        add_bars(ax, names, drawn, middle),
+        f"Tornado: the {what} at both ends of each range"
+        f"{_format_shown_count(len(rows), len(table))}",
         tornado.model,
         x=f"{OUTPUT[output]} (reward)",
-        handles=[swatch("at the low end", LOW), swatch("at the high end", HIGH)],
+        handles=[make_swatch("at the low end", LOW), make_swatch("at the high end", HIGH)],
     )
 
 
-@picture
+@apply_style
 def plot_value_curves(curve: Curve, *, ax: Axes | None = None) -> Axes:
     """Draw the start value along a parameter, the policy re-optimised and held fixed."""
     ax, at = axes_or_new(ax), curve.table.points[:, 0].astype(float)
     best, own = (at, curve.table.optimal), (at, curve.table.fixed[:, 0])
-    lines(ax, {"policy re-optimised": best, "policy held fixed": own}, inks=[BLACK])
+    add_lines(ax, {"policy re-optimised": best, "policy held fixed": own}, inks=[BLACK])
     _mark_today(ax, float(curve.parameter.value), at.min(), at.max())
-    names = {"x": _axis(curve.parameter), "y": "value at the start (reward)"}
-    return described(ax, f"The value along {curve.parameter.name}", curve.model, **names)
+    names = {"x": _label_axis(curve.parameter), "y": "value at the start (reward)"}
+    return label_axes(ax, f"The value along {curve.parameter.name}", curve.model, **names)
 
 
 def _mark_today(ax: Axes, today: float, low: float | Fraction, high: float | Fraction) -> None:
@@ -146,7 +147,7 @@ def _mark_today(ax: Axes, today: float, low: float | Fraction, high: float | Fra
         ax.plot([], [], " ", label=f"today: {today:g}, outside")
 
 
-@picture
+@apply_style
 def plot_value_function(curve: ValueFunction, *, n: int = 33, ax: Axes | None = None) -> Axes:
     """Draw the optimal start value along a parameter, piece by piece, from its exact functions.
 
@@ -161,7 +162,7 @@ def plot_value_function(curve: ValueFunction, *, n: int = 33, ax: Axes | None = 
         best += [float(piece.value.at(value)) for value in at]
         own += [float(piece.fixed.at(value)) for value in at] if piece.fixed is not None else []
     held = {"policy held fixed": (x, own)} if own else {}
-    lines(ax, {"policy re-optimised": (x, best)} | held, inks=(BLACK, "0.4"))
+    add_lines(ax, {"policy re-optimised": (x, best)} | held, inks=(BLACK, "0.4"))
     for number, end in enumerate(x[n::n]):
         label = None if number else "another policy becomes optimal"
         ax.axvline(end, color="0.5", linestyle=":", linewidth=1, label=label)
@@ -171,11 +172,11 @@ def plot_value_function(curve: ValueFunction, *, n: int = 33, ax: Axes | None = 
         ax.set_ylim(near.min(), near.max())
         ax.plot([], [], " ", label=f"beyond the picture: {drawn[np.abs(drawn).argmax()]:.3g}")
     _mark_today(ax, float(curve.parameter.value), curve.range.low, curve.range.high)
-    names = {"x": _axis(curve.parameter), "y": f"value at the start (reward; {curve.claim})"}
-    return described(ax, f"The optimal value along {name}", curve.mdp.name, **names)
+    names = {"x": _label_axis(curve.parameter), "y": f"value at the start (reward; {curve.claim})"}
+    return label_axes(ax, f"The optimal value along {name}", curve.mdp.name, **names)
 
 
-@picture
+@apply_style
 def plot_thresholds(
     changes: Thresholds | Mapping[str, Thresholds], *, ax: Axes | None = None
 ) -> Axes:
@@ -201,31 +202,31 @@ def plot_thresholds(
     ['today', 'the optimal policy stays']
     """
     every = [*changes.values()] if isinstance(changes, Mapping) else [changes]
-    names = [_axis(each.curve.parameter) for each in every]
+    names = [_label_axis(each.curve.parameter) for each in every]
     ax = axes_or_new(ax, names, high=1.2 + 0.6 * len(every))
     for place, each in enumerate(every):
         low, high = float(each.curve.range.low), float(each.curve.range.high)
         width = (high - low) or 1.0
         near, far = ((float(end) - low) / width for end in each.stable())
-        bar(ax, place, 1.0, LOW, height=0.6)
+        add_bar(ax, place, 1.0, LOW, height=0.6)
         stays: Look = {"color": BLUE, "left": near, "label": "the optimal policy stays"}
-        bar(ax, place, far - near, stays, height=0.6)
+        add_bar(ax, place, far - near, stays, height=0.6)
         for threshold in each.found:
             x = (threshold.value - low) / width
             ends = [place - 0.3, place + 0.3]
             ax.plot([x, x], ends, "-", color=BLACK, lw=1, label="an optimal action changes")
         today = (float(each.curve.parameter.value) - low) / width
         ax.plot(today, place, "D", color=BLACK, markersize=4, label="today")
-        ax.text(0, place + 0.42, _number(low), ha="left", va="center", fontsize=7)
-        ax.text(1, place + 0.42, _number(high), ha="right", va="center", fontsize=7)
+        ax.text(0, place + 0.42, _format_short_number(low), ha="left", va="center", fontsize=7)
+        ax.text(1, place + 0.42, _format_short_number(high), ha="right", va="center", fontsize=7)
     name_rows(ax, names)
     ax.set(xticks=[], xlim=(-0.02, 1.02), ylim=(len(every) - 0.4, -0.6))
     handles, labels = ax.get_legend_handles_labels()
     once = [*dict(zip(labels, handles, strict=True)).values()]
-    return described(ax, "How far each parameter may move", every[0].curve.mdp.name, handles=once)
+    return label_axes(ax, "How far each parameter may move", every[0].curve.mdp.name, handles=once)
 
 
-@picture
+@apply_style
 def plot_two_way(grid: TwoWay, *, ax: Axes | None = None) -> Axes:
     """Draw which policy is optimal over two parameters.
 
@@ -236,12 +237,12 @@ def plot_two_way(grid: TwoWay, *, ax: Axes | None = None) -> Axes:
     x, y = (np.unique(column) for column in grid.table.points.T.astype(float))
     count, room = int(shown.max()) + 1, IN_AN_INCH * ax.figure.bbox.height / ax.figure.dpi
     listed = [grid.chosen(number) for number in range(min(count, MOST_POLICIES))]
-    entries = _entries(listed)
+    entries = _describe_policies(listed)
     while len(listed) > 2 and "\n".join(entries).count("\n") > room:
-        entries = _entries(listed := listed[:-1])
+        entries = _describe_policies(listed := listed[:-1])
     shades = np.linspace(0.95, 0.35, count)[np.argsort(np.arange(count) % 2, kind="stable")]
     looks = [{"color": str(shade), "hatch": ""} for shade in shades]
-    handles = [swatch(*each) for each in zip(entries, looks, strict=False)]
+    handles = [make_swatch(*each) for each in zip(entries, looks, strict=False)]
     colours, ends = ListedColormap([*map(str, shades)]), (-0.5, count - 0.5)
     ax.pcolormesh(x, y, shown, cmap=colours, vmin=ends[0], vmax=ends[1], shading="nearest")
     for number in np.unique(shown).tolist():
@@ -251,14 +252,14 @@ def plot_two_way(grid: TwoWay, *, ax: Axes | None = None) -> Axes:
         ax.text(x[column], y[row], str(number), ha="center", va="center", color=ink, fontsize=7)
     today = (float(grid.x.value), float(grid.y.value))
     (mark,) = ax.plot(*today, "D", color=BLACK, markersize=5, label="today")
-    names = {"x": _axis(grid.x), "y": _axis(grid.y)}
+    names = {"x": _label_axis(grid.x), "y": _label_axis(grid.y)}
     legend = "how the policies differ" * (count > 1)
     legend += f" ({len(listed)} of {count})" * (count > len(listed))
     what = "Which policy is optimal"
-    return described(ax, what, grid.mdp.name, handles=[*handles, mark], legend=legend, **names)
+    return label_axes(ax, what, grid.mdp.name, handles=[*handles, mark], legend=legend, **names)
 
 
-def _entries(listed: Sequence[Mapping[str, str]]) -> list[str]:
+def _describe_policies(listed: Sequence[Mapping[str, str]]) -> list[str]:
     """Say of each policy what no other of them does; of only one its first actions."""
     entries = []
     for number, own in enumerate(listed):
@@ -273,7 +274,7 @@ def _entries(listed: Sequence[Mapping[str, str]]) -> list[str]:
     return entries
 
 
-@picture
+@apply_style
 def plot_sobol(
     indices: Sobol, *, output: str = "optimal", most: int = 12, ax: Axes | None = None
 ) -> Axes:
@@ -298,14 +299,17 @@ def plot_sobol(
         )
         for row, place in enumerate(order.tolist())
     ]
-    ax = bars(ax, [every[place] for place in order.tolist()], drawn)
+    ax = add_bars(ax, [every[place] for place in order.tolist()], drawn)
     ax.set_xlim(right=max(1.0, ax.get_xlim()[1]))
-    return described(
+    return label_axes(
         ax,
-        f"Variance of the {OUTPUT[output]}{_of(len(order), len(every))}",
+        f"Variance of the {OUTPUT[output]}{_format_shown_count(len(order), len(every))}",
         indices.model,
         x="share of the variance",
-        handles=[swatch("first order: alone", HIGH), swatch("total: alone and with others", LOW)],
+        handles=[
+            make_swatch("first order: alone", HIGH),
+            make_swatch("total: alone and with others", LOW),
+        ],
         legend="95% intervals",
     )
 
@@ -313,7 +317,7 @@ def plot_sobol(
 # ---- draws -------------------------------------------------------------------------------------
 
 
-@picture
+@apply_style
 def plot_acceptability(draws: PSA, *, ax: Axes | None = None) -> Axes:
     """Draw the probability that each candidate loses at most Δ, with its 95 % interval, against Δ.
 
@@ -325,7 +329,7 @@ def plot_acceptability(draws: PSA, *, ax: Axes | None = None) -> Axes:
     shares = {each.name: draws.acceptability(at, n) for n, each in enumerate(draws.candidates)}
     curves = {name: (at, share) for name, (share, _, _) in shares.items()}
     bands = {name: (at, low, high) for name, (_, low, high) in shares.items()}
-    lines(ax, curves, bands, inks=INKS, marker="o" * (len(at) == 1))
+    add_lines(ax, curves, bands, inks=INKS, marker="o" * (len(at) == 1))
     ax.set_ylim(-0.02, 1.02)
     if len(at) > 1:
         ax.set_xscale("symlog", linthresh=at[1], linscale=0.3)
@@ -338,10 +342,10 @@ def plot_acceptability(draws: PSA, *, ax: Axes | None = None) -> Axes:
     else:  # nothing is ever lost
         ax.set_xticks([0.0])
     x, y = "regret that is accepted, Δ (reward)", "probability that the regret is at most Δ"
-    return described(ax, "How often each policy is good enough", draws.model, x=x, y=y)
+    return label_axes(ax, "How often each policy is good enough", draws.model, x=x, y=y)
 
 
-@picture
+@apply_style
 def plot_cost_effectiveness(
     analysis: CostEffectiveness, *, wtp: float | None = None, ax: Axes | None = None
 ) -> Axes:
@@ -349,24 +353,24 @@ def plot_cost_effectiveness(
 
     A willingness to pay `wtp` is marked by an upright line.
     """
-    at, marked = analysis.grid(), None if wtp is None else price(wtp)
+    at, marked = analysis.grid(), None if wtp is None else parse_price(wtp)
     if marked is not None:
         at = np.union1d(at, np.linspace(0, 1.1 * marked, len(at)))
     ax = axes_or_new(ax)
     frontier = [share for _, share in analysis.frontier(at)]
     ax.plot(at, frontier, color="0.8", linewidth=7, solid_capstyle="butt", label="frontier")
     shares = zip(analysis.strategies, analysis.acceptability(at).T, strict=True)
-    lines(ax, {name: (at, share) for name, share in shares}, inks=INKS)
+    add_lines(ax, {name: (at, share) for name, share in shares}, inks=INKS)
     if marked is not None:
         ax.axvline(marked, color="0.5", linewidth=1, label=f"{WTP} {marked:,.10g}")
     ax.set_ylim(-0.02, 1.02)
     ax.xaxis.set_major_formatter("{x:,.10g}")
     effect, cost = analysis.components
     x, y = f"{WTP} ({cost} per {effect})", "share of draws in which it is the best"
-    return described(ax, "Cost-effectiveness acceptability curves", x=x, y=y)
+    return label_axes(ax, "Cost-effectiveness acceptability curves", x=x, y=y)
 
 
-@picture
+@apply_style
 def plot_optimal_actions(draws: PSA, *, ax: Axes | None = None) -> Axes:
     """Draw, for each status and action, the share of draws in which the action is optimal.
 
@@ -391,18 +395,18 @@ def plot_optimal_actions(draws: PSA, *, ax: Axes | None = None) -> Axes:
     ax.pcolormesh(share, vmin=0, vmax=1, cmap="Greys", edgecolors="0.9", linewidth=0.3)
     for (row, column), value in np.ndenumerate(share):
         look: Look = {"color": "white" if value > DARK else BLACK, "fontsize": 7}
-        ax.text(column + 0.5, row + 0.5, _share(value), ha="center", va="center", **look)
+        ax.text(column + 0.5, row + 0.5, _format_share(value), ha="center", va="center", **look)
     ax.set_xticks(np.arange(len(draws.actions)) + 0.5, draws.actions)
     ax.set_yticks(np.arange(len(share)) + 0.5, draws.labels[:MOST_ROWS])
     ax.tick_params(length=0)
     ax.invert_yaxis()
     y = "status at subtask 0, trial 0" if draws.compiled else "state"
-    more = _of(len(share), len(draws.labels), "states")
+    more = _format_shown_count(len(share), len(draws.labels), "states")
     what = f"Share of draws in which each action is optimal{more}"
-    return described(ax, what, draws.model, x="action", y=y)
+    return label_axes(ax, what, draws.model, x="action", y=y)
 
 
-def _share(value: float) -> str:
+def _format_share(value: float) -> str:
     if value in (0, 1):
         return "1" if value else ""
     return "<.01" if value < 0.01 else ">.99" if value > 0.99 else f"{value:.2f}".lstrip("0")

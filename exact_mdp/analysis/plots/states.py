@@ -22,7 +22,15 @@ from matplotlib.patches import Patch, Rectangle
 from numpy.typing import ArrayLike
 
 from exact_mdp.analysis.gate.audit import Audit
-from exact_mdp.analysis.layout import ARROWS, MOST_CELLS, Layout, arrange, cells, ends_of, shortened
+from exact_mdp.analysis.layout import (
+    ARROWS,
+    MOST_CELLS,
+    Layout,
+    arrange,
+    build_cells,
+    ends_of,
+    shorten_names,
+)
 from exact_mdp.analysis.optimum import actions_of
 from exact_mdp.analysis.plots.style import (
     BLACK,
@@ -30,12 +38,12 @@ from exact_mdp.analysis.plots.style import (
     ORANGE,
     WHITE,
     Look,
+    apply_style,
     axes_or_new,
-    described,
     fill_of,
-    narrow,
-    picture,
-    swatch,
+    is_narrow,
+    label_axes,
+    make_swatch,
 )
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
@@ -58,7 +66,7 @@ SHADES = LinearSegmentedColormap.from_list("value", ["#F7FBFF", "#2171B5"])
 LOSSES = LinearSegmentedColormap.from_list("loss", ["#FFF1E8", ORANGE])
 
 
-@picture
+@apply_style
 def plot_policy(model: MDP, policy: PolicyLike, *, ax: Axes | None = None, **place: Any) -> Axes:
     """Draw what a policy does in each state, in the style of its action.
 
@@ -82,11 +90,11 @@ def plot_policy(model: MDP, policy: PolicyLike, *, ax: Axes | None = None, **pla
     >>> [text.get_text() for text in ax.texts]
     ['∎', '∎', '∎', '∎', '∎', '←']
     """
-    layout, ends, used = _placed(model, place), ends_of(model), set[int]()
+    layout, ends, used = _place_states(model, place), ends_of(model), set[int]()
     choices = actions_of(model, policy_of(model, policy).weights(model) > 0)
     shown: dict[int, tuple[str, Look]] = {}
     for state in layout.shown.tolist():
-        text, number = layout.cell(choices[state]), model.actions.index(choices[state][0])
+        text, number = layout.format_actions(choices[state]), model.actions.index(choices[state][0])
         if state in ends:
             shown[state] = ends[state][0], {"fill": "0.92", "ink": "0.2"}
         elif len(choices[state]) > 1:
@@ -95,11 +103,11 @@ def plot_policy(model: MDP, policy: PolicyLike, *, ax: Axes | None = None, **pla
             used.add(number)
             shown[state] = text, fill_of(number)
     names = [s if s == action else f"{s} {action}" for action, s in layout.signs.items()]
-    handles = [swatch(names[number], fill_of(number)) for number in sorted(used)]
-    return _map(model, layout, ax, "What the policy does", shown, handles)
+    handles = [make_swatch(names[number], fill_of(number)) for number in sorted(used)]
+    return _draw_map(model, layout, ax, "What the policy does", shown, handles)
 
 
-@picture
+@apply_style
 def plot_states(
     model: MDP,
     values: ArrayLike,
@@ -140,17 +148,17 @@ def plot_states(
             where="plot_states",
             fix="give one number for each state",
         )
-    layout, texts = _placed(model, place), [""] * model.n_states
+    layout, texts = _place_states(model, place), [""] * model.n_states
     if policy is not None:
         choices = actions_of(model, policy_of(model, policy).weights(model) > 0)
-        texts = [*map(layout.cell, choices)]
+        texts = [*map(layout.format_actions, choices)]
     acts = policy is not None and not (layout.listed and model.n_states > MOST_NAMES)
-    signs = _signs(layout) if acts else []
+    signs = _make_sign_handles(layout) if acts else []
     acting = ", and what the policy does" if acts else ""
     what = f"{label.partition(' (')[0].capitalize()} of each state{acting}"
     if layout.listed:
-        ax = _bars(axes_or_new(ax), model, given, texts, label)
-        return described(ax, what, model.name, handles=signs)
+        ax = _draw_state_bars(axes_or_new(ax), model, given, texts, label)
+        return label_axes(ax, what, model.name, handles=signs)
     known = given[layout.shown][np.isfinite(given[layout.shown])]
     low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
     scale = Normalize(low, high if high > low else low + 1.0)
@@ -162,10 +170,10 @@ def plot_states(
         lines = [ends[state][0] if state in ends else texts[state], number]
         look = {"fill": SHADES(share), "ink": "white" if share > 0.7 else BLACK}
         shown[state] = "\n".join(filter(None, lines)), look | {"edgecolor": "0.8"}
-    return _map(model, layout, ax, what, shown, signs, (ScalarMappable(scale, SHADES), label))
+    return _draw_map(model, layout, ax, what, shown, signs, (ScalarMappable(scale, SHADES), label))
 
 
-@picture
+@apply_style
 def plot_solution(solution: Solution, *, ax: Axes | None = None, **place: Any) -> Axes:
     """Draw the values of a solution, a certificate or an evaluation, with the policy's actions.
 
@@ -184,7 +192,7 @@ def plot_solution(solution: Solution, *, ax: Axes | None = None, **place: Any) -
     return plot_states(solution.mdp, value, policy=solution.policy, label=label, ax=ax, **place)
 
 
-@picture
+@apply_style
 def plot_evaluation(
     own: Evaluation, *, visits: bool = False, ax: Axes | None = None, **place: Any
 ) -> Axes:
@@ -193,14 +201,14 @@ def plot_evaluation(
     return plot_states(own.mdp, values, policy=own.policy, label=label, ax=ax, **place)
 
 
-@picture
+@apply_style
 def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
     """Draw what the policy does; wrong states have a cross, a frame and the optimal action below.
 
     Darker cells cost more.
     """
-    layout, mdp = _placed(audit.mdp, place), audit.mdp
-    drawn = [each for row in cells(audit, layout) for each in row if each is not None]
+    layout, mdp = _place_states(audit.mdp, place), audit.mdp
+    drawn = [each for row in build_cells(audit, layout) for each in row if each is not None]
     ends, shown = ends_of(mdp), dict[int, tuple[str, Look]]()
     for each in drawn:
         text = ends[each.state][0] if each.state in ends else f"{each.text}\n{each.small}".strip()
@@ -217,13 +225,21 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
     lost = float(audit.regret.at_start.value)
     what = f"Where the policy is not optimal; regret at the start {lost:.4g}"
     bar = (colours, "what the state loses (reward)") if losses else None
-    return _map(mdp, layout, ax, what, shown, [*map(_words, words), *_signs(layout)], bar)
+    return _draw_map(
+        mdp,
+        layout,
+        ax,
+        what,
+        shown,
+        [*map(_make_text_handle, words), *_make_sign_handles(layout)],
+        bar,
+    )
 
 
 # ---- maps --------------------------------------------------------------------------------------
 
 
-def _placed(model: MDP, place: Mapping[str, Any]) -> Layout:
+def _place_states(model: MDP, place: Mapping[str, Any]) -> Layout:
     layout = arrange(model, **place)
     if layout.cells > MOST_CELLS:
         raise ModelError(
@@ -234,7 +250,7 @@ def _placed(model: MDP, place: Mapping[str, Any]) -> Layout:
     return layout
 
 
-def _map(
+def _draw_map(
     model: MDP,
     layout: Layout,
     ax: Axes | None,
@@ -254,7 +270,7 @@ def _map(
     ax.set(xlim=(0, wide), ylim=(high, 0), xlabel=layout.across, ylabel=layout.down)
     for ticks, labels in ((ax.set_xticks, layout.columns), (ax.set_yticks, layout.rows)):
         step = -(-len(labels) // MOST_NAMES)
-        ticks(np.arange(0, len(labels), step) + 0.5, shortened(labels, LONGEST)[::step])
+        ticks(np.arange(0, len(labels), step) + 0.5, shorten_names(labels, LONGEST)[::step])
     if max(map(len, layout.columns)) > 4:
         ax.tick_params(axis="x", rotation=90)
     ax.tick_params(length=0)
@@ -272,7 +288,7 @@ def _map(
     thin: Look = {} if font else {"linewidth": 0.2}  # a frame would cover a cell without a text
     listed = layout.named_in_cells
     full = [name.removeprefix("state ") for name in model.space.labels(shown if listed else ())]
-    names = dict(zip(shown, shortened(full, IN_A_CORNER), strict=False))
+    names = dict(zip(shown, shorten_names(full, IN_A_CORNER), strict=False))
     for state, (text, own) in shown.items():
         look = usual | {"edgecolor": BLACK} | own | thin
         x, y = int(layout.column[state]), int(layout.row[state])
@@ -286,12 +302,12 @@ def _map(
             beside: Look = {"ha": "left", "va": "top", "fontsize": 0.6 * font, "clip_on": True}
             ax.text(x + 0.06, y + 0.08, names[state], color=ink, **beside)
     if colours is not None:
-        side = "right" if narrow(ax) else "bottom"  # the legend is on the other one
+        side = "right" if is_narrow(ax) else "bottom"  # the legend is on the other one
         place: Look = {"location": side, "shrink": 0.7, "aspect": 35, "pad": 0.03}
         bar = ax.figure.colorbar(colours[0], ax=ax, label=colours[1], **place)
         bar.outline.set_visible(False)
     handles = [*handles, *_signs_of_states(ax, model, layout)]
-    return described(ax, what, model.name, handles=handles)
+    return label_axes(ax, what, model.name, handles=handles)
 
 
 def _signs_of_states(ax: Axes, model: MDP, layout: Layout) -> list[Any]:
@@ -305,27 +321,27 @@ def _signs_of_states(ax: Axes, model: MDP, layout: Layout) -> list[Any]:
         if starts:
             listed.append(Patch(facecolor="none", edgecolor=BLACK, lw=2, label="start"))
     shown = dict.fromkeys(ends[s] for s in layout.shown.tolist() if s in ends)
-    return [*listed, *(_words(f"{sign} {words}") for sign, words in shown)]
+    return [*listed, *(_make_text_handle(f"{sign} {words}") for sign, words in shown)]
 
 
-def _signs(layout: Layout) -> list[Line2D]:
+def _make_sign_handles(layout: Layout) -> list[Line2D]:
     """Return a legend's entries for the signs of actions that do not speak for themselves."""
     signs = layout.signs.items()
     open_ = [f"{sign} {action}" for action, sign in signs if sign not in (action, *ARROWS)]
-    return [*map(_words, open_[: 2 * len(ARROWS)])]
+    return [*map(_make_text_handle, open_[: 2 * len(ARROWS)])]
 
 
-def _words(text: str) -> Line2D:
+def _make_text_handle(text: str) -> Line2D:
     return Line2D([], [], linestyle="", label=text)
 
 
-def _bars(ax: Axes, model: MDP, values: Floats, texts: list[str], label: str) -> Axes:
+def _draw_state_bars(ax: Axes, model: MDP, values: Floats, texts: list[str], label: str) -> Axes:
     """Draw a bar for each state, with what the policy does at its end."""
     count, finite = len(values), np.where(np.isfinite(values), values, 0.0)
     edge: Look = {"edgecolor": BLACK, "linewidth": 0.5} if count <= NUMBERED else {"width": 1.0}
     bars = ax.bar(range(count), finite, color=BLUE, **edge)
     names = [name.removeprefix("state ") for name in model.space.labels(range(count))]
-    names = shortened(names, LONGEST)
+    names = shorten_names(names, LONGEST)
     wide = ax.bbox.width / ax.figure.dpi
     step = -(-count // min(MOST_NAMES, max(1, int(IN_AN_INCH * wide))))
     upright = len("  ".join(names[::step])) > MOST_LETTERS

@@ -59,28 +59,28 @@ def fill_of(number: int) -> Look:
     return {"fill": fill, "hatch": hatch, "ink": "white" if dark else BLACK}
 
 
-def picture(function: Callable[Arguments, Axes]) -> Callable[Arguments, Axes]:
+def apply_style(function: Callable[Arguments, Axes]) -> Callable[Arguments, Axes]:
     """Let a function draw in this style, on its own axes or on given ones.
 
     Texts are as written, and the title is broken where the figure ends.
     """
 
     @wraps(function)
-    def drawn(*arguments: Arguments.args, **settings: Arguments.kwargs) -> Axes:
+    def draw_picture(*arguments: Arguments.args, **settings: Arguments.kwargs) -> Axes:
         given = settings.get("ax")
         own = {"text.parse_math": False, "legend.frameon": False} if given else SETTINGS
-        with _context(own):
+        with _use_settings(own):
             ax = named_options(function)(*arguments, **settings)
         for text in ax.findobj(Text):  # those of the axes that were given, too
             assert isinstance(text, Text)
             text.set_parse_math(False)
         return ax
 
-    return drawn
+    return draw_picture
 
 
 @contextmanager
-def _context(settings: Any) -> Iterator[None]:
+def _use_settings(settings: Any) -> Iterator[None]:
     """Draw with settings; keep what a notebook turns on when it draws first, inside or not."""
     with mpl.rc_context(settings):
         yield
@@ -96,7 +96,7 @@ def style() -> Iterator[None]:
     ...     mpl.rcParams["svg.fonttype"]
     'none'
     """
-    with _context(SETTINGS):
+    with _use_settings(SETTINGS):
         yield
 
 
@@ -109,7 +109,7 @@ def axes_or_new(ax: Axes | None, names: Sequence[str] = (), high: float = 4.2) -
     return plt.subplots(figsize=(wide, high), layout="constrained")[1]
 
 
-def described(
+def label_axes(
     ax: Axes,
     what: str,
     model: str = "",
@@ -131,30 +131,30 @@ def described(
     if drawn := handles or ax.get_legend_handles_labels()[0]:
         columns = 2 if max(len(str(each.get_label())) for each in drawn) < 20 else 1
         under: Look = {"bbox_to_anchor": (0.0, -0.25), "ncols": columns, "fontsize": "small"}
-        place: Look = under if narrow(ax) else {"bbox_to_anchor": (1.02, 1.0)}
+        place: Look = under if is_narrow(ax) else {"bbox_to_anchor": (1.02, 1.0)}
         ax.legend(handles=handles or None, title=legend, loc="upper left", **place)
     return ax
 
 
-def narrow(ax: Axes) -> bool:
+def is_narrow(ax: Axes) -> bool:
     """Whether there is no room beside the axes."""
     figure = ax.get_figure(root=True)
     return figure is not None and float(figure.get_size_inches()[0]) < NARROW
 
 
-def swatch(label: str, look: Look) -> Patch:
+def make_swatch(label: str, look: Look) -> Patch:
     """Return a legend's handle for a colour and a hatching."""
     fill = look.get("fill", look.get("color"))
     return Patch(edgecolor=BLACK, label=label, facecolor=fill, hatch=look["hatch"])
 
 
-def bar(ax: Axes, row: float, length: float, look: Look, **more: Any) -> None:
+def add_bar(ax: Axes, row: float, length: float, look: Look, **more: Any) -> None:
     """Draw one bar across."""
     ticks: Look = {"ecolor": BLACK, "elinewidth": 1, "capsize": 2}
     ax.barh(row, length, edgecolor=BLACK, error_kw=ticks, **look, **more)
 
 
-def bars(
+def add_bars(
     ax: Axes | None,
     names: Sequence[str],
     drawn: Iterable[tuple[float, float, Look]],
@@ -163,7 +163,7 @@ def bars(
     """Draw rows with a name each, and bars across from a line: row, length, look."""
     ax = axes_or_new(ax, names)
     for row, length, look in drawn:
-        bar(ax, row, length, look, left=middle)
+        add_bar(ax, row, length, look, left=middle)
     name_rows(ax, names)
     ax.axvline(middle, color=BLACK, linewidth=0.8)
     return ax
@@ -175,13 +175,13 @@ def name_rows(ax: Axes, names: Sequence[str]) -> None:
     ax.invert_yaxis()
 
 
-def line(number: int, inks: Sequence[str] = INK) -> Look:
+def choose_line_style(number: int, inks: Sequence[str] = INK) -> Look:
     """Return colour and dashes of one of several lines, both alike in no two of them."""
     turn, place = divmod(number, len(inks))
     return {"color": inks[place], "linestyle": LINES[(place + turn) % len(LINES)]}
 
 
-def lines(
+def add_lines(
     ax: Axes,
     curves: Mapping[str, tuple[Any, Any]],
     bands: Mapping[str, tuple[Any, Any, Any]] | None = None,
@@ -192,13 +192,13 @@ def lines(
 ) -> None:
     """Draw curves (x, y) by label, with bands (x, low, high); `words` name one that is alone."""
     for number, (label, curve) in enumerate(curves.items()):
-        look = line(number, inks)
+        look = choose_line_style(number, inks)
         if bands:
             name = words if len(bands) == 1 else None
             ax.fill_between(*bands[label], color=look["color"], alpha=0.22, linewidth=0, label=name)
         ax.plot(*curve, label=label, **look, **form)
 
 
-def level(ax: Axes, value: float, label: str = "optimum") -> None:
+def add_horizontal_line(ax: Axes, value: float, label: str = "optimum") -> None:
     """Draw a dotted line across at a value."""
     ax.axhline(value, color="black", linestyle=":", linewidth=1, label=label)

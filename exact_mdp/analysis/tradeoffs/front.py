@@ -35,11 +35,17 @@ from exact_mdp.mdp.policies.choices import of_every_state
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
-from exact_mdp.mdp.table import Integers, common
-from exact_mdp.solvers.exact.duals import worth
-from exact_mdp.solvers.exact.levels import Level, combined
+from exact_mdp.mdp.table import Integers, to_common_denominator
+from exact_mdp.solvers.exact.duals import weigh_values
+from exact_mdp.solvers.exact.levels import Level, combine_levels
 from exact_mdp.solvers.objectives.amounts import Objectives
-from exact_mdp.solvers.objectives.totals import Attained, Point, TotalsProof, about, extreme
+from exact_mdp.solvers.objectives.totals import (
+    Attained,
+    Point,
+    TotalsProof,
+    find_extreme_policy,
+    list_proof_fields,
+)
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import flow_of
 
@@ -121,7 +127,9 @@ class Front(TotalsProof, Pictured):
 
     def totals(self, policy: PolicyLike) -> Point:
         """Return the exact totals of a policy, mixed ones too, from the start."""
-        return tuple(self.of.sign * value for value in flow_of(self.of, policy).totals(self.of))
+        return tuple(
+            self.of.sign * value for value in flow_of(self.of, policy).compute_totals(self.of)
+        )
 
     def distance(self, policy: PolicyLike) -> Fraction:
         """Return by how much all totals of a policy could be better at once: 0 on the front.
@@ -129,13 +137,15 @@ class Front(TotalsProof, Pictured):
         It is the least H(w) - w · totals over the corners w, whose weights sum to 1.
         """
         of = self.of
-        own = flow_of(of, policy).totals(of)
-        return min(c.dual.mean(of.mdp.start) - worth(c.weights, own) for c in self.corners)
+        own = flow_of(of, policy).compute_totals(of)
+        return min(
+            c.dual.compute_mean(of.mdp.start) - weigh_values(c.weights, own) for c in self.corners
+        )
 
     def report(self, policies: Mapping[str, PolicyLike] | None = None) -> Report:
         """Return vertices, edges and facets; `policies` by name are placed beside the front."""
 
-        def named(values: Any) -> dict[str, Fraction]:
+        def name_totals(values: Any) -> dict[str, Fraction]:
             return dict(zip(self.names, values, strict=True))
 
         mdp, two = self.of.mdp, len(self.names) == 2
@@ -146,20 +156,24 @@ class Front(TotalsProof, Pictured):
             "names": list(self.names),
             "claim": self.claim,
             "vertices": [
-                {"values": named(vertex), "policy": of_every_state(mdp, names)}
+                {"values": name_totals(vertex), "policy": of_every_state(mdp, names)}
                 for vertex, names in zip(self.vertices, choices, strict=True)
             ],
             "edges": Shown(
                 [
-                    {"from": e.start, "to": e.end, "rate": e.rate if two else named(e.rate)}
+                    {"from": e.start, "to": e.end, "rate": e.rate if two else name_totals(e.rate)}
                     for e in self.edges
                 ]
             ),
             "facets": Shown(
-                [{"weights": named(w), "vertices": list(tight)} for w, tight in self.facets]
+                [{"weights": name_totals(w), "vertices": list(tight)} for w, tight in self.facets]
             ),
             "policies": [
-                {"policy": name, "values": named(self.totals(p)), "distance": self.distance(p)}
+                {
+                    "policy": name,
+                    "values": name_totals(self.totals(p)),
+                    "distance": self.distance(p),
+                }
                 for name, p in (policies or {}).items()
             ],
         }
@@ -235,22 +249,22 @@ def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
             where="tradeoff",
             fix="stop after N steps (horizon), or ask for one optimum under limits (subject_to)",
         )
-    search = _Search(of)
-    while missing := search.corners() - search.best.keys():
-        search.look(min(missing))
+    search = _FrontSearch(of)
+    while missing := search.list_corners() - search.best.keys():
+        search.explore_weights(min(missing))
     order = sorted(search.vertices, key=lambda a: tuple(of.sign * v for v in a.total))
 
     def corner(weights: Weights) -> Corner:
         best, shares = search.best[weights], tuple(Fraction(w, sum(weights)) for w in weights)
-        lead = [worth(shares, best.total) - worth(shares, a.total) for a in order]
+        lead = [weigh_values(shares, best.total) - weigh_values(shares, a.total) for a in order]
         tight = tuple(i for i, short in enumerate(lead) if not short)
-        return Corner(weights=shares, dual=combined(best.values, shares), best=tight)
+        return Corner(weights=shares, dual=combine_levels(best.values, shares), best=tight)
 
-    corners = sorted(map(corner, search.corners()), key=lambda corner: corner.weights)
-    return Front(attained=tuple(order), corners=tuple(corners), **about(of, "front"))
+    corners = sorted(map(corner, search.list_corners()), key=lambda corner: corner.weights)
+    return Front(attained=tuple(order), corners=tuple(corners), **list_proof_fields(of, "front"))
 
 
-class _Search:
+class _FrontSearch:
     """The vertices found, and the cell of weights for which each is the best.
 
     Weights are whole numbers without a common divisor. `best` has an optimal policy for each of the
@@ -265,33 +279,35 @@ class _Search:
         self.cells: list[list[Weights]] = []
         self.best: dict[Weights, Attained] = {}
 
-    def corners(self) -> set[Weights]:
+    def list_corners(self) -> set[Weights]:
         """Return the corners of all cells, to begin with those of all weights."""
         return {w for cell in self.cells for w in cell} or set(self.simplex)
 
-    def look(self, weights: Weights) -> None:
+    def explore_weights(self, weights: Weights) -> None:
         """Keep an optimal policy for weights, and as a vertex where it is a new one."""
-        known = max(self.vertices, key=lambda a: worth(weights, a.total), default=None)
-        if known is not None and known.optimal(self.of, weights):
+        known = max(self.vertices, key=lambda a: weigh_values(weights, a.total), default=None)
+        if known is not None and known.is_optimal(self.of, weights):
             self.best[weights] = known
             return
-        new = extreme(self.of, weights, None if known is None else known.pairs)
+        new = find_extreme_policy(self.of, weights, None if known is None else known.pairs)
         self.best[weights] = new
-        if known is None or worth(weights, new.total) > worth(weights, known.total):
-            self._add(new)
+        if known is None or weigh_values(weights, new.total) > weigh_values(weights, known.total):
+            self._add_vertex(new)
 
-    def _add(self, new: Attained) -> None:
+    def _add_vertex(self, new: Attained) -> None:
         cell = self.simplex
         for number, other in enumerate(self.vertices):
-            ahead, _ = common([a - b for a, b in zip(new.total, other.total, strict=True)])
-            left = _clipped(self.cells[number], [-x for x in ahead])
+            ahead, _ = to_common_denominator(
+                [a - b for a, b in zip(new.total, other.total, strict=True)]
+            )
+            left = _clip_polygon(self.cells[number], [-x for x in ahead])
             if left != self.cells[number]:
-                self.cells[number], cell = left, _clipped(cell, ahead)
+                self.cells[number], cell = left, _clip_polygon(cell, ahead)
         self.vertices.append(new)
         self.cells.append(cell)
 
 
-def _clipped(polygon: list[Weights], normal: Sequence[int]) -> list[Weights]:
+def _clip_polygon(polygon: list[Weights], normal: Sequence[int]) -> list[Weights]:
     """Return the part of a convex polygon where normal · w ≥ 0 (Sutherland and Hodgman, 1974)."""
     side = [sum(map(mul, point, normal)) for point in polygon]
     if min(side, default=0) >= 0:

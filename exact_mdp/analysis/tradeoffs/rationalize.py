@@ -25,11 +25,18 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, data_frame
-from exact_mdp.solvers.exact.duals import allowed, worth
+from exact_mdp.solvers.exact.duals import solve_inequalities, weigh_values
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.objectives.amounts import Objectives
-from exact_mdp.solvers.objectives.simplex import maximise
-from exact_mdp.solvers.objectives.totals import Flow, Point, TotalsProof, about, flow_under, optimum
+from exact_mdp.solvers.objectives.simplex import solve_linear_program
+from exact_mdp.solvers.objectives.totals import (
+    OccupancyMeasure,
+    Point,
+    TotalsProof,
+    flow_under,
+    list_proof_fields,
+    solve_weighted,
+)
 from exact_mdp.solvers.solution import Certified
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import flow_of
@@ -41,19 +48,19 @@ ZERO, ONE = Fraction(0), Fraction(1)
 class Cut:
     """A policy, by its visits, that is worth at most as much as another one; and a multiplier."""
 
-    flow: Flow
+    flow: OccupancyMeasure
     multiplier: Fraction
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Interval:
+class WeightInterval:
     """Multipliers of one weight for which a policy is optimal, or None; and what proves it."""
 
     low: Fraction | None
     high: Fraction | float | None
     at_low: Level | None  # what no policy exceeds at the ends; at infinity, of this alone
     at_high: Level | None
-    cuts: tuple[Flow, ...]  # visits of policies that are better beyond the ends
+    cuts: tuple[OccupancyMeasure, ...]  # visits of policies that are better beyond the ends
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -62,17 +69,17 @@ class Rationalization(TotalsProof):
 
     change: Fraction  # the greatest relative one: 1 where nothing less than dropping weights does
     multipliers: tuple[Fraction, ...]  # one for each component of the reward, 1 today
-    flow: Flow  # expected visits of pairs under the policy
+    flow: OccupancyMeasure  # expected visits of pairs under the policy
     dual: Level  # what no policy exceeds under the weights
     cuts: tuple[Cut, ...]  # policies that nothing less makes worse than this one
-    intervals: tuple[Interval, ...]  # of each component alone
+    intervals: tuple[WeightInterval, ...]  # of each component alone
 
     kinds: ClassVar[tuple[str, ...]] = ("weights",)
 
-    def _wrong(self, mdp: MDP) -> list[str]:
+    def _find_violations(self, mdp: MDP) -> list[str]:
         if self.objectives != tuple(mdp.component_names):
             return ["what is weighed are not the components of the reward"]
-        return super()._wrong(mdp)
+        return super()._find_violations(mdp)
 
     @property
     def possible(self) -> bool:
@@ -164,37 +171,37 @@ def rationalize(model: MDP | Scenario, policy: PolicyLike) -> Rationalization:
     mdp = mdp_of(model)
     of = Objectives(mdp, mdp.component_names)
     own = flow_of(of, policy)
-    search = _Search(of, own.totals(of))
-    multipliers, change, dual, cuts = search.least()
+    search = _WeightSearch(of, own.compute_totals(of))
+    multipliers, change, dual, cuts = search.find_least_change()
     return Rationalization(
         change=change,
         multipliers=tuple(multipliers),
         flow=own,
         dual=dual,
         cuts=cuts,
-        intervals=tuple(search.alone(k) for k in range(len(of.names))),
-        **about(of, "weights"),
+        intervals=tuple(search.find_interval(k) for k in range(len(of.names))),
+        **list_proof_fields(of, "weights"),
     )
 
 
-class _Search:
+class _WeightSearch:
     """The policies found so far, as their visits and how far their totals are above the given."""
 
     def __init__(self, of: Objectives, totals: Point) -> None:
         self.of, self.totals = of, totals
-        self.policies: list[tuple[Flow, Point]] = []
+        self.policies: list[tuple[OccupancyMeasure, Point]] = []
 
-    def beaten(self, weights: Sequence[Fraction]) -> Level | None:
+    def prove_optimality(self, weights: Sequence[Fraction]) -> Level | None:
         """Return what proves that the policy is optimal for weights; None after one beats it."""
-        pairs, value = optimum(self.of, weights)
-        if value.mean(self.of.mdp.start) == worth(weights, self.totals):
+        pairs, value = solve_weighted(self.of, weights)
+        if value.compute_mean(self.of.mdp.start) == weigh_values(weights, self.totals):
             return value
         flow = flow_under(self.of, pairs)
-        lead = tuple(a - b for a, b in zip(flow.totals(self.of), self.totals, strict=True))
+        lead = tuple(a - b for a, b in zip(flow.compute_totals(self.of), self.totals, strict=True))
         self.policies.append((flow, lead))
         return None
 
-    def least(self) -> tuple[list[Fraction], Fraction, Level, tuple[Cut, ...]]:
+    def find_least_change(self) -> tuple[list[Fraction], Fraction, Level, tuple[Cut, ...]]:
         """Return weights, the change, the proof of optimality and that of the change."""
         size = len(self.totals)
         unit = [[Fraction(i == k) for i in range(size)] for k in range(size)]
@@ -202,35 +209,35 @@ class _Search:
         gain = [ONE] * size + [-ONE] * size
         while True:
             columns = bounds + [[*(-x for x in lead), ZERO] for _, lead in self.policies]
-            x, (*weights, change) = maximise(
+            x, (*weights, change) = solve_linear_program(
                 [*gain, *[ZERO] * len(self.policies)], columns, [*[ZERO] * size, ONE]
             )
-            dual = self.beaten(weights)
+            dual = self.prove_optimality(weights)
             if dual is not None:
                 each = zip(self.policies, x[2 * size :], strict=False)
                 cuts = tuple(Cut(flow=other, multiplier=own) for (other, _), own in each if own)
                 return weights, change, dual, cuts
 
-    def alone(self, k: int) -> Interval:
+    def find_interval(self, k: int) -> WeightInterval:
         """Return the multipliers of one component under which the policy is optimal."""
         size = len(self.totals)
 
-        def beaten(x: Fraction | float) -> Level | None:
+        def prove_multiplier(x: Fraction | float) -> Level | None:
             weights = [Fraction(x != inf)] * size
             weights[k] = ONE if isinstance(x, float) else x
-            return self.beaten(weights)
+            return self.prove_optimality(weights)
 
-        beaten(inf)
+        prove_multiplier(inf)
         while True:
             lines = [(lead[k], sum(lead) - lead[k]) for _, lead in self.policies]
-            low, high = allowed(lines)
-            each = [allowed([line]) for line in lines]
+            low, high = solve_inequalities(lines)
+            each = [solve_inequalities([line]) for line in lines]
             binding = [i for i, own in enumerate(each) if low > 0 and own[0] == low][:1]
             binding += [i for i, own in enumerate(each) if high < inf and own[1] == high][:1]
             cuts = tuple(self.policies[i][0] for i in sorted({*binding}))
             if low > high:
-                return Interval(low=None, high=None, at_low=None, at_high=None, cuts=cuts)
-            at_low = beaten(low)
-            at_high = at_low and beaten(high)
+                return WeightInterval(low=None, high=None, at_low=None, at_high=None, cuts=cuts)
+            at_low = prove_multiplier(low)
+            at_high = at_low and prove_multiplier(high)
             if at_low and at_high:
-                return Interval(low=low, high=high, at_low=at_low, at_high=at_high, cuts=cuts)
+                return WeightInterval(low=low, high=high, at_low=at_low, at_high=at_high, cuts=cuts)

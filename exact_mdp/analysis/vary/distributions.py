@@ -49,23 +49,23 @@ from zlib import crc32
 import numpy as np
 from numpy.random import SeedSequence
 
-from exact_mdp.analysis.vary.ranges import entries, is_probability, unit_of
-from exact_mdp.analysis.vary.study import checked
+from exact_mdp.analysis.vary.ranges import flatten_entries, is_probability, unit_of
+from exact_mdp.analysis.vary.study import read_points
 from exact_mdp.mdp.errors import (
     ModelError,
     check_names,
-    known,
-    listed,
-    located,
+    locate_errors,
     once_each,
-    suggest,
+    require_known_name,
+    require_list,
+    suggest_name,
 )
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Family, Parametric, moving, parameter_of, parametric
-from exact_mdp.mdp.parametric.family import asked_of
+from exact_mdp.mdp.parametric.family import pose_questions
 from exact_mdp.mdp.questions import origin_of, repeats_in_time
 from exact_mdp.mdp.result import Brief, DataFrame
 from exact_mdp.mdp.table import Floats, float_of
@@ -84,11 +84,11 @@ SAMPLE = "a sample as a pandas.DataFrame: a column for each parameter, a row for
 MOST_ROWS = 2000  # random ones; a draw of so many takes half a second
 
 
-def _beta(mean: float, size: float) -> Numbers:
+def _fit_beta(mean: float, size: float) -> Numbers:
     return mean * size, (1 - mean) * size
 
 
-def _lognormal(mean: float, sd: float) -> Numbers:
+def _fit_lognormal(mean: float, sd: float) -> Numbers:
     if mean <= 0:
         return math.nan, math.nan
     square = math.log1p((sd / mean) ** 2)
@@ -111,7 +111,7 @@ KINDS = {
         ("alpha", "beta"),
         lambda a, b: a > 0 and b > 0,
         lambda a, b: (a / (a + b), math.sqrt(a * b / (a + b + 1)) / (a + b)),
-        lambda mean, sd: _beta(mean, mean * (1 - mean) / sd**2 - 1),
+        lambda mean, sd: _fit_beta(mean, mean * (1 - mean) / sd**2 - 1),
         "a mean between 0 and 1 and an sd that is small enough; or alpha and beta above 0",
     ),
     "gamma": Kind(
@@ -128,7 +128,7 @@ KINDS = {
             (mean := math.exp(log + spread * spread / 2)),
             mean * math.sqrt(math.expm1(spread * spread)),
         ),
-        _lognormal,
+        _fit_lognormal,
         "a mean above 0; or an sdlog above 0",
     ),
     "normal": Kind(
@@ -218,7 +218,7 @@ class Uncertain:
         (4.75, 14.25)
         """
         where = f"distribution of {name}"
-        law = KINDS[known(kind, KINDS, "distribution", where)]
+        law = KINDS[require_known_name(kind, KINDS, "distribution", where)]
         by_own = kind != "normal" and set(said) == {*law.own}
         numbers = tuple(said[n] for n in law.own) if by_own else _of_moments(kind, said, where)
         if not (all(map(math.isfinite, numbers)) and law.sound(*numbers)):
@@ -306,7 +306,7 @@ def _of_moments(kind: str, said: Mapping[str, float], where: str) -> Numbers:
         return KINDS[kind].of_moments(
             mean, _check_within(said[spread], spread, where, unit) * other
         )
-    return _beta(mean, _check_within(said[SIZE], SIZE, where))
+    return _fit_beta(mean, _check_within(said[SIZE], SIZE, where))
 
 
 def _check_within(value: float, what: str, where: str, unit: float = 1.0) -> float:
@@ -413,26 +413,26 @@ def uncertainty(
         return stated
     model = parametric(model)
     if isinstance(stated, str | Path):
-        said, own = _read(stated)
-        with located(str(stated)):
+        said, own = _read_distributions(stated)
+        with locate_errors(str(stated)):
             return uncertainty(
                 model, said, default=own if default is None else default, names=names
             )
     if stated is not None and not isinstance(stated, Mapping):
         return _of_sample(model, stated)
-    stated = {name: _checked(name, settings) for name, settings in (stated or {}).items()}
-    given = EFFECTIVE_SAMPLE_SIZE if default is None else _float(default, "default", DEFAULT)
+    stated = {name: _check_settings(name, settings) for name, settings in (stated or {}).items()}
+    given = EFFECTIVE_SAMPLE_SIZE if default is None else _parse_number(default, "default", DEFAULT)
     size = _check_within(given, SIZE, DEFAULT)
     parameters = {parameter.name: parameter for parameter in model.parameters}
     rows = {label: tuple(row) for label, row in getattr(model, "rows", {}).items()}
     for name in stated:
-        if name not in rows and not any(_begins(known, name) for known in parameters):
+        if name not in rows and not any(_has_prefix(known, name) for known in parameters):
             parameter_of(model, name)
-    with located("rows"):
+    with locate_errors("rows"):
         label_of = once_each(
             (parameter_of(model, name).name, label) for label, row in rows.items() for name in row
         )
-    asked = [*parameters] if names is None else listed(names, "names")
+    asked = [*parameters] if names is None else require_list(names, "names")
     chosen = {each for name in asked for each in rows.get(name) or [parameter_of(model, name).name]}
     parts, fixed, assumed = list[Uncertain](), dict[str, str](), list[str]()
     for label in dict.fromkeys(label_of.get(name, name) for name in parameters):
@@ -442,15 +442,17 @@ def uncertainty(
             what = f"{some[0]} is asked for without the others of its row"
             fix = f"name the row, {label}: its probabilities are drawn together"
             raise ModelError(what, where="names", fix=fix)
-        settings = _settings(label, members, stated) if some else {}
+        settings = _find_settings(label, members, stated) if some else {}
         if not some:
             part: Uncertain | str = "not among the names asked for"
         elif settings.get("fixed"):
             part = "stated to be fixed"
         elif label in rows:
-            part = _row([parameters[name] for name in members], label, settings, size)
+            part = _read_row_distribution(
+                [parameters[name] for name in members], label, settings, size
+            )
         else:
-            part = _alone(parameters[label], settings, size)
+            part = _read_parameter_distribution(parameters[label], settings, size)
         if isinstance(part, str):
             fixed |= dict.fromkeys(members, part)
             continue
@@ -466,7 +468,7 @@ def _of_sample(model: Parametric, frame: Any) -> Uncertainty:
         fix = f"give {{name: settings}}, or {SAMPLE}"
         raise ModelError(f"{type(frame).__name__} is given", where="uncertain", fix=fix)
     names = tuple(frame.columns)
-    sample = checked(model, frame).astype(float)
+    sample = read_points(model, frame).astype(float)
     spread = sample.std(axis=0, ddof=1) if len(sample) > 1 else np.zeros(len(names))
     parts = [
         Uncertain(names=(n,), kind="sample", numbers=(), mean=(m,), sd=(s,), label=n)
@@ -476,7 +478,9 @@ def _of_sample(model: Parametric, frame: Any) -> Uncertainty:
     return Uncertainty(parts=tuple(parts), fixed=fixed, sample=sample)
 
 
-def _alone(parameter: Parameter, settings: Settings, default: float) -> Uncertain | str:
+def _read_parameter_distribution(
+    parameter: Parameter, settings: Settings, default: float
+) -> Uncertain | str:
     """Return the distribution of one parameter, or why it is not drawn."""
     name, today, low, high = parameter.name, float(parameter.value), parameter.low, parameter.high
     if not settings and not is_probability(parameter):
@@ -485,7 +489,7 @@ def _alone(parameter: Parameter, settings: Settings, default: float) -> Uncertai
         return f"{reason} held unless stated otherwise"
     usual = "beta" if low == 0 and high == 1 else "normal" if low is None or low < 0 else "gamma"
     kind = str(settings.get("distribution", usual))
-    said = {key: _float(settings[key], key, name) for key in settings if key in NUMBERS}
+    said = {key: _parse_number(settings[key], key, name) for key in settings if key in NUMBERS}
     said = said or ({SIZE: default} if kind == "beta" else {})
     if not set(said) - set(MOMENTS) and "mean" not in said:
         if "sd" not in said and today in ((0, 1) if kind == "beta" else (0,)):
@@ -502,7 +506,9 @@ def _alone(parameter: Parameter, settings: Settings, default: float) -> Uncertai
     return part
 
 
-def _row(row: Sequence[Parameter], label: str, settings: Settings, default: float) -> Uncertain:
+def _read_row_distribution(
+    row: Sequence[Parameter], label: str, settings: Settings, default: float
+) -> Uncertain:
     """Return the joint distribution of a row's entries."""
     names, where = [p.name for p in row], f"row {label}"
     for parameter in row:
@@ -518,20 +524,20 @@ def _row(row: Sequence[Parameter], label: str, settings: Settings, default: floa
         alpha: Any = settings["alpha"]
         if not isinstance(alpha, list | tuple):
             raise ModelError(f"alpha is {alpha!r:.60}", where=where, fix="give a list of numbers")
-        return Uncertain.of_row(label, names, [_float(x, "alpha", label) for x in alpha])
-    size = _check_within(_float(settings.get(SIZE, default), SIZE, label), SIZE, where)
+        return Uncertain.of_row(label, names, [_parse_number(x, "alpha", label) for x in alpha])
+    size = _check_within(_parse_number(settings.get(SIZE, default), SIZE, label), SIZE, where)
     means = [float(parameter.value) for parameter in row]
     return Uncertain.of_row(label, names, [size * m for m in (*means, 1.0 - math.fsum(means))])
 
 
-def _begins(name: str, start: str) -> bool:
+def _has_prefix(name: str, start: str) -> bool:
     return f"{name}.".startswith(f"{start}.")
 
 
-def _settings(label: str, names: Sequence[str], stated: Mapping[str, Settings]) -> Settings:
+def _find_settings(label: str, names: Sequence[str], stated: Mapping[str, Settings]) -> Settings:
     """Return what is stated of a part, or of the longest beginning of its names; all say one."""
     whole = stated.get(label, {})
-    starts = [[start for start in stated if _begins(name, start)] for name in names]
+    starts = [[start for start in stated if _has_prefix(name, start)] for name in names]
     said = [dict(stated[max(each, key=len)] if each else whole) for each in starts]
     if any(each != said[0] for each in [*said, *([whole] if whole else [])]):
         fix = f'its probabilities are drawn together: state them once, for "{label}"'
@@ -540,7 +546,7 @@ def _settings(label: str, names: Sequence[str], stated: Mapping[str, Settings]) 
     return said[0]
 
 
-def _checked(name: str, settings: object) -> Settings:
+def _check_settings(name: str, settings: object) -> Settings:
     """Return settings that are known."""
     where = f"parameter {name}"
     if not isinstance(settings, Mapping):
@@ -549,7 +555,7 @@ def _checked(name: str, settings: object) -> Settings:
         raise ModelError(f"{settings!r:.60} is stated", where=where, fix=fix)
     for key in settings:
         if key not in SETTINGS:
-            near = suggest(str(key), SETTINGS)
+            near = suggest_name(str(key), SETTINGS)
             every = f"choose one of {', '.join(SETTINGS)}"
             fix = ELSEWHERE.get(str(key), near if near.startswith("did you") else every)
             raise ModelError(f"unknown setting {key!r}", where=where, fix=fix)
@@ -561,11 +567,11 @@ def _checked(name: str, settings: object) -> Settings:
         raise ModelError("fixed, and a distribution", where=where, fix="state one of the two")
     if isinstance(kind, str) and kind in ELSEWHERE:
         raise ModelError(f"unknown distribution {kind!r}", where=where, fix=ELSEWHERE[kind])
-    known(kind, EVERY, "distribution", where)
+    require_known_name(kind, EVERY, "distribution", where)
     return settings
 
 
-def _float(value: object, key: str, name: str) -> float:
+def _parse_number(value: object, key: str, name: str) -> float:
     """Return a number that is stated, "p/q" as well; raises ModelError where it is none."""
     where = f"parameter {name}"
     if isinstance(value, float) and not math.isfinite(value):
@@ -573,14 +579,14 @@ def _float(value: object, key: str, name: str) -> float:
     return float_of(value, f"{where}, {key}")
 
 
-def _read(path: str | Path) -> tuple[dict[str, Settings], float | None]:
+def _read_distributions(path: str | Path) -> tuple[dict[str, Settings], float | None]:
     """Return the distributions that a TOML file states, and the sample size of all others."""
     if Path(path).suffix.lower() == ".csv":
         what, fix = "a table is no file of distributions, .toml", f"in Python give {SAMPLE}"
         raise ModelError(what, where=str(path), fix=fix)
     stated: dict[str, dict[str, object]] = {}
     content = toml_of(read_text(path, most=SMALL), str(path), number=float)
-    for prefix, key, value in entries(content):
+    for prefix, key, value in flatten_entries(content):
         if not prefix:
             fix = f'psa takes distributions: write "{key}" = {{{SIZE} = 50}}'
             raise ModelError(f"{key} = {value!r:.60}", where=str(path), fix=fix)
@@ -592,7 +598,7 @@ def _read(path: str | Path) -> tuple[dict[str, Settings], float | None]:
     if set(general) - {SIZE}:
         what, fix = f"[default] states more than {SIZE}", "state the rest for each parameter"
         raise ModelError(what, where=f"{path}, {DEFAULT}", fix=fix)
-    return {**stated}, _float(general[SIZE], SIZE, DEFAULT) if general else None
+    return {**stated}, _parse_number(general[SIZE], SIZE, DEFAULT) if general else None
 
 
 def drawn_family(model: Any) -> Parametric:
@@ -602,7 +608,7 @@ def drawn_family(model: Any) -> Parametric:
     origin = origin_of(model)
     if origin is None:
         return row_family(model)
-    return asked_of(row_family(origin.model), origin)
+    return pose_questions(row_family(origin.model), origin)
 
 
 def row_family(mdp: MDP) -> Family:

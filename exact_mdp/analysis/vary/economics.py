@@ -27,16 +27,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from exact_mdp.analysis.vary.distributions import Stated, Uncertainty, drawn_family, uncertainty
-from exact_mdp.analysis.vary.information import PartialInformation, evpi, evppi
-from exact_mdp.analysis.vary.psa import drawn, groups_of
+from exact_mdp.analysis.vary.information import PartialInformation, estimate_evpi, estimate_evppi
+from exact_mdp.analysis.vary.psa import groups_of, sample_parameters
 from exact_mdp.analysis.vary.study import ModelSolver
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError, known
+from exact_mdp.mdp.errors import ModelError, require_known_name
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown
-from exact_mdp.mdp.result import DataFrame, Pictured, data_frame, framed
+from exact_mdp.mdp.result import DataFrame, Pictured, data_frame, frame_to_table
 from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import RNG, seed_of
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT
@@ -82,18 +82,18 @@ class CostEffectiveness(Pictured):
 
     def net_benefit(self, wtp: ArrayLike) -> Floats:
         """Return (D, N) λ E - C at a willingness to pay for a unit of effect; at W, (W, D, N)."""
-        return np.multiply.outer(_prices(wtp), self.effect) - self.cost
+        return np.multiply.outer(_parse_prices(wtp), self.effect) - self.cost
 
-    def _error(self, wtp: ArrayLike) -> Floats:
+    def _bound_errors(self, wtp: ArrayLike) -> Floats:
         """Return bounds on the errors of net benefits, of the shape that `net_benefit` has."""
-        price = np.abs(_prices(wtp))
+        price = np.abs(_parse_prices(wtp))
         error = np.multiply.outer(price, self.effect_error + 4 * UNIT * np.abs(self.effect))
         return np.asarray((error + self.cost_error + 4 * UNIT * np.abs(self.cost)) * SLACK)
 
     def acceptability(self, wtp: ArrayLike) -> Floats:
         """Return (W, N) shares of draws in which a strategy is the best; equals share a draw."""
-        prices = np.atleast_1d(_prices(wtp))
-        values, error = self.net_benefit(prices), self._error(prices)
+        prices = np.atleast_1d(_parse_prices(wtp))
+        values, error = self.net_benefit(prices), self._bound_errors(prices)
         most = values.argmax(axis=2)[:, :, None]
         behind = np.take_along_axis(values, most, 2) - values
         best = behind <= np.take_along_axis(error, most, 2) + error
@@ -104,41 +104,45 @@ class CostEffectiveness(Pictured):
 
         Of equals, the first that was named.
         """
-        prices = np.atleast_1d(_prices(wtp))
-        best = [self._best(price) for price in prices.tolist()]
+        prices = np.atleast_1d(_parse_prices(wtp))
+        best = [self._find_best_strategy(price) for price in prices.tolist()]
         shares = self.acceptability(prices)[np.arange(len(best)), best]
         names = [self.strategies[n] for n in best]
         return list(zip(names, shares.tolist(), strict=True))
 
-    def _best(self, wtp: float) -> int:
+    def _find_best_strategy(self, wtp: float) -> int:
         """Return the strategy with the greatest mean net benefit; of equals, the first."""
-        means = _Means.of(self.net_benefit(wtp), self._error(wtp))
+        means = _Means.of(self.net_benefit(wtp), self._bound_errors(wtp))
         most = int(means.value.argmax())
-        return next(n for n in range(len(self.strategies)) if means.sign(n, most) == 0)
+        return next(n for n in range(len(self.strategies)) if means.compare_means(n, most) == 0)
 
-    def _settled(self, wtp: float) -> Floats:
+    def _equalise_ties(self, wtp: float) -> Floats:
         """Return net benefits (D, N), those equal to the best strategy's on average made the same.
 
         No value of information then comes of rounding.
         """
-        value, error, best = self.net_benefit(wtp), self._error(wtp), self._best(wtp)
+        value, error, best = (
+            self.net_benefit(wtp),
+            self._bound_errors(wtp),
+            self._find_best_strategy(wtp),
+        )
         own = value[:, best : best + 1]
         return np.where(np.abs(value - own) <= error + error[:, best : best + 1], own, value)
 
     def evpi(self, wtp: ArrayLike) -> Any:
         """Return what knowing all parameters first would be worth; a list for several `wtp`."""
-        prices = _prices(wtp)
+        prices = _parse_prices(wtp)
         if prices.ndim == 0:
-            return evpi(self._settled(float(prices)))
-        return [evpi(self._settled(each)) for each in prices.tolist()]
+            return estimate_evpi(self._equalise_ties(float(prices)))
+        return [estimate_evpi(self._equalise_ties(each)) for each in prices.tolist()]
 
     def evppi(
         self, wtp: float, groups: Mapping[str, Sequence[str]] | None = None
     ) -> dict[str, PartialInformation]:
         """Return what knowing groups of parameters would be worth; those of `PSA` unless given."""
-        value = self._settled(price(wtp))
+        value = self._equalise_ties(parse_price(wtp))
         return {
-            label: evppi(value, self.draws[:, columns], names)
+            label: estimate_evppi(value, self.draws[:, columns], names)
             for label, names, columns in groups_of(self.uncertainty, groups)
         }
 
@@ -151,7 +155,7 @@ class CostEffectiveness(Pictured):
         """
         cost = _Means.of(self.cost, self.cost_error)
         effect = _Means.of(self.effect, self.effect_error)
-        status = _statuses(cost, effect, self.strategies)
+        status = _classify_strategies(cost, effect, self.strategies)
         rows = data_frame(
             {
                 "strategy": self.strategies,
@@ -164,15 +168,18 @@ class CostEffectiveness(Pictured):
         efficient = [n for n, said in enumerate(status) if said == EFFICIENT]
         efficient.sort(key=lambda n: float(cost.value[n]))
         for one, other in pairwise(efficient):
-            more, gained = cost.difference(other, one)[0], effect.difference(other, one)[0]
+            more, gained = (
+                cost.compute_difference(other, one)[0],
+                effect.compute_difference(other, one)[0],
+            )
             rows.loc[other, list(STEP)] = [more, gained, more / gained]
         return rows.sort_values(["cost", "effect"], ascending=[True, False], ignore_index=True)
 
     def report(self) -> Report:
         """Return cost, effect and ICER of every strategy, and its chance to be the best."""
         rows, grid = self.icers(), self.grid(11)
-        chances = framed(self.frame(grid), "shares of draws in which each is the best")
-        strategies = framed(rows, "strategies, the cheapest first")
+        chances = frame_to_table(self.frame(grid), "shares of draws in which each is the best")
+        strategies = frame_to_table(rows, "strategies, the cheapest first")
         drawn = {part.label: part.kind for part in self.uncertainty.parts}
         count, assumed = len(self.draws), self.uncertainty
         facts = {
@@ -197,7 +204,7 @@ class CostEffectiveness(Pictured):
 
     def frame(self, wtp: ArrayLike | None = None) -> DataFrame:
         """Return one row for each willingness to pay: CEAC, frontier, EVPI."""
-        at = self.grid() if wtp is None else np.atleast_1d(_prices(wtp))
+        at = self.grid() if wtp is None else np.atleast_1d(_parse_prices(wtp))
         table = data_frame(self.acceptability(at), columns=list(self.strategies))
         table.insert(0, WTP, at)
         table["best on average"] = [name for name, _ in self.frontier(at)]
@@ -227,49 +234,59 @@ class _Means:
         given = np.broadcast_to(error, numbers.shape).mean(axis=0)
         return cls(numbers.mean(axis=0), rounding + given * SLACK)
 
-    def difference(self, one: int, other: int) -> tuple[float, float]:
+    def compute_difference(self, one: int, other: int) -> tuple[float, float]:
         """Return by how much one is greater than the other, and a bound on the error of that."""
         apart = float(self.value[one] - self.value[other])
         return apart, float(self.error[[one, other]].sum() + UNIT * abs(apart)) * SLACK
 
-    def sign(self, one: int, other: int) -> int:
+    def compare_means(self, one: int, other: int) -> int:
         """Return -1, 0 or 1: whether one is less than the other, equal to it or greater."""
-        apart, error = self.difference(one, other)
+        apart, error = self.compute_difference(one, other)
         return 0 if abs(apart) <= error else 1 if apart > 0 else -1
 
 
-def _statuses(cost: _Means, effect: _Means, names: Sequence[str]) -> list[str]:
+def _classify_strategies(cost: _Means, effect: _Means, names: Sequence[str]) -> list[str]:
     """Return why each strategy is on the efficient frontier, or is not."""
     status = [EFFICIENT] * len(names)
     kept = list[int]()
     for n, _ in enumerate(names):
-        alike = (m for m in kept if cost.sign(n, m) == 0 == effect.sign(n, m))
+        alike = (m for m in kept if cost.compare_means(n, m) == 0 == effect.compare_means(n, m))
         if (other := next(alike, None)) is None:
             kept.append(n)
         else:
             status[n] = EQUAL.format(names[other])
     for n in kept:
-        if any(m != n and cost.sign(m, n) <= 0 <= effect.sign(m, n) for m in kept):
+        if any(
+            m != n and cost.compare_means(m, n) <= 0 <= effect.compare_means(m, n) for m in kept
+        ):
             status[n] = DOMINATED
     frontier = list[int]()
     left = [n for n in kept if status[n] == EFFICIENT]
     for n in sorted(left, key=lambda n: float(cost.value[n])):
-        while len(frontier) > 1 and not _bends(cost, effect, frontier[-2], frontier[-1], n):
+        while len(frontier) > 1 and not _is_icer_rising(
+            cost, effect, frontier[-2], frontier[-1], n
+        ):
             status[frontier.pop()] = EXTENDED
         frontier.append(n)
     return status
 
 
-def _bends(cost: _Means, effect: _Means, first: int, middle: int, last: int) -> bool:
+def _is_icer_rising(cost: _Means, effect: _Means, first: int, middle: int, last: int) -> bool:
     """Return whether the ICER from first to middle is below that from middle to last for sure."""
-    (c1, dc1), (e1, de1) = cost.difference(middle, first), effect.difference(middle, first)
-    (c2, dc2), (e2, de2) = cost.difference(last, middle), effect.difference(last, middle)
+    (c1, dc1), (e1, de1) = (
+        cost.compute_difference(middle, first),
+        effect.compute_difference(middle, first),
+    )
+    (c2, dc2), (e2, de2) = (
+        cost.compute_difference(last, middle),
+        effect.compute_difference(last, middle),
+    )
     apart = c2 * e1 - c1 * e2
     error = abs(c2) * de1 + (abs(e1) + de1) * dc2 + abs(c1) * de2 + (abs(e2) + de2) * dc1
     return apart > (error + 4 * UNIT * (abs(c2 * e1) + abs(c1 * e2))) * SLACK
 
 
-def _prices(wtp: ArrayLike) -> Floats:
+def _parse_prices(wtp: ArrayLike) -> Floats:
     """Return one willingness to pay or several, checked."""
     try:
         prices = np.asarray(wtp, dtype=float)
@@ -280,9 +297,9 @@ def _prices(wtp: ArrayLike) -> Floats:
     return prices
 
 
-def price(wtp: ArrayLike) -> float:
+def parse_price(wtp: ArrayLike) -> float:
     """Return one willingness to pay, checked."""
-    if (prices := _prices(wtp)).ndim:
+    if (prices := _parse_prices(wtp)).ndim:
         raise ModelError("several numbers", where=WTP, fix="give one of them at a time")
     return float(prices)
 
@@ -346,12 +363,12 @@ def cost_effectiveness(
         family = drawn_family(model)
         chosen = uncertainty(family, uncertain)
         solver = ModelSolver(family, chosen.names)
-        draws = drawn(family, chosen, n, seed, solver.block)
+        draws = sample_parameters(family, chosen, n, seed, solver.block)
     for name in (effect, cost):
-        known(name, solver.mdp.component_names, "component", "cost-effectiveness")
-    weights = [solver.held(policy) for policy in strategies.values()]
+        require_known_name(name, solver.mdp.component_names, "component", "cost-effectiveness")
+    weights = [solver.hold_policy(policy) for policy in strategies.values()]
     every = [
-        solver.totals(draws[first : first + solver.block], weights, (effect, cost), first)
+        solver.compute_totals(draws[first : first + solver.block], weights, (effect, cost), first)
         for first in range(0, len(draws), solver.block)
     ]
     totals, errors = (np.concatenate(each) for each in zip(*every, strict=True))

@@ -59,7 +59,7 @@ class PartialInformation:
         return not self.doubts
 
 
-def evpi(values: Floats) -> MeanLoss:
+def estimate_evpi(values: Floats) -> MeanLoss:
     """Return the EVPI of choosing among the N candidates of values (D, N).
 
     The largest mean is taken, which pulls the estimate down by less than its standard error.
@@ -68,7 +68,7 @@ def evpi(values: Floats) -> MeanLoss:
     return mean_loss(values.max(axis=1) - values[:, best])
 
 
-def evppi(values: Floats, draws: Floats, names: tuple[str, ...]) -> PartialInformation:
+def estimate_evppi(values: Floats, draws: Floats, names: tuple[str, ...]) -> PartialInformation:
     """Return the EVPPI of q parameters, from values (D, N) of the candidates in draws (D, q)."""
     values, draws = values[:REGRESSED], draws[:REGRESSED]
     count, candidates = values.shape
@@ -84,22 +84,22 @@ def evppi(values: Floats, draws: Floats, names: tuple[str, ...]) -> PartialInfor
     if candidates == 1 or not varies.any():
         zero = Estimated(value=0.0, standard_error=0.0)
         return PartialInformation(parameters=names, regression=zero, lower=zero)
-    basis = _basis(draws[:, varies])
+    basis = _build_spline_basis(draws[:, varies])
     ends = np.linspace(0, count, FOLDS + 1).astype(int)
     folds = [slice(first, last) for first, last in pairwise(ends.tolist())]
     grams = [basis[fold].T @ basis[fold] for fold in folds]
     sides = [basis[fold].T @ ahead[fold] for fold in folds]
     gram, side = np.sum(grams, axis=0), np.sum(sides, axis=0)
-    fitted = basis @ _solved(gram, side)
+    fitted = basis @ _solve_normal_equations(gram, side)
     rows, chosen = np.arange(count), fitted.argmax(axis=1)
     gain = fitted[rows, chosen]  # the best on average is fitted by 0, others by less on average
-    most = evpi(values).value
+    most = estimate_evpi(values).value
     earned, promised = np.empty(count), float(gain.mean())
     for fold, inner, other in zip(folds, grams, sides, strict=True):
-        rule = basis[fold] @ _solved(gram - inner, side - other)
+        rule = basis[fold] @ _solve_normal_equations(gram - inner, side - other)
         earned[fold] = ahead[rows[fold], rule.argmax(axis=1)]
     taken = np.setdiff1d(chosen, best)
-    total, surprising = _longest(draws[:, varies], (ahead - fitted)[:, taken])
+    total, surprising = _find_largest_sum(draws[:, varies], (ahead - fitted)[:, taken])
     own, lower, carried = mean_of(ahead[rows, chosen]), mean_of(earned), mean_loss(gain)
     value, missed = min(promised, most), total / count
     apart, astray = value - lower.value, promised - own.value
@@ -141,7 +141,7 @@ def too_wide(error: float, evpi: float, count: int) -> list[str]:
     ]
 
 
-def _longest(draws: Floats, residuals: Floats) -> tuple[float, bool]:
+def _find_largest_sum(draws: Floats, residuals: Floats) -> tuple[float, bool]:
     """Return the greatest sum of residuals (D, N) that are neighbours along one of the parameters.
 
     And whether chance would hardly reach it: of n standard normal sums the greatest is hardly above
@@ -164,7 +164,7 @@ def _longest(draws: Floats, residuals: Floats) -> tuple[float, bool]:
     return total, size > float(np.sqrt(2 * np.log(windows)))
 
 
-def _basis(draws: Floats) -> Floats:
+def _build_spline_basis(draws: Floats) -> Floats:
     """Return (D, p): 1, a cubic spline of each parameter, products of pairs of parameters."""
     count, known = draws.shape
     # Cubic splines with about D^(1/5) knots balance bias and noise of a smooth function.
@@ -187,7 +187,7 @@ def _basis(draws: Floats) -> Floats:
     return np.column_stack(columns)
 
 
-def _solved(gram: Floats, side: Floats) -> Floats:
+def _solve_normal_equations(gram: Floats, side: Floats) -> Floats:
     """Return least-squares coefficients from normal equations, scaled, near-null directions out."""
     size = np.sqrt(np.diag(gram))
     size = np.where(size > 0, size, 1.0)

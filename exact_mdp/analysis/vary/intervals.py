@@ -128,14 +128,14 @@ def mean_at_least(sample: Floats, doubt: float) -> float:
     if len(sample) < FEWEST:
         return 0.0
 
-    def bound(numbers: Floats, most: float) -> float:
+    def bound_mean(numbers: Floats, most: float) -> float:
         cut, n = np.minimum(numbers, most), len(rest)
         spread = 2 * float(cut.var(ddof=1)) * log(2 / doubt) / n
         return float(cut.mean() - spread**0.5 - 7 * most * log(2 / doubt) / (3 * (n - 1)))
 
     grid = float(first.max()) * np.geomspace(1e-4, 2.0, THRESHOLDS)
-    threshold = float(grid[int(np.argmax([bound(first, c) for c in grid]))])
-    return max(bound(rest, threshold), 0.0)
+    threshold = float(grid[int(np.argmax([bound_mean(first, c) for c in grid]))])
+    return max(bound_mean(rest, threshold), 0.0)
 
 
 def tolerances_of(regrets: Sequence[Floats], count: int = 51) -> Floats:
@@ -144,7 +144,9 @@ def tolerances_of(regrets: Sequence[Floats], count: int = 51) -> Floats:
     return np.append(0.0, np.geomspace(1e-4 * most, most, count - 1)) if most > 0 else np.zeros(1)
 
 
-def quantiles(values: Floats, probabilities: Sequence[float] = QUANTILES) -> list[dict[str, float]]:
+def estimate_quantiles(
+    values: Floats, probabilities: Sequence[float] = QUANTILES
+) -> list[dict[str, float]]:
     """Return quantiles of a sample with 95 % intervals of order statistics.
 
     The k-th smallest of n is above a quantile only where fewer than k draws are below it. An end is
@@ -182,7 +184,7 @@ def require_draws(count: int, probability: float) -> None:
         )
 
 
-def wilson(successes: ArrayLike, count: int) -> tuple[Floats, Floats]:
+def compute_wilson_interval(successes: ArrayLike, count: int) -> tuple[Floats, Floats]:
     """Return the ends of Wilson's 95 % interval of a share."""
     share, square = np.asarray(successes) / count, NORMAL**2
     middle = (share + square / (2 * count)) / (1 + square / count)
@@ -192,8 +194,8 @@ def wilson(successes: ArrayLike, count: int) -> tuple[Floats, Floats]:
     return low, np.where(share == 1, 1.0, middle + half)
 
 
-def share_of(successes: int, count: int) -> Ranged:
+def estimate_share(successes: int, count: int) -> Ranged:
     """Return a share of a sample with Wilson's interval, which is sound where all or none agree."""
-    share, (low, high) = successes / count, wilson(successes, count)
+    share, (low, high) = successes / count, compute_wilson_interval(successes, count)
     error = (share * (1 - share) / count) ** 0.5
     return Ranged(value=share, standard_error=error, low=float(low), high=float(high))

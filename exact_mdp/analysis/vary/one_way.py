@@ -15,21 +15,21 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.analysis.vary.ranges import Range, Stated, checked, range_of, ranges_of, unit_of
+from exact_mdp.analysis.vary.ranges import Range, Stated, range_of, ranges_of, read_ranges, unit_of
 from exact_mdp.analysis.vary.study import Study, study
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
-from exact_mdp.mdp.graph import reachable
+from exact_mdp.mdp.graph import find_reachable_states
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
-from exact_mdp.mdp.policies.arrays import distinct
+from exact_mdp.mdp.policies.arrays import find_distinct_rows
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.report import Report, Shown, Table, claimed
+from exact_mdp.mdp.report import Report, Shown, Table, list_claim_facts
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Integers
-from exact_mdp.mdp.validate import counted
-from exact_mdp.solvers.solution import Bounded, regret
+from exact_mdp.mdp.validate import require_count
+from exact_mdp.solvers.solution import Bounded, compute_regret
 
 VALUES = {
     "re-optimised": "value:.6g",
@@ -53,8 +53,8 @@ class Tornado(Pictured):
     @property
     def today(self) -> dict[str, Bounded]:
         """The optimum at today's values, the value of the policy held "fixed", and its "regret"."""
-        optimal, fixed = self.table.bounded(0)
-        lost = regret(optimal, fixed, "max" if self.table.sign > 0 else "min")
+        optimal, fixed = self.table.bound_point_values(0)
+        lost = compute_regret(optimal, fixed, "max" if self.table.sign > 0 else "min")
         return {"optimal": optimal, "fixed": fixed, "regret": lost}
 
     def report(self, by: str = "swing") -> Report:
@@ -65,7 +65,7 @@ class Tornado(Pictured):
         bars, today = self.frame(by).drop(columns="claim"), self.today
         lost = today["regret"]
 
-        def table(policy: str, what: str, rows: Any = ()) -> Table:
+        def make_table(policy: str, what: str, rows: Any = ()) -> Table:
             columns = {"parameter": "parameter", "from": "low:.6g", "to": "high:.6g"}
             columns |= {"at low": f"{what}_low:.6g", "at high": f"{what}_high:.6g"}
             title = f"start value at both ends, policy {policy}"
@@ -75,14 +75,14 @@ class Tornado(Pictured):
         return Report(
             title="tornado",
             facts={
-                **claimed("start_value", today["optimal"]),
+                **list_claim_facts("start_value", today["optimal"]),
                 "policy_value": Shown(today["fixed"].value, today["fixed"]),
                 "regret": Shown(lost.value, lost),
                 "bars": bars.to_dict("records"),
             },
             tables={
-                "bars": table("re-optimised; regret of the policy held fixed", "value"),
-                "held": table("held fixed", "fixed_value", held),
+                "bars": make_table("re-optimised; regret of the policy held fixed", "value"),
+                "held": make_table("held fixed", "fixed_value", held),
             },
         )
 
@@ -176,7 +176,7 @@ def one_way(
     ([3.0, 3.0, 4.0], [1.0, 0.0, 0.0])
     """
     family = parametric(model)
-    values = grid(range_of(family, name, ranges, relative), points)
+    values = make_grid(range_of(family, name, ranges, relative), points)
     table = study(family, {name: values}, [policy])
     return Curve(model=family.name, parameter=parameter_of(family, name), table=table)
 
@@ -239,9 +239,9 @@ def tornado(
     )
 
 
-def grid(span: Range, points: int) -> list[Fraction]:
+def make_grid(span: Range, points: int) -> list[Fraction]:
     """Return evenly spaced values, the ends included; raises ModelError for fewer than 2."""
-    points = counted(points, "points", 2)
+    points = require_count(points, "points", 2)
     step = (span.high - span.low) / (points - 1)
     return [span.low + k * step for k in range(points)]
 
@@ -286,7 +286,7 @@ class TwoWay(Pictured):
         """Return what the policy of a number does in each state that it reaches, with a choice."""
         mdp, choices = self.mdp, self.choices[self.policy == number][0]
         taken = mdp.pair_action == choices[mdp.pair_state]
-        seen = np.flatnonzero(reachable(mdp, pairs=taken) & ~mdp.forced & ~mdp.over)
+        seen = np.flatnonzero(find_reachable_states(mdp, pairs=taken) & ~mdp.forced & ~mdp.over)
         return {mdp.space.label(state): mdp.actions[choices[state]] for state in seen.tolist()}
 
 
@@ -337,19 +337,19 @@ def two_way(
     if x == y:
         fix = "name two different parameters"
         raise ModelError(f"both parameters are {x}", where="two-way", fix=fix)
-    if odd := sorted(set(checked(family, ranges)) - {x, y}):
+    if odd := sorted(set(read_ranges(family, ranges)) - {x, y}):
         raise ModelError(
             f"{odd[0]} has a range, and is neither of the two parameters",
             where="two-way",
             fix=f"give ranges of {x} and {y} alone",
         )
     spans = ranges_of(family, [x, y], ranges, relative)
-    across, along = (grid(spans[name], points) for name in (x, y))
+    across, along = (make_grid(spans[name], points) for name in (x, y))
     columns = {x: across * points, y: [at for at in along for _ in across]}
     mdp, table = family.at({}), study(family, columns, [policy])
     taken = [mdp.pair_action == row[mdp.pair_state] for row in table.rows]
-    seen = np.array([reachable(mdp, pairs=each) & ~mdp.forced for each in taken])
-    numbers = distinct(np.where(seen, table.rows, -1)[table.which])[1]
+    seen = np.array([find_reachable_states(mdp, pairs=each) & ~mdp.forced for each in taken])
+    numbers = find_distinct_rows(np.where(seen, table.rows, -1)[table.which])[1]
     return TwoWay(
         mdp=mdp,
         x=across_by,

@@ -22,28 +22,41 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from exact_mdp.analysis.vary.distributions import Stated, Uncertainty, drawn_family, uncertainty
-from exact_mdp.analysis.vary.information import FEWEST, PartialInformation, evpi, evppi, too_wide
+from exact_mdp.analysis.vary.information import (
+    FEWEST,
+    PartialInformation,
+    estimate_evpi,
+    estimate_evppi,
+    too_wide,
+)
 from exact_mdp.analysis.vary.intervals import (
     MeanLoss,
+    compute_wilson_interval,
+    estimate_quantiles,
+    estimate_share,
     mean_loss,
     mean_of,
-    quantiles,
-    share_of,
     tolerances_of,
-    wilson,
 )
-from exact_mdp.analysis.vary.study import Draws, Study, checked, digest, require_room, solver_of
+from exact_mdp.analysis.vary.study import (
+    Study,
+    StudyDraws,
+    hash_policies,
+    read_points,
+    require_room_for_points,
+    solver_of,
+)
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError, known, named_options
+from exact_mdp.mdp.errors import ModelError, named_options, require_known_name
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.parametric.family import place_of
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.report import Report, Shown, Table, cell, claimed, plain
+from exact_mdp.mdp.report import Report, Shown, Table, format_cell, list_claim_facts, to_json_values
 from exact_mdp.mdp.result import DataFrame, Pictured
 from exact_mdp.mdp.table import Floats
-from exact_mdp.mdp.validate import RNG, Flags, counted, seed_of
-from exact_mdp.solvers.parallel import How, seeded
+from exact_mdp.mdp.validate import RNG, Flags, require_count, seed_of
+from exact_mdp.solvers.parallel import How, seed_blocks
 from exact_mdp.solvers.solution import Bounded, Estimated
 
 LISTED = 16  # rows of a table
@@ -73,7 +86,7 @@ class Information:
     best: str
 
     def __repr__(self) -> str:
-        return f"{cell(self.low)} to {cell(self.high)} (best policy: {self.best})"
+        return f"{format_cell(self.low)} to {format_cell(self.high)} (best policy: {self.best})"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -123,7 +136,7 @@ class PSA(Pictured):
     @property
     def clipped(self) -> Estimated | None:
         """Share of draws in which some chance was cut off at 1; None where that is not known."""
-        return share_of(int(self.table.cut.sum()), len(self)) if self.compiled else None
+        return estimate_share(int(self.table.cut.sum()), len(self)) if self.compiled else None
 
     def acceptability(
         self, tolerances: ArrayLike, candidate: int = 0
@@ -131,12 +144,12 @@ class PSA(Pictured):
         """Return the probability that the candidate loses at most Δ, and Wilson's intervals."""
         at = np.asarray(tolerances, dtype=float)
         inside = np.searchsorted(np.sort(self.regret(candidate)), at, side="right")
-        return inside / len(self), *wilson(inside, len(self))
+        return inside / len(self), *compute_wilson_interval(inside, len(self))
 
     def probability_optimal(self) -> tuple[Floats, Floats, Floats]:
         """Return (X, A) shares of draws in which each action is optimal, and Wilson's intervals."""
         counts = self.table.counts
-        return counts / len(self), *wilson(counts, len(self))
+        return counts / len(self), *compute_wilson_interval(counts, len(self))
 
     def evpi(self) -> Information:
         """Return what knowing every drawn parameter would be worth, over all policies."""
@@ -151,7 +164,7 @@ class PSA(Pictured):
 
     def evpi_of_candidates(self) -> MeanLoss:
         """Return what it would be worth to know before choosing among the candidates."""
-        return evpi(self.gained)
+        return estimate_evpi(self.gained)
 
     def evppi(
         self, groups: Mapping[str, Sequence[str]] | None = None
@@ -166,7 +179,7 @@ class PSA(Pictured):
         doubt = (MISSING,) if among.value + apart < least.value else ()
         by_group = {}
         for label, members, columns in groups_of(self.uncertainty, groups):
-            each = evppi(self.gained, self.table.points[:, columns], members)
+            each = estimate_evppi(self.gained, self.table.points[:, columns], members)
             by_group[label] = replace(each, doubts=(*each.doubts, *doubt))
         return by_group
 
@@ -194,7 +207,7 @@ class PSA(Pictured):
                 "name": candidate.name,
                 "actions": candidate.actions,
                 "mean": mean_of(self.table.fixed[:, n]),
-                "expected_loss": _loss(losses[n]),
+                "expected_loss": _list_loss_facts(losses[n]),
                 "probability_optimal": float(accepted[n][0][0]),  # at a tolerance of 0
                 "draws_whose_optimum_it_was": candidate.frequency,
             }
@@ -213,11 +226,14 @@ class PSA(Pictured):
             "high": most,
             "candidates": {name: each for name, (each, *_) in zip(names, accepted, strict=True)},
         }
-        ends = {"low": _loss(information.low), "high": _loss(information.high)}
+        ends = {
+            "low": _list_loss_facts(information.low),
+            "high": _list_loss_facts(information.high),
+        }
         return Report(
             title="probabilistic sensitivity analysis",
             facts={
-                **claimed("start_value", self.start),
+                **list_claim_facts("start_value", self.start),
                 "claim": "estimated",
                 "draws": Shown(len(self), f"{len(self):,}, each re-solved"),
                 "seed": self.seed,
@@ -225,14 +241,14 @@ class PSA(Pictured):
                 "fixed": Shown(self.uncertainty.fixed, len(self.uncertainty.fixed) or None),
                 "assumed": Shown(self.uncertainty.assumed, self.uncertainty.assumption or None),
                 "clipped": self.clipped,
-                "value": _spread(self.table.optimal, self.value),
-                "regret": _spread(regret, losses[0]),
+                "value": _describe_draws(self.table.optimal, self.value),
+                "regret": _describe_draws(regret, losses[0]),
                 "acceptability": Shown(
                     acceptability, f"the policy held is optimal in {within[0]:.1%} of draws"
                 ),
                 "evpi": Shown(information.high.value, repr(information)),
                 "evpi_bounds": Shown(ends | {"best_policy": information.best}),
-                "evpi_of_candidates": Shown(_loss(among)),
+                "evpi_of_candidates": Shown(_list_loss_facts(among)),
                 "evppi": Shown({name: each.regression.value for name, each in partly.items()}),
                 "evppi_details": Shown(
                     {n: vars(each) | {"reliable": each.reliable} for n, each in partly.items()}
@@ -288,19 +304,19 @@ class PSA(Pictured):
         return self.table.frame()
 
 
-def _loss(loss: MeanLoss) -> dict[str, object]:
-    return {**plain(loss), "draws_that_carry_it": loss.carried, "few_draws": loss.few}
+def _list_loss_facts(loss: MeanLoss) -> dict[str, object]:
+    return {**to_json_values(loss), "draws_that_carry_it": loss.carried, "few_draws": loss.few}
 
 
-def _spread(values: Floats, mean: Estimated) -> Shown:
+def _describe_draws(values: Floats, mean: Estimated) -> Shown:
     """Return the mean of draws, their spread and quantiles."""
-    stated = _loss(mean) if isinstance(mean, MeanLoss) else plain(mean)
+    stated = _list_loss_facts(mean) if isinstance(mean, MeanLoss) else to_json_values(mean)
     sd = float(values.std(ddof=1)) if len(values) > 1 else float("nan")
-    every = quantiles(values)
+    every = estimate_quantiles(values)
     middle = f"{every[0]['value']:.4g} to {every[-1]['value']:.4g}"
     return Shown(
         {"mean": stated.pop("value"), **stated, "sd": sd, "quantiles": every},
-        f"mean {cell(mean)}, 95 % of draws {middle}",
+        f"mean {format_cell(mean)}, 95 % of draws {middle}",
     )
 
 
@@ -326,11 +342,13 @@ def groups_of(
         raise ModelError(what, where="EVPPI", fix=fix)
     for label, members in groups.items():
         for name in members:
-            known(name, place, "drawn parameter", f"EVPPI of {label}")
+            require_known_name(name, place, "drawn parameter", f"EVPPI of {label}")
     return [(label, tuple(m), [place[name] for name in m]) for label, m in groups.items()]
 
 
-def drawn(family: Parametric, chosen: Uncertainty, n: int | None, seed: int, block: int) -> Floats:
+def sample_parameters(
+    family: Parametric, chosen: Uncertainty, n: int | None, seed: int, block: int
+) -> Floats:
     """Return (n, Q) draws, each block from a stream of its own, or rows of one's own sample."""
     if not chosen.parts:
         raise ModelError(
@@ -342,19 +360,19 @@ def drawn(family: Parametric, chosen: Uncertainty, n: int | None, seed: int, blo
     sample = chosen.sample
     if n is None and sample is None:
         raise ModelError("nothing says how many draws", where="n", fix="say n=1000")
-    n = counted(len(sample) if n is None and sample is not None else n, "n")
+    n = require_count(len(sample) if n is None and sample is not None else n, "n")
     if sample is not None and n > len(sample):
         raise ModelError(
             f"{n:,} draws of a sample of {len(sample):,}",
             where="n",
             fix=f"ask for {len(sample):,} or fewer",
         )
-    require_room(n, len(chosen.names), "ask for fewer draws")
+    require_room_for_points(n, len(chosen.names), "ask for fewer draws")
     if sample is None:
-        sample = np.concatenate([chosen.draw(*each) for each in seeded(seed, n, block)])
+        sample = np.concatenate([chosen.draw(*each) for each in seed_blocks(seed, n, block)])
     fix = "draw finite numbers within its range: a beta stays between 0 and 1, a gamma and a "
     fix += "log-normal above 0"
-    return checked(family, dict(zip(chosen.names, sample[:n].T, strict=True)), fix)
+    return read_points(family, dict(zip(chosen.names, sample[:n].T, strict=True)), fix)
 
 
 @named_options
@@ -408,16 +426,16 @@ def psa(
     family, seed = drawn_family(model), seed_of(rng)
     chosen = uncertainty(family, uncertain, default=effective_sample_size)
     solver = solver_of(family, chosen.names)
-    points = drawn(family, chosen, n, seed, solver.block)
-    today, fixed_policy = solver.held("optimal"), solver.held(policy)
+    points = sample_parameters(family, chosen, n, seed, solver.block)
+    today, fixed_policy = solver.hold_policy("optimal"), solver.hold_policy(policy)
     same = np.array_equal(fixed_policy, today)
     given = [(TODAY, today)] if same else [(HELD, fixed_policy), (TODAY, today)]
     own = [[*part.names, part.kind, *part.numbers] for part in chosen.parts]
-    key = {"seed": seed, "drawn": own if chosen.sample is None else digest(chosen.sample)}
+    key = {"seed": seed, "drawn": own if chosen.sample is None else hash_policies(chosen.sample)}
     how = How(n_jobs=n_jobs, folder=folder, progress=progress)
-    draws = Draws(solver, points, solver.block, key, how)
-    table = draws.with_policies(draws.study(()), [weights for _, weights in given])
-    picked, table = _selected(draws, table, given)
+    draws = StudyDraws(solver, points, solver.block, key, how)
+    table = draws.with_policies(draws.run_study(()), [weights for _, weights in given])
+    picked, table = _select_policies(draws, table, given)
     counts = np.bincount(table.which, minlength=len(table.rows))
     return PSA(
         model=family.name,
@@ -429,8 +447,8 @@ def psa(
             Candidate(
                 name=name,
                 weights=weights,
-                frequency=int(counts[_alike(draws, table, weights)].sum()),
-                actions=solver.shown(weights),
+                frequency=int(counts[_match_policies(draws, table, weights)].sum()),
+                actions=solver.describe_policy(weights),
             )
             for name, weights in picked
         ),
@@ -440,8 +458,8 @@ def psa(
     )
 
 
-def _selected(
-    draws: Draws, table: Study, given: Sequence[tuple[str, Floats]]
+def _select_policies(
+    draws: StudyDraws, table: Study, given: Sequence[tuple[str, Floats]]
 ) -> tuple[list[tuple[str, Floats]], Study]:
     """Return the policies given and those that add most, and their study.
 
@@ -460,14 +478,14 @@ def _selected(
 
     left = to_be_won()
     by_loss = np.bincount(which, weights=left, minlength=len(rows))
-    known = np.any([_alike(draws, table, weights) for _, weights in given], axis=0)
+    known = np.any([_match_policies(draws, table, weights) for _, weights in given], axis=0)
     pool = np.argsort(-by_loss, kind="stable")[:POOL]
     pool = pool[(by_loss[pool] > 0) & ~known[pool]]
     if not len(pool):
         return picked, table
-    others = [draws.solver.held(row) for row in rows[pool]]
+    others = [draws.solver.hold_policy(row) for row in rows[pool]]
     total, some = float(left.sum()), np.sort(np.argsort(-left, kind="stable")[: draws.solver.pool])
-    values = sign * draws.solver.values(table.points[some], others)["value"]
+    values = sign * draws.solver.evaluate_policies(table.points[some], others)["value"]
     for count in range(1, CANDIDATES + 1):
         best = (sign * table.fixed[some]).max(axis=1)
         seen = np.maximum(values - best[:, None], 0.0).sum(axis=0)
@@ -481,6 +499,6 @@ def _selected(
     return picked, table
 
 
-def _alike(draws: Draws, table: Study, weights: Floats) -> Flags:
+def _match_policies(draws: StudyDraws, table: Study, weights: Floats) -> Flags:
     """Return which of the optimal policies (U,) a policy is."""
-    return np.asarray((table.rows == draws.solver.row(weights)).all(axis=1))
+    return np.asarray((table.rows == draws.solver.to_action_numbers(weights)).all(axis=1))

@@ -12,15 +12,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from exact_mdp.mdp.care.scenario import ScenarioFamily
-from exact_mdp.mdp.errors import ModelError, listed, located, of_type
-from exact_mdp.mdp.graph import endless
+from exact_mdp.mdp.errors import ModelError, locate_errors, require_list, require_type
+from exact_mdp.mdp.graph import has_improper_policy
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, room_of
 from exact_mdp.mdp.parametric.family import place_of
-from exact_mdp.mdp.table import FLOAT_RANGE, beside, exact, shown
-from exact_mdp.solvers.solution import warn
+from exact_mdp.mdp.table import FLOAT_RANGE, exact, format_beside_limits, format_rational
+from exact_mdp.solvers.solution import warn_at_caller
 
 RELATIVE = Fraction(1, 5)  # of the value; every result states the ranges that it is of
 HALVINGS = 40  # of the way to an end without a model: nearer than 10⁻¹² of it, there is no range
@@ -66,7 +66,8 @@ class Range:
             object.__setattr__(self, end, exact(getattr(self, end), "range"))
         if self.low > self.high:
             raise ModelError(
-                f"the range from {beside(self.low, self.high)} to {shown(self.high)} is empty",
+                f"the range from {format_beside_limits(self.low, self.high)} "
+                f"to {format_rational(self.high)} is empty",
                 where="range",
                 fix="put the smaller number first",
             )
@@ -80,7 +81,7 @@ Stated = Mapping[str, object] | str | Path
 """{name: (low, high)}, or the .toml file that states them."""
 
 
-def around(parameter: Parameter, relative: object = RELATIVE) -> Range:
+def make_range_around(parameter: Parameter, relative: object = RELATIVE) -> Range:
     """Return a parameter's value ± a share of it, within what it may be.
 
     For "whole" it is all that the parameter may be, and the value ± itself where that is open.
@@ -89,7 +90,7 @@ def around(parameter: Parameter, relative: object = RELATIVE) -> Range:
     share = exact(1 if whole else relative, "relative")
     if not 0 < share < FLOAT_RANGE[1]:
         fix = "choose one above 0, nearer to 1"
-        raise ModelError(f"a share of {shown(share)}", where="relative", fix=fix)
+        raise ModelError(f"a share of {format_rational(share)}", where="relative", fix=fix)
     reach = abs(parameter.value) * share
     low, high = parameter.value - reach, parameter.value + reach
     if parameter.low is not None:
@@ -99,7 +100,7 @@ def around(parameter: Parameter, relative: object = RELATIVE) -> Range:
     return Range(low=low, high=high)
 
 
-def admitted(model: Parametric, parameter: Parameter, span: Range) -> Range:
+def restrict_range(model: Parametric, parameter: Parameter, span: Range) -> Range:
     """Return a default range without what the model does not admit, the other parameters held.
 
     The range ends where named probabilities of a row sum to 1. Where the model at an end cannot be
@@ -119,7 +120,7 @@ def admitted(model: Parametric, parameter: Parameter, span: Range) -> Range:
             mdp = model.at({name: value})
         except ModelError:
             return False
-        return not endless(mdp)
+        return not has_improper_policy(mdp)
 
     ends = [low, high]
     if low < high and has_values(today):
@@ -129,20 +130,22 @@ def admitted(model: Parametric, parameter: Parameter, span: Range) -> Range:
     return Range(low=ends[0], high=ends[1])
 
 
-def checked(model: Parametric, ranges: Stated | None) -> Ranges:
+def read_ranges(model: Parametric, ranges: Stated | None) -> Ranges:
     """Return stated ranges, or those of a file; raises ModelError for what is no range."""
     if isinstance(ranges, Ranges):
         return ranges
     if isinstance(ranges, str | Path):
-        read = entries(toml_of(read_text(ranges, most=SMALL), str(ranges)))
+        read = flatten_entries(toml_of(read_text(ranges, most=SMALL), str(ranges)))
         flat = {f"{prefix}.{key}" if prefix else key: value for prefix, key, value in read}
         if not flat:
             fix = 'write "NAME" = [low, high]'
             raise ModelError("no range in the file", where=str(ranges), fix=fix)
-        with located(str(ranges)):
-            return checked(model, flat)
+        with locate_errors(str(ranges)):
+            return read_ranges(model, flat)
     valid = Ranges()
-    stated = of_type(ranges or {}, Mapping, "ranges", "give {name: (low, high)}, or a .toml file")
+    stated = require_type(
+        ranges or {}, Mapping, "ranges", "give {name: (low, high)}, or a .toml file"
+    )
     for name, given in stated.items():
         parameter = parameter_of(model, name)
         where = f"range of {name}"
@@ -150,13 +153,14 @@ def checked(model: Parametric, ranges: Stated | None) -> Ranges:
             given = (given.low, given.high)
         if not isinstance(given, list | tuple) or len(given) != 2:
             raise ModelError("not a pair of numbers", where=where, fix="give low and high")
-        with located(where, instead=True):
+        with locate_errors(where, instead=True):
             low, high = exact(given[0]), exact(given[1])
             parameter.check(low)
             parameter.check(high)
             if low == high:
                 raise ModelError(
-                    f"the range from {beside(low, high)} to {shown(high)} is empty",
+                    f"the range from {format_beside_limits(low, high)} "
+                    f"to {format_rational(high)} is empty",
                     fix="give two different numbers",
                 )
             valid[name] = Range(low=low, high=high)
@@ -169,26 +173,26 @@ def ranges_of(
     ranges: Stated | None = None,
     relative: object | None = None,
 ) -> Ranges:
-    """Return the range of each parameter: the stated one, or that `around` today's value.
+    """Return the range of each parameter: the stated one, or one around today's value.
 
     Unless given, `names` are those of `ranges`, or else all, and `relative` is 1/5.
     """
-    stated = checked(model, ranges)
+    stated = read_ranges(model, ranges)
     if names is None:
         names = list(stated) or [parameter.name for parameter in model.parameters]
     spans = Ranges()
-    for name in listed(names, "names"):
+    for name in require_list(names, "names"):
         parameter = parameter_of(model, name)
         if name in stated:
             spans[name] = stated[name]
             continue
-        span = around(parameter, RELATIVE if relative is None else relative)
-        spans[name] = admitted(model, parameter, span)
+        span = make_range_around(parameter, RELATIVE if relative is None else relative)
+        spans[name] = restrict_range(model, parameter, span)
         plain = parameter.unit is None and parameter.low is None and parameter.high is None
         if relative is None and plain and 0 < parameter.value < 1 < spans[name].high:
-            warn(
-                f"{name}, {shown(parameter.value)} today, is varied up to "
-                f"{shown(spans[name].high)}; if it is a utility or a probability, state "
+            warn_at_caller(
+                f"{name}, {format_rational(parameter.value)} today, is varied up to "
+                f"{format_rational(spans[name].high)}; if it is a utility or a probability, state "
                 f'Parameter(name="{name}", value=…, low=0, high=1), else its range',
                 UserWarning,
             )
@@ -202,23 +206,23 @@ def range_of(model: Parametric, name: str, ranges: object = None, relative: obje
     span = ranges_of(model, [name], ranges, relative)[name]
     if span.low == span.high:
         raise ModelError(
-            f"the range of {name} has one point, {shown(span.low)}: a share of 0 is 0",
+            f"the range of {name} has one point, {format_rational(span.low)}: a share of 0 is 0",
             where=place_of(model),
             fix=f'give it one: ranges={{"{name}": (low, high)}}, --range {name}=LOW:HIGH',
         )
     return span
 
 
-def entries(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str, Any]]:
+def flatten_entries(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str, Any]]:
     """Yield the entries of nested tables: the dotted name of the table, the key, the value."""
     for key, value in table.items():
         if isinstance(value, dict):
-            yield from entries(value, f"{prefix}.{key}" if prefix else key)
+            yield from flatten_entries(value, f"{prefix}.{key}" if prefix else key)
         else:
             yield prefix, key, value
 
 
-def usual(model: Parametric) -> list[str]:
+def list_usual_parameters(model: Parametric) -> list[str]:
     """Return the names of the parameters to vary together: all but the discount, unless alone.
 
     A share of the discount is a change of another kind: from 1 to 4/5 it would outweigh all others.
@@ -235,10 +239,12 @@ def spans_of(
 ) -> dict[Parameter, Range]:
     """Return the parameters to vary together, with their ranges.
 
-    Unless ranges are stated, those that are 0 today have none, and the discount is not `usual`.
+    Unless ranges are stated, parameters that are 0 today have none, and neither has the discount.
     """
-    stated = checked(model, ranges)
-    every = ranges_of(model, names or list(stated) or usual(model), stated, relative)
+    stated = read_ranges(model, ranges)
+    every = ranges_of(
+        model, names or list(stated) or list_usual_parameters(model), stated, relative
+    )
     spans = {parameter_of(model, n): span for n, span in every.items() if span.low < span.high}
     if not spans:
         raise ModelError("no parameter has a range", where=place_of(model), fix="state a range")

@@ -25,24 +25,29 @@ from exact_mdp.analysis.optimum import actions_of
 from exact_mdp.analysis.vary.ranges import Stated, spans_of
 from exact_mdp.analysis.vary.study import finite_worth, solver_of, study
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
-from exact_mdp.mdp.errors import ModelError, known, named_options
-from exact_mdp.mdp.graph import reachable
+from exact_mdp.mdp.errors import ModelError, named_options, require_known_name
+from exact_mdp.mdp.graph import find_reachable_states
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.report import Report, Shown, Table, cell, claimed, plain
-from exact_mdp.mdp.result import DataFrame, Result, data_frame, framed
+from exact_mdp.mdp.report import Report, Shown, Table, format_cell, list_claim_facts, to_json_values
+from exact_mdp.mdp.result import DataFrame, Result, data_frame, frame_to_table
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.solvers.robust.likelihood import Likelihood
-from exact_mdp.solvers.robust.robust import Nature, RobustSolution, require_room, solve_robust
+from exact_mdp.solvers.robust.robust import (
+    Nature,
+    RobustSolution,
+    require_room_for_rows,
+    solve_robust,
+)
 from exact_mdp.solvers.robust.sets import Ambiguity, Intervals, L1Ball
-from exact_mdp.solvers.solution import Bounded, Claim, difference
+from exact_mdp.solvers.solution import Bounded, Claim, subtract_numbers
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Robust(Result):
+class RobustComparison(Result):
     """Values at the start under nominal, worst and best laws, and the policies behind them."""
 
     mdp: MDP
@@ -64,23 +69,29 @@ class Robust(Result):
     @property
     def price(self) -> Bounded:
         """What the robust policy gives up where the tables are right."""
-        return self._less(self.value, self.robust_value)
+        return self._compute_improvement(self.value, self.robust_value)
 
     @property
     def gain(self) -> Bounded:
         """What the robust policy earns more in its worst case than the nominal one in its own."""
-        return self._less(self.robust.start, self.worst)
+        return self._compute_improvement(self.robust.start, self.worst)
 
-    def _less(self, one: Bounded, other: Bounded) -> Bounded:
+    def _compute_improvement(self, one: Bounded, other: Bounded) -> Bounded:
         """Return how much better one value is than another: of costs, how much less."""
-        return difference(one, other) if self.mdp.sense == "max" else difference(other, one)
+        return (
+            subtract_numbers(one, other)
+            if self.mdp.sense == "max"
+            else subtract_numbers(other, one)
+        )
 
     @property
     def changed(self) -> Numbers:
         """(K,) states in which the policies differ, of those that either of them reaches."""
         mdp, taken = self.mdp, self.robust.policy.weights(self.mdp)
         differs = np.logical_or.reduceat(taken != self.policy, mdp.pair_offsets[:-1])
-        seen = reachable(mdp, pairs=taken > 0) | reachable(mdp, pairs=self.policy > 0)
+        seen = find_reachable_states(mdp, pairs=taken > 0) | find_reachable_states(
+            mdp, pairs=self.policy > 0
+        )
         return np.flatnonzero(differs & seen & ~mdp.terminal)
 
     def report(self) -> Report:
@@ -101,10 +112,10 @@ class Robust(Result):
         return Report(
             title="robust",
             facts={
-                **claimed("start_value", self.value),
+                **list_claim_facts("start_value", self.value),
                 "nature": "dynamic, independent in each state and action",
-                "worst_case": Shown(plain(worst) | {"nominal_policy": self.worst}),
-                "best_case": Shown(plain(best) | {"nominal_policy": self.best}),
+                "worst_case": Shown(to_json_values(worst) | {"nominal_policy": self.worst}),
+                "best_case": Shown(to_json_values(best) | {"nominal_policy": self.best}),
                 "price_of_robustness": self.price,
                 "worst_case_gain": self.gain,
                 "robust_policy_value": Shown(own),
@@ -153,7 +164,7 @@ def robust(
     *,
     radius: object | None = None,
     policy: PolicyLike = "optimal",
-) -> Robust:
+) -> RobustComparison:
     """Return the worst and the best case of a policy, and the best policy against the worst.
 
     Parameters
@@ -184,9 +195,9 @@ def robust(
     146.236 139.106 139.106
     """
     model = mdp_of(model)
-    require_room(model)
+    require_room_for_rows(model)
     if isinstance(ambiguity, str):
-        make, usual = SETS[known(ambiguity, SETS, "set", "robust")]
+        make, usual = SETS[require_known_name(ambiguity, SETS, "set", "robust")]
         ambiguity = make(model, usual if radius is None else radius)
     elif radius is not None:
         raise ModelError(
@@ -202,7 +213,7 @@ def robust(
 
     best = solve_robust(model, sets)
     own = best.policy.weights(model)
-    return Robust(
+    return RobustComparison(
         mdp=model,
         policy=chain.weights,
         value=finite_worth(model, chain, "today's laws"),
@@ -231,9 +242,9 @@ class WorstPoint(Result):
 
     def report(self) -> Report:
         """Return the value there, and the corner."""
-        value = plain(self.value) | {"claim": self.claim}
+        value = to_json_values(self.value) | {"claim": self.claim}
         point = {name: float(at) for name, at in self.point.items()}
-        said = f"at best {cell(self.value)}, not proven to be the worst point (estimated)"
+        said = f"at best {format_cell(self.value)}, not proven to be the worst point (estimated)"
         return Report(
             title="worst corner",
             facts={
@@ -241,7 +252,9 @@ class WorstPoint(Result):
                 "nature": "one choice of the parameters for all states",
                 "worst_case": Shown(value | {"point": point, "optimum": self.optimum}, said),
             },
-            tables={"point": framed(self.frame(), f"the worst of {self.corners:,} corners")},
+            tables={
+                "point": frame_to_table(self.frame(), f"the worst of {self.corners:,} corners")
+            },
         )
 
     def frame(self) -> DataFrame:
@@ -289,14 +302,14 @@ def worst_point(
     names = [parameter.name for parameter in spans]
     if isinstance(family, ScenarioFamily) and not family.asks:
         highest = {parameter.name: span.high for parameter, span in spans.items()}
-        family.tell(highest, where=" at the upper ends of the ranges")
+        family.warn_of_cutoffs(highest, where=" at the upper ends of the ranges")
     solver = solver_of(family, names)
-    fixed, sign = solver.held(policy), solver.mdp.sign
+    fixed, sign = solver.hold_policy(policy), solver.mdp.sign
     ends = np.array([[float(span.low), float(span.high)] for span in spans.values()])
     every = np.arange(len(names))
 
     def worth(points: Floats) -> Floats:
-        return np.asarray(sign * solver.values(points, [fixed])["value"][:, 0])
+        return np.asarray(sign * solver.evaluate_policies(points, [fixed])["value"][:, 0])
 
     def flipped(point: Floats, end: np.ndarray) -> Floats:
         points = np.tile(point, (len(names), 1))  # one for each parameter, at its given end
@@ -318,5 +331,7 @@ def worst_point(
         parameter.name: span.high if end else span.low
         for (parameter, span), end in zip(spans.items(), corner.tolist(), strict=True)
     }
-    optimum, value = study(family, {name: [at] for name, at in point.items()}, [fixed]).bounded(0)
+    optimum, value = study(
+        family, {name: [at] for name, at in point.items()}, [fixed]
+    ).bound_point_values(0)
     return WorstPoint(point=point, value=value, optimum=optimum, corners=corners)

@@ -25,18 +25,18 @@ import numpy as np
 from numpy.random import default_rng
 
 from exact_mdp.analysis.vary.ranges import Range, Stated, spans_of, unit_of
-from exact_mdp.analysis.vary.study import require_room, study
+from exact_mdp.analysis.vary.study import require_room_for_points, study
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError, known, named_options
+from exact_mdp.mdp.errors import ModelError, named_options, require_known_name
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.report import Report, Shown, Table, number
+from exact_mdp.mdp.report import Report, Shown, Table, format_number
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.mdp.validate import RNG, counted, seed_of
-from exact_mdp.solvers.learning.sampler import child
+from exact_mdp.mdp.validate import RNG, require_count, seed_of
+from exact_mdp.solvers.learning.sampler import spawn_child_seed
 from exact_mdp.solvers.parallel import How
 from exact_mdp.solvers.solution import NORMAL
 
@@ -100,7 +100,7 @@ class Sobol(Pictured):
 
     def of(self, output: str) -> Indices:
         """Return the indices of one output; raises ModelError unless it has this name."""
-        indices: Indices = getattr(self, known(output, OUTPUTS, "output", "output"))
+        indices: Indices = getattr(self, require_known_name(output, OUTPUTS, "output", "output"))
         return indices
 
     def report(self) -> Report:
@@ -119,10 +119,12 @@ class Sobol(Pictured):
                 "samples": self.n,
                 "mean": self.optimal.mean,
                 "sd": self.optimal.sd,
-                **{name: Shown(shares) for name, shares in self._shares(self.optimal).items()},
+                **{
+                    name: Shown(shares) for name, shares in self._list_indices(self.optimal).items()
+                },
                 "regret": Shown(
-                    {"mean": lost.mean, "sd": lost.sd, **self._shares(lost)},
-                    f"mean {number(lost.mean)}, sd {lost.sd:.4g}",
+                    {"mean": lost.mean, "sd": lost.sd, **self._list_indices(lost)},
+                    f"mean {format_number(lost.mean)}, sd {lost.sd:.4g}",
                 ),
             },
             tables={
@@ -135,7 +137,7 @@ class Sobol(Pictured):
             },
         )
 
-    def _shares(self, each: Indices) -> dict[str, dict[str, object]]:
+    def _list_indices(self, each: Indices) -> dict[str, dict[str, object]]:
         """Return each parameter's indices of an output, and their intervals."""
         first, total = (each.first, each.first_half), (each.total, each.total_half)
         shares = {}
@@ -208,7 +210,7 @@ def sobol(
     >>> indices.names, indices.draws, (indices.optimal.total > indices.optimal.first).tolist()
     (('p', 'q'), 256, [True, True])
     """
-    n = counted(n, "n", 2)
+    n = require_count(n, "n", 2)
     if n & (n - 1):
         near = 1 << (n.bit_length() - 1)
         raise ModelError(
@@ -219,21 +221,21 @@ def sobol(
     family, seed = parametric(model), seed_of(rng)
     spans = spans_of(family, names, ranges, relative)
     fewer = "ask for fewer samples, or vary fewer parameters"
-    require_room(n * (len(spans) + 2), len(spans), fewer)
+    require_room_for_points(n * (len(spans) + 2), len(spans), fewer)
     how = How(n_jobs=n_jobs, folder=folder, progress=progress)
-    draws = _design(list(spans.values()), n, default_rng(child(seed, 0)))
+    draws = _build_design(list(spans.values()), n, default_rng(spawn_child_seed(seed, 0)))
     table = study(family, dict(zip((p.name for p in spans), draws.T, strict=True)), [policy], **how)
-    resamples = default_rng(child(seed, 1)).integers(n, size=(RESAMPLES, n))
+    resamples = default_rng(spawn_child_seed(seed, 1)).integers(n, size=(RESAMPLES, n))
     # A regret is off by up to two errors, and may be so much more than the 0 it is given for them.
     noise = 6 * float(table.error.max())
     every = (table.optimal, table.fixed, table.regret)
-    indices = (_indices(each.reshape(n, -1), noise, resamples) for each in every)
+    indices = (_estimate_indices(each.reshape(n, -1), noise, resamples) for each in every)
     return Sobol(
         model=family.name, spans=spans, n=n, seed=seed, **dict(zip(OUTPUTS, indices, strict=True))
     )
 
 
-def _design(spans: Sequence[Range], n: int, rng: np.random.Generator) -> Floats:
+def _build_design(spans: Sequence[Range], n: int, rng: np.random.Generator) -> Floats:
     """Return (n (P + 2), P) draws: for each point its rows of A, of AB_1 … AB_P, and of B."""
     from scipy.stats import qmc
 
@@ -250,21 +252,21 @@ def _design(spans: Sequence[Range], n: int, rng: np.random.Generator) -> Floats:
     return draws
 
 
-def _indices(output: Floats, noise: float, resamples: Integers) -> Indices:
+def _estimate_indices(output: Floats, noise: float, resamples: Integers) -> Indices:
     """Return the indices of an output (n, P + 2), whose columns are A, AB_1 … AB_P, and B."""
     both = output[:, [0, -1]]
     mean, count = float(both.mean()), output.shape[1] - 2
     sd, shares, spread = 0.0, *np.full((2, 2, count), np.nan)
     if np.ptp(both) > noise:
-        sd, shares = float(both.std(ddof=1)), _shares(output)
+        sd, shares = float(both.std(ddof=1)), _compute_indices(output)
         # A resample in which the output does not vary has no indices.
-        again = [_shares(output[each]) for each in resamples if np.ptp(both[each]) > 0]
+        again = [_compute_indices(output[each]) for each in resamples if np.ptp(both[each]) > 0]
         spread = np.std(again, axis=0, ddof=1) if len(again) > 1 else spread
     (first, total), (one, other) = shares, NORMAL * spread
     return Indices(mean=mean, sd=sd, first=first, first_half=one, total=total, total_half=other)
 
 
-def _shares(output: Floats) -> Floats:
+def _compute_indices(output: Floats) -> Floats:
     """Return (2, P) the first-order and the total indices."""
     both, moved = output[:, [0, -1]], output[:, 1:-1] - output[:, :1]
     variance = both.var()

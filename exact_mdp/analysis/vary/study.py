@@ -21,23 +21,35 @@ from typing import Any, ClassVar, TypeVar, Unpack
 import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
-from exact_mdp.mdp.errors import DistributionError, ModelError, check_names, listed, located, noted
+from exact_mdp.mdp.errors import (
+    DistributionError,
+    ModelError,
+    annotate_errors,
+    check_names,
+    locate_errors,
+    require_list,
+)
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.forms.numbers import float_array
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.parametric.row_change import check_alike
-from exact_mdp.mdp.policies.arrays import distinct
+from exact_mdp.mdp.policies.arrays import find_distinct_rows
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.report import cell
+from exact_mdp.mdp.report import format_cell
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import MOST_BYTES, Floats, Integers, Numbers, exact
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.batch import Batch
-from exact_mdp.solvers.bounds.gains import component_errors, gains
-from exact_mdp.solvers.care import MOST_ACTIONS, MOST_STATUSES, optimal, policy_values
-from exact_mdp.solvers.parallel import Arrays, How, folder_of, joined, many
-from exact_mdp.solvers.solution import Bounded, Claim, Solution, regrets
+from exact_mdp.solvers.bounds.gains import component_errors, compute_advantages
+from exact_mdp.solvers.care import (
+    MOST_ACTIONS,
+    MOST_STATUSES,
+    evaluate_care_policies,
+    solve_care_draws,
+)
+from exact_mdp.solvers.parallel import Arrays, How, folder_of, join_blocks, run_pieces
+from exact_mdp.solvers.solution import Bounded, Claim, Solution, compute_regrets
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import Evaluation, evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -57,7 +69,9 @@ class Study(Result):
     points: Numbers  # (D, P)
     optimal: Floats  # (D,) the policy re-optimised at each point
     fixed: Floats  # (D, N) each policy held fixed
-    error: Floats  # (D, N + 1) bounds on the errors of `optimal`, and of each policy's value
+    error: (
+        Floats  # (D, N + 1) bounds on the errors of `solve_care_draws`, and of each policy's value
+    )
     sign: int  # -1 where values are costs, of which the least is best
     rows: Integers  # (U, S) the optimal policies that were found, as action numbers
     which: Integers  # (D,) that of each point
@@ -74,9 +88,9 @@ class Study(Result):
     def regret(self) -> Floats:
         """(D, N) what holding each policy costs; 0 where the errors leave open whether it does."""
         error = self.error[:, :1] + self.error[:, 1:]
-        return regrets(self.optimal[:, None], self.fixed, error, self.sign)
+        return compute_regrets(self.optimal[:, None], self.fixed, error, self.sign)
 
-    def bounded(self, row: int) -> tuple[Bounded, Bounded]:
+    def bound_point_values(self, row: int) -> tuple[Bounded, Bounded]:
         """Return the optimum and the value of the first policy at a point."""
         off, own_off = self.error[row, :2].tolist()
         fixed = Bounded(value=float(self.fixed[row, 0]), error=own_off)
@@ -115,7 +129,7 @@ def study(
     policies : sequence of PolicyLike
         Held fixed at every point; "optimal" is the optimum at today's values.
     **how
-        n_jobs, folder and progress; see `solvers.parallel.many`.
+        n_jobs, folder and progress; see `solvers.parallel.run_pieces`.
 
     Returns
     -------
@@ -138,18 +152,18 @@ def study(
         fix = "give {name: numbers}, or a pandas.DataFrame"
         raise ModelError(f"{points!r:.60} is no table of points", where="points", fix=fix)
     family, names = parametric(model), tuple(points)
-    table = checked(family, points)
+    table = read_points(family, points)
     solver = solver_of(family, names)
-    weights = [solver.held(policy) for policy in listed(policies, "policies")]
+    weights = [solver.hold_policy(policy) for policy in require_list(policies, "policies")]
     key = {
         "parameters": list(names),
-        "draws": digest(table),
-        "policies": [digest(weight) for weight in weights],
+        "draws": hash_policies(table),
+        "policies": [hash_policies(weight) for weight in weights],
     }
-    return Draws(solver, table, max(1, solver.block // 2), key, how).study(weights)
+    return StudyDraws(solver, table, max(1, solver.block // 2), key, how).run_study(weights)
 
 
-def checked(
+def read_points(
     model: Parametric,
     given: Mapping[str, Any] | DataFrame,
     fix: str = "correct the table: give finite numbers within its range",
@@ -187,7 +201,7 @@ def checked(
     return points
 
 
-def require_room(count: int, parameters: int, fix: str) -> None:
+def require_room_for_points(count: int, parameters: int, fix: str) -> None:
     """Raise ModelError where so many points of so many parameters would not fit in memory."""
     size = OF_NUMBER * count * parameters
     if size > MOST_BYTES:
@@ -200,7 +214,7 @@ def require_room(count: int, parameters: int, fix: str) -> None:
 
 
 @dataclass(frozen=True)
-class Draws:
+class StudyDraws:
     """Points (D, P), worked on in blocks of a size; `key` tells them from others in a folder."""
 
     solver: ModelSolver
@@ -209,17 +223,17 @@ class Draws:
     key: Mapping[str, object]
     how: How
 
-    def study(self, policies: Sequence[Floats]) -> Study:
+    def run_study(self, policies: Sequence[Floats]) -> Study:
         """Return the study of the points and policies."""
         solver, points = self.solver, self.points
-        done = self._run("draws", partial(_block, solver, policies), {})
-        whole = joined(done, ("start", "start_error", "value", "error", "lost", "cut"))
+        done = self._run_blocks("draws", partial(_solve_block, solver, policies), {})
+        whole = join_blocks(done, ("start", "start_error", "value", "error", "lost", "cut"))
         if isinstance(solver, CareSolver) and (count := int(whole["cut"].sum())):
             first = int(whole["cut"].argmax())
             values = dict(zip(solver.names, points[first].tolist(), strict=True))
             where = f", {count} of {len(points)} draws, the first of them draw {first}"
-            solver.model.tell(values, where=where)  # workers keep silent
-        rows, places = distinct(np.concatenate([block["rows"] for block in done]))
+            solver.model.warn_of_cutoffs(values, where=where)  # workers keep silent
+        rows, places = find_distinct_rows(np.concatenate([block["rows"] for block in done]))
         begins = np.cumsum([0, *(len(block["rows"]) for block in done[:-1])])
         own = [at + block["which"] for at, block in zip(begins, done, strict=True)]
         return Study(
@@ -238,12 +252,12 @@ class Draws:
 
     def with_policies(self, table: Study, policies: Sequence[Floats]) -> Study:
         """Return the study with the values of more policies."""
-        mark, work = digest(*policies), partial(_held, self.solver, policies)
-        more = joined(self._run(f"values-{mark[:12]}", work, {"policies": mark}))
+        mark, work = hash_policies(*policies), partial(_evaluate_block, self.solver, policies)
+        more = join_blocks(self._run_blocks(f"values-{mark[:12]}", work, {"policies": mark}))
         fixed = np.hstack([table.fixed, more["value"]])
         return replace(table, fixed=fixed, error=np.hstack([table.error, more["error"]]))
 
-    def _run(
+    def _run_blocks(
         self, what: str, work: Callable[[Any], Arrays], more: Mapping[str, object]
     ) -> list[Arrays]:
         """Do all blocks: compiled loops in threads, other models in processes.
@@ -265,18 +279,22 @@ class Draws:
                 **more,
             }
         names = [f"{at:08d}-{len(points)}" for at, points in pieces]
-        return many(work, pieces, names=names, **how)
+        return run_pieces(work, pieces, names=names, **how)
 
 
-def _block(solver: ModelSolver, policies: Sequence[Floats], piece: tuple[int, Numbers]) -> Arrays:
-    return solver.solved(piece[1], piece[0]) | _held(solver, policies, piece)
+def _solve_block(
+    solver: ModelSolver, policies: Sequence[Floats], piece: tuple[int, Numbers]
+) -> Arrays:
+    return solver.solve_draws(piece[1], piece[0]) | _evaluate_block(solver, policies, piece)
 
 
-def _held(solver: ModelSolver, policies: Sequence[Floats], piece: tuple[int, Numbers]) -> Arrays:
+def _evaluate_block(
+    solver: ModelSolver, policies: Sequence[Floats], piece: tuple[int, Numbers]
+) -> Arrays:
     first, draws = piece
     if not policies:
         return dict.fromkeys(("value", "error"), np.empty((len(draws), 0)))
-    return solver.values(draws, policies, first)
+    return solver.evaluate_policies(draws, policies, first)
 
 
 # ---- models that are built -----------------------------------------------------------------------
@@ -290,12 +308,12 @@ class _Built:
         self.batch, self.sign = Batch.of(models), models[0].sign
         self.size = KEPT if self.batch is None else self.batch.rows.size  # numbers that are held
 
-    def optimum(self) -> tuple[Floats, Floats, Floats, Floats, Integers]:
+    def solve_models(self) -> tuple[Floats, Floats, Floats, Floats, Integers]:
         """Return start and error (D,), gap and doubt (D, L), and the actions (D, S)."""
         mdp = self.models[0]
-        batch = None if self.batch is None else self.batch.optimum()
+        batch = None if self.batch is None else self.batch.solve_models()
         if self.batch is None or batch is None:
-            each = [self._optimum(d) for d in range(len(self.models))]
+            each = [self._solve_model(d) for d in range(len(self.models))]
             start, error, gap, doubt, policy = map(np.array, zip(*each, strict=True))
             return start, error, gap, doubt, policy
         value, off, gap, doubt = batch
@@ -304,7 +322,7 @@ class _Built:
         policy = mdp.pair_action[np.minimum.reduceat(tied, mdp.pair_offsets[:-1], axis=1)]
         return 0.0 + self.sign * start, error, gap, doubt, policy  # no -0.0
 
-    def _optimum(self, d: int) -> tuple[float, float, Floats, Floats, Integers]:
+    def _solve_model(self, d: int) -> tuple[float, float, Floats, Floats, Integers]:
         mdp = self.models[d]
         solution = finite_optimum(mdp, self.at(d))
         here, ahead = solution.value[mdp.pair_state], mdp.backup(solution.value)
@@ -312,13 +330,15 @@ class _Built:
         ahead[np.isnan(ahead)] = -inf
         with np.errstate(invalid="ignore"):
             lost = np.where(here == ahead, 0.0, mdp.sign * (here - ahead))
-        noise = gains(mdp, np.where(np.isinf(solution.value), 0.0, solution.value)).noise
+        noise = compute_advantages(
+            mdp, np.where(np.isinf(solution.value), 0.0, solution.value)
+        ).noise
         off = solution.state_error[mdp.pair_state]
         off = off + mdp.discount * (mdp.transition @ solution.state_error)
         taken = np.asarray(solution.policy)
         return solution.start.value, solution.start.error, lost, off + noise, taken
 
-    def held(self, weights: Floats, undecided: Flags) -> tuple[Floats, Floats]:
+    def evaluate_policy(self, weights: Floats, undecided: Flags) -> tuple[Floats, Floats]:
         """Return the value at the start and its error (D,) of a policy (L,).
 
         Raises ModelError where it matters in a model what is done in the `undecided` states (S,).
@@ -330,7 +350,7 @@ class _Built:
         every = [finite_worth(mdp, weights, self.at(d)) for d, mdp in enumerate(self.models)]
         return np.array([x.value for x in every]), np.array([x.error for x in every])
 
-    def totals(
+    def compute_totals(
         self, weights: Floats, names: Sequence[str], undecided: Flags
     ) -> tuple[Floats, Floats]:
         """Return (D, C), (D, C) expected totals of components under a policy (L,), and errors."""
@@ -351,7 +371,7 @@ class _Built:
         each = []
         for name, earned in zip(names, amounts, strict=True):
             own = off[:, :, self.models[0].component_names.index(name)]
-            each.append(self._alone(batch, earned, own).of_policy(weights))
+            each.append(self._isolate_component(batch, earned, own).of_policy(weights))
         value, error = zip(*each, strict=True)
         return np.column_stack(value), np.column_stack(error)
 
@@ -361,14 +381,14 @@ class _Built:
             for d, mdp in enumerate(self.models):
                 PolicyChain.of(mdp, weights).require_said(undecided, self.at(d))
 
-    def _alone(self, batch: Batch, amounts: Floats, errors: Floats) -> Batch:
+    def _isolate_component(self, batch: Batch, amounts: Floats, errors: Floats) -> Batch:
         """Return the models in which one component (D, L), so far off, is all that is earned."""
         alone = replace(batch, reward=amounts, reward_error=errors)
         vars(alone)["weights"] = batch.weights  # how long a policy goes on is not about rewards
         return alone
 
 
-def digest(*policies: Floats) -> str:
+def hash_policies(*policies: Floats) -> str:
     """Return a hash of policies, (L,) probabilities of pairs each; other policies have another."""
     content = b"".join(np.ascontiguousarray(each, dtype="<f8").tobytes() for each in policies)
     return sha256(content).hexdigest()
@@ -377,15 +397,15 @@ def digest(*policies: Floats) -> str:
 def finite_optimum(mdp: MDP, where: str) -> Solution:
     """Return the optimum; raises ModelError where it is infinite at the start."""
     solution: Solution = solve(mdp)
-    return _finite("the optimum", solution, mdp, where)
+    return _require_finite_start("the optimum", solution, mdp, where)
 
 
 def finite_worth(mdp: MDP, policy: PolicyLike, where: str) -> Bounded:
     """Return a policy's value at the start; raises ModelError where it is infinite."""
-    return _finite(HELD, evaluate(mdp, policy), mdp, where).start
+    return _require_finite_start(HELD, evaluate(mdp, policy), mdp, where).start
 
 
-def _finite(what: str, found: Found, mdp: MDP, where: str) -> Found:
+def _require_finite_start(what: str, found: Found, mdp: MDP, where: str) -> Found:
     if isinf(found.start.value):
         ways = ["give a discount below 1 (--discount 0.95)"]
         if mdp.goal is None:  # a run that misses it costs infinity after N steps, too
@@ -429,27 +449,27 @@ class ModelSolver:
         """Today's optimum."""
         return finite_optimum(self.mdp, "today's parameters")
 
-    def held(self, policy: PolicyLike) -> Floats:
+    def hold_policy(self, policy: PolicyLike) -> Floats:
         """Return (L,) probabilities of pairs of a policy; "optimal" is today's optimum."""
         today = isinstance(policy, str) and policy == "optimal"
         chain, undecided = PolicyChain.held_fixed(self.mdp, self.solution if today else policy)
-        self.undecided[digest(chain.chosen)] = undecided
+        self.undecided[hash_policies(chain.chosen)] = undecided
         return chain.chosen
 
-    def _undecided(self, weights: Floats) -> Flags:
+    def _find_undecided_states(self, weights: Floats) -> Flags:
         """Return (S,) the states of which a policy (L,) that is held says nothing."""
-        return self.undecided.get(digest(weights), np.zeros(self.mdp.n_states, dtype=bool))
+        return self.undecided.get(hash_policies(weights), np.zeros(self.mdp.n_states, dtype=bool))
 
-    def row(self, weights: Floats) -> Integers:
+    def to_action_numbers(self, weights: Floats) -> Integers:
         """Return (S,) the action numbers of a policy (L,), -1 where it mixes."""
         row, sure = np.full(self.mdp.n_states, -1), np.flatnonzero(weights == 1)
         row[self.mdp.pair_state[sure]] = self.mdp.pair_action[sure]
         return row
 
-    def shown(self, weights: Floats) -> dict[str, str] | None:
+    def describe_policy(self, weights: Floats) -> dict[str, str] | None:
         """Return the action at each label, where a policy says one and the same there."""
         here = self.place >= 0
-        place, row = self.place[here], self.row(weights)[here]
+        place, row = self.place[here], self.to_action_numbers(weights)[here]
         number = np.empty(len(self.labels), dtype=np.int64)
         number[place] = row
         if (row < 0).any() or (number[place] != row).any():
@@ -457,14 +477,14 @@ class ModelSolver:
         chosen = [self.mdp.actions[action] for action in number.tolist()]
         return dict(zip(self.labels, chosen, strict=True))
 
-    def _of(self, draws: Numbers, first: int) -> _Built:
+    def _build_models(self, draws: Numbers, first: int) -> _Built:
         """Return the models of draws; what was built of these draws before is used again."""
         key = repr(draws.tolist())
         if key not in self.built:
-            models, at = [], partial(self._where, draws, first)
+            models, at = [], partial(self._describe_draw, draws, first)
             for d, row in enumerate(draws.tolist()):
                 try:
-                    with located(at(d)), noted(at(d)):
+                    with locate_errors(at(d)), annotate_errors(at(d)):
                         models.append(self.model.at(dict(zip(self.names, row, strict=True))))
                         check_alike(self.mdp, models[-1], start=len(self.mdp.start) == 1)
                 except DistributionError as error:
@@ -478,22 +498,22 @@ class ModelSolver:
             self.built[key] = made
         return self.built[key]
 
-    def _where(self, draws: Numbers, first: int, d: int) -> str:
+    def _describe_draw(self, draws: Numbers, first: int, d: int) -> str:
         """Return the number of a draw and the parameters that it moves, the first few of many."""
         today = {parameter.name: parameter.value for parameter in self.model.parameters}
         moved = [
-            f"{name} = {cell(x)}"
+            f"{name} = {format_cell(x)}"
             for name, x in zip(self.names, draws[d].tolist(), strict=True)
             if x != today[name]
         ]
         words = ", ".join(moved[:SHOWN]) + ", …" * (len(moved) > SHOWN)
         return f"draw {first + d}, " + (words or "today's parameters")
 
-    def solved(self, draws: Numbers, first: int = 0) -> Arrays:
+    def solve_draws(self, draws: Numbers, first: int = 0) -> Arrays:
         """Return the optima of (D, Q) draws: start, start_error (D,), and others as in `Study`."""
         mdp = self.mdp
-        start, error, gap, doubt, policies = self._of(draws, first).optimum()
-        rows, which = distinct(policies.astype(np.int32))
+        start, error, gap, doubt, policies = self._build_models(draws, first).solve_models()
+        rows, which = find_distinct_rows(policies.astype(np.int32))
         counts = np.zeros((mdp.n_states, mdp.n_actions), dtype=np.int64)
         counts[mdp.pair_state, mdp.pair_action] = (gap <= doubt).sum(axis=0)
         begins = [state for state, _ in mdp.start]
@@ -511,18 +531,23 @@ class ModelSolver:
             "cut": np.zeros(len(draws), dtype=bool),
         }
 
-    def values(self, draws: Numbers, policies: Sequence[Floats], first: int = 0) -> Arrays:
+    def evaluate_policies(
+        self, draws: Numbers, policies: Sequence[Floats], first: int = 0
+    ) -> Arrays:
         """Return value (D, N) and error (D, N) of N policies, each (L,) probabilities of pairs."""
-        built = self._of(draws, first)
-        held = [built.held(weights, self._undecided(weights)) for weights in policies]
+        built = self._build_models(draws, first)
+        held = [
+            built.evaluate_policy(weights, self._find_undecided_states(weights))
+            for weights in policies
+        ]
         value, error = np.array(held).swapaxes(0, 1)
         return {"value": value.T, "error": error.T}
 
-    def totals(
+    def compute_totals(
         self, draws: Numbers, policies: Sequence[Floats], components: Sequence[str], first: int
     ) -> tuple[Floats, Floats]:
         """Return (D, N, C) totals of some components of the reward under N policies, and errors."""
-        built = self._of(draws, first)
+        built = self._build_models(draws, first)
         for d, mdp in enumerate(built.models):
             if not {*components} <= {*mdp.component_names}:
                 raise ModelError(
@@ -531,7 +556,10 @@ class ModelSolver:
                     where=f"draw {first + d}",
                     fix="make the model by a function that gives its components: Family(build=…)",
                 )
-        every = [built.totals(own, components, self._undecided(own)) for own in policies]
+        every = [
+            built.compute_totals(own, components, self._find_undecided_states(own))
+            for own in policies
+        ]
         totals, error = (np.stack(each, axis=1) for each in zip(*every, strict=True))
         if not np.isfinite(totals).all():
             raise ModelError(
@@ -557,11 +585,11 @@ class CareSolver(ModelSolver):
         self.labels = tuple(f"{number:0{statuses}b}" for number in range(2**statuses))
         self.place = np.where(self.tried, states % len(self.labels), -1)
 
-    def solved(self, draws: Numbers, first: int = 0) -> Arrays:
-        """See `ModelSolver.solved`."""
-        mdp, optima = self.mdp, optimal(self.scenario, self.names, draws.astype(float))
+    def solve_draws(self, draws: Numbers, first: int = 0) -> Arrays:
+        """See `ModelSolver.solve_draws`."""
+        mdp, optima = self.mdp, solve_care_draws(self.scenario, self.names, draws.astype(float))
         gaps = np.where(optima.gaps > 2 * optima.error[:, None, None], optima.gaps, 0.0)
-        taken, which = distinct(optima.actions.reshape(len(draws), -1))
+        taken, which = find_distinct_rows(optima.actions.reshape(len(draws), -1))
         rows = np.tile(mdp.pair_action[mdp.pair_offsets[:-1]].astype(np.int32), (len(taken), 1))
         rows[:, self.tried] = taken
         return {
@@ -574,12 +602,16 @@ class CareSolver(ModelSolver):
             "cut": optima.cut,
         }
 
-    def values(self, draws: Numbers, policies: Sequence[Floats], first: int = 0) -> Arrays:
-        """See `ModelSolver.values`."""
+    def evaluate_policies(
+        self, draws: Numbers, policies: Sequence[Floats], first: int = 0
+    ) -> Arrays:
+        """See `ModelSolver.evaluate_policies`."""
         mdp, actions = self.mdp, len(self.scenario.actions)
         tables = [MDP.by_action(mdp, weights, 0.0)[self.tried, :actions] for weights in policies]
         stages = np.stack(tables).reshape(len(tables), -1, len(self.labels), actions)
-        value, error = policy_values(self.scenario, self.names, draws.astype(float), stages)
+        value, error = evaluate_care_policies(
+            self.scenario, self.names, draws.astype(float), stages
+        )
         return {"value": value, "error": np.repeat(error[:, None], len(tables), axis=1)}
 
 

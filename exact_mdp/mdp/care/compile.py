@@ -36,10 +36,10 @@ from exact_mdp.mdp.table import (
     Integers,
     Numbers,
     OutcomeTable,
-    integers,
-    magnitude,
+    concatenate_ranges,
+    find_magnitude,
     multiply,
-    spans,
+    to_integer_array,
 )
 
 ENTRIES = 2**20  # of a product held at once
@@ -61,54 +61,57 @@ class Branches(NamedTuple):
     scatter: Numbers | None = None  # (m, k) weights M over `scale`, or each vector by itself
 
 
-class Block:
+class SubtaskBlock:
     """Works out the rows of a subtask at its place."""
 
     def __init__(self, laws: Laws) -> None:
         self.laws, rules = laws, laws.rules
         shape = rules.vectors, rules.assistive
-        step, bottom = laws.law(rules.step.reshape(-1, rules.step.shape[2]))
+        step, bottom = laws.compute_distributions(rules.step.reshape(-1, rules.step.shape[2]))
         self.step, self.bottom = step.reshape(*shape, -1), bottom.reshape(shape)
-        skip, bottoms = laws.law(rules.skip)
+        skip, bottoms = laws.compute_distributions(rules.skip)
         self.scale = lcm(*bottoms.tolist())  # of the law of a skip (2^n, 2^n)
         # As wide as its denominator, below which every sum of a row's weights stays.
-        shared = integers([self.scale // each for each in bottoms.tolist()])
-        self.skip = multiply(skip, shared[:, None]).astype(integers([self.scale]).dtype)
+        shared = to_integer_array([self.scale // each for each in bottoms.tolist()])
+        self.skip = multiply(skip, shared[:, None]).astype(to_integer_array([self.scale]).dtype)
         self.present, self.following = rules.now * laws.cost, rules.next * laws.cost
 
-    def gain(self, event: int, place: int, flag: int = 0) -> Any:
+    def compute_event_gain(self, event: int, place: int, flag: int = 0) -> Any:
         """Return what an event earns, but for the action's own reward and the statuses'."""
         return self.laws.gain[self.laws.rules.gains[event, place, flag]]
 
-    def rows(self, place: int) -> Rows:
+    def build_rows(self, place: int) -> Rows:
         """Return all rows of a subtask, by trial, flag, status and action."""
         rules, parts = self.laws.rules, list[Rows]()
         layer = rules.flags * rules.vectors
-        first = [self._step(place, flag) for flag in range(rules.flags)]
+        first = [self._build_step(place, flag) for flag in range(rules.flags)]
         for trial in range(rules.trials - (not rules.own)):
             for rows in first:  # the same rows, further on
                 shift = np.where(rows["next"] < rules.size, trial * layer, 0)
                 parts.append(rows | {"next": rows["next"] + shift})
         for flag in range(rules.flags):
             last = 1 if rules.own else flag
-            parts.append(self._step(place, last, tries=not rules.own, skips=True))
-        return _joined(parts)
+            parts.append(self._build_step(place, last, tries=not rules.own, skips=True))
+        return _concatenate_rows(parts)
 
-    def _outcomes(self, place: int, flag: int, *, tries: bool, skips: bool) -> list[Branches]:
+    def _list_outcomes(self, place: int, flag: int, *, tries: bool, skips: bool) -> list[Branches]:
         """Return the outcomes of a step that tries, that ends in a skip if it fails, or both."""
         rules = self.laws.rules
         others = np.arange(int(tries), rules.vectors)
         gain = self.following[others]
         outcomes = []
         if tries:
-            done = self.gain(COMPLETE, place, flag) + self.laws.assist[:, None]
-            home = rules.after(flag, place)[:1]
+            done = self.compute_event_gain(COMPLETE, place, flag) + self.laws.assist[:, None]
+            home = rules.list_next_states(flag, place)[:1]
             outcomes.append(Branches(0, np.array([0]), done, home))
-            gain = gain + self.gain(FAIL, place)
+            gain = gain + self.compute_event_gain(FAIL, place)
         if not skips:  # the next trial
             layer = (rules.flags + flag) * rules.vectors
             return [*outcomes, Branches(0, others, gain[None], layer + others)]
-        gain, ends = gain + self.gain(SKIPPED, place, 1), rules.after(1, place)
+        gain, ends = (
+            gain + self.compute_event_gain(SKIPPED, place, 1),
+            rules.list_next_states(1, place),
+        )
         if not tries and place != FINAL:
             return [Branches(1, others, gain[None], ends)]
         for amount in sorted(set(gain.tolist())):
@@ -121,24 +124,26 @@ class Block:
             outcomes.append(Branches(1, chosen, gains, ends[there], scatter))
         return outcomes
 
-    def _step(self, place: int, flag: int, *, tries: bool = True, skips: bool = False) -> Rows:
+    def _build_step(
+        self, place: int, flag: int, *, tries: bool = True, skips: bool = False
+    ) -> Rows:
         """Return the rows of a step, outcomes sorted by next state, zeros left out.
 
         A row may have as many outcomes as status vectors times costs: a few present vectors at a
         time, and of each product only the columns in which it can be positive.
         """
-        outcomes = self._outcomes(place, flag, tries=tries, skips=skips)
+        outcomes = self._list_outcomes(place, flag, tries=tries, skips=skips)
         laws, bottom = self.step, self.bottom
         if not tries:
             laws = self.skip[:, None]
-            bottom = np.broadcast_to(integers([self.scale]), laws.shape[:2])
-        actions, scale = bottom.shape[1], integers([self.scale if tries and skips else 1])
+            bottom = np.broadcast_to(to_integer_array([self.scale]), laws.shape[:2])
+        actions, scale = bottom.shape[1], to_integer_array([self.scale if tries and skips else 1])
         below, states = multiply(bottom, scale), np.concatenate([each.state for each in outcomes])
         order = np.argsort(states, kind="stable")
         kind = np.repeat([each.event for each in outcomes], [len(o.state) for o in outcomes])
         gains = [np.broadcast_to(o.gain, (actions, len(o.state))) for o in outcomes]
         gain, event = np.concatenate(gains, axis=1)[:, order], kind[order].astype(np.uint8)
-        amount = self._components(laws, bottom, place, flag, tries, skips)
+        amount = self._compute_components(laws, bottom, place, flag, tries, skips)
         each = max(1, ENTRIES // (actions * len(states)))
         parts = []
         for begin in range(0, len(laws), each):
@@ -147,7 +152,7 @@ class Block:
             weight = [
                 multiply(law[:, :, o.chosen], scale)
                 if o.scatter is None
-                else _matmul(law[:, :, o.chosen], o.scatter)
+                else _multiply_matrices(law[:, :, o.chosen], o.scatter)
                 for o in outcomes
             ]
             # As wide as the row's denominator, below which sums stay.
@@ -162,13 +167,15 @@ class Block:
                     "event": np.broadcast_to(event, shape)[positive],
                 }
             )
-        return _joined(parts) | {
+        return _concatenate_rows(parts) | {
             "denominator": below.reshape(-1),
             "components": amount.reshape(-1, amount.shape[2]),
-            "component_denominator": multiply(bottom.reshape(-1), integers([self.laws.scale])),
+            "component_denominator": multiply(
+                bottom.reshape(-1), to_integer_array([self.laws.scale])
+            ),
         }
 
-    def _components(
+    def _compute_components(
         self, law: Numbers, bottom: Numbers, place: int, flag: int, tries: bool, skips: bool
     ) -> Numbers:
         """Return expected reward components (V, A, C): integers, as the law is."""
@@ -187,14 +194,17 @@ class Block:
         return multiply(counts, reward[rules.weights])
 
 
-def _joined(parts: Sequence[Rows]) -> Rows:
+def _concatenate_rows(parts: Sequence[Rows]) -> Rows:
     return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
 
 
-def _matmul(left: Numbers, right: Numbers) -> Numbers:
+def _multiply_matrices(left: Numbers, right: Numbers) -> Numbers:
     """Return the exact product (…, m) @ (m, n) of integer arrays."""
     narrow = left.dtype != object and right.dtype != object
-    if narrow and magnitude(left) * magnitude(right) * max(len(right), 1) < EXACT_IN_INT64:
+    if (
+        narrow
+        and find_magnitude(left) * find_magnitude(right) * max(len(right), 1) < EXACT_IN_INT64
+    ):
         return np.asarray(left @ right)
     return np.asarray(left.astype(object) @ right.astype(object))
 
@@ -202,7 +212,7 @@ def _matmul(left: Numbers, right: Numbers) -> Numbers:
 def check_explicit(laws: Laws) -> None:
     """Raise ModelError where an explicit model would be too large."""
     rules = laws.rules
-    outcomes, denominator = size(laws)
+    outcomes, denominator = estimate_size(laws)
     each = NARROW if denominator < EXACT_IN_INT64 else WIDE
     if outcomes * each > MOST_BYTES:
         states = len(rules.places) * rules.trials * rules.vectors
@@ -214,7 +224,7 @@ def check_explicit(laws: Laws) -> None:
         )
 
 
-def size(laws: Laws) -> tuple[int, int]:
+def estimate_size(laws: Laws) -> tuple[int, int]:
     """Return the most outcomes, and the greatest denominator of one before anything cancels.
 
     A row of a trial has as many outcomes as there are next vectors s' of positive chance. Where a
@@ -236,23 +246,25 @@ def size(laws: Laws) -> tuple[int, int]:
         skipping, ending = len(rows) * (1 + sum(failed.values())), len(rows) * (1 + len(failed))
     subtasks = len(rules.places)
     outcomes = rules.flags * (subtasks * trying + (subtasks - 1) * skipping + ending) + 1
-    return outcomes, max(laws.denominators(rows)) * lcm(*laws.denominators(rules.skip))
+    return outcomes, max(laws.compute_denominators(rows)) * lcm(
+        *laws.compute_denominators(rules.skip)
+    )
 
 
 def compile_scenario(laws: Laws) -> MDP:
     """Return the explicit model of a scenario, without a warning; see `Scenario.compile`."""
     check_explicit(laws)
     used, order = np.unique(laws.rules.places, return_inverse=True)
-    small = _model(laws, used)  # one block of each kind is itself a model
-    return small if np.array_equal(laws.rules.places, used) else _repeated(laws, small, order)
+    small = _compile_blocks(laws, used)  # one block of each kind is itself a model
+    return small if np.array_equal(laws.rules.places, used) else _repeat_blocks(laws, small, order)
 
 
-def _model(laws: Laws, places: Integers) -> MDP:
+def _compile_blocks(laws: Laws, places: Integers) -> MDP:
     """Return the checked model of a block at each of `places` (K,), one after the other."""
-    scenario, rules, block = laws.scenario, laws.rules, Block(laws)
+    scenario, rules, block = laws.scenario, laws.rules, SubtaskBlock(laws)
     starts = np.arange(len(places)) * rules.size
     end = len(places) * rules.size
-    blocks = list(map(block.rows, places.tolist()))
+    blocks = list(map(block.build_rows, places.tolist()))
     for rows, start in zip(blocks, starts, strict=True):
         rows["next"] = rows["next"] + start
     # The end, which stays and earns nothing.
@@ -260,15 +272,19 @@ def _model(laws: Laws, places: Integers) -> MDP:
     tail = {"next": end, **dict.fromkeys(ones, 1)}
     last = {key: np.array([tail.get(key, 0)]) for key in blocks[0]}
     last["components"] = np.zeros((1, len(rules.components)), dtype=np.int64)
-    rows = _joined([*blocks, last])
-    lengths, (state, action) = rows.pop("lengths"), rules.pairs()
+    rows = _concatenate_rows([*blocks, last])
+    lengths, (state, action) = rows.pop("lengths"), rules.list_pairs()
     table = OutcomeTable(
         offsets=np.concatenate([[0], np.cumsum(lengths)]),
-        gain_denominator=_same(laws.scale, len(lengths)),
+        gain_denominator=_broadcast_integer(laws.scale, len(lengths)),
         averaged=True,  # of what a status costs, which depends on the next vector
-        **rows | {"next": rows["next"].astype(_states(end)), "event": rows["event"].astype("u1")},
+        **rows
+        | {
+            "next": rows["next"].astype(_choose_state_type(end)),
+            "event": rows["event"].astype("u1"),
+        },
     )
-    space = rules.space(len(places))
+    space = rules.build_space(len(places))
     return MDP(
         table,
         np.append((starts[:, None] + state).reshape(-1), end),
@@ -280,11 +296,11 @@ def _model(laws: Laws, places: Integers) -> MDP:
         events=(SKIP,),
         name=scenario.name,
         parameters=scenario.parameters,
-        labels=rules.labels(space),
+        labels=rules.build_labels(space),
     )
 
 
-def _repeated(laws: Laws, small: MDP, order: Integers) -> MDP:
+def _repeat_blocks(laws: Laws, small: MDP, order: Integers) -> MDP:
     """Return the model of the blocks of `small` in the given order (K,), each a number there.
 
     Its rows are those of `small`, which were checked there, at other places.
@@ -294,13 +310,13 @@ def _repeated(laws: Laws, small: MDP, order: Integers) -> MDP:
     rows, numbers = small.pair_offsets[starts], np.append(order, len(starts) - 1)
     end = count * rules.size
     lasts = np.append(rows[1:], small.n_pairs)
-    pairs = spans(rows[numbers], lasts[numbers])
+    pairs = concatenate_ranges(rows[numbers], lasts[numbers])
     # By how much states move, block by block, and pair by pair.
     moves = np.append(np.arange(count) * rules.size, end) - starts[numbers]
-    moves = np.repeat(moves.astype(_states(end)), (lasts - rows)[numbers])
+    moves = np.repeat(moves.astype(_choose_state_type(end)), (lasts - rows)[numbers])
     table = small.table.of_pairs(pairs)
     following = table.next + np.repeat(moves, np.diff(table.offsets))
-    below = _same(laws.scale, len(pairs))
+    below = _broadcast_integer(laws.scale, len(pairs))
     table = replace(table, next=following, gain_denominator=below)
     matrix = matrix[pairs]
     columns = following
@@ -309,12 +325,12 @@ def _repeated(laws: Laws, small: MDP, order: Integers) -> MDP:
     shape = len(pairs), end + 1
     transition = sp.csr_array((matrix.data, columns, matrix.indptr), shape)
     transition.has_canonical_format = True
-    states, space = small.pair_state[pairs] + moves, rules.space(count)
+    states, space = small.pair_state[pairs] + moves, rules.build_space(count)
     parts: dict[str, Any] = {field.name: getattr(small, field.name) for field in fields(MDP)}
     parts |= {
         "table": table,
         "space": space,
-        "labels": rules.labels(space),
+        "labels": rules.build_labels(space),
         "pair_state": states,
         "pair_action": small.pair_action[pairs],
         "pair_offsets": np.concatenate([[0], np.cumsum(np.bincount(states))]),
@@ -326,11 +342,11 @@ def _repeated(laws: Laws, small: MDP, order: Integers) -> MDP:
     return mdp
 
 
-def _states(end: int) -> type[np.signedinteger[Any]]:
+def _choose_state_type(end: int) -> type[np.signedinteger[Any]]:
     """Return the type of state numbers up to `end`."""
     return np.int32 if end < 2**31 - 1 else np.int64
 
 
-def _same(value: int, count: int) -> Numbers:
+def _broadcast_integer(value: int, count: int) -> Numbers:
     """Return (count,) times one integer, in the memory of one."""
-    return np.asarray(np.broadcast_to(integers([value]), (count,)))
+    return np.asarray(np.broadcast_to(to_integer_array([value]), (count,)))

@@ -23,15 +23,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.errors import ModelError, locate_errors
 from exact_mdp.mdp.forms.numbers import float_array
 from exact_mdp.mdp.io.files import SMALL, read_text
-from exact_mdp.mdp.io.structured import csv_of, json_of, shaped, toml_of
+from exact_mdp.mdp.io.structured import csv_of, json_of, require_shape, toml_of
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike
 from exact_mdp.mdp.result import DataFrame, data_frame
 from exact_mdp.mdp.space import Column
-from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, beside, exact
+from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, exact, format_beside_limits
 
 LEVEL = 0.95
 RATES = ("sensitivity", "specificity")
@@ -63,7 +63,7 @@ def perceived(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> Policy:
     >>> perceived(mdp, {f"{s:04b}": "none" for s in range(16)}, blind).weights(mdp)[:4]
     array([1., 0., 0., 0.])
     """
-    matrix = checked(confusion, size=status_size(model), where="confusion matrix")
+    matrix = require_confusion_matrix(confusion, size=status_size(model), where="confusion matrix")
     weights, regular = Policy.of(model, policy).weights(model), model.space.regular
     by_action = model.by_action(weights, 0.0)
     placed = by_place(model, weights)
@@ -103,7 +103,7 @@ def independent(sensitivity: Sequence[float], specificity: Sequence[float]) -> F
     return matrix
 
 
-def checked(confusion: ArrayLike, *, size: int, where: str) -> Floats:
+def require_confusion_matrix(confusion: ArrayLike, *, size: int, where: str) -> Floats:
     """Return a (size, size) matrix whose rows are distributions; raises ModelError for another."""
     matrix, label = float_array(confusion, where), statuses_of(size).label
     if matrix.shape != (size, size):
@@ -142,11 +142,11 @@ def status_size(model: MDP) -> int:
 
 def status_names(model: MDP) -> tuple[str, ...]:
     """Return the names of the statuses, the most significant bit first; numbers where unnamed."""
-    names, bits = _named(model), status_size(model).bit_length() - 1
+    names, bits = _find_status_names(model), status_size(model).bit_length() - 1
     return tuple(names) if len(names) == bits else tuple(f"bit {bit}" for bit in range(bits))
 
 
-def _named(model: MDP) -> list[str]:
+def _find_status_names(model: MDP) -> list[str]:
     names = (parameter.name for parameter in model.parameters)
     return [name.removeprefix("base.") for name in names if name.startswith("base.")]
 
@@ -179,7 +179,7 @@ def counted(pairs: Iterable[Sequence[object]], *, size: int) -> Integers:
     """
     column, counts = statuses_of(size), np.zeros((size, size), dtype=np.int64)
     for number, (true, seen) in enumerate(pairs, start=1):
-        with located(f"pair {number}", instead=True):
+        with locate_errors(f"pair {number}", instead=True):
             counts[column.number(true), column.number(seen)] += 1
     return counts
 
@@ -218,7 +218,7 @@ def frequencies(counts: Integers) -> Floats:
     return np.asarray(counts / totals)
 
 
-def rates(counts: Integers, statuses: Sequence[str]) -> DataFrame:
+def compute_rates(counts: Integers, statuses: Sequence[str]) -> DataFrame:
     """Return the sensitivity and specificity of each status, the first being the highest bit.
 
     One row for each: `right` of `total` examples, and the ends of its interval.
@@ -239,7 +239,7 @@ def rates(counts: Integers, statuses: Sequence[str]) -> DataFrame:
 # ---- files ---------------------------------------------------------------------------------------
 
 
-def read(path: str | Path, model: MDP) -> tuple[Floats, int | None]:
+def read_confusion_matrix(path: str | Path, model: MDP) -> tuple[Floats, int | None]:
     """Return the confusion matrix of a file, and the number of examples that it counts, if any.
 
     A `.csv` has the header `status,0000,…,1111` and a row for each true status. A `.toml` has the
@@ -249,12 +249,12 @@ def read(path: str | Path, model: MDP) -> tuple[Floats, int | None]:
     size, where, suffix = status_size(model), str(path), Path(path).suffix.lower()
     if suffix == ".jsonl":
         counts = read_counts(path, model)
-        with located(where, instead=True):
+        with locate_errors(where, instead=True):
             return frequencies(counts), int(counts.sum())
     if suffix == ".toml":
-        with located(where):
-            rates = dict.fromkeys(_named(model), _probability)
-            tables = shaped(
+        with locate_errors(where):
+            rates = dict.fromkeys(_find_status_names(model), _parse_rate)
+            tables = require_shape(
                 toml_of(read_text(path, most=SMALL), where), dict.fromkeys(RATES, rates)
             )
         return independent(*([*tables[name].values()] for name in RATES)), None
@@ -275,12 +275,12 @@ def read(path: str | Path, model: MDP) -> tuple[Floats, int | None]:
         if label.strip() in rows or label.strip() not in labels:
             what = f"status {label!r} is unknown or appears twice"
             raise ModelError(what, where=place, fix="give one row for each status")
-        with located(place):
-            rows[label.strip()] = list(map(_probability, words))
+        with locate_errors(place):
+            rows[label.strip()] = list(map(_parse_rate, words))
     for label in labels:
         if label not in rows:
             raise ModelError(f"the row of status {label} is missing", where=where, fix="add it")
-    return checked([rows[label] for label in labels], size=size, where=where), None
+    return require_confusion_matrix([rows[label] for label in labels], size=size, where=where), None
 
 
 def read_counts(path: str | Path, model: MDP) -> Integers:
@@ -290,9 +290,13 @@ def read_counts(path: str | Path, model: MDP) -> Integers:
     that breaks off before its end; a header that names `statuses` must name the model's.
     """
     counts = np.zeros((status_size(model),) * 2, dtype=np.int64)
-    column, names, lines = statuses_of(len(counts)), _named(model), read_text(path).split("\n")
+    column, names, lines = (
+        statuses_of(len(counts)),
+        _find_status_names(model),
+        read_text(path).split("\n"),
+    )
     for number, line in enumerate(lines, start=1):
-        with located(f"{path}, line {number}", instead=True):
+        with locate_errors(f"{path}, line {number}", instead=True):
             try:
                 entry = json_of(line, str(path)) if line.strip() else {}
             except ModelError:
@@ -310,11 +314,11 @@ def read_counts(path: str | Path, model: MDP) -> Integers:
     return counts
 
 
-def _probability(value: object) -> float:
+def _parse_rate(value: object) -> float:
     if value is None:
         raise ModelError("a rate is missing", fix="state it")
     number = exact(value)
     if not 0 <= number <= 1:
-        what = f"{beside(number, Fraction(0), Fraction(1))} is outside [0, 1]"
+        what = f"{format_beside_limits(number, Fraction(0), Fraction(1))} is outside [0, 1]"
         raise ModelError(what, fix="give a probability")
     return float(number)

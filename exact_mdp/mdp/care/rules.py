@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.care.tables import MAPPINGS, SKIP, Tables, bits_of
+from exact_mdp.mdp.care.tables import MAPPINGS, SKIP, ScenarioTables, bits_of
 from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import Integers
 
@@ -76,7 +76,7 @@ class Rules:
     - `places` (K,) of the subtasks; `flag_after` (3, 2): the flag that the next one starts with.
     """
 
-    def __init__(self, scenario: Tables) -> None:
+    def __init__(self, scenario: ScenarioTables) -> None:
         names, statuses, actions = scenario.names, scenario.statuses, scenario.actions
         tasks, trials, components = scenario.tasks, scenario.trials, scenario.components
         self.names, self.statuses, self.trials = names, statuses, trials
@@ -123,16 +123,16 @@ class Rules:
         self.skip = np.empty((self.vectors, count), dtype=np.int64)
         terms: list[Integers] = []
 
-        def add(rows: Integers) -> int:
+        def add_terms(rows: Integers) -> int:
             """Add rows of terms (k, n), and return the number of the first."""
             terms.append(rows)
             return sum(map(len, terms)) - len(rows)
 
-        def alone(place: int) -> int:
+        def add_single_term(place: int) -> int:
             """Return the number of the chance that is one parameter, or 0."""
-            return add(np.array([[place, *[none] * (count - 1)]]))
+            return add_terms(np.array([[place, *[none] * (count - 1)]]))
 
-        nothing = alone(none)
+        nothing = add_single_term(none)
         for i, status in enumerate(self.statuses):
             here, (stays, comes) = present[:, i], (f"persistence.{status}", f"base.{status}")
             free = np.full((self.vectors, count), none)
@@ -147,22 +147,22 @@ class Rules:
             kinds = np.arange(self.vectors)
             kinds[here & (free[:, 1:] == none).all(axis=1)] = 1 << (count - 1 - i)
             used, which = np.unique(kinds, return_inverse=True)
-            which = which + add(free[used])
+            which = which + add_terms(free[used])
             for number, action in enumerate(actions):
                 self.step[:, number, i] = which
                 for rule, where in (("persistence", here), ("onset", ~here)):
                     if (name := f"assistance.{action}.{status}.{rule}") in position:
-                        self.step[where, number, i] = alone(position[name])
+                        self.step[where, number, i] = add_single_term(position[name])
             self.skip[:, i] = which if onset == "base" else nothing
             if onset == "reset":
                 continue
             both = present[:, self.statuses.index(others.get(status, status))]
             rules = ("with-other", "alone") if status in others else ("persistence",)
             for rule, where in zip(rules, (both, ~both), strict=False):
-                self.skip[here & where, i] = alone(position[f"skip.{status}.{rule}"])
+                self.skip[here & where, i] = add_single_term(position[f"skip.{status}.{rule}"])
         self.terms = np.concatenate(terms)
 
-    def after(self, flag: int, place: int) -> Integers:
+    def list_next_states(self, flag: int, place: int) -> Integers:
         """Return (2^n,) the states that follow a subtask, counted from its own first state."""
         if place == FINAL:
             return np.full(self.vectors, self.size)
@@ -170,7 +170,7 @@ class Rules:
             self.size + int(self.flag_after[place, flag]) * self.vectors + np.arange(self.vectors)
         )
 
-    def pairs(self) -> tuple[Integers, Integers]:
+    def list_pairs(self) -> tuple[Integers, Integers]:
         """Return state and action of each row of a subtask, states counted from its first."""
         trying = self.trials * self.flags * self.vectors
         state, action = np.divmod(np.arange(trying * self.assistive), self.assistive)
@@ -180,7 +180,7 @@ class Rules:
             np.append(action, np.full(len(skipping), self.assistive)),
         )
 
-    def space(self, subtasks: int) -> StateSpace:
+    def build_space(self, subtasks: int) -> StateSpace:
         """Return what the state numbers mean; the end comes last."""
         columns = [
             Column(name="subtask", size=subtasks),
@@ -191,7 +191,7 @@ class Rules:
             columns.insert(2, Column(name="skipped", size=2))
         return StateSpace(columns=tuple(columns), extra=("end",))
 
-    def labels(self, space: StateSpace) -> dict[str, NDArray[np.bool_]]:
+    def build_labels(self, space: StateSpace) -> dict[str, NDArray[np.bool_]]:
         """Return the named sets of states: each status, the end, and after or in a skip.
 
         *skipped* are the states of a task in which a subtask was skipped, where the bonus depends
@@ -208,7 +208,7 @@ class Rules:
 _made: dict[tuple[Any, ...], Rules] = {}
 
 
-def rules_of(scenario: Tables) -> Rules:
+def rules_of(scenario: ScenarioTables) -> Rules:
     """Return the rules of a scenario, made once for all that differ in nothing but numbers."""
     mappings = (tuple(getattr(scenario, each).items()) for each in MAPPINGS)
     sizes = scenario.tasks, scenario.max_trial

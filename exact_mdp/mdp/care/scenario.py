@@ -20,17 +20,17 @@ from pathlib import Path
 
 from exact_mdp.mdp.care import toml
 from exact_mdp.mdp.care.compile import compile_scenario
-from exact_mdp.mdp.care.laws import Laws, excess, warn_of_excess
-from exact_mdp.mdp.care.tables import Tables
-from exact_mdp.mdp.errors import located
+from exact_mdp.mdp.care.laws import Laws, describe_excess, warn_of_excess
+from exact_mdp.mdp.care.tables import ScenarioTables
+from exact_mdp.mdp.errors import locate_errors
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, moved_from, parameter_of
-from exact_mdp.mdp.table import shown
+from exact_mdp.mdp.table import format_rational
 
 
-class Scenario(Tables):
-    """A care model as its tables state it: exact numbers, tasks and readings; see `Tables`.
+class Scenario(ScenarioTables):
+    """A care model as its tables state it: exact numbers, tasks and readings; see `ScenarioTables`.
 
     Examples
     --------
@@ -65,8 +65,8 @@ class Scenario(Tables):
         >>> Scenario.load("tea").name
         'tea'
         """
-        with located(str(name)):
-            return cls(**toml.load(name))
+        with locate_errors(str(name)):
+            return cls(**toml.read_scenario_parts(name))
 
     @cached_property
     def laws(self) -> Laws:
@@ -122,24 +122,24 @@ class ScenarioFamily(Parametric):
             return self.base
         there = self.scenario.with_(parameters=moved)
         mdp = compile_scenario(there.laws)
-        one = "".join(f" where {name} is {shown(value)}" for name, value in moved.items())
-        self._tell(there, one if len(moved) < 2 else " at other values of its parameters")
+        one = "".join(f" where {name} is {format_rational(value)}" for name, value in moved.items())
+        self._warn_once(there, one if len(moved) < 2 else " at other values of its parameters")
         return mdp
 
-    def tell(self, values: Mapping[str, object], *, where: str) -> None:
+    def warn_of_cutoffs(self, values: Mapping[str, object], *, where: str) -> None:
         """Warn of chances that are cut off at 1 at other values of some parameters.
 
         A family warns once, of the first such model; a copy of it in another process does not.
         `where` says in which part of an analysis.
         """
-        self._tell(self.scenario.with_(parameters=moved_from(self, values)), where)
+        self._warn_once(self.scenario.with_(parameters=moved_from(self, values)), where)
 
-    def _tell(self, there: Scenario, where: str) -> None:
-        if self.warned or excess(there.laws) is None:
+    def _warn_once(self, there: Scenario, where: str) -> None:
+        if self.warned or describe_excess(there.laws) is None:
             return
         self.warned.append(there.name)
         # Today's values where they are enough, so that the words are those of `compile`.
-        if excess(self.scenario.laws) is not None:
+        if describe_excess(self.scenario.laws) is not None:
             there, where = self.scenario, ""
         warn_of_excess(there.laws, where=where, stacklevel=4)
 

@@ -24,11 +24,11 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from exact_mdp.mdp.errors import LONGEST_TEXT, ModelError, check_names, known
+from exact_mdp.mdp.errors import LONGEST_TEXT, ModelError, check_names, require_known_name
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.result import ROWS_SHOWN, plain_report
 from exact_mdp.mdp.table import Integers, exact
-from exact_mdp.mdp.validate import as_discount, counted
+from exact_mdp.mdp.validate import as_discount, require_count
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -57,7 +57,7 @@ BONUSES = ("subtask-complete", "task-complete")  # the weights that are gains; o
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tables:
+class ScenarioTables:
     """The numbers, tasks and readings of a care scenario; `Scenario` is made of them.
 
     Attributes
@@ -158,12 +158,14 @@ class Tables:
         return {parameter.name: parameter.value for parameter in self.parameters}
 
     def __getitem__(self, name: str) -> Fraction:
-        return self.parameters[self._position(name)].value
+        return self.parameters[self._find_position(name)].value
 
-    def _position(self, name: str) -> int:
+    def _find_position(self, name: str) -> int:
         if name not in self.names:
             readings = (f"readings.{reading}" for reading in READINGS)
-            known(name, [*self.names, *SETTINGS, *readings], "parameter", f"scenario {self.name}")
+            require_known_name(
+                name, [*self.names, *SETTINGS, *readings], "parameter", f"scenario {self.name}"
+            )
         return self.names.index(name)
 
     def with_(
@@ -201,7 +203,7 @@ class Tables:
             elif reading != name:
                 chosen[reading] = check_reading(reading, value)
             else:
-                position = self._position(name)
+                position = self._find_position(name)
                 number = exact(value, f"parameter {name}")
                 numbers[position] = replace(numbers[position], value=number)
         return replace(self, readings=chosen, parameters=tuple(numbers), **parts)
@@ -247,7 +249,7 @@ def as_max_trial(value: object) -> int:
     """Return max_trial from a positive integer or its text."""
     if isinstance(value, str) and value.isascii() and value.isdigit():
         value = int(value[:20])  # cut, it is too large as well
-    return counted(value, "max_trial")
+    return require_count(value, "max_trial")
 
 
 SETTINGS: dict[str, Callable[[object], Any]] = {
@@ -262,11 +264,11 @@ AS_READINGS = {"evaluation_discount": "discount"}  # as the paper's readings cal
 
 def check_reading(name: str, option: object) -> str:
     """Return the option, or raise ModelError where the reading or the option is unknown."""
-    known(name, READINGS, "reading", "readings")
-    return known(option, READINGS[name], "option", f"reading {name}")
+    require_known_name(name, READINGS, "reading", "readings")
+    return require_known_name(option, READINGS[name], "option", f"reading {name}")
 
 
-def check_scenario(scenario: Tables) -> None:
+def check_scenario(scenario: ScenarioTables) -> None:
     """Raise ModelError unless the scenario's parts fit together."""
     check_names((scenario.name,), "scenario", where="name")
     check_names(scenario.statuses, "status", where="statuses")

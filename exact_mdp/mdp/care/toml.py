@@ -21,7 +21,7 @@ from exact_mdp.mdp.care.tables import (
     SKIP,
     check_reading,
 )
-from exact_mdp.mdp.errors import ModelError, check_names, known, suggest
+from exact_mdp.mdp.errors import ModelError, check_names, require_known_name, suggest_name
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.parameter import Parameter
@@ -34,7 +34,7 @@ KEYS = (
 )
 
 
-def shipped() -> list[str]:
+def list_shipped_scenarios() -> list[str]:
     """Return the names of the scenarios that come with the package."""
     folder = files("exact_mdp.mdp") / "scenarios"
     return sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name[-5:] == ".toml")
@@ -42,22 +42,23 @@ def shipped() -> list[str]:
 
 def is_scenario(name: str | Path) -> bool:
     """Return whether a text names a shipped scenario, or a file of one."""
-    return str(name) in shipped() or Path(name).suffix.lower() == ".toml"
+    return str(name) in list_shipped_scenarios() or Path(name).suffix.lower() == ".toml"
 
 
-def load(name: str | Path) -> dict[str, Any]:
-    """Return the parts of a shipped scenario, or of that of a file; see `Scenario.load`."""
+def read_scenario_parts(name: str | Path) -> dict[str, Any]:
+    """Return the parts of a scenario, shipped or in a file; see `Scenario.load`."""
     where = str(name)
     if where.lower().endswith(".toml"):
         text = read_text(name, most=SMALL)
-    elif where in shipped():
+    elif where in list_shipped_scenarios():
         source = files("exact_mdp.mdp") / "scenarios" / f"{where}.toml"
         text = source.read_text(encoding="utf-8")
     else:
         raise ModelError(
             f"unknown scenario {where!r}",
             where="scenarios",
-            fix=f"{suggest(where, shipped())} (or give the path of a .toml file)",
+            fix=f"{suggest_name(where, list_shipped_scenarios())} "
+            "(or give the path of a .toml file)",
         )
     reader = Reader(toml_of(text, where), Path(where).stem)
     for error in reader.problems:
@@ -74,46 +75,50 @@ class Reader:
     def __init__(self, content: dict[str, Any], default_name: str) -> None:
         self.content, self.problems = content, list[ModelError]()
         for key in content:
-            self.take(key, known, key, KEYS, "key")
+            self.read_part(key, require_known_name, key, KEYS, "key")
         self.parts: dict[str, Any] = {}
         for key, default in (("name", default_name), ("title", ""), ("source", "")):
             self.parts[key] = content.get(key, default)
             if not isinstance(self.parts[key], str):
-                self._add(key, f"{key} is not a string", "put it in quotes")
+                self._add_problem(key, f"{key} is not a string", "put it in quotes")
         for key, otherwise in (("tasks", ()), ("max_trial", "missing"), ("discount", 1)):
-            self.parts[key] = self.take(key, SETTINGS[key], content.get(key, otherwise))
+            self.parts[key] = self.read_part(key, SETTINGS[key], content.get(key, otherwise))
         chosen = {
-            name: self.take(f"readings.{name}", check_reading, name, option)
-            for name, option in self._table("readings").items()
+            name: self.read_part(f"readings.{name}", check_reading, name, option)
+            for name, option in self._read_table("readings").items()
         }
         readings = {name: chosen.get(name, options[0]) for name, options in READINGS.items()}
-        statuses, actions = self._words("statuses"), self._words("actions")
+        statuses, actions = self._read_words("statuses"), self._read_words("actions")
         if SKIP in actions:
-            self._add("actions", f"an action is called {SKIP!r}", "choose another name")
+            self._add_problem("actions", f"an action is called {SKIP!r}", "choose another name")
         self.parts |= {"readings": readings, "statuses": statuses, "actions": actions}
         if statuses and actions:
             self._add_numbers(statuses, actions)
 
-    def take(self, key: str, make: Callable[..., V], *given: Any) -> V | None:
+    def read_part(self, key: str, make: Callable[..., V], *given: Any) -> V | None:
         """Return `make(*given)`; keep a ModelError of it as a problem of a key."""
         try:
             return make(*given)
         except ModelError as error:
-            self._add(key, error.what, error.fix)
+            self._add_problem(key, error.what, error.fix)
             return None
 
-    def _add(self, key: str, what: str, fix: str) -> None:
+    def _add_problem(self, key: str, what: str, fix: str) -> None:
         self.problems.append(ModelError(what, where=key, fix=fix))
 
     def _add_numbers(self, statuses: tuple[str, ...], actions: tuple[str, ...]) -> None:
         """Add every parameter in the paper's order, and what goes by status."""
-        weights = self._weights(statuses)
-        flat = dict(pair for table in TABLES for pair in _flat(table, self._table(table)))
+        weights = self._read_weights(statuses)
+        flat = dict(
+            pair for table in TABLES for pair in _flatten_table(table, self._read_table(table))
+        )
         others = dict[str, Any]()
         for status in statuses:
             if (key := f"skip.{status}.other") in flat:
                 options = [name for name in statuses if name != status]
-                others[status] = self.take(key, known, flat.pop(key), options, "other status")
+                others[status] = self.read_part(
+                    key, require_known_name, flat.pop(key), options, "other status"
+                )
         rewards = [*(weights[status] for status in statuses), *SHARED_WEIGHTS]
         grid = [
             f"assistance.{action}.{status}.{rule}"
@@ -132,57 +137,59 @@ class Reader:
         ]
         possible = {**dict.fromkeys(names), **dict.fromkeys(grid)}
         for name in flat:
-            self.take(name, known, name, possible, "number")
+            self.read_part(name, require_known_name, name, possible, "number")
         parameters = []
         for name in names:
             table = name.partition(".")[0]
             if name not in flat and table != "influence":
-                self._add(name, f"the number {name} is missing", "state it")
+                self._add_problem(name, f"the number {name} is missing", "state it")
                 continue
             more = {"unit": "reward"} if table == "reward" else {"low": 0, "high": 1}
             make = partial(Parameter, name=name, value=flat.get(name, 0), **more)
-            parameters.append(self.take(name, make))
+            parameters.append(self.read_part(name, make))
         self.parts |= {"parameters": tuple(parameters), "others": others, "weights": weights}
 
-    def _weights(self, statuses: tuple[str, ...]) -> dict[str, str]:
-        given = self._table("status_weight")
+    def _read_weights(self, statuses: tuple[str, ...]) -> dict[str, str]:
+        given = self._read_table("status_weight")
         for status in given:
-            self.take(f"status_weight.{status}", known, status, statuses, "status")
+            self.read_part(
+                f"status_weight.{status}", require_known_name, status, statuses, "status"
+            )
         weights = {status: str(given.get(status, status)) for status in statuses}
         taken = [*weights.values(), *SHARED_WEIGHTS, "assist"]
         if len(set(taken)) != len(taken) or any("." in weight for weight in taken):
-            self._add(
+            self._add_problem(
                 "status_weight",
                 "two reward weights have the same name, or one has a dot in it",
                 "give each status a weight name of its own",
             )
         return weights
 
-    def _words(self, key: str) -> tuple[str, ...]:
+    def _read_words(self, key: str) -> tuple[str, ...]:
         words = self.content.get(key)
         listed = isinstance(words, list) and all(isinstance(word, str) and word for word in words)
         if not listed or not words or "." in "".join(words) or len(set(words)) != len(words):
             fix = 'write, for example, ["forgetfulness", "anger"], without dots'
-            self._add(key, f"{key} is not a list of different names", fix)
+            self._add_problem(key, f"{key} is not a list of different names", fix)
             return ()
         what = {"statuses": "status", "actions": "action"}[key]
         count = len(self.problems)
-        self.take(key, check_names, words, what)
+        self.read_part(key, check_names, words, what)
         return tuple(words) if len(self.problems) == count else ()
 
-    def _table(self, key: str) -> dict[str, Any]:
+    def _read_table(self, key: str) -> dict[str, Any]:
         """Return a table; one that is no table is a problem, and then empty."""
         table = self.content.get(key, {})
         if isinstance(table, dict):
             return table
-        self._add(key, f"{key} is not a table", f"write it as [{key}]")
+        self._add_problem(key, f"{key} is not a table", f"write it as [{key}]")
         return {}
 
 
-def _flat(prefix: str, value: object) -> Iterator[tuple[str, object]]:
+def _flatten_table(prefix: str, value: object) -> Iterator[tuple[str, object]]:
     """Yield every number of a table by its dotted name."""
     if not isinstance(value, dict):
         yield prefix, value
         return
     for key, below in value.items():
-        yield from _flat(f"{prefix}.{key}", below)
+        yield from _flatten_table(f"{prefix}.{key}", below)

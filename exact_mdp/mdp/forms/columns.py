@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.forms.numbers import chances, grouped, has_floats, joined
+from exact_mdp.mdp.forms.numbers import group_numbers, has_floats, merge_entries, rationalize_rows
 from exact_mdp.mdp.forms.rows import LONG, fine_unit, put_right
 from exact_mdp.mdp.table import (
     COMPILED,
@@ -20,7 +20,7 @@ from exact_mdp.mdp.table import (
     Numbers,
     OutcomeTable,
     all_rows,
-    settle_rows,
+    normalize_rows,
 )
 
 
@@ -43,7 +43,7 @@ def table_of(
     replaced by those of the outcomes of the table.
     """
     parts = {} if amounts is None else amounts
-    taken = _taken(offsets, following, chance, size, own=own) if by_pair else None
+    taken = _copy_sorted_rows(offsets, following, chance, size, own=own) if by_pair else None
     if taken is not None:
         following, chance = taken
     else:
@@ -57,19 +57,21 @@ def table_of(
     floats = has_floats(chance), has_floats(gain)
     for name, of_floats in zip(("float_probabilities", "float_rewards"), floats, strict=True):
         names[name] = names.get(name, False) or of_floats
-    rising = taken is not None or _rises(offsets, following)
+    rising = taken is not None or _is_sorted(offsets, following)
     if not rising:
-        keys = None if by_pair else _ranks([gain, *parts.values()])
-        offsets, following, chance, first = joined(offsets, following, chance, keys, chances=True)
+        keys = None if by_pair else _rank_rows([gain, *parts.values()])
+        offsets, following, chance, first = merge_entries(
+            offsets, following, chance, keys, chances=True
+        )
         gain = gain if by_pair else gain[first]
         parts |= {name: values[first] for name, values in parts.items()}
     if not by_pair and len(gain) and np.diff(offsets).all():
         of_pair = gain[offsets[:-1]]
         if np.asarray(gain == np.repeat(of_pair, np.diff(offsets)), dtype=bool).all():
             gain, by_pair = of_pair, True
-    weight, below = chances(chance, offsets)
-    earned = grouped(np.array(gain), np.arange(len(offsets)) if by_pair else offsets)
-    sound = taken is not None or (weight.dtype == np.float64 and settle_rows(weight, offsets))
+    weight, below = rationalize_rows(chance, offsets)
+    earned = group_numbers(np.array(gain), np.arange(len(offsets)) if by_pair else offsets)
+    sound = taken is not None or (weight.dtype == np.float64 and normalize_rows(weight, offsets))
     table = OutcomeTable(
         offsets=offsets,
         next=following if size < 2**31 else following.astype(np.int64),
@@ -84,7 +86,7 @@ def table_of(
     return table
 
 
-def _ranks(columns: list[Any]) -> Any:
+def _rank_rows(columns: list[Any]) -> Any:
     """Return numbers (N,) that are equal where all columns (N,) are, and in their order."""
     if len(columns) == 1:
         return columns[0]
@@ -92,14 +94,14 @@ def _ranks(columns: list[Any]) -> Any:
     return np.unique(np.stack(ranks, axis=1), axis=0, return_inverse=True)[1].reshape(-1)
 
 
-def _rises(offsets: Integers, following: Numbers) -> bool:
+def _is_sorted(offsets: Integers, following: Numbers) -> bool:
     """Return whether the next states of every pair rise strictly."""
     ahead, begins = following[1:] > following[:-1], offsets[1:-1]
     ahead[begins[(begins > 0) & (begins < len(following))] - 1] = True
     return bool(ahead.all())
 
 
-def _taken(
+def _copy_sorted_rows(
     offsets: Integers, following: Numbers, chance: Numbers, size: int, *, own: bool
 ) -> tuple[Numbers, Floats] | None:
     """Return next states in rising order and settled probabilities (N,), copied in one pass.
@@ -109,7 +111,7 @@ def _taken(
     if len(chance) < COMPILED or chance.dtype != np.float64 or size >= 2**31:
         return None
     if own:
-        return (following, chance) if settle_rows(chance, offsets) else None
+        return (following, chance) if normalize_rows(chance, offsets) else None
     from exact_mdp.mdp.forms import loops
 
     columns, weights = np.empty_like(following), np.empty_like(chance)
@@ -117,5 +119,5 @@ def _taken(
     if longest >= LONG:
         return None
     made = columns, weights, weights.view(np.int64), fine_unit(longest)
-    sound = all_rows(loops.taken, offsets, size, following, chance, *made)
+    sound = all_rows(loops.copy_block, offsets, size, following, chance, *made)
     return (columns, weights) if sound else None

@@ -14,7 +14,7 @@ _njit: Any = numba.njit
 OPTIONS = {"nogil": True, "error_model": "numpy", "_nrt": False}
 
 
-def compiled(function: Callable[..., Any], **options: Any) -> Any:
+def compile_loop(function: Callable[..., Any], **options: Any) -> Any:
     """Compile when first called; keep the machine code where there is a place to keep it."""
     try:
         return _njit(cache=True, **OPTIONS, **options)(function)
@@ -22,7 +22,7 @@ def compiled(function: Callable[..., Any], **options: Any) -> Any:
         return _njit(**OPTIONS, **options)(function)
 
 
-def inlined(function: Callable[..., Any], **options: Any) -> Any:
+def inline_loop(function: Callable[..., Any], **options: Any) -> Any:
     """Compile as a part of whatever calls it."""
     return _njit(forceinline=True, **OPTIONS, **options)(function)
 
@@ -32,13 +32,13 @@ def inlined(function: Callable[..., Any], **options: Any) -> Any:
 # added to them.
 
 
-@inlined
-def span(first: int, last: int) -> range:
+@inline_loop
+def unsigned_range(first: int, last: int) -> range:
     """Return range(first, last), for numbers that are not negative."""
     return range(np.uint64(first), np.uint64(last))
 
 
-@inlined
-def at(place: int) -> Any:
+@inline_loop
+def unsigned_index(place: int) -> Any:
     """Return a place in an array, which is not negative."""
     return np.uint64(place)

@@ -14,12 +14,12 @@ from typing import Any, Self
 import numpy as np
 
 from exact_mdp.mdp.build import FromArrays
-from exact_mdp.mdp.errors import ModelError, located, noted, of_type
+from exact_mdp.mdp.errors import ModelError, annotate_errors, locate_errors, require_type
 from exact_mdp.mdp.forms.names import ByNumber
-from exact_mdp.mdp.forms.numbering import Numbering, Row, numbered
+from exact_mdp.mdp.forms.numbering import Numbering, Row, number_rows
 from exact_mdp.mdp.forms.numbers import as_given
 from exact_mdp.mdp.table import exact
-from exact_mdp.mdp.validate import COUNTED, check_options, counted
+from exact_mdp.mdp.validate import COUNTED, check_options, require_count
 
 MOST_STATES = 1_000_000  # that a function may lead to, unless its user allows more
 OUTCOMES = "give a list of (probability, next state, reward)"
@@ -87,11 +87,13 @@ class FromFunction(FromArrays):
         (MDP(unnamed: 5 states, 2 actions, 6 pairs, 10 transitions, discount 1), ('1', '2'))
         """
         check_options(names, COUNTED)
-        of_type(actions, Callable, "actions", "give a function of a state: lambda state: [0, 1]")
+        require_type(
+            actions, Callable, "actions", "give a function of a state: lambda state: [0, 1]"
+        )
         fix = f"give a function of a state and an action: {OUTCOMES}"
-        of_type(outcomes, Callable, "outcomes", fix)
-        max_states = counted(max_states, "max_states")
-        of_type(labels or {}, Mapping, "labels", "give {name: function of a state}")
+        require_type(outcomes, Callable, "outcomes", fix)
+        max_states = require_count(max_states, "max_states")
+        require_type(labels or {}, Mapping, "labels", "give {name: function of a state}")
         states, rows = Numbering(), list[Row]()
         if isinstance(start, ByNumber):
             raise ModelError(
@@ -101,22 +103,24 @@ class FromFunction(FromArrays):
             )
         begins = [*start.items()] if isinstance(start, Mapping) else [(start, 1)]
         for state, _ in begins:
-            states.add(state, "a state", "start")
+            states.add_thing(state, "a state", "start")
         if not begins:
             raise ModelError("no state to start in", where="start", fix="give a state")
         waiting = deque(states.number)
         while waiting:
             state = waiting.popleft()
-            for action in _answer(actions, state, where=f"state {state}", fix="give a list"):
+            for action in _call_user_function(
+                actions, state, where=f"state {state}", fix="give a list"
+            ):
                 where = f"state {state}, action {action}"
-                answer = _answer(outcomes, state, action, where=where, fix=OUTCOMES)
-                with located(where):
-                    every = [*map(_outcome, answer)]
+                answer = _call_user_function(outcomes, state, action, where=where, fix=OUTCOMES)
+                with locate_errors(where):
+                    every = [*map(_parse_outcome, answer)]
                     possible = [each for each in every if exact(each[0])]
                 rows.append((state, action, possible))
                 for _, following, _ in every if impossible else possible:
                     known = len(states.number)
-                    if states.add(following, "a next state", where) == known:
+                    if states.add_thing(following, "a next state", where) == known:
                         waiting.append(following)
                 if len(states.number) > max_states:
                     raise ModelError(
@@ -125,12 +129,12 @@ class FromFunction(FromArrays):
                         fix="raise max_states, or describe states by less",
                     )
         ends = states.number.keys() - {state for state, _, _ in rows}
-        listed, parts = numbered(rows, states, filter(ends.__contains__, [*states.number]))
+        listed, parts = number_rows(rows, states, filter(ends.__contains__, [*states.number]))
         flags = dict(labels or {})
         for name, holds in flags.items():
             if callable(holds):
-                with noted(f"label {name}"):
-                    answers = [holds(state) for state in states.ordered()]
+                with annotate_errors(f"label {name}"):
+                    answers = [holds(state) for state in states.list_in_order()]
                 for answer in answers:  # a function that forgets to return gives None
                     if not isinstance(answer, bool | np.bool_):
                         raise ModelError(
@@ -145,9 +149,9 @@ class FromFunction(FromArrays):
         )
 
 
-def _answer(ask: Callable[..., Any], *of: Any, where: str, fix: str) -> list[Any]:
+def _call_user_function(ask: Callable[..., Any], *of: Any, where: str, fix: str) -> list[Any]:
     """Return what a function of the user lists; of actions, None is an empty list."""
-    with noted(where):  # a generator runs only in a list
+    with annotate_errors(where):  # a generator runs only in a list
         answer = ask(*of)
         if isinstance(answer, Iterable):
             return list(answer)
@@ -156,7 +160,7 @@ def _answer(ask: Callable[..., Any], *of: Any, where: str, fix: str) -> list[Any
     raise ModelError(f"the function returns {answer!r}, not a list", where=where, fix=fix)
 
 
-def _outcome(given: Any) -> tuple[Any, Hashable, Any]:
+def _parse_outcome(given: Any) -> tuple[Any, Hashable, Any]:
     try:
         probability, following, reward = given
     except (TypeError, ValueError) as error:

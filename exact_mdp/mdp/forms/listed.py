@@ -2,7 +2,7 @@
 
     {s: {a: {t: p}}}      dictionaries by state, action and next state; any hashables
     [(s, a, t, p), …]     quadruples, (N, 4)
-    P[s][a] = [p, …]      lists, with None or nothing for what is not available; see `filled`
+    P[s][a] = [p, …]      lists, with None or nothing for a missing action: `fill_missing_rows`
 
 Rewards beside the first two are {s: r}, {s: {a: r}}, {s: {a: {t: r}}}, or, where states and actions
 are whole numbers, an array (S,) or (S, A). What P does not list is not available, nor is what has
@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.errors import ModelError, ShapeError, located, of_type
-from exact_mdp.mdp.forms.numbering import Numbering, numbered
-from exact_mdp.mdp.forms.numbers import array_of, as_given, dense
+from exact_mdp.mdp.errors import ModelError, ShapeError, locate_errors, require_type
+from exact_mdp.mdp.forms.numbering import Numbering, number_rows
+from exact_mdp.mdp.forms.numbers import array_of, as_given, to_dense
 from exact_mdp.mdp.table import exact
 
 Path = tuple[Any, ...]
@@ -43,7 +43,7 @@ def is_listed(P: Any) -> bool:
     )
 
 
-def filled(
+def fill_missing_rows(
     P: Any, R: Any, layout: str | None
 ) -> tuple[Any, Any, str | None, NDArray[np.bool_] | None]:
     """Return lists P and R[s][a] in full, the layout, and which pairs (S · A,) P lists or None.
@@ -83,8 +83,8 @@ def keys_of(P: Mapping[Any, Any]) -> list[Any]:
     """Return the keys of matrices in the order of the model: numbers 0, 1, … are places."""
     numbering = Numbering()
     for key in P:
-        numbering.add(key, "a key", "P")
-    return numbering.ordered()
+        numbering.add_thing(key, "a key", "P")
+    return numbering.list_in_order()
 
 
 class Listed:
@@ -94,13 +94,13 @@ class Listed:
         self.states, actions, self.never = Numbering(), Numbering(), never
         self.pairs: dict[Any, dict[Any, list[tuple[Any, Any]]]] = {}
         for state, own in P.items() if isinstance(P, Mapping) else ():
-            self.states.add(state, "a state", "P")
+            self.states.add_thing(state, "a state", "P")
             self.pairs[state] = {action: [] for action in own or {}}
-        for state, action, then, chance in _quadruples(P):
+        for state, action, then, chance in _list_quadruples(P):
             place = f"P, state {state}, action {action}"
             for numbering, thing in ((self.states, state), (actions, action), (self.states, then)):
-                numbering.add(thing, "a state or action", place)
-            with located(f"{place}, next state {then}"):
+                numbering.add_thing(thing, "a state or action", place)
+            with locate_errors(f"{place}, next state {then}"):
                 outcomes = self.pairs.setdefault(state, {}).setdefault(action, [])
                 outcomes += [(chance, then)] if exact(chance) else []
         self.ends = [state for state, own in self.pairs.items() if not any(own.values())]
@@ -112,11 +112,11 @@ class Listed:
             if outcomes or not isinstance(P, Mapping) or P[state][action]
         ]
 
-    def amounts(self, values: Any, where: str) -> dict[Path, Any]:
+    def read_amounts(self, values: Any, where: str) -> dict[Path, Any]:
         """Return what is earned, by the keys of a state, of a pair, or of a transition."""
         if not isinstance(values, Mapping):
             return self._by_number(values, where)
-        amounts = dict(_leaves(values))
+        amounts = dict(_flatten_rewards(values))
         for (state, *more), amount in amounts.items():
             own = self.pairs.get(state, {})
             nothing = amount in (self.never, 0) if state in self.ends else amount == self.never
@@ -132,7 +132,7 @@ class Listed:
 
     def _by_number(self, values: Any, where: str) -> dict[Path, Any]:
         """Return the amounts of an array (S,) or (S, A), of states and actions that are numbers."""
-        array, states = dense(array_of(values, where)), {*self.states.number}
+        array, states = to_dense(array_of(values, where)), {*self.states.number}
         pairs = [(s, a) for s, own in self.pairs.items() for a in own]
         whole = all(isinstance(thing, int) and thing >= 0 for pair in pairs for thing in pair)
         size = len(states), max((action for _, action in pairs), default=-1) + 1 if whole else 0
@@ -167,7 +167,9 @@ class Listed:
                 )
         return {(s, a): entries[s][a] for s, a in pairs}
 
-    def earned(self, pair: Path, amounts: Mapping[Path, Any], where: str) -> list[Any]:
+    def list_rewarded_outcomes(
+        self, pair: Path, amounts: Mapping[Path, Any], where: str
+    ) -> list[Any]:
         """Return a pair's outcomes with what they earn: their own amount, or the pair's or state's.
 
         Each is (probability, next state, amount).
@@ -179,7 +181,7 @@ class Listed:
             if not stated:
                 fix = "give 0 where nothing is earned"
                 raise ModelError("there is no reward", where=place, fix=fix)
-            with located(place):
+            with locate_errors(place):
                 outcomes.append((chance, then, as_given(amounts[stated[0]])))
         return outcomes
 
@@ -196,21 +198,21 @@ class Listed:
                 fix="give {state: amount} or {state: {action: amount}}",
             )
 
-    def earned_once(self, amounts: Mapping[Path, Any], where: str) -> dict[Any, Any]:
+    def read_end_amounts(self, amounts: Mapping[Path, Any], where: str) -> dict[Any, Any]:
         """Return the amounts other than 0 that are stated of states without actions."""
-        with located(where):
+        with locate_errors(where):
             given = {end: as_given(amounts.get((end,), 0)) for end in self.ends}
         return {end: amount for end, amount in given.items() if amount and amount == amount}
 
 
-def rows_of(P: Any, R: Any, names: dict[str, Any]) -> tuple[list[Any], dict[str, Any]]:
+def rows_from_listed(P: Any, R: Any, names: dict[str, Any]) -> tuple[list[Any], dict[str, Any]]:
     """Return what `MDP.from_outcomes` takes to build the model of P and R: rows, and names.
 
     `names` are those given beside P and R; the ones that are returned include them.
     """
     listed = Listed(P, inf if names.get("sense") == "min" else -inf)
-    rewards = listed.amounts(R, "R")
-    once = listed.earned_once(rewards, "R")
+    rewards = listed.read_amounts(R, "R")
+    once = listed.read_end_amounts(rewards, "R")
     pairs = [
         (state, action)
         for state, action in listed.offered
@@ -220,19 +222,22 @@ def rows_of(P: Any, R: Any, names: dict[str, Any]) -> tuple[list[Any], dict[str,
     given, parts = names.get("components"), dict[str, Any]()
     for name, values in given.items() if isinstance(given, Mapping) else ():
         where = f"component {name}"
-        of_pairs = [] if isinstance(values, Mapping) else dense(array_of(values, where))
+        of_pairs = [] if isinstance(values, Mapping) else to_dense(array_of(values, where))
         each = [*(state for state, _ in pairs), *listed.ends]
         if np.shape(of_pairs) == (len(each),):  # one for each pair
             listed.check_order(each, of_pairs, where)
             parts[name] = [*of_pairs]
             continue
-        amounts = listed.amounts(values, where)
-        ends = listed.earned_once(amounts, where)
+        amounts = listed.read_amounts(values, where)
+        ends = listed.read_end_amounts(amounts, where)
         paid = dict.fromkeys(ends, 0) | paid
-        parts[name] = [_by_outcome(listed.earned(pair, amounts, where)) for pair in pairs]
+        parts[name] = [
+            _merge_equal_amounts(listed.list_rewarded_outcomes(pair, amounts, where))
+            for pair in pairs
+        ]
         parts[name] += [ends.get(end, 0) for end in listed.ends]
-    rows = [(*pair, listed.earned(pair, rewards, "R")) for pair in pairs]
-    made, own = numbered(rows, listed.states, listed.ends, paid)
+    rows = [(*pair, listed.list_rewarded_outcomes(pair, rewards, "R")) for pair in pairs]
+    made, own = number_rows(rows, listed.states, listed.ends, paid)
     if paid:
         names |= _with_the_end(names, len(listed.states.number), own["space"].extra[0])
     if parts:
@@ -240,7 +245,7 @@ def rows_of(P: Any, R: Any, names: dict[str, Any]) -> tuple[list[Any], dict[str,
     return made, own | names
 
 
-def _by_outcome(outcomes: list[tuple[Any, Any, Any]]) -> Any:
+def _merge_equal_amounts(outcomes: list[tuple[Any, Any, Any]]) -> Any:
     """Return the amount of a pair, or a list of those of its outcomes where they differ."""
     amounts = [amount for *_, amount in outcomes]
     if not amounts:
@@ -251,43 +256,43 @@ def _by_outcome(outcomes: list[tuple[Any, Any, Any]]) -> Any:
 def _with_the_end(names: dict[str, Any], states: int, end: str) -> dict[str, Any]:
     """Return what is given for each state of P (S,), with the end that is added as one more."""
 
-    def longer(values: Any, last: Any) -> Any:
+    def append_value(values: Any, last: Any) -> Any:
         if isinstance(values, list | tuple | np.ndarray) and len(values) == states:
             return [*values, last]
         return values
 
-    longer_names = {"states": longer(names["states"], end)} if "states" in names else {}
+    longer_names = {"states": append_value(names["states"], end)} if "states" in names else {}
     if not isinstance(names["start"], tuple):  # which may be a state
-        longer_names["start"] = longer(names["start"], 0)
+        longer_names["start"] = append_value(names["start"], 0)
     labels = names.get("labels")
     if isinstance(labels, Mapping):
         longer_names["labels"] = {
-            name: longer(flags, False) if np.asarray(flags).dtype == bool else flags
+            name: append_value(flags, False) if np.asarray(flags).dtype == bool else flags
             for name, flags in labels.items()
         }
     return longer_names
 
 
-def _quadruples(P: Any) -> Iterator[tuple[Any, Any, Any, Any]]:
+def _list_quadruples(P: Any) -> Iterator[tuple[Any, Any, Any, Any]]:
     """Yield state, action, next state and probability."""
     if not isinstance(P, Mapping):
         for *path, chance in P.tolist() if isinstance(P, np.ndarray) else P:
-            state, action, then = map(_whole, path)
+            state, action, then = map(_float_to_integer, path)
             yield state, action, then, chance
         return
     for state, actions in P.items():
         for action, after in (actions or {}).items():
             fix = "give {state: {action: {next state: probability}}}"
-            after = {} if after is None else of_type(after, Mapping, f"P, state {state}", fix)
+            after = {} if after is None else require_type(after, Mapping, f"P, state {state}", fix)
             for then, chance in after.items():
                 yield state, action, then, chance
 
 
-def _leaves(R: Mapping[Any, Any], path: Path = ()) -> Iterator[tuple[Path, Any]]:
+def _flatten_rewards(R: Mapping[Any, Any], path: Path = ()) -> Iterator[tuple[Path, Any]]:
     """Yield the rewards in nested dictionaries, each with its keys."""
     for key, reward in R.items():
         if isinstance(reward, Mapping):
-            yield from _leaves(reward, (*path, key))
+            yield from _flatten_rewards(reward, (*path, key))
         elif reward is not None:
             yield (*path, key), reward
 
@@ -296,6 +301,6 @@ def _is_list(values: Any) -> bool:
     return isinstance(values, list | tuple) or (isinstance(values, np.ndarray) and values.ndim > 0)
 
 
-def _whole(number: Any) -> Any:
+def _float_to_integer(number: Any) -> Any:
     """Return a float of an array of quadruples as the whole number that it is."""
     return int(number) if isinstance(number, float) and number.is_integer() else number

@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, no_such, suggest
+from exact_mdp.mdp.errors import ModelError, no_such, suggest_name
 
 WHOLE = re.compile(r"-?\d{1,18}(\.0)?|True|False")
 SHOWN = 1000  # of names, where the nearest to a wrong one is looked for
@@ -42,16 +42,16 @@ class ByNumber(tuple[tuple[int, Any], ...]):
 
 def text_of(thing: object) -> str:
     """Return the text of an object, in a tuple of NumPy's numbers that of plain ones."""
-    return str(_plain(thing) if type(thing) is tuple else thing)
+    return str(_to_python_objects(thing) if type(thing) is tuple else thing)
 
 
-def _plain(thing: Any) -> Any:
+def _to_python_objects(thing: Any) -> Any:
     if type(thing) is tuple:
-        return tuple(map(_plain, thing))
+        return tuple(map(_to_python_objects, thing))
     return thing.item() if isinstance(thing, np.generic) else thing
 
 
-def names_of(things: Sequence[Any], what: str) -> tuple[str, ...]:
+def name_things(things: Sequence[Any], what: str) -> tuple[str, ...]:
     """Return a name for each thing: its text, or its `repr` where two things have the same text."""
     for form in (text_of, repr):
         names = tuple(map(form, things))
@@ -69,7 +69,7 @@ def is_number(thing: object) -> bool:
     return number and (not isinstance(thing, float | np.floating) or isfinite(thing))
 
 
-def whole_of(thing: Any) -> int | None:
+def integer_of(thing: Any) -> int | None:
     """Return the whole number that a number is, or that the digits of a text are."""
     if is_number(thing):
         return int(thing) if thing == int(thing) else None
@@ -88,13 +88,13 @@ class Names:
     objects: Mapping[Hashable, int] = field(default_factory=dict)
     otherwise: Callable[[Any], int | None] | None = None
 
-    def number(self, thing: object) -> int:
+    def find_number(self, thing: object) -> int:
         """Return the number of one thing; raises ModelError where it is none, or may be two."""
         try:
             made = self.objects.get(thing)
         except TypeError:  # no key
-            raise self._unknown(thing) from None
-        text, whole = text_of(thing), whole_of(thing)
+            raise self._unknown_error(thing) from None
+        text, whole = text_of(thing), integer_of(thing)
         place = whole if whole is not None and 0 <= whole < self.size else None
         short = text.strip() if isinstance(thing, str) else str(whole if is_number(thing) else text)
         named = self.words.get(text, self.words.get(short))
@@ -106,47 +106,50 @@ class Names:
             fits = {place}
         known = [number for number in fits if number is not None]
         if not known:
-            raise self._unknown(thing)
+            raise self._unknown_error(thing)
         if len(known) > 1:
             first, second = sorted(known, key=lambda n: (n == place, n))
             one, two = self.label(first), self.label(second)
             raise ModelError(
-                f"{_plain(thing)!r} may be {one}, by its name, or {two}, number {second} in the "
+                f"{_to_python_objects(thing)!r} may be {one}, by its name, "
+                f"or {two}, number {second} in the "
                 "model's order, which differ",
                 fix=f'write "{one}" or "{two}"',
             )
         return known[0]
 
-    def numbers(self, things: Any) -> list[int]:
+    def find_numbers(self, things: Any) -> list[int]:
         """Return the numbers of some things, or of one alone."""
         many = isinstance(things, Iterable) and not isinstance(things, str)
-        return [self.number(thing) for thing in (things if many else [things])]
+        return [self.find_number(thing) for thing in (things if many else [things])]
 
     @cached_property
     def numbered(self) -> bool:
         """Whether whole numbers are names or objects, so that they count nothing."""
         return any(WHOLE.fullmatch(text_of(thing)) for thing in (*self.words, *self.objects))
 
-    def knows(self, thing: object) -> bool:
+    def has_name(self, thing: object) -> bool:
         """Return whether something other than a number is an object, or has the text of a name."""
         try:
             return thing in self.objects or text_of(thing) in self.words
         except TypeError:
             return False
 
-    def holds(self, thing: object) -> bool:
+    def can_find(self, thing: object) -> bool:
         """Return whether something is one of these, given in any way."""
         try:
-            return self.number(thing) >= 0
+            return self.find_number(thing) >= 0
         except ModelError:
             return False
 
-    def _unknown(self, thing: object) -> ModelError:
-        digits = thing.strip().isdigit() if isinstance(thing, str) else whole_of(thing) is not None
+    def _unknown_error(self, thing: object) -> ModelError:
+        digits = (
+            thing.strip().isdigit() if isinstance(thing, str) else integer_of(thing) is not None
+        )
         if digits and not self.numbered:
             return no_such(self.what, thing, self.size)
         known = [*self.words] or [self.label(number) for number in range(min(self.size, SHOWN))]
         said = f"unknown {self.what} {thing!r}"
         if not isinstance(thing, str):
             said = f"{thing!r} is not a{'n' * (self.what[0] in 'aeio')} {self.what}"
-        return ModelError(said, fix=suggest(str(thing), known))
+        return ModelError(said, fix=suggest_name(str(thing), known))

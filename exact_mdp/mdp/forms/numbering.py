@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.forms.names import names_of, text_of, whole_of
+from exact_mdp.mdp.forms.names import integer_of, name_things, text_of
 from exact_mdp.mdp.space import Column, StateSpace
 
 Row = tuple[Hashable, Hashable, Sequence[tuple[Any, Hashable, Any]]]
@@ -28,7 +28,7 @@ class Numbering:
     def __init__(self) -> None:
         self.number: dict[Hashable, int] = {}
 
-    def add(self, thing: Any, what: str, where: str) -> int:
+    def add_thing(self, thing: Any, what: str, where: str) -> int:
         """Return the number of a thing, a new one where it is new; raise ModelError for others."""
         try:
             return self.number.setdefault(thing, len(self.number))
@@ -39,7 +39,7 @@ class Numbering:
                 fix="use numbers, words or tuples, not lists, arrays or dictionaries",
             ) from error
 
-    def ordered(self) -> list[Any]:
+    def list_in_order(self) -> list[Any]:
         """Return the things by number; whole numbers from 0 on are their own."""
         things: list[Any] = list(self.number)
         whole = [int(thing) if _is_whole(thing) else thing for thing in things]
@@ -52,15 +52,15 @@ class Numbering:
 
 
 def _is_whole(thing: Any) -> bool:
-    return not isinstance(thing, str) and whole_of(thing) is not None
+    return not isinstance(thing, str) and integer_of(thing) is not None
 
 
-def _counted(things: Sequence[Any]) -> bool:
+def _count_from_zero(things: Sequence[Any]) -> bool:
     """Return whether things are the whole numbers 0 … n-1, which need no names."""
     return all(map(_is_whole, things)) and [*things] == [*range(len(things))]
 
 
-def numbered(
+def number_rows(
     rows: Iterable[Row],
     states: Numbering,
     ends: Iterable[Hashable],
@@ -72,11 +72,11 @@ def numbered(
     """
     actions, listed = Numbering(), list(rows)
     for state, action, outcomes in listed:
-        actions.add(action, "an action", f"state {state}")
-        states.add(state, "a state", "rows")
+        actions.add_thing(action, "an action", f"state {state}")
+        states.add_thing(state, "a state", "rows")
         for _, following, _ in outcomes:
-            states.add(following, "a next state", f"state {state}, action {action}")
-    things, doing = states.ordered(), actions.ordered() or ["stay"]
+            states.add_thing(following, "a next state", f"state {state}, action {action}")
+    things, doing = states.list_in_order(), actions.list_in_order() or ["stay"]
     number, act = states.number, actions.number
     chosen: list[Any] = [
         (number[state], act[action], [(p, number[then], r) for p, then, r in outcomes])
@@ -91,11 +91,11 @@ def numbered(
         extra += "'"
     if paid:
         chosen.append((last, 0, [(1, last, 0)]))
-    plain = _counted(things)
+    plain = _count_from_zero(things)
     column = Column(
         name="state",
         size=len(things),
-        words=() if plain else names_of(things, "state"),
+        words=() if plain else name_things(things, "state"),
         objects=() if plain else tuple(things),
     )
     space = StateSpace(columns=(column,), extra=(extra,) if paid else ())
@@ -105,6 +105,6 @@ def numbered(
 def action_names(things: Sequence[Any]) -> dict[str, Any]:
     """Return what `MDP` takes of things that are its actions: their names, and the things."""
     return {
-        "actions": names_of(things, "action"),
-        "action_objects": () if _counted(things) else tuple(things),
+        "actions": name_things(things, "action"),
+        "action_objects": () if _count_from_zero(things) else tuple(things),
     }

@@ -2,7 +2,7 @@
 
 An array is of one kind, 64-bit integers or floats, where all its numbers are; else of objects, each
 a `Fraction` or a float. A table of outcomes has integers over one denominator for each row, or
-floats with 1 below: `grouped` makes these of numbers of any kind.
+floats with 1 below: `group_numbers` makes these of numbers of any kind.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from exact_mdp.mdp.errors import ModelError, located
-from exact_mdp.mdp.forms.rows import meant
+from exact_mdp.mdp.errors import ModelError, locate_errors
+from exact_mdp.mdp.forms.rows import rationalize_row
 from exact_mdp.mdp.table import (
     EXACT_IN_INT64,
     Floats,
@@ -28,28 +28,28 @@ from exact_mdp.mdp.table import (
     Numbers,
     as_float,
     exact,
-    integers,
-    magnitude,
-    ones,
+    find_magnitude,
+    make_ones,
     over_groups,
+    to_integer_array,
 )
 
 
 def array_of(values: object, where: str) -> Any:
     """Return a sparse matrix as a CSR array, others as an array of one kind or of objects."""
-    with located(where):
-        values = plain(values)
+    with locate_errors(where):
+        values = convert_tensors(values)
         refuse_labels(values)
-        return _sparse(values) if sp.issparse(values) else _array(values)
+        return _to_sparse_rows(values) if sp.issparse(values) else _to_array(values)
 
 
-def plain(value: Any) -> Any:
+def convert_tensors(value: Any) -> Any:
     """Return a tensor, as of torch, as the array that it holds, in lists too; others as they are.
 
     One of a type that NumPy does not have, bfloat16, is widened, which loses nothing.
     """
     if isinstance(value, list | tuple):
-        return type(value)(map(plain, value)) if any(map(_is_tensor, value)) else value
+        return type(value)(map(convert_tensors, value)) if any(map(_is_tensor, value)) else value
     if not _is_tensor(value):
         return value
     value = value.detach().cpu()
@@ -66,7 +66,7 @@ def _is_tensor(value: Any) -> bool:
 def float_array(values: object, where: str) -> Floats:
     """Return an array of floats, each the nearest to the number that is given."""
     array = array_of(values, where)
-    with located(where):
+    with locate_errors(where):
         if array.dtype == object:
             numbers = [as_float(number) for number in array.flat]
             return np.array(numbers, dtype=np.float64).reshape(array.shape)
@@ -94,7 +94,7 @@ def refuse_masked(values: object, where: str = "") -> None:
         )
 
 
-def is_table(value: object) -> bool:
+def is_pandas_table(value: object) -> bool:
     """Return whether a value is a table of pandas."""
     pandas = sys.modules.get("pandas")  # who has a table has imported it
     return pandas is not None and isinstance(value, pandas.DataFrame | pandas.Series)
@@ -103,7 +103,7 @@ def is_table(value: object) -> bool:
 def refuse_labels(values: Any) -> None:
     """Raise ModelError for a table of pandas, alone or in a list, whose labels order it anew."""
     for table in values if isinstance(values, list | tuple) else [values]:
-        for labels in table.axes if is_table(table) else []:
+        for labels in table.axes if is_pandas_table(table) else []:
             if list(labels) != list(range(len(labels))):
                 raise ModelError(
                     f"a table has the labels {', '.join(map(str, labels[:4]))}"
@@ -125,7 +125,7 @@ def whole_numbers(values: ArrayLike, what: str) -> Integers:
     return array.astype(np.int64)
 
 
-def _sparse(values: Any) -> sp.csr_array:
+def _to_sparse_rows(values: Any) -> sp.csr_array:
     """Return a sparse matrix as a CSR array; places that come twice still do."""
     if values.dtype.kind not in "fiub":
         raise ModelError(f"a sparse matrix of type {values.dtype}", fix="give real numbers")
@@ -173,16 +173,16 @@ def _check_places(matrix: Any) -> None:
             )
 
 
-def _array(values: Any) -> Any:
+def _to_array(values: Any) -> Any:
     objects = isinstance(values, np.ndarray) and values.dtype == object
     if objects and any(isinstance(value, np.ndarray) for value in values.flat):
         values = values.tolist()  # an array of matrices is a list of them
-    kinds = _kinds(values)
+    kinds = _find_types(values)
     try:
         if len(kinds) == 1 or kinds <= {float, np.float64} or kinds <= {int, bool}:
             array = np.asarray(values)
         else:
-            array = np.array(_leaves(values), dtype=object)
+            array = np.array(_to_nested_lists(values), dtype=object)
             if any(isinstance(value, list) for value in array.flat):
                 raise ValueError
     except ValueError as error:
@@ -194,7 +194,7 @@ def _array(values: Any) -> Any:
     if array.dtype.kind not in "OUSuf":
         raise ModelError(f"an array of type {array.dtype}", fix="give real numbers")
     if array.dtype != object:
-        array = np.array(_leaves(values), dtype=object)
+        array = np.array(_to_nested_lists(values), dtype=object)
     flat = np.empty(array.size, dtype=object)
     zero = Fraction(0)  # one for all: rows are mostly zeros
     flat[:] = [
@@ -203,7 +203,7 @@ def _array(values: Any) -> Any:
     return flat.reshape(array.shape)
 
 
-def _kinds(values: Any) -> set[Any]:
+def _find_types(values: Any) -> set[Any]:
     """Return the types of the numbers in an array, or in lists of lists."""
     if isinstance(values, np.ndarray):
         refuse_masked(values)
@@ -212,14 +212,14 @@ def _kinds(values: Any) -> set[Any]:
         return {type(values)}
     kinds = set(map(type, values))
     if any(issubclass(kind, list | tuple | np.ndarray) for kind in kinds):
-        return set().union(*map(_kinds, values))
+        return set().union(*map(_find_types, values))
     return kinds
 
 
-def _leaves(values: Any) -> Any:
+def _to_nested_lists(values: Any) -> Any:
     """Return lists of lists of the numbers as they were given, each of its own type."""
     if isinstance(values, list | tuple) or (isinstance(values, np.ndarray) and values.ndim):
-        return [_leaves(value) for value in values]
+        return [_to_nested_lists(value) for value in values]
     return values
 
 
@@ -237,7 +237,7 @@ def chance_sum(left: Fraction | float, right: Fraction | float) -> Fraction | fl
     return least if least < 0 else exact_sum(left, right)
 
 
-def joined(
+def merge_entries(
     offsets: Integers,
     columns: Numbers,
     values: Numbers,
@@ -247,7 +247,7 @@ def joined(
 ) -> tuple[Integers, Numbers, Numbers, Integers]:
     """Return rows with rising columns, places of one column and key joined, and the first of each.
 
-    Rows of `chances` mean what they do before that (`mdp.forms.rows`).
+    Rows of `rationalize_rows` mean what they do before that (`mdp.forms.rows`).
     """
     row = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
     # One key for row and column sorts twenty times as fast as the two do.
@@ -270,7 +270,7 @@ def joined(
         parts = [as_given(value) for value in values]
         twice = np.unique(row[~fresh]).tolist()
         for begin, end in ((offsets[k], offsets[k + 1]) for k in twice if chances):
-            parts[begin:end] = meant(parts[begin:end])
+            parts[begin:end] = rationalize_row(parts[begin:end])
         add, ends = chance_sum if chances else exact_sum, [*first[1:].tolist(), len(parts)]
         values = np.empty(len(first), dtype=object)
         values[:] = [
@@ -280,7 +280,7 @@ def joined(
     return offsets, columns[first], values, order[first]
 
 
-def dense(values: Any) -> Any:
+def to_dense(values: Any) -> Any:
     """Return a sparse array as a dense one; others as they are."""
     return values.toarray() if sp.issparse(values) else values
 
@@ -288,7 +288,9 @@ def dense(values: Any) -> Any:
 def one_kind(values: Sequence[Any]) -> Numbers:
     """Return numbers as an array of floats or of 64-bit integers where all are such, or objects."""
     kinds = set(map(type, values))
-    if kinds == {float} or (kinds == {int} and magnitude(integers(values)) < EXACT_IN_INT64):
+    if kinds == {float} or (
+        kinds == {int} and find_magnitude(to_integer_array(values)) < EXACT_IN_INT64
+    ):
         return np.array(values)
     numbers = np.empty(len(values), dtype=object)
     numbers[:] = [as_given(value) for value in values]
@@ -302,9 +304,9 @@ def has_floats(values: Numbers) -> bool:
     return any(isinstance(value, float) for value in values)
 
 
-def grouped(values: Any, offsets: Integers) -> tuple[Numbers, Numbers]:
+def group_numbers(values: Any, offsets: Integers) -> tuple[Numbers, Numbers]:
     """Return numbers as the arrays of a table: tops over one bottom for each group of them."""
-    below = ones(len(offsets) - 1)
+    below = make_ones(len(offsets) - 1)
     if isinstance(values, np.ndarray) and values.dtype in (np.float64, np.int64):
         return np.ascontiguousarray(values), below
     flat = [as_given(value) for value in values]
@@ -317,21 +319,21 @@ def grouped(values: Any, offsets: Integers) -> tuple[Numbers, Numbers]:
     return over_groups([exact(value) for value in flat], offsets)
 
 
-def chances(values: Numbers, offsets: Integers) -> tuple[Numbers, Numbers]:
+def rationalize_rows(values: Numbers, offsets: Integers) -> tuple[Numbers, Numbers]:
     """Return what rows of probabilities mean: in floats where all are floats, or might be."""
     if values.dtype.kind == "f":
         values = values.astype(np.float64, copy=False)
     if values.dtype != object:
-        return grouped(values, offsets)
+        return group_numbers(values, offsets)
     flat = [as_given(value) for value in values]
     rows = [flat[first:last] for first, last in pairwise(offsets.tolist())]
     if not has_floats(values):
-        return grouped(flat, offsets)
+        return group_numbers(flat, offsets)
     if all(_in_floats(row) for row in rows):
-        return np.array([float(value) for value in flat]), ones(len(rows))
-    exactly = [value for row in rows for value in meant(row)]
+        return np.array([float(value) for value in flat]), make_ones(len(rows))
+    exactly = [value for row in rows for value in rationalize_row(row)]
     if any(isinstance(value, float) and not isfinite(value) for value in exactly):
-        return grouped(exactly, offsets)
+        return group_numbers(exactly, offsets)
     return over_groups(list(map(exact, exactly)), offsets)
 
 
@@ -339,7 +341,9 @@ def _in_floats(row: list[Fraction | float]) -> bool:
     """Return whether floats alone mean what a row of floats and exact numbers means."""
     if all(isinstance(value, float) for value in row) or row == [1]:
         return True
-    return all(map(_is_double, row)) and meant(row) == meant([float(value) for value in row])
+    return all(map(_is_double, row)) and rationalize_row(row) == rationalize_row(
+        [float(value) for value in row]
+    )
 
 
 def _is_double(value: Fraction | float) -> bool:

@@ -42,14 +42,14 @@ SINGLE = 2.0**-24  # what single precision may round away of a number, in propor
 COARSE, FINEST, LONG = 2.0**-40, -93, 2**22  # of sums: their units, and the most terms of a row
 
 
-def meant(row: Sequence[Fraction | float]) -> list[Fraction | float]:
+def rationalize_row(row: Sequence[Fraction | float]) -> list[Fraction | float]:
     """Return the exact numbers that a row means; a row that is no distribution stays as it is.
 
     Examples
     --------
-    >>> meant([0.1, 0.2, 0.7])
+    >>> rationalize_row([0.1, 0.2, 0.7])
     [Fraction(1, 10), Fraction(1, 5), Fraction(7, 10)]
-    >>> meant([Fraction(1, 3), 1 / 6, 0.5])
+    >>> rationalize_row([Fraction(1, 3), 1 / 6, 0.5])
     [Fraction(1, 3), Fraction(1, 6), Fraction(1, 2)]
     """
     floats = [number for number in row if isinstance(number, float)]
@@ -69,7 +69,9 @@ def meant(row: Sequence[Fraction | float]) -> list[Fraction | float]:
         return list(row)
     rounded = float(share)
     if rounded != largest:  # another one may be the largest then
-        return meant([rounded if isinstance(x, float) and x == largest else x for x in row])
+        return rationalize_row(
+            [rounded if isinstance(x, float) and x == largest else x for x in row]
+        )
     exact = {number: Fraction(number) for number in floats} | {largest: share}
     return [exact[x] if isinstance(x, float) else x for x in row]
 
@@ -110,7 +112,7 @@ def put_right(weight: Numbers, offsets: Integers) -> Numbers:
     return np.where(changed, right, weight)
 
 
-def settle(weight: Floats, offsets: Integers) -> bool:
+def normalize_rows_in_numpy(weight: Floats, offsets: Integers) -> bool:
     """Write the floats next to what rows mean in their place; what is no distribution stays.
 
     Return whether all rows are distributions of positive numbers.
@@ -122,7 +124,10 @@ def settle(weight: Floats, offsets: Integers) -> bool:
         least, most = (each.reduceat(bits, begins) for each in (np.minimum, np.maximum))
         largest = bits == np.repeat(most, lengths)
         least, most = least.view(np.float64), most.view(np.float64)
-        excess, count = _excess(weight, offsets), np.add.reduceat(largest, begins, dtype=np.int64)
+        excess, count = (
+            _compute_excess(weight, offsets),
+            np.add.reduceat(largest, begins, dtype=np.int64),
+        )
         sound = (least > 0) & (most < 2) & (np.abs(excess) <= FLOAT_ROW_TOLERANCE)
         share = most - excess / count
         moved = sound & (share != most)
@@ -130,7 +135,7 @@ def settle(weight: Floats, offsets: Integers) -> bool:
         # A least number that is no fraction, and not changed for being the largest, says no.
         near = np.abs(np.rint(least * WHOLE) / WHOLE - least) <= NEXT * least
         if (sound & (near | (least == most)) & (least != 1)).any():
-            top, read = _read(weight, offsets)
+            top, read = _match_fractions(weight, offsets)
             moved &= ~read
             written = np.where(np.repeat(read & sound, lengths), top / WHOLE, weight)
             changed = bool((written.view(np.int64) != bits).any())  # a NaN is not itself
@@ -141,18 +146,18 @@ def settle(weight: Floats, offsets: Integers) -> bool:
     return bool(sound.all())
 
 
-def exactly(weight: Floats, offsets: Integers) -> tuple[Numbers, Numbers]:
+def rows_to_integers(weight: Floats, offsets: Integers) -> tuple[Numbers, Numbers]:
     """Return what settled rows mean: integers (N,), over a denominator for each row (L,).
 
     Examples
     --------
-    >>> top, bottom = exactly(np.array([0.1, 0.2, 0.7, 0.5, 0.5]), np.array([0, 3, 5]))
+    >>> top, bottom = rows_to_integers(np.array([0.1, 0.2, 0.7, 0.5, 0.5]), np.array([0, 3, 5]))
     >>> top.tolist(), bottom.tolist()
     ([1, 2, 7, 1, 1], [10, 2])
     """
     lengths, begins = np.diff(offsets), offsets[:-1]
-    top, bottom = dyadic(weight, offsets)
-    written, read = _read(weight, offsets)
+    top, bottom = to_dyadic_integers(weight, offsets)
+    written, read = _match_fractions(weight, offsets)
     missing = np.asarray(bottom - np.add.reduceat(top, begins))
     rows = np.flatnonzero(~read & np.asarray(missing != 0, dtype=bool))
     if len(rows):
@@ -176,7 +181,7 @@ def exactly(weight: Floats, offsets: Integers) -> tuple[Numbers, Numbers]:
     return top, bottom
 
 
-def _read(weight: Floats, offsets: Integers) -> tuple[Floats, NDArray[np.bool_]]:
+def _match_fractions(weight: Floats, offsets: Integers) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the tops (N,) of fractions n / WHOLE, and which rows (L,) mean these."""
     top = np.rint(weight * WHOLE)
     near = np.abs(top / WHOLE - weight) <= NEXT * weight
@@ -184,7 +189,7 @@ def _read(weight: Floats, offsets: Integers) -> tuple[Floats, NDArray[np.bool_]]
     return top, read & (np.add.reduceat(top, offsets[:-1]) == WHOLE)
 
 
-def _excess(weight: Floats, offsets: Integers) -> Floats:
+def _compute_excess(weight: Floats, offsets: Integers) -> Floats:
     """Return Σ p - 1 of each row (L,), rounded once, as the compiled loops do."""
     longest = int(np.diff(offsets).max())
     if longest >= LONG:
@@ -207,7 +212,7 @@ def fine_unit(longest: int) -> float:
     return float(2.0 ** max(FINEST, longest.bit_length() - 103))
 
 
-def dyadic(values: Numbers, offsets: Integers) -> tuple[Numbers, Numbers]:
+def to_dyadic_integers(values: Numbers, offsets: Integers) -> tuple[Numbers, Numbers]:
     """Return finite floats as integers over one power of two for each row."""
     mantissa, exponent = np.frexp(np.asarray(values, dtype=np.float64))
     whole = np.ldexp(mantissa, 53).astype(np.int64)

@@ -20,7 +20,7 @@ PER_THREAD = 3  # blocks of rows: with several, threads end at nearly the same t
 IN_CACHE = 2**16  # entries of a few arrays that a core's cache holds, amply
 
 
-def cores() -> int:
+def count_cores() -> int:
     """Return how many cores this process may use, two at most: memory is too slow for more."""
     if hasattr(os, "sched_getaffinity"):
         return min(2, len(os.sched_getaffinity(0)))
@@ -32,12 +32,12 @@ def block_ends(
 ) -> list[int]:
     """Return 0, …, N: where to cut N items into blocks of about the same work.
 
-    `work` (N+1,) is that of all items before each; `threads` are as many as `cores`, fewer for
+    `work` (N+1,) is that of all items before each; there are as many threads as cores, fewer for
     little work, unless given; `most` is about the most work of a block, which a cache holds.
     """
     total = int(work[-1])
     if threads is None:
-        threads = min(cores(), total // SMALLEST) if total >= 2 * SMALLEST else 1
+        threads = min(count_cores(), total // SMALLEST) if total >= 2 * SMALLEST else 1
     if threads == 1 and (most is None or total <= most):
         return [0, len(work) - 1]
     count = 1 if threads == 1 else PER_THREAD * threads
@@ -50,14 +50,14 @@ def block_ends(
 def run_blocks(
     ends: Sequence[int], work: Callable[[int, int, int], None], size: int = 2 * SMALLEST
 ) -> None:
-    """Call `work(number, first, last)` for each block; on all `cores` where the `size` pays."""
+    """Call `work(number, first, last)` for each block; on all cores if the `size` pays."""
     blocks = enumerate(pairwise(ends))
     if len(ends) == 2 or size < 2 * SMALLEST:
         for number, (first, last) in blocks:
             work(number, first, last)
         return
     # Each with a copy of what holds here, such as which floating-point errors are ignored.
-    with ThreadPoolExecutor(cores()) as pool:
+    with ThreadPoolExecutor(count_cores()) as pool:
         for done in [
             pool.submit(copy_context().run, work, number, first, last)
             for number, (first, last) in blocks

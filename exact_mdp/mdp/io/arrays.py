@@ -10,8 +10,8 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, located
-from exact_mdp.mdp.io.files import LARGE, LARGEST, PIECE, opened
+from exact_mdp.mdp.errors import ModelError, locate_errors
+from exact_mdp.mdp.io.files import LARGE, LARGEST, PIECE, open_file
 from exact_mdp.mdp.table import Numbers
 
 TIMES = 64  # as large as it is itself an archive may unpack to; beyond 256 MiB no honest one does
@@ -48,8 +48,8 @@ def read_array(path: str | Path, *, called: str, most: int = LARGE) -> Numbers:
     Nothing is rounded. Raises ModelError where the file is no regular file or damaged, for anything
     but real numbers, and for more than `most` bytes, before they are read.
     """
-    with opened(path, most=LARGEST) as file, located(str(path)):
-        array = _arrays(file, alone=called, most=most)[called]
+    with open_file(path, most=LARGEST) as file, locate_errors(str(path)):
+        array = _read_archive(file, alone=called, most=most)[called]
         if array.dtype.kind not in "fiu":
             raise ModelError(f"an array of type {array.dtype}", fix="save real numbers")
     return array
@@ -58,12 +58,12 @@ def read_array(path: str | Path, *, called: str, most: int = LARGE) -> Numbers:
 def read_arrays(source: str | Path | bytes) -> dict[str, Numbers]:
     """Return all arrays of an `.npz` file, or of its bytes, by name, as `read_array` does."""
     if isinstance(source, bytes):
-        return _arrays(io.BytesIO(source), most=most_unpacked(len(source)))
-    with opened(source, most=LARGEST) as file, located(str(source)):
-        return _arrays(file, most=most_unpacked(file.seek(0, io.SEEK_END)))
+        return _read_archive(io.BytesIO(source), most=most_unpacked(len(source)))
+    with open_file(source, most=LARGEST) as file, locate_errors(str(source)):
+        return _read_archive(file, most=most_unpacked(file.seek(0, io.SEEK_END)))
 
 
-def _arrays(file: BinaryIO, *, most: int, alone: str = "") -> dict[str, Numbers]:
+def _read_archive(file: BinaryIO, *, most: int, alone: str = "") -> dict[str, Numbers]:
     """Return the arrays of an archive, each read whole, so that its checksum is compared.
 
     `alone` is the name of the only one that is wanted: the array that the file is, or the one of
@@ -73,7 +73,7 @@ def _arrays(file: BinaryIO, *, most: int, alone: str = "") -> dict[str, Numbers]
         if alone and not zipfile.is_zipfile(file):
             refuse_size(file.seek(0, io.SEEK_END), most, table=True)
             file.seek(0)
-            return {alone: _array(file.read())}
+            return {alone: _parse_npy(file.read())}
         with zipfile.ZipFile(file) as archive:
             members = {each.filename.removesuffix(".npy"): each for each in archive.infolist()}
             if alone and len(members) != 1 and alone not in members:
@@ -85,7 +85,9 @@ def _arrays(file: BinaryIO, *, most: int, alone: str = "") -> dict[str, Numbers]
                 members = {alone: members.get(alone, next(iter(members.values())))}
             size = sum(each.file_size for each in members.values())
             refuse_size(size, most, table=bool(alone))
-            return {name: _array(_content(archive, each)) for name, each in members.items()}
+            return {
+                name: _parse_npy(_unpack_member(archive, each)) for name, each in members.items()
+            }
     except (ModelError, OSError):
         raise
     except Exception as error:  # NumPy, zipfile and zlib raise many kinds on damaged files
@@ -95,13 +97,13 @@ def _arrays(file: BinaryIO, *, most: int, alone: str = "") -> dict[str, Numbers]
         ) from error
 
 
-def _content(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
+def _unpack_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
     """Return what a member holds; in pieces, as at once zipfile unpacks more than is claimed."""
     with archive.open(member) as file:
         return b"".join(iter(partial(file.read, PIECE), b""))
 
 
-def _array(content: bytes) -> Numbers:
+def _parse_npy(content: bytes) -> Numbers:
     # From a file, older versions of NumPy take a length of -1 for all that follows.
     array = np.load(io.BytesIO(content), allow_pickle=False)
     return np.asarray(array.astype(array.dtype.newbyteorder("="), copy=False))

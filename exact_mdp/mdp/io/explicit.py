@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.components import REST
-from exact_mdp.mdp.errors import ModelError, known
+from exact_mdp.mdp.errors import ModelError, require_known_name
 from exact_mdp.mdp.forms.names import ByNumber
 from exact_mdp.mdp.forms.numbers import as_given
 from exact_mdp.mdp.model import MDP
@@ -28,7 +28,7 @@ REWARD = "reward"
 INITIAL, UNNAMED = "init", "unnamed"
 
 
-def named_by(valuations: Iterable[Mapping[str, Any]]) -> tuple[str, ...]:
+def name_states(valuations: Iterable[Mapping[str, Any]]) -> tuple[str, ...]:
     """Return each state's variables as words, where whole numbers and truth values tell them apart.
 
     Variables with other values are left out. Where the rest does not tell the states apart there
@@ -45,7 +45,7 @@ def named_by(valuations: Iterable[Mapping[str, Any]]) -> tuple[str, ...]:
     return tuple(words) if len(set(words)) == len(words) and all(words) else ()
 
 
-def _numbered(
+def _number_actions(
     choices: Iterable[Iterable[int]], words: Sequence[str], declared: Iterable[str]
 ) -> tuple[list[int], tuple[str, ...]]:
     """Return the action number of each choice, and the names of the actions.
@@ -76,7 +76,7 @@ def _numbered(
     return [number[name] for name in names], tuple(number)
 
 
-def model_of(
+def build_explicit_model(
     where: str,
     *,
     name: str,
@@ -102,18 +102,24 @@ def model_of(
     `mdp.io.umb.load` for `reward` and `start`.
     """
 
-    def warn(what: str) -> None:
+    def warn_of_file(what: str) -> None:
         warnings.warn(f"{where}: {what}", stacklevel=4)
 
     if discount is None:
-        warn("a file of another program states no discount, and 1 is used; give the discount")
+        warn_of_file(
+            "a file of another program states no discount, and 1 is used; give the discount"
+        )
     parts: dict[str, Any] = {}
     if reward is not None or len(rewards) == 1:
-        chosen = known(reward or next(iter(rewards)), rewards, "reward model", "rewards")
+        chosen = require_known_name(
+            reward or next(iter(rewards)), rewards, "reward model", "rewards"
+        )
         parts["component_names"], rewards = (chosen,), {chosen: rewards[chosen]}
     elif rewards and REWARD not in rewards:
         listed = ", ".join(rewards)
-        warn(f"the rewards {listed} are added up; name the one that counts (--reward, reward=)")
+        warn_of_file(
+            f"the rewards {listed} are added up; name the one that counts (--reward, reward=)"
+        )
     size = len(first_choice) - 1
     space, labels = StateSpace.plain(size, words), dict(labels)
     if start is None and not initial:
@@ -122,14 +128,14 @@ def model_of(
         labels.setdefault(INITIAL, np.isin(np.arange(size), initial))
     if len(initial) > 1 and start is None:
         first = f"the first of {len(initial)} initial states, {space.label(initial[0])}"
-        warn(f"the start is {first}; --start, or start=, names another")
+        warn_of_file(f"the start is {first}; --start, or start=, names another")
     choices = list(starmap(range, pairwise(first_choice)))
-    actions, names = _numbered(choices, choice_words, action_names)
+    actions, names = _number_actions(choices, choice_words, action_names)
     rows = list[tuple[int, int, list[tuple[Any, int, Any]]]]()
     for state, own in enumerate(choices):
         for choice in own:
             outcomes = [
-                (chances[k], targets[k], _earned(rewards, state, choice, k))
+                (chances[k], targets[k], _collect_rewards(rewards, state, choice, k))
                 for k in range(first_branch[choice], first_branch[choice + 1])
             ]
             rows.append((state, actions[choice], outcomes))
@@ -147,7 +153,9 @@ def model_of(
     )
 
 
-def _earned(rewards: Mapping[str, Mapping[str, Any]], state: int, choice: int, branch: int) -> Any:
+def _collect_rewards(
+    rewards: Mapping[str, Mapping[str, Any]], state: int, choice: int, branch: int
+) -> Any:
     """Return what a branch earns: a number, or several by name."""
     at, amounts = {"states": state, "choices": choice, "branches": branch}, dict[str, Any]()
     for name, values in rewards.items():

@@ -1,6 +1,6 @@
 """The one door to files: regular files alone, no larger than allowed, and nothing half-written.
 
-What others print is kept from standard output, too, which holds results alone: see `aside`.
+Standard output holds results alone: see `redirect_output` for what others print.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ KINDS = {stat.S_IFREG: "", stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe"}
 
 
 @contextmanager
-def opened(path: str | Path, *, most: int = LARGE) -> Iterator[BinaryIO]:
+def open_file(path: str | Path, *, most: int = LARGE) -> Iterator[BinaryIO]:
     """Open a regular file of at most `most` bytes for reading; raises ModelError for another.
 
     A path of "-" is standard input.
@@ -40,10 +40,12 @@ def opened(path: str | Path, *, most: int = LARGE) -> Iterator[BinaryIO]:
         pieces = iter(partial(sys.stdin.buffer.read, PIECE), b"")
         content = b"".join(islice(pieces, most // PIECE + 1))
         if len(content) > most:
-            raise _too_large(path, most)
+            raise _size_error(path, most)
         yield io.BytesIO(content)
         return
-    if kind := _kind(path, "read"):  # looked at first: to open a pipe is to wait for its other end
+    if kind := _describe_kind(
+        path, "read"
+    ):  # looked at first: to open a pipe is to wait for its other end
         raise ModelError(
             f"cannot read the file: {kind}, not a regular file",
             where=str(path),
@@ -52,23 +54,23 @@ def opened(path: str | Path, *, most: int = LARGE) -> Iterator[BinaryIO]:
     try:
         with open(path, "rb") as file:
             if os.fstat(file.fileno()).st_size > most:
-                raise _too_large(path, most)
+                raise _size_error(path, most)
             yield file
     except OSError as error:
-        raise _refused(path, "read", error) from error
+        raise _access_error(path, "read", error) from error
 
 
-def _kind(path: str | Path, verb: str) -> str:
+def _describe_kind(path: str | Path, verb: str) -> str:
     """Return what a file is; nothing where it is a regular file."""
     try:
         return KINDS.get(stat.S_IFMT(os.stat(path).st_mode), "a device or socket")
     except (OSError, ValueError) as error:
-        raise _refused(path, verb, error) from error
+        raise _access_error(path, verb, error) from error
 
 
 def read_bytes(path: str | Path, *, most: int = LARGE) -> bytes:
     """Return what a regular file of at most `most` bytes holds."""
-    with opened(path, most=most) as file:
+    with open_file(path, most=most) as file:
         return file.read()
 
 
@@ -83,12 +85,12 @@ def read_text(path: str | Path, *, most: int = LARGE) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def _too_large(path: str | Path, most: int) -> ModelError:
+def _size_error(path: str | Path, most: int) -> ModelError:
     what = f"the file has more than the {most:,} bytes that are read"
     return ModelError(what, where=str(path), fix="check that it is the right file")
 
 
-def _refused(path: str | Path, verb: str, error: OSError | ValueError) -> ModelError:
+def _access_error(path: str | Path, verb: str, error: OSError | ValueError) -> ModelError:
     """Return the error for a path that the system refuses, or that holds a null character."""
     said = getattr(error, "strerror", None) or error
     folder = verb == "write" and isinstance(error, OSError)
@@ -104,7 +106,7 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
     """
     target = Path(path)
     data = content.encode("utf-8") if isinstance(content, str) else content
-    if kind := os.path.exists(target) and _kind(target, "write"):
+    if kind := os.path.exists(target) and _describe_kind(target, "write"):
         # The rename would put a file in its place.
         what = f"cannot write the file: there is {kind} of this name"
         raise ModelError(what, where=str(path), fix="name another file")
@@ -112,7 +114,7 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
         temporary = target.with_name(f".{target.name}.{token_hex(8)}")
         temporary.touch(exist_ok=False)
     except (OSError, ValueError) as error:
-        raise _refused(path, "write", error) from error
+        raise _access_error(path, "write", error) from error
     try:
         temporary.write_bytes(data)
         temporary.replace(target)
@@ -124,7 +126,7 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
 
 
 @contextmanager
-def aside() -> Iterator[None]:
+def redirect_output() -> Iterator[None]:
     """Send what is printed, by Python or anything else, to standard error."""
     sys.stdout.flush()
     duplicate = os.dup(1)

@@ -30,13 +30,25 @@ from exact_mdp.mdp.build import FromArrays
 from exact_mdp.mdp.errors import (
     ModelError,
     ShapeError,
-    extra,
-    short,
-    suggest,
+    require_extra,
+    shorten_text,
+    suggest_name,
 )
 from exact_mdp.mdp.forms.names import ByNumber
-from exact_mdp.mdp.io.gymnasium_steps import compare, layers_of, refuse_changes, refuse_untried
-from exact_mdp.mdp.io.gymnasium_table import LISTED, NOWHERE, Rows, is_table, rows_of, whole
+from exact_mdp.mdp.io.gymnasium_steps import (
+    compare_with_table,
+    layers_of,
+    refuse_changes,
+    refuse_untried,
+)
+from exact_mdp.mdp.io.gymnasium_table import (
+    LISTED,
+    NOWHERE,
+    Rows,
+    is_outcome_table,
+    is_whole_number,
+    read_outcome_rows,
+)
 from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import Numbers
 from exact_mdp.mdp.validate import KNOWN, as_start, check_options
@@ -107,7 +119,7 @@ class FromGymnasium(FromArrays):
         """
         if isinstance(env, str):
             check_options({*names} & {"gamma"}, {})
-            made = _make(env, **{name: names.pop(name) for name in {*names} - KNOWN})
+            made = _make_environment(env, **{name: names.pop(name) for name in {*names} - KNOWN})
             try:
                 return cls.from_gymnasium(made, discount, **{"name": env} | names)
             finally:
@@ -115,11 +127,11 @@ class FromGymnasium(FromArrays):
         if env is None or isinstance(env, bool | int | float):
             fix = f"give an environment, an id such as FrozenLake-v1, or a table: {LISTED}"
             raise ModelError(f"{env!r} is not an environment", where="env", fix=fix)
-        bare = env if is_table(env) else getattr(env, "unwrapped", env)
+        bare = env if is_outcome_table(env) else getattr(env, "unwrapped", env)
         check_options(names, {})
         layers = [*layers_of(env)]
         refuse_changes(layers)
-        names.setdefault("name", _name(env))
+        names.setdefault("name", _find_environment_name(env))
         names.setdefault("time_limit", _time_limit(layers))
         where = names["name"] or "P"
         dynamics = getattr(bare, "dynamics", None)
@@ -127,25 +139,27 @@ class FromGymnasium(FromArrays):
             refuse_untried(layers)
             options = {"start": dynamics.get("d_0"), "layout": "sas"} | names
             return cls.from_arrays(*_of_matrices(bare, dynamics, where), discount, **options)
-        rows = _of_table(bare, where, layers, names)
+        rows = _rows_from_table(bare, where, layers, names)
         return cls.from_outcomes(rows, discount, **names)
 
 
-def _of_table(bare: Any, where: str, layers: Sequence[Any], names: dict[str, Any]) -> list[Any]:
+def _rows_from_table(
+    bare: Any, where: str, layers: Sequence[Any], names: dict[str, Any]
+) -> list[Any]:
     """Return the rows of a model by its table of outcomes; add what else is known to `names`."""
-    rows, states = rows_of(bare, where)
+    rows, states = read_outcome_rows(bare, where)
     actions = max(action for _, action in rows) + 1
-    known, columns = _named(bare, states, actions)
+    known, columns = _find_toy_names(bare, states, actions)
     names.setdefault("actions", known)
     words = names.pop("states", ())
     columns = StateSpace.plain(states, words).columns if words or not columns else columns
     given = names.pop("start", None)
-    start = as_start(_start(bare) if given is None else given, StateSpace(columns=columns))
-    if not is_table(bare):
+    start = as_start(_read_start(bare) if given is None else given, StateSpace(columns=columns))
+    if not is_outcome_table(bare):
         # A start that the caller gives is another question, which reset() need not answer.
         begins = {s for s, weight in start if weight} if given is None else range(states)
-        compare(layers, rows, begins, given is not None or _states_start(bare))
-    ends, targets = _ends(rows, {state for state, _ in start})
+        compare_with_table(layers, rows, begins, given is not None or _states_start(bare))
+    ends, targets = _find_ends(rows, {state for state, _ in start})
     listed = [
         (s, a, [(p, n if not over or n in ends else states, r) for p, n, r, over in outcomes])
         for (s, a), outcomes in rows.items()
@@ -169,7 +183,7 @@ def _of_the_map(env: Any, states: int) -> dict[str, Any]:
     return {name: flags for name, flags in named.items() if np.any(flags)}
 
 
-def _named(env: Any, states: int, actions: int) -> tuple[list[str], tuple[Column, ...]]:
+def _find_toy_names(env: Any, states: int, actions: int) -> tuple[list[str], tuple[Column, ...]]:
     """Return the names of the actions, and the columns of the states where they are known."""
     kind = next(
         (each.__name__ for each in type(env).__mro__ if each.__module__.startswith(TOY_TEXT)), ""
@@ -184,7 +198,7 @@ def _named(env: Any, states: int, actions: int) -> tuple[list[str], tuple[Column
     return (list(names), columns) if fits else ([str(number) for number in range(actions)], ())
 
 
-def _ends(rows: Rows, begins: set[int]) -> tuple[set[int], set[int]]:
+def _find_ends(rows: Rows, begins: set[int]) -> tuple[set[int], set[int]]:
     """Return the states that are ends, and all that terminated outcomes name.
 
     The ends are the largest set of such states that no start and no outcome of a state outside
@@ -238,16 +252,16 @@ def _states_start(env: Any) -> bool:
     return any(hasattr(env, name) for name in STARTS)
 
 
-def _start(env: Any) -> Any:
+def _read_start(env: Any) -> Any:
     """Return where episodes start: state 0, as everywhere, where the environment does not say."""
     given = next((getattr(env, name) for name in STARTS if hasattr(env, name)), 0)
-    by_state = {int(given): 1} if whole(given) else given
-    if isinstance(by_state, Mapping) and all(map(whole, by_state)):
+    by_state = {int(given): 1} if is_whole_number(given) else given
+    if isinstance(by_state, Mapping) and all(map(is_whole_number, by_state)):
         return ByNumber((int(state), chance) for state, chance in by_state.items())
     if isinstance(given, Sequence | np.ndarray) and not isinstance(given, str):
         return list(given)
     raise ModelError(
-        f"initial_state_distrib is {short(repr(given), 60)}",
+        f"initial_state_distrib is {shorten_text(repr(given), 60)}",
         where="start",
         fix="let it be (S,) probabilities, or pass start=, a state or {state: probability}",
     )
@@ -261,21 +275,21 @@ def _time_limit(layers: Sequence[Any]) -> int | None:
     limits: list[Any] = [getattr(each, "__dict__", {}).get("_max_episode_steps") for each in layers]
     stated: Any = getattr(getattr(layers[0], "spec", None), "max_episode_steps", None)
     for known in (limits, [stated]):
-        positive = [int(limit) for limit in known if whole(limit) and limit > 0]
+        positive = [int(limit) for limit in known if is_whole_number(limit) and limit > 0]
         if positive:
             return min(positive)
     return None
 
 
-def _name(env: Any) -> str:
-    if is_table(env):
+def _find_environment_name(env: Any) -> str:
+    if is_outcome_table(env):
         return ""
     spec = getattr(env, "spec", None)
     return str(getattr(spec, "id", "") or type(getattr(env, "unwrapped", env)).__name__)
 
 
-def _make(name: str, **options: Any) -> Any:
-    with extra("models"):
+def _make_environment(name: str, **options: Any) -> Any:
+    with require_extra("models"):
         import gymnasium
     try:
         with warnings.catch_warnings():
@@ -294,7 +308,7 @@ def _make(name: str, **options: Any) -> Any:
                 for key, spec in gymnasium.registry.items()
                 if TOY_TEXT in str(spec.entry_point) and spec.name != "Blackjack"  # it has no P
             )
-            what, fix = f"Gymnasium cannot make {name!r}: {said}", suggest(name, toy)
+            what, fix = f"Gymnasium cannot make {name!r}: {said}", suggest_name(name, toy)
         else:
             what = f"the environment {name} raises {type(error).__name__}: {said}"
             fix = "correct the environment, or its options"

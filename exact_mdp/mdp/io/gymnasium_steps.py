@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, short
+from exact_mdp.mdp.errors import ModelError, shorten_text
 from exact_mdp.mdp.io.gymnasium_table import Outcome, Rows
 from exact_mdp.mdp.table import exact
 
@@ -86,7 +86,9 @@ def _is_harmless(env: Any) -> bool:
     return kind.__name__ in HARMLESS and kind.__module__.startswith("gymnasium.")
 
 
-def compare(layers: Sequence[Any], rows: Rows, starts: Collection[int], stated: bool) -> None:
+def compare_with_table(
+    layers: Sequence[Any], rows: Rows, starts: Collection[int], stated: bool
+) -> None:
     """Raise ModelError where an environment does what its table does not say.
 
     `starts` are the states where episodes begin, as the environment has `stated` or as was assumed.
@@ -102,18 +104,18 @@ def compare(layers: Sequence[Any], rows: Rows, starts: Collection[int], stated: 
         return
     space = getattr(env, "action_space", None)
     if space is not None and not hasattr(space, "n"):
-        return _warn(env, "its actions are no numbers")
-    with _restored():
-        _Trial(_copied(env, base), env is base).run(rows, starts, stated)
+        return _warn_not_compared(env, "its actions are no numbers")
+    with _keep_random_state():
+        _Trial(_copy_environment(env, base), env is base).run_steps(rows, starts, stated)
     return None
 
 
-def _warn(env: Any, why: str) -> None:
+def _warn_not_compared(env: Any, why: str) -> None:
     what = f"step() of {type(env).__name__} was not compared with P: {why}"
     warnings.warn(what, stacklevel=4)
 
 
-def _copied(env: Any, base: Any) -> Any:
+def _copy_environment(env: Any, base: Any) -> Any:
     """Return a copy that shares the table, or the environment itself where there is none."""
     table = getattr(base, "P", None)
     try:
@@ -123,7 +125,7 @@ def _copied(env: Any, base: Any) -> Any:
 
 
 @contextmanager
-def _restored() -> Iterator[None]:
+def _keep_random_state() -> Iterator[None]:
     """Leave the random numbers of the process as they were."""
     python, numpy = random.getstate(), np.random.get_state()  # noqa: NPY002  (others may use it)
     try:
@@ -139,13 +141,13 @@ class _Trial:
     def __init__(self, env: Any, own: bool) -> None:
         self.env, self.name, self.own = env, type(env).__name__, own
 
-    def run(self, rows: Rows, starts: Collection[int], stated: bool) -> None:
+    def run_steps(self, rows: Rows, starts: Collection[int], stated: bool) -> None:
         actions: dict[int, list[int]] = {}
         for state, action in rows:
             actions.setdefault(state, []).append(action)
         draw, steps, seed = random.Random(0), 0, 0
         while steps < STEPS or seed < STARTS:
-            now = self._reset(seed)
+            now = self._reset_environment(seed)
             if now is None:
                 return
             self._check_start(now, starts, stated, actions)
@@ -153,7 +155,7 @@ class _Trial:
             for _ in range(LONGEST_EPISODE if steps < STEPS else 0):
                 steps += 1
                 action = draw.choice(actions[now])
-                done = self._step(now, action)
+                done = self._take_step(now, action)
                 if done is None:
                     return
                 following, reward, over, cut = done
@@ -161,22 +163,26 @@ class _Trial:
                 if over or cut:
                     break
                 if following not in actions:
-                    raise self._differs(f"step() leads to {following}, which P does not list")
+                    raise self._mismatch_error(
+                        f"step() leads to {following}, which P does not list"
+                    )
                 now = following
 
-    def _reset(self, seed: int) -> int | None:
+    def _reset_environment(self, seed: int) -> int | None:
         """Return the state in which an episode begins; None where reset() tells none."""
         try:
-            answer = self._begin(seed)
+            answer = self._call_reset(seed)
         except NotImplementedError:
             return None
         except Exception as error:
-            raise self._raises("reset()", error) from error
+            raise self._exception_error("reset()", error) from error
         if answer is None:
             return None  # the reset() of gymnasium.Env, which only sets a seed
-        return self._number(answer[0] if type(answer) is tuple and len(answer) == 2 else answer)
+        return self._read_state_number(
+            answer[0] if type(answer) is tuple and len(answer) == 2 else answer
+        )
 
-    def _begin(self, seed: int) -> Any:
+    def _call_reset(self, seed: int) -> Any:
         """Call reset(), without a seed where it takes none."""
         try:
             return self.env.reset(seed=seed)
@@ -185,7 +191,7 @@ class _Trial:
                 raise
             return self.env.reset()
 
-    def _step(self, state: int, action: int) -> tuple[int, float, bool, bool] | None:
+    def _take_step(self, state: int, action: int) -> tuple[int, float, bool, bool] | None:
         """Return next state, reward, terminated and truncated; None where there is no step()."""
         try:
             seen, reward, over, *more = self.env.step(action)
@@ -193,18 +199,22 @@ class _Trial:
         except NotImplementedError:
             return None
         except Exception as error:
-            raise self._raises(f"step({action}) in state {state}", error) from error
-        following = self._number(seen)
+            raise self._exception_error(f"step({action}) in state {state}", error) from error
+        following = self._read_state_number(seen)
         return None if following is None else (following, reward, over, cut)
 
-    def _number(self, seen: Any) -> int | None:
+    def _read_state_number(self, seen: Any) -> int | None:
         """Return the number of a state that is observed; a warning, and None, where it is none."""
         array = np.asarray(seen)
         if array.size == 1 and array.dtype.kind in "iuf" and float(array.item()).is_integer():
             return int(array.item())
         if not self.own:
-            raise self._differs(f"an observation is {short(repr(seen), 60)}, not a state of P")
-        _warn(self.env, f"an observation is {short(repr(seen), 60)}, not the number of a state")
+            raise self._mismatch_error(
+                f"an observation is {shorten_text(repr(seen), 60)}, not a state of P"
+            )
+        _warn_not_compared(
+            self.env, f"an observation is {shorten_text(repr(seen), 60)}, not the number of a state"
+        )
         return None
 
     def _check_start(
@@ -213,13 +223,13 @@ class _Trial:
         if state in starts and state in known:
             return
         if state not in known:
-            raise self._differs(f"reset() begins in state {state}, which P does not list")
+            raise self._mismatch_error(f"reset() begins in state {state}, which P does not list")
         if stated:
             what = f"reset() begins in state {state}, which has no initial probability"
-            raise self._differs(
+            raise self._mismatch_error(
                 what, "correct initial_state_distrib; or say where: start=, --start"
             )
-        raise self._differs(
+        raise self._mismatch_error(
             f"reset() begins in state {state}, and the environment does not state where it begins",
             f"say where: start={state}, or --start {state}; or start={{state: probability}}",
         )
@@ -237,12 +247,12 @@ class _Trial:
         said = ", ".join(
             f"({target}, {float(exact(gain)):g}, {ends})" for _, target, gain, ends in outcomes[:4]
         )
-        raise self._differs(
+        raise self._mismatch_error(
             f"step({action}) in state {state} gave ({following}, {reward:g}, {over}); P lists "
             f"(next state, reward, terminated) {said}{', …' if len(outcomes) > 4 else ''}"
         )
 
-    def _differs(self, what: str, fix: str = "") -> ModelError:
+    def _mismatch_error(self, what: str, fix: str = "") -> ModelError:
         if not self.own:
             fix = "give env.unwrapped, or describe the change: MDP.from_function(…)"
         elif not fix:
@@ -251,5 +261,7 @@ class _Trial:
         what = f"the environment does not do what P says: {what}"
         return ModelError(what, where=self.name, fix=fix)
 
-    def _raises(self, call: str, error: Exception) -> ModelError:
-        return self._differs(f"{call} raises {type(error).__name__}: {short(str(error), 100)}")
+    def _exception_error(self, call: str, error: Exception) -> ModelError:
+        return self._mismatch_error(
+            f"{call} raises {type(error).__name__}: {shorten_text(str(error), 100)}"
+        )

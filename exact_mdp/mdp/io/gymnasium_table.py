@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, located, short
+from exact_mdp.mdp.errors import ModelError, locate_errors, shorten_text
 from exact_mdp.mdp.forms.numbers import as_given
 from exact_mdp.mdp.table import exact
 
@@ -23,17 +23,17 @@ Outcome = tuple[Any, int, Any, bool]
 Rows = dict[tuple[int, int], list[Outcome]]
 
 
-def is_table(given: Any) -> bool:
+def is_outcome_table(given: Any) -> bool:
     """Return whether a table is given by itself, not by an environment that has it."""
     return isinstance(given, Mapping | list | tuple | np.ndarray)
 
 
-def rows_of(env: Any, where: str) -> tuple[Rows, int]:
+def read_outcome_rows(env: Any, where: str) -> tuple[Rows, int]:
     """Return the outcomes of every pair, and the number of states.
 
     A state without a row, or with an empty one, is an end if outcomes enter it, all terminated.
     """
-    table = env if is_table(env) else getattr(env, "P", None)
+    table = env if is_outcome_table(env) else getattr(env, "P", None)
     if table is None:
         raise ModelError(
             "the environment does not expose its model as P",
@@ -46,18 +46,20 @@ def rows_of(env: Any, where: str) -> tuple[Rows, int]:
         raise ModelError(what, where=where, fix="give it with the rewards: MDP.from_arrays(P, R)")
     rows: Rows = {}
     empty: dict[int, Any] = {}
-    for state, row in _items(table, where, "P"):
-        if row is None or (is_table(row) and len(row) == 0):
+    for state, row in _list_items(table, where, "P"):
+        if row is None or (is_outcome_table(row) and len(row) == 0):
             empty[state] = row
             continue
-        for action, listed in _items(row, where, f"P[{state}]"):
+        for action, listed in _list_items(row, where, f"P[{state}]"):
             place = f"{where}, P[{state}][{action}]"
-            outcomes = [_outcome(each, place) for each in _listed(listed, place)]
+            outcomes = [
+                _parse_table_outcome(each, place) for each in _require_sequence(listed, place)
+            ]
             rows[state, action] = _without_rounding(outcomes)
-    return rows, _states(rows, empty, where)
+    return rows, _count_states(rows, empty, where)
 
 
-def _states(rows: Rows, empty: Mapping[int, Any], where: str) -> int:
+def _count_states(rows: Rows, empty: Mapping[int, Any], where: str) -> int:
     """Return the number of states; raises ModelError where one has no action, and is no end."""
     named = {state for state, _ in rows}
     outcomes = [each for own in rows.values() for each in own]
@@ -96,12 +98,12 @@ def _without_rounding(outcomes: list[Outcome]) -> list[Outcome]:
     return [(each / total, *rest) for each, (_, *rest) in zip(numbers, outcomes, strict=True)]
 
 
-def _items(table: Any, where: str, what: str) -> Iterator[tuple[int, Any]]:
+def _list_items(table: Any, where: str, what: str) -> Iterator[tuple[int, Any]]:
     """Yield the numbers and entries of a dictionary, or of a list, which counts from 0."""
-    if not is_table(table) or len(table) == 0:
+    if not is_outcome_table(table) or len(table) == 0:
         raise _no_action(what, table, where)
     for key, value in table.items() if isinstance(table, Mapping) else enumerate(table):
-        if not whole(key) or key < 0:
+        if not is_whole_number(key) or key < 0:
             fix = "number states and actions from 0; with other names, describe the model: "
             fix += "MDP.from_function(start, actions, outcomes)"
             raise ModelError(f"{what} has the key {key!r}", where=where, fix=fix)
@@ -110,17 +112,19 @@ def _items(table: Any, where: str, what: str) -> Iterator[tuple[int, Any]]:
 
 def _no_action(what: str, table: Any, where: str) -> ModelError:
     fix = f"{LISTED}; an end stays: {{0: [(1.0, state, 0, True)]}}"
-    return ModelError(f"{what} lists no action: {short(repr(table), 80)}", where=where, fix=fix)
+    return ModelError(
+        f"{what} lists no action: {shorten_text(repr(table), 80)}", where=where, fix=fix
+    )
 
 
-def whole(number: Any) -> bool:
+def is_whole_number(number: Any) -> bool:
     """Return whether this is a whole number, of whatever type but a truth value."""
     if isinstance(number, float | np.floating):
         return float(number).is_integer()
     return isinstance(number, int | np.integer) and not isinstance(number, bool)
 
 
-def _listed(values: Any, where: str) -> Sequence[Any]:
+def _require_sequence(values: Any, where: str) -> Sequence[Any]:
     if isinstance(values, Sequence) and not isinstance(values, str):
         return values
     if isinstance(values, np.ndarray) and values.ndim:
@@ -129,19 +133,19 @@ def _listed(values: Any, where: str) -> Sequence[Any]:
     raise ModelError(what, where=where, fix=LISTED)
 
 
-def _outcome(given: Any, place: str) -> Outcome:
-    values, why = _listed(given, place), ""
+def _parse_table_outcome(given: Any, place: str) -> Outcome:
+    values, why = _require_sequence(given, place), ""
     if len(values) != 4:
         why = f"it has {len(values)} entries"
-    elif not whole(values[1]):
+    elif not is_whole_number(values[1]):
         why = f"its next state is {values[1]!r}"
     elif not isinstance(values[3], bool | np.bool_) and not (
-        whole(values[3]) and values[3] in (0, 1)
+        is_whole_number(values[3]) and values[3] in (0, 1)
     ):
         why = f"whether the episode is over is {values[3]!r}"
     if why:
         raise ModelError(f"an outcome is {given!r}: {why}", where=place, fix=LISTED)
-    with located(place):
+    with locate_errors(place):
         for number in (values[0], values[2]):
             as_given(number)
     return values[0], int(values[1]), values[2], bool(values[3])

@@ -16,23 +16,23 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.structured import json_of
 
 
-def declared(text: str, where: str) -> list[str]:
+def list_variables(text: str, where: str) -> list[str]:
     """Return the names of the variables that states consist of, in the order of the file.
 
     Raises ModelError where the destinations of an edge pay different rewards.
     """
     content = json_of(text, where)
-    automata = [each for each in _listed(content, "automata") if isinstance(each, dict)]
-    variables = [*_listed(content, "variables")]
-    variables += [each for own in automata for each in _listed(own, "variables")]
+    automata = [each for each in _list_objects(content, "automata") if isinstance(each, dict)]
+    variables = [*_list_objects(content, "variables")]
+    variables += [each for own in automata for each in _list_objects(own, "variables")]
     rewards = {each.get("name") for each in variables if _is_reward(each)}
     for own in automata:
-        for number, edge in enumerate(_listed(own, "edges")):
+        for number, edge in enumerate(_list_objects(own, "edges")):
             _check_destinations(edge, rewards, f"automaton {own.get('name')}, edge {number}")
     return [str(each.get("name")) for each in variables if each.get("transient") is not True]
 
 
-def _listed(content: Any, key: str) -> Iterator[dict[str, Any]]:
+def _list_objects(content: Any, key: str) -> Iterator[dict[str, Any]]:
     """Yield the objects of a list; what has another shape is left to Storm, which refuses it."""
     values = content.get(key) if isinstance(content, dict) else None
     return (each for each in values or () if isinstance(each, dict))
@@ -45,8 +45,8 @@ def _is_reward(variable: dict[str, Any]) -> bool:
 def _check_destinations(edge: dict[str, Any], rewards: set[Any], where: str) -> None:
     """Raise ModelError where one destination of an edge pays what another one does not."""
     paid = [
-        [each for each in _listed(own, "assignments") if each.get("ref") in rewards]
-        for own in _listed(edge, "destinations")
+        [each for each in _list_objects(own, "assignments") if each.get("ref") in rewards]
+        for own in _list_objects(edge, "destinations")
     ]
     for own in paid:
         # An assignment with an index may read what the same destination has assigned before.

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.care.toml import is_scenario, shipped
-from exact_mdp.mdp.errors import ModelError, located, of_type, suggest
+from exact_mdp.mdp.care.toml import is_scenario, list_shipped_scenarios
+from exact_mdp.mdp.errors import ModelError, locate_errors, require_type, suggest_name
 from exact_mdp.mdp.io import model_json, npz, storm, umb
 from exact_mdp.mdp.io.files import STANDARD_INPUT
 from exact_mdp.mdp.model import MDP
@@ -24,7 +24,7 @@ from exact_mdp.mdp.table import exact
 
 GYMNASIUM = "gymnasium:"
 SOURCES = (".prism", ".nm", ".pm", ".jani")
-WRITERS = {".npz": npz.save, ".umb": umb.save, ".json": model_json.save}
+WRITERS = {".npz": npz.write_npz, ".umb": umb.write_umb, ".json": model_json.write_model_json}
 FILES = (".toml", ".npz", ".umb", ".json", *SOURCES)
 
 
@@ -58,8 +58,8 @@ def read_model(
         raise ModelError("the model has no constants", where=text, fix=fix)
     if is_scenario(text):
         scenario = Scenario.load(text)
-        for assignment in of_type(sets, Sequence, "sets", 'give ["KEY=VALUE", …]'):
-            scenario = scenario.set(of_type(assignment, str, "sets", 'give "KEY=VALUE"'))
+        for assignment in require_type(sets, Sequence, "sets", 'give ["KEY=VALUE", …]'):
+            scenario = scenario.set(require_type(assignment, str, "sets", 'give "KEY=VALUE"'))
         scenario = scenario if discount is None else scenario.with_(discount=discount)
         mdp = scenario.compile()
     elif sets and (text.startswith(GYMNASIUM) or text == STANDARD_INPUT or suffix in FILES):
@@ -75,14 +75,16 @@ def read_model(
         name = text.removeprefix(GYMNASIUM)
         mdp = MDP.from_gymnasium(name, 1 if discount is None else discount, **names)
     elif suffix == ".umb":
-        mdp = umb.load(file, discount=discount, reward=reward, start=start)
+        mdp = umb.read_umb(file, discount=discount, reward=reward, start=start)
     elif suffix in SOURCES:
-        mdp = storm.load(text, constants=_assigned(constants), discount=discount, start=start)
+        mdp = storm.read_program(
+            text, constants=_format_constants(constants), discount=discount, start=start
+        )
     elif suffix in (".npz", ".json") or text == STANDARD_INPUT:
-        mdp = npz.load(text) if suffix == ".npz" else model_json.load(text)
+        mdp = npz.read_npz(text) if suffix == ".npz" else model_json.read_model_json(text)
         mdp = mdp if discount is None else mdp.with_(discount=discount)
     else:
-        raise _unknown(text)
+        raise _unknown_model_error(text)
     mdp = mdp if start is None else mdp.with_(start=start)
     return Loaded(name=mdp.name or Path(text).stem, mdp=mdp, scenario=scenario)
 
@@ -152,8 +154,8 @@ def save(model: MDP, path: str | Path) -> None:
     1
     """
     fix = "write save(model, path), or model.save(path); a scenario is compiled first"
-    of_type(model, MDP, "save", fix)
-    of_type(path, str | Path, "save", fix)
+    require_type(model, MDP, "save", fix)
+    require_type(path, str | Path, "save", fix)
     suffix = Path(path).suffix.lower()
     if suffix not in WRITERS:
         what = f"cannot write a model as {suffix or 'a file without ending'}"
@@ -161,13 +163,13 @@ def save(model: MDP, path: str | Path) -> None:
     WRITERS[suffix](model, path)
 
 
-def _assigned(constants: str | Mapping[str, object] | None) -> str:
+def _format_constants(constants: str | Mapping[str, object] | None) -> str:
     """Return the values of constants as text: "N=4,p=1/3"; a float is the decimal it prints as."""
     if isinstance(constants, str | None):
         return constants or ""
-    given = of_type(constants, Mapping, "constants", "give {name: number}")
+    given = require_type(constants, Mapping, "constants", "give {name: number}")
     assigned = []
-    with located("constants"):
+    with locate_errors("constants"):
         for name, value in given.items():
             if isinstance(value, bool | np.bool_):
                 number = str(value).lower()
@@ -177,7 +179,7 @@ def _assigned(constants: str | Mapping[str, object] | None) -> str:
     return ",".join(assigned)
 
 
-def _unknown(text: str) -> ModelError:
+def _unknown_model_error(text: str) -> ModelError:
     known = f"{', '.join(FILES)} file, or {GYMNASIUM}ID"
     if Path(text).is_file():
         return ModelError("unknown kind of model file", where=text, fix=f"give a {known}")
@@ -185,5 +187,5 @@ def _unknown(text: str) -> ModelError:
         name = re.sub("^gymnasium:", "", text, flags=re.IGNORECASE)
         fix = f"did you mean {GYMNASIUM}{name}?"
     else:
-        fix = f"{suggest(text, shipped())} (or give a {known})"
+        fix = f"{suggest_name(text, list_shipped_scenarios())} (or give a {known})"
     return ModelError(f"unknown model {text!r}", where="model", fix=fix)

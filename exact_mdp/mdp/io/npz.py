@@ -47,20 +47,20 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.errors import ModelError, locate_errors
 from exact_mdp.mdp.forms.names import text_of
 from exact_mdp.mdp.io.arrays import read_arrays
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.io.structured import (
-    is_of,
+    encode_rationals,
+    has_format,
     json_of,
-    natural,
-    number,
-    optional,
-    ready,
-    refuse,
-    shaped,
-    unreached,
+    or_null,
+    parse_natural,
+    parse_rational,
+    parse_unreached,
+    refuse_value,
+    require_shape,
 )
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
@@ -70,47 +70,58 @@ from exact_mdp.mdp.table import Numbers, OutcomeTable
 FORMAT, VERSION = "exact-mdp model", 1
 
 
-def thing(given: Any) -> Hashable:
+def parse_object(given: Any) -> Hashable:
     """Read the object that a state or an action is."""
     if isinstance(given, list):
-        return tuple(map(thing, given))
+        return tuple(map(parse_object, given))
     if not isinstance(given, int | float | str):
-        refuse(given, "a number, a word, a truth value, or a list of these")
+        refuse_value(given, "a number, a word, a truth value, or a list of these")
     return given
 
 
-def column(given: Any) -> Column:
+def parse_column(given: Any) -> Column:
     """Read a column of the states."""
-    parts = shaped(given, COLUMN)
+    parts = require_shape(given, COLUMN)
     size, bits, words = parts["size"], parts["bits"], parts["words"]
     if not size or len(words) not in (0, size) or bits > 62 or (bits and size != 1 << bits):
-        refuse(given, "a column with one word for each value, or bits for 2^bits of them")
-    return Column(**parts | {"objects": _made(parts["objects"], words)})
+        refuse_value(given, "a column with one word for each value, or bits for 2^bits of them")
+    return Column(**parts | {"objects": _match_objects(parts["objects"], words)})
 
 
-OBJECTS = optional([thing])
-COLUMN = {"name": str, "size": natural, "bits": natural, "words": [str], "objects": OBJECTS}
-PARAMETER = {"name": str, "value": number, "low": optional(number), "high": optional(number)}
-PARAMETER["unit"] = optional(str)
+OBJECTS = or_null([parse_object])
+COLUMN = {
+    "name": str,
+    "size": parse_natural,
+    "bits": parse_natural,
+    "words": [str],
+    "objects": OBJECTS,
+}
+PARAMETER = {
+    "name": str,
+    "value": parse_rational,
+    "low": or_null(parse_rational),
+    "high": or_null(parse_rational),
+}
+PARAMETER["unit"] = or_null(str)
 HEADER = {
     "name": str,
-    "discount": number,
-    "start": [(natural, number)],
+    "discount": parse_rational,
+    "start": [(parse_natural, parse_rational)],
     "actions": [str],
     "objects": OBJECTS,
-    "columns": [column],
+    "columns": [parse_column],
     "extra": [str],
     "component_names": [str],
     "events": [str],
-    "parameters": [lambda given: Parameter(**shaped(given, PARAMETER))],
-    "time_limit": optional(natural),
-    "episodes": optional(natural),
+    "parameters": [lambda given: Parameter(**require_shape(given, PARAMETER))],
+    "time_limit": or_null(parse_natural),
+    "episodes": or_null(parse_natural),
     "sense": str,
     "labels": [str],
-    "unreached": unreached,
+    "unreached": parse_unreached,
     "float_probabilities": bool,
     "float_rewards": bool,
-    "averaged": optional(bool),
+    "averaged": or_null(bool),
     "arrays": [str],
 }
 SAME = (
@@ -143,12 +154,12 @@ MAY_LACK = tuple(ARRAYS)[9:]
 WIDTH = 8
 
 
-def save(model: MDP, path: str | Path) -> None:
+def write_npz(model: MDP, path: str | Path) -> None:
     """Write a model to `path`, whole or not at all."""
-    write_atomically(path, packed(model))
+    write_atomically(path, pack_model(model))
 
 
-def packed(model: MDP) -> bytes:
+def pack_model(model: MDP) -> bytes:
     """Return the bytes of a model's archive."""
     labels = [*model.labels.values()]
     parts = {
@@ -168,10 +179,10 @@ def packed(model: MDP) -> bytes:
         "version": VERSION,
         "discount": model.discount_exact,
         "start": [(int(state), weight) for state, weight in model.start],
-        **_objects(model.action_objects, model.actions),
+        **_encode_objects(model.action_objects, model.actions),
         "columns": [
             {"name": c.name, "size": int(c.size), "bits": int(c.bits), "words": c.words}
-            | _objects(c.objects, c.words)
+            | _encode_objects(c.objects, c.words)
             for c in model.space.columns
         ],
         "extra": model.space.extra,
@@ -181,38 +192,38 @@ def packed(model: MDP) -> bytes:
         **({"averaged": True} if model.table.averaged else {}),
         "arrays": sorted(arrays),
     }
-    text = np.frombuffer(json.dumps(ready(header)).encode("ascii"), dtype=np.uint8)
+    text = np.frombuffer(json.dumps(encode_rationals(header)).encode("ascii"), dtype=np.uint8)
     stream = io.BytesIO()
     np.savez(stream, allow_pickle=False, header=text, **arrays)
     return stream.getvalue()
 
 
-def load(path: str | Path) -> MDP:
-    """Read a model that `save` wrote; raises ModelError for a damaged file, or no valid model."""
-    with located(str(path)):
-        return unpacked(path)
+def read_npz(path: str | Path) -> MDP:
+    """Read a model that `write_npz` wrote; raises ModelError for a file that is damaged."""
+    with locate_errors(str(path)):
+        return unpack_model(path)
 
 
-def unpacked(source: str | Path | bytes) -> MDP:
+def unpack_model(source: str | Path | bytes) -> MDP:
     """Return the model of an archive, or of its bytes."""
     arrays = read_arrays(source)
     _check_arrays(arrays)
     state, flags = arrays["pair_state"], [each > 0 for each in arrays.get("labels", ())]
-    with located("header"):
+    with locate_errors("header"):
         given = json_of(arrays["header"].tobytes(), "header")
-        head = shaped(given, HEADER)
-        if not is_of(given, FORMAT, VERSION):
-            refuse(given.get("version"), f"version {VERSION} of format {FORMAT!r}")
+        head = require_shape(given, HEADER)
+        if not has_format(given, FORMAT, VERSION):
+            refuse_value(given.get("version"), f"version {VERSION} of format {FORMAT!r}")
         # One changed byte in an archive's list can hide those of its arrays that a model may lack.
         if [*head["arrays"]] != sorted(arrays.keys() - {"header"}):
-            refuse(head["arrays"], "the list of the arrays")
+            refuse_value(head["arrays"], "the list of the arrays")
         if len(head["labels"]) != len(flags):
-            refuse(head["labels"], f"the names of {len(flags)} labels")
+            refuse_value(head["labels"], f"the names of {len(flags)} labels")
         space = StateSpace(columns=head["columns"], extra=head["extra"])
         if space.size > len(state):
             what = f"the columns make {space.size:.3g} states of {len(state)} state-action pairs"
             raise ModelError(what, where="columns", fix="save the model again")
-        objects = _made(head["objects"], head["actions"])
+        objects = _match_objects(head["objects"], head["actions"])
     parts, there = len(head["component_names"]), [name for name in TABLE if name in arrays]
     columns: dict[str, Any] = {name: _as_integers(name, arrays[name], parts) for name in there}
     return MDP(
@@ -233,23 +244,25 @@ def unpacked(source: str | Path | bytes) -> MDP:
     )
 
 
-def _objects(things: Sequence[Hashable], words: Sequence[str]) -> dict[str, Any]:
+def _encode_objects(things: Sequence[Hashable], words: Sequence[str]) -> dict[str, Any]:
     """Return the objects that states or actions are, if JSON gives them back; a tuple is a list."""
     try:
         text = json.dumps(things, default=lambda number: number.item(), allow_nan=False)
         listed = json_of(text, "objects")
-        _made(tuple(map(thing, listed)), words)
+        _match_objects(tuple(map(parse_object, listed)), words)
     except (AttributeError, TypeError, ValueError):
         return {}
     return {"objects": listed} if listed else {}
 
 
-def _made(objects: Sequence[Hashable] | None, words: Sequence[str]) -> tuple[Hashable, ...]:
+def _match_objects(
+    objects: Sequence[Hashable] | None, words: Sequence[str]
+) -> tuple[Hashable, ...]:
     """Return the objects that a header lists, if any, whose texts are the words."""
     listed = [(text_of(each), repr(each)) for each in objects or ()]
     fits = len(listed) == len(words) and all(map(tuple.__contains__, listed, words))
     if objects is not None and not fits:
-        refuse(objects, "an object for each name, of that text")
+        refuse_value(objects, "an object for each name, of that text")
     return tuple(objects or ())
 
 

@@ -32,9 +32,9 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, extra, located, shown_text
+from exact_mdp.mdp.errors import ModelError, locate_errors, require_extra, shown_text
 from exact_mdp.mdp.io import jani
-from exact_mdp.mdp.io.explicit import INITIAL, model_of, named_by
+from exact_mdp.mdp.io.explicit import INITIAL, build_explicit_model, name_states
 from exact_mdp.mdp.io.files import LARGE, read_text
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import MOST_BYTES, exact
@@ -47,7 +47,7 @@ LOCATION = "_loc_"  # what Storm calls the location of an automaton begins so
 SMALLER = "give smaller values to its constants, or a smaller model"
 
 
-def load(
+def read_program(
     path: str | Path,
     *,
     constants: str = "",
@@ -59,28 +59,28 @@ def load(
     `constants` gives values to those that are left open, such as "N=4,p=1/3". Raises ModelError
     where Storm is missing or refuses the program, or a constant is left open.
     """
-    with located(str(path)):
+    with locate_errors(str(path)):
         text = read_text(path, most=LARGE)  # a regular file, and not too large
         is_jani = Path(path).suffix.lower() == ".jani"
-        declared = jani.declared(text, str(path)) if is_jani else []
-        built = _built(Path(path), constants)
+        declared = jani.list_variables(text, str(path)) if is_jani else []
+        built = _run_storm(Path(path), constants)
         known: list[str] = built["variables"]
         if is_jani:
             order = [name for name in declared if name in known]
             order += [name for name in known if name.startswith(LOCATION)]
         else:
             order = _in_order(known, text)
-        content = _content(built, order)
+        content = _convert_parts(built, order)
         content |= {"reward": None, "discount": 1 if discount is None else discount, "start": start}
-        return model_of(shown_text(str(path)), name=Path(path).stem, **content)
+        return build_explicit_model(shown_text(str(path)), name=Path(path).stem, **content)
 
 
 # ---- the process apart ---------------------------------------------------------------------------
 
 
-def _built(path: Path, constants: str) -> dict[str, Any]:
+def _run_storm(path: Path, constants: str) -> dict[str, Any]:
     """Return what `storm_build.py` says of a file; raises ModelError where that is no model."""
-    with extra("models"):
+    with require_extra("models"):
         if find_spec("stormpy") is None:
             raise ModuleNotFoundError(name="stormpy")
     most = _most_memory()
@@ -97,9 +97,9 @@ def _built(path: Path, constants: str) -> dict[str, Any]:
     if (built or {}).get("memory") or (built is None and too_little):
         raise ModelError(f"Storm needs more than {most / 1e9:.2g} GB of memory", fix=SMALLER)
     if built is None:
-        raise _ended(done.returncode, printed)
+        raise _exit_error(done.returncode, printed)
     if "said" in built:
-        raise _refused(built["said"], printed)
+        raise _storm_error(built["said"], printed)
     if "open" in built:
         raise _left_open(path, built["open"], constants)
     if "kind" in built:
@@ -119,7 +119,7 @@ def _most_memory() -> int:
     return min(MOST_BYTES, whole // 4)
 
 
-def _ended(status: int, printed: str) -> ModelError:
+def _exit_error(status: int, printed: str) -> ModelError:
     """Return the error to raise where Storm's process ended before it said anything."""
     if -status == signal.SIGFPE:
         fix = "correct the expression that divides by 0, or the constant that makes it do so"
@@ -130,7 +130,7 @@ def _ended(status: int, printed: str) -> ModelError:
     return ModelError(f"Storm ended with {name}: {last or 'it said nothing'}", fix=fix)
 
 
-def _refused(said: str, printed: str) -> ModelError:
+def _storm_error(said: str, printed: str) -> ModelError:
     """Return the error to raise for what Storm refuses, in its own words where these say more."""
     if "<model type>" in said:
         what = "the file does not begin with the type of the model"
@@ -168,8 +168,8 @@ def _left_open(path: Path, names: list[str], constants: str) -> ModelError:
 # ---- what it says --------------------------------------------------------------------------------
 
 
-def _content(built: Mapping[str, Any], order: list[str]) -> dict[str, Any]:
-    """Return what `model_of` makes a model of; states are named by the variables in `order`."""
+def _convert_parts(built: Mapping[str, Any], order: list[str]) -> dict[str, Any]:
+    """Return the parts of an explicit model; states are named by the variables in `order`."""
     numbers: list[Fraction] = [*map(exact, built["numbers"])]
     states = range(len(built["first_choice"]) - 1)
     listed: dict[str, list[int]] = built["labels"]
@@ -186,7 +186,7 @@ def _content(built: Mapping[str, Any], order: list[str]) -> dict[str, Any]:
         "chances": [numbers[place] for place in built["chances"]],
         "choice_words": built["choice_words"],
         "action_names": (),
-        "words": named_by(shown),
+        "words": name_states(shown),
         "initial": listed.get(INITIAL, []),
         "rewards": rewards,
         "labels": {word: np.isin(states, on) for word, on in sorted(listed.items())},
@@ -199,9 +199,9 @@ def _in_order(names: list[str], program: str) -> list[str]:
     Those of a renamed module have none: they stand where they are first named.
     """
 
-    def place(name: str) -> tuple[bool, int]:
+    def find_place(name: str) -> tuple[bool, int]:
         found = re.search(DECLARED.format(name), program)
         named = found or re.search(rf"\b{name}\b", program)
         return found is None, named.start() if named else len(program)
 
-    return sorted(names, key=place)
+    return sorted(names, key=find_place)

@@ -32,7 +32,7 @@ def main(path: str, constants: str, most: str) -> None:
     _leave_with_the_parent()
     _limit_memory(int(most))
     try:
-        content = _model(path, constants)
+        content = _build_model(path, constants)
     except MemoryError:
         content = {"said": "", "memory": True}
     except Exception as error:  # Storm raises several kinds, none of them for users
@@ -58,7 +58,7 @@ def _limit_memory(most: int) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (min(limits), hard))
 
 
-def _model(path: str, constants: str) -> dict[str, Any]:
+def _build_model(path: str, constants: str) -> dict[str, Any]:
     """Return Storm's sparse model with all that the file names, or what is in its way."""
     import stormpy
 
@@ -79,26 +79,28 @@ def _model(path: str, constants: str) -> dict[str, Any]:
     options.set_build_state_valuations(True)
     options.set_exploration_checks(True)  # else a value out of its range becomes another value
     model = stormpy.build_model[stormpy.Rational](program, options=options)
-    return _content(model)
+    return _list_model_parts(model)
 
 
-def _content(model: Any) -> dict[str, Any]:
+def _list_model_parts(model: Any) -> dict[str, Any]:
     """Return the parts of a model; numbers are places in the list `numbers` of texts "p/q"."""
     numbers: dict[str, int] = {}
 
-    def place(value: Any) -> int:
+    def add_number(value: Any) -> int:
         return numbers.setdefault(str(value), len(numbers))
 
     matrix, states = model.transition_matrix, range(model.nr_states)
     choices = range(matrix.nr_rows)
-    rows = [[(entry.column, place(entry.value)) for entry in matrix.get_row(c)] for c in choices]
+    rows = [
+        [(entry.column, add_number(entry.value)) for entry in matrix.get_row(c)] for c in choices
+    ]
     rewards: dict[str, dict[str, list[int]]] = {}
     for name, own in model.reward_models.items():
         rewards[name] = {}
         if own.has_state_rewards:
-            rewards[name]["states"] = [*map(place, own.state_rewards)]
+            rewards[name]["states"] = [*map(add_number, own.state_rewards)]
         if own.has_state_action_rewards:
-            rewards[name]["choices"] = [*map(place, own.state_action_rewards)]
+            rewards[name]["choices"] = [*map(add_number, own.state_action_rewards)]
     words, labels, valuations = model.choice_labeling, model.labeling, model.state_valuations
     variables = sorted(valuations.get_all_variables(), key=lambda variable: str(variable.name))
     return {
@@ -111,14 +113,14 @@ def _content(model: Any) -> dict[str, Any]:
         "rewards": rewards,
         "variables": [variable.name for variable in variables],
         "values": [
-            [_whole(valuations.get_value(state, variable)) for variable in variables]
+            [_integer_or_none(valuations.get_value(state, variable)) for variable in variables]
             for state in states
         ],
         "numbers": [*numbers],
     }
 
 
-def _whole(value: Any) -> int | None:
+def _integer_or_none(value: Any) -> int | None:
     """Return a whole number or a truth value; None for a value of another kind."""
     return value if isinstance(value, int) else None
 

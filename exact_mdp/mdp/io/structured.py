@@ -17,7 +17,7 @@ from functools import partial
 from math import inf
 from typing import Any, NoReturn
 
-from exact_mdp.mdp.errors import ModelError, located, once_each, short
+from exact_mdp.mdp.errors import ModelError, locate_errors, once_each, shorten_text
 from exact_mdp.mdp.table import MOST_DIGITS, exact
 
 DEEPEST = 100  # tables and lists within each other; the deepest file that is read has five
@@ -28,8 +28,8 @@ WORDS = {dict: "an object", list: "a list", str: "a text", bool: "true or false"
 
 
 def toml_of(text: str, where: str, *, number: Callable[[str], Any] = exact) -> dict[str, Any]:
-    r"""Return the content of a TOML text; `where` is the file, `number` reads decimal numbers."""
-    content: dict[str, Any] = _parsed(
+    r"""Return the content of a TOML text from the file `where`; decimal numbers are rationals."""
+    content: dict[str, Any] = _parse_text(
         partial(tomllib.loads, parse_float=number), text, "TOML", where
     )
     return content
@@ -38,14 +38,14 @@ def toml_of(text: str, where: str, *, number: Callable[[str], Any] = exact) -> d
 def json_of(text: str | bytes, where: str, **hooks: Any) -> Any:
     """Return the content of a JSON text, each key once; `hooks` are those of `json.loads`."""
     read = partial(json.loads, object_pairs_hook=once_each, **hooks)
-    return _parsed(read, text, "JSON", where)
+    return _parse_text(read, text, "JSON", where)
 
 
-def _parsed(read: Callable[[Any], Any], text: str | bytes, kind: str, where: str) -> Any:
+def _parse_text(read: Callable[[Any], Any], text: str | bytes, kind: str, where: str) -> Any:
     try:
-        with located(where, instead=True):
+        with locate_errors(where, instead=True):
             content = read(text)
-        _check(content, DEEPEST)
+        _check_limits(content, DEEPEST)
     except ModelError:
         raise
     except RecursionError as error:
@@ -53,7 +53,9 @@ def _parsed(read: Callable[[Any], Any], text: str | bytes, kind: str, where: str
         raise ModelError(what, where=where, fix="use fewer levels") from error
     except ValueError as error:
         said = "string conversion" in str(error)
-        what = f"an integer of over {MOST_DIGITS:,} digits" if said else short(str(error), 200)
+        what = (
+            f"an integer of over {MOST_DIGITS:,} digits" if said else shorten_text(str(error), 200)
+        )
         fix = "correct that place"
         if (where, kind) == ("-", "JSON"):
             fix = "standard input (-) takes JSON, such as a model.json: name other files instead"
@@ -61,13 +63,13 @@ def _parsed(read: Callable[[Any], Any], text: str | bytes, kind: str, where: str
     return content
 
 
-def _check(content: Any, levels: int) -> None:
+def _check_limits(content: Any, levels: int) -> None:
     """Raise RecursionError beyond so many levels, ValueError for a number of too many digits."""
     if isinstance(content, dict | list):
         if not levels:
             raise RecursionError
         for each in content.values() if isinstance(content, dict) else content:
-            _check(each, levels - 1)
+            _check_limits(each, levels - 1)
     elif isinstance(content, int) and abs(content) >= TOO_LARGE:
         raise ValueError("string conversion")
 
@@ -98,7 +100,7 @@ def csv_of(
 # ---- the shape that JSON must have ---------------------------------------------------------------
 
 
-def shaped(given: Any, kind: Any) -> Any:
+def require_shape(given: Any, kind: Any) -> Any:
     """Return JSON as `kind` describes it; raises ModelError at the place that differs.
 
     A kind is a type; a function of the value; [kind], a list of these; (kind, …), a list of that
@@ -106,46 +108,46 @@ def shaped(given: Any, kind: Any) -> Any:
     one that is missing is read as null, and others are passed over. Lists become tuples.
     """
     if isinstance(kind, type):
-        return given if type(given) is kind else refuse(given, WORDS[kind])
+        return given if type(given) is kind else refuse_value(given, WORDS[kind])
     if callable(kind):
         return kind(given)
     if isinstance(kind, dict):
         if type(given) is not dict:
-            refuse(given, WORDS[dict])
+            refuse_value(given, WORDS[dict])
         kinds = dict.fromkeys(given, kind[str]) if str in kind else kind
-        return {key: _at(key, given.get(key), each) for key, each in kinds.items()}
+        return {key: _require_shape_at(key, given.get(key), each) for key, each in kinds.items()}
     if type(given) is not list or (isinstance(kind, tuple) and len(given) != len(kind)):
-        refuse(given, f"a list of {len(kind)}" if isinstance(kind, tuple) else WORDS[list])
+        refuse_value(given, f"a list of {len(kind)}" if isinstance(kind, tuple) else WORDS[list])
     listed = kind if isinstance(kind, tuple) else kind * len(given)
-    return tuple(map(_at, range(len(given)), given, listed))
+    return tuple(map(_require_shape_at, range(len(given)), given, listed))
 
 
-def _at(place: str | int, given: Any, kind: Any) -> Any:
+def _require_shape_at(place: str | int, given: Any, kind: Any) -> Any:
     try:
-        return shaped(given, kind)
+        return require_shape(given, kind)
     except ModelError as error:
         where = f"{place}, {error.where}" if error.where else str(place)
         raise ModelError(error.what, where=where, fix=error.fix) from error
 
 
-def is_of(given: Any, name: str, version: int) -> bool:
+def has_format(given: Any, name: str, version: int) -> bool:
     """Return whether an object is of a format and a version, which 2.0 or true do not say."""
     head = [given.get("format"), given.get("version")] if isinstance(given, dict) else []
     return head == [name, version] and type(head[1]) is int
 
 
-def optional(kind: Any) -> Callable[[Any], Any]:
+def or_null(kind: Any) -> Callable[[Any], Any]:
     """Return the kind of what may be null, too."""
-    return lambda given: None if given is None else shaped(given, kind)
+    return lambda given: None if given is None else require_shape(given, kind)
 
 
-def refuse(given: object, wanted: str) -> NoReturn:
+def refuse_value(given: object, wanted: str) -> NoReturn:
     """Raise ModelError for a value that is not what is wanted."""
-    raise ModelError(f"{short(repr(given), 80)} is not {wanted}", fix="correct it")
+    raise ModelError(f"{shorten_text(repr(given), 80)} is not {wanted}", fix="correct it")
 
 
-def number(given: Any) -> Fraction:
-    """Read a rational number as `ready` writes it."""
+def parse_rational(given: Any) -> Fraction:
+    """Read a rational number as `encode_rationals` writes it."""
     if type(given) is int:
         return Fraction(given)
     if isinstance(given, str) and NUMBER.fullmatch(given):
@@ -154,36 +156,36 @@ def number(given: Any) -> Fraction:
             return Fraction(int(top, 0), int(below or "1", 0))
         except (ValueError, ZeroDivisionError):  # 007, 1/0, or digits beyond Python's limit
             pass
-    refuse(given, 'an integer, or a text such as "1/3" or "0x1f"')
+    refuse_value(given, 'an integer, or a text such as "1/3" or "0x1f"')
 
 
-def natural(given: Any) -> int:
+def parse_natural(given: Any) -> int:
     """Read a number of a state, an action or the like."""
     if type(given) is int and 0 <= given < 2**62:
         return given
-    refuse(given, "a whole number from 0 up, below 2^62")
+    refuse_value(given, "a whole number from 0 up, below 2^62")
 
 
-def unreached(given: Any) -> float:
+def parse_unreached(given: Any) -> float:
     """Read what a run is worth that never reaches the goal."""
     known = {"inf": inf, "-inf": -inf}
-    return known[given] if given in [*known] else refuse(given, '"inf" or "-inf"')
+    return known[given] if given in [*known] else refuse_value(given, '"inf" or "-inf"')
 
 
-def ready(value: Any) -> Any:
+def encode_rationals(value: Any) -> Any:
     """Return a value for JSON: rationals as integers or texts, tuples as lists."""
     if isinstance(value, dict):
-        return {key: ready(each) for key, each in value.items()}
+        return {key: encode_rationals(each) for key, each in value.items()}
     if isinstance(value, tuple | list):
-        return list(map(ready, value))
+        return list(map(encode_rationals, value))
     if not isinstance(value, Fraction):
         return value
     top, below = value.numerator, value.denominator
     if below == 1:
-        return integer(top)
+        return encode_integer(top)
     return f"{top}/{below}" if max(abs(top), below) < SAFE else f"{hex(top)}/{hex(below)}"
 
 
-def integer(value: int) -> int | str:
+def encode_integer(value: int) -> int | str:
     """Return an integer for JSON: as a text where not all programs would read it as it is."""
     return value if -SAFE < value < SAFE else hex(value)

@@ -44,9 +44,15 @@ import numpy as np
 import tqdm
 
 from exact_mdp.mdp.build import FromArrays
-from exact_mdp.mdp.errors import ModelError, extra, known, of_type, suggest
-from exact_mdp.mdp.forms.numbers import grouped, has_floats, one_kind
-from exact_mdp.mdp.io.files import opened
+from exact_mdp.mdp.errors import (
+    ModelError,
+    require_extra,
+    require_known_name,
+    require_type,
+    suggest_name,
+)
+from exact_mdp.mdp.forms.numbers import group_numbers, has_floats, one_kind
+from exact_mdp.mdp.io.files import open_file
 from exact_mdp.mdp.io.structured import csv_of
 from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import EXACT_IN_INT64, Integers, OutcomeTable, exact
@@ -154,32 +160,36 @@ class FromTransitions(FromArrays):
         known = ("states", "actions", "components")
         check_options(names, dict.fromkeys(known, "leave it out: the records say it"))
         start = names.pop("start", None)
-        record = counted(frame, columns, progress=progress)
+        record = count_transitions(frame, columns, progress=progress)
         if record.unused:
             others = ", ".join(map(repr, record.unused))
             warnings.warn(f"columns that are not used: {others}", stacklevel=2)
-        parts = record.parts(discount, unseen, costs=names.get("sense") == "min")
+        parts = record.build_parts(discount, unseen, costs=names.get("sense") == "min")
         if start is not None:
             parts |= {"start": as_start(start, parts["space"]), "episodes": None}
         labels = {**(names.get("labels") or {}), **parts["labels"]}
         return cls(**(parts | names | {"labels": labels}))
 
 
-def counted(frame: Any, columns: Mapping[str, str] | None, *, progress: bool = False) -> Record:
+def count_transitions(
+    frame: Any, columns: Mapping[str, str] | None, *, progress: bool = False
+) -> TransitionRecord:
     """Return what was counted in a table of transitions; see `MDP.from_transitions`."""
-    record = Record(frame, columns)
-    for _, keys in record.rows_read(progress=progress):
-        record.count(keys)
+    record = TransitionRecord(frame, columns)
+    for _, keys in record.read_marked_chunks(progress=progress):
+        record.count_rows(keys)
     return record
 
 
-class Record:
+class TransitionRecord:
     """The rows of a table of transitions in numbers, and what was counted of them so far."""
 
     def __init__(self, frame: Any, columns: Mapping[str, str] | None = None) -> None:
-        given = dict(of_type(columns or {}, Mapping, "columns", "give {name: name in the table}"))
+        given = dict(
+            require_type(columns or {}, Mapping, "columns", "give {name: name in the table}")
+        )
         for name in given:
-            known(name, (*COLUMNS, *MARKS), "column", "columns")
+            require_known_name(name, (*COLUMNS, *MARKS), "column", "columns")
         self.columns = dict(zip(COLUMNS, COLUMNS, strict=True)) | given
         self.frame = frame
         self.where = str(frame) if isinstance(frame, str | Path) else "transitions"
@@ -199,30 +209,30 @@ class Record:
 
     # ---- reading ---------------------------------------------------------------------------------
 
-    def read(self, *, progress: bool = False) -> Iterator[tuple[Integers, Integers]]:
+    def read_chunks(self, *, progress: bool = False) -> Iterator[tuple[Integers, Integers]]:
         """Yield the episodes (R,) and (R, 4) state, action, next state and reward of each chunk.
 
         All are checked, and in numbers; a next state may be `OVER` or `NOWHERE`.
         """
-        for episode, keys in self.rows_read(progress=progress):
+        for episode, keys in self.read_marked_chunks(progress=progress):
             keys[keys[:, 2] <= ENDED, 2] = OVER
             yield episode, keys
 
-    def rows_read(self, *, progress: bool = False) -> Iterator[tuple[Integers, Integers]]:
-        """Yield what `read` does, with `ENDED` less the next state of a row that is terminated."""
+    def read_marked_chunks(self, *, progress: bool = False) -> Iterator[tuple[Integers, Integers]]:
+        """Yield chunks; the next state of a row that is terminated is less by `ENDED`."""
         with (
             tqdm.tqdm(desc="transitions", unit=" rows", disable=None if progress else True) as bar,
-            closing(self._chunks()) as chunks,
+            closing(self._iterate_tables()) as chunks,
         ):
             for chunk in chunks:
                 for first in range(0, len(chunk), ROWS):
                     part = chunk.iloc[first : first + ROWS]
-                    yield self._numbered(part)
+                    yield self._number_chunk(part)
                     bar.update(len(part))
         if self.rows:
-            self._stop(*self._last[1:])
+            self._count_stop(*self._last[1:])
 
-    def _chunks(self) -> Generator[DataFrame]:
+    def _iterate_tables(self) -> Generator[DataFrame]:
         """Yield tables of rows: of a file in parts, of everything else as they come."""
         import pandas
 
@@ -234,13 +244,13 @@ class Record:
                     fix="save it as .csv or .parquet; in Python, give the DataFrame that pandas "
                     "reads from it",
                 )
-            with opened(self.where, most=LARGEST_FILE) as file:
+            with open_file(self.where, most=LARGEST_FILE) as file:
                 yield from (self._of_parquet if self._parquet else self._of_csv)(file)
             return
         single = isinstance(self.frame, pandas.DataFrame) or not isinstance(self.frame, Iterable)
         for table in [self.frame] if single else self.frame:
             fix = "give a DataFrame, several of them, or the path of a .csv or .parquet file"
-            yield of_type(table, pandas.DataFrame, "transitions", fix)
+            yield require_type(table, pandas.DataFrame, "transitions", fix)
 
     def _of_csv(self, file: Any) -> Generator[DataFrame]:
         """Yield the rows of a file, all as texts: "0.1" is 1/10; the index has the lines."""
@@ -249,7 +259,7 @@ class Record:
         text = io.TextIOWrapper(file, "utf-8-sig", newline="")
         fix = "correct the line; where an episode is over, leave next_state empty after its comma"
         try:
-            rows = csv_of(self._lines(text), self.where, fix=fix)
+            rows = csv_of(self._read_lines(text), self.where, fix=fix)
             _, header = next(rows, (0, []))
             more = True
             while more:
@@ -264,7 +274,7 @@ class Record:
         finally:
             text.detach()
 
-    def _lines(self, text: io.TextIOWrapper) -> Iterator[str]:
+    def _read_lines(self, text: io.TextIOWrapper) -> Iterator[str]:
         """Yield the lines of a file, none of which is long enough to fill the memory."""
         while line := text.readline(LONGEST_LINE):
             if len(line) == LONGEST_LINE:
@@ -276,7 +286,7 @@ class Record:
             yield line
 
     def _of_parquet(self, file: Any) -> Generator[DataFrame]:
-        with extra("models"):
+        with require_extra("models"):
             from pyarrow import parquet
         used = {*self.columns.values(), *MARKS}
         try:
@@ -292,31 +302,31 @@ class Record:
 
     # ---- rows in numbers -------------------------------------------------------------------------
 
-    def _refuse(self, bad: Any, what: str, fix: str) -> None:
+    def _refuse_rows(self, bad: Any, what: str, fix: str) -> None:
         """Raise ModelError that names the first of the rows marked."""
         if len(wrong := np.flatnonzero(bad)):
             more = "" if len(wrong) == 1 else f" (and in {len(wrong) - 1:,} more rows)"
             place = f"{'line' if self._of_file else 'row'} {self._places[int(wrong[0])]}"
             raise ModelError(f"{what}{more}", where=f"{self.where}, {place}", fix=fix)
 
-    def _numbered(self, chunk: DataFrame) -> tuple[Integers, Integers]:
-        """Return the episodes and the numbers of the rows of a chunk; see `read`."""
+    def _number_chunk(self, chunk: DataFrame) -> tuple[Integers, Integers]:
+        """Return the episodes and the numbers of the rows of a chunk; see `read_chunks`."""
         here = range(self.rows, self.rows + len(chunk))
         self._places = chunk.index if self._of_file else here
         parts = self._parts_of(chunk)
-        cut, over = self._marks({name: parts.pop(name) for name in MARKS if name in parts})
-        codes = {name: self._number(name, column) for name, column in parts.items()}
+        cut, over = self._read_marks({name: parts.pop(name) for name in MARKS if name in parts})
+        codes = {name: self._number_values(name, column) for name, column in parts.items()}
         for name in COLUMNS[:4]:
-            self._refuse(codes[name] < 0, f"no {name}", "fill it in, or leave the row out")
+            self._refuse_rows(codes[name] < 0, f"no {name}", "fill it in, or leave the row out")
         episode, state, action, reward, then = (codes[name] for name in COLUMNS)
-        self._refuse(
+        self._refuse_rows(
             (then < 0) & ~cut & ~over & self.marked,
             "no next state, in a row that is neither terminated nor truncated",
             "mark the row as one of these, or fill in its next state",
         )
         then = np.where(cut & (then < 0), NOWHERE, then)
         then = np.where(over & (then >= 0), ENDED - then, then)
-        self._follow(episode, state, then, cut)
+        self._check_sequence(episode, state, then, cut)
         self.rows += len(chunk)
         return episode, np.stack([state, action, then, reward], axis=1)
 
@@ -336,10 +346,10 @@ class Record:
                     fix="give each column a name of its own",
                 )
         if missing := [name for name, column in wanted.items() if column not in there]:
-            raise self._without(missing, [str(column) for column in there])
+            raise self._missing_columns_error(missing, [str(column) for column in there])
         return {name: chunk[column] for name, column in wanted.items()}
 
-    def _without(self, missing: Sequence[str], there: Sequence[str]) -> ModelError:
+    def _missing_columns_error(self, missing: Sequence[str], there: Sequence[str]) -> ModelError:
         """Return the error for columns that the table does not have."""
         listed = " nor ".join(repr(self.columns[name]) for name in missing)
         shown = ", ".join(map(repr, there[:9])) + " …" * (len(there) > 9)
@@ -347,11 +357,11 @@ class Record:
         if sign:
             fix = f"separate values by commas, or give pandas.read_csv(path, sep={sign[0]!r})"
         else:
-            fix = "; ".join(self._advice(name, there) for name in missing)
+            fix = "; ".join(self._suggest_column(name, there) for name in missing)
         what = f"there is no column {listed} among {shown}"
         return ModelError(what, where=self.where, fix=fix)
 
-    def _advice(self, name: str, there: Sequence[str]) -> str:
+    def _suggest_column(self, name: str, there: Sequence[str]) -> str:
         """Return what to do about a column that the table does not have."""
         wanted = self.columns[name]
         near = [column for column in there if column.strip().casefold() == wanted.casefold()]
@@ -363,33 +373,35 @@ class Record:
         if not near and name == wanted and name in WITHOUT:
             return WITHOUT[name]
         known = near[0] if near else "…"
-        advice = suggest(wanted, there)
+        advice = suggest_name(wanted, there)
         return f"{advice}, and say so: columns={{{name!r}: {known!r}}}, --column {name}={known}"
 
-    def _marks(self, columns: Mapping[str, Series]) -> tuple[Flags, Flags]:
+    def _read_marks(self, columns: Mapping[str, Series]) -> tuple[Flags, Flags]:
         """Return (R,) whether an episode was cut off after a row, and whether it was over."""
-        marks = {name: self._flags(name, column) for name, column in columns.items()}
+        marks = {name: self._read_flags(name, column) for name, column in columns.items()}
         none = np.zeros(len(self._places), dtype=bool)
         cut, over = marks.get(TRUNCATED, none), marks.get(TERMINATED, none)
         self.marked = TERMINATED in marks or DONE in marks
         if DONE in marks and TERMINATED not in marks:
             over = marks[DONE] & ~cut
         elif DONE in marks:
-            self._refuse(
+            self._refuse_rows(
                 (over & ~marks[DONE]) | (marks[DONE] & ~over & ~cut),
                 "terminated and done differ",
                 "correct one of them, or leave it out",
             )
         return cut & ~over, over
 
-    def _flags(self, name: str, column: Series) -> Flags:
+    def _read_flags(self, name: str, column: Series) -> Flags:
         """Return (R,) what a column of marks says."""
         flags = column.map({v: FLAGS.get(str(v).strip().lower()) for v in column.unique()})
         what = f"{self.columns.get(name, name)} is neither true nor false"
-        self._refuse(flags.isna(), what, "write true or false, or 1 or 0; or leave the column out")
+        self._refuse_rows(
+            flags.isna(), what, "write true or false, or 1 or 0; or leave the column out"
+        )
         return np.asarray(flags, dtype=bool)
 
-    def _number(self, what: str, column: Series) -> Integers:
+    def _number_values(self, what: str, column: Series) -> Integers:
         """Return the number of each value of a column; -1 where there is none."""
         import pandas
 
@@ -397,7 +409,7 @@ class Record:
         try:
             if named and column.dtype == object and not self._of_file:
                 # Pandas takes True for 1.
-                column = pandas.Series(map(_name, column), dtype=object, name=column.name)
+                column = pandas.Series(map(_to_name, column), dtype=object, name=column.name)
             codes, values = pandas.factorize(column)
         except TypeError as error:
             raise ModelError(
@@ -410,17 +422,17 @@ class Record:
             if self._of_file and value == "":  # an empty field
                 numbers.append(-1)
                 continue
-            name: Any = str(_name(value))
+            name: Any = str(_to_name(value))
             if not named:
                 try:
                     number = exact(value)
                 except ModelError as error:
                     fix = f"{error.fix}, or leave the row out"
-                    self._refuse(codes == code, f"the reward is {value!r}", fix)
+                    self._refuse_rows(codes == code, f"the reward is {value!r}", fix)
                 rounded = isinstance(value, float)
                 name = rounded, value if rounded else number
             elif name in NO_NAMES or name.isspace():
-                self._refuse(
+                self._refuse_rows(
                     codes == code,
                     f"the {what.replace('_', ' ')} is {name!r}, which programs write where there "
                     "is none",
@@ -430,7 +442,9 @@ class Record:
             numbers.append(known.setdefault(name, len(known)))
         return np.asarray(np.array([*numbers, -1], dtype=np.int64)[codes])
 
-    def _follow(self, episode: Integers, state: Integers, then: Integers, cut: Flags) -> None:
+    def _check_sequence(
+        self, episode: Integers, state: Integers, then: Integers, cut: Flags
+    ) -> None:
         """Check that each row begins where the one before ended; count where episodes begin."""
         before, left, over = (
             np.concatenate([[last], each[:-1]])
@@ -440,13 +454,13 @@ class Record:
         # New names are numbered as they come: an episode that is new has a number above the others.
         known = ~goes_on & (episode <= np.maximum.accumulate(before))
         fix = "sort the rows by episode, then by time, and number episodes once"
-        self._refuse(known, "an episode goes on after another one began", fix)
-        self._refuse(
+        self._refuse_rows(known, "an episode goes on after another one began", fix)
+        self._refuse_rows(
             goes_on & (left <= ENDED),
             "an episode goes on after a row that says it is over",
             "give what follows another episode number, or correct the mark",
         )
-        self._refuse(
+        self._refuse_rows(
             goes_on & (over | (left != state)),
             "a gap in an episode: it goes on in another state than its row before led to, or after "
             "it was over or cut off",
@@ -456,25 +470,25 @@ class Record:
         self.starts.update(state[~goes_on].tolist())
         stops = ~goes_on & (before >= 0)  # before the first row there is no episode
         for last, cut_there in zip(left[stops].tolist(), over[stops].tolist(), strict=True):
-            self._stop(last, cut_there)
+            self._count_stop(last, cut_there)
         self._last = int(episode[-1]), int(then[-1]), bool(cut[-1])
 
-    def _stop(self, then: int, cut: bool) -> None:
+    def _count_stop(self, then: int, cut: bool) -> None:
         """Count where an episode stops; without a mark, where there are some, it was cut off."""
         self.stops[then, cut or (self.marked and then >= 0)] += 1
 
     # ---- counts ----------------------------------------------------------------------------------
 
-    def count(self, keys: Integers) -> None:
+    def count_rows(self, keys: Integers) -> None:
         """Count rows by their numbers; counts are merged as often as their number doubles."""
-        self._counts.append(_sums(keys, np.ones(len(keys), dtype=np.int64)))
+        self._counts.append(_sum_counts(keys, np.ones(len(keys), dtype=np.int64)))
         sizes = [len(different) for different, _ in self._counts]
         if sum(sizes) > 2 * sizes[0]:
-            self._counts = [self._merged()]
+            self._counts = [self._merge_counts()]
 
-    def _merged(self) -> tuple[Integers, Integers]:
+    def _merge_counts(self) -> tuple[Integers, Integers]:
         keys, counts = zip(*self._counts, strict=True)
-        return _sums(np.concatenate(keys), np.concatenate(counts))
+        return _sum_counts(np.concatenate(keys), np.concatenate(counts))
 
     @property
     def values(self) -> list[Any]:
@@ -484,25 +498,27 @@ class Record:
     @property
     def n_cut_off(self) -> int:
         """Number of episodes cut off: marked so, or stopped in a state that others leave."""
-        left = set(self._merged()[0][:, 0].tolist())
+        left = set(self._merge_counts()[0][:, 0].tolist())
         return sum(count for (then, cut), count in self.stops.items() if cut or then in left)
 
-    def _reached(self, then: Integers, keys: Integers) -> Integers:
+    def _resolve_next_states(self, then: Integers, keys: Integers) -> Integers:
         """Return next states: that of a terminated row is the end where some record leaves it."""
         state = ENDED - then
         known = ~np.isin(state, keys[:, 0])
         return np.where(then <= ENDED, np.where(known, state, OVER), then)
 
-    def parts(self, discount: object, unseen: object, *, costs: bool = False) -> dict[str, Any]:
+    def build_parts(
+        self, discount: object, unseen: object, *, costs: bool = False
+    ) -> dict[str, Any]:
         """Return the parts of the estimated model."""
         rate = as_discount(discount)
         if not self.rows:
             raise ModelError("no transitions", where=self.where, fix="give at least one row")
-        keys, count = self._merged()
-        keys[:, 2] = self._reached(keys[:, 2], keys)
-        place, states = _sorted(self.numbers["state"])
-        choice, actions = _sorted(self.numbers["action"])
-        worst = self._worst(unseen, rate, costs=costs)
+        keys, count = self._merge_counts()
+        keys[:, 2] = self._resolve_next_states(keys[:, 2], keys)
+        place, states = _sort_names(self.numbers["state"])
+        choice, actions = _sort_names(self.numbers["action"])
+        worst = self._find_worst_value(unseen, rate, costs=costs)
         nowhere, ended = (bool((keys[:, 2] == code).any()) for code in (NOWHERE, OVER))
         extra = (CUT_OFF,) * nowhere + (END,) * ended + (UNSEEN,) * (worst is not None)
         for name in {*extra} & {*states}:
@@ -525,7 +541,7 @@ class Record:
                 np.insert(untried, [2, 2], [size - 1, rewards + 1], axis=1),
             ]
         )
-        outcomes, times = _sums(
+        outcomes, times = _sum_counts(
             np.concatenate([np.stack(observed, axis=1), certain]),
             np.append(count, np.zeros(len(certain), dtype=np.int64)),
         )
@@ -534,7 +550,7 @@ class Record:
         offsets = np.append(begins, len(pair)).astype(np.int64)
         observations = np.add.reduceat(times, begins)
         earned = one_kind([values[number] for number in outcomes[:, 3].tolist()])
-        gain, under = grouped(earned, offsets)
+        gain, under = group_numbers(earned, offsets)
         table = OutcomeTable(
             offsets=offsets,
             next=outcomes[:, 2].astype(np.int32),
@@ -545,7 +561,7 @@ class Record:
         )
         unknown = np.zeros(size, dtype=bool)
         stops = np.array([*self.stops], dtype=np.int64).reshape(-1, 2)
-        stops[:, 0] = self._reached(stops[:, 0], keys)
+        stops[:, 0] = self._resolve_next_states(stops[:, 0], keys)
         cuts, known = (stops[stops[:, 1] == cut, 0] for cut in (1, 0))
         unknown[place[cuts]] = True
         # An episode that was not cut off there was over.
@@ -559,7 +575,7 @@ class Record:
             "pair_state": pair[begins, 0].copy(),
             "pair_action": pair[begins, 1].copy(),
             "observations": observations,
-            "space": StateSpace(columns=(_column(states),), extra=extra),
+            "space": StateSpace(columns=(_build_column(states),), extra=extra),
             "actions": actions,
             "discount_exact": rate,
             "start": tuple((s, Fraction(n, episodes)) for s, n in sorted(begun.items())),
@@ -567,7 +583,9 @@ class Record:
             "labels": {CUT_OFF: unknown} if unknown.any() else {},
         }
 
-    def _worst(self, unseen: object, discount: Fraction, *, costs: bool) -> Fraction | None:
+    def _find_worst_value(
+        self, unseen: object, discount: Fraction, *, costs: bool
+    ) -> Fraction | None:
         """Return what an action that nobody took is worth; None where it is not available."""
         if unseen == UNAVAILABLE:
             return None
@@ -583,7 +601,7 @@ class Record:
         return worst(Fraction(0), *map(exact, self.values)) / (1 - discount)
 
 
-def _name(value: Any) -> Any:
+def _to_name(value: Any) -> Any:
     """Return a value as a name: a whole number is the same, be it written 1 or 1.0."""
     if isinstance(value, str):
         match = WHOLE.fullmatch(value)
@@ -595,7 +613,7 @@ def _name(value: Any) -> Any:
     return value
 
 
-def _sums(keys: Integers, count: Integers) -> tuple[Integers, Integers]:
+def _sum_counts(keys: Integers, count: Integers) -> tuple[Integers, Integers]:
     """Return the different rows of `keys` in order, and the sum of the counts of each."""
     sizes = (np.ptp(keys, axis=0) + 1).tolist()
     if prod(sizes) < EXACT_IN_INT64:  # one number for each row, in their order
@@ -607,22 +625,22 @@ def _sums(keys: Integers, count: Integers) -> tuple[Integers, Integers]:
     return keys[first], np.add.reduceat(count, first)
 
 
-def _sorted(numbers: Mapping[str, int]) -> tuple[Integers, tuple[str, ...]]:
+def _sort_names(numbers: Mapping[str, int]) -> tuple[Integers, tuple[str, ...]]:
     """Return the place of each number, and the names in order: whole numbers by size."""
     names = list(numbers)
-    keys: Sequence[Any] = _whole(names) or names
+    keys: Sequence[Any] = _names_to_integers(names) or names
     order = sorted(range(len(names)), key=keys.__getitem__)
     return np.argsort(order), tuple(names[number] for number in order)
 
 
-def _whole(names: Sequence[str]) -> tuple[int, ...]:
+def _names_to_integers(names: Sequence[str]) -> tuple[int, ...]:
     """Return names as numbers where all of them are whole numbers as Python writes them."""
     return tuple(map(int, names)) if all(map(NUMBER.fullmatch, names)) else ()
 
 
-def _column(names: tuple[str, ...]) -> Column:
+def _build_column(names: tuple[str, ...]) -> Column:
     """Return the column of states by their names, which are numbers where all of them are whole."""
-    whole = _whole(names)
+    whole = _names_to_integers(names)
     if whole == tuple(range(len(names))):
         return Column(name="state", size=len(names))
     return Column(name="state", size=len(names), words=names, objects=whole)

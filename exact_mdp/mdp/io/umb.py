@@ -34,10 +34,16 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, extra, known, located, shown_text
+from exact_mdp.mdp.errors import (
+    ModelError,
+    locate_errors,
+    require_extra,
+    require_known_name,
+    shown_text,
+)
 from exact_mdp.mdp.io import npz
 from exact_mdp.mdp.io.arrays import most_unpacked, unpacked_size
-from exact_mdp.mdp.io.explicit import REWARD, model_of, named_by
+from exact_mdp.mdp.io.explicit import REWARD, build_explicit_model, name_states
 from exact_mdp.mdp.io.files import LARGEST, read_bytes, write_atomically
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Numbers
@@ -55,18 +61,18 @@ WRITTEN = (
 """What has to be as it was written, with the annotations, where a file is of exact-mdp."""
 
 
-def _umbi() -> Any:
+def _import_umbi() -> Any:
     """Return the package umbi, with its parts."""
-    with extra("models"):
+    with require_extra("models"):
         import umbi
         import umbi.umb.index
         import umbi.umb.umb_to_tar
     return umbi
 
 
-def save(model: MDP, path: str | Path) -> None:
-    """Write a model as a UMB file, from which `load` returns all of it; always the same bytes."""
-    encoder = _umbi().umb.umb_to_tar.UmbEncoder()
+def write_umb(model: MDP, path: str | Path) -> None:
+    """Write a model as a UMB file, always the same bytes; `read_umb` returns all of it."""
+    encoder = _import_umbi().umb.umb_to_tar.UmbEncoder()
     encoder.encode(_umb_of(model), insert_umbi_metadata=False)
     with TemporaryDirectory() as folder:
         encoder.write(Path(folder) / "model.tar", compression=None)
@@ -74,7 +80,7 @@ def save(model: MDP, path: str | Path) -> None:
     write_atomically(path, gzip.compress(content, mtime=0))  # umbi would write the time
 
 
-def load(
+def read_umb(
     path: str | Path,
     *,
     discount: object | None = None,
@@ -91,26 +97,26 @@ def load(
     file, and for models in continuous time, of several players, partially observable, or with
     intervals.
     """
-    with located(str(path)):
-        umb, read = _read(path)
+    with locate_errors(str(path)):
+        umb, read = _decode_file(path)
         own = (umb.index.annotations or {}).get(GROUP, {}).get(CARRIER)
         if own is None or not own.description:
             read |= {"reward": reward, "discount": discount, "start": start}
-            return model_of(shown_text(str(path)), **read)
-        known(reward or REWARD, (REWARD,), "reward model", "rewards")
-        mdp = _restored(umb, own.description)
+            return build_explicit_model(shown_text(str(path)), **read)
+        require_known_name(reward or REWARD, (REWARD,), "reward model", "rewards")
+        mdp = _restore_model(umb, own.description)
         mdp = mdp if discount is None else mdp.with_(discount=discount)
         return mdp if start is None else mdp.with_(start=start)
 
 
-def _restored(umb: Any, packed: str) -> MDP:
+def _restore_model(umb: Any, packed: str) -> MDP:
     """Return a model that exact-mdp wrote, with everything that the format has no place for."""
-    with located(f"annotations/{GROUP}/{CARRIER}"):
+    with locate_errors(f"annotations/{GROUP}/{CARRIER}"):
         try:
             archive = zlib.decompress(base64.b64decode(packed, validate=True))
         except (ValueError, zlib.error) as error:
             raise ModelError("the description is damaged", fix="save the model again") from error
-        mdp = npz.unpacked(archive)
+        mdp = npz.unpack_model(archive)
         written = _umb_of(mdp)
         changed = [name for name in WRITTEN if getattr(umb, name) != getattr(written, name)]
         for group, each in written.annotations.items():
@@ -127,13 +133,13 @@ def _restored(umb: Any, packed: str) -> MDP:
 # ---- reading -------------------------------------------------------------------------------------
 
 
-def _read(path: str | Path) -> tuple[Any, dict[str, Any]]:
+def _decode_file(path: str | Path) -> tuple[Any, dict[str, Any]]:
     """Return a file as umbi decodes it, and what it says of the model; raises ModelError.
 
     umbi gives each number as Python has it, so that nothing is rounded. The sizes that the index
     claims are compared with the file first, as umbi makes lists of that length.
     """
-    package = _umbi().umb
+    package = _import_umbi().umb
     packed = read_bytes(path, most=LARGEST)  # a regular file, and not too large
     try:
         for begin, unpacked in PACKED.items():
@@ -143,12 +149,12 @@ def _read(path: str | Path) -> tuple[Any, dict[str, Any]]:
         decoder.read_index_file(content)
         _check_kind(content.index.transition_system, decoder)
         umb = decoder.decode()
-        return umb, _content(umb, Path(path).stem)
+        return umb, _read_model_parts(umb, Path(path).stem)
     except ModelError:
         raise
     except Exception as error:  # umbi, tarfile, JSON and the decompressors raise many kinds
         what = "the file is damaged, or not a UMB file, or has what umbi cannot read: "
-        raise _damaged(what + str(error)[:200]) from error
+        raise _damage_error(what + str(error)[:200]) from error
 
 
 def _check_kind(system: Any, files: Any) -> None:
@@ -163,22 +169,26 @@ def _check_kind(system: Any, files: Any) -> None:
         )
     # A state, choice or branch takes at least eight bytes where there are many of them.
     core = sum(len(data) for name, data in files.items() if "/" not in name)
-    most = max(*_sizes(system).values(), system.num_choice_actions)
+    most = max(*_read_sizes(system).values(), system.num_choice_actions)
     if most > max(core // 8, ANY_SIZE):
-        raise _damaged(f"the index claims {most:,} entries in {core:,} bytes", "index.json")
+        raise _damage_error(f"the index claims {most:,} entries in {core:,} bytes", "index.json")
 
 
-def _content(umb: Any, name: str) -> dict[str, Any]:
-    """Return what `model_of` makes a model of."""
-    states, choices, branches = _sizes(umb.index.transition_system).values()
-    first_choice = _offsets(umb.state_to_choices, "state-to-choices", states, choices)
-    first_branch = _offsets(umb.choice_to_branches, "choice-to-branches", choices, branches)
-    targets = _sized(umb.branch_to_target or [0] * branches, branches, "branch-to-target")
-    chances = _sized(umb.branch_to_probability or [1] * branches, branches, "branch-to-probability")
+def _read_model_parts(umb: Any, name: str) -> dict[str, Any]:
+    """Return what `build_explicit_model` makes a model of."""
+    states, choices, branches = _read_sizes(umb.index.transition_system).values()
+    first_choice = _require_offsets(umb.state_to_choices, "state-to-choices", states, choices)
+    first_branch = _require_offsets(umb.choice_to_branches, "choice-to-branches", choices, branches)
+    targets = _require_length(umb.branch_to_target or [0] * branches, branches, "branch-to-target")
+    chances = _require_length(
+        umb.branch_to_probability or [1] * branches, branches, "branch-to-probability"
+    )
     if max(targets, default=0) >= states:
-        raise _damaged(f"a branch leads to state {max(targets)} of {states}", "branch-to-target")
-    rewards = _annotations(umb, "rewards")
-    choice_words, action_names = _actions(umb, choices)
+        raise _damage_error(
+            f"a branch leads to state {max(targets)} of {states}", "branch-to-target"
+        )
+    rewards = _read_annotations(umb, "rewards")
+    choice_words, action_names = _read_actions(umb, choices)
     ends = [state for state, own in enumerate(pairwise(first_choice)) if own[0] == own[1]]
     for title, values in rewards.items():
         for end in ends if "states" in values else ():
@@ -188,7 +198,7 @@ def _content(umb: Any, name: str) -> dict[str, Any]:
                     where=f"state {end}, reward {title}",
                     fix="add a choice that stays there, or drop the reward",
                 )
-    initial = _sized(umb.state_is_initial, states, "state-is-initial")
+    initial = _require_length(umb.state_is_initial, states, "state-is-initial")
     return {
         "name": (umb.index.model_data and umb.index.model_data.name) or name,
         "first_choice": first_choice,
@@ -197,62 +207,62 @@ def _content(umb: Any, name: str) -> dict[str, Any]:
         "chances": chances,
         "choice_words": choice_words,
         "action_names": action_names,
-        "words": named_by((umb.valuations or {}).get("states", ())),
+        "words": name_states((umb.valuations or {}).get("states", ())),
         "initial": [state for state, begins in enumerate(initial) if begins],
         "rewards": rewards,
         "labels": {
             title: np.array(each["states"], dtype=bool)
-            for title, each in _annotations(umb, "aps").items()
+            for title, each in _read_annotations(umb, "aps").items()
             if "states" in each
         },
     }
 
 
-def _annotations(umb: Any, group: str) -> dict[str, dict[str, Any]]:
+def _read_annotations(umb: Any, group: str) -> dict[str, dict[str, Any]]:
     """Return the annotations of a group by title and what they apply to."""
     titled: dict[str, dict[str, Any]] = {}
-    sizes = _sizes(umb.index.transition_system)
+    sizes = _read_sizes(umb.index.transition_system)
     for key, lists in (umb.annotations or {}).get(group, {}).items():
         title = umb.index.annotations[group][key].alias or key
         for over, values in lists.items():
-            _sized(values, sizes[over], f"{group}/{key}/{over}")
+            _require_length(values, sizes[over], f"{group}/{key}/{over}")
         titled[key if title in titled else title] = lists
     return titled
 
 
-def _actions(umb: Any, choices: int) -> tuple[Sequence[str], Sequence[str]]:
+def _read_actions(umb: Any, choices: int) -> tuple[Sequence[str], Sequence[str]]:
     """Return the name of each choice's action, "" where it has none, and those of all actions."""
     count, given = umb.index.transition_system.num_choice_actions, umb.choice_to_choice_action
     names = umb.choice_action_to_string or [f"a{number}" for number in range(count)]
     if given is None:
         return [""] * choices, ()
-    _sized(given, choices, "actions")
+    _require_length(given, choices, "actions")
     if max(given, default=0) >= count or len(names) != count:
         what = f"{len(names)} names for {count} actions, or an action beyond them"
-        raise _damaged(what, "actions")
+        raise _damage_error(what, "actions")
     return [names[number] for number in given], [name for name in names if name]
 
 
-def _sizes(system: Any) -> dict[str, int]:
+def _read_sizes(system: Any) -> dict[str, int]:
     return {each: getattr(system, f"num_{each}") for each in ("states", "choices", "branches")}
 
 
-def _sized(values: Sequence[Any], count: int, where: str) -> Sequence[Any]:
+def _require_length(values: Sequence[Any], count: int, where: str) -> Sequence[Any]:
     if len(values) != count:
-        raise _damaged(f"{len(values):,} values, not {count:,}", where)
+        raise _damage_error(f"{len(values):,} values, not {count:,}", where)
     return values
 
 
-def _offsets(given: Sequence[int] | None, where: str, size: int, end: int) -> Sequence[int]:
+def _require_offsets(given: Sequence[int] | None, where: str, size: int, end: int) -> Sequence[int]:
     """Return size+1 offsets from 0 to `end`; one each where none are given."""
     offsets = range(size + 1) if given is None else given
     falls = any(after < before for before, after in pairwise(offsets))
     if len(offsets) != size + 1 or offsets[0] != 0 or offsets[-1] != end or falls:
-        raise _damaged(f"{len(offsets)} offsets that do not run from 0 to {end}", where)
+        raise _damage_error(f"{len(offsets)} offsets that do not run from 0 to {end}", where)
     return offsets
 
 
-def _damaged(what: str, where: str = "") -> ModelError:
+def _damage_error(what: str, where: str = "") -> ModelError:
     return ModelError(what, where=where, fix="write the file again")
 
 
@@ -260,16 +270,16 @@ def _damaged(what: str, where: str = "") -> ModelError:
 
 
 def _umb_of(model: MDP) -> Any:
-    umbi, table = _umbi(), model.table
+    umbi, table = _import_umbi(), model.table
     description, version = umbi.umb.index, umbi.version
     start = {state: weight for state, weight in model.start if weight > 0}
     # Rewards of pairs that are no floats stay exact beside probabilities that are.
     floats = table.gain.dtype == np.float64 or (table.joint and table.weight.dtype == np.float64)
-    kind, chances = _typed(
-        _ratios(table.weight, np.repeat(table.denominator, np.diff(table.offsets)))
+    kind, chances = _choose_type(
+        _to_ratios(table.weight, np.repeat(table.denominator, np.diff(table.offsets)))
     )
-    earned = model.reward.tolist() if floats else _ratios(*table.expected_gain_exact())
-    archive = base64.b64encode(zlib.compress(npz.packed(model))).decode("ascii")
+    earned = model.reward.tolist() if floats else _to_ratios(*table.expected_gain_exact())
+    archive = base64.b64encode(zlib.compress(npz.pack_model(model))).decode("ascii")
     umb = umbi.umb.ExplicitUmb(
         index=description.UmbIndex(
             format_version=version.__format_version__,
@@ -298,30 +308,32 @@ def _umb_of(model: MDP) -> Any:
         annotations={"rewards": {}, "aps": {}, GROUP: {}},
     )
 
-    def annotate(group: str, key: str, over: str, values: Any, **described: Any) -> None:
-        kind, numbers = _typed(values)
+    def add_annotation(group: str, key: str, over: str, values: Any, **described: Any) -> None:
+        kind, numbers = _choose_type(values)
         umb.annotations[group][key] = {over: numbers}
         umb.index.annotations[group][key] = description.AnnotationDescription(
             applies_to=[over], type=kind, **described
         )
 
-    annotate("rewards", REWARD, "choices", earned)
-    annotate("aps", "terminal", "states", model.terminal.tolist())
+    add_annotation("rewards", REWARD, "choices", earned)
+    add_annotation("aps", "terminal", "states", model.terminal.tolist())
     taken = {"terminal"}
     for number, (name, states) in enumerate(model.labels.items()):
         # The query language of PRISM and Storm knows no dots or hyphens in names.
         word = re.sub(r"\W", "_", name)
         word = f"{word}_{number}" if word in taken else word
         taken.add(word)
-        annotate("aps", f"label-{number}", "states", states.tolist(), alias=word, description=name)
+        add_annotation(
+            "aps", f"label-{number}", "states", states.tolist(), alias=word, description=name
+        )
     odds = [start.get(state, Fraction(0)) for state in range(model.n_states)]
-    annotate(GROUP, CARRIER, "states", odds, description=archive)
+    add_annotation(GROUP, CARRIER, "states", odds, description=archive)
     return umb
 
 
-def _typed(values: Sequence[Any]) -> tuple[Any, list[Any]]:
+def _choose_type(values: Sequence[Any]) -> tuple[Any, list[Any]]:
     """Return values with their type: truth values, doubles, or wide rationals."""
-    umbi = _umbi()
+    umbi = _import_umbi()
     kind, numbers = umbi.datatypes.promote_scalars(values)
     bits = umbi.binary.max_num_bits_for_collection_element(numbers, kind)
     # Each half of a rational takes a multiple of 64 bits.
@@ -329,7 +341,7 @@ def _typed(values: Sequence[Any]) -> tuple[Any, list[Any]]:
     return umbi.binary.SizedType(kind, 128 * -(-bits // 128) if wide else bits), numbers
 
 
-def _ratios(top: Numbers, below: Numbers) -> list[Any]:
+def _to_ratios(top: Numbers, below: Numbers) -> list[Any]:
     """Return exact ratios; floats, which are over 1, as they are."""
     if top.dtype == np.float64:
         return list(top.tolist())

@@ -29,15 +29,15 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from exact_mdp.mdp.care.toml import is_scenario
-from exact_mdp.mdp.components import adds_up, of_outcomes, require_amounts
-from exact_mdp.mdp.errors import ModelError, check_names, located, of_type, suggest
+from exact_mdp.mdp.components import adds_up, require_amounts, with_outcome_amounts
+from exact_mdp.mdp.errors import ModelError, check_names, locate_errors, require_type, suggest_name
 from exact_mdp.mdp.forms.columns import table_of
 from exact_mdp.mdp.forms.numbers import one_kind
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.questions import Origin, origin_of
-from exact_mdp.mdp.table import Numbers, OutcomeTable, beside, exact, shown
-from exact_mdp.mdp.validate import counted
+from exact_mdp.mdp.table import Numbers, OutcomeTable, exact, format_beside_limits, format_rational
+from exact_mdp.mdp.validate import require_count
 
 DISCOUNT = "discount"
 MOST_REWARDS = 20  # of a plain MDP, that are parameters without being named
@@ -140,26 +140,36 @@ class Family(Parametric):
 
     def __post_init__(self) -> None:
         check_names((self.name,), "model")
-        of_type(self.build, Callable, "build", "give a function from {name: value} to the model")
+        require_type(
+            self.build, Callable, "build", "give a function from {name: value} to the model"
+        )
         for what in ("degrees", "breaks", "rows"):
-            of_type(getattr(self, what), Mapping, what, "give a dictionary by the names")
+            require_type(getattr(self, what), Mapping, what, "give a dictionary by the names")
         check_names(self.rows, "row", where="rows")
-        with located("degrees", instead=True):
-            degrees = {n: counted(d, f"the degree in {n}", 0) for n, d in self.degrees.items()}
-        breaks = {name: _exact(given, f"breaks, {name}") for name, given in self.breaks.items()}
-        parts = {"parameters": _parameters(self.parameters), "degrees": degrees, "breaks": breaks}
+        with locate_errors("degrees", instead=True):
+            degrees = {
+                n: require_count(d, f"the degree in {n}", 0) for n, d in self.degrees.items()
+            }
+        breaks = {
+            name: _parse_numbers(given, f"breaks, {name}") for name, given in self.breaks.items()
+        }
+        parts = {
+            "parameters": _read_parameters(self.parameters),
+            "degrees": degrees,
+            "breaks": breaks,
+        }
         for what, part in parts.items():
             object.__setattr__(self, what, part)
         for what, names in (("degrees", degrees), ("breaks", breaks)):
             for name in names:
-                with located(what):
+                with locate_errors(what):
                     parameter_of(self, name)
 
     def made(self, moved: Mapping[str, Fraction]) -> MDP:
         """See `Parametric.made`."""
         built = self.build({**{p.name: p.value for p in self.parameters}, **moved})
         fix = "end it with: return MDP.from_arrays(P, R)"
-        mdp: MDP = of_type(built, MDP, "what build returns", fix)
+        mdp: MDP = require_type(built, MDP, "what build returns", fix)
         return mdp
 
     def degree(self, name: str) -> int:
@@ -171,7 +181,7 @@ class Family(Parametric):
         return tuple(self.breaks.get(parameter_of(self, name).name, ()))
 
 
-def _parameters(given: Any) -> tuple[Parameter, ...]:
+def _read_parameters(given: Any) -> tuple[Parameter, ...]:
     """Return parameters that are given as such, or as {name: value}."""
     if isinstance(given, Mapping):
         return tuple(Parameter(name=name, value=value) for name, value in given.items())
@@ -185,10 +195,10 @@ def _parameters(given: Any) -> tuple[Parameter, ...]:
     return tuple(given)
 
 
-def _exact(numbers: Any, where: str) -> tuple[Fraction, ...]:
-    with located(where):
+def _parse_numbers(numbers: Any, where: str) -> tuple[Fraction, ...]:
+    with locate_errors(where):
         fix = "put the numbers in brackets"
-        return tuple(map(exact, of_type(numbers, list | tuple | np.ndarray, "", fix)))
+        return tuple(map(exact, require_type(numbers, list | tuple | np.ndarray, "", fix)))
 
 
 def parametric(source: Any) -> Parametric:
@@ -224,17 +234,17 @@ def parametric(source: Any) -> Parametric:
         return family
     origin = origin_of(source)
     if origin is not None:
-        return asked_of(parametric(origin.model), origin)
-    rewards = _rewards(source.table)
+        return pose_questions(parametric(origin.model), origin)
+    rewards = _name_rewards(source.table)
     return moving(source, {}, rewards if len(rewards) <= MOST_REWARDS else {})
 
 
-def asked_of(family: Parametric, origin: Origin) -> Parametric:
+def pose_questions(family: Parametric, origin: Origin) -> Parametric:
     """Return a family about each of whose models the questions of an origin are asked."""
     return reduce(lambda asked, question: asked.posed(question), origin.questions, family)
 
 
-def _rewards(table: OutcomeTable) -> dict[str, Fraction]:
+def _name_rewards(table: OutcomeTable) -> dict[str, Fraction]:
     """Return the rewards other than 0 by name; more than `MOST_REWARDS` where there are many."""
     bottom: Numbers = table.gain_denominator
     if len(table.gain) != len(bottom):
@@ -246,7 +256,7 @@ def _rewards(table: OutcomeTable) -> dict[str, Fraction]:
         rewards |= {exact(top) / below for top, below in ratios if top}
         if len(rewards) > MOST_REWARDS:
             break
-    names = {f"reward.{shown(reward)}": reward for reward in sorted(rewards)}
+    names = {f"reward.{format_rational(reward)}": reward for reward in sorted(rewards)}
     return names if len(names) == len(rewards) else {f"reward.{r}": r for r in sorted(rewards)}
 
 
@@ -284,17 +294,17 @@ def moving(
     >>> [(str(p), str(r)) for p, _, r in family.at({"loop": "1/5", "gain": 3}).table.row(0)]
     [('1/5', '3'), ('2/5', '3'), ('2/5', '3')]
     """
-    of_type(model, MDP, "model", "give an MDP")
-    of_type(entries, Mapping, "entries", "give {name: [((state, action), next state), …]}")
+    require_type(model, MDP, "model", "give an MDP")
+    require_type(entries, Mapping, "entries", "give {name: [((state, action), next state), …]}")
     if entries:
         require_amounts(model.table, "a row that moves")
     rewards = {} if rewards is None else rewards
-    of_type(rewards, Mapping, "rewards", "give {name: reward}")
+    require_type(rewards, Mapping, "rewards", "give {name: reward}")
     named: dict[int, dict[int, str]] = {}
     moved = []
     for name, listed in entries.items():
-        places = _places(model, listed, f"parameter {name}")
-        values = {_entry(model, pair, state) for pair, state in places}
+        places = _find_entries(model, listed, f"parameter {name}")
+        values = {_find_probability(model, pair, state) for pair, state in places}
         if len(values) != 1:
             raise ModelError(
                 f"{len(values)} different probabilities",
@@ -321,7 +331,7 @@ def moving(
             )
         for name, count in Counter(names.values()).items():
             highest[name] = min(highest[name], today[name] + (1 - total) / count)
-    earned = _earned(model, rewards)
+    earned = _match_rewards(model, rewards)
     gains = [Parameter(name=name, value=reward, unit="reward") for reward, name in earned.items()]
     rate = Parameter(name=DISCOUNT, value=model.discount_exact, low=Fraction(0), high=Fraction(1))
     origin = origin_of(model)
@@ -378,7 +388,7 @@ class Moved:
         rows = [
             [
                 (p, to, moved.get(gain, gain), place)
-                for p, to, gain, place in self._row(pair, values)
+                for p, to, gain, place in self._move_row(pair, values)
             ]
             for pair in range(model.n_pairs)
         ]
@@ -402,11 +412,11 @@ class Moved:
             table = replace(table, averaged=model.table.averaged)
         own: dict[str, Any] = {}
         if parts:
-            table = of_outcomes(table, parts)
+            table = with_outcome_amounts(table, parts)
             own["component_names"] = model.component_names
         return model.with_(table=table, discount=rate, events=(), **own)
 
-    def _row(
+    def _move_row(
         self, pair: int, values: Mapping[str, Fraction]
     ) -> list[tuple[Fraction, int, Fraction, int]]:
         """Return the outcomes of a pair, named ones at their values, and their numbers."""
@@ -418,21 +428,24 @@ class Moved:
         left = 1 - sum((values[name] for name in names.values()), Fraction(0))
         if left < 0:
             raise ModelError(
-                f"named probabilities sum to {beside(1 - left, Fraction(1))}, more than 1",
+                "named probabilities sum to "
+                f"{format_beside_limits(1 - left, Fraction(1))}, more than 1",
                 where=self.model.where(pair),
                 fix="choose smaller values",
             )
         rest = sum((p for p, to, _, _ in row if to not in names), Fraction(0))
-        factor = {to: values[name] / _entry(self.model, pair, to) for to, name in names.items()}
+        factor = {
+            to: values[name] / _find_probability(self.model, pair, to) for to, name in names.items()
+        }
         outcomes = [(factor.get(to, left / rest) * p, to, gain, k) for p, to, gain, k in row]
         return [outcome for outcome in outcomes if outcome[0]]
 
 
-def _places(model: MDP, listed: Any, where: str) -> list[tuple[int, int]]:
+def _find_entries(model: MDP, listed: Any, where: str) -> list[tuple[int, int]]:
     """Return the numbers of entries that are given as pairs and next states."""
     places = []
-    with located(where):
-        for place in of_type(listed, Iterable, "", "give a list of (pair, next state)"):
+    with locate_errors(where):
+        for place in require_type(listed, Iterable, "", "give a list of (pair, next state)"):
             if not isinstance(place, list | tuple) or len(place) != 2:
                 raise ModelError(f"an entry is {place!r}", fix="give (pair, next state)")
             pair, following = place
@@ -447,7 +460,7 @@ def _places(model: MDP, listed: Any, where: str) -> list[tuple[int, int]]:
     return places
 
 
-def _earned(model: MDP, rewards: Mapping[str, object]) -> dict[Fraction, str]:
+def _match_rewards(model: MDP, rewards: Mapping[str, object]) -> dict[Fraction, str]:
     """Return the names of rewards; raises ModelError for one that no outcome earns."""
     named = {exact(reward): name for name, reward in rewards.items()}
     if not named:
@@ -456,7 +469,7 @@ def _earned(model: MDP, rewards: Mapping[str, object]) -> dict[Fraction, str]:
     for reward, name in named.items():
         if reward not in known or len(named) != len(rewards):
             raise ModelError(
-                f"no outcome earns {shown(reward)}, or two parameters set one reward",
+                f"no outcome earns {format_rational(reward)}, or two parameters set one reward",
                 where=f"parameter {name}",
                 fix="give each parameter a reward of the model",
             )
@@ -474,7 +487,7 @@ def parameter_of(model: Parametric, name: str) -> Parameter:
         if parameter.name == name:
             return parameter
     names = [parameter.name for parameter in model.parameters]
-    fix = suggest(name, names)
+    fix = suggest_name(name, names)
     if fix.startswith("choose"):  # no other place lists them
         fix = f"choose one of {', '.join(names[:LISTED])}{' …' * (len(names) > LISTED)}"
     if not names:
@@ -498,7 +511,7 @@ def room_of(model: Parametric, name: str) -> tuple[Fraction | None, Fraction | N
 
 def moved_from(model: Parametric, values: Mapping[str, object]) -> dict[str, Fraction]:
     """Return the values that differ from today's, each checked against its parameter's range."""
-    of_type(values, Mapping, "values", "give {name: value}")
+    require_type(values, Mapping, "values", "give {name: value}")
     numbers = {name: exact(value, f"parameter {name}") for name, value in values.items()}
     for name, number in numbers.items():
         parameter_of(model, name).check(number)
@@ -506,5 +519,5 @@ def moved_from(model: Parametric, values: Mapping[str, object]) -> dict[str, Fra
     return {name: number for name, number in numbers.items() if number != today[name]}
 
 
-def _entry(mdp: MDP, pair: int, state: int) -> Fraction:
+def _find_probability(mdp: MDP, pair: int, state: int) -> Fraction:
     return sum((p for p, following, _ in mdp.table.row(pair) if following == state), Fraction(0))

@@ -20,12 +20,12 @@ import numpy as np
 from flint import fmpq, fmpq_mat, fmpq_poly
 
 from exact_mdp.mdp.care.scenario import ScenarioFamily
-from exact_mdp.mdp.errors import ModelError, located
-from exact_mdp.mdp.exact import rational
+from exact_mdp.mdp.errors import ModelError, locate_errors
+from exact_mdp.mdp.exact import to_flint
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric.family import Family, Moved, Parametric, room_of
 from exact_mdp.mdp.space import TIME
-from exact_mdp.mdp.table import Integers, Numbers, merged, shown
+from exact_mdp.mdp.table import Integers, Numbers, format_rational, merge_outcomes
 
 Entries = tuple[Integers, Numbers, Numbers]
 """Keys in rising order, and the integers whose ratios are the numbers there."""
@@ -65,7 +65,9 @@ class RowChange:
     checked: int | None  # points at which rows fit the polynomials; None for a known degree
 
 
-def pieces(model: Parametric, name: str, origin: Fraction) -> tuple[Piece | None, Piece | None]:
+def find_pieces(
+    model: Parametric, name: str, origin: Fraction
+) -> tuple[Piece | None, Piece | None]:
     """Return the pieces to the left and to the right of a value; None beyond the range.
 
     They are one and the same where the value, θ0 of both, is not a breakpoint. They reach three
@@ -94,19 +96,22 @@ def row_change(model: Parametric, name: str, piece: Piece, base: MDP) -> RowChan
         isinstance(model, Family) and isinstance(model.build, Moved)
     )
     count = degree if known else degree + EXTRA
-    sampled = {origin: base, **_sampled(model, name, piece, count)}
+    sampled = {origin: base, **_build_sample_models(model, name, piece, count)}
     points, models = [*sampled], [*sampled.values()]
     for point, other in sampled.items():
-        with located(f"parameter {name} = {shown(point)}"):
+        with locate_errors(f"parameter {name} = {format_rational(point)}"):
             check_alike(base, other, start=True)
-    steps = [rational(point - origin) for point in points]
-    changes = [_changes(models, steps, entries) for entries in (transition_entries, reward_entries)]
+    steps = [to_flint(point - origin) for point in points]
+    changes = [
+        _interpolate_changes(models, steps, entries)
+        for entries in (transition_entries, reward_entries)
+    ]
     for change, targets in zip(changes, (base.n_states, 1), strict=True):
         for key, moved in zip(change.key.tolist(), change.moved, strict=True):
             if moved.degree() > degree:
                 where = f", {base.where(key // targets)}"
                 raise _no_polynomial("rows are not polynomials", name, degree, points, moved, where)
-    rate = polynomials(steps, [[rational(mdp.discount_exact)] for mdp in models])[0]
+    rate = interpolate_polynomials(steps, [[to_flint(mdp.discount_exact)] for mdp in models])[0]
     if rate.degree() > degree:
         raise _no_polynomial("the discount is not a polynomial", name, degree, points, rate)
     return RowChange(
@@ -123,8 +128,10 @@ def _no_polynomial(
     what: str, name: str, degree: int, at: list[Fraction], through: fmpq_poly, where: str = ""
 ) -> ModelError:
     """Return the error that names the first point that the polynomial of those before it misses."""
-    steps = [rational(point - at[0]) for point in at]
-    near = polynomials(steps[: degree + 1], [[through(y)] for y in steps[: degree + 1]])[0]
+    steps = [to_flint(point - at[0]) for point in at]
+    near = interpolate_polynomials(
+        steps[: degree + 1], [[through(y)] for y in steps[: degree + 1]]
+    )[0]
     missed, y = next(
         (point, y) for point, y in zip(at, steps, strict=True) if near(y) != through(y)
     )
@@ -132,7 +139,7 @@ def _no_polynomial(
     size: fmpq = abs(through(y))
     floats = "let build compute with the fractions that it is given, not with floats"
     any_function = "one_way and tornado take any function"
-    scaled = apart * rational(ROUNDED)
+    scaled = apart * to_flint(ROUNDED)
     if scaled <= 1 or scaled <= size:
         raised = f"{what} of degree {degree} in {name}, but equal to one within {float(apart):.0e}"
         fix = f"{floats}: a difference so small comes of rounding; {any_function}"
@@ -141,7 +148,7 @@ def _no_polynomial(
         fix = f'state breaks={{"{name}": [value, …]}} where the formula changes, or a higher '
         fix += f'degree, degrees={{"{name}": {degree + 1}}}; a quotient is a polynomial of no '
         fix += f"degree; {floats}; {any_function}"
-    return ModelError(raised, where=f"parameter {name} = {shown(missed)}{where}", fix=fix)
+    return ModelError(raised, where=f"parameter {name} = {format_rational(missed)}{where}", fix=fix)
 
 
 ROUNDED = Fraction(10**12)  # a share of a number that a few roundings may take from it, inverted
@@ -149,7 +156,9 @@ EXTRA = 5  # points beyond those that a degree needs, which check it; the result
 SHRINKS = 64  # halvings of the distance to θ0 where there is no model, before that is refused
 
 
-def _sampled(model: Parametric, name: str, piece: Piece, count: int) -> dict[Fraction, MDP]:
+def _build_sample_models(
+    model: Parametric, name: str, piece: Piece, count: int
+) -> dict[Fraction, MDP]:
     """Return the models at `count` points other than the origin, the nearest first.
 
     They are spread over both sides of it, to the ends of the piece. Where a family has no model, as
@@ -159,7 +168,7 @@ def _sampled(model: Parametric, name: str, piece: Piece, count: int) -> dict[Fra
     origin, refused = piece.origin, list[ModelError]()
     sides = [end - origin for end in (piece.high, piece.low) if end != origin]
 
-    def built(side: Fraction, count: int) -> dict[Fraction, MDP]:
+    def build_side(side: Fraction, count: int) -> dict[Fraction, MDP]:
         parts = 2 ** count.bit_length()  # a power of 2 keeps denominators small
         for halved in range(SHRINKS):
             width = side / 2**halved / parts
@@ -171,10 +180,10 @@ def _sampled(model: Parametric, name: str, piece: Piece, count: int) -> dict[Fra
         return {}
 
     counts = [count - count // 2, count // 2] if len(sides) == 2 else [count]
-    found = [built(side, own) for side, own in zip(sides, counts, strict=True) if own]
+    found = [build_side(side, own) for side, own in zip(sides, counts, strict=True) if own]
     if not all(found):  # the side that has models, or was not asked, holds all points
         others = [side for side, own in zip(sides, found, strict=False) if own]
-        found = [built(side, count) for side in others or sides[len(found) :]]
+        found = [build_side(side, count) for side in others or sides[len(found) :]]
     if not any(found):
         raise refused[0]
     return dict(sorted(chain(*map(dict.items, found)), key=lambda each: abs(each[0] - origin)))
@@ -213,7 +222,7 @@ def check_alike(first: MDP, other: MDP, *, start: bool) -> None:
             )
 
 
-def _changes(
+def _interpolate_changes(
     models: Sequence[MDP], steps: Sequence[fmpq], entries: Callable[[MDP], Entries]
 ) -> Change:
     """Return the polynomials through entries of models, of which the first is at y = 0."""
@@ -231,12 +240,16 @@ def _changes(
     moved = np.zeros(len(keys), dtype=bool)
     for top, bottom in zip(tops[1:], bottoms[1:], strict=True):
         moved |= np.asarray(top * bottoms[0] != tops[0] * bottom, dtype=bool)
-    samples = [ratios(top[moved], below[moved]) for top, below in zip(tops, bottoms, strict=True)]
-    through = polynomials(steps, samples)
+    samples = [
+        to_flint_ratios(top[moved], below[moved]) for top, below in zip(tops, bottoms, strict=True)
+    ]
+    through = interpolate_polynomials(steps, samples)
     return Change(key=keys[moved], moved=[each - each[0] for each in through])
 
 
-def polynomials(points: Sequence[fmpq | int], samples: Sequence[Sequence[fmpq]]) -> list[fmpq_poly]:
+def interpolate_polynomials(
+    points: Sequence[fmpq | int], samples: Sequence[Sequence[fmpq]]
+) -> list[fmpq_poly]:
     """Return the polynomials through columns of samples, which have a row for each point."""
     size, count = len(points), len(samples[0])
     powers = fmpq_mat(size, size, [x**power for x in points for power in range(size)])
@@ -247,7 +260,7 @@ def polynomials(points: Sequence[fmpq | int], samples: Sequence[Sequence[fmpq]])
 
 def transition_entries(mdp: MDP) -> Entries:
     """Return the transition matrix: keys are pair · S + next state."""
-    offsets, following, weight, denominator = merged(mdp.table)
+    offsets, following, weight, denominator = merge_outcomes(mdp.table)
     lengths = np.diff(offsets)
     pair = np.repeat(np.arange(mdp.n_pairs), lengths)
     return pair * mdp.n_states + following, weight, np.repeat(denominator, lengths)
@@ -259,6 +272,6 @@ def reward_entries(mdp: MDP) -> Entries:
     return np.arange(mdp.n_pairs), top, bottom
 
 
-def ratios(top: Numbers, bottom: Numbers) -> list[fmpq]:
+def to_flint_ratios(top: Numbers, bottom: Numbers) -> list[fmpq]:
     """Return the ratios of integers."""
     return [fmpq(int(a), int(b)) for a, b in zip(top, bottom, strict=True)]

@@ -34,9 +34,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.errors import ModelError, located, no_such
-from exact_mdp.mdp.forms.names import whole_of
-from exact_mdp.mdp.forms.numbers import is_table, plain, refuse_masked
+from exact_mdp.mdp.errors import ModelError, locate_errors, no_such
+from exact_mdp.mdp.forms.names import integer_of
+from exact_mdp.mdp.forms.numbers import convert_tensors, is_pandas_table, refuse_masked
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, Numbers
@@ -55,10 +55,10 @@ Parts = dict[str, Any]
 
 def numbers_of(given: object) -> Numbers:
     """Return an array of real numbers as they are, none of them rounded; lists included."""
-    given = plain(given)
-    with located("policy"):
+    given = convert_tensors(given)
+    with locate_errors("policy"):
         refuse_masked(given)
-        if is_table(given):
+        if is_pandas_table(given):
             raise ModelError(
                 f"a {type(given).__name__} of pandas goes by labels, and an array by position",
                 fix="give table.to_numpy(), in the order of the model's states and actions; or a "
@@ -70,7 +70,7 @@ def numbers_of(given: object) -> Numbers:
         array: Numbers = np.array(given, dtype=object)
     except ValueError:
         array = np.array(None, dtype=object)
-    array.flat[:] = [_plain(number) for number in array.flat]
+    array.flat[:] = [_to_python_number(number) for number in array.flat]
     kinds = {type(number) for number in array.flat}
     if kinds == {float}:
         return array.astype(np.float64)
@@ -87,7 +87,7 @@ def numbers_of(given: object) -> Numbers:
     return array
 
 
-def _plain(number: Any) -> Any:
+def _to_python_number(number: Any) -> Any:
     """Return a NumPy scalar as the Python number that it is, so that comparisons are exact."""
     if isinstance(number, np.longdouble) and np.isfinite(number):
         return Fraction(*number.as_integer_ratio())
@@ -101,7 +101,7 @@ def of_given_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
     or by these names with a row for 1.
     """
     columns = model.space.columns
-    names = [whole_of(word) for word in (columns[0].words if len(columns) == 1 else ())]
+    names = [integer_of(word) for word in (columns[0].words if len(columns) == 1 else ())]
     known = [name for name in names if name is not None]
     gap = len(known) == len(names) > 0 and max(known) >= len(names)
     if gap and min(known) >= 0 and max(known) < len(array):
@@ -129,7 +129,7 @@ def of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
         if array.ndim == 1:
             _refuse_names(model, array)
             return action_numbers(model, array)
-        if timed and array.ndim == 2 and by_time(model, array).ndim == 1:
+        if timed and array.ndim == 2 and flatten_times(model, array).ndim == 1:
             if array.shape[1] != model.n_actions:
                 return action_numbers(model, array)
             if kind == "auto" and ((array >= 0) & (array < model.n_actions)).all():
@@ -145,8 +145,8 @@ def of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
 
 def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
     """Return the policy of a table with a row for each state, of probabilities or action values."""
-    array = by_time(model, array) if array.ndim == 3 else array
-    over = read_over(model, array.shape)
+    array = flatten_times(model, array) if array.ndim == 3 else array
+    over = find_table_axes(model, array.shape)
     if over is None:
         raise _no_policy(model, array, kind)
     (space, actions), costs = over, model.sense == "min"
@@ -172,7 +172,7 @@ def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
     elif wrong.any() and (kind == "policy" or (kind == "auto" and choosing.any())):
         counts, wrong = choosing, choosing & ~fits
     if kind == "q" or (kind == "auto" and wrong.any()):
-        rule = _greedy(array, offered, counts, names, costs=costs)
+        rule = _choose_greedy(array, offered, counts, names, costs=costs)
         read = {"rule": rule, "values": array, "source": Q_TABLE}
         return {"space": space, "actions": actions, **read}
     if wrong.any():
@@ -180,7 +180,7 @@ def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
     alone = ((chances == 1).sum(axis=1) == 1) & ((chances == 0).sum(axis=1) == array.shape[1] - 1)
     mixed: Flags = counts & ~np.asarray(alone, dtype=bool)
     if kind == "auto" and costs and not mixed.any():  # a cost of 1 is not the least
-        least = _greedy(array, offered, counts, names, costs=True)
+        least = _choose_greedy(array, offered, counts, names, costs=True)
         mixed = choosing & np.asarray(array[np.arange(len(array)), least] != 1, dtype=bool)
     if kind == "auto" and mixed.any():
         raise ModelError(
@@ -212,7 +212,9 @@ def too_small(where: str) -> ModelError:
     return ModelError(what, where=where, fix="give 0")
 
 
-def read_over(model: MDP, shape: tuple[int, ...]) -> tuple[StateSpace, tuple[str, ...]] | None:
+def find_table_axes(
+    model: MDP, shape: tuple[int, ...]
+) -> tuple[StateSpace, tuple[str, ...]] | None:
     """Return what rows and columns of a table of some shape are over; None where none fits."""
     space = space_of(model, shape[0]) if shape[1:] == (model.n_actions,) else None
     if space is not None:
@@ -253,7 +255,7 @@ def _no_policy(model: MDP, array: Numbers, kind: str = "auto") -> ModelError:
     )
 
 
-def _greedy(
+def _choose_greedy(
     values: Numbers,
     offered: Flags,
     counts: Flags,
@@ -372,7 +374,7 @@ def _refuse_names(model: MDP, numbers: Numbers) -> None:
 
 def action_numbers(model: MDP, given: Numbers) -> Parts:
     """Return the policy of action numbers (S,) or (N, S), checked against the model's own."""
-    numbers = by_time(model, np.asarray(given))
+    numbers = flatten_times(model, np.asarray(given))
     space = space_of(model, len(numbers)) if numbers.ndim == 1 else None
     if space is None or numbers.dtype.kind not in "iu":
         raise _no_policy(model, numbers)
@@ -382,7 +384,7 @@ def action_numbers(model: MDP, given: Numbers) -> Parts:
     return {"space": space, "actions": model.actions, "rule": numbers.astype(np.int64)}
 
 
-def by_time(model: MDP, table: Numbers) -> Numbers:
+def flatten_times(model: MDP, table: Numbers) -> Numbers:
     """Return a table (N, S) or (N, S, A) over times and states as one over all states.
 
     Where the model's first column is not the time, or the shape is another, the table is returned
@@ -402,7 +404,7 @@ def by_time(model: MDP, table: Numbers) -> Numbers:
     return spread
 
 
-def distinct(rows: Numbers) -> tuple[Numbers, Integers]:
+def find_distinct_rows(rows: Numbers) -> tuple[Numbers, Integers]:
     """Return the (U, K) different rows of (D, K), in order of appearance, and (D,) each row's."""
     fresh = np.append(True, (rows[1:] != rows[:-1]).any(axis=1))[: len(rows)]
     known: dict[bytes, int] = {}

@@ -22,9 +22,9 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, ShapeError, located, of_type, once_each
-from exact_mdp.mdp.forms.names import is_number, whole_of
-from exact_mdp.mdp.forms.numbers import plain, refuse_masked
+from exact_mdp.mdp.errors import ModelError, ShapeError, locate_errors, once_each, require_type
+from exact_mdp.mdp.forms.names import integer_of, is_number
+from exact_mdp.mdp.forms.numbers import convert_tensors, refuse_masked
 from exact_mdp.mdp.io.files import STANDARD_INPUT, read_text, write_atomically
 from exact_mdp.mdp.io.structured import csv_of, json_of
 from exact_mdp.mdp.model import MDP
@@ -48,7 +48,7 @@ def of_mapping(model: MDP, entries: Mapping[Any, Any], kind: str = "auto") -> Pa
         timed = any(PRINTED_TIME.match(str(key)) for key in entries)
         space = model.space if timed else model.space.untimed or model.space
         number = space.number
-    entries = _by_pair(model, space, number, entries) or _reached(space, entries)
+    entries = _by_pair(model, space, number, entries) or _keep_reachable(space, entries)
     choices = once_each([(number(key), choice) for key, choice in entries.items()], space.label)
     if default is not None:
         choices = {key: choices[key] if key in choices else default() for key in range(space.size)}
@@ -72,14 +72,16 @@ def _by_pair(
     if not pairs or not all(isinstance(value, kinds) for value in entries.values()):
         return {}
     try:
-        each = [(number(state), model.action_names.number(action)) for state, action in entries]
+        each = [
+            (number(state), model.action_names.find_number(action)) for state, action in entries
+        ]
     except ModelError:
         return {}
     rows = rows_read(model, space)[model.pair_state]
     asked = model.asked[model.pair_state]
     offered = zip(rows[asked].tolist(), model.pair_action[asked].tolist(), strict=True)
     complete = {*offered} <= {*each}
-    if all(map(space.lookup.holds, entries)):
+    if all(map(space.lookup.can_find, entries)):
         if not complete:
             return {}  # {state: action}
         if {*rows[asked].tolist()} <= {*map(number, entries)}:
@@ -98,10 +100,10 @@ def _by_pair(
     return table
 
 
-def _reached(space: StateSpace, entries: Mapping[Any, Any]) -> Mapping[Any, Any]:
+def _keep_reachable(space: StateSpace, entries: Mapping[Any, Any]) -> Mapping[Any, Any]:
     """Return the entries of states; warn of those that a function's model did not reach."""
     made = len(space.columns) == 1 and space.columns[0].objects
-    others = [key for key in entries if isinstance(key, tuple) and not space.lookup.holds(key)]
+    others = [key for key in entries if isinstance(key, tuple) and not space.lookup.can_find(key)]
     if not made or not others or len(others) == len(entries):
         return entries
     shown = ", ".join(map(str, others[:4])) + " …" * (len(others) > 4)
@@ -141,18 +143,22 @@ def of_function(model: MDP, ask: Callable[[Any], Any], kind: str = "auto") -> Pa
 
 def _is_answer_of_agent(model: MDP, choice: Any) -> bool:
     """Return whether an answer is a pair of an action and what an agent remembers, or None."""
-    pair = isinstance(choice, tuple) and len(choice) == 2 and not model.action_names.knows(choice)
+    pair = (
+        isinstance(choice, tuple) and len(choice) == 2 and not model.action_names.has_name(choice)
+    )
     return pair and (choice[1] is None or (np.ndim(choice[0]) == 0) != (np.ndim(choice[1]) == 0))
 
 
 def _of_choices(model: MDP, space: StateSpace, choices: Mapping[int, Any], kind: str) -> Parts:
     """Return the policy of the choice of each state, by number."""
-    choices = {key: plain(choice) for key, choice in choices.items()}
+    choices = {key: convert_tensors(choice) for key, choice in choices.items()}
     for choice in choices.values():
         refuse_masked(choice, "policy")
     if kind == "q":
         choices = {
-            key: _values(model, space, key, choice) if isinstance(choice, Mapping) else choice
+            key: _read_action_values(model, space, key, choice)
+            if isinstance(choice, Mapping)
+            else choice
             for key, choice in choices.items()
         }
     if choices and all(_is_row(model, choice, kind) for choice in choices.values()):
@@ -170,20 +176,28 @@ def _of_choices(model: MDP, space: StateSpace, choices: Mapping[int, Any], kind:
         return policy_of_array(model, numbers_of(table), kind)
     chances, names = Chances(), model.action_names
     for key, choice in choices.items():
-        with located(space.label(key)):
+        with locate_errors(space.label(key)):
             if isinstance(choice, Mapping):
-                each = zip(names.numbers(choice), map(_probability, choice.values()), strict=True)
+                each = zip(
+                    names.find_numbers(choice),
+                    map(_parse_probability, choice.values()),
+                    strict=True,
+                )
                 chances[key] = once_each(each, names.label)
             else:
-                chances[key] = {names.number(_alone(choice)): Fraction(1)}
+                chances[key] = {names.find_number(_unwrap_action(choice)): Fraction(1)}
     return _of_chances(model, space, chances)
 
 
-def _values(model: MDP, space: StateSpace, key: int, choice: Mapping[Any, Any]) -> list[Any]:
+def _read_action_values(
+    model: MDP, space: StateSpace, key: int, choice: Mapping[Any, Any]
+) -> list[Any]:
     """Return the row of action values that {action: value} is; NaN for actions not offered."""
     names = model.action_names
-    with located(space.label(key)):
-        values = once_each(zip(names.numbers(choice), choice.values(), strict=True), names.label)
+    with locate_errors(space.label(key)):
+        values = once_each(
+            zip(names.find_numbers(choice), choice.values(), strict=True), names.label
+        )
         states = np.flatnonzero((rows_read(model, space) == key) & model.asked)
         offered = np.unique(model.pair_action[np.isin(model.pair_state, states)])
         if lost := [model.actions[action] for action in offered.tolist() if action not in values]:
@@ -194,13 +208,13 @@ def _values(model: MDP, space: StateSpace, key: int, choice: Mapping[Any, Any]) 
     return [values.get(action, np.nan) for action in range(model.n_actions)]
 
 
-def _alone(choice: Any) -> Any:
+def _unwrap_action(choice: Any) -> Any:
     """Return an action, of an array without dimensions the number in it."""
     choice = choice.item() if isinstance(choice, np.ndarray) and not choice.ndim else choice
     return tuple(choice) if isinstance(choice, list | np.ndarray) else choice
 
 
-def _probability(value: object) -> Fraction:
+def _parse_probability(value: object) -> Fraction:
     number = exact(value)
     if number and not as_float(number):
         raise too_small("")
@@ -213,8 +227,8 @@ def _is_row(model: MDP, choice: Any, kind: str) -> bool:
         return False
     row = tuple(choice.tolist() if isinstance(choice, np.ndarray) else choice)
     # (0.0, 1.0) equals (0, 1), the action that "(0, 1)" is the text of.
-    whole = tuple(int(x) if is_number(x) and whole_of(x) is not None else x for x in row)
-    action, equal = map(model.action_names.knows, (row, whole))
+    whole = tuple(int(x) if is_number(x) and integer_of(x) is not None else x for x in row)
+    action, equal = map(model.action_names.has_name, (row, whole))
     if isinstance(choice, tuple) and action:
         return False
     if kind == "auto" and (action or equal):
@@ -270,18 +284,18 @@ def of_file(model: MDP, path: str | Path, kind: str = "auto") -> Parts:
             else "give random, always:ACTION, or a .json, .csv, .npy or .npz file; the optimal "
             "policy is solve(mdp).policy, on the command line optimal",
         )
-    content = json_of(read_text(path), where, parse_float=str, parse_int=_digits)
+    content = json_of(read_text(path), where, parse_float=str, parse_int=_parse_digits)
     by_status = "status" in model.space.names
     if not isinstance(content, dict):
         first = "0000" if by_status else "0"
         example = json.dumps({first: model.actions[0]}, ensure_ascii=False)
         raise ModelError("the file is not a JSON object", fix=f"write {example[:-1]}, …}}")
     if not by_status:
-        content = {_digits(key): choice for key, choice in content.items()}
+        content = {_parse_digits(key): choice for key, choice in content.items()}
     return of_mapping(model, content, kind)
 
 
-def _digits(text: str) -> Any:
+def _parse_digits(text: str) -> Any:
     """Return the number that the digits of a file are, other text as it is."""
     return int(text) if WHOLE.fullmatch(text) else text
 
@@ -306,20 +320,20 @@ def _of_csv(model: MDP, text: str) -> Parts:
     by_name = by_state or (len(columns) == 1 and bool(space.columns[0].words))
     chances: Chances = {}
     for number, row in rows:
-        with located(f"line {number}"):
+        with locate_errors(f"line {number}"):
             entry = dict(zip(header, row, strict=True))
             if by_name:
-                key = space.number(_digits(entry[columns[0]]))
+                key = space.number(_parse_digits(entry[columns[0]]))
             else:
                 key = space.index(**{c.name: c.number(entry[c.name]) for c in space.columns})
-            action = model.action_names.number(entry["action"])
+            action = model.action_names.find_number(entry["action"])
             taken = chances.setdefault(key, {})
             if action in taken or (taken and "probability" not in header):
                 raise ModelError(
                     f"{space.label(key)} appears twice",
                     fix="keep one of them, or add a column probability",
                 )
-            taken[action] = _probability(entry.get("probability", "1").strip())
+            taken[action] = _parse_probability(entry.get("probability", "1").strip())
     return _of_chances(model, space, chances)
 
 
@@ -350,9 +364,11 @@ def of_every_state(mdp: MDP, said: Sequence[Any]) -> dict[str, Any]:
     return dict(zip(state_names(mdp.space), said, strict=True))
 
 
-def write(path: str | Path, space: StateSpace, rows: Mapping[int, Mapping[str, Any]]) -> None:
+def write_policy(
+    path: str | Path, space: StateSpace, rows: Mapping[int, Mapping[str, Any]]
+) -> None:
     """Write the probabilities of the actions of each row as `.csv`."""
-    if Path(of_type(path, str | Path, "path", "give a text")).suffix.lower() != ".csv":
+    if Path(require_type(path, str | Path, "path", "give a text")).suffix.lower() != ".csv":
         raise ModelError("a policy is written as .csv", where=str(path), fix="name it .csv")
     if not space.names:
         raise ModelError(
@@ -362,7 +378,7 @@ def write(path: str | Path, space: StateSpace, rows: Mapping[int, Mapping[str, A
         )
     labels = {key: [*space.as_dict(key).values()] for key in rows}
     if len(space.names) == 1 and space.columns[0].words:
-        read = [space.lookup.holds(_digits(words[0])) for words in labels.values()]
+        read = [space.lookup.can_find(_parse_digits(words[0])) for words in labels.values()]
         if not all(read):  # a name that may be the number of another state
             labels = {key: [space.label(key)] for key in rows}
     mixed = any(len(taken) > 1 for taken in rows.values())

@@ -18,7 +18,14 @@ import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import ArrayLike, NDArray
 
-from exact_mdp.mdp.errors import ModelError, check_names, known, located, no_such, of_type
+from exact_mdp.mdp.errors import (
+    ModelError,
+    check_names,
+    locate_errors,
+    no_such,
+    require_known_name,
+    require_type,
+)
 from exact_mdp.mdp.forms.numbers import float_array
 from exact_mdp.mdp.io.arrays import read_array
 from exact_mdp.mdp.io.files import LARGE
@@ -29,11 +36,11 @@ from exact_mdp.mdp.policies.arrays import (
     Q_TABLE,
     action_numbers,
     are_distributions,
+    find_table_axes,
     no_distribution,
     numbers_of,
     of_array,
     of_given_array,
-    read_over,
     rows_read,
 )
 from exact_mdp.mdp.result import ROWS_SHOWN, ByFields, data_frame, plain_report
@@ -45,7 +52,7 @@ from exact_mdp.mdp.table import (
     Numbers,
     exact,
     in_proportion,
-    integers,
+    to_integer_array,
 )
 
 if TYPE_CHECKING:
@@ -119,12 +126,12 @@ class Policy(ByFields, NDArrayOperatorsMixin):
                 raise no_such("action", given[wrong][0], len(self.actions), where="policy")
             rule, shares = np.array(given, dtype=np.int64), None
         else:
-            rule, shares = self._distributions(given)
+            rule, shares = self._normalize_table(given)
         rule.setflags(write=False)
         object.__setattr__(self, "rule", rule)
         object.__setattr__(self, "shares", shares)
 
-    def _distributions(self, given: Numbers) -> tuple[Numbers, Numbers | None]:
+    def _normalize_table(self, given: Numbers) -> tuple[Numbers, Numbers | None]:
         """Return the rule of a table, action numbers where they say it all, and its shares."""
         table = float_array(given, "policy")
         silent = np.asarray(np.isnan(table).all(axis=1))
@@ -134,7 +141,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
             raise no_distribution(table[row].tolist(), self.space.label(row))
         total = table.sum(axis=1, keepdims=True)
         short = (np.abs(total - 1) > FLOAT_ROW_TOLERANCE).any()  # rows of a shorter type
-        shares = _shares(given, table, exactly=short)
+        shares = _compute_proportions(given, table, exactly=short)
         if short:
             table /= np.where(silent[:, None], 1.0, total)
         alone = (table == 1).any(axis=1) & (np.count_nonzero(table, axis=1) == 1)
@@ -217,17 +224,19 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         0     0      1
         1     1      0
         """
-        return self._rows(len(self))
+        return self._frame_rows(len(self))
 
-    def _rows(self, first: int) -> DataFrame:
+    def _frame_rows(self, first: int) -> DataFrame:
         rows = data_frame([dict(self.space.as_dict(row)) for row in range(first)]).fillna("")
         if self.deterministic:
             chosen = self.rule[:first].tolist()
             return rows.assign(action=[self.actions[a] if a >= 0 else None for a in chosen])
-        mixed = [self._chances(row) or [np.nan] * len(self.actions) for row in range(first)]
+        mixed = [
+            self._list_probabilities(row) or [np.nan] * len(self.actions) for row in range(first)
+        ]
         return rows.join(data_frame(mixed, columns=list(self.actions)))
 
-    def _chances(self, row: int) -> list[Any]:
+    def _list_probabilities(self, row: int) -> list[Any]:
         """Return the probability of each action in a row, exact; nothing where it says nothing."""
         if self.shares is None:
             chances = self.table[row].tolist()
@@ -236,7 +245,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         return [Fraction(int(share), total) for share in self.shares[row]] if total else []
 
     def _repr_html_(self) -> str:
-        few = self._rows(min(len(self), ROWS_SHOWN))
+        few = self._frame_rows(min(len(self), ROWS_SHOWN))
         return plain_report(self, few, len(self)).html(ROWS_SHOWN)
 
     def weights(self, model: MDP) -> Floats:
@@ -248,7 +257,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
             Where the policy gives no action for a state with a choice, or takes an action that the
             state does not offer.
         """
-        return self._filled(of_type(model, MDP, "model", MODEL))[0]
+        return self._fill_weights(require_type(model, MDP, "model", MODEL))[0]
 
     def undecided(self, model: MDP) -> NDArray[np.bool_]:
         """Return (S,) True for states with a choice in which the policy does not say what it does.
@@ -256,9 +265,11 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         These are states where that does not matter in this model: all is over, or all actions are
         alike. `weights` takes the first action there.
         """
-        return np.asarray(self._filled(of_type(model, MDP, "model", MODEL))[1] & ~model.forced)
+        return np.asarray(
+            self._fill_weights(require_type(model, MDP, "model", MODEL))[1] & ~model.forced
+        )
 
-    def _filled(self, model: MDP) -> tuple[Floats, NDArray[np.bool_]]:
+    def _fill_weights(self, model: MDP) -> tuple[Floats, NDArray[np.bool_]]:
         """Return weights (L,), and (S,) True where these are not the policy's own."""
         weights, wanted = self._by_pair(model, self.rule)
         first = model.pair_offsets[:-1]
@@ -381,8 +392,8 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         >>> Policy.of(mdp, [[1.5, 2.5], [0, 0]]).read_as, Policy.of(mdp, "random").read_as
         ('q', 'policy')
         """
-        of_type(model, MDP, "model", MODEL)
-        known(kind, KINDS, "kind of array", "kind")
+        require_type(model, MDP, "model", MODEL)
+        require_known_name(kind, KINDS, "kind of array", "kind")
         if callable(getattr(policy, "predict", None)):
             raise ModelError(
                 f"{type(policy).__name__} is an agent, not a policy",
@@ -396,7 +407,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
                 fix="give a function that makes its input of a state: lambda state: "
                 "net(encode(state)).argmax()",
             )
-        policy_read = cls._read(model, policy, kind)
+        policy_read = cls._read_policy(model, policy, kind)
         if kind == "q" and policy_read.read_as != "q":
             raise ModelError(
                 "this is a policy, not a Q-table",
@@ -407,30 +418,32 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         return policy_read
 
     @classmethod
-    def _read(cls, model: MDP, given: Any, kind: str) -> Policy:
+    def _read_policy(cls, model: MDP, given: Any, kind: str) -> Policy:
         if isinstance(given, Policy):
             return given
         if hasattr(given, "policy"):
-            return cls._learned(model, given, kind)
+            return cls._read_solution(model, given, kind)
         if isinstance(given, str | Path):
             if given == "random":
-                return evenly(model, model.by_action(np.ones(model.n_pairs, dtype=bool)))
+                return build_uniform_policy(
+                    model, model.by_action(np.ones(model.n_pairs, dtype=bool))
+                )
             if isinstance(given, str) and given.startswith("always:"):
                 number = np.array([model.action(given.removeprefix("always:"))])
                 return cls(space=StateSpace(columns=()), actions=model.actions, rule=number)
-            with located(str(given)):
+            with locate_errors(str(given)):
                 if Path(given).suffix.lower() in (".npy", ".npz"):
                     most = max(LARGE, WIDEST * model.n_states * model.n_actions)
                     array = read_array(given, called="q", most=most)
                     return cls(**of_given_array(model, array, kind))
                 return cls(**reading.of_file(model, given, kind))
-        with located("policy"):
+        with locate_errors("policy"):
             if isinstance(given, Mapping):
                 return cls(**reading.of_mapping(model, given, kind))
             if callable(given):
                 return cls(**reading.of_function(model, given, kind))
             rows = given if isinstance(given, list | tuple) else ()
-            if any(isinstance(row, tuple) and model.action_names.knows(row) for row in rows):
+            if any(isinstance(row, tuple) and model.action_names.has_name(row) for row in rows):
                 raise ModelError(
                     "the list may be of actions, or of rows of numbers, which differ",
                     fix="give {state: action}, or np.array(rows)",
@@ -438,17 +451,17 @@ class Policy(ByFields, NDArrayOperatorsMixin):
             return cls(**of_given_array(model, numbers_of(given), kind))
 
     @classmethod
-    def _learned(cls, model: MDP, given: Any, kind: str) -> Policy:
+    def _read_solution(cls, model: MDP, given: Any, kind: str) -> Policy:
         """Return the policy of a solution, a certificate or a learner with its Q-table."""
         if hasattr(given, "q") and callable(given.policy):
             array = numbers_of(given.q)
-            own, over = getattr(given, "space", None), read_over(model, array.shape)
+            own, over = getattr(given, "space", None), find_table_axes(model, array.shape)
             if own is not None and (over is None or over[0] != own):
-                return cls._read(model, given.policy(model), kind)
+                return cls._read_policy(model, given.policy(model), kind)
             return cls(**of_array(model, array, "q" if kind == "auto" else kind))
         own = getattr(given, "mdp", None)
         if not isinstance(given.policy, np.ndarray):
-            return cls._read(model, given.policy, kind)
+            return cls._read_policy(model, given.policy, kind)
         if not isinstance(own, MDP) or np.shape(given.policy) != (own.n_states,):
             return cls(**action_numbers(model, numbers_of(given.policy)))
         policy = cls(space=own.space, actions=own.actions, rule=np.asarray(given.policy))
@@ -459,13 +472,13 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         """Write the policy as `.csv`, atomically."""
         rows = {}
         for key in range(self.space.regular):
-            each = zip(self.actions, self._chances(key), strict=False)
-            if taken := {action: _printed(chance) for action, chance in each if chance}:
+            each = zip(self.actions, self._list_probabilities(key), strict=False)
+            if taken := {action: _format_probability(chance) for action, chance in each if chance}:
                 rows[key] = taken
-        reading.write(path, self.space, rows)
+        reading.write_policy(path, self.space, rows)
 
 
-def evenly(model: MDP, among: NDArray[np.bool_]) -> Policy:
+def build_uniform_policy(model: MDP, among: NDArray[np.bool_]) -> Policy:
     """Return the policy that draws each of some actions (S, A) of a state equally often."""
     shares = among.astype(np.int64)
     rule = shares / shares.sum(axis=1, keepdims=True)
@@ -492,13 +505,13 @@ Solution. Arrays and lists go by numbers of states and actions; else `mdp.forms.
 which state or action is meant."""
 
 
-def _printed(chance: Any) -> float | str:
+def _format_probability(chance: Any) -> float | str:
     """Return a probability as a decimal or "p/q", exact."""
     short = isinstance(chance, float) or Fraction(repr(float(chance))) == chance
     return float(chance) if short else str(chance)
 
 
-def _shares(given: Numbers, table: Floats, *, exactly: bool) -> Numbers | None:
+def _compute_proportions(given: Numbers, table: Floats, *, exactly: bool) -> Numbers | None:
     """Return (K, A) exact shares of the numbers given; None where the floats say as much.
 
     They do not where the rows of floats are about to be divided by their sums, `exactly`.
@@ -512,6 +525,6 @@ def _shares(given: Numbers, table: Floats, *, exactly: bool) -> Numbers | None:
         return None
     none = [0] * table.shape[1]
     rows = [in_proportion(chances[k]) if k in chances else none for k in range(len(table))]
-    shares = integers(number for row in rows for number in row).reshape(table.shape)
+    shares = to_integer_array(number for row in rows for number in row).reshape(table.shape)
     shares.setflags(write=False)
     return shares

@@ -1,4 +1,4 @@
-"""The two agents of Yuan et al. (2025), Sections 2.2, 3.1 and 3.3: what is said, seen and done.
+"""The two agents of Yuan et al. (2025), Sections 2.2, 3.1 and 3.3: a person and a caregiver.
 
 The scenario's Markov model drives a person's status. A language model, or the scripted stand-in
 for one, puts the status into behaviour, reads a status back out of the behaviour, and puts the

@@ -25,7 +25,7 @@ from typing import Any, cast
 from urllib.parse import urlsplit
 
 from exact_mdp import ModelError
-from exact_mdp.mdp.errors import extra
+from exact_mdp.mdp.errors import require_extra
 from exact_mdp.paper_repro.agents.texts import Request
 
 AGAIN = (408, 409, 429, 500, 502, 503, 504)
@@ -71,12 +71,12 @@ class Endpoint:
                 f"the time limit is {self.timeout:g} s", where="--timeout", fix="give seconds > 0"
             )
         _checked_address(self.base_url)
-        with extra("agents"):
+        with require_extra("agents"):
             import_module("httpx")
-        self._key()
+        self._read_key()
 
     def describe(self) -> dict[str, Any]:
-        """Return the endpoint and how it is asked; the key is no part of it."""
+        """Return the endpoint and its settings, without the key."""
         return {
             "backend": "openai",
             "model": self.model,
@@ -91,7 +91,7 @@ class Endpoint:
         fault = ""
         for attempt in range(self.tries):
             try:
-                return self._once(request, fault, attempt)
+                return self._request_once(request, fault, attempt)
             except Malformed as error:
                 fault = str(error)
                 last = f"it was not in the asked form: {fault}"
@@ -106,14 +106,16 @@ class Endpoint:
             "--response-format",
         )
 
-    def _once(self, request: Request, fault: str, attempt: int) -> dict[str, Any]:
-        key = self._key()
-        status, wait, data = self._sent(self._body(request, fault, attempt), key)
+    def _request_once(self, request: Request, fault: str, attempt: int) -> dict[str, Any]:
+        key = self._read_key()
+        status, wait, data = self._send_in_thread(self._build_body(request, fault, attempt), key)
         if status in AGAIN:
             raise Transient(f"HTTP status {status}", wait)
         if status != 200:
-            raise BackendError(f"HTTP status {status}", where=self.base_url, fix=_remedy(status))
-        answer = checked(_content(data, self.base_url), request.fields)
+            raise BackendError(
+                f"HTTP status {status}", where=self.base_url, fix=_suggest_remedy(status)
+            )
+        answer = require_form(_parse_completion(data, self.base_url), request.fields)
         if len(key) > 8 and key in json.dumps(answer, ensure_ascii=False):
             raise BackendError(
                 "the answer holds the key that was sent; nothing of it is kept",
@@ -122,7 +124,7 @@ class Endpoint:
             )
         return answer
 
-    def _body(self, request: Request, fault: str, attempt: int) -> dict[str, Any]:
+    def _build_body(self, request: Request, fault: str, attempt: int) -> dict[str, Any]:
         """Return the body of a chat completion."""
         messages = [{"role": role, "content": content} for role, content in request.messages]
         if fault:
@@ -138,13 +140,17 @@ class Endpoint:
             "seed": (request.seed + attempt) % 2**31,
         }
         if self.shape == "json_schema":
-            named = {"name": request.purpose, "strict": True, "schema": schema(request.fields)}
+            named = {
+                "name": request.purpose,
+                "strict": True,
+                "schema": build_schema(request.fields),
+            }
             body["response_format"] = {"type": "json_schema", "json_schema": named}
         elif self.shape == "json_object":
             body["response_format"] = {"type": "json_object"}
         return body
 
-    def _sent(self, body: Mapping[str, Any], key: str) -> tuple[int, float, bytes]:
+    def _send_in_thread(self, body: Mapping[str, Any], key: str) -> tuple[int, float, bytes]:
         """Return status, the wait that is asked for, and the data; one deadline bounds it all.
 
         It is sent in a thread, since nothing else bounds the look-up of a name.
@@ -153,7 +159,7 @@ class Endpoint:
 
         def send() -> None:
             try:
-                answers.put(self._posted(body, key))
+                answers.put(self._post_body(body, key))
             except Exception as error:  # handed to the thread that waits
                 answers.put(error)
 
@@ -166,7 +172,7 @@ class Endpoint:
             raise answer
         return answer
 
-    def _posted(self, body: Mapping[str, Any], key: str) -> tuple[int, float, bytes]:
+    def _post_body(self, body: Mapping[str, Any], key: str) -> tuple[int, float, bytes]:
         import httpx
 
         context = httpx.create_ssl_context(trust_env=False)
@@ -185,7 +191,11 @@ class Endpoint:
                         data += piece
                         if len(data) > MOST_BYTES:
                             raise Transient(f"an answer of over {MOST_BYTES:,} bytes")
-                return answer.status_code, _seconds(answer.headers.get("retry-after")), data
+                return (
+                    answer.status_code,
+                    _parse_retry_after(answer.headers.get("retry-after")),
+                    data,
+                )
         except httpx.HTTPError as error:
             if "CERTIFICATE_VERIFY_FAILED" in str(error):
                 raise BackendError(
@@ -195,7 +205,7 @@ class Endpoint:
                 ) from None
             raise Transient(f"{type(error).__name__}, the connection failed") from None
 
-    def _key(self) -> str:
+    def _read_key(self) -> str:
         """Return the key; none where the usual variable is not set."""
         name = self.key_variable
         if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) or (
@@ -233,16 +243,16 @@ def _checked_address(url: str) -> None:
         raise ModelError("not an http or https address", where="--base-url", fix="write https://…")
     if parts.scheme == "http" and not loopback:
         raise ModelError(
-            "what is sent would travel unencrypted",
+            "messages would travel unencrypted",
             where="--base-url",
             fix="use https; http is for this machine",
         )
 
 
-def schema(fields: Mapping[str, str]) -> dict[str, Any]:
+def build_schema(fields: Mapping[str, str]) -> dict[str, Any]:
     """Return the JSON schema of an answer.
 
-    >>> schema({"anger": "bit"})["properties"]
+    >>> build_schema({"anger": "bit"})["properties"]
     {'anger': {'type': 'integer', 'enum': [0, 1]}}
     """
     forms = {
@@ -257,10 +267,10 @@ def schema(fields: Mapping[str, str]) -> dict[str, Any]:
     }
 
 
-def checked(value: object, fields: Mapping[str, str]) -> dict[str, Any]:
+def require_form(value: object, fields: Mapping[str, str]) -> dict[str, Any]:
     """Return an answer that has the asked form; raises Malformed.
 
-    >>> checked({"anger": 1}, {"anger": "bit"})
+    >>> require_form({"anger": 1}, {"anger": "bit"})
     {'anger': 1}
     """
     if not isinstance(value, dict) or value.keys() != fields.keys():
@@ -277,10 +287,10 @@ def checked(value: object, fields: Mapping[str, str]) -> dict[str, Any]:
     return value
 
 
-def _content(data: bytes, where: str) -> object:
+def _parse_completion(data: bytes, where: str) -> object:
     """Return the object in a completion; raises Malformed, or BackendError for a refusal."""
     try:
-        choice = decoded(data)["choices"][0]
+        choice = decode_json(data)["choices"][0]
         message, why = choice["message"], choice.get("finish_reason")
         refusal, content = message.get("refusal"), message["content"]
     except (KeyError, IndexError, TypeError, AttributeError):
@@ -298,13 +308,13 @@ def _content(data: bytes, where: str) -> object:
     text = content.strip()
     if text.startswith("```") and text.endswith("```") and "\n" in text:
         text = text[text.index("\n") + 1 : -3]
-    return decoded(text.encode("utf-8", "surrogatepass"))
+    return decode_json(text.encode("utf-8", "surrogatepass"))
 
 
-def decoded(data: bytes) -> Any:
+def decode_json(data: bytes) -> Any:
     """Return the value of JSON text; raises Malformed, also where a key is named twice.
 
-    >>> decoded(b'{"anger": 1}')
+    >>> decode_json(b'{"anger": 1}')
     {'anger': 1}
     """
 
@@ -319,16 +329,18 @@ def decoded(data: bytes) -> Any:
         raise Malformed("it is not JSON") from None
 
 
-def _seconds(text: str | None) -> float:
+def _parse_retry_after(text: str | None) -> float:
     """Return the seconds of a Retry-After header; 0 where it states none."""
     try:
         value = float(text or 0)
     except ValueError:
         return 0.0
-    return value if 0 <= value < math.inf else 0.0
+    if 0 <= value < math.inf:
+        return value
+    return 0.0
 
 
-def _remedy(status: int) -> str:
+def _suggest_remedy(status: int) -> str:
     if status in (401, 403):
         return "set the key to one that the endpoint takes"
     if 300 <= status < 400:

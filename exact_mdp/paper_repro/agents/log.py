@@ -26,7 +26,7 @@ OUTCOMES = {
 
 
 @dataclass(kw_only=True)
-class Record:
+class Recording:
     """What a file holds: the header, the steps, the totals where it is finished."""
 
     path: Path
@@ -34,7 +34,7 @@ class Record:
     steps: list[dict[str, Any]] = field(default_factory=list)
     end: dict[str, Any] | None = None
 
-    def add(self, entry: dict[str, Any]) -> None:
+    def add_entry(self, entry: dict[str, Any]) -> None:
         """Write an entry down; raises ModelError where that fails."""
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -54,15 +54,15 @@ class Record:
             self.header = entry
 
 
-def opened(path: Path, header: dict[str, Any], *, resume: bool) -> Record:
+def open_recording(path: Path, header: dict[str, Any], *, resume: bool) -> Recording:
     """Return the recording of a file, a new one where there is none.
 
     Raises ModelError where there is one and `resume` is not asked for, or one with another header.
     """
-    record = read(path)
+    record = read_recording(path)
     if record is None:
-        record = Record(path=path)
-        record.add(header)
+        record = Recording(path=path)
+        record.add_entry(header)
     elif not resume or record.header != header:
         raise ModelError(
             "the folder holds a recording" + " with other settings" * resume,
@@ -72,13 +72,13 @@ def opened(path: Path, header: dict[str, Any], *, resume: bool) -> Record:
     return record
 
 
-def read(path: Path) -> Record | None:
+def read_recording(path: Path) -> Recording | None:
     """Return a recording, without a last line that is torn; None where there is none.
 
     Raises
     ------
     ModelError
-        For a file that is no recording, or is damaged before its last line.
+        For a file that is not a recording, or is damaged before its last line.
     """
     if not path.exists():
         return None
@@ -103,11 +103,14 @@ def read(path: Path) -> Record | None:
         path.write_text("".join(line + "\n" for line in lines), "utf-8", newline="\n")
     if not entries:
         return None
-    end = entries.pop() if kinds[-1] == "end" else None
-    return Record(path=path, header=entries[0], steps=entries[1:], end=end)
+    if kinds[-1] == "end":
+        end = entries.pop()
+    else:
+        end = None
+    return Recording(path=path, header=entries[0], steps=entries[1:], end=end)
 
 
-def totals(steps: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def compute_totals(steps: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return the last entry of a finished recording."""
     events = [step["event"] for step in steps]
     return {
@@ -123,81 +126,83 @@ def totals(steps: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 # ---- as text -------------------------------------------------------------------------------------
 
 
-def plain(text: object) -> str:
+def clean_text(text: object) -> str:
     """Return text on one line, without control characters.
 
-    >>> plain("one\\nTimestep 7\\x1b[31m")
+    >>> clean_text("one\\nTimestep 7\\x1b[31m")
     'one Timestep 7 [31m'
     """
     return " ".join("".join(c if c.isprintable() else " " for c in str(text)).split())
 
 
-def number(text: str) -> str:
+def format_amount(text: str) -> str:
     """Return an exact number for reading: whole where it is whole, else with two decimals.
 
-    >>> number("-8"), number("1/3")
+    >>> format_amount("-8"), format_amount("1/3")
     ('-8', '0.33')
     """
     value = Fraction(text)
-    return str(value) if value.denominator == 1 else f"{float(value):.2f}"
+    if value.denominator == 1:
+        return str(value)
+    return f"{float(value):.2f}"
 
 
-def text(record: Record) -> str:
+def format_recording(record: Recording) -> str:
     """Return the text of a recording, finished or not."""
     header = record.header
     backend = ", ".join(f"{key} {value}" for key, value in header["backend"].items())
     top = f"""{header["disclaimer"]}
-Scenario: {plain(header["scenario"])}{"".join(f", {plain(s)}" for s in header["set"])}; \
-policy: {plain(header["policy"])}; seed {header["seed"]}
-Language: {plain(backend)}; action execution: {header["variant"]}
-Setting: {plain(header["setting"])}
+Scenario: {clean_text(header["scenario"])}{"".join(f", {clean_text(s)}" for s in header["set"])}; \
+policy: {clean_text(header["policy"])}; seed {header["seed"]}
+Language: {clean_text(backend)}; action execution: {header["variant"]}
+Setting: {clean_text(header["setting"])}
 
 """
-    blocks, last = [block(header, step) for step in record.steps], ""
+    blocks, last = [format_step(header, step) for step in record.steps], ""
     if end := record.end:
         last = (
             f"End after {end['timesteps']} timesteps: {end['completed']} steps completed, "
-            f"{end['skipped']} skipped, return {number(end['return'])}; "
+            f"{end['skipped']} skipped, return {format_amount(end['return'])}; "
             f"the status was misperceived in {end['misperceived']} timesteps.\n"
         )
     return "".join([top, *blocks, last])
 
 
-def block(header: Mapping[str, Any], step: Mapping[str, Any]) -> str:
+def format_step(header: Mapping[str, Any], step: Mapping[str, Any]) -> str:
     """Return the lines of one timestep."""
     place, behaviour = header["steps"][step["subtask"]], step["behaviour"]
     return f"""Timestep {step["timestep"]}
-  Task: {plain(place["goal"])}
-  Subtask {step["subtask"] + 1} of {len(header["steps"])}: {plain(place["step"])}
+  Task: {clean_text(place["goal"])}
+  Subtask {step["subtask"] + 1} of {len(header["steps"])}: {clean_text(place["step"])}
   Trial: {min(step["trial"] + 1, header["trials"])} of {header["trials"]}
-  PLWD status: {step["status"]} ({named(header["statuses"], step["status"])})
-  PLWD nonverbal: {plain(behaviour["nonverbal"])}
-  PLWD verbal: {plain(behaviour["verbal"]) or "(says nothing)"}
-  Perceived status: {step["perceived"]} ({named(header["statuses"], step["perceived"])})
+  PLWD status: {step["status"]} ({format_status(header["statuses"], step["status"])})
+  PLWD nonverbal: {clean_text(behaviour["nonverbal"])}
+  PLWD verbal: {clean_text(behaviour["verbal"]) or "(says nothing)"}
+  Perceived status: {step["perceived"]} ({format_status(header["statuses"], step["perceived"])})
   Action: a{header["actions"].index(step["action"])} {step["action"]}
-  Robot Caregiver: {plain(step["assistance"]) or "(says nothing)"}
-  Outcome: {OUTCOMES[step["event"]]}; reward {number(step["reward"])}, \
-return so far {number(step["return"])}
+  Robot Caregiver: {clean_text(step["assistance"]) or "(says nothing)"}
+  Outcome: {OUTCOMES[step["event"]]}; reward {format_amount(step["reward"])}, \
+return so far {format_amount(step["return"])}
 
 """
 
 
-def named(names: Sequence[str], bits: str) -> str:
+def format_status(names: Sequence[str], bits: str) -> str:
     """Return a status vector with its names.
 
-    >>> named(["anger", "disengagement"], "10")
+    >>> format_status(["anger", "disengagement"], "10")
     'Anger=1, Disengagement=0'
     """
-    return ", ".join(f"{plain(n.capitalize())}={b}" for n, b in zip(names, bits, strict=True))
+    return ", ".join(f"{clean_text(n.capitalize())}={b}" for n, b in zip(names, bits, strict=True))
 
 
-def spoken(header: Mapping[str, Any], step: Mapping[str, Any]) -> str:
-    """Return one timestep as a dialogue: what was done and said, and what came of it."""
+def format_dialogue(header: Mapping[str, Any], step: Mapping[str, Any]) -> str:
+    """Return one timestep as a dialogue: behaviour, speech and the next status."""
     behaviour, place = step["behaviour"], header["steps"][step["subtask"]]
     action = header["actions"].index(step["action"])
-    return f"""{step["timestep"]}. {plain(place["step"])} \
+    return f"""{step["timestep"]}. {clean_text(place["step"])} \
 (trial {min(step["trial"] + 1, header["trials"])} of {header["trials"]})
-   [{plain(behaviour["nonverbal"])}]
-   PLWD:  {plain(behaviour["verbal"]) or "(says nothing)"}
-   Robot: {plain(step["assistance"]) or "(says nothing)"} (a{action} {step["action"]})
+   [{clean_text(behaviour["nonverbal"])}]
+   PLWD:  {clean_text(behaviour["verbal"]) or "(says nothing)"}
+   Robot: {clean_text(step["assistance"]) or "(says nothing)"} (a{action} {step["action"]})
    {OUTCOMES[step["event"]]}"""

@@ -7,7 +7,7 @@ independently. So its confusion matrix is known:
     C(s, p) = Π_i (1 - ε)^[s_i = p_i] ε^[s_i ≠ p_i]
 
 Phrases that were not heard yet in a conversation come first. It shows that the parts work together.
-It is no evidence about language models.
+It says nothing about language models.
 """
 
 from __future__ import annotations
@@ -49,42 +49,51 @@ class Scripted:
         """Return the answer that the request's seed chooses."""
         rng, facts = np.random.default_rng(request.seed), request.facts
         if request.purpose == "perception":
-            seen = self._seen(facts, request.fields)
+            seen = self._detect_statuses(facts, request.fields)
             return {name: int(seen[name] != (rng.random() < self.noise)) for name in seen}
         if request.purpose == "behaviour":
             present = [name for name, value in facts["status"].items() if value]
             tables = [PHRASES["behaviour"][n] for n in present or ["calm"]]
             answers = facts["latest"] and not present and rng.random() < 0.6
-            spoken = "answering" if answers else "verbal"
+            spoken = "verbal"
+            if answers:
+                spoken = "answering"
             return {
-                "nonverbal": _line([table["nonverbal"] for table in tables], facts, rng),
-                "verbal": _line([table[spoken] for table in tables], facts, rng),
+                "nonverbal": _compose_line([table["nonverbal"] for table in tables], facts, rng),
+                "verbal": _compose_line([table[spoken] for table in tables], facts, rng),
             }
-        return {"speech": self._speech(facts, rng)}
+        return {"speech": self._compose_speech(facts, rng)}
 
-    def _seen(self, facts: Mapping[str, Any], names: Any) -> dict[str, bool]:
+    def _detect_statuses(self, facts: Mapping[str, Any], names: Any) -> dict[str, bool]:
         text, tables = f"{facts['nonverbal']} {facts['verbal']}", PHRASES["behaviour"]
         return {
             name: any(phrase in text for part in tables[name].values() for phrase in part)
             for name in names
         }
 
-    def _speech(self, facts: Mapping[str, Any], rng: np.random.Generator) -> str:
+    def _compose_speech(self, facts: Mapping[str, Any], rng: np.random.Generator) -> str:
         table = PHRASES["speech"][facts["action"]]
         status = facts.get("status", {})
         opening = [texts for name, texts in PHRASES["opening"].items() if status.get(name)]
-        heard = self._seen(facts, list(PHRASES["opening"]))
+        heard = self._detect_statuses(facts, list(PHRASES["opening"]))
         angry = heard.get("anger") or status.get("anger")
-        mood = "anger" if angry else "first" if any(heard.values()) else "calm"
+        if angry:
+            mood = "anger"
+        elif any(heard.values()):
+            mood = "first"
+        else:
+            mood = "calm"
         said = [*opening[:1], table.get(mood, table["first"])]
-        return _line(said + [table["more"]] * facts["detailed"], facts, rng)
+        return _compose_line(said + [table["more"]] * facts["detailed"], facts, rng)
 
 
-def _line(parts: list[list[str]], facts: Mapping[str, Any], rng: np.random.Generator) -> str:
+def _compose_line(
+    parts: list[list[str]], facts: Mapping[str, Any], rng: np.random.Generator
+) -> str:
     """Return one text of each part, in a line that was not said before where there is one."""
     said = facts.get("said", ())
     heard = " ".join(said)
-    filled = [[_fill(text, facts) for text in texts] for texts in parts]
+    filled = [[_fill_template(text, facts) for text in texts] for texts in parts]
     fresh = [[t for t in texts if not t or t not in heard] or texts for texts in filled]
     drawn = [texts[int(rng.integers(len(texts)))] for texts in fresh]
     orders = [[one, *rng.permutation(texts)] for one, texts in zip(drawn, filled, strict=True)]
@@ -92,7 +101,7 @@ def _line(parts: list[list[str]], facts: Mapping[str, Any], rng: np.random.Gener
     return next((line for line in lines if line not in said), lines[0])
 
 
-def _fill(text: str, facts: Mapping[str, Any]) -> str:
+def _fill_template(text: str, facts: Mapping[str, Any]) -> str:
     values = {key: str(value) for key, value in facts.items()}
     for key in ("item", "doing"):
         values[key.capitalize()] = values[key][:1].upper() + values[key][1:]

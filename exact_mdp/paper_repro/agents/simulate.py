@@ -29,7 +29,7 @@ import numpy as np
 
 from exact_mdp import MDP, ModelError, Policy, Scenario, solve
 from exact_mdp.paper_repro.agents import DISCLAIMER, log
-from exact_mdp.paper_repro.agents.log import Record
+from exact_mdp.paper_repro.agents.log import Recording
 from exact_mdp.paper_repro.agents.scripted import Scripted
 from exact_mdp.paper_repro.agents.texts import (
     ACTIVITY,
@@ -38,9 +38,9 @@ from exact_mdp.paper_repro.agents.texts import (
     Modules,
     Request,
     assistance_lines,
-    prompt,
+    fill_prompt,
 )
-from exact_mdp.paper_repro.paper import AVERAGES, BITS, write
+from exact_mdp.paper_repro.paper import AVERAGES, BITS, write_file
 from exact_mdp.paper_repro.silent_points import Reading
 
 DRAWS = ("start", "policy", "transition", "behaviour", "perception", "execution")
@@ -52,26 +52,26 @@ class Backend(Protocol):
     """Whoever answers: a script, or a language model."""
 
     def describe(self) -> dict[str, Any]:
-        """Return what a recording says of it."""
+        """Return the header of a recording."""
 
     def answer(self, request: Request) -> dict[str, Any]:
         """Return an answer in the form that the request asks for."""
 
 
-def seed_of(seed: int, timestep: int, purpose: str) -> int:
+def derive_seed(seed: int, timestep: int, purpose: str) -> int:
     """Return a seed for one draw of one timestep.
 
-    >>> seed_of(0, 3, "policy") == seed_of(0, 3, "transition")
+    >>> derive_seed(0, 3, "policy") == derive_seed(0, 3, "transition")
     False
     """
     sequence = np.random.SeedSequence([seed, timestep, DRAWS.index(purpose)])
     return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
-def choose(chances: Sequence[Fraction], seed: int) -> int:
+def sample_index(chances: Sequence[Fraction], seed: int) -> int:
     """Return an index drawn with exact probabilities.
 
-    >>> choose([Fraction(0), Fraction(1)], seed=5)
+    >>> sample_index([Fraction(0), Fraction(1)], seed=5)
     1
     """
     total = sum(chances, Fraction(0))
@@ -91,7 +91,7 @@ def policy_named(mdp: MDP, scenario: Scenario, name: str) -> Policy:
                 where="--policy",
                 fix=f"give reported:ACTION, ACTION one of {', '.join(AVERAGES)}, with yuan2025",
             )
-        return Policy.of(mdp, Reading(scenario=scenario).reported(start))
+        return Policy.of(mdp, Reading(scenario=scenario).find_reported_policy(start))
     return Policy.of(mdp, name)
 
 
@@ -112,7 +112,7 @@ class Conversation:
         """(L,) probability of each action in its state."""
         return np.asarray(self.policy.weights(self.mdp))
 
-    def header(self) -> dict[str, Any]:
+    def build_header(self) -> dict[str, Any]:
         """Return everything that the conversation follows from: the first entry of a recording."""
         return {
             "kind": "header",
@@ -139,40 +139,44 @@ class Conversation:
         resume: bool = False,
         limit: int | None = None,
         progress: Callable[[dict[str, Any]], None] = lambda step: None,
-    ) -> Record:
-        """Run into a folder, or `resume` what it holds, up to `limit` timesteps in all.
+    ) -> Recording:
+        """Run into a folder, or `resume` the recording in it, up to `limit` timesteps in all.
 
         Raises ModelError where the folder holds a conversation and `resume` is not asked for, or
         one with other settings. What was recorded before a failure stays.
         """
-        record = log.opened(out / NAME, self.header(), resume=resume)
+        record = log.open_recording(out / NAME, self.build_header(), resume=resume)
         try:
             while record.end is None and (limit is None or len(record.steps) < limit):
                 if record.steps and self.mdp.terminal[record.steps[-1]["next_state"]]:
-                    record.add(log.totals(record.steps))
+                    record.add_entry(log.compute_totals(record.steps))
                     break
-                record.add(self.step(record.steps))
+                record.add_entry(self.simulate_step(record.steps))
                 progress(record.steps[-1])
-        finally:  # write what was recorded, whatever stopped the run
-            write(record.path.with_suffix(".txt"), log.text(record))
+        finally:  # write all records, whatever stopped the run
+            write_file(record.path.with_suffix(".txt"), log.format_recording(record))
         return record
 
-    def step(self, past: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """Return the timestep after those of `past`."""
+    def simulate_step(self, past: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+        """Return the timestep that follows the timesteps `past`."""
         modules, timestep = self.modules, len(past)
 
-        def seed(purpose: str) -> int:
-            return seed_of(self.seed, timestep, purpose)
+        def seed_for_purpose(purpose: str) -> int:
+            return derive_seed(self.seed, timestep, purpose)
 
         if past:
             state, total = int(past[-1]["next_state"]), Fraction(past[-1]["return"])
         else:
             starts = self.mdp.start
-            state = starts[choose([chance for _, chance in starts], seed("start"))][0]
+            state = starts[
+                sample_index([chance for _, chance in starts], seed_for_purpose("start"))
+            ][0]
             total = Fraction(0)
-        subtask, trial, bits = (self.part(state, name) for name in ("subtask", "trial", "status"))
-        label, status = self.named(bits)
-        place = modules.place(subtask, trial + 1, self.scenario.trials)
+        subtask, trial, bits = (
+            self.read_coordinate(state, name) for name in ("subtask", "trial", "status")
+        )
+        label, status = self.name_status(bits)
+        place = modules.describe_place(subtask, trial + 1, self.scenario.trials)
         # What prompts recall: what could be seen and heard, no status.
         exchanges = [
             {
@@ -185,18 +189,22 @@ class Conversation:
             for step in past
         ]
         behaviour = self.backend.answer(
-            modules.behaviour(place, exchanges, status, seed("behaviour"))
+            modules.ask_behaviour(place, exchanges, status, seed_for_purpose("behaviour"))
         )
-        seen = self.backend.answer(modules.perception(behaviour, seed("perception")))
+        seen = self.backend.answer(
+            modules.ask_perception(behaviour, seed_for_purpose("perception"))
+        )
         perceived = "".join(str(int(seen[name])) for name in status)
-        action = self.action(state - bits + int(perceived, 2), seed("policy"))
+        action = self.sample_action(state - bits + int(perceived, 2), seed_for_purpose("policy"))
         name, speech = self.mdp.actions[action], ""
         if name not in (self.mdp.actions[0], SKIP):
-            asked = modules.execution(
-                place, exchanges, behaviour, name, dict(seen), seed("execution")
+            asked = modules.ask_execution(
+                place, exchanges, behaviour, name, dict(seen), seed_for_purpose("execution")
             )
             speech = str(self.backend.answer(asked)["speech"])
-        following, reward, event = self.moved(state, action, seed("transition"))
+        following, reward, event = self.sample_outcome(
+            state, action, seed_for_purpose("transition")
+        )
         return {
             "kind": "step",
             "timestep": timestep,
@@ -214,8 +222,8 @@ class Conversation:
             "next_state": following,
         }
 
-    def labelled(self, path: Path, *, each: int, behave: Backend) -> None:
-        """Write `each` behaviours for every status vector to a file, and what is perceived in them.
+    def label_behaviours(self, path: Path, *, each: int, behave: Backend) -> None:
+        """Write `each` behaviours for every status vector to a file, and the perceived statuses.
 
         The matrix C(s, p) = count(s, p) / each is the perception of the backend. Behaviours that
         the file holds already are not asked for again.
@@ -230,14 +238,14 @@ class Conversation:
             "texts": TEXTS["version"],
             "seed": self.seed,
         }
-        record = log.opened(path, header, resume=True)
+        record = log.open_recording(path, header, resume=True)
         for number in range(len(record.steps), each * size):
-            label, status = self.named(number % size)
-            asked, judged = (seed_of(self.seed, number, name) for name in DRAWS[3:5])
-            place = modules.place(number // size, 1, self.scenario.trials)
-            behaviour = behave.answer(modules.behaviour(place, (), status, asked))
-            seen = self.backend.answer(modules.perception(behaviour, judged))
-            record.add(
+            label, status = self.name_status(number % size)
+            asked, judged = (derive_seed(self.seed, number, name) for name in DRAWS[3:5])
+            place = modules.describe_place(number // size, 1, self.scenario.trials)
+            behaviour = behave.answer(modules.ask_behaviour(place, (), status, asked))
+            seen = self.backend.answer(modules.ask_perception(behaviour, judged))
+            record.add_entry(
                 {
                     "kind": "step",
                     "timestep": number,
@@ -247,36 +255,36 @@ class Conversation:
                 }
             )
 
-    def named(self, bits: int) -> tuple[str, dict[str, int]]:
+    def name_status(self, bits: int) -> tuple[str, dict[str, int]]:
         """Return a status as its string, such as 0100, and by names."""
         names = self.modules.statuses
         label = format(bits, f"0{len(names)}b")
         return label, {name: int(bit) for name, bit in zip(names, label, strict=True)}
 
-    def part(self, state: int, column: str) -> int:
+    def read_coordinate(self, state: int, column: str) -> int:
         """Return one coordinate of a state; the last is the status."""
         return int(self.mdp.space.values(column, np.array([state]))[0])
 
-    def action(self, state: int, seed: int) -> int:
+    def sample_action(self, state: int, seed: int) -> int:
         """Return the action that the policy draws in a state."""
         pairs = list(self.mdp.pairs_of(state))
         chances = [Fraction(float(self.weights[pair])) for pair in pairs]
-        return int(self.mdp.pair_action[pairs[choose(chances, seed)]])
+        return int(self.mdp.pair_action[pairs[sample_index(chances, seed)]])
 
-    def moved(self, state: int, action: int, seed: int) -> tuple[int, Fraction, str]:
+    def sample_outcome(self, state: int, action: int, seed: int) -> tuple[int, Fraction, str]:
         """Draw what follows an action: next state, reward, event."""
         mdp, pair = self.mdp, self.mdp.pair(state, action)
         rows = list(mdp.table.row(pair))
-        picked = choose([row[0] for row in rows], seed)
+        picked = sample_index([row[0] for row in rows], seed)
         _, following, reward = rows[picked]
         marks, outcome = mdp.table.event, int(mdp.table.offsets[pair]) + picked
         skipped = marks is not None and int(marks[outcome]) >> mdp.events.index(SKIP) & 1
-        left = self.part(state, "subtask") != self.part(following, "subtask")
+        left = self.read_coordinate(state, "subtask") != self.read_coordinate(following, "subtask")
         done = left or bool(mdp.terminal[following])
         return following, reward, "skipped" if skipped else "completed" if done else "failed"
 
 
-def conversation(
+def build_conversation(
     backend: Backend,
     *,
     scenario: str = "yuan2025",
@@ -288,8 +296,8 @@ def conversation(
 ) -> Conversation:
     """Return a conversation by names, as the commands give them.
 
-    >>> talk = conversation(Scripted(), policy="always:directive", seed=1)
-    >>> talk.step([])["action"]
+    >>> talk = build_conversation(Scripted(), policy="always:directive", seed=1)
+    >>> talk.simulate_step([])["action"]
     'directive'
     """
     model = Scenario.load(scenario)
@@ -308,16 +316,16 @@ def conversation(
 
 
 @cache
-def of_figures() -> dict[str, str]:
+def texts_of_figures() -> dict[str, str]:
     """Return the prompts and a scripted interaction, by the figures of the paper."""
     with TemporaryDirectory() as folder:
-        record = conversation(Scripted(), seed=3).hold(Path(folder) / "talk", limit=6)
+        record = build_conversation(Scripted(), seed=3).hold(Path(folder) / "talk", limit=6)
     brief, detailed = (assistance_lines(detailed=each) for each in (False, True))
     return {
-        "Figure 5": prompt("behaviour"),
-        "Figure 6": prompt("perception"),
-        "Figure 7": prompt("execution", without=["status"], assistance=brief),
-        "Figure 8": prompt("execution", assistance=detailed),
-        "Figure 11": log.text(record),
-        "Figure 12": "\n".join(log.spoken(record.header, step) for step in record.steps),
+        "Figure 5": fill_prompt("behaviour"),
+        "Figure 6": fill_prompt("perception"),
+        "Figure 7": fill_prompt("execution", without=["status"], assistance=brief),
+        "Figure 8": fill_prompt("execution", assistance=detailed),
+        "Figure 11": log.format_recording(record),
+        "Figure 12": "\n".join(log.format_dialogue(record.header, step) for step in record.steps),
     }

@@ -1,8 +1,8 @@
 """The words of the agents: prompts, guidelines, an activity; and the three questions made of them.
 
-    behaviour  (role, task, history, latest assistance, guidelines, status, format)  -> what is done
+    behaviour  (role, task, history, latest assistance, guidelines, status, format)  -> behaviour
     perception (purpose, definitions, behaviour, format)                             -> status seen
-    execution  (role, task, history, behaviour, action, format, guidelines, status?) -> what is said
+    execution  (role, task, history, behaviour, action, format, guidelines, status?) -> speech
 
 Source: Yuan et al. (2025), Sections 2.2, 3.1 and 3.3; the words are our own. Perception is given
 the behaviour alone. The status that execution may be given is the perceived one: the robot has no
@@ -55,7 +55,7 @@ class Request:
 
 
 def status_lines(statuses: Sequence[str]) -> str:
-    """Return what each status means and how it shows, one line each."""
+    """Return a line for each status: its meaning and its signs."""
     entries = {status: TEXTS["status"][status] for status in statuses}
     return "\n".join(
         f"- {status}: {entry['meaning']}. For instance: {'; '.join(entry['signs'])}."
@@ -64,25 +64,25 @@ def status_lines(statuses: Sequence[str]) -> str:
 
 
 def assistance_lines(*, detailed: bool) -> str:
-    """Return what each kind of assistance means; with examples where detailed."""
+    """Return the meaning of each kind of assistance; with examples if detailed."""
     lines = []
     for kind, entry in ASSISTANCE.items():
-        examples = " ".join(encode(example) for example in entry["examples"])
+        examples = " ".join(to_safe_json(example) for example in entry["examples"])
         long = f"{entry['detailed']}. For instance: {examples}"
         lines.append(f"- {kind}: {long if detailed else entry['brief'] + '.'}")
     return "\n".join(lines)
 
 
-def prompt(purpose: str, *, without: Sequence[str] = (), **values: str) -> str:
+def fill_prompt(purpose: str, *, without: Sequence[str] = (), **values: str) -> str:
     """Return the text of a prompt, with the $names filled in that are given."""
     parts = [text for name, text in PROMPTS[purpose].items() if name not in without]
     return Template("\n\n".join(parts)).safe_substitute(values)
 
 
-def encode(value: object) -> str:
+def to_safe_json(value: object) -> str:
     """Return JSON that holds no angle bracket, so that it cannot close a tag around it.
 
-    >>> print(encode("</history> é"))
+    >>> print(to_safe_json("</history> é"))
     "\\u003c/history\\u003e é"
     """
     text = json.dumps(value, ensure_ascii=False)
@@ -100,7 +100,7 @@ class Modules:
 
     @classmethod
     def of(cls, scenario: Scenario, **more: Any) -> Modules:
-        """Return the modules for a scenario; raises ModelError where there are no words for it."""
+        """Return the modules for a scenario; raises ModelError if no texts exist for it."""
         lacking = {*scenario.statuses, *scenario.actions[1:]} - {*TEXTS["status"], *ASSISTANCE}
         if lacking:
             raise ModelError(
@@ -122,40 +122,42 @@ class Modules:
         )
         return cls(steps=tuple(steps), statuses=tuple(scenario.statuses), **more)
 
-    def place(self, subtask: int, attempt: int, attempts: int) -> dict[str, str]:
+    def describe_place(self, subtask: int, attempt: int, attempts: int) -> dict[str, str]:
         """Return the words for a trial at a subtask."""
         trial = {"attempt": str(min(attempt, attempts)), "attempts": str(attempts)}
         return {"setting": ACTIVITY["setting"], **self.steps[subtask % len(self.steps)], **trial}
 
-    def behaviour(self, place: Place, past: Exchanges, status: Status, seed: int) -> Request:
+    def ask_behaviour(self, place: Place, past: Exchanges, status: Status, seed: int) -> Request:
         """Ask what the person does and says in a status."""
-        latest = str(past[-1]["caregiver"]) if past else ""
+        latest = ""
+        if past:
+            latest = str(past[-1]["caregiver"])
         said = [exchange[part] for exchange in past for part in ("nonverbal", "verbal")]
-        return self._request(
+        return self._build_request(
             "behaviour",
             {"nonverbal": "text", "verbal": "text"},
             {**place, "latest": latest, "status": dict(status), "said": said},
             seed,
             **place,
-            history=self._history(past),
-            latest=encode(latest),
+            history=self._format_history(past),
+            latest=to_safe_json(latest),
             guidelines=status_lines(self.statuses),
-            status=encode(dict(status)),
+            status=to_safe_json(dict(status)),
         )
 
-    def perception(self, behaviour: Mapping[str, str], seed: int) -> Request:
-        """Ask which statuses a behaviour shows. The true status is no part of the question."""
-        return self._request(
+    def ask_perception(self, behaviour: Mapping[str, str], seed: int) -> Request:
+        """Ask which statuses a behaviour shows. The question does not contain the true status."""
+        return self._build_request(
             "perception",
             dict.fromkeys(self.statuses, "bit"),
             dict(behaviour),
             seed,
             guidelines=status_lines(self.statuses),
-            behaviour=encode(dict(behaviour)),
+            behaviour=to_safe_json(dict(behaviour)),
             names=", ".join(self.statuses),
         )
 
-    def execution(
+    def ask_execution(
         self,
         place: Place,
         past: Exchanges,
@@ -168,21 +170,21 @@ class Modules:
         detailed, named = VARIANTS[self.variant]
         said = [exchange["caregiver"] for exchange in past]
         facts = {**place, **behaviour, "action": action, "detailed": detailed, "said": said}
-        return self._request(
+        return self._build_request(
             "execution",
             {"speech": "text"},
             facts | ({"status": dict(perceived)} if named else {}),
             seed,
             () if named else ("status",),
             **place,
-            history=self._history(past),
-            behaviour=encode(dict(behaviour)),
+            history=self._format_history(past),
+            behaviour=to_safe_json(dict(behaviour)),
             action=action,
             assistance=assistance_lines(detailed=detailed),
-            status=encode(dict(perceived)),
+            status=to_safe_json(dict(perceived)),
         )
 
-    def _request(
+    def _build_request(
         self,
         purpose: str,
         fields: Mapping[str, str],
@@ -192,10 +194,10 @@ class Modules:
         **values: str,
     ) -> Request:
         """Return a request: the first component is the system message, the others the user's."""
-        system, _, rest = prompt(purpose, without=without, **values).partition("\n\n")
+        system, _, rest = fill_prompt(purpose, without=without, **values).partition("\n\n")
         messages = (("system", system), ("user", rest))
         return Request(purpose=purpose, messages=messages, fields=fields, facts=facts, seed=seed)
 
-    def _history(self, past: Exchanges) -> str:
+    def _format_history(self, past: Exchanges) -> str:
         recalled = past[max(len(past) - self.history, 0) :]
-        return "\n".join(encode(exchange) for exchange in recalled)
+        return "\n".join(to_safe_json(exchange) for exchange in recalled)

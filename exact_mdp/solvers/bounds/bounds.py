@@ -30,8 +30,8 @@ from exact_mdp.mdp.graph import (
     runs_in_order,
     topological_levels,
 )
-from exact_mdp.mdp.model import MDP, once
-from exact_mdp.mdp.table import COMPILED, Floats, Integers, spans
+from exact_mdp.mdp.model import MDP, cache_on_model
+from exact_mdp.mdp.table import COMPILED, Floats, Integers, concatenate_ranges
 from exact_mdp.solvers.bounds.gains import (
     FEW,
     POLICIES,
@@ -40,8 +40,8 @@ from exact_mdp.solvers.bounds.gains import (
     UNIT,
     Gain,
     Weights,
-    gains,
-    greedy,
+    choose_greedy_pairs,
+    compute_advantages,
     rounding_facts,
 )
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
@@ -75,7 +75,7 @@ class Bounds:
         """V* - V^π is at most this in every state."""
         return float((self.high - self.low) * self.weight.max() * SLACK)
 
-    def centred(self) -> Bounds:
+    def centre_bounds(self) -> Bounds:
         """Return the same bounds around their middle, which is rounded three times."""
         weight, centre = self.weight, self.low / 2 + self.high / 2
         middle, live = self.value + centre * weight, weight > 0
@@ -90,22 +90,22 @@ class Bounds:
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def verify(mdp: MDP, value: Floats, *, strict: bool = False) -> Bounds:
+def bound_optimal_values(mdp: MDP, value: Floats, *, strict: bool = False) -> Bounds:
     """Return bounds on V* and on the values of a greedy policy, around any `value` (S,).
 
     Each state takes the first pair that no other beats by more than rounding; where `strict`, that
-    of d alone, otherwise that of the values too, so that actions that are as good show as such.
+    of d alone, otherwise the error of the values too, so that equally good actions show as such.
     """
     weights, live = margin_weights(mdp), ~mdp.terminal
     if np.any(value[~live]):
         raise ValueError("terminal states are worth 0")
-    gain = gains(mdp, value)
-    pairs = greedy(mdp, replace(gain, noise=gain.error) if strict else gain)
+    gain = compute_advantages(mdp, value)
+    pairs = choose_greedy_pairs(mdp, replace(gain, noise=gain.error) if strict else gain)
     low, high = 0.0, 0.0
     if live.any():
-        above = weights.ratio(gain.value + gain.error)
+        above = weights.compute_ratios(gain.value + gain.error)
         high = float(above.max(where=live[mdp.pair_state], initial=-np.inf))
-        low = -float(weights.ratio(gain.error - gain.value)[pairs[live]].max())
+        low = -float(weights.compute_ratios(gain.error - gain.value)[pairs[live]].max())
     if not np.isfinite(high - low):
         raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
     # Outward by more than a few roundings.
@@ -113,24 +113,29 @@ def verify(mdp: MDP, value: Floats, *, strict: bool = False) -> Bounds:
     return Bounds(value=value, weight=weights.value, pairs=pairs, low=low, high=high)
 
 
-def backward(mdp: MDP, reward: Floats) -> Floats:
+def solve_backward(mdp: MDP, reward: Floats) -> Floats:
     """Return (S,) the optimal values of an acyclic model, for rewards (L,), from the end on."""
     value, level = (
         np.zeros(mdp.n_states),
         None if numbered_in_order(mdp) else topological_levels(mdp),
     )
     matrix, first, ends, ended = mdp.transition, mdp.pair_offsets, mdp.pair_offsets, mdp.terminal
-    order = np.arange(mdp.n_states) if level is None else np.argsort(-level, kind="stable")
+    if level is None:
+        order = np.arange(mdp.n_states)
+    else:
+        order = np.argsort(-level, kind="stable")
     if mdp.n_transitions >= COMPILED:
         from exact_mdp.solvers.kernels import bellman
 
-        bellman.relax(order[::-1], bellman.model_of(mdp, reward, np.ones(1)), value, 0.0)
+        bellman.relax_states(
+            order[::-1], bellman.build_compiled_model(mdp, reward, np.ones(1)), value, 0.0
+        )
         return value
     if level is None:
         cuts = runs_in_order(mdp)
     else:
         cuts = np.flatnonzero(np.diff(level[order], prepend=-1, append=-1))
-        rows = spans(first[order], first[order + 1])
+        rows = concatenate_ranges(first[order], first[order + 1])
         matrix, reward = matrix[rows], reward[rows]
         ends = np.concatenate([[0], np.cumsum(np.diff(first)[order])])
     for s, t in reversed([*pairwise(cuts.tolist())]):
@@ -144,16 +149,19 @@ def backward(mdp: MDP, reward: Floats) -> Floats:
     return value
 
 
-@once
+@cache_on_model
 def margin_weights(mdp: MDP) -> Weights:
     """Return verified weights; computed once for each model."""
     require_termination(mdp)
     live = ~mdp.terminal
     if is_acyclic(mdp):
-        weight = backward(mdp, np.ones(mdp.n_pairs))
+        weight = solve_backward(mdp, np.ones(mdp.n_pairs))
     else:
-        weight = live.astype(np.float64) if mdp.discount < 1 else _expected_steps(mdp)
-    margin, error = _margins(mdp, weight)
+        if mdp.discount < 1:
+            weight = live.astype(np.float64)
+        else:
+            weight = _expected_steps(mdp)
+    margin, error = _compute_margins(mdp, weight)
     weights = Weights(value=weight, margin=margin, error=error)
     if np.isfinite(weight).all() and (weight[live] > 0).all() and weights.smallest > 0:
         return weights
@@ -168,13 +176,13 @@ def _expected_steps(mdp: MDP) -> Floats:
     """Return about the greatest expected number of steps to the end."""
     one = np.where(mdp.terminal, 0.0, 1.0)[mdp.pair_state]
     # A pair that adds less than half a step leaves a margin of over a half.
-    _, steps, gain = improved(mdp, mdp.pair_offsets[:-1], one, enough=0.5)
+    _, steps, gain = improve_policy(mdp, mdp.pair_offsets[:-1], one, enough=0.5)
     if gain.value.max() > 0.5:
         raise SolverError(Status.NO_BOUND, "the end is too many steps away")
     return steps
 
 
-def improved(
+def improve_policy(
     mdp: MDP, pairs: Integers, reward: Floats | None = None, *, enough: float = -np.inf
 ) -> tuple[Integers, Floats, Gain]:
     """Return pairs (S,) of a policy, its values (S,), and what pairs add: by policy iteration.
@@ -184,35 +192,35 @@ def improved(
     before = set[int]()  # policies: where rounding alone tells two apart, they would come again
     for _ in range(POLICIES):
         before.add(hash(pairs.tobytes()))
-        value = evaluated(mdp, pairs, reward)
-        gain = gains(mdp, value, reward=reward)
-        better = greedy(mdp, gain, keep=pairs)
+        value = evaluate_pairs(mdp, pairs, reward)
+        gain = compute_advantages(mdp, value, reward=reward)
+        better = choose_greedy_pairs(mdp, gain, keep=pairs)
         if gain.value.max() <= enough or hash(better.tobytes()) in before:
             break
         pairs = better
     return pairs, value, gain
 
 
-def evaluated(mdp: MDP, pairs: Integers, reward: Floats | None = None) -> Floats:
+def evaluate_pairs(mdp: MDP, pairs: Integers, reward: Floats | None = None) -> Floats:
     """Return (S,) the values of the policy that takes `pairs` (S,), up to rounding."""
     chain, earned = policy_chain(mdp, pairs, reward)
     system = LinearSystem(chain, mdp.discount, order=topological_levels(mdp))
     return np.where(mdp.terminal, 0.0, system.approximate(earned))
 
 
-def _margins(mdp: MDP, weight: Floats) -> tuple[Floats, float]:
+def _compute_margins(mdp: MDP, weight: Floats) -> tuple[Floats, float]:
     """Return the margins w - γ P w, as `Weights` holds them, and their error."""
-    if mdp.discount < 1 and _closed(mdp, weight):
+    if mdp.discount < 1 and _is_closed(mdp, weight):
         facts = rounding_facts(mdp)
         error = ((FEW + UNIT) * facts.leak + TINY) * SLACK
         return np.array([facts.leak]), error
     open_pairs = ~mdp.terminal[mdp.pair_state]
-    margin = gains(mdp, weight, reward=np.zeros(mdp.n_pairs))
+    margin = compute_advantages(mdp, weight, reward=np.zeros(mdp.n_pairs))
     error = margin.error.max(where=open_pairs, initial=0.0)
     return np.where(open_pairs, -margin.value, 1.0), float(error)
 
 
-def _closed(mdp: MDP, weight: Floats) -> bool:
+def _is_closed(mdp: MDP, weight: Floats) -> bool:
     """Return whether weights are 1 in all states but the terminal ones, and no way leads there."""
     if (weight == 1).all():
         return True

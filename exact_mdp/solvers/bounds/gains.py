@@ -1,4 +1,4 @@
-"""Rounding errors of double precision: what each pair adds to values, and how far that may be off.
+"""Advantages of pairs in double precision, with bounds on their rounding errors.
 
     d(l) = r(l) + γ Σ_s' P(l, s') V(s') - V(s)
          = r(l) + γ Σ_s' P(l, s') (V(s') - V(s)) - (1 - γ) V(s)
@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.forms import threads
-from exact_mdp.mdp.model import MDP, once
+from exact_mdp.mdp.model import MDP, cache_on_model
 from exact_mdp.mdp.table import COMPILED, Floats, Integers, OutcomeTable
 from exact_mdp.solvers.solution import SolverError, Status
 
@@ -68,11 +68,11 @@ class Weights:
         """A lower bound of all margins."""
         return float(self.margin.min() - self.error)
 
-    def floor(self, error: float, size: float) -> float:
+    def bound_rounding(self, error: float, size: float) -> float:
         """Return how far rounding may move a c of at most that size, where gains are off so far."""
         return (error + size * (self.error + 8 * UNIT)) / self.smallest
 
-    def ratio(self, gain: Floats) -> Floats:
+    def compute_ratios(self, gain: Floats) -> Floats:
         """Return (L,) the least c that is sure to satisfy gain ≤ c · margin."""
         return np.asarray(gain / (self.margin - np.copysign(self.error, gain)))
 
@@ -83,14 +83,14 @@ class RoundingFacts:
     def __init__(self, mdp: MDP) -> None:
         self.leak = float(1 - mdp.discount_exact)  # rounded once
         self.size = max(-float(mdp.reward.min()), float(mdp.reward.max()))  # the greatest |reward|
-        self.most = int(roundings(mdp).max())  # roundings in a row
+        self.most = int(count_roundings(mdp).max())  # roundings in a row
         self.most_reward_error = float(reward_errors(mdp).max())
 
 
-rounding_facts = once(RoundingFacts)
+rounding_facts = cache_on_model(RoundingFacts)
 
 
-def roundings(mdp: MDP) -> Integers:
+def count_roundings(mdp: MDP) -> Integers:
     """Return (L,) how many numbers are added up in each row, each rounded a few times before."""
     table = mdp.table
     if table.weight.dtype == np.float64 and mdp.n_transitions < len(table.next):
@@ -106,7 +106,7 @@ def reward_errors(mdp: MDP) -> Floats:
 def component_errors(mdp: MDP) -> Floats:
     """Return (L, C) how far each expected component may be from the exact one."""
     parts = range(mdp.components.shape[1])
-    tables = (mdp.table.earning_component(number) for number in parts)
+    tables = (mdp.table.with_component_reward(number) for number in parts)
     each = zip(tables, mdp.components.T, strict=True)
     return np.stack([_expectation_errors(table, amounts) for table, amounts in each], axis=1)
 
@@ -114,26 +114,31 @@ def component_errors(mdp: MDP) -> Floats:
 def _expectation_errors(table: OutcomeTable, earned: Floats) -> Floats:
     """Return (L,) how far the expected rewards of a table may be from the exact ones."""
     if table.joint and np.float64 in (table.weight.dtype, table.gain.dtype):
-        outcomes, paid = np.diff(table.offsets), table.probabilities() * np.abs(table.gains())
+        outcomes, paid = (
+            np.diff(table.offsets),
+            table.compute_probabilities() * np.abs(table.compute_gains()),
+        )
         total = np.add.reduceat(paid, table.offsets[:-1])
         return np.asarray(gamma(2 * outcomes + 2) * total * SLACK + outcomes * TINY)
     return np.asarray(UNIT * np.abs(earned) + TINY * bool(table.gain.any()))
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def gains(mdp: MDP, value: Floats, *, reward: Floats | None = None) -> Gain:
-    """Return what each pair adds to `value` (S,), with the rounding errors bounded.
+def compute_advantages(mdp: MDP, value: Floats, *, reward: Floats | None = None) -> Gain:
+    """Return the advantage of each pair over `value` (S,), with a bound on its rounding error.
 
     A `reward` (L,) other than the model's counts as exact.
     """
-    facts, columns, terms_of = rounding_facts(mdp), np.empty((3, mdp.n_pairs)), roundings(mdp)
-    earned_of = mdp.reward if reward is None else reward
-    unknown = reward_errors(mdp) if reward is None else np.zeros(mdp.n_pairs)
+    facts, columns, terms_of = rounding_facts(mdp), np.empty((3, mdp.n_pairs)), count_roundings(mdp)
+    if reward is None:
+        earned_of, unknown = mdp.reward, reward_errors(mdp)
+    else:
+        earned_of, unknown = reward, np.zeros(mdp.n_pairs)
     tiny = TINY * (1 + float(np.abs(value).max())) * bool(value.any())
 
-    def work(number: int, first: int, last: int) -> None:
+    def compute_block(number: int, first: int, last: int) -> None:
         here = slice(first, last)
-        _differences(mdp, value, first, last, columns)
+        _sum_differences(mdp, value, first, last, columns)
         steps, flow = mdp.discount * columns[0, here], mdp.discount * columns[1, here]
         own, terms, earned = value[mdp.pair_state[here]], terms_of[here], earned_of[here]
         error = row_error(facts.leak, terms, flow, earned, own) + unknown[here] + tiny * (terms + 1)
@@ -142,10 +147,10 @@ def gains(mdp: MDP, value: Floats, *, reward: Floats | None = None) -> Gain:
         size = flow + np.abs(own) + np.abs(earned)
         columns[2, here] = gamma(terms + 8) * size + columns[1, here]
 
-    # In parts that stay in the cache: what is worked with on the way takes no memory to speak of.
+    # In blocks that fit into the cache, so that intermediate arrays need almost no memory.
     with np.errstate(over="ignore", invalid="ignore"):
         ends = threads.block_ends(mdp.transition.indptr, most=threads.IN_CACHE)
-        threads.run_blocks(ends, work, mdp.n_transitions)
+        threads.run_blocks(ends, compute_block, mdp.n_transitions)
     if not (np.all(np.isfinite(value)) and np.isfinite(columns[2].max())):
         raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
     return Gain(value=columns[0], error=columns[1], noise=columns[2])
@@ -154,7 +159,7 @@ def gains(mdp: MDP, value: Floats, *, reward: Floats | None = None) -> Gain:
 def row_error(leak: Any, terms: Any, flow: Any, earned: Any, own: Any) -> Any:
     """Return how far d may be off: Σ γ p |V' - V| is the `flow`, V the `own` value, 1 - γ the leak.
 
-    The leak is rounded once. Underflow, and the error of what is earned, come on top. Any shapes
+    The leak is rounded once. Underflow and the error of the reward come on top. Any shapes
     that fit together do.
     """
     leaked = leak * np.abs(own)
@@ -173,7 +178,7 @@ def largest_error(mdp: MDP, low: float, high: float) -> float:
     return float(error * SLACK)
 
 
-def greedy(mdp: MDP, *levels: Gain, keep: Integers | None = None) -> Integers:
+def choose_greedy_pairs(mdp: MDP, *levels: Gain, keep: Integers | None = None) -> Integers:
     """Return (S,) the first pair of each state that no other beats by more than rounding.
 
     Ties of one level are settled by the next. One of `keep` (S,) stays where none beats it.
@@ -184,7 +189,9 @@ def greedy(mdp: MDP, *levels: Gain, keep: Integers | None = None) -> Integers:
         best = np.maximum.reduceat(least, mdp.pair_offsets[:-1])[mdp.pair_state]
         left &= gain.value + gain.noise >= best
     chosen = first_of(mdp, left)
-    return chosen if keep is None else np.where(left[keep], keep, chosen)
+    if keep is None:
+        return chosen
+    return np.where(left[keep], keep, chosen)
 
 
 def first_of(mdp: MDP, some: NDArray[np.bool_]) -> Integers:
@@ -193,15 +200,15 @@ def first_of(mdp: MDP, some: NDArray[np.bool_]) -> Integers:
     return np.asarray(np.minimum.reduceat(numbers, mdp.pair_offsets[:-1]))
 
 
-def _differences(mdp: MDP, value: Floats, first: int, last: int, columns: Floats) -> None:
+def _sum_differences(mdp: MDP, value: Floats, first: int, last: int, columns: Floats) -> None:
     """Write Σ p (V' - V) and Σ p |V' - V| of pairs first … last-1 into `columns` (2 or more, L)."""
     matrix: Any = mdp.transition
     if mdp.n_transitions >= COMPILED:
         from exact_mdp.solvers.kernels import bellman
-        from exact_mdp.solvers.kernels.linear import Rows
+        from exact_mdp.solvers.kernels.linear import SparseRows
 
-        rows = Rows(matrix.indptr, matrix.indices, matrix.data)
-        bellman.gains(first, last, mdp.pair_state, rows, value, columns[0], columns[1])
+        rows = SparseRows(matrix.indptr, matrix.indices, matrix.data)
+        bellman.sum_differences(first, last, mdp.pair_state, rows, value, columns[0], columns[1])
         return
     begin, end = matrix.indptr[first], matrix.indptr[last]
     row = np.repeat(np.arange(last - first), np.diff(matrix.indptr[first : last + 1]))

@@ -28,7 +28,7 @@ from scipy.sparse.linalg import splu
 
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import ByFields
-from exact_mdp.mdp.table import COMPILED, Floats, Integers, Numbers, spans
+from exact_mdp.mdp.table import COMPILED, Floats, Integers, Numbers, concatenate_ranges
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.solution import SolverError, Status
 
@@ -75,16 +75,16 @@ class LinearSystem(ByFields):
     @np.errstate(over="ignore", invalid="ignore")
     def solve(self, constant: Floats, constant_error: Floats | float = 0.0) -> FixedPoint:
         """Return x (S,) and its error (S,); raises SolverError where no error can be verified."""
-        value, residual = self._refined(constant)
-        rounding = self._rounding(np.abs(constant), np.abs(value))
+        value, residual = self._refine_solution(constant)
+        rounding = self._bound_rounding(np.abs(constant), np.abs(value))
         excess = (np.abs(residual) * (1 + 4 * UNIT) + rounding + constant_error) * SLACK
-        return FixedPoint(value=value, error=self._dominating(excess))
+        return FixedPoint(value=value, error=self._bound_error(excess))
 
     def approximate(self, constant: Floats) -> Floats:
         """Return x (S,) for a constant (S,), refined, without any claim about its error."""
-        return self._refined(constant)[0]
+        return self._refine_solution(constant)[0]
 
-    def _dominating(self, excess: Floats) -> Floats:
+    def _bound_error(self, excess: Floats) -> Floats:
         """Return e (S,) with e - γ P e ≥ `excess`, verified."""
         largest = float(excess.max())
         if largest == 0.0:
@@ -99,8 +99,13 @@ class LinearSystem(ByFields):
         wanted = excess / largest + 2.0**-10
         nothing = np.zeros_like(wanted)
         for rough in (True, False):
-            error = self._nearly(wanted, CORRECTION) if rough else self.approximate(wanted)
-            slack = -self._residual(nothing, error) - self._rounding(nothing, np.abs(error))
+            if rough:
+                error = self._solve_nearly(wanted, CORRECTION)
+            else:
+                error = self.approximate(wanted)
+            slack = -self._compute_residual(nothing, error) - self._bound_rounding(
+                nothing, np.abs(error)
+            )
             if np.all(np.isfinite(error)) and (error > 0).all() and (slack > 0).all():
                 return np.asarray(error * (float((excess / slack).max()) * SLACK))
         raise SolverError(Status.NO_BOUND)
@@ -109,13 +114,15 @@ class LinearSystem(ByFields):
     def _leak(self) -> Floats:
         """(S,) lower bounds of 1 - γ P 1."""
         every = np.ones(self.states)
-        return np.asarray(-self._residual(0 * every, every) - self._rounding(0 * every, every))
+        return np.asarray(
+            -self._compute_residual(0 * every, every) - self._bound_rounding(0 * every, every)
+        )
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-    def _refined(self, constant: Floats) -> tuple[Floats, Floats]:
+    def _refine_solution(self, constant: Floats) -> tuple[Floats, Floats]:
         """Return x (S,), refined, and its residual as computed."""
-        value = self._nearly(constant, FIRST)
-        residual = self._residual(constant, value)
+        value = self._solve_nearly(constant, FIRST)
+        residual = self._compute_residual(constant, value)
         size = float(np.abs(residual).max())
         # Of rows of n terms, the error bound counts n roundings whatever the residual is.
         floor = max(8.0, float(np.diff(self.transition.indptr).max()) / 4) * UNIT
@@ -123,8 +130,8 @@ class LinearSystem(ByFields):
         for _ in range(REFINEMENTS):
             if not np.isfinite(size) or size <= floor:
                 break
-            better = value + self._nearly(residual, CORRECTION)
-            after = self._residual(constant, better)
+            better = value + self._solve_nearly(residual, CORRECTION)
+            after = self._compute_residual(constant, better)
             smaller = float(np.abs(after).max())
             if not smaller < size:
                 break
@@ -134,10 +141,10 @@ class LinearSystem(ByFields):
             size = smaller
         return value, residual
 
-    def _residual(self, constant: Floats, value: Floats) -> Floats:
+    def _compute_residual(self, constant: Floats, value: Floats) -> Floats:
         return np.asarray(constant + self.discount * (self.transition @ value) - value)
 
-    def _rounding(self, constant: Floats, value: Floats) -> Floats:
+    def _bound_rounding(self, constant: Floats, value: Floats) -> Floats:
         """Return how far the computed residual may be from the exact one, for magnitudes."""
         terms = np.diff(self.transition.indptr)
         flow = self.discount * (self.transition @ value)
@@ -147,13 +154,15 @@ class LinearSystem(ByFields):
 
     # ---- solving -----------------------------------------------------------------------------
 
-    def roughly(self, constant: Floats, *, closely: bool = False) -> Floats:
+    def solve_roughly(self, constant: Floats, *, closely: bool = False) -> Floats:
         """Return x (S,) with a residual of about a hundredth of the constant (S,), or `closely`."""
         if self._direct:
             return self._direct(constant)
-        return self.approximate(constant) if closely else self._iterated(constant, 1e-2)
+        if closely:
+            return self.approximate(constant)
+        return self._solve_iteratively(constant, 1e-2)
 
-    def relatively(self, constant: Floats, leak: Floats) -> tuple[Floats, float]:
+    def solve_relatively(self, constant: Floats, leak: Floats) -> tuple[Floats, float]:
         """Return h (S,) and k with h + k = c + γ P (h + k), h being 0 in a state often visited.
 
         Values may be as large as 1 / (1 - γ), h is only as large as they differ: what leads to that
@@ -168,7 +177,7 @@ class LinearSystem(ByFields):
         for _ in range(REFINEMENTS):
             steps = chain.data * (value[chain.indices] - value[row])
             ahead = np.bincount(row, steps, len(value))
-            earned = others.roughly(constant + self.discount * ahead - leak * value)
+            earned = others.solve_roughly(constant + self.discount * ahead - leak * value)
             common = earned[often] / leaked[often]
             value, constant = value + (earned - common * leaked), constant - common * leak
             level += common
@@ -186,7 +195,7 @@ class LinearSystem(ByFields):
         rows = sp.csr_array((data, chain.indices, chain.indptr), chain.shape)
         return often, LinearSystem(rows, self.discount)
 
-    def _nearly(self, constant: Floats, rtol: float) -> Floats:
+    def _solve_nearly(self, constant: Floats, rtol: float) -> Floats:
         """Return x (S,), where it is iterated for with a residual of that part of the constant."""
         size = float(np.abs(constant).max())
         if size == 0.0 or not np.isfinite(size):
@@ -197,11 +206,11 @@ class LinearSystem(ByFields):
         if not self._slow:
             fine, states = 4 * UNIT if rtol == FIRST else 0.0, np.arange(len(scaled))
             chain, closed = self.transition, self._closed
-            value, done = swept(chain, states, self.discount, scaled, closed, rtol, fine)
+            value, done = sweep_system(chain, states, self.discount, scaled, closed, rtol, fine)
             if done:
                 return size * value
             self._slow.append(True)
-        return size * self._iterated(scaled, rtol)
+        return size * self._solve_iteratively(scaled, rtol)
 
     @cached_property
     def _slow(self) -> list[bool]:
@@ -214,12 +223,14 @@ class LinearSystem(ByFields):
         total = self.transition.sum(axis=1)
         return bool(max(total.max() - 1, 1 - total.min()) < CLOSE)
 
-    def _iterated(self, constant: Floats, rtol: float) -> Floats:
+    def _solve_iteratively(self, constant: Floats, rtol: float) -> Floats:
         """Return x (S,) by BiCGSTAB, or by elimination in a band, narrow or as the last resort."""
         # To look for a band takes as long as many sweeps, which are therefore tried before.
         entries = sum(self._band[1:]) * len(constant)
         if not self.work and "_within_band" not in vars(self):
-            value = self._stepped(constant, rtol, STEPS if entries <= MOST_ENTRIES else PATIENT)
+            value = self._solve_by_bicgstab(
+                constant, rtol, STEPS if entries <= MOST_ENTRIES else PATIENT
+            )
             if value is not None and np.isfinite(value).all():
                 return value
         if entries > MOST_ENTRIES:
@@ -228,26 +239,28 @@ class LinearSystem(ByFields):
             raise SolverError(Status.TOO_LARGE, detail)
         return self._within_band(constant)
 
-    def _stepped(self, constant: Floats, rtol: float, steps: int) -> Floats | None:
+    def _solve_by_bicgstab(self, constant: Floats, rtol: float, steps: int) -> Floats | None:
         """Return x (S,) by BiCGSTAB; None where `steps` do not suffice."""
         from exact_mdp.solvers.kernels import linear as loops
 
         chain, rate = self.transition, float(self.discount)
         chain.sort_indices()
-        rows = loops.Rows(chain.indptr, chain.indices, chain.data)
+        rows = loops.SparseRows(chain.indptr, chain.indices, chain.data)
 
-        def nearly(given: Floats) -> Floats:
+        def apply_preconditioner(given: Floats) -> Floats:
             out = np.empty_like(given)
-            loops.preconditioned(rows, rate, given, out)
+            loops.apply_preconditioner(rows, rate, given, out)
             return out
 
-        def left(given: Floats) -> Floats:
+        def apply_system(given: Floats) -> Floats:
             out = np.empty_like(given)
-            loops.residual(rows, rate, nearly(given), out)
+            loops.write_residual(rows, rate, apply_preconditioner(given), out)
             return out
 
-        value = _bicgstab(left, constant, rtol, steps)
-        return None if value is None else nearly(value)
+        value = _run_bicgstab(apply_system, constant, rtol, steps)
+        if value is None:
+            return None
+        return apply_preconditioner(value)
 
     @cached_property
     def _direct(self) -> Solve | None:
@@ -256,19 +269,23 @@ class LinearSystem(ByFields):
         if self.states <= FEW:
             lower, upper = self._reach
             if 6 * (lower + 1) * (lower + upper + 1) < self.states**2:  # S³ / 3 for all
-                return _banded(self.discount, lower, upper, chain)
-            return _dense(self.discount, chain)
+                return _factor_banded(self.discount, lower, upper, chain)
+            return _factor_dense(self.discount, chain)
         if self.order is not None:
             order = np.argsort(self.order, kind="stable")
-            return self._ordered(self._sparse if chain.nnz < COMPILED else self._onward, order)
+            return self._factor_in_order(
+                self._factor_sparse if chain.nnz < COMPILED else self._make_substitution, order
+            )
         if chain.nnz <= SPARSE and not self.work:
-            return self._sparse(chain)
-        return self._within_band if chain.nnz <= SPARSE or self._narrow else None
+            return self._factor_sparse(chain)
+        if chain.nnz <= SPARSE or self._narrow:
+            return self._within_band
+        return None
 
     @cached_property
     def _reach(self) -> tuple[int, int]:
         """How far transitions lead down and up in number, at most."""
-        return _furthest(self.transition, np.arange(self.states))
+        return _compute_bandwidths(self.transition, np.arange(self.states))
 
     @property
     def _narrow(self) -> bool:
@@ -282,48 +299,58 @@ class LinearSystem(ByFields):
         _, lower, upper = self._band
         width, states = lower + upper + 1, self.states
         work = 2.0 * states * (lower + 1) * width
-        return work if work <= CHEAP or width * states <= NARROW * self.transition.nnz else 0.0
+        if work <= CHEAP or width * states <= NARROW * self.transition.nnz:
+            return work
+        return 0.0
 
     @cached_property
     def _band(self) -> tuple[Numbers | None, int, int]:
-        """An order of the states, None for that of their numbers; how far ways lead down and up."""
+        """An order of the states (None: by number), and its bandwidths below and above."""
         chain, (lower, upper) = self.transition, self._reach
         if self._narrow:
             return None, lower, upper
         one = sp.csr_array((np.ones(chain.nnz, np.int8), chain.indices, chain.indptr), chain.shape)
         order = csgraph.reverse_cuthill_mckee((one + one.T).tocsr(), symmetric_mode=True)
-        down, up = _furthest(chain, np.argsort(order))
-        return (order, down, up) if down + up < lower + upper else (None, lower, upper)
+        down, up = _compute_bandwidths(chain, np.argsort(order))
+        if down + up < lower + upper:
+            return (order, down, up)
+        return (None, lower, upper)
 
     @cached_property
     def _within_band(self) -> Solve:
-        return self._ordered(partial(_banded, self.discount, *self._band[1:]), self._band[0])
+        return self._factor_in_order(
+            partial(_factor_banded, self.discount, *self._band[1:]), self._band[0]
+        )
 
-    def _sparse(self, chain: sp.csr_array) -> Solve:
+    def _factor_sparse(self, chain: sp.csr_array) -> Solve:
         matrix = sp.csc_array(sp.eye_array(self.states) - self.discount * chain)
         matrix.indices, matrix.indptr = (x.astype(np.intc) for x in (matrix.indices, matrix.indptr))
-        how = "COLAMD" if self.order is None else "NATURAL"
+        how = "NATURAL"
+        if self.order is None:
+            how = "COLAMD"
         try:
             factors: Any = splu(matrix, permc_spec=how, diag_pivot_thresh=0.0)
         except RuntimeError as error:
             raise SolverError(Status.NO_BOUND, f"elimination failed ({error})") from error
         return lambda constant: np.asarray(factors.solve(constant))
 
-    def _onward(self, chain: sp.csr_array) -> Solve:
+    def _make_substitution(self, chain: sp.csr_array) -> Solve:
         """Return substitution, where each state leads to earlier ones alone."""
         from exact_mdp.solvers.kernels import linear as loops
 
         chain.sort_indices()
-        rows, rate = loops.Rows(chain.indptr, chain.indices, chain.data), float(self.discount)
+        rows, rate = loops.SparseRows(chain.indptr, chain.indices, chain.data), float(self.discount)
 
         def solve(constant: Floats) -> Floats:
             out = np.empty_like(constant)
-            loops.preconditioned(rows, rate, constant, out)
+            loops.apply_preconditioner(rows, rate, constant, out)
             return out
 
         return solve
 
-    def _ordered(self, made: Callable[[sp.csr_array], Solve], order: Numbers | None) -> Solve:
+    def _factor_in_order(
+        self, made: Callable[[sp.csr_array], Solve], order: Numbers | None
+    ) -> Solve:
         """Return elimination of the chain with its states in another order."""
         if order is None:
             return made(self.transition)
@@ -331,48 +358,51 @@ class LinearSystem(ByFields):
         return lambda constant: inner(constant[order])[place]
 
 
-def _bicgstab(moves: Solve, constant: Floats, rtol: float, steps: int) -> Floats | None:
+def _run_bicgstab(moves: Solve, constant: Floats, rtol: float, steps: int) -> Floats | None:
     """Return y whose `moves` are the constant (S,), or None where `steps` do not suffice."""
-    from exact_mdp.solvers.kernels.linear import dot
+    from exact_mdp.solvers.kernels.linear import compute_inner_product
 
     value, fresh = np.zeros_like(constant), True
-    goal = rtol * np.sqrt(dot(constant, constant))
+    goal = rtol * np.sqrt(compute_inner_product(constant, constant))
     for _ in range(steps):
         if fresh:  # at first, and where the residual came to be orthogonal to its shadow
             shadow = rest = constant - moves(value)
             step = onward = np.zeros_like(rest)
             rho = alpha = omega = 1.0
-            length = size = np.sqrt(dot(rest, rest))
+            length = size = np.sqrt(compute_inner_product(rest, rest))
         if size <= goal:
             return value
-        before, rho = rho, dot(shadow, rest)
+        before, rho = rho, compute_inner_product(shadow, rest)
         step = rest + rho / before * (alpha / omega) * (step - omega * onward)
         onward = moves(step)
-        along, far = dot(shadow, onward), np.sqrt(dot(onward, onward))
+        along, far = (
+            compute_inner_product(shadow, onward),
+            np.sqrt(compute_inner_product(onward, onward)),
+        )
         fresh = not (abs(rho) > LEAST * length * size and abs(along) > LEAST * length * far)
         if fresh:
             continue
         alpha = rho / along
         value += alpha * step
         rest = rest - alpha * onward
-        size = np.sqrt(dot(rest, rest))
+        size = np.sqrt(compute_inner_product(rest, rest))
         if size <= goal:
             return value
         turn = moves(rest)
-        square = dot(turn, turn)
-        omega = dot(turn, rest) / square
+        square = compute_inner_product(turn, turn)
+        omega = compute_inner_product(turn, rest) / square
         fresh = not abs(omega) * np.sqrt(square) > LEAST * size
         if fresh:
             continue
         value += omega * rest
         rest = rest - omega * turn
-        size = np.sqrt(dot(rest, rest))
+        size = np.sqrt(compute_inner_product(rest, rest))
         if not np.isfinite(size):
             return None
     return None
 
 
-def _dense(discount: float, chain: sp.csr_array) -> Solve:
+def _factor_dense(discount: float, chain: sp.csr_array) -> Solve:
     """Return LAPACK's elimination of all entries, by columns and so of the transpose."""
     matrix = -discount * chain.toarray()
     matrix.flat[:: len(matrix) + 1] += 1.0
@@ -382,7 +412,7 @@ def _dense(discount: float, chain: sp.csr_array) -> Solve:
     return lambda constant: np.asarray(lapack.dgetrs(factors, exchanged, constant, trans=1)[0])
 
 
-def _banded(discount: float, lower: int, upper: int, chain: sp.csr_array) -> Solve:
+def _factor_banded(discount: float, lower: int, upper: int, chain: sp.csr_array) -> Solve:
     """Return LAPACK's elimination within a band."""
     states = len(chain.indptr) - 1
     row = np.repeat(np.arange(states), np.diff(chain.indptr))
@@ -395,13 +425,13 @@ def _banded(discount: float, lower: int, upper: int, chain: sp.csr_array) -> Sol
     return lambda constant: np.asarray(lapack.dgbtrs(factors, lower, upper, constant, exchanged)[0])
 
 
-def _furthest(chain: sp.csr_array, place: Integers) -> tuple[int, int]:
+def _compute_bandwidths(chain: sp.csr_array, place: Integers) -> tuple[int, int]:
     """Return how far transitions lead down and up in place (S,), at most."""
     ahead = place[chain.indices] - np.repeat(place, np.diff(chain.indptr))
     return int(-ahead.min(initial=0)), int(ahead.max(initial=0))
 
 
-def swept(
+def sweep_system(
     matrix: sp.csr_array,
     row: Integers,
     discount: float,
@@ -410,17 +440,17 @@ def swept(
     enough: float,
     fine: float,
 ) -> tuple[Floats, bool]:
-    """Return x (S,) and whether its residual is `enough`; see `kernels.linear.swept`."""
+    """Return x (S,) and whether its residual is `enough`; see `kernels.linear.sweep_system`."""
     from exact_mdp.solvers.kernels import linear as loops
 
     value, room = np.zeros((2, len(constant)))
-    rows, rate = loops.Rows(matrix.indptr, matrix.indices, matrix.data), float(discount)
+    rows, rate = loops.SparseRows(matrix.indptr, matrix.indices, matrix.data), float(discount)
     limits = (enough, fine, SWEEPS, TRIED)
-    done = loops.swept(rows, row, rate, constant, closed and rate < 1, *limits, value, room)
+    done = loops.sweep_states(rows, row, rate, constant, closed and rate < 1, *limits, value, room)
     return np.asarray(value), bool(done)
 
 
-def transposed(system: LinearSystem) -> LinearSystem:
+def transpose_system(system: LinearSystem) -> LinearSystem:
     """Return the equation x = c + γ Pᵀ x, which visits satisfy."""
     return LinearSystem(
         system.transition.T.tocsr(),
@@ -430,14 +460,14 @@ def transposed(system: LinearSystem) -> LinearSystem:
     )
 
 
-def part(
+def select_rows(
     matrix: sp.csr_array, rows: Integers, states: NDArray[np.bool_], *, inner: bool = False
 ) -> sp.csr_array:
-    """Return (S, S) rows, one for each state: those of some states, or what is between these."""
+    """Return the rows (S, S) of some states; the rows of all other states are empty."""
     if states.all():
         return matrix[rows]
     first, last = matrix.indptr[rows], matrix.indptr[rows + 1]
-    lengths, entries = last - first, spans(first, last)
+    lengths, entries = last - first, concatenate_ranges(first, last)
     column, inside = matrix.indices[entries], np.repeat(states, lengths)
     if inner:  # else the band would be as wide as a state can be from an end
         inside &= states[column]
@@ -451,5 +481,5 @@ def policy_chain(
 ) -> tuple[sp.csr_array, Floats]:
     """Return transitions (S, S) between states that are not terminal, and rewards (S,)."""
     live, earned = ~mdp.terminal, mdp.reward if reward is None else reward
-    chain = part(mdp.transition, pairs, live, inner=True)
+    chain = select_rows(mdp.transition, pairs, live, inner=True)
     return chain, np.where(live, earned[pairs], 0.0)

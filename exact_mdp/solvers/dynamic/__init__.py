@@ -1,14 +1,21 @@
-"""Dynamic programming and linear programming: one loop, and what each algorithm does in it.
+"""Dynamic programming and linear programming: one class for each algorithm.
 
-To add a solver, write a frozen dataclass of its settings that is an `iterate.Solver`: it has a
-`name` in `solver.SOLVERS` and in `exact_mdp/__init__.pyi`, and `best(model)`, which returns a
-`Solution`. Where it improves values step by step, `methods.Improving` has the settings and the
-loop, and it writes one step:
+To add a solver, write a frozen dataclass of its settings that is a `base.Solver`: it has a `name`
+in `solver.SOLVERS` and in `exact_mdp/__init__.pyi`, and `maximise(model)`, which returns a
+`Solution`. An algorithm that improves values step by step inherits its settings from
+`methods.Improving`, and writes its loop:
 
-    def step(self, values, goal):   # after a pass over all pairs: T V - V, and bounds
-        values.take()               # V ← T V; then, for example, values.relax()
+    def maximise(self, model):
+        started = perf_counter()
+        values, stopping = self.begin(model)
+        for _ in range(self.max_iterations):
+            values.pass_over_pairs()            # T V - V, a greedy policy, bounds on V*
+            if stopping.is_reached():
+                break
+            values.apply_backup()               # the step: V ← T V, and whatever else helps
+        return stopping.conclude(self, started)
 
-It does not bound its own error: the loop does, or `bounds.verify(mdp, value)` for values that come
-from anywhere else. The tests of solvers run over all of `SOLVERS`: laws, discounts next to 1,
-totals without end, published cases.
+It need not bound its own error: `stopping` proves the bounds. Values that come from anywhere else
+are bounded by `bounds.bound_optimal_values(mdp, value)`. The tests of solvers run over all of
+`SOLVERS`: laws, discounts next to 1, totals without end, published cases.
 """

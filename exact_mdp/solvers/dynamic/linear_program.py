@@ -21,11 +21,11 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.errors import extra, known
+from exact_mdp.mdp.errors import require_extra, require_known_name
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.bounds import margin_weights
-from exact_mdp.solvers.dynamic.iterate import Solver
+from exact_mdp.solvers.dynamic.base import Solver
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.solution import Solution, SolverError, Status
 
@@ -54,17 +54,19 @@ class LinearProgram(Solver):
     name: ClassVar[str] = "linear-program"
 
     def __post_init__(self) -> None:
-        known(self.solver, OPTIMISERS, "solver", "LinearProgram")
+        require_known_name(self.solver, OPTIMISERS, "solver", "LinearProgram")
 
-    def best(self, model: MDP) -> Solution:
+    def maximise(self, model: MDP) -> Solution:
         """Return the optimum up to rounding."""
         started, live = perf_counter(), ~model.terminal
         margin_weights(model)  # raises an error where no bound is possible
-        start, objective, steps = self._optimised(model, live)
+        start, objective, steps = self._run_optimiser(model, live)
         if not np.isfinite(start).all():
             raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
-        solution = PolicyIteration(start=start).best(model)
-        reached = float(solution.value[live].mean()) if live.any() else 0.0
+        solution = PolicyIteration(start=start).maximise(model)
+        reached = 0.0
+        if live.any():
+            reached = float(solution.value[live].mean())
         scale = abs(reached) + float(np.abs(model.reward).max())
         if not abs(objective - reached) <= AGREEMENT * scale:
             detail = f"{self.solver} found a mean value of {objective:.9g}, not {reached:.9g}"
@@ -77,7 +79,7 @@ class LinearProgram(Solver):
             seconds=perf_counter() - started,
         )
 
-    def _optimised(self, mdp: MDP, live: np.ndarray) -> tuple[Floats, float, int]:
+    def _run_optimiser(self, mdp: MDP, live: np.ndarray) -> tuple[Floats, float, int]:
         """Return the optimiser's values (S,), their mean, and its steps."""
         values, scale = np.zeros(mdp.n_states), float(np.abs(mdp.reward).max())
         if scale == 0.0:
@@ -101,7 +103,7 @@ def least_above(cost: Floats, matrix: sp.sparray, least: Floats, solver: str) ->
 
     Raises SolverError where it finds no optimum.
     """
-    with extra("lp"):
+    with require_extra("lp"):
         import cvxpy
     x = cvxpy.Variable(len(cost))
     above = sp.csc_array(matrix) @ x >= least

@@ -1,4 +1,4 @@
-"""Five textbook algorithms: four improve values until their error bound is small, a step at a time.
+"""Five textbook algorithms, each as its loop, its step and its stopping rule.
 
     value iteration              V ← T V,   (T V)(s) = max over pairs l of s of r(l) + γ P_l V
     Gauss-Seidel                 the same, state after state, upward and downward in number by turns
@@ -6,15 +6,16 @@
     policy iteration             π greedy for V,   V ← (I - γ P_π)⁻¹ r_π
     backward induction           V(s) ← (T V)(s) once, from the end to the start, without cycles
 
-`iterate` has the loop: it stops by two-sided bounds, never because a step changed little (Haddad
-and Monmege, Theoretical Computer Science 735, 2018), and answers with the middle between them.
-Sources: Puterman, Markov Decision Processes, 1994, sections 4.5 and 6.3 to 6.5; Puterman and Shin,
-Management Science 24, 1978; Howard, Dynamic Programming and Markov Processes, 1960.
+Every loop begins with a pass over all pairs, which gives T V - V, a greedy policy and two-sided
+bounds on V*; it stops when these are proven to be within the tolerance (`stopping`), and answers
+with the middle between them. Sources: Puterman, Markov Decision Processes, 1994, sections 4.5 and
+6.3 to 6.5; Puterman and Shin, Management Science 24, 1978; Howard, Dynamic Programming and Markov
+Processes, 1960.
 """
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from contextlib import suppress
 from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any, ClassVar
@@ -24,16 +25,20 @@ import numpy as np
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import is_acyclic
 from exact_mdp.mdp.model import MDP
-from exact_mdp.solvers.bounds.bounds import backward, verify
-from exact_mdp.solvers.dynamic.iterate import (
+from exact_mdp.solvers.bounds.bounds import bound_optimal_values, solve_backward
+from exact_mdp.solvers.dynamic.base import (
     Solver,
-    Values,
     check_counts,
     check_tolerance,
-    conclude,
-    iterate,
+    conclude_solution,
 )
-from exact_mdp.solvers.solution import Solution, Status
+from exact_mdp.solvers.dynamic.evaluation import PolicyEvaluation
+from exact_mdp.solvers.dynamic.start import read_start_values
+from exact_mdp.solvers.dynamic.stopping import StoppingRule
+from exact_mdp.solvers.dynamic.values import Values
+from exact_mdp.solvers.solution import Solution, SolverError, Status
+
+REPEATED = 5  # passes without progress, after which a policy that comes back ends the search
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,20 +60,14 @@ class Improving(Solver):
     max_iterations: int = 1_000_000
     start: Any = field(default=None, repr=False, compare=False)
 
-    evaluates: ClassVar[bool] = False
-    exact: ClassVar[bool] = False
-
     def __post_init__(self) -> None:
         check_tolerance(type(self).__name__, self.tol)
         check_counts(type(self).__name__, max_iterations=self.max_iterations)
 
-    @abstractmethod
-    def step(self, values: Values, goal: float) -> None:
-        """Improve the values after a pass over all pairs; see `iterate`."""
-
-    def best(self, model: MDP) -> Solution:
-        """Return the optimum within `tol`."""
-        return iterate(model, self, self.start)
+    def begin(self, model: MDP) -> tuple[Values, StoppingRule]:
+        """Return the values to begin with, and the rule that says when they are near enough."""
+        values = Values(model, read_start_values(model, self.start))
+        return values, StoppingRule(values, self.tol)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,9 +86,20 @@ class ValueIteration(Improving):
 
     name: ClassVar[str] = "value-iteration"
 
-    def step(self, values: Values, goal: float) -> None:
-        """Take T V."""
-        values.take()
+    def maximise(self, model: MDP) -> Solution:
+        """Return the optimum within `tol`."""
+        started = perf_counter()
+        values, stopping = self.begin(model)
+        for _ in range(self.max_iterations):
+            values.pass_over_pairs()
+            if stopping.is_reached():
+                break
+            if stopping.needs_equations():
+                with suppress(SolverError):  # the next backup helps, too
+                    values.solve_policy_equations()
+            else:
+                values.apply_backup()
+        return stopping.conclude(self, started)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,10 +117,21 @@ class GaussSeidel(Improving):
 
     name: ClassVar[str] = "gauss-seidel"
 
-    def step(self, values: Values, goal: float) -> None:
-        """Take T V, and sweep upward and downward."""
-        values.take()
-        values.relax()
+    def maximise(self, model: MDP) -> Solution:
+        """Return the optimum within `tol`."""
+        started = perf_counter()
+        values, stopping = self.begin(model)
+        for _ in range(self.max_iterations):
+            values.pass_over_pairs()
+            if stopping.is_reached():
+                break
+            if stopping.needs_equations():
+                with suppress(SolverError):  # the next sweep helps, too
+                    values.solve_policy_equations()
+            else:
+                values.apply_backup()
+                values.sweep_states()
+        return stopping.conclude(self, started)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +139,7 @@ class ModifiedPolicyIteration(Improving):
     """Policy iteration with evaluation by sweeps; see `Improving` for the settings.
 
     A sweep for one policy costs the A-th part of a full one. Sweeps go on until the error within
-    the policy is a tenth of what was left; see `Values.evaluate` for chains that mix slowly.
+    the policy is a tenth of the error before; see `PolicyEvaluation` for chains that mix slowly.
 
     Examples
     --------
@@ -130,21 +151,28 @@ class ModifiedPolicyIteration(Improving):
     max_iterations: int = 10_000
 
     name: ClassVar[str] = "modified-policy-iteration"
-    evaluates: ClassVar[bool] = True
 
-    def best(self, model: MDP) -> Solution:
-        """Begin with the greatest rewards: a sweep from 0, which takes no pass."""
-        begin = self.start
-        if begin is None:
-            begin = np.maximum.reduceat(model.reward, model.pair_offsets[:-1])
-        return iterate(model, self, begin)
-
-    def step(self, values: Values, goal: float) -> None:
-        """Evaluate the policy; the first one is greedy for the next rewards alone."""
-        if values.passes <= 1 and goal > 0:
-            values.take()
-        else:
-            values.evaluate(goal)
+    def maximise(self, model: MDP) -> Solution:
+        """Return the optimum within `tol`."""
+        started = perf_counter()
+        start = self.start
+        if start is None:
+            # The greatest rewards: a backup of 0 that takes no pass.
+            start = np.maximum.reduceat(model.reward, model.pair_offsets[:-1])
+        values = Values(model, read_start_values(model, start))
+        evaluation = PolicyEvaluation(values)
+        stopping = StoppingRule(values, self.tol, is_polished=self.tol is None)
+        for iteration in range(self.max_iterations):
+            values.pass_over_pairs()
+            if stopping.is_reached():
+                break
+            goal = stopping.evaluation_goal()
+            if iteration == 0 and goal > 0:
+                # The first policy knows only one reward ahead, and is not worth an evaluation.
+                values.apply_backup()
+            else:
+                evaluation.run(goal)
+        return stopping.conclude(self, started)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,19 +202,30 @@ class PolicyIteration(Solver):
     start: Any = field(default=None, repr=False, compare=False)
 
     name: ClassVar[str] = "policy-iteration"
-    evaluates: ClassVar[bool] = True
-    exact: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         check_counts(type(self).__name__, max_iterations=self.max_iterations)
 
-    def best(self, model: MDP) -> Solution:
+    def maximise(self, model: MDP) -> Solution:
         """Return the optimum up to rounding."""
-        return iterate(model, self, self.start)
-
-    def step(self, values: Values, goal: float) -> None:
-        """Solve the equations of the policy."""
-        values.correct(closely=True)
+        started = perf_counter()
+        values = Values(model, read_start_values(model, self.start))
+        stopping = StoppingRule(values, None)
+        seen = set[bytes]()
+        for _ in range(self.max_iterations):
+            values.pass_over_pairs()
+            stopping.measure()
+            policy = values.search.pairs.tobytes()
+            if policy in seen and (stopping.is_near or values.idle >= REPEATED):
+                stopping.prove()
+                stopping.status = Status.DIRECT
+            else:
+                stopping.give_up_if_hopeless()
+            if stopping.status is not None:
+                break
+            seen.add(policy)
+            values.solve_policy_equations(closely=True)
+        return stopping.conclude(self, started)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -203,7 +242,7 @@ class BackwardInduction(Solver):
 
     name: ClassVar[str] = "backward-induction"
 
-    def best(self, model: MDP) -> Solution:
+    def maximise(self, model: MDP) -> Solution:
         """Return the optimum; raises ModelError where states come back to themselves."""
         started = perf_counter()
         if not is_acyclic(model):
@@ -212,5 +251,7 @@ class BackwardInduction(Solver):
                 where=f"model {model.name}".strip(),
                 fix="use ModifiedPolicyIteration or PolicyIteration",
             )
-        bounds = verify(model, backward(model, model.reward)).centred()
-        return conclude(model, self, bounds, status=Status.DIRECT, iterations=1, started=started)
+        bounds = bound_optimal_values(model, solve_backward(model, model.reward)).centre_bounds()
+        return conclude_solution(
+            model, self, bounds, status=Status.DIRECT, iterations=1, started=started
+        )

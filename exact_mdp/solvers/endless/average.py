@@ -16,11 +16,10 @@ the greatest expectation of that: a model in which every policy ends, whose valu
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from time import perf_counter
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -29,18 +28,18 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import DataFrame
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers.bounds.gains import POLICIES, SLACK, gains, greedy
+from exact_mdp.solvers.bounds.gains import POLICIES, SLACK, choose_greedy_pairs, compute_advantages
 from exact_mdp.solvers.bounds.linear import FixedPoint
-from exact_mdp.solvers.dynamic.iterate import RELATIVE_TOLERANCE, Solver
+from exact_mdp.solvers.dynamic.base import RELATIVE_TOLERANCE, Solver
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram, least_above, own_states
 from exact_mdp.solvers.dynamic.methods import (
     ModifiedPolicyIteration,
     PolicyIteration,
     ValueIteration,
 )
-from exact_mdp.solvers.endless.chain import FloatChain, expansion
+from exact_mdp.solvers.endless.chain import FloatChain, compute_laurent_expansion
 from exact_mdp.solvers.endless.graph import Graph
-from exact_mdp.solvers.endless.quotient import derived
+from exact_mdp.solvers.endless.quotient import build_derived_model
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
 
 NEARNESS = Fraction(1, 2**12)  # 1 - γ of the policy to begin with
@@ -81,8 +80,8 @@ class AverageSolution(Solution):
         """Return gain, bias, their error bounds, and the action of each state."""
         return super().frame()
 
-    def _states(self, n: int) -> DataFrame:
-        frame = super()._states(n).rename(columns={"value": "gain"})
+    def _tabulate_states(self, n: int) -> DataFrame:
+        frame = super()._tabulate_states(n).rename(columns={"value": "gain"})
         frame.insert(3, "bias", self.bias[:n])
         frame.insert(4, "bias error", self.bias_error[:n])
         return frame
@@ -93,20 +92,15 @@ def solve_average(mdp: MDP, solver: Solver) -> AverageSolution:
     if mdp.sense == "min":
         return solve_average(mdp.maximised, solver).negated(mdp)
     started = perf_counter()
-    if solver.name not in METHODS:
-        raise ModelError(
-            f"{solver.name} does not apply to an average reward",
-            where="solve",
-            fix=f"choose {', '.join(METHODS)} or auto",
-        )
+    method = method_of(solver)
     if getattr(solver, "start", None) is not None:
         raise ModelError(
             "an average reward has no use for start=", where="solve", fix="leave start out"
         )
     step = mdp.undiscounted
-    pairs, relative, iterations = METHODS[solver.name](step, solver)
-    gain, bias = FloatChain(step, pairs).evaluated()
-    above = _upper(step, relative) - gain.value
+    pairs, relative, iterations = method.run(step)
+    gain, bias = FloatChain(step, pairs).evaluate_chain()
+    above = _bound_gain_above(step, relative) - gain.value
     return AverageSolution(
         mdp=mdp,
         value=gain.value,
@@ -123,9 +117,9 @@ def solve_average(mdp: MDP, solver: Solver) -> AverageSolution:
     )
 
 
-def _upper(step: MDP, bias: Floats) -> Floats:
+def _bound_gain_above(step: MDP, bias: Floats) -> Floats:
     """Return (S,) what no policy earns more than per step, for any relative values (S,)."""
-    graph, added = Graph(step), gains(step, bias)
+    graph, added = Graph(step), compute_advantages(step, bias)
     label, inside = graph.end_components(np.ones(step.n_pairs, dtype=bool))
     own, most = label[step.pair_state], added.value + added.error * SLACK
     count = int(label.max()) + 1
@@ -137,7 +131,7 @@ def _upper(step: MDP, bias: Floats) -> Floats:
     label[passed] = count + np.arange(int(passed.sum()))
     pairs = np.flatnonzero(~inside)
     rests = [(number, Fraction(value)) for number, value in enumerate(top.tolist())]
-    model = derived(step, pairs, label, free=True, rests=rests)
+    model = build_derived_model(step, pairs, label, free=True, rests=rests)
     solution = PolicyIteration().solve(model.mdp)
     most = np.nextafter(solution.value + solution.state_error * SLACK, np.inf)
     return np.asarray(most[model.label])
@@ -150,42 +144,65 @@ Improved = tuple[Integers, Floats, int]
 """The pairs (S,) of a policy, relative values (S,), and iterations."""
 
 
-def improved(step: MDP, pairs: Integers | None = None, most: int = POLICIES) -> Improved:
-    """Return a policy that is optimal up to rounding, from `pairs` (S,) or a patient policy."""
-    if pairs is None:
-        pairs = _patient(step)
-    seen: set[bytes] = set()
-    before: tuple[Floats, Floats] | None = None
-    for iteration in range(1, most + 1):
-        seen.add(pairs.tobytes())
-        chain = FloatChain(step, pairs)
-        _, bias, second = expansion(chain, step.reward[pairs])
-        added = gains(step, bias)
-        own = FixedPoint(value=added.value[pairs], error=added.error[pairs])
-        gain = chain.bounded_gain(own)
-        if before is not None:
-            least = RELATIVE_TOLERANCE * float(np.abs(bias).max())
-            risen = (gain.value - before[0] > gain.error).any() or (bias - before[1] > least).any()
-            if not risen:
+@dataclass(frozen=True)
+class AveragePolicyIteration:
+    """Howard's policy iteration for average rewards, with g, h and w of each policy.
+
+    A policy is improved in the order of (d(g), r - g + d(h), d(w) - h): a better gain first, then
+    a better bias (Puterman, 1994, section 9.2.1; Howard, 1960).
+    """
+
+    max_iterations: int = POLICIES
+
+    def run(self, step: MDP, pairs: Integers | None = None) -> Improved:
+        """Return a policy that is optimal up to rounding, from `pairs` (S,) or a patient policy."""
+        if pairs is None:
+            pairs = _choose_patient_pairs(step)
+        seen: set[bytes] = set()
+        before: tuple[Floats, Floats] | None = None
+        for iteration in range(1, self.max_iterations + 1):
+            seen.add(pairs.tobytes())
+            # Evaluate the policy: its gain g with bounds, its bias h, and w.
+            chain = FloatChain(step, pairs)
+            _, bias, second = compute_laurent_expansion(chain, step.reward[pairs])
+            added = compute_advantages(step, bias)
+            own = FixedPoint(value=added.value[pairs], error=added.error[pairs])
+            gain = chain.bounded_gain(own)
+            # Stop once neither the gain nor the bias rises by more than rounding.
+            if before is not None and not self._has_risen(before, gain, bias):
                 return pairs, bias, iteration
-        before = gain.value, bias
+            before = gain.value, bias
+            pairs = self._improve_pairs(step, pairs, gain, bias, second)
+            if pairs.tobytes() in seen:
+                return pairs, bias, iteration
+        raise SolverError(Status.ITERATION_LIMIT, f"{self.max_iterations} policies were evaluated")
+
+    @staticmethod
+    def _has_risen(before: tuple[Floats, Floats], gain: FixedPoint, bias: Floats) -> bool:
+        """Return whether a policy is better than the one before, beyond rounding."""
+        least = RELATIVE_TOLERANCE * float(np.abs(bias).max())
+        gain_rises = (gain.value - before[0] > gain.error).any()
+        return bool(gain_rises or (bias - before[1] > least).any())
+
+    @staticmethod
+    def _improve_pairs(
+        step: MDP, pairs: Integers, gain: FixedPoint, bias: Floats, second: Floats
+    ) -> Integers:
+        """Return pairs (S,) that are greatest in all three levels, in their order."""
         # Gains that are equal come out of different equations: their whole error counts, not only
-        # that of their differences.
-        means = gains(step, gain.value, reward=np.zeros(step.n_pairs))
+        # the error of their differences.
+        means = compute_advantages(step, gain.value, reward=np.zeros(step.n_pairs))
         unsure = step.transition @ gain.error + gain.error[step.pair_state]
-        pairs = greedy(
+        return choose_greedy_pairs(
             step,
             replace(means, noise=means.noise + unsure),
-            gains(step, bias, reward=step.reward - gain.value[step.pair_state]),
-            gains(step, second, reward=-bias[step.pair_state]),
+            compute_advantages(step, bias, reward=step.reward - gain.value[step.pair_state]),
+            compute_advantages(step, second, reward=-bias[step.pair_state]),
             keep=pairs,
         )
-        if pairs.tobytes() in seen:
-            return pairs, bias, iteration
-    raise SolverError(Status.ITERATION_LIMIT, f"{most} policies were evaluated")
 
 
-def _patient(step: MDP) -> Integers:
+def _choose_patient_pairs(step: MDP) -> Integers:
     """Return the pairs (S,) that are best with a discount near 1: few are left to improve."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PrecisionWarning)
@@ -195,47 +212,87 @@ def _patient(step: MDP) -> Integers:
             return step.pair_offsets[:-1]
 
 
-def _by_values(step: MDP, solver: ValueIteration) -> Improved:
-    """Relative value iteration, until the span of T h - h is proven to be small."""
-    label, _ = Graph(step).end_components(np.ones(step.n_pairs, dtype=bool))
-    if (count := int(label.max()) + 1) > 1:
-        raise ModelError(
-            f"relative value iteration needs one gain for all states: there are {count} sets of "
-            "states that a policy need not leave",
-            where="solve",
-            fix="use policy-iteration, which takes every model",
-        )
-    first, bias = step.pair_offsets[:-1], np.zeros(step.n_states)
-    for iteration in range(1, solver.max_iterations + 1):
-        added = gains(step, bias)
-        low, high = (
-            np.maximum.reduceat(added.value + sign * added.error, first) for sign in (-1, 1)
-        )
-        width, middle = float(high.max() - low.min()), float(high.max() + low.min()) / 2
-        limit = solver.tol or RELATIVE_TOLERANCE * max(1.0, abs(middle))
-        if width <= limit or width <= 4 * float(added.error.max()):
-            return greedy(step, added), bias, iteration
-        bias += (np.maximum.reduceat(added.value, first) - middle) / 2
-        bias -= bias[0]
-    detail = f"{width:.2g} is the error bound after {solver.max_iterations} iterations"
-    raise SolverError(Status.ITERATION_LIMIT, detail)
+@dataclass(frozen=True)
+class RelativeValueIteration:
+    """Relative value iteration, h ← h + (T h - h) / 2, until T h - h is proven to be level.
+
+    Half a step makes periodic chains converge, too (White, J. Math. Anal. Appl. 6, 1963; Puterman,
+    1994, section 8.5.4).
+    """
+
+    tol: float | None
+    max_iterations: int
+
+    def run(self, step: MDP) -> Improved:
+        """Return the greedy policy, the relative values and the number of iterations."""
+        self._require_one_gain(step)
+        first, bias = step.pair_offsets[:-1], np.zeros(step.n_states)
+        width = np.inf
+        for iteration in range(1, self.max_iterations + 1):
+            added = compute_advantages(step, bias)
+            residual = np.maximum.reduceat(added.value, first)
+            # The gain lies between the least and the greatest residual, rounding counted.
+            low = float(np.maximum.reduceat(added.value - added.error, first).min())
+            high = float(np.maximum.reduceat(added.value + added.error, first).max())
+            width, middle = high - low, (high + low) / 2
+            limit = self.tol or RELATIVE_TOLERANCE * max(1.0, abs(middle))
+            if width <= limit or width <= 4 * float(added.error.max()):
+                return choose_greedy_pairs(step, added), bias, iteration
+            bias += (residual - middle) / 2
+            bias -= bias[0]
+        detail = f"{width:.2g} is the error bound after {self.max_iterations} iterations"
+        raise SolverError(Status.ITERATION_LIMIT, detail)
+
+    @staticmethod
+    def _require_one_gain(step: MDP) -> None:
+        """Raise ModelError unless all states have the same optimal gain for sure."""
+        label, _ = Graph(step).end_components(np.ones(step.n_pairs, dtype=bool))
+        count = int(label.max()) + 1
+        if count > 1:
+            raise ModelError(
+                "relative value iteration needs one gain for all states: there are "
+                f"{count} sets of states that a policy need not leave",
+                where="solve",
+                fix="use policy-iteration, which takes every model",
+            )
 
 
-def _by_program(step: MDP, solver: LinearProgram) -> Improved:
-    """Take pairs that are greedy for the program's bias, and improve them by policy iteration."""
-    scale, own = float(np.abs(step.reward).max()) or 1.0, own_states(step)
-    stays = own - step.transition
-    matrix = sp.block_array([[stays, None], [own, stays]])
-    least, cost = np.zeros((2, step.n_pairs)), np.zeros((2, step.n_states))
-    least[1], cost[0] = step.reward / scale, 1.0
-    level, steps = least_above(cost.ravel(), matrix, least.ravel(), solver.solver)
-    first = greedy(step, gains(step, scale * level[step.n_states :]))
-    pairs, bias, iterations = improved(step, first)
-    return pairs, bias, steps + iterations
+@dataclass(frozen=True)
+class AverageLinearProgram:
+    """The linear program of gains and biases; policy iteration improves its greedy policy."""
+
+    optimiser: str
+
+    def run(self, step: MDP) -> Improved:
+        """Return the policy, its relative values, and the steps of both methods."""
+        scale, own = float(np.abs(step.reward).max()) or 1.0, own_states(step)
+        # Minimise Σ g subject to (I - P) g ≥ 0 and g + (I - P) h ≥ r.
+        stays = own - step.transition
+        matrix = sp.block_array([[stays, None], [own, stays]])
+        least, cost = np.zeros((2, step.n_pairs)), np.zeros((2, step.n_states))
+        least[1], cost[0] = step.reward / scale, 1.0
+        solved, steps = least_above(cost.ravel(), matrix, least.ravel(), self.optimiser)
+        bias = scale * solved[step.n_states :]
+        first = choose_greedy_pairs(step, compute_advantages(step, bias))
+        pairs, bias, iterations = AveragePolicyIteration().run(step, first)
+        return pairs, bias, steps + iterations
 
 
-METHODS: dict[str, Callable[[MDP, Any], Improved]] = {
-    PolicyIteration.name: lambda step, solver: improved(step, most=solver.max_iterations),
-    ValueIteration.name: _by_values,
-    LinearProgram.name: _by_program,
-}
+def method_of(
+    solver: Solver,
+) -> AveragePolicyIteration | RelativeValueIteration | AverageLinearProgram:
+    """Return the method for average rewards with the settings of a solver for total rewards."""
+    if isinstance(solver, PolicyIteration):
+        return AveragePolicyIteration(solver.max_iterations)
+    if isinstance(solver, ValueIteration):
+        return RelativeValueIteration(solver.tol, solver.max_iterations)
+    if isinstance(solver, LinearProgram):
+        return AverageLinearProgram(solver.solver)
+    raise ModelError(
+        f"{solver.name} does not apply to an average reward",
+        where="solve",
+        fix=f"choose {', '.join(METHODS)} or auto",
+    )
+
+
+METHODS = (PolicyIteration.name, ValueIteration.name, LinearProgram.name)

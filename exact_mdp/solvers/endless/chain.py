@@ -4,9 +4,9 @@
 
 n steps earn n g + h in the mean, up to terms that vanish or average out; the long-run average of h
 is 0 (Puterman, Markov Decision Processes, 1994, theorem 8.2.6, corollary 8.2.9). One state of each
-recurrent class, an often visited one, is its base. The share of time is what is met between two
-visits of the base, over the time between them (Ross, Stochastic Processes, 1996, theorem 3.6.1). A
-bias is what is earned on the way to a base, y = f + P y, less its mean.
+recurrent class, an often visited one, is its base. The stationary distribution is the mean number
+of visits between two visits of the base, over the time between them (Ross, Stochastic Processes,
+1996, theorem 3.6.1). A bias is the reward on the way to a base, y = f + P y, less its mean.
 
 In floats, for any h' and w', min d ≤ g ≤ max d and min e ≤ mean of h' ≤ max e in each class, with
 d = r + P h' - h' and e = h' + w' - P w'. What h' is off by solves the equation of h with d - g for
@@ -25,17 +25,22 @@ import scipy.sparse as sp
 from exact_mdp.mdp.exact import BellmanRows
 from exact_mdp.mdp.graph import Mask, strong_components
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Integers, Numbers, spans
-from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, Gain, gains, gamma
-from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, part, transposed
-from exact_mdp.solvers.exact.linear import Matrix, equations, solved, visited
+from exact_mdp.mdp.table import Floats, Integers, Numbers, concatenate_ranges
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, Gain, compute_advantages, gamma
+from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, select_rows, transpose_system
+from exact_mdp.solvers.exact.linear import (
+    Matrix,
+    build_equations,
+    compute_expected_visits,
+    solve_policy_equations,
+)
 from exact_mdp.solvers.solution import SolverError, Status
 
 STEPS = 64  # after which an often visited state shows; after 8, bounds are 20 times as wide
 
 
 class Classes:
-    """The recurrent classes of a chain, C in number: what is never left, once entered."""
+    """The C recurrent classes of a chain: sets of states that are never left, once entered."""
 
     def __init__(self, graph: sp.csr_array) -> None:
         """Take the graph (S, S) of a chain, along whose entries states are visited."""
@@ -69,38 +74,42 @@ class Classes:
         """(S,) the class of each state, 0 where it is transient."""
         return np.maximum(self.label, 0)
 
-    def within(self, visits: Numbers) -> Numbers:
+    def normalise_in_classes(self, visits: Numbers) -> Numbers:
         """Return (S,) the share of each state of its class in visits (S,)."""
         inside = np.where(self.recurrent, visits, visits[0] * 0)
-        return np.asarray(inside / self.sums(inside)[self.own])
+        return np.asarray(inside / self.sum_by_class(inside)[self.own])
 
-    def sums(self, amounts: Numbers) -> Numbers:
+    def sum_by_class(self, amounts: Numbers) -> Numbers:
         """Return (C,) the sums of amounts (S,) in each class."""
         total = np.zeros(len(self.base), dtype=amounts.dtype)
         np.add.at(total, self.label[self.recurrent], amounts[self.recurrent])
         return total
 
 
-def expansion(chain: FloatChain | ExactChain, reward: Numbers) -> tuple[Numbers, Numbers, Numbers]:
+def compute_laurent_expansion(
+    chain: FloatChain | ExactChain, reward: Numbers
+) -> tuple[Numbers, Numbers, Numbers]:
     """Return gain g, bias h and w, each (S,), of rewards (S,)."""
     gain = long_run(chain, reward)
-    bias = _bias(chain, reward - gain)
-    return gain, bias, _bias(chain, -bias)
+    bias = _compute_bias(chain, reward - gain)
+    return gain, bias, _compute_bias(chain, -bias)
 
 
-def _bias(chain: FloatChain | ExactChain, earned: Numbers) -> Numbers:
+def _compute_bias(chain: FloatChain | ExactChain, earned: Numbers) -> Numbers:
     """Return (S,) the bias of rewards whose mean is 0 in each class."""
-    bias = chain.total(np.where(chain.classes.at_base, earned * 0, earned))
+    bias = chain.accumulate_until_base(np.where(chain.classes.at_base, earned * 0, earned))
     return np.asarray(bias - long_run(chain, bias))
 
 
 def long_run(chain: FloatChain | ExactChain, earned: Numbers) -> Numbers:
     """Return (S,) the long-run average of rewards (S,), from each state."""
     classes = chain.classes
-    inside, own = classes.recurrent, classes.sums(chain.law * earned)[classes.own]
+    inside, own = classes.recurrent, classes.sum_by_class(chain.law * earned)[classes.own]
     if inside.all() or len(classes.base) == 1:
         return np.asarray(own)
-    return np.where(inside, own, chain.total(np.where(classes.at_base, own, own * 0)))
+    return np.where(
+        inside, own, chain.accumulate_until_base(np.where(classes.at_base, own, own * 0))
+    )
 
 
 class FloatChain:
@@ -112,35 +121,38 @@ class FloatChain:
         self.mdp, self._roundings, table = mdp, roundings, mdp.table
         shape, source = (mdp.n_states, mdp.n_states), mdp.pair_state[pairs]
         offsets = np.append(0, np.cumsum(np.bincount(source, minlength=mdp.n_states)))
-        chances = np.ones(len(pairs)) if weights is None else weights
+        # The chain of the policy: its rows are means of the rows of the pairs that it takes.
+        chances = weights
+        if weights is None:
+            chances = np.ones(len(pairs))
         self.taken = sp.csr_array((chances, pairs, offsets), (mdp.n_states, mdp.n_pairs))
         self.transition = sp.csr_array(self.taken @ mdp.transition)
-        # However rarely: the matrix has lost what is below the range of floats.
+        # However rarely: entries below the range of floats are missing in the matrix.
         lengths = np.diff(table.offsets)[pairs]
-        following = table.next[spans(table.offsets[pairs], table.offsets[pairs + 1])]
+        following = table.next[concatenate_ranges(table.offsets[pairs], table.offsets[pairs + 1])]
         rare = np.full(len(following), np.finfo(np.float64).tiny)
         entries = (rare, (np.repeat(source, lengths), following))
         self.classes = Classes(self.transition + sp.csr_array(entries, shape))
 
-    def _until(self, stop: Mask) -> LinearSystem:
+    def _build_system_until(self, stop: Mask) -> LinearSystem:
         """Return the equation y = c + P y, with empty rows where `stop`."""
-        rows = part(self.transition, np.arange(len(stop)), ~stop)
+        rows = select_rows(self.transition, np.arange(len(stop)), ~stop)
         return LinearSystem(rows, 1.0, roundings=self._roundings)
 
     @cached_property
     def until_base(self) -> LinearSystem:
         """The equation y = c + P y, with empty rows at the bases."""
-        return self._until(self.classes.at_base)
+        return self._build_system_until(self.classes.at_base)
 
     @cached_property
     def until_class(self) -> LinearSystem:
         """The same with empty rows in recurrent classes."""
-        return self._until(self.classes.recurrent)
+        return self._build_system_until(self.classes.recurrent)
 
     @cached_property
     def visits(self) -> LinearSystem:
         """The equation x = c + x P of visits, of which arrivals at bases are the last."""
-        return transposed(self.until_base)
+        return transpose_system(self.until_base)
 
     @cached_property
     def onward(self) -> Floats:
@@ -151,9 +163,9 @@ class FloatChain:
     def law(self) -> Floats:
         """(S,) the share of time in each state of a class."""
         often = np.maximum(self.visits.approximate(self.onward), 0.0)
-        return self.classes.within(np.where(self.classes.at_base, 1.0, often))
+        return self.classes.normalise_in_classes(np.where(self.classes.at_base, 1.0, often))
 
-    def total(self, constant: Floats) -> Floats:
+    def accumulate_until_base(self, constant: Floats) -> Floats:
         """Return y (S,): y = constant at bases, and constant + P y elsewhere."""
         total = self.until_base.approximate(constant)
         if not np.all(np.isfinite(total)):
@@ -162,14 +174,18 @@ class FloatChain:
 
     def bounded_gain(self, step: FixedPoint) -> FixedPoint:
         """Return the gain (S,), from what a step of the policy adds to any values (S,)."""
-        low, high = self.between(step)
+        # In a class the gain lies between the least and the greatest step of the policy.
+        low, high = self.bound_by_class(step)
         middle, half = low / 2 + high / 2, (high - low) / 2
         half = half * SLACK + UNIT * (np.abs(low) + np.abs(high)) + TINY * (high != low)
         inside, own = self.classes.recurrent, self.classes.own
+        # Elsewhere it is the expected gain of the class that the chain ends in.
         gain = FixedPoint(value=middle[own] * inside, error=half[own] * inside)
-        return gain if inside.all() else self.until_class.solve(gain.value, gain.error)
+        if inside.all():
+            return gain
+        return self.until_class.solve(gain.value, gain.error)
 
-    def between(self, point: FixedPoint) -> tuple[Floats, Floats]:
+    def bound_by_class(self, point: FixedPoint) -> tuple[Floats, Floats]:
         """Return (C,) the least and the greatest of numbers (S,) in each class, errors included."""
         size, inside = len(self.classes.base), self.classes.recurrent
         low, high, own = np.full(size, np.inf), np.full(size, -np.inf), self.classes.label[inside]
@@ -178,47 +194,58 @@ class FloatChain:
         np.maximum.at(high, own, (point.value + wide)[inside])
         return low, high
 
-    def evaluated(self) -> tuple[FixedPoint, FixedPoint]:
+    def evaluate_chain(self) -> tuple[FixedPoint, FixedPoint]:
         """Return gain and bias (S,); raises SolverError where floats cannot bound them."""
         mdp, classes = self.mdp, self.classes
 
         def of_policy(added: Gain) -> FixedPoint:
-            """Return (S,) what a step of the policy adds, from what each pair does."""
+            """Return the advantages (S,) of the policy's pairs, given all advantages."""
             terms = int(np.diff(mdp.pair_offsets).max()) + self._roundings + 2
             error = added.error + gamma(terms) * np.abs(added.value)
             return FixedPoint(value=self.taken @ added.value, error=self.taken @ error * SLACK)
 
-        _, bias, second = expansion(self, self.taken @ mdp.reward)
-        step = of_policy(gains(mdp, bias))
+        # Any bias gives bounds on the gain; w gives bounds on the error of the bias.
+        _, bias, second = compute_laurent_expansion(self, self.taken @ mdp.reward)
+        step = of_policy(compute_advantages(mdp, bias))
         gain = self.bounded_gain(step)
+        # The residual r - g + P h - h of the bias, rounding included.
         rest = np.abs(step.value - gain.value) * (1 + UNIT) + step.error + gain.error
         still, inside, own = np.zeros(len(bias)), classes.recurrent, classes.own
+        # Collected on the way to a base, the residual bounds the error up to a constant of the
+        # class.
         met = np.where(classes.at_base, 0.0, rest * SLACK)
         away = self.until_base.solve(still, met).error
-        low, high = self.between(of_policy(gains(mdp, second, reward=-bias[mdp.pair_state])))
+        low, high = self.bound_by_class(
+            of_policy(compute_advantages(mdp, second, reward=-bias[mdp.pair_state]))
+        )
+        # That constant is bounded by the mean of the bias, which has to be 0.
         most = np.zeros(len(classes.base))
         np.maximum.at(most, own[inside], away[inside])
         off = (np.maximum(np.abs(low), np.abs(high)) + most)[own] + away
         if not inside.all():
+            # Transient states add their own residual to the error of the class that they enter.
             off = self.until_class.solve(still, np.where(inside, off, rest) * SLACK).error
         return gain, FixedPoint(value=bias, error=off * SLACK)
 
-    def shares(self) -> tuple[FixedPoint, FixedPoint]:
+    def compute_limit_distribution(self) -> tuple[FixedPoint, FixedPoint]:
         """Return (S,) the share of time in each state, from the start, and arrivals at bases.
 
-        The latter are expected visits in states that are no base.
+        The latter are expected visits in states other than a base.
         """
         at_base, inside, own = self.classes.at_base, self.classes.recurrent, self.classes.own
         begin, error = self.mdp.start_distribution, gamma(len(self.classes.base) + self._roundings)
+        # Arrivals at bases, and visits between two visits of a base.
         arrivals = self.visits.solve(begin, UNIT * begin)
         met = self.visits.solve(self.onward, error * self.onward)
         times = np.where(at_base, 1.0, np.maximum(met.value, 0.0)) * inside
         doubt = np.where(at_base, 0.0, met.error) * inside
+        # The period of a class is the number of steps between two visits of its base.
         period, off = (np.bincount(own, each).astype(np.float64) for each in (times, doubt))
         off = off + gamma(len(own)) * period
         if not (period > off).all():
             raise SolverError(Status.NO_BOUND)
         base = self.classes.base[own]
+        # A state's long-run share is the mass that enters its class times its share of the period.
         mass, loose = np.maximum(arrivals.value, 0.0)[base], arrivals.error[base]
         share = mass * times / period[own]
         error = (loose * (times + doubt) + mass * doubt + share * off[own]) / (period - off)[own]
@@ -250,22 +277,24 @@ class ExactChain:
             entries = range(rows.offsets[base], rows.offsets[base + 1])
             unit = int(rows.scale[base])
             onward += [(int(rows.next[i]), Fraction(int(rows.weight[i]), unit)) for i in entries]
-        return self.classes.within(self.visits(onward))
+        return self.classes.normalise_in_classes(self.compute_visits(onward))
 
-    def visits(self, start: Sequence[tuple[int, Fraction]]) -> Numbers:
+    def compute_visits(self, start: Sequence[tuple[int, Fraction]]) -> Numbers:
         """Return (S,) expected visits from a start until a base, that arrival included."""
-        (visits,) = visited(self.rows, ~self.classes.at_base, start)
-        return visits.fractions()
+        (visits,) = compute_expected_visits(self.rows, ~self.classes.at_base, start)
+        return visits.to_fractions()
 
-    def shares(self, start: Sequence[tuple[int, Fraction]]) -> tuple[Numbers, Numbers]:
-        """Return (S,) the share of time in each state, from a start, and `visits`."""
-        visits = self.visits(start)
+    def compute_limit_distribution(
+        self, start: Sequence[tuple[int, Fraction]]
+    ) -> tuple[Numbers, Numbers]:
+        """Return (S,) the share of time in each state, from a start, and `compute_visits`."""
+        visits = self.compute_visits(start)
         return visits[self.classes.base[self.classes.own]] * self.law, visits
 
     @cached_property
     def _until_base(self) -> Matrix:
-        return equations(self.rows, ~self.classes.at_base)
+        return build_equations(self.rows, ~self.classes.at_base)
 
-    def total(self, constant: Numbers) -> Numbers:
+    def accumulate_until_base(self, constant: Numbers) -> Numbers:
         """Return y (S,): y = constant at bases, and constant + P y elsewhere."""
-        return solved(self._until_base, self.rows, constant.tolist()).fractions()
+        return solve_policy_equations(self._until_base, self.rows, constant.tolist()).to_fractions()

@@ -1,7 +1,7 @@
 """What can be reached, what can be avoided, and where a policy can stay: the graph of the pairs.
 
 An end component is a set of states with pairs that never leave it and connect all of it; whatever a
-policy does, the states and pairs that it uses for ever are one, with probability 1 (de Alfaro,
+policy does, the states and pairs that it uses forever are one, with probability 1 (de Alfaro,
 Formal Verification of Probabilistic Systems, 1997, sections 3.1 to 3.3; Baier and Katoen,
 Principles of Model Checking, 2008, section 10.6). Maximal ones are found by splitting into strongly
 connected components, and peeling off what cannot stay, in turn.
@@ -17,7 +17,7 @@ import scipy.sparse as sp
 
 from exact_mdp.mdp.graph import Backward, Mask, strong_components
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Integers, spans
+from exact_mdp.mdp.table import Integers, concatenate_ranges
 
 
 class Graph:
@@ -31,38 +31,38 @@ class Graph:
     def _backward(self) -> Backward:
         return Backward.of(self.offsets, self.next, self.pair_state, self.states)
 
-    def every(self, states: Mask) -> Mask:
+    def find_pairs_within(self, states: Mask) -> Mask:
         """Return (L,) True for pairs that lead nowhere but to some states (S,)."""
         return np.asarray(np.logical_and.reduceat(states[self.next], self.offsets[:-1]))
 
-    def some(self, states: Mask) -> Mask:
+    def find_pairs_into(self, states: Mask) -> Mask:
         """Return (L,) True for pairs that may lead to some states (S,)."""
         return np.asarray(np.logical_or.reduceat(states[self.next], self.offsets[:-1]))
 
-    def having(self, pairs: Mask) -> Mask:
+    def find_states_with(self, pairs: Mask) -> Mask:
         """Return (S,) True for states with one of some pairs (L,)."""
         return np.bincount(self.pair_state[pairs], minlength=self.states) > 0
 
-    def falling(self, distance: Integers) -> Mask:
+    def find_falling_pairs(self, distance: Integers) -> Mask:
         """Return (L,) the pairs that may lead to a smaller distance (S,), where that is not -1."""
         far = np.where(distance < 0, self.states, distance)
         least = np.minimum.reduceat(far[self.next], self.offsets[:-1])
         return np.asarray(least < far[self.pair_state])
 
-    def distance(self, target: Mask, pairs: Mask) -> Integers:
+    def compute_distance(self, target: Mask, pairs: Mask) -> Integers:
         """Return (S,) the fewest steps along `pairs` (L,) to the target, -1 where no way leads."""
         one = np.ones(self.states, dtype=np.int64)
-        return self._backward.rounds(target, pairs, one)[0]
+        return self._backward.rank_states(target, pairs, one)[0]
 
-    def ranks(self, target: Mask, pairs: Mask) -> Integers:
+    def compute_ranks(self, target: Mask, pairs: Mask) -> Integers:
         """Return (S,) ranks that may fall along each of `pairs` (L,) to 0 in the target; or -1.
 
         A state without such a pair is at 0, too.
         """
         waiting = np.bincount(self.pair_state[pairs], minlength=self.states)
-        return self._backward.rounds(target | (waiting == 0), pairs, waiting)[0]
+        return self._backward.rank_states(target | (waiting == 0), pairs, waiting)[0]
 
-    def rounds(self, target: Mask, pairs: Mask) -> Integers:
+    def compute_rounds(self, target: Mask, pairs: Mask) -> Integers:
         """Return (S,) 0 where some policy of `pairs` reaches the target for sure, or a round.
 
         A round gives up states that cannot reach the target without a pair that may lead to a state
@@ -71,7 +71,7 @@ class Graph:
         given_up = np.zeros(self.states, dtype=np.int64)
         for number in count(1):
             left = given_up == 0
-            way = self.distance(target & left, pairs & self.every(left)) >= 0
+            way = self.compute_distance(target & left, pairs & self.find_pairs_within(left)) >= 0
             if (way == left).all():
                 break
             given_up[left & ~way] = number
@@ -81,16 +81,16 @@ class Graph:
         """Return (S,) the number of each state's end component or -1, and their pairs (L,)."""
         number, inside = np.full(self.states, -1), pairs.copy()
         while True:
-            stays = self.having(inside)
-            leaving = self.ranks(~stays, inside) >= 0
-            inside &= ~self.some(leaving) & ~leaving[self.pair_state]
+            stays = self.find_states_with(inside)
+            leaving = self.compute_ranks(~stays, inside) >= 0
+            inside &= ~self.find_pairs_into(leaving) & ~leaving[self.pair_state]
             stays &= ~leaving
             chosen, place, size = np.flatnonzero(inside), np.cumsum(stays) - 1, int(stays.sum())
             if not size:
                 return number, inside
             first, lengths = self.offsets[chosen], np.diff(self.offsets)[chosen]
             source = np.repeat(place[self.pair_state[chosen]], lengths)
-            target = place[self.next[spans(first, first + lengths)]]
+            target = place[self.next[concatenate_ranges(first, first + lengths)]]
             rows = np.searchsorted(source, np.arange(size + 1))
             ones = np.ones(len(source), dtype=np.int8)
             label = strong_components(sp.csr_array((ones, target, rows), (size, size)))

@@ -15,11 +15,11 @@ from fractions import Fraction
 
 import numpy as np
 
-from exact_mdp.mdp.graph import Mask, termination
+from exact_mdp.mdp.graph import Mask, prove_termination
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Integers, OutcomeTable, integers, ones
-from exact_mdp.solvers.bounds.bounds import improved
+from exact_mdp.mdp.table import Integers, OutcomeTable, make_ones, to_integer_array
+from exact_mdp.solvers.bounds.bounds import improve_policy
 from exact_mdp.solvers.endless.graph import Graph
 from exact_mdp.solvers.solution import SolverError, Status
 
@@ -40,12 +40,12 @@ class Derived:
         Policy iteration in floats, from a policy that ends, tells which these are.
         """
         mdp = self.mdp
-        if termination(mdp).proven:
+        if prove_termination(mdp).proven:
             return self
         graph, pairs = Graph(mdp), mdp.pair_offsets[:-1].copy()
         every = np.ones(mdp.n_pairs, dtype=bool)
-        toward(graph, mdp.terminal, every, pairs)
-        pairs, _, gain = improved(mdp, pairs)
+        choose_nearer_pairs(graph, mdp.terminal, every, pairs)
+        pairs, _, gain = improve_policy(mdp, pairs)
         _, inside = graph.end_components(~mdp.terminal[mdp.pair_state])
         losing = inside & (gain.value < -gain.noise)
         losing[pairs] = False
@@ -55,12 +55,12 @@ class Derived:
         while losing.any():
             pairs = np.flatnonzero(~(losing & (gain.value <= least / COARSER)))
             part = of_pairs(mdp, pairs)
-            if termination(part).proven:
+            if prove_termination(part).proven:
                 return replace(self, mdp=part, source=self.source[pairs])
             least /= COARSER
             if not (losing & (gain.value > least)).any():
                 break
-        raise SolverError(Status.NO_BOUND, "staying for ever loses too little a step")
+        raise SolverError(Status.NO_BOUND, "staying forever loses too little a step")
 
 
 def of_pairs(mdp: MDP, pairs: Integers) -> MDP:
@@ -69,7 +69,7 @@ def of_pairs(mdp: MDP, pairs: Integers) -> MDP:
     return mdp.with_(table=mdp.table.of_pairs(pairs), **own)
 
 
-def derived(
+def build_derived_model(
     mdp: MDP,
     pairs: Integers,
     label: Integers,
@@ -85,15 +85,15 @@ def derived(
     size, table = int(label.max(initial=-1)) + 1, mdp.table.of_pairs(pairs)
     label = np.where(label < 0, size, label)
     if free:
-        gain, below = np.zeros(len(pairs), np.int64), ones(len(pairs))
+        gain, below = np.zeros(len(pairs), np.int64), make_ones(len(pairs))
     elif table.joint:
         gain, below = table.expected_gain_exact()
     else:
         gain, below = table.gain, table.gain_denominator
     extra = np.array([*(state for state, _ in rests), size])
     worths = [*(value for _, value in rests), Fraction(0)]
-    more = integers(value.numerator for value in worths)
-    under = integers(value.denominator for value in worths)
+    more = to_integer_array(value.numerator for value in worths)
+    under = to_integer_array(value.denominator for value in worths)
     following = label[table.next]
     order = np.lexsort((following, table.pair))
     one = np.ones(len(extra), dtype=table.weight.dtype)
@@ -101,7 +101,7 @@ def derived(
         offsets=np.append(table.offsets, table.offsets[-1] + 1 + np.arange(len(extra))),
         next=np.append(following[order], np.full(len(extra), size)),
         weight=np.append(table.weight[order], one),
-        denominator=np.append(table.denominator, ones(len(extra))),
+        denominator=np.append(table.denominator, make_ones(len(extra))),
         gain=np.append(gain, more.astype(gain.dtype) if gain.dtype == np.float64 else more),
         gain_denominator=np.append(below, under),
     )
@@ -123,13 +123,15 @@ def derived(
     return Derived(mdp=model, label=label, source=source)
 
 
-def toward(graph: Graph, target: Mask, pairs: Mask, chosen: Integers) -> None:
+def choose_nearer_pairs(graph: Graph, target: Mask, pairs: Mask, chosen: Integers) -> None:
     """Write into `chosen` (S,) one of some pairs (L,) that leads nearer to the target (S,)."""
-    distance = graph.distance(target, pairs)
-    first_of(graph, graph.falling(distance) & pairs & (distance > 0)[graph.pair_state], chosen)
+    distance = graph.compute_distance(target, pairs)
+    choose_first_pairs(
+        graph, graph.find_falling_pairs(distance) & pairs & (distance > 0)[graph.pair_state], chosen
+    )
 
 
-def first_of(graph: Graph, pairs: Mask, chosen: Integers) -> None:
+def choose_first_pairs(graph: Graph, pairs: Mask, chosen: Integers) -> None:
     """Write into `chosen` (S,) the first of some pairs (L,) of each state that has one."""
     some = np.flatnonzero(pairs)
     states, first = np.unique(graph.pair_state[some], return_index=True)

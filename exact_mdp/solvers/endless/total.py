@@ -2,7 +2,7 @@
 
 End components decide, each by the sign of its best mean reward g: positive is worth +∞ wherever it
 can be reached without a risk of -∞; negative is never worth staying in; where g = 0 and no reward
-is positive, the pairs that earn nothing can be used for ever. In any other model exact levels say
+is positive, the pairs without reward can be used forever. In any other model exact levels say
 what the value is (`exact.find`). With a goal nothing else can be stayed in: a run that never
 arrives is worth +∞ or -∞, and where that is -∞, costs may fall without end before it.
 
@@ -28,12 +28,23 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import Mask
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers
-from exact_mdp.solvers.bounds.gains import SLACK, gains
+from exact_mdp.solvers.bounds.gains import SLACK, compute_advantages
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.endless.average import AverageSolution, solve_average
 from exact_mdp.solvers.endless.graph import Graph
-from exact_mdp.solvers.endless.quotient import Derived, derived, first_of, toward
-from exact_mdp.solvers.exact.find import best_average, expansion, no_falling, one_sign, reaching
+from exact_mdp.solvers.endless.quotient import (
+    Derived,
+    build_derived_model,
+    choose_first_pairs,
+    choose_nearer_pairs,
+)
+from exact_mdp.solvers.exact.find import (
+    best_average,
+    no_falling,
+    one_sign,
+    prove_gain_and_bias,
+    prove_goal_total,
+)
 from exact_mdp.solvers.solution import Solution, SolverError, Status
 
 
@@ -48,45 +59,48 @@ def solve_total(mdp: MDP, solved: Callable[[MDP], Solution]) -> Solution:
     started = perf_counter()
     parts = Structure(mdp)
     if not parts.decided:
-        return rounded(mdp)
+        return round_exact_solution(mdp)
     one_sign(mdp, parts.sign)
-    whole = parts.finite()
+    whole = parts.build_finite_model()
     part = whole.without_losing()
     try:
         solution = solved(part.mdp)
     except SolverError as failed:
-        failed.solution = None  # its states are not those of the model
+        failed.solution = None  # it has other states than the model
         raise
-    if not _decided(whole, part, solution):
+    if not _is_reduction_sound(whole, part, solution):
         closest = PolicyIteration().solve(part.mdp)
-        if not _decided(whole, part, closest):
-            raise SolverError(Status.NO_BOUND, "staying for ever loses too little a step")
+        if not _is_reduction_sound(whole, part, closest):
+            raise SolverError(Status.NO_BOUND, "staying forever loses too little a step")
     value, error = solution.value[whole.label], solution.state_error[whole.label]
     value[parts.sign > 0], value[parts.sign < 0] = inf, -inf
     return replace(
         solution,
         mdp=mdp,
         value=value,
-        pairs=parts.lifted(whole.label, part.source[solution.pairs]),
+        pairs=parts.lift_policy(whole.label, part.source[solution.pairs]),
         state_error=np.where(parts.sign == 0, error, 0.0),
         seconds=perf_counter() - started,
     )
 
 
-def _decided(whole: Derived, part: Derived, solution: Solution) -> bool:
+def _is_reduction_sound(whole: Derived, part: Derived, solution: Solution) -> bool:
     """Return whether no pair that was left out is better, roundings counted."""
     left_out = ~np.isin(whole.source, part.source)
     if not left_out.any():
         return True
-    gain, error = gains(whole.mdp, np.array(solution.value)), solution.state_error
+    gain, error = compute_advantages(whole.mdp, np.array(solution.value)), solution.state_error
     doubt = (whole.mdp.transition @ error + error[whole.mdp.pair_state]) * SLACK + gain.error
     return bool((gain.value + doubt <= 0)[left_out].all())
 
 
-def rounded(mdp: MDP, criterion: str = "total") -> Solution:
+def round_exact_solution(mdp: MDP, criterion: str = "total") -> Solution:
     """Return exact values, of an average reward gain and bias, rounded once."""
     started, average = perf_counter(), criterion == "average"
-    proof = reaching(mdp) if mdp.goal is not None and not average else expansion(mdp, criterion)
+    if mdp.goal is not None and not average:
+        proof = prove_goal_total(mdp)
+    else:
+        proof = prove_gain_and_bias(mdp, criterion)
     value = proof.value_float
     one_sign(mdp, proof.infinite_sign)
     with np.errstate(invalid="ignore"):
@@ -135,7 +149,7 @@ class Structure:
         self.label, self.within = graph.end_components(~ends[mdp.pair_state])
         label, count = self.label, int(self.label.max(initial=-1)) + 1
         # (S,) 1 where the value is +∞, -1 where it is -∞, else 0
-        self.sign = np.where(graph.distance(label >= 0, every) >= 0, 1, 0)
+        self.sign = np.where(graph.compute_distance(label >= 0, every) >= 0, 1, 0)
         self.rest = np.full(mdp.n_states, -1)  # (S,) the number of each state's rest, or -1
         self.inside = ~every  # (L,) the pairs with which one moves inside a rest
         # The components where +∞ is earned, or a goal is missed if that is worth +∞.
@@ -155,39 +169,47 @@ class Structure:
         loss = any_of(self.within & (rewards < 0), owner)
         best = np.where(gain, 1, np.where(any_of(quiet >= 0, label), 0, -1))
         both = np.flatnonzero(gain & loss)
-        best[both] = self._signs(both)
+        best[both] = self._find_gain_signs(both)
         value_sign = np.append(best, -1)[label]  # the sign of each state's component
-        safe = graph.rounds(ends | (value_sign >= 0) if goal is None else ends, every) == 0
-        win = safe & (graph.distance((value_sign > 0) & safe, graph.every(safe)) >= 0)
+        safe = graph.compute_rounds(ends | (value_sign >= 0) if goal is None else ends, every) == 0
+        win = safe & (
+            graph.compute_distance((value_sign > 0) & safe, graph.find_pairs_within(safe)) >= 0
+        )
         if goal is not None:
             no_falling(mdp, win)
         sign = self.sign = np.where(win, 1, np.where(safe, 0, -1))
-        lost = goal is None and (graph.distance(value_sign > 0, every) >= 0) & ~win
+        lost = goal is None and (graph.compute_distance(value_sign > 0, every) >= 0) & ~win
         cancels = np.isin(label, both[best[both] == 0]) & (sign == 0)
         self.decided = not (np.any(lost) or cancels.any())  # +∞ and -∞ together, or rewards cancel
         self.rest = np.where(sign == 0, quiet, -1)
-        self.inside = still & (sign == 0)[mdp.pair_state] & graph.every(sign == 0)
+        self.inside = still & (sign == 0)[mdp.pair_state] & graph.find_pairs_within(sign == 0)
         self.core = np.unique(label[win & (value_sign > 0)])
 
-    def finite(self) -> Derived:
+    def build_finite_model(self) -> Derived:
         """Return the model of the finite values, in which the value of a state is its label's.
 
         Rests are merged, each a state with a pair to the end where staying is allowed.
         """
         mdp, rest, finite, free = self.mdp, self.rest, self.sign == 0, self.mdp.goal is None
-        pairs = (finite & ~self.ends)[mdp.pair_state] & self.graph.every(finite) & ~self.inside
+        pairs = (
+            (finite & ~self.ends)[mdp.pair_state]
+            & self.graph.find_pairs_within(finite)
+            & ~self.inside
+        )
         count = int(rest.max(initial=-1)) + 1
         merged = np.bincount(rest[rest >= 0], minlength=count) > 0
         if free:  # those that cannot be left are at an end
-            leaving = self.graph.having(pairs) & (rest >= 0)
+            leaving = self.graph.find_states_with(pairs) & (rest >= 0)
             merged &= np.bincount(rest[leaving], minlength=count) > 0
         label = np.append(np.where(merged, np.cumsum(merged) - 1, -1), -1)[rest]
-        rests = [(k, Fraction(0)) for k in range(int(merged.sum()))] if free else []
+        rests = []
+        if free:
+            rests = [(k, Fraction(0)) for k in range(int(merged.sum()))]
         single = finite & ~self.ends & (rest < 0)
         label[single] = int(merged.sum()) + np.arange(int(single.sum()))
-        return derived(mdp, np.flatnonzero(pairs), label, rests=rests)
+        return build_derived_model(mdp, np.flatnonzero(pairs), label, rests=rests)
 
-    def lifted(self, label: Integers, chosen: Integers) -> Integers:
+    def lift_policy(self, label: Integers, chosen: Integers) -> Integers:
         """Return the pairs (S,) of the model for the sources `chosen` (S',) in the finite one."""
         graph, mdp, rest = self.graph, self.mdp, self.rest
         pairs, target = mdp.pair_offsets[:-1].copy(), self.ends & (self.sign == 0)
@@ -196,37 +218,45 @@ class Structure:
         single = (self.sign == 0) & leaves & (rest < 0)
         pairs[single] = taken[single]
         staying = self.inside & ((rest >= 0) & ~leaves)[mdp.pair_state]
-        first_of(graph, staying, pairs)
-        target |= graph.having(staying)
+        choose_first_pairs(graph, staying, pairs)
+        target |= graph.find_states_with(staying)
         ways = taken[(rest >= 0) & leaves]
         pairs[mdp.pair_state[ways]] = ways
         target[mdp.pair_state[ways]] = True
-        toward(graph, target, self.inside, pairs)
+        choose_nearer_pairs(graph, target, self.inside, pairs)
         if len(self.core):
             above = np.isin(self.label, self.core)
             if _missing_pays(mdp):
-                first_of(graph, graph.every(above) & above[mdp.pair_state], pairs)
+                choose_first_pairs(
+                    graph, graph.find_pairs_within(above) & above[mdp.pair_state], pairs
+                )
             else:
-                own = self._among(self.core)
-                best = _nearly(own)
+                own = self._extract_components(self.core)
+                best = _solve_gain_in_floats(own)
                 sure = best is not None and bool((best.value > best.error)[:-1].all())
-                earning = best.pairs if best is not None and sure else best_average(own.mdp)[0]
+                if best is not None and sure:
+                    earning = best.pairs
+                else:
+                    earning = best_average(own.mdp)[0]
                 pairs[above] = own.source[earning[:-1]]
-            safe = graph.every(self.sign >= 0) & (self.sign > 0)[mdp.pair_state]
-            toward(graph, above, safe, pairs)
+            safe = graph.find_pairs_within(self.sign >= 0) & (self.sign > 0)[mdp.pair_state]
+            choose_nearer_pairs(graph, above, safe, pairs)
         return pairs
 
-    def _among(self, numbers: Integers) -> Derived:
+    def _extract_components(self, numbers: Integers) -> Derived:
         """Return some end components as a model, whose end is far."""
         chosen = np.isin(self.label, numbers)
         names = np.where(chosen, np.cumsum(chosen) - 1, -1)
         pairs = np.flatnonzero(self.within & chosen[self.mdp.pair_state])
-        return derived(self.mdp, pairs, names)
+        return build_derived_model(self.mdp, pairs, names)
 
-    def _signs(self, numbers: Integers) -> Integers:
+    def _find_gain_signs(self, numbers: Integers) -> Integers:
         """Return the signs of the best mean rewards of components (C,), 0 where floats cannot."""
         signs = np.zeros(len(numbers), dtype=np.int64)
-        if len(numbers) and (best := _nearly(self._among(numbers))) is not None:
+        if (
+            len(numbers)
+            and (best := _solve_gain_in_floats(self._extract_components(numbers))) is not None
+        ):
             own = self.label[np.isin(self.label, numbers)]  # all of a component earn alike
             above, below = (best.value > best.error)[:-1], (best.value < -best.error)[:-1]
             signs[np.searchsorted(numbers, own)] = above.astype(np.int64) - below
@@ -238,7 +268,7 @@ def _missing_pays(mdp: MDP) -> bool:
     return mdp.goal is not None and mdp.unreached == inf
 
 
-def _nearly(own: Derived) -> Solution | None:
+def _solve_gain_in_floats(own: Derived) -> Solution | None:
     """Return the best average reward in floats; None where these do not bound it."""
     try:
         return solve_average(own.mdp, PolicyIteration())

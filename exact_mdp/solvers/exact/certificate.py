@@ -1,4 +1,4 @@
-"""Proofs of what is optimal, in exact numbers, and of bounds around it.
+"""Proofs of optima in exact numbers, and of bounds around them.
 
     certificate = certify(mdp)                          # V, all optimal actions and gaps
     certificate = certify(mdp, criterion="average")     # gain and bias
@@ -25,18 +25,27 @@ from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
 from exact_mdp.mdp.graph import Mask
 from exact_mdp.mdp.io import model_json
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.policy import Policy, evenly
+from exact_mdp.mdp.policies.policy import Policy, build_uniform_policy
 from exact_mdp.mdp.result import DataFrame, Pictured, Result
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers.bounds.gains import UNIT
 from exact_mdp.solvers.exact import checker, codec
-from exact_mdp.solvers.exact.levels import Level, fraction, surplus
-from exact_mdp.solvers.solution import Bounded, Certified, Claim, by_state, in_decimals, in_float
+from exact_mdp.solvers.exact.levels import Level, compute_surpluses, make_fraction
+from exact_mdp.solvers.solution import (
+    Bounded,
+    Certified,
+    Claim,
+    in_decimals,
+    in_float,
+    tabulate_by_state,
+)
 
 
-def model_of(given: MDP | None, own: MDP | None, where: str = "violations") -> MDP:
+def require_model(given: MDP | None, own: MDP | None, where: str = "violations") -> MDP:
     """Return the model given, or else the certificate's own; raises ModelError without either."""
-    mdp = own if given is None else given
+    mdp = given
+    if given is None:
+        mdp = own
     if mdp is None:
         raise ModelError(
             "a certificate read from a file does not contain the model",
@@ -46,7 +55,7 @@ def model_of(given: MDP | None, own: MDP | None, where: str = "violations") -> M
     return mdp
 
 
-def _listed(numbers: Iterable[Fraction | None]) -> Numbers:
+def _freeze_column(numbers: Iterable[Fraction | None]) -> Numbers:
     listed = list(numbers)
     column = np.empty(len(listed), dtype=object)
     column[:] = listed
@@ -63,7 +72,7 @@ def exact_rows(mdp: MDP, *, average: bool = False) -> BellmanRows:
 class Proof(Result):
     """A claim about a model that a checker can read: an optimum, bounds, or what totals allow."""
 
-    kind: str  # what is claimed, as files call it
+    kind: str  # the kind of claim, as files call it
     model: str  # its fingerprint
     mdp: MDP | None = None  # unless the proof was read from a file
 
@@ -71,7 +80,7 @@ class Proof(Result):
     kinds: ClassVar[tuple[str, ...]]
 
     def violations(self, model: MDP | None = None) -> list[str]:
-        """Return what does not hold, in words: nothing where the proof is sound.
+        """Return the violations in words: an empty list if the proof is sound.
 
         Parameters
         ----------
@@ -79,16 +88,16 @@ class Proof(Result):
             Needed where the proof was read from a file.
         """
         try:
-            return self._wrong(model_of(model, self.mdp))
+            return self._find_violations(require_model(model, self.mdp))
         except (checker.Unreadable, TypeError) as error:
             return [str(error)]
 
-    def _wrong(self, mdp: MDP) -> list[str]:
-        return checker.violations(model_json.content(mdp), codec.content(self, int))
+    def _find_violations(self, mdp: MDP) -> list[str]:
+        return checker.violations(model_json.encode_model(mdp), codec.build_file_content(self, int))
 
     def save(self, path: str | Path) -> None:
         """Write the proof as JSON, for `exact-mdp verify`; docs/reference/certificates.md."""
-        codec.save(self, path)
+        codec.save_proof(self, path)
 
     @classmethod
     def load(cls, path: str | Path, model: MDP | None = None) -> Self:
@@ -119,7 +128,7 @@ class Proof(Result):
         ...     Certificate.load(f"{folder}/proof.json").value
         array([Fraction(2, 1)], dtype=object)
         """
-        proof = codec.load(dict.fromkeys(cls.kinds, cls), path)
+        proof = codec.load_proof(dict.fromkeys(cls.kinds, cls), path)
         if model is not None and proof.model != fingerprint(model):
             raise ModelError(
                 "the certificate is of another model",
@@ -153,7 +162,7 @@ class Certificate(Proof, Pictured):
         Optimal value of the start distribution.
     unique : bool
         Whether every state that optimal actions reach from the start has only one optimal action,
-        ends aside, in which it does not matter what is done.
+        ends aside, whose actions do not matter.
     model, mdp
         See `Proof`.
 
@@ -183,10 +192,14 @@ class Certificate(Proof, Pictured):
     kinds: ClassVar[tuple[str, ...]] = ("total", "average")
 
     def __repr__(self) -> str:
-        best = "least " if self.sense == "min" else ""
+        best = ""
+        if self.sense == "min":
+            best = "least "
         if self.kind == "average":
             return f"Certificate({len(self.policy)} states, {best}gain at the start {self.start})"
-        unique = "the only optimal policy" if self.unique else "not the only optimal policy"
+        unique = "not the only optimal policy"
+        if self.unique:
+            unique = "the only optimal policy"
         return (
             f"Certificate({len(self.policy)} states, "
             f"{best}start value ≈ {in_float(self.start_value):.12g}, {unique})"
@@ -200,7 +213,9 @@ class Certificate(Proof, Pictured):
     @property
     def sign(self) -> int:
         """1, or -1 where the numbers are costs."""
-        return 1 if self.sense == "max" else -1
+        if self.sense == "max":
+            return 1
+        return -1
 
     @property
     def infinite_sign(self) -> Integers:
@@ -214,7 +229,7 @@ class Certificate(Proof, Pictured):
     @cached_property
     def value(self) -> Numbers:
         """(S,) the optimal values as Fractions, `math.inf` or `-math.inf`; of averages the gain."""
-        return self._with_infinite(self._values.fractions(self.sign))
+        return self._with_infinite(self._values.to_fractions(self.sign))
 
     @cached_property
     def value_float(self) -> Floats:
@@ -222,11 +237,13 @@ class Certificate(Proof, Pictured):
 
         Raises ModelError where a finite one is beyond the floats.
         """
-        return self._with_infinite(self._values.floats(self.sign))
+        return self._with_infinite(self._values.to_floats(self.sign))
 
     @property
     def _values(self) -> Level:
-        return self.g if self.kind == "average" and self.g is not None else self.h
+        if self.kind == "average" and self.g is not None:
+            return self.g
+        return self.h
 
     def _with_infinite(self, values: Numbers) -> Numbers:
         extended = values.copy()
@@ -244,12 +261,12 @@ class Certificate(Proof, Pictured):
                 where="certificate",
                 fix='ask for certify(mdp, criterion="average")',
             )
-        return self.h.fractions(self.sign)
+        return self.h.to_fractions(self.sign)
 
     @property
     def pairs(self) -> Integers:
         """(S,) the policy's pairs."""
-        mdp = model_of(None, self.mdp, "pairs")
+        mdp = require_model(None, self.mdp, "pairs")
         wanted = np.arange(mdp.n_states) * mdp.n_actions + self.policy
         offered = mdp.pair_state * mdp.n_actions + mdp.pair_action
         return np.asarray(np.searchsorted(offered, wanted))
@@ -257,23 +274,26 @@ class Certificate(Proof, Pictured):
     @cached_property
     def _gains(self) -> list[list[tuple[int, int]]]:
         """What each pair gains, level by level; w does not count."""
-        mdp = model_of(None, self.mdp, "optimal_pairs")
+        mdp = require_model(None, self.mdp, "optimal_pairs")
         rows = exact_rows(mdp, average=self.kind == "average")
         if self.g is None:
-            return surplus(rows, self.h)
+            return compute_surpluses(rows, self.h)
         assert self.w is not None
-        return surplus(rows, self.g, self.h, self.w)[:2]
+        return compute_surpluses(rows, self.g, self.h, self.w)[:2]
 
     @cached_property
     def losses(self) -> list[Numbers]:
-        """(L,) by level: what each pair loses of the gain, and, where that is nothing, of h."""
-        each = [_listed(fraction(-top, below) for top, below in gain) for gain in self._gains]
+        """(L,) by level: each pair's loss of gain and, if that is 0, of h."""
+        each = [
+            _freeze_column(make_fraction(-top, below) for top, below in gain)
+            for gain in self._gains
+        ]
         return [each[0], *(np.asarray(short * (each[0] == 0)) for short in each[1:])]
 
     @cached_property
     def optimal_pairs(self) -> Mask:
         """(L,) the pairs that attain the optimum of their state."""
-        mdp = model_of(None, self.mdp, "optimal_pairs")
+        mdp = require_model(None, self.mdp, "optimal_pairs")
         best = np.logical_and.reduce([[not top for top, _ in gain] for gain in self._gains])
         infinite = self.infinite_sign
         if not infinite.any():
@@ -284,14 +304,14 @@ class Certificate(Proof, Pictured):
             best &= least == 0  # no finite state has a pair that leads to +∞ without -∞
             above = (least >= 0) & (most > 0)
         else:  # the pairs after which the mean reward still is positive
-            each = zip(self.g.fractions()[mdp.pair_state], self._gains[0], strict=True)
+            each = zip(self.g.to_fractions()[mdp.pair_state], self._gains[0], strict=True)
             above = np.array([g * below + top > 0 for g, (top, below) in each])
         return np.asarray(np.where(own == 0, best, (own < 0) | above), dtype=bool)
 
     @cached_property
     def gaps(self) -> Numbers:
         """(S,) what the best action that is not optimal loses, as Fractions; None without one."""
-        mdp = model_of(None, self.mdp, "gaps")
+        mdp = require_model(None, self.mdp, "gaps")
         infinite, counts = self.infinite_sign, ~self.optimal_pairs
         counts &= (infinite == 0)[mdp.pair_state] & ~mdp.terminal[mdp.pair_state]
         if self.g is None:
@@ -304,12 +324,12 @@ class Certificate(Proof, Pictured):
             best, (top, below) = least[state := int(mdp.pair_state[pair])], self._gains[-1][pair]
             if best is None or -top * best[1] < best[0] * below:
                 least[state] = -top, below
-        return _listed(None if best is None else fraction(*best) for best in least)
+        return _freeze_column(None if best is None else make_fraction(*best) for best in least)
 
     @property
     def optimal(self) -> Mask:
         """(S, A) whether an action is optimal; False where it is not offered."""
-        return np.asarray(model_of(None, self.mdp).by_action(self.optimal_pairs))
+        return np.asarray(require_model(None, self.mdp).by_action(self.optimal_pairs))
 
     def optimal_policy(self) -> Policy:
         """Return the policy that draws one of the optimal actions of each state, all alike.
@@ -318,7 +338,7 @@ class Certificate(Proof, Pictured):
         ------
         ModelError
             Where some policy never ends and a state has several: each is right alone, and drawing
-            among them may go round for ever.
+            among them may go round forever.
 
         Examples
         --------
@@ -327,7 +347,7 @@ class Certificate(Proof, Pictured):
         >>> certify(mdp).optimal_policy().table[0].tolist()
         [0.5, 0.0, 0.5]
         """
-        mdp, optimal = model_of(None, self.mdp), self.optimal
+        mdp, optimal = require_model(None, self.mdp), self.optimal
         several = (optimal.sum(axis=1) > 1) & ~mdp.terminal
         endless = self.g is not None or self.infinite is not None
         if endless and several.any():
@@ -337,7 +357,7 @@ class Certificate(Proof, Pictured):
                 where=mdp.space.place(int(np.flatnonzero(several)[0])),
                 fix="take certificate.policy, which is",
             )
-        return evenly(mdp, optimal)
+        return build_uniform_policy(mdp, optimal)
 
     def frame(self) -> DataFrame:
         """Return the value of each state, its action, and what the next best action loses.
@@ -348,14 +368,16 @@ class Certificate(Proof, Pictured):
         value, action = in_decimals(self.value), {"action": self.policy}
         if self.kind == "average":
             columns = {"gain": value, "bias": in_decimals(self.bias)} | action
-            return by_state(self.mdp, columns | {"exact gain": self.value, "exact bias": self.bias})
+            return tabulate_by_state(
+                self.mdp, columns | {"exact gain": self.value, "exact bias": self.bias}
+            )
         columns = {"value": value} | action | {"gap": in_decimals(self.gaps)}
-        return by_state(self.mdp, columns | {"exact": self.value})
+        return tabulate_by_state(self.mdp, columns | {"exact": self.value})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class BoundedCertificate(Proof, Pictured):
-    """Floats that the optimal values, and those of a policy, are proven to lie between.
+    """Floats that are proven to enclose the optimal values and the values of a policy.
 
     Attributes
     ----------
@@ -393,12 +415,16 @@ class BoundedCertificate(Proof, Pictured):
     @cached_property
     def lower(self) -> Floats:
         """(S,) a lower bound of the values."""
-        return self.low.floats() if self.sense == "max" else self.high.floats(-1)
+        if self.sense == "max":
+            return self.low.to_floats()
+        return self.high.to_floats(-1)
 
     @cached_property
     def upper(self) -> Floats:
         """(S,) an upper bound of the values."""
-        return self.high.floats() if self.sense == "max" else self.low.floats(-1)
+        if self.sense == "max":
+            return self.high.to_floats()
+        return self.low.to_floats(-1)
 
     @property
     def value(self) -> Floats:
@@ -419,11 +445,11 @@ class BoundedCertificate(Proof, Pictured):
     @property
     def start(self) -> Bounded:
         """The value of the start distribution, with its bound."""
-        mdp = model_of(None, self.mdp, "start")
+        mdp = require_model(None, self.mdp, "start")
         middle = float(sum(weight * Fraction(float(self.value[s])) for s, weight in mdp.start))
         return Bounded(value=middle, error=self.error_bound + ulp(middle))
 
     def frame(self) -> DataFrame:
         """Return the value of each state, its bounds and its action."""
         columns = {"value": self.value, "lower": self.lower, "upper": self.upper}
-        return by_state(self.mdp, columns | {"action": self.policy})
+        return tabulate_by_state(self.mdp, columns | {"action": self.policy})

@@ -18,13 +18,18 @@ import numpy as np
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.exact import fingerprint
-from exact_mdp.mdp.graph import endless, termination, where_endless
+from exact_mdp.mdp.graph import has_improper_policy, prove_termination, where_endless
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.bounds import margin_weights
-from exact_mdp.solvers.bounds.gains import UNIT, first_of, gains
+from exact_mdp.solvers.bounds.gains import UNIT, compute_advantages, first_of
 from exact_mdp.solvers.exact.certificate import BoundedCertificate, Certificate, exact_rows
-from exact_mdp.solvers.exact.find import best, certificate, expansion, reaching
+from exact_mdp.solvers.exact.find import (
+    build_certificate,
+    optimise_exactly,
+    prove_gain_and_bias,
+    prove_goal_total,
+)
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
 from exact_mdp.solvers.solver import is_average, mdp_of, require_no_target, solve
@@ -98,7 +103,7 @@ def certify(
             where="certify",
             fix='leave out bounded=True; solve(model, criterion="average") bounds its error',
         )
-    if bounded and endless(mdp):
+    if bounded and has_improper_policy(mdp):
         raise ModelError(
             "bounds that a checker reads need every policy to end, at the goal where one is set; "
             "one does not",
@@ -106,19 +111,22 @@ def certify(
             fix="leave out bounded=True: the proof is exact; solve() gives floats with bounds",
         )
     if bounded:
-        return _bounded(mdp, solution)
+        return _certify_bounds(mdp, solution)
     if solution is not None:
         raise ModelError(
             "a solution applies only to bounds", where="certify", fix="add bounded=True"
         )
-    if average or (endless(mdp) and mdp.goal is None):
-        return expansion(mdp, "average" if average else "total")
-    if endless(mdp):
-        return reaching(mdp)
-    _, (value,), sign = best(exact_rows(mdp))
+    if average or (has_improper_policy(mdp) and mdp.goal is None):
+        return prove_gain_and_bias(mdp, "average" if average else "total")
+    if has_improper_policy(mdp):
+        return prove_goal_total(mdp)
+    _, (value,), sign = optimise_exactly(exact_rows(mdp))
     optimal = sign == 0
-    rank = termination(mdp).rank if mdp.discount_exact == 1 else None
-    return certificate(mdp, first_of(mdp, optimal), optimal, h=value, rank=rank)
+    if mdp.discount_exact == 1:
+        rank = prove_termination(mdp).rank
+    else:
+        rank = None
+    return build_certificate(mdp, first_of(mdp, optimal), optimal, h=value, rank=rank)
 
 
 # ---- bounds --------------------------------------------------------------------------------------
@@ -126,31 +134,34 @@ def certify(
 ATTEMPTS = 3  # as values move, so do their rounding errors: the second has always been enough
 
 
-def _bounded(mdp: MDP, solution: Solution | None) -> BoundedCertificate:
+def _certify_bounds(mdp: MDP, solution: Solution | None) -> BoundedCertificate:
     if mdp.sense == "min":
-        known = None if solution is None else solution.negated(mdp.maximised)
-        proof = _bounded(mdp.maximised, known)
+        if solution is None:
+            known = None
+        else:
+            known = solution.negated(mdp.maximised)
+        proof = _certify_bounds(mdp.maximised, known)
         return replace(proof, mdp=mdp, model=fingerprint(mdp), sense="min")
     if solution is None:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", PrecisionWarning)  # the bounds say what was reached
+            warnings.simplefilter("ignore", PrecisionWarning)  # the bounds say how near it came
             solution = solve(mdp)
     elif len(solution.value) != mdp.n_states or solution.mdp.n_pairs != mdp.n_pairs:
         raise ModelError("the solution is of another model", where="certify", fix="solve this one")
     weight = np.where(mdp.terminal, 0.0, margin_weights(mdp).value)
-    lost = gains(mdp, weight, reward=np.zeros(mdp.n_pairs))
+    lost = compute_advantages(mdp, weight, reward=np.zeros(mdp.n_pairs))
     margin, value = -(lost.value + lost.error), np.array(solution.value)
-    near = gains(mdp, value)
+    near = compute_advantages(mdp, value)
     gain, first = near.value, near.error + 8 * UNIT * np.abs(value).max()
 
-    def widen(pairs: Integers, sign: int) -> Level:
+    def widen_values(pairs: Integers, sign: int) -> Level:
         """Return values proven not to gain (1), or not to lose (-1), by any of the pairs."""
         error = first
         for _ in range(ATTEMPTS):
             surplus = sign * gain[pairs] + error[pairs]
             step = max(0.0, float((surplus / margin[pairs]).max(initial=0.0)))
             moved = value + sign * step * weight
-            after = gains(mdp, moved)
+            after = compute_advantages(mdp, moved)
             if (sign * after.value[pairs] <= -after.error[pairs]).all():
                 return Level.of([Fraction(number) for number in moved.tolist()])
             error = 2 * (after.error + 8 * UNIT * np.abs(moved).max())
@@ -163,7 +174,7 @@ def _bounded(mdp: MDP, solution: Solution | None) -> BoundedCertificate:
         model=fingerprint(mdp),
         sense=mdp.sense,
         policy=mdp.pair_action[solution.pairs],
-        low=widen(solution.pairs[live], -1),
-        high=widen(np.flatnonzero(live[mdp.pair_state]), 1),
-        rank=termination(mdp).rank if mdp.discount_exact == 1 else None,
+        low=widen_values(solution.pairs[live], -1),
+        high=widen_values(np.flatnonzero(live[mdp.pair_state]), 1),
+        rank=prove_termination(mdp).rank if mdp.discount_exact == 1 else None,
     )

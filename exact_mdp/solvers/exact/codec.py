@@ -8,8 +8,8 @@
     a record             an object with the keys of its fields
     what may be None     null, or the other type
 
-A file has the keys `format` ("exact-mdp certificate") and `version` (2) as well as those of its
-record, of which `kind` says what it proves. Python refuses to read or write over 4,300 decimal
+A file has the keys `format` ("exact-mdp certificate") and `version` (2) beside the keys of its
+record, whose `kind` names the claim. Python refuses to read or write over 4,300 decimal
 digits; hexadecimal is quick, too. What is read is checked for its form; whether its claims hold is
 for `violations` to say.
 """
@@ -33,7 +33,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import LARGEST, read_bytes, write_atomically
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.exact.checker import Unreadable, keyed, once, wanted
-from exact_mdp.solvers.exact.levels import fraction
+from exact_mdp.solvers.exact.levels import make_fraction
 
 T = TypeVar("T")
 
@@ -41,11 +41,13 @@ FORMAT, VERSION = "exact-mdp certificate", 2
 INTEGER = re.compile(r"-?0x(0|[1-9a-f][0-9a-f]*)")
 
 
-def encode(value: Any, integer: Callable[[int], object] = hex) -> Any:
+def encode_record(value: Any, integer: Callable[[int], object] = hex) -> Any:
     """Return a record, or a value of a field, as JSON has it, with integers as texts."""
-    inner = partial(encode, integer=integer)
+    inner = partial(encode_record, integer=integer)
     if is_dataclass(value):
-        return {name: inner(getattr(value, name)) for name in _types(cast(Any, type(value)))}
+        return {
+            name: inner(getattr(value, name)) for name in _list_field_types(cast(Any, type(value)))
+        }
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, bool | str | NoneType):
@@ -61,92 +63,97 @@ def encode(value: Any, integer: Callable[[int], object] = hex) -> Any:
     return [inner(each) for each in value]
 
 
-def decode(kind: Any, value: Any) -> Any:
-    """Return what JSON has as a value of a type; raises ValueError where it is none."""
+def decode_record(kind: Any, value: Any) -> Any:
+    """Decode a JSON value as a given type; raises ValueError if it does not fit."""
     of, record = get_args(kind), is_dataclass(kind)
     if get_origin(kind) in (Union, UnionType):
         for each in of:
             with suppress(ValueError, TypeError, AttributeError):
-                return decode(each, value)
+                return decode_record(each, value)
         raise ValueError
     if record:
-        types = _types(kind)
-        _needs(isinstance(value, dict) and value.keys() == types.keys())
-        return kind(**{name: decode(each, value[name]) for name, each in types.items()})
+        types = _list_field_types(kind)
+        _require_fit(isinstance(value, dict) and value.keys() == types.keys())
+        return kind(**{name: decode_record(each, value[name]) for name, each in types.items()})
     if kind in (str, bool, NoneType):
-        _needs(type(value) is kind)
+        _require_fit(type(value) is kind)
         return value
     if kind is int:
-        _needs(isinstance(value, str) and INTEGER.fullmatch(value))
+        _require_fit(isinstance(value, str) and INTEGER.fullmatch(value))
         return int(value, 16)
     if kind is Fraction:
-        _needs(isinstance(value, str))
-        top, below = (decode(int, part) for part in value.split("/"))
-        _needs(below > 0)
-        return fraction(top, below)
+        _require_fit(isinstance(value, str))
+        top, below = (decode_record(int, part) for part in value.split("/"))
+        _require_fit(below > 0)
+        return make_fraction(top, below)
     if kind is float:
-        _needs(value in ("inf", "-inf"))
+        _require_fit(value in ("inf", "-inf"))
         return float(value)
     if kind == Integers:
-        _needs(isinstance(value, list) and {*map(type, value)} <= {int})
+        _require_fit(isinstance(value, list) and {*map(type, value)} <= {int})
         return np.array(value, dtype=np.int64)
-    _needs(isinstance(value, list))
-    items = [decode(of[0], each) for each in value]
-    return tuple(items) if get_origin(kind) is tuple else items
+    _require_fit(isinstance(value, list))
+    items = [decode_record(of[0], each) for each in value]
+    if get_origin(kind) is tuple:
+        return tuple(items)
+    return items
 
 
-def _needs(right: object) -> None:
+def _require_fit(right: object) -> None:
     if not right:
         raise ValueError
 
 
 @cache
-def _types(kind: Any) -> dict[str, Any]:
+def _list_field_types(kind: Any) -> dict[str, Any]:
     """Return the types of the fields that are written: those without a default."""
     hints = get_type_hints(kind)
     return {f.name: hints[f.name] for f in fields(kind) if f.default is f.default_factory}
 
 
-def checked(proof: Any) -> Any:
+def rebuild_proof(proof: Any) -> Any:
     """Return a proof made of what its file would hold; raises Unreadable for other types."""
     try:
         if proof.kind in type(proof).kinds:
-            return decode(type(proof), encode(proof))
+            return decode_record(type(proof), encode_record(proof))
     except (ValueError, TypeError, AttributeError, OverflowError):
         pass
     raise Unreadable(f"no file holds such a proof of {' or '.join(type(proof).kinds)}")
 
 
-def content(proof: Any, integer: Callable[[int], object] = hex) -> dict[str, Any]:
-    """Return what the file of a proof has."""
-    return {"format": FORMAT, "version": VERSION, **encode(proof, integer)}
+def build_file_content(proof: Any, integer: Callable[[int], object] = hex) -> dict[str, Any]:
+    """Return the content of a proof's file."""
+    return {"format": FORMAT, "version": VERSION, **encode_record(proof, integer)}
 
 
-def save(proof: Any, path: str | Path) -> None:
+def save_proof(proof: Any, path: str | Path) -> None:
     """Write a proof as a file, whole or not at all."""
-    each = content(proof).items()
+    each = build_file_content(proof).items()
     lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in each]
     write_atomically(path, "{" + ",\n ".join(lines) + "}\n")
 
 
-def load(kinds: Mapping[str, type[T]], path: str | Path) -> T:
+def load_proof(kinds: Mapping[str, type[T]], path: str | Path) -> T:
     """Read a certificate of one of some kinds; raises ModelError for another file."""
     text, fault = read_bytes(path, most=LARGEST), "not a certificate, which is JSON text"
     try:
         data = json.loads(text, object_pairs_hook=once)
         fault = "the file is damaged"
-        data = data if isinstance(data, dict) else {}
+        if isinstance(data, dict):
+            data = data
+        else:
+            data = {}
         head: dict[str, list[Any]] = {"format": [FORMAT], "version": [VERSION], "kind": [*kinds]}
         for key, known in head.items():
             own, each = data.get(key), " or ".join(map(repr, known))
             right = own in known and type(own) is type(known[0])  # 2.0 equals 2, too
             wanted(right, f"{key} is {str(own)[:40]!r}, not {each}")
         record = kinds[data["kind"]]
-        types, read = _types(cast(Any, record)), dict[str, Any]()
+        types, read = _list_field_types(cast(Any, record)), dict[str, Any]()
         keyed(data, {"format", "version", *types}, "the certificate")
         for part, kind in types.items():
             fault = f"{part} is damaged"
-            read[part] = decode(kind, data[part])
+            read[part] = decode_record(kind, data[part])
     except (ValueError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise ModelError(
             str(error) if isinstance(error, Unreadable) else fault,

@@ -27,14 +27,14 @@ from exact_mdp.solvers.exact.checker import Level, Model, wanted
 Point = Sequence[Fraction]
 
 
-def _level(given: Any, count: int) -> Level:
+def _read_level(given: Any, count: int) -> Level:
     """Return numbers of states, or of pairs; raises Unreadable where they are none."""
     parts = {"top": given.top, "below": given.below, "group": [*map(int, given.group)]}
     return Level(parts, "values", count)
 
 
 class Totals:
-    """Objectives of a model: a name for each, and what each pair earns (L,), more being better."""
+    """Objectives of a model: a name for each, and the amounts of its pairs (L,); more is better."""
 
     def __init__(self, model: Model, names: Sequence[str], amounts: Sequence[Point]) -> None:
         self.model, self.names, self.amounts = model, [*names], amounts
@@ -42,7 +42,7 @@ class Totals:
         moving = {s for s, after in zip(model.state, model.next, strict=True) if after != [s]}
         self.ends = {*range(model.states)} - earning - moving
 
-    def sound(self, rank: Any) -> Iterator[str]:
+    def find_faults(self, rank: Any) -> Iterator[str]:
         """Yield a fault where the equations of a policy may have several solutions."""
         model = self.model
         if model.discount == 1:
@@ -62,7 +62,7 @@ class Totals:
             if met & self.ends - model.goal:
                 yield "a run may end beside the goal, and its totals are not finite"
 
-    def gain(self, weights: Point, value: Level, pair: int) -> int:
+    def compute_advantage_sign(self, weights: Point, value: Level, pair: int) -> int:
         """Return the sign of w c + γ P V - V; at an end, of -V."""
         if (state := self.model.state[pair]) in self.ends:
             return int(-value.top[state])
@@ -71,17 +71,19 @@ class Totals:
         ratio = earned.as_integer_ratio()
         return self.model.gain(self.model.discount, pair, value, ratio)
 
-    def bounds(self, weights: Point, given: Any, most: Fraction) -> bool:
+    def is_upper_bound(self, weights: Point, given: Any, most: Fraction) -> bool:
         """Return whether values prove that no policy has a weighted total above `most`."""
-        value = _level(given, self.model.states)
+        value = _read_level(given, self.model.states)
         at_start = Fraction(*value.weighted(*self.model.odds))
         pairs = range(len(self.model.state))
-        return at_start <= most and all(self.gain(weights, value, pair) <= 0 for pair in pairs)
+        return at_start <= most and all(
+            self.compute_advantage_sign(weights, value, pair) <= 0 for pair in pairs
+        )
 
-    def attained(self, pairs: Any, values: Any, total: Point) -> bool:
+    def is_attained(self, pairs: Any, values: Any, total: Point) -> bool:
         """Return whether a policy has these values, and these totals at the start."""
         model = self.model
-        each = [_level(value, model.states) for value in values]
+        each = [_read_level(value, model.states) for value in values]
         wanted(len(each) == len(total) == len(self.names), "not one total for each objective")
         listed = [*map(int, pairs)]
         wanted({*listed} <= {*range(len(model.state))}, "a pair is none of the model")
@@ -89,16 +91,16 @@ class Totals:
             return False
         for k, (value, claimed) in enumerate(zip(each, total, strict=True)):
             unit = [Fraction(k == i) for i in range(len(each))]
-            if any(self.gain(unit, value, pair) for pair in listed):
+            if any(self.compute_advantage_sign(unit, value, pair) for pair in listed):
                 return False
             if Fraction(*value.weighted(*model.odds)) != claimed:
                 return False
         return True
 
-    def earns(self, flow: Any) -> list[Fraction]:
-        """Return what visits earn; raises Unreadable where they are not those of a policy."""
+    def compute_earnings(self, flow: Any) -> list[Fraction]:
+        """Return the totals of visits; raises Unreadable unless they are the visits of a policy."""
         model, pairs = self.model, [*map(int, flow.pairs)]
-        visits = _level(flow.visits, len(pairs))
+        visits = _read_level(flow.visits, len(pairs))
         wanted({*pairs} <= {*range(len(model.state))}, "a pair is none of the model")
         wanted(len({*pairs}) == len(pairs) and min(visits.top, default=1) > 0, "visits are not > 0")
         unit = lcm(*visits.below)
@@ -125,7 +127,7 @@ class Totals:
         return earned
 
 
-def front(totals: Totals, proof: Any) -> Iterator[str]:
+def check_front(totals: Totals, proof: Any) -> Iterator[str]:
     """Yield what does not hold of an exact front of two or three objectives.
 
     The greatest weighted total H(w) is convex in the weights, that of the vertices h(w) too. Where
@@ -136,35 +138,35 @@ def front(totals: Totals, proof: Any) -> Iterator[str]:
     size, vertices = len(totals.names), proof.attained
     wanted(size in (2, 3), "a front is of two or three objectives")
     for number, vertex in enumerate(vertices):
-        if not totals.attained(vertex.pairs, vertex.values, vertex.total):
+        if not totals.is_attained(vertex.pairs, vertex.values, vertex.total):
             yield f"vertex {number} has other totals"
     if len({tuple(vertex.total) for vertex in vertices}) < len(vertices):
         yield "a vertex is written twice"
     cells: list[list[Point]] = [[] for _ in vertices]
     for corner in proof.corners:
         wanted(len(corner.weights) == size, "not one weight for each objective")
-        totals_of = [worth(corner.weights, vertex.total) for vertex in vertices]
+        totals_of = [weigh_values(corner.weights, vertex.total) for vertex in vertices]
         most = max(totals_of, default=Fraction())
         tight = [number for number, own in enumerate(totals_of) if own == most]
         for number in tight:
             cells[number].append(corner.weights)
         fits = sum(corner.weights) == 1 and min(corner.weights) >= 0 and [*corner.best] == tight
-        if not fits or not totals.bounds(corner.weights, corner.dual, most):
+        if not fits or not totals.is_upper_bound(corner.weights, corner.dual, most):
             yield f"the bound for weights ({', '.join(map(str, corner.weights))}) does not hold"
     if len({tuple(corner.weights) for corner in proof.corners}) < len(proof.corners):
         yield "weights are written twice"
-    if sum(map(_size, cells)) != 1:
+    if sum(map(_measure_hull, cells)) != 1:
         yield "the bounds do not cover all weights"
-    if not all(map(_size, cells)):
+    if not all(map(_measure_hull, cells)):
         yield "a vertex is not one: others are as good for all weights"
 
 
-def worth(weights: Sequence[Any], values: Point) -> Fraction:
+def weigh_values(weights: Sequence[Any], values: Point) -> Fraction:
     """Return the weighted sum of some values."""
     return sum((w * v for w, v in zip(weights, values, strict=True)), Fraction())
 
 
-def _size(points: Sequence[Point]) -> Fraction:
+def _measure_hull(points: Sequence[Point]) -> Fraction:
     """Return the length, or the area, of the hull of some weights, where all weights make 1."""
     flat = sorted({(*point[:2],) for point in points})
     if not points or len(points[0]) == 2:
@@ -173,7 +175,7 @@ def _size(points: Sequence[Point]) -> Fraction:
 
 
 def _twice_below(points: Sequence[Point]) -> Fraction:
-    """Return what one chain of a convex hull adds to twice its area (Andrew, 1979)."""
+    """Return twice the area that one chain of a convex hull contributes (Andrew, 1979)."""
     chain: list[Point] = []
     for c in points:
         while len(chain) > 1:
@@ -185,7 +187,7 @@ def _twice_below(points: Sequence[Point]) -> Fraction:
     return sum((a[0] * b[1] - a[1] * b[0] for a, b in pairwise(chain)), Fraction())
 
 
-def limits(totals: Totals, proof: Any) -> Iterator[str]:
+def check_limits(totals: Totals, proof: Any) -> Iterator[str]:
     """Yield what does not hold of an optimum under limits, or of the proof that there is none.
 
     Prices p ≥ 0 bound r(π) + Σ p c(π) by μ V; a flow that keeps the limits and meets the bound is
@@ -200,7 +202,7 @@ def limits(totals: Totals, proof: Any) -> Iterator[str]:
         yield "what is maximised is not the reward"
     if min(prices, default=0) < 0 or (proof.shift == 0) is not reward or proof.shift < 0:
         yield "a price or the step of the limits is negative, or contradicts that they can be kept"
-    earned, bound = totals.earns(proof.flow), Fraction()
+    earned, bound = totals.compute_earnings(proof.flow), Fraction()
     weights = [Fraction(reward)] + [Fraction()] * (len(names) - 1)
     for limit, price in zip(proof.limits, prices, strict=True):
         k = names.index(limit.name)
@@ -209,32 +211,32 @@ def limits(totals: Totals, proof: Any) -> Iterator[str]:
         if limit.sign * (sign * earned[k] - limit.bound) + proof.shift < 0:
             yield f"the policy does not keep {limit.name}"
     bound += earned[0] if reward else -proof.shift
-    if not totals.bounds(weights, proof.dual, bound):
+    if not totals.is_upper_bound(weights, proof.dual, bound):
         yield "the values do not prove that no policy is better"
     if not reward and sum(prices) != 1:
         yield "nothing proves that no policy keeps the limits"
 
 
-def weights(totals: Totals, proof: Any) -> Iterator[str]:
+def check_weights(totals: Totals, proof: Any) -> Iterator[str]:
     """Yield what does not hold of the least change of weights that makes a policy optimal.
 
     For multipliers x ≥ 0 of other policies, D = Σ x (v(ρ) - v(π)) satisfies w D ≤ 0 for all weights
     under which π is optimal, so that |w - 1| ≤ t needs t ≥ Σ D / Σ |D|.
     """
-    names, own = totals.names, totals.earns(proof.flow)
+    names, own = totals.names, totals.compute_earnings(proof.flow)
     wanted(len(proof.multipliers) == len(proof.intervals) == len(names), "not one of each weight")
     if max(abs(w - 1) for w in proof.multipliers) != proof.change:
         yield "the weights are not changed by that much"
 
-    def lead(flow: Any) -> list[Fraction]:
-        return [a - b for a, b in zip(totals.earns(flow), own, strict=True)]
+    def compute_lead(flow: Any) -> list[Fraction]:
+        return [a - b for a, b in zip(totals.compute_earnings(flow), own, strict=True)]
 
-    def best(at: Point, values: Any) -> bool:
-        return values is not None and totals.bounds(at, values, worth(at, own))
+    def is_optimal(at: Point, values: Any) -> bool:
+        return values is not None and totals.is_upper_bound(at, values, weigh_values(at, own))
 
-    if not best(proof.multipliers, proof.dual):
+    if not is_optimal(proof.multipliers, proof.dual):
         yield "the values do not prove the policy optimal for the weights"
-    leads = [[cut.multiplier * x for x in lead(cut.flow)] for cut in proof.cuts]
+    leads = [[cut.multiplier * x for x in compute_lead(cut.flow)] for cut in proof.cuts]
     total = [sum(column, Fraction()) for column in zip(*leads, strict=True)]
     least, size = max(Fraction(), sum(total, Fraction())), sum(map(abs, total))
     if any(cut.multiplier < 0 for cut in proof.cuts) or least != proof.change * size:
@@ -242,8 +244,8 @@ def weights(totals: Totals, proof: Any) -> Iterator[str]:
     if not size and proof.change:
         yield "nothing proves that the weights have to change"
     for k, (name, interval) in enumerate(zip(names, proof.intervals, strict=True)):
-        steps = [lead(flow) for flow in interval.cuts]
-        low, high = allowed([(step[k], sum(step) - step[k]) for step in steps])
+        steps = [compute_lead(flow) for flow in interval.cuts]
+        low, high = solve_inequalities([(step[k], sum(step) - step[k]) for step in steps])
         if interval.low is None or interval.high is None:
             if low <= high or interval.low is not interval.high:
                 yield f"nothing proves that {name} alone does not do"
@@ -252,12 +254,14 @@ def weights(totals: Totals, proof: Any) -> Iterator[str]:
         for x, values in ((low, interval.at_low), (high, interval.at_high)):
             at = [Fraction(x != inf)] * len(names)  # at infinity, this one alone
             at[k] = Fraction(1) if isinstance(x, float) else x
-            fits = fits and best(at, values)
+            fits = fits and is_optimal(at, values)
         if not fits:
             yield f"the interval of {name} alone is not proven"
 
 
-def allowed(lines: Sequence[tuple[Fraction, Fraction]]) -> tuple[Fraction, Fraction | float]:
+def solve_inequalities(
+    lines: Sequence[tuple[Fraction, Fraction]],
+) -> tuple[Fraction, Fraction | float]:
     """Return the least and the greatest x ≥ 0 with slope x + rest ≤ 0 on all lines, or 1 and 0."""
     low: Fraction = Fraction()
     high: Fraction | float = inf
@@ -272,13 +276,13 @@ def allowed(lines: Sequence[tuple[Fraction, Fraction]]) -> tuple[Fraction, Fract
 
 
 KINDS: dict[str, Callable[[Totals, Any], Iterator[str]]] = {
-    "front": front, "limits": limits, "weights": weights,
+    "front": check_front, "limits": check_limits, "weights": check_weights,
 }  # fmt: skip
 
 
-def violations(totals: Totals, proof: Any) -> list[str]:
-    """Return what does not hold of a proof about totals, in words: nothing where it is sound.
+def list_totals_violations(totals: Totals, proof: Any) -> list[str]:
+    """Return the violations of a proof about totals in words: an empty list if it is sound.
 
     Raises Unreadable where numbers of the proof do not fit the model.
     """
-    return [*totals.sound(proof.rank), *KINDS[proof.kind](totals, proof)]
+    return [*totals.find_faults(proof.rank), *KINDS[proof.kind](totals, proof)]

@@ -2,7 +2,7 @@
 
 Policy iteration: every state takes the first pair that gains most on the values of a policy, or on
 (d(g), r - g + d(h), d(w) - h) in this order, until none gains. Each change makes the value at small
-interest rates greater, so that no policy comes twice; what is left satisfies all that the checker
+interest rates greater, so that no policy comes twice; the last one satisfies all that the checker
 asks for (Puterman, Markov Decision Processes, 1994, sections 9.2.1 and 10.3; Veinott, Annals of
 Mathematical Statistics 37, 1966).
 
@@ -26,23 +26,36 @@ from scipy.sparse.linalg import splu
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
-from exact_mdp.mdp.graph import Mask, closure, other_question, reachable, ways_out
+from exact_mdp.mdp.graph import (
+    Mask,
+    find_reachable_nodes,
+    find_reachable_states,
+    other_question,
+    ways_out,
+)
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers, row_sums
 from exact_mdp.solvers.bounds.gains import POLICIES, first_of
-from exact_mdp.solvers.endless.average import improved
+from exact_mdp.solvers.endless.average import AveragePolicyIteration
 from exact_mdp.solvers.endless.chain import ExactChain
-from exact_mdp.solvers.endless.chain import expansion as laurent
+from exact_mdp.solvers.endless.chain import compute_laurent_expansion as laurent
 from exact_mdp.solvers.endless.graph import Graph
 from exact_mdp.solvers.exact.certificate import Certificate, exact_rows
-from exact_mdp.solvers.exact.levels import Level, Step, fraction, gains, signs, steps
-from exact_mdp.solvers.exact.linear import evaluated
+from exact_mdp.solvers.exact.levels import (
+    Level,
+    Step,
+    compute_surplus_signs,
+    list_level_steps,
+    make_fraction,
+    yield_level_advantages,
+)
+from exact_mdp.solvers.exact.linear import evaluate_exactly
 from exact_mdp.solvers.solution import SolverError
 
 NOISE = 2.0**-40  # of the numbers added up: no gain. For speed: 2⁻⁵⁰ to 2⁻³⁰ take as long
 
 
-def certificate(
+def build_certificate(
     mdp: MDP,
     pairs: Integers,
     optimal: Mask | None = None,
@@ -62,9 +75,10 @@ def certificate(
         kind=kind,
         **none | parts,
     )
-    optimal = draft.optimal_pairs if optimal is None else optimal
+    if optimal is None:
+        optimal = draft.optimal_pairs
     infinite = one_sign(mdp, draft.infinite_sign)
-    start = (draft.g if kind == "average" and draft.g else draft.h).mean(mdp.start)
+    start = (draft.g if kind == "average" and draft.g else draft.h).compute_mean(mdp.start)
     start_value = draft.sign * (inf * infinite if infinite else start)
     return replace(draft, start_value=start_value, unique=one_optimum(mdp, optimal))
 
@@ -81,7 +95,9 @@ def one_sign(mdp: MDP, sign: Numbers) -> int:
             where="start",
             fix="start in one state: --start, or mdp.with_(start=…)",
         )
-    return signs.pop() if signs else 0
+    if signs:
+        return signs.pop()
+    return 0
 
 
 def one_optimum(mdp: MDP, optimal: Mask) -> bool:
@@ -91,50 +107,57 @@ def one_optimum(mdp: MDP, optimal: Mask) -> bool:
     stays = np.logical_and.reduceat(mdp.table.next == own[mdp.table.pair], mdp.table.offsets[:-1])
     stays &= np.asarray(rows.constant == 0, dtype=bool)
     other &= ~np.logical_and.reduceat(stays, mdp.pair_offsets[:-1])  # not at an end
-    return not (other.any() and (other & reachable(mdp, pairs=optimal)).any())
+    return not (other.any() and (other & find_reachable_states(mdp, pairs=optimal)).any())
 
 
 # ---- levels --------------------------------------------------------------------------------------
 
 
-def expansion(mdp: MDP, kind: str) -> Certificate:
-    """Return the proof of gain and bias, which are also those of a total at discount 1."""
+def prove_gain_and_bias(mdp: MDP, kind: str) -> Certificate:
+    """Return the proof of gain and bias, which also prove a total at discount 1."""
     pairs, (g, h, w) = best_average(mdp)
-    return certificate(mdp, pairs, g=g, h=h, w=w, kind=kind)
+    return build_certificate(mdp, pairs, g=g, h=h, w=w, kind=kind)
 
 
 def best_average(mdp: MDP) -> tuple[Integers, list[Level]]:
     """Return the pairs (S,) of a policy of greatest gain and bias, and the levels g, h and w."""
     try:
-        pairs, *_ = improved(mdp.maximised.undiscounted)
+        pairs, *_ = AveragePolicyIteration().run(mdp.maximised.undiscounted)
     except SolverError:  # floats only suggest a policy to begin with
         pairs = mdp.pair_offsets[:-1]
-    return expanded(exact_rows(mdp, average=True), pairs)
+    return optimise_expansion(exact_rows(mdp, average=True), pairs)
 
 
-def expanded(rows: BellmanRows, pairs: Integers) -> tuple[Integers, list[Level]]:
+def optimise_expansion(rows: BellmanRows, pairs: Integers) -> tuple[Integers, list[Level]]:
     """Return the pairs (S,) of a policy of greatest gain and bias, and the levels g, h and w."""
 
     def evaluate(pairs: Integers) -> list[Step]:
         chain = ExactChain(rows.of_pairs(pairs))
-        return steps(rows, *(Level.of(each.tolist()) for each in laurent(chain, chain.reward)))
+        return list_level_steps(
+            rows, *(Level.of(each.tolist()) for each in laurent(chain, chain.reward))
+        )
 
-    return _iterated(rows, pairs, evaluate)[:2]
+    return _iterate_policies(rows, pairs, evaluate)[:2]
 
 
-def _iterated(
+def _iterate_policies(
     rows: BellmanRows, pairs: Integers, evaluate: Callable[[Integers], list[Step]]
 ) -> tuple[Integers, list[Level], Integers]:
-    """Return pairs (S,) that no other beats, their levels, and the sign (L,) of what each gains."""
+    """Return unbeaten pairs (S,), their levels, and the signs (L,) of all advantages."""
     while True:
         levels, sign = evaluate(pairs), np.zeros(len(rows.constant), dtype=np.int64)
         for step in levels:  # each settles ties of those before
-            sign = np.where(sign == 0, signs(rows, step, pairs), sign)
+            sign = np.where(sign == 0, compute_surplus_signs(rows, step, pairs), sign)
+        # Only pairs of live states can improve the policy.
         gaining = np.flatnonzero((sign > 0) & ~rows.terminal[rows.pair_state])
         if not len(gaining):
             return pairs, [level for level, *_ in levels], sign
-        columns = (gains(rows, step, gaining) for step in levels)
-        each = zip(*([fraction(x, a * b) for x, a, b in gain] for gain in columns), strict=True)
+        # Compare advantages as fractions, one level after the other, and take the best of each
+        # state.
+        columns = (yield_level_advantages(rows, step, gaining) for step in levels)
+        each = zip(
+            *([make_fraction(x, a * b) for x, a, b in gain] for gain in columns), strict=True
+        )
         pairs, most = pairs.copy(), dict[int, tuple[Fraction, ...]]()
         for pair, gain in zip(gaining.tolist(), each, strict=True):
             state = int(rows.pair_state[pair])
@@ -145,67 +168,82 @@ def _iterated(
 # ---- a goal --------------------------------------------------------------------------------------
 
 
-def reaching(mdp: MDP) -> Certificate:
+def prove_goal_total(mdp: MDP) -> Certificate:
     """Return the proof of a total until a goal that some policy never reaches."""
-    prove = _missed if mdp.maximised.unreached == inf else _required
+    prove = _prove_missing_costs
+    if mdp.maximised.unreached == inf:
+        prove = _prove_missing_pays
     assert mdp.goal is not None
     return prove(mdp, exact_rows(mdp), Graph(mdp), mdp.goal)
 
 
-def _missed(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Mask) -> Certificate:
+def _prove_missing_pays(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Mask) -> Certificate:
     """Return the proof where a run that misses the goal is worth +∞."""
     every, state = np.ones(mdp.n_pairs, dtype=bool), mdp.pair_state
+    # A state from which some policy can stay in an end component beside the goal is worth +∞; its
+    # order is the distance to that component.
     label, staying = graph.end_components(~goal[state])
-    order = graph.distance(label >= 0, every)
+    order = graph.compute_distance(label >= 0, every)
     finite = order < 0
-    part, number = _closed(rows, finite)
-    _, (values,), sign = best(part)
+    part, number = _restrict_rows(rows, finite)
+    # All policies of the other states reach the goal, so that their optimum is that of proper
+    # policies.
+    _, (values,), sign = optimise_exactly(part)
     optimal = np.zeros(mdp.n_pairs, dtype=bool)
     optimal[number[sign == 0]] = True
-    optimal[~finite[state]] = (staying | graph.falling(order))[~finite[state]]
-    return certificate(
+    # In infinite states the optimal pairs stay, or lead nearer to a place to stay.
+    optimal[~finite[state]] = (staying | graph.find_falling_pairs(order))[~finite[state]]
+    return build_certificate(
         mdp,
         first_of(mdp, optimal),
         h=values,
-        rank=np.maximum(graph.ranks(goal, finite[state]), 0),
+        rank=np.maximum(graph.compute_ranks(goal, finite[state]), 0),
         infinite=np.where(finite, 0, 1),
         order=np.maximum(order, 0),
     )
 
 
-def _required(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Mask) -> Certificate:
+def _prove_missing_costs(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Mask) -> Certificate:
     """Return the proof where a run that misses the goal is worth -∞."""
     every, state = np.ones(mdp.n_pairs, dtype=bool), mdp.pair_state
-    order = graph.rounds(goal, every)
+    # States with an order cannot be sure to reach the goal: they are worth -∞.
+    order = graph.compute_rounds(goal, every)
     arriving, every_pair = order == 0, np.arange(mdp.n_pairs)
     above, policy = np.zeros(mdp.n_states, dtype=bool), mdp.pair_offsets[:-1]
     bias = Level.of([Fraction(0)] * mdp.n_states)
-    part, number = _closed(rows, arriving)
-    _, staying = graph.end_components(graph.every(arriving & ~goal) & (arriving & ~goal)[state])
+    part, number = _restrict_rows(rows, arriving)
+    _, staying = graph.end_components(
+        graph.find_pairs_within(arriving & ~goal) & (arriving & ~goal)[state]
+    )
+    # Where a policy can go round with a positive gain and still reach the goal later, values are
+    # +∞.
     if (rows.constant[staying] > 0).any():  # going round may pay without end
-        pairs, (gain, bias, _) = expanded(part, part.pair_offsets[:-1])
+        pairs, (gain, bias, _) = optimise_expansion(part, part.pair_offsets[:-1])
         recurrent = ExactChain(part.of_pairs(pairs)).classes.recurrent
         above, policy = arriving & [mean > 0 for mean in gain.top], number[pairs]
         used = np.isin(every_pair, policy[above])
-        order = np.where(above, graph.distance(recurrent & above, used), order)
+        order = np.where(above, graph.compute_distance(recurrent & above, used), order)
     no_falling(mdp, above)
     finite = arriving & ~above
-    part, number = _closed(rows, finite)
+    part, number = _restrict_rows(rows, finite)
+    # The search needs a proper policy to begin with: pairs that lead nearer to the goal.
     among = np.isin(every_pair, number) & finite[state]
-    nearer = among & graph.falling(graph.distance(goal, among))
+    nearer = among & graph.find_falling_pairs(graph.compute_distance(goal, among))
     nearer[mdp.pair_offsets[:-1][~finite | goal]] = True
-    own, (values,), _ = best(part, np.searchsorted(number, first_of(mdp, nearer)))
+    own, (values,), _ = optimise_exactly(part, np.searchsorted(number, first_of(mdp, nearer)))
     policy = np.where(finite, number[own], policy)
     used = np.isin(every_pair, policy[finite])
+    # The level is the value of finite states, the bias where values are +∞, and 0 where they are
+    # -∞.
     each = zip(values.top, bias.top, finite.tolist(), above.tolist(), strict=True)
     top = [x if inside else b * infinite for x, b, inside, infinite in each]
     group = np.where(finite, values.group, len(values.below))
-    inside = graph.every(arriving) & arriving[state]
-    return certificate(
+    inside = graph.find_pairs_within(arriving) & arriving[state]
+    return build_certificate(
         mdp,
         policy,
-        h=Level.grouped(top, [*values.below, *bias.below], group),
-        rank=np.maximum(graph.distance(goal, np.where(finite[state], used, inside)), 0),
+        h=Level.from_groups(top, [*values.below, *bias.below], group),
+        rank=np.maximum(graph.compute_distance(goal, np.where(finite[state], used, inside)), 0),
         infinite=np.where(above, 1, np.where(finite, 0, -1)),
         order=order,
     )
@@ -221,7 +259,7 @@ def no_falling(mdp: MDP, states: Mask) -> None:
         )
 
 
-def _closed(rows: BellmanRows, states: Mask) -> tuple[BellmanRows, Integers]:
+def _restrict_rows(rows: BellmanRows, states: Mask) -> tuple[BellmanRows, Integers]:
     """Return the equations between some states (S,), the others being ends, and the pairs (K,)."""
     owner, inside = rows.pair_state, np.logical_and.reduceat(states[rows.next], rows.offsets[:-1])
     stays = states[owner] & inside
@@ -235,31 +273,35 @@ def _closed(rows: BellmanRows, states: Mask) -> tuple[BellmanRows, Integers]:
 # ---- values of policies that end -----------------------------------------------------------------
 
 
-def best(
+def optimise_exactly(
     rows: BellmanRows, first: Integers | None = None, amounts: Sequence[Numbers] = ()
 ) -> tuple[Integers, list[Level], Integers]:
-    """Return optimal pairs (S,), their values, and the sign (L,) of what each pair gains.
+    """Return optimal pairs (S,), their values, and the signs (L,) of all advantages.
 
     With several amounts (L,), one after the other settles ties of those before. The search begins
     with the pairs `first` (S,), which end, and so do all on the way: no class of states gains
-    anything for ever, as a pair takes the place of another only if it is better.
+    anything forever, as a pair takes the place of another only if it is better.
     """
     each = amounts or [rows.constant]
     listed, ones = [own.tolist() for own in each], [1] * len(rows.constant)
-    begin = rows.pair_offsets[:-1] if first is None else first
+    if first is None:
+        first = rows.pair_offsets[:-1]
 
     def evaluate(pairs: Integers) -> list[Step]:
-        values = evaluated(rows, pairs, each)
+        values = evaluate_exactly(rows, pairs, each)
         return [(value, own, ones) for value, own in zip(values, listed, strict=True)]
 
-    return _iterated(rows, nearly(replace(rows, constant=each[0]), begin), evaluate)
+    return _iterate_policies(
+        rows, improve_in_floats(replace(rows, constant=each[0]), first), evaluate
+    )
 
 
-def nearly(rows: BellmanRows, first: Integers) -> Integers:
+def improve_in_floats(rows: BellmanRows, first: Integers) -> Integers:
     """Return pairs (S,) that floats find better than the first ones, and that end as these do."""
     state, live = rows.pair_state, ~rows.terminal
     if len(state) == len(live):
         return first
+    # The model in floats: probabilities and rewards of the live pairs.
     scale = rows.scale[state].astype(object)
     try:
         share = (rows.weight / scale[rows.pair]).astype(np.float64) * live[state][rows.pair]
@@ -273,11 +315,13 @@ def nearly(rows: BellmanRows, first: Integers) -> Integers:
             value = splu(sp.csc_array(one - moves[pairs])).solve(earned[pairs])
         except RuntimeError:  # singular, up to rounding
             return first
+        # Advantages that rounding may explain count as 0, so that no policy comes twice.
         gain = earned + moves @ value - value[state]
         noise = NOISE * (np.abs(earned) + abs(moves) @ np.abs(value) + np.abs(value[state]))
         if not np.all(np.isfinite(gain)):
             return first
         gain[gain < noise.max(initial=0.0)] = 0.0
+        # Take the first best pair of each state that has one.
         most = np.maximum.reduceat(gain, rows.pair_offsets[:-1])
         better = np.flatnonzero((gain > 0) & (gain == most[state]))
         if not len(better):
@@ -286,6 +330,9 @@ def nearly(rows: BellmanRows, first: Integers) -> Integers:
         own, place = np.unique(state[better], return_index=True)
         pairs[own] = better[place]
     chain = rows.of_pairs(pairs)
+    # Floats may have found an improper policy: then the first pairs stay.
     graph = sp.csr_array((np.ones(len(chain.next)), chain.next, chain.offsets), (len(live),) * 2)
     ends = rows.terminal | (row_sums(chain.weight, chain.offsets) < chain.scale)
-    return pairs if closure(graph.T.tocsr(), ends).all() else first
+    if find_reachable_nodes(graph.T.tocsr(), ends).all():
+        return pairs
+    return first

@@ -1,4 +1,4 @@
-"""Numbers of the states as exact integers, and what each pair gains against them.
+"""Numbers of the states as exact integers, and the advantages of pairs over them.
 
 With d(x) = Σ P(l, s') x(s') - x(s) for each pair l of state s, the levels of a certificate satisfy
 
@@ -21,7 +21,7 @@ import flint
 import numpy as np
 
 from exact_mdp.mdp.exact import BellmanRows
-from exact_mdp.mdp.table import Floats, Integers, Numbers, common, divide
+from exact_mdp.mdp.table import Floats, Integers, Numbers, divide, to_common_denominator
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class _LowestTerms:
 Rational.register(_LowestTerms)
 
 
-def fraction(top: int, bottom: int) -> Fraction:
+def make_fraction(top: int, bottom: int) -> Fraction:
     """Return the Fraction top / bottom, in little more than linear time, for a positive bottom."""
     numerator, denominator = flint.fmpz(top), flint.fmpz(bottom)
     shared = numerator.gcd(denominator)
@@ -61,11 +61,11 @@ class Level:
     @classmethod
     def of(cls, numbers: Sequence[Fraction]) -> Level:
         """Return rationals over one denominator."""
-        top, below = common(numbers)
-        return cls.grouped(top, [below], np.zeros(len(top), dtype=np.int64))
+        top, below = to_common_denominator(numbers)
+        return cls.from_groups(top, [below], np.zeros(len(top), dtype=np.int64))
 
     @classmethod
-    def grouped(cls, top: list[int], below: Sequence[int], group: Integers) -> Level:
+    def from_groups(cls, top: list[int], below: Sequence[int], group: Integers) -> Level:
         """Return integers over several denominators, of which those that no number has are left."""
         used, group = np.unique(group, return_inverse=True)
         return cls(top=top, below=[below[each] for each in used], group=group)
@@ -75,14 +75,16 @@ class Level:
         """The denominator of each state."""
         return [self.below[group] for group in self.group.tolist()]
 
-    def fractions(self, sign: int = 1) -> Numbers:
+    def to_fractions(self, sign: int = 1) -> Numbers:
         """Return (S,) the numbers as Fractions, times a sign."""
         numbers = np.empty(len(self.top), dtype=object)
-        numbers[:] = [fraction(sign * a, b) for a, b in zip(self.top, self.each_below, strict=True)]
+        numbers[:] = [
+            make_fraction(sign * a, b) for a, b in zip(self.top, self.each_below, strict=True)
+        ]
         numbers.setflags(write=False)
         return numbers
 
-    def floats(self, sign: int = 1) -> Floats:
+    def to_floats(self, sign: int = 1) -> Floats:
         """Return (S,) the numbers, each rounded once, times a sign."""
         numbers = divide(sign * np.array(self.top, object), np.array(self.each_below, object))
         numbers.setflags(write=False)
@@ -100,17 +102,17 @@ class Level:
         unit, times = self._times[groups]
         return [top[s] * times[group[s]] for s in states], unit
 
-    def mean(self, weights: Iterable[tuple[int, Fraction]]) -> Fraction:
+    def compute_mean(self, weights: Iterable[tuple[int, Fraction]]) -> Fraction:
         """Return Σ weight · x(s), of pairs of a state and a weight."""
         listed = [*weights]
         values, unit = self.over_one([state for state, _ in listed], self.group.tolist())
-        parts, below = common([weight for _, weight in listed])
-        return fraction(sum(map(mul, values, parts)), unit * below)
+        parts, below = to_common_denominator([weight for _, weight in listed])
+        return make_fraction(sum(map(mul, values, parts)), unit * below)
 
 
-def combined(levels: Sequence[Level], weights: Sequence[int | Fraction]) -> Level:
+def combine_levels(levels: Sequence[Level], weights: Sequence[int | Fraction]) -> Level:
     """Return Σ weight · x of levels with the same denominators, for rational weights."""
-    whole, unit = common([Fraction(weight) for weight in weights])
+    whole, unit = to_common_denominator([Fraction(weight) for weight in weights])
     tops = zip(*(level.top for level in levels), strict=True)
     first = levels[0]
     return Level(
@@ -121,11 +123,11 @@ def combined(levels: Sequence[Level], weights: Sequence[int | Fraction]) -> Leve
 
 
 Step = tuple[Level, list[int], list[int]]
-"""A level x, and what each pair (L,) earns beside it times the scale of its state: top, below."""
+"""A level x, and the rewards (L,) beside it times the scale of their states: top, below."""
 
 
-def steps(rows: BellmanRows, *levels: Level) -> list[Step]:
-    """Return what pairs earn beside one level V, which is r, or beside g, h and w: 0, r - g, -h."""
+def list_level_steps(rows: BellmanRows, *levels: Level) -> list[Step]:
+    """Return the rewards beside one level V, which are r, or beside g, h and w: 0, r - g, -h."""
     constant, ones = rows.constant.tolist(), [1] * len(rows.constant)
     if len(levels) == 1:
         return [(levels[0], constant, ones)]
@@ -140,10 +142,10 @@ def steps(rows: BellmanRows, *levels: Level) -> list[Step]:
     ]
 
 
-def gains(
+def yield_level_advantages(
     rows: BellmanRows, step: Step, pairs: Integers | None = None
 ) -> Iterator[tuple[int, int, int]]:
-    """Yield what pairs, all by default, gain against one level: what they earn + γ P x - x.
+    """Yield the advantages of pairs, all by default, over one level: reward + γ P x - x.
 
     As an integer, and two positive ones of whose product it is a part.
     """
@@ -157,24 +159,24 @@ def gains(
         yield tops[pair] * unit + flow * belows[pair], unit, scale[own] * belows[pair]
 
 
-def surplus(
+def compute_surpluses(
     rows: BellmanRows, *levels: Level, pairs: Integers | None = None
 ) -> list[list[tuple[int, int]]]:
-    """Return what pairs, all by default, gain against one level V, or against g, h and w.
+    """Return the advantages of pairs, all by default, over one level V, or over g, h and w.
 
     That is r + γ P V - V, or d(g), r - g + d(h) and d(w) - h; each an integer over another.
     """
     return [
-        [(top, unit * below) for top, unit, below in gains(rows, step, pairs)]
-        for step in steps(rows, *levels)
+        [(top, unit * below) for top, unit, below in yield_level_advantages(rows, step, pairs)]
+        for step in list_level_steps(rows, *levels)
     ]
 
 
-def signs(rows: BellmanRows, step: Step, own: Integers | None = None) -> Integers:
-    """Return (L,) the sign of what each pair gains; 0 of the pairs `own`, which gain nothing."""
+def compute_surplus_signs(rows: BellmanRows, step: Step, own: Integers | None = None) -> Integers:
+    """Return the sign (L,) of each advantage; it is 0 for the policy's pairs `own`."""
     asked = np.ones(len(rows.constant), dtype=bool)
     asked[[] if own is None else own] = False
     sign = np.zeros(len(asked), dtype=np.int64)
-    each = gains(rows, step, np.flatnonzero(asked))
+    each = yield_level_advantages(rows, step, np.flatnonzero(asked))
     sign[asked] = [(top > 0) - (top < 0) for top, _, _ in each]
     return sign

@@ -57,23 +57,27 @@ class Lifting:
             self._factors = linalg.splu(matrix, permc_spec="MMD_AT_PLUS_A")
         except RuntimeError:  # singular, up to rounding
             self._widths = []
-        self._split()
+        self._split_limbs()
 
     @property
     def width(self) -> int:
         """Bits of a digit; 0 where floats cannot tell digits of any width."""
-        return self._widths[0] if self._widths else 0
+        if self._widths:
+            return self._widths[0]
+        return 0
 
-    def _split(self) -> None:
+    def _split_limbs(self) -> None:
         """Split the entries into limbs; those below the last one have products within 64 bits."""
         offsets, column, left = self._entries
         lengths = np.diff(offsets)
         self._limb = 61 - self.width - int(lengths.max()).bit_length()
+        # The lower limbs hold `_limb` bits each; the last one holds the rest, with the sign.
         parts = []
         for _ in range(-(-(int(self.bits.max()) - 61) // self._limb)):
             parts.append((left & ((1 << self._limb) - 1)).astype(np.int64))
             left = left >> self._limb
         parts.append(left.astype(np.int64))
+        # Stack the limbs as one sparse matrix, so that one product serves all of them.
         count = len(parts)
         ends = np.cumsum(np.concatenate([[0], np.tile(lengths, count)]))
         data = (np.concatenate(parts), np.tile(column, count), ends)
@@ -87,17 +91,17 @@ class Lifting:
     ) -> tuple[list[fmpz], fmpz] | None:
         """Return the solution as integers over one denominator, None where floats cannot start.
 
-        `rows` are those of the matrix, to check it; `known` is a denominator to be tried first.
+        `rows` are the rows of the matrix, to check it; `known` is a denominator to be tried first.
         """
         while self.width:
-            solution = self._solved(side, rows, known)
+            solution = self._solve_by_digits(side, rows, known)
             if solution is not None:
                 return solution
             del self._widths[0]  # floats cannot tell digits of this one
-            self._split()
+            self._split_limbs()
         return None
 
-    def _solved(
+    def _solve_by_digits(
         self, side: Sequence[Any], rows: Rows, known: fmpz | None
     ) -> tuple[list[fmpz], fmpz] | None:
         """Return the solution from digits of the present width; None where floats fail."""
@@ -106,45 +110,52 @@ class Lifting:
         # less than 2^54 times as large as b.
         lead = (max(int(number).bit_length() for number in side) + 54) // width + 1
 
-        def enough(below: fmpz) -> int:
+        def count_digits(below: fmpz) -> int:
             return lead + (int(below.bit_length()) + LACKING) // width + 1
 
+        # Hadamard's bound: as many digits determine the solution for any determinant.
         most = lead + 2 * (int(self.bits.sum()) + SPARE) // width + 1  # whatever det A is
+        # A random combination of all unknowns has their common denominator, almost surely.
         share = np.random.default_rng(0).integers(1, max(2, 2 ** (62 - width) // size), size)
-        coming, parts, mixed = self._digits(side, lead), list[Integers](), list[Integers]()
-        taken, count = 0, lead + FIRST if known is None else enough(known)
+        coming, parts, mixed = self._yield_digits(side, lead), list[Integers](), list[Integers]()
+        taken, count = 0, lead + FIRST if known is None else count_digits(known)
         below = known
         while True:
             with np.errstate(all="ignore"):
+                # Digits that are too long show that the float solution is too inaccurate.
                 fresh = np.array(list(islice(coming, count - taken)))
             if fresh.max() > 1 << width or fresh.min() < -(1 << width):  # floats fail
                 return None
             parts.append(fresh)
             mixed.append(fresh @ share)
             if below is None:
-                (number,) = _joined(np.concatenate(mixed)[:, None], width)
-                below = _denominator(flint.fmpz(number), width * (count - lead))
+                # Guess the denominator from the combination alone.
+                (number,) = _join_digits(np.concatenate(mixed)[:, None], width)
+                below = _find_denominator(flint.fmpz(number), width * (count - lead))
             if below is not None:
                 digits = np.concatenate(parts)
-                for few in sorted({min(count, enough(below)), count}):
-                    numbers = _joined(digits[:few], width)
+                # Few digits often suffice; every candidate is checked in exact arithmetic.
+                for few in sorted({min(count, count_digits(below)), count}):
+                    numbers = _join_digits(digits[:few], width)
                     candidate = _over_one_denominator(numbers, width * (few - lead), below)
-                    if candidate is not None and _solves(rows, side, *candidate):
+                    if candidate is not None and _is_solution(rows, side, *candidate):
                         return candidate
             if count >= most:
                 return None
             below, taken, count = None, count, min(most, int(count * GROWTH) + 1)
 
-    def _digits(self, side: Sequence[Any], lead: int) -> Iterator[Integers]:
+    def _yield_digits(self, side: Sequence[Any], lead: int) -> Iterator[Integers]:
         """Yield the digits (K,) of the solution, of which `lead` stand before the point."""
         size, limb = self.size, self._limb
         coming = _digits_of(side, self.width, lead)
         rest = np.zeros(len(self._scales) * size, dtype=np.int64)
         parts = rest.reshape(-1, size)
         while True:
+            # The next digit is the float solution of the present residual, rounded to an integer.
             near = parts[0] * self._scales[0]
             for own, scale in zip(parts[1:], self._scales[1:], strict=True):
                 near += own * scale
+            # Shift the residual by one digit, and bring in the next digit of the right side.
             rest <<= self.width
             following = next(coming, None)
             if following is not None:
@@ -152,6 +163,7 @@ class Lifting:
                 near += np.ldexp(following, -self.bits)
             digit = np.rint(self._factors.solve(near)).astype(np.int64)
             yield digit
+            # Subtract A times the digit exactly, and carry between limbs.
             rest -= self._limbs @ digit
             for own, after in pairwise(parts):
                 carry = own >> limb
@@ -163,14 +175,16 @@ def _digits_of(numbers: Sequence[Any], width: int, count: int) -> Iterator[Integ
     """Return an iterator over the digits (K,) of numbers, the highest first, which have a sign."""
     size = width // 8
     data = b"".join(int(each).to_bytes(count * size, "little", signed=True) for each in numbers)
+    # Read the bytes of all numbers at once, and order digits from the highest down.
     digits = np.zeros((len(numbers), count, 8), dtype=np.uint8)
     digits[:, :, :size] = np.frombuffer(data, dtype=np.uint8).reshape(len(numbers), count, size)
     ordered = digits.view(np.int64)[:, ::-1, 0].T
+    # The highest digit has the sign.
     ordered[0] -= ordered[0] >> (width - 1) << width
     return iter(ordered)
 
 
-def _joined(digits: Integers, width: int) -> list[int]:
+def _join_digits(digits: Integers, width: int) -> list[int]:
     """Return the numbers whose digits (T, K) to the base 2^width are given, the highest first."""
     low = np.empty_like(digits)  # of which the lowest bytes count, as many as a digit has
     carry = np.zeros(digits.shape[1], dtype=np.int64)
@@ -194,11 +208,13 @@ def _over_one_denominator(
     top: list[fmpz] = []
     half = flint.fmpz(1) << (bits - 1)
     for number in numbers:
+        # The nearest fraction over the denominator found so far.
         product = below * number
         nearest = (product + half) >> bits
         rest = product - (nearest << bits)
+        # Too far from it: this number needs another factor in the denominator.
         if rest.bit_length() > bits - SPARE:
-            factor = _denominator(rest, bits, excess=int(below.bit_length()))
+            factor = _find_denominator(rest, bits, excess=int(below.bit_length()))
             if factor is None:
                 return None
             below, top = below * factor, [value * factor for value in top]
@@ -207,15 +223,18 @@ def _over_one_denominator(
     return top, below
 
 
-def _denominator(number: fmpz, bits: int, excess: int = 0) -> fmpz | None:
+def _find_denominator(number: fmpz, bits: int, excess: int = 0) -> fmpz | None:
     """Return q with q · number / 2^bits far closer to an integer than by chance, or None."""
     # That distance may be `excess` bits longer than q is.
+    # A short vector of this lattice is a fraction that is closer than by chance.
     basis = flint.fmpz_mat(2, 2, [number, flint.fmpz(1) << excess, flint.fmpz(1) << bits, 0]).lll()
     rest, below = basis[0, 0], abs(basis[0, 1]) >> excess
-    return below if below and below.bit_length() + rest.bit_length() < bits - SPARE else None
+    if below and below.bit_length() + rest.bit_length() < bits - SPARE:
+        return below
+    return None
 
 
-def _solves(rows: Rows, side: Sequence[Any], top: list[fmpz], below: fmpz) -> bool:
+def _is_solution(rows: Rows, side: Sequence[Any], top: list[fmpz], below: fmpz) -> bool:
     """Return whether A n = q b."""
     return all(
         sum(map(mul, map(top.__getitem__, column), entry)) == below * own

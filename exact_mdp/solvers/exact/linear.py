@@ -25,7 +25,13 @@ from numpy.typing import NDArray
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows
 from exact_mdp.mdp.graph import longest_ways
-from exact_mdp.mdp.table import Integers, Numbers, common, row_sums, spans
+from exact_mdp.mdp.table import (
+    Integers,
+    Numbers,
+    concatenate_ranges,
+    row_sums,
+    to_common_denominator,
+)
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.exact.lifting import Lifting
 
@@ -50,7 +56,7 @@ class Matrix:
 
     @classmethod
     def of(cls, size: int, row: Integers, column: Integers, entry: Numbers) -> Matrix:
-        """Return the matrix of some entries, in any order; those of the same place are added up."""
+        """Return the matrix of some entries, in any order; entries at one place are added up."""
         order = np.lexsort((column, row))
         row, column, entry = row[order], column[order], entry[order]
         first = np.flatnonzero(np.diff(row * size + column, prepend=-1))
@@ -97,7 +103,7 @@ class Matrix:
         for states in np.split(order, np.flatnonzero(apart) + 1):
             block = None
             if not single[states[0]]:
-                entries = spans(self.offsets[states], self.offsets[states + 1])
+                entries = concatenate_ranges(self.offsets[states], self.offsets[states + 1])
                 entries = entries[label[self.column[entries]] == label[states[0]]]
                 row, column = np.searchsorted(states, [self.row[entries], self.column[entries]])
                 block = Matrix.of(len(states), row, column, self.entry[entries])
@@ -118,15 +124,16 @@ def solve_all(matrix: Matrix, sides: Sequence[Sequence[Any]]) -> list[Level]:
     """
     solution = _Solution(matrix, sides)
     group, below = np.array(solution.group, dtype=np.int64), list(map(int, solution.below))
-    return [Level.grouped(list(map(int, top)), below, group) for top in solution.tops]
+    return [Level.from_groups(list(map(int, top)), below, group) for top in solution.tops]
 
 
-def equations(rows: BellmanRows, states: NDArray[np.bool_] | None = None) -> Matrix:
+def build_equations(rows: BellmanRows, states: NDArray[np.bool_] | None = None) -> Matrix:
     """Return the matrix of V = r + γ P V for rows of one pair in each state.
 
     Of some states (S,), those that are not terminal by default; the others have V = r.
     """
-    states = ~rows.terminal if states is None else states
+    if states is None:
+        states = ~rows.terminal
     inside, every = states[rows.pair], np.arange(len(rows.scale))
     return Matrix.of(
         len(every),
@@ -136,24 +143,29 @@ def equations(rows: BellmanRows, states: NDArray[np.bool_] | None = None) -> Mat
     )
 
 
-def solved(matrix: Matrix, rows: BellmanRows, constant: Sequence[Fraction]) -> Level:
-    """Return V = constant + γ P V, constant (S,), for the `equations` of some rows."""
-    side, unit = common(constant)
+def solve_policy_equations(
+    matrix: Matrix, rows: BellmanRows, constant: Sequence[Fraction]
+) -> Level:
+    """Return V = constant + γ P V, constant (S,), for the `build_equations` of some rows."""
+    # Solve for integers, and divide by the common denominator afterwards.
+    side, unit = to_common_denominator(constant)
     (level,) = solve_all(matrix, [[*map(mul, side, rows.scale.tolist())]])
     return replace(level, below=[unit * below for below in level.below])
 
 
-def evaluated(rows: BellmanRows, pairs: Integers, amounts: Sequence[Numbers] = ()) -> list[Level]:
+def evaluate_exactly(
+    rows: BellmanRows, pairs: Integers, amounts: Sequence[Numbers] = ()
+) -> list[Level]:
     """Return the values of the policy that takes some pairs (S,): of the rewards, or of amounts.
 
     Amounts (L,) are over the scales of the states, as the constants of the rows are.
     """
     live = ~rows.terminal
     sides = [(own[pairs] * live).tolist() for own in amounts or [rows.constant]]
-    return solve_all(equations(rows.of_pairs(pairs)), sides)
+    return solve_all(build_equations(rows.of_pairs(pairs)), sides)
 
 
-def visited(
+def compute_expected_visits(
     rows: BellmanRows, states: NDArray[np.bool_], *starts: Sequence[tuple[int, Fraction]]
 ) -> list[Level]:
     """Return how often each state is visited from each start, for rows of one pair in each state.
@@ -162,14 +174,16 @@ def visited(
     """
     sides, units = list[list[int]](), list[int]()
     for start in starts:
-        first, unit = common([share for _, share in start])
+        # Each start as integers over one denominator.
+        first, unit = to_common_denominator([share for _, share in start])
         side = [0] * len(rows.scale)
         for (state, _), number in zip(start, first, strict=True):
             side[state] += number
         sides.append(side)
         units.append(unit)
-    scale, levels = rows.scale.tolist(), solve_all(equations(rows, states).transposed, sides)
+    scale, levels = rows.scale.tolist(), solve_all(build_equations(rows, states).transposed, sides)
     return [
+        # Rows are over the scales of their states, which visits are multiplied with.
         replace(level, top=[*map(mul, level.top, scale)], below=[unit * x for x in level.below])
         for level, unit in zip(levels, units, strict=True)
     ]
@@ -183,19 +197,21 @@ class _Solution:
         self.tops = [[zero] * matrix.size for _ in sides]
         self.group, self.below = [0] * matrix.size, [flint.fmpz(1)]
         self._rows, self._number = matrix.listed, {self.below[0]: 0}
+        # Components in reverse order: all that a component leads to is solved before it.
         for states, block in matrix.steps:
             if block is None:
                 for base, alike in self._by_base(states).items():
                     self._substitute(base, alike)
                 continue
-            base = _lcm(self._by_base(states))
+            # A component of several unknowns: solve for each right side over one denominator.
+            base = _compute_common_multiple(self._by_base(states))
             each = [
                 _solve_component(block, right, matrix.denominators, states[0])
                 for right in self._right_sides(base, states)
             ]
-            unit = _lcm(below for _, below in each)
+            unit = _compute_common_multiple(below for _, below in each)
             tops = [[n * (unit // below) for n in top] for top, below in each]
-            self._settle(states, tops, base * unit)
+            self._store_solution(states, tops, base * unit)
 
     def _by_base(self, states: Sequence[int]) -> dict[fmpz, list[int]]:
         """Return unknowns by the common denominator of those that they lead to."""
@@ -204,13 +220,14 @@ class _Solution:
         for s in states:
             met = frozenset([self.group[t] for t in self._rows[s][0]])
             if met not in bases:
-                bases[met] = _lcm(self.below[group] for group in met)
+                bases[met] = _compute_common_multiple(self.below[group] for group in met)
             groups.setdefault(bases[met], []).append(s)
         return groups
 
     def _right_sides(self, base: fmpz, states: Sequence[int]) -> list[list[fmpz]]:
-        """Return b less what is known of A x, times `base`, for each right side."""
+        """Return the residual b - A x times `base`, for each right side."""
         ahead = {t for s in states for t in self._rows[s][0]}
+        # Bring the known unknowns to the denominator `base`.
         times = {group: base // self.below[group] for group in {self.group[t] for t in ahead}}
         reduced = []
         for side, top in zip(self.sides, self.tops, strict=True):
@@ -230,34 +247,46 @@ class _Solution:
         sides, places = self._right_sides(base, states), range(len(states))
         # They share a denominator unless it would be far longer than their own.
         far = 2 * max(pivot.bit_length() for pivot in pivots) + FAR
-        apart = _lcm(pivots).bit_length() > far
+        apart = _compute_common_multiple(pivots).bit_length() > far
         for some in [[i] for i in places] if apart else [places]:
-            unit = _lcm(pivots[i] for i in some)
+            unit = _compute_common_multiple(pivots[i] for i in some)
             tops = [[side[i] * (unit // pivots[i]) for i in some] for side in sides]
-            self._settle([states[i] for i in some], tops, base * unit)
+            self._store_solution([states[i] for i in some], tops, base * unit)
 
-    def _settle(self, states: Sequence[int], tops: Sequence[Sequence[fmpz]], below: fmpz) -> None:
+    def _store_solution(
+        self, states: Sequence[int], tops: Sequence[Sequence[fmpz]], below: fmpz
+    ) -> None:
         """Keep the numbers of some unknowns, all over one denominator in lowest terms."""
+        # Reduce to lowest terms.
         listed, shared = [n for top in tops for n in top], below
         for n in listed:
             if shared == 1:
                 break
             shared = shared.gcd(n)
         listed, below = [n // shared for n in listed], below // shared
+        # Unknowns with the same denominator share a group; zeros belong to the group of 1.
         number = self._number.setdefault(below, len(self.below))
         self.below += [below] * (number == len(self.below))
         for k, values in enumerate(self.tops):
             for s, own in zip(states, listed[k * len(states) :], strict=False):
                 values[s] = own
         for s in states:
-            self.group[s] = number if any(top[s] for top in self.tops) else 0
+            if any(top[s] for top in self.tops):
+                self.group[s] = number
+            else:
+                self.group[s] = 0
 
 
-def _lcm(numbers: Iterable[fmpz]) -> fmpz:
+def _compute_common_multiple(numbers: Iterable[fmpz]) -> fmpz:
     multiple = flint.fmpz(1)
     for number in numbers:
-        multiple = number if multiple == 1 else multiple.lcm(number)
-    return multiple if multiple > 0 else -multiple
+        if multiple == 1:
+            multiple = number
+        else:
+            multiple = multiple.lcm(number)
+    if multiple > 0:
+        return multiple
+    return -multiple
 
 
 def _solve_component(
@@ -267,6 +296,7 @@ def _solve_component(
     size, solution = matrix.size, None
     if size > LARGEST:
         raise ModelError(f"a cycle of {size} states is too large to be solved exactly", fix=BOUNDED)
+    # Large components are lifted from floats; small and hard ones are left to FLINT.
     if size > FEW:
         solution = matrix.lifting.solve(side, matrix.listed, known.get(first))
     if solution is not None:
@@ -277,6 +307,7 @@ def _solve_component(
             f"the equations of {size} states that lead to each other are singular, or nearly so",
             fix=BOUNDED,
         )
+    # A dense exact solve.
     dense = np.zeros((size, size), dtype=object)
     dense[matrix.row, matrix.column] = matrix.entry
     system = flint.fmpz_mat(size, size, dense.ravel().tolist())

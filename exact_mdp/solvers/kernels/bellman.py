@@ -5,8 +5,8 @@ For values h the loops compute what pair l of state s would add to h(s),
     d(l) = r(l) + γ Σ_s' P(l, s') (h(s') - h(s)) - (1 - γ) h(s),
 
 see `solvers.bounds.gains` for the form, and `solvers.bounds.bounds` for the margins m. All but
-`relax` write to each state's own place alone, so that blocks of states may run on several threads
-and give the same bits whatever their number.
+`relax_states` write to each state's own place alone, so that blocks of states may run on several
+threads and give the same bits whatever their number.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from exact_mdp.mdp.forms.compiling import at, compiled, inlined, span
+from exact_mdp.mdp.forms.compiling import compile_loop, inline_loop, unsigned_index, unsigned_range
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers
-from exact_mdp.solvers.kernels.linear import Rows
+from exact_mdp.solvers.kernels.linear import SparseRows
 
 
-class Model(NamedTuple):
+class CompiledModel(NamedTuple):
     """A model's pairs: their rows, rewards r and margins m, (L,) or (1,); `ended` (S,); 1 - γ."""
 
     offsets: Numbers
@@ -35,29 +35,31 @@ class Model(NamedTuple):
     leak: float
 
 
-def model_of(mdp: MDP, reward: Floats, margin: Floats) -> Model:
-    """Return what compiled loops take of a model."""
+def build_compiled_model(mdp: MDP, reward: Floats, margin: Floats) -> CompiledModel:
+    """Return a model in the form that compiled loops take."""
     matrix = mdp.transition
     rows, leak = (matrix.indptr, matrix.indices, matrix.data), float(1 - mdp.discount_exact)
-    return Model(mdp.pair_offsets, *rows, reward, margin, mdp.terminal, mdp.discount, leak)
+    return CompiledModel(mdp.pair_offsets, *rows, reward, margin, mdp.terminal, mdp.discount, leak)
 
 
-@inlined
-def gain_of(pair: int, model: Model, value: Floats, own: float) -> float:
-    """Return d of a pair, from `value` (S,) and that of its own state."""
+@inline_loop
+def gain_of(pair: int, model: CompiledModel, value: Floats, own: float) -> float:
+    """Return the advantage d of a pair, from `value` (S,) and the value of its own state."""
     ahead = 0.0
-    for i in span(model.indptr[at(pair)], model.indptr[at(pair + 1)]):
-        ahead += model.data[i] * (value[at(model.indices[i])] - own)
-    gain: float = model.reward[at(pair)] + (model.discount * ahead - model.leak * own)
+    for i in unsigned_range(
+        model.indptr[unsigned_index(pair)], model.indptr[unsigned_index(pair + 1)]
+    ):
+        ahead += model.data[i] * (value[unsigned_index(model.indices[i])] - own)
+    gain: float = model.reward[unsigned_index(pair)] + (model.discount * ahead - model.leak * own)
     return gain
 
 
-@compiled
-def gains(
+@compile_loop
+def sum_differences(
     first: int,
     last: int,
     pair_state: Numbers,
-    rows: Rows,
+    rows: SparseRows,
     value: Floats,
     steps: Floats,
     flow: Floats,
@@ -66,18 +68,18 @@ def gains(
     indptr, indices, data = rows
     for pair in range(first, last):
         own, ahead, size = value[pair_state[pair]], 0.0, 0.0
-        for i in span(indptr[pair], indptr[pair + 1]):
-            term = data[i] * (value[at(indices[i])] - own)
+        for i in unsigned_range(indptr[pair], indptr[pair + 1]):
+            term = data[i] * (value[unsigned_index(indices[i])] - own)
             ahead += term
             size += abs(term)
         steps[pair], flow[pair] = ahead, size
 
 
-@compiled
-def improve(
+@compile_loop
+def improve_states(
     first: int,
     last: int,
-    model: Model,
+    model: CompiledModel,
     value: Floats,
     pairs: Integers,
     ceilings: Floats,
@@ -98,8 +100,8 @@ def improve(
     many = np.uint64(len(model.margin) > 1)
     low, high = np.inf, -np.inf
     for number in range(first, last):
-        state = at(number)
-        begin, end = model.offsets[state], model.offsets[at(number + 1)]
+        state = unsigned_index(number)
+        begin, end = model.offsets[state], model.offsets[unsigned_index(number + 1)]
         if model.ended[state]:
             step[state], pairs[state] = 0.0, begin
             continue
@@ -107,14 +109,14 @@ def improve(
         if before < 0:
             before = begin
             for pair in range(begin + 1, end):
-                if ceilings[at(pair)] > ceilings[at(before)]:
+                if ceilings[unsigned_index(pair)] > ceilings[unsigned_index(before)]:
                     before = pair
-        chosen, place = before, at(before)
+        chosen, place = before, unsigned_index(before)
         best = gain_of(before, model, value, own)
         ceilings[place] = best + (own - rise) + slack
         high, most = max(high, best / model.margin[place * many]), place
         for pair in range(begin, end):
-            place = at(pair)
+            place = unsigned_index(pair)
             ceiling = ceilings[place] + (rise - own) + slack
             beaten = ceiling < best and (many == 0 or ceiling <= high * model.margin[place])
             if beaten or pair == before:
@@ -129,21 +131,21 @@ def improve(
     extremes[0], extremes[1] = low, high
 
 
-@compiled
-def relax(order: Integers, model: Model, value: Floats, level: float) -> None:
+@compile_loop
+def relax_states(order: Integers, model: CompiledModel, value: Floats, level: float) -> None:
     """Make `value` (S,) satisfy max d = level in each state in turn, in the `order` (S,).
 
     Gauss-Seidel: a state's gain is divided by 1 - γ P(l, s), so that staying is summed up at once.
     """
     for number in order:
-        state = at(number)
+        state = unsigned_index(number)
         if model.ended[state]:
             continue
         own, best = value[state], -np.inf
-        for pair in span(model.offsets[state], model.offsets[state + np.uint64(1)]):
+        for pair in unsigned_range(model.offsets[state], model.offsets[state + np.uint64(1)]):
             ahead, stay = 0.0, 0.0
-            for i in span(model.indptr[pair], model.indptr[pair + np.uint64(1)]):
-                following = at(model.indices[i])
+            for i in unsigned_range(model.indptr[pair], model.indptr[pair + np.uint64(1)]):
+                following = unsigned_index(model.indices[i])
                 ahead += model.data[i] * (value[following] - own)
                 if following == state:
                     stay = model.data[i]

@@ -10,17 +10,17 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from exact_mdp.mdp.care.laws import independent
-from exact_mdp.mdp.forms.compiling import compiled, inlined
+from exact_mdp.mdp.care.laws import fill_joint_distribution
+from exact_mdp.mdp.forms.compiling import compile_loop, inline_loop
 from exact_mdp.mdp.table import Floats, Numbers
 
 COMPLETE, FAIL, SKIPPED = 0, 1, 2  # as in `mdp.care.rules`
 
 
-class Draws(NamedTuple):
+class CareDraws(NamedTuple):
     """The rules, as in `mdp.care.rules.Rules`, and the numbers of D draws.
 
-    Rows r are those of each action and vector, a V + s, and behind them those of a skip.
+    Row a V + s belongs to action a and vector s; the rows of a skip follow.
     """
 
     which: Numbers  # (n, (A+1)·V) which chance each status has in each row
@@ -51,11 +51,13 @@ class Room(NamedTuple):
     starts: Floats  # (2, flags, V) values at the start of the next subtask, and of this one
 
 
-product = inlined(independent)
+product = inline_loop(fill_joint_distribution)
 
 
-@inlined
-def place(which: Numbers, chance: Floats, one: Floats, none: Floats, law: Floats) -> None:
+@inline_loop
+def write_distributions(
+    which: Numbers, chance: Floats, one: Floats, none: Floats, law: Floats
+) -> None:
     """Write the law of every row at the chances of a draw."""
     for i in range(which.shape[0]):
         for r in range(which.shape[1]):
@@ -64,8 +66,10 @@ def place(which: Numbers, chance: Floats, one: Floats, none: Floats, law: Floats
     product(one, none, law)
 
 
-@inlined
-def beyond(draws: Draws, d: int, law: Floats, ahead: Floats, at: int, mean: Floats) -> None:
+@inline_loop
+def write_failure_values(
+    draws: CareDraws, d: int, law: Floats, ahead: Floats, at: int, mean: Floats
+) -> None:
     """Write what failing the last trial of a subtask with vector s' earns and leads to."""
     vectors, gain, discount = len(mean), draws.gain[d], draws.discount[d]
     present, following = draws.present[d], draws.following[d]
@@ -84,8 +88,10 @@ def beyond(draws: Draws, d: int, law: Floats, ahead: Floats, at: int, mean: Floa
         mean[s] = gain[draws.gains[FAIL, at, 0]] + following[s] + value
 
 
-@inlined
-def best(assist: Floats, law: Floats, done: float, u: Floats, q: Floats, most: Floats) -> None:
+@inline_loop
+def maximise_actions(
+    assist: Floats, law: Floats, done: float, u: Floats, q: Floats, most: Floats
+) -> None:
     """Write the values Q of a stage, and the greatest of each vector."""
     vectors = len(most)
     for a in range(len(assist)):
@@ -104,8 +110,10 @@ def best(assist: Floats, law: Floats, done: float, u: Floats, q: Floats, most: F
             most[s] = value if value > known else known
 
 
-@inlined
-def follow(assist: Floats, law: Floats, shares: Floats, policy: Floats, extra: Floats) -> None:
+@inline_loop
+def write_policy_rows(
+    assist: Floats, law: Floats, shares: Floats, policy: Floats, extra: Floats
+) -> None:
     """Write the law of a policy (V, A), and the mean of its own reward for completing."""
     vectors = len(extra)
     policy[:] = 0.0
@@ -119,9 +127,9 @@ def follow(assist: Floats, law: Floats, shares: Floats, policy: Floats, extra: F
                     policy[s2, s] += share * law[s2, r]
 
 
-@compiled
-def values(
-    draws: Draws, room: Room, shares: Floats, value: Floats, gaps: Floats, actions: Numbers
+@compile_loop
+def evaluate_draws(
+    draws: CareDraws, room: Room, shares: Floats, value: Floats, gaps: Floats, actions: Numbers
 ) -> None:
     """Write the start values (D, N) of policies (N, G, V, A) in all draws.
 
@@ -134,14 +142,14 @@ def values(
     for d in range(len(draws.gain)):
         assist, discount, gain = draws.assist[d], draws.discount[d], draws.gain[d]
         present, following = draws.present[d], draws.following[d]
-        place(draws.which, draws.chance[d], room.chance[0], room.chance[1], law)
+        write_distributions(draws.which, draws.chance[d], room.chance[0], room.chance[1], law)
         for n in range(value.shape[1]):
             if given:
-                follow(assist, law, shares[n, 0], policy, extra)
+                write_policy_rows(assist, law, shares[n, 0], policy, extra)
             ahead[:] = 0.0
             for k in range(len(draws.places) - 1, -1, -1):
                 at = draws.places[k]
-                beyond(draws, d, law, ahead, at, last)
+                write_failure_values(draws, d, law, ahead, at, last)
                 failed = gain[draws.gains[FAIL, at, 0]]
                 for f in range(draws.flags):
                     done = gain[draws.gains[COMPLETE, at, f]]
@@ -155,7 +163,7 @@ def values(
                         if given:
                             if shares.shape[1] > 1:
                                 stage = (k * draws.trials + t) * draws.flags + f
-                                follow(assist, law, shares[n, stage], policy, extra)
+                                write_policy_rows(assist, law, shares[n, stage], policy, extra)
                             for s in range(vectors):
                                 worth[s] = policy[0, s] * done + extra[s]
                             for s2 in range(1, vectors):
@@ -163,7 +171,7 @@ def values(
                                 for s in range(vectors):
                                     worth[s] += policy[s2, s] * total
                         else:
-                            best(assist, law, done, u, q, worth)
+                            maximise_actions(assist, law, done, u, q, worth)
                             for s in range(vectors):
                                 a = 0
                                 while q[a * vectors + s] != worth[s]:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from exact_mdp.mdp.forms.compiling import at, compiled, inlined
+from exact_mdp.mdp.forms.compiling import compile_loop, inline_loop, unsigned_index
 from exact_mdp.mdp.table import Floats, Numbers
 
 Q_LEARNING, SARSA, EXPECTED_SARSA, DOUBLE_Q = 0, 1, 2, 3
@@ -24,7 +24,7 @@ FIRST, LAST, RANDOM = 0, 1, 2
 DOUBLE = 2.0**-53
 
 
-class Tables(NamedTuple):
+class SamplingTables(NamedTuple):
     """A model laid out for sampling; made by `solvers.learning.sampler`.
 
     A position is the number of a pair; behind those come the actions that terminal states are
@@ -45,7 +45,7 @@ class Tables(NamedTuple):
     row_entry: Numbers
 
 
-@compiled
+@compile_loop
 def alias_tables(
     offsets: Numbers,
     probability: Floats,
@@ -88,8 +88,8 @@ def alias_tables(
             cut[large[i]] = 1.0
 
 
-@inlined
-def uniform(rng: Numbers) -> float:
+@inline_loop
+def sample_uniform(rng: Numbers) -> float:
     """Return a double in [0, 1), and move the (4,) uint64 state on."""
     a, b, c, d = rng[0], rng[1], rng[2], rng[3]
     total = a + d
@@ -103,77 +103,79 @@ def uniform(rng: Numbers) -> float:
     return np.float64(np.int64(drawn >> np.uint64(11))) * DOUBLE
 
 
-@inlined
-def first_state(rng: Numbers, tables: Tables) -> int:
+@inline_loop
+def first_state(rng: Numbers, tables: SamplingTables) -> int:
     """Return a first state; where there is only one, nothing is drawn."""
     start, total = tables.start, tables.start_total
     if len(start) == 1:
         return int(start[0])
-    drawn = uniform(rng)
+    drawn = sample_uniform(rng)
     for i in range(len(start) - 1):
         if drawn < total[i]:
             return int(start[i])
     return int(start[-1])
 
 
-@inlined
-def outcome(rng: Numbers, offsets: Numbers, cut: Floats, pair: int) -> int:
+@inline_loop
+def sample_pair_outcome(rng: Numbers, offsets: Numbers, cut: Floats, pair: int) -> int:
     """Return the number in (2N,) of an outcome of a pair."""
-    first = offsets[at(pair)]
-    scaled = uniform(rng) * (offsets[at(pair + 1)] - first)
+    first = offsets[unsigned_index(pair)]
+    scaled = sample_uniform(rng) * (offsets[unsigned_index(pair + 1)] - first)
     column = int(scaled)
     number = first + column
-    return int(2 * number + (1 if scaled - column >= cut[at(number)] else 0))
+    return int(2 * number + (1 if scaled - column >= cut[unsigned_index(number)] else 0))
 
 
-@inlined
-def largest(q: Floats, entry: Numbers, low: int, high: int) -> tuple[float, int]:
+@inline_loop
+def find_largest(q: Floats, entry: Numbers, low: int, high: int) -> tuple[float, int]:
     """Return the largest value among the positions low … high-1, and the first that has it."""
-    best, where = q[at(entry[at(low)])], low
+    best, where = q[unsigned_index(entry[unsigned_index(low)])], low
     for i in range(low + 1, high):
-        value = q[at(entry[at(i)])]
+        value = q[unsigned_index(entry[unsigned_index(i)])]
         where = i if value > best else where
         best = value if value > best else best
     return best, where
 
 
-@inlined
-def greedy(rng: Numbers, q: Floats, entry: Numbers, low: int, high: int, ties: int) -> int:
+@inline_loop
+def choose_greedy_position(
+    rng: Numbers, q: Floats, entry: Numbers, low: int, high: int, ties: int
+) -> int:
     """Return the position among low … high-1 with the largest value."""
     where: int
-    best, where = largest(q, entry, low, high)
+    best, where = find_largest(q, entry, low, high)
     if ties == FIRST:
         return where
     equal, last = 0, where
     for i in range(where, high):
-        if q[at(entry[at(i)])] == best:
+        if q[unsigned_index(entry[unsigned_index(i)])] == best:
             equal += 1
             last = i
     if ties == LAST or equal == 1:
         return last
-    wanted = int(uniform(rng) * equal)
+    wanted = int(sample_uniform(rng) * equal)
     for i in range(where, high):
-        if q[at(entry[at(i)])] == best:
+        if q[unsigned_index(entry[unsigned_index(i)])] == best:
             if wanted == 0:
                 return i
             wanted -= 1
     return where
 
 
-@inlined
-def act(
+@inline_loop
+def choose_position(
     rng: Numbers, q: Floats, entry: Numbers, low: int, high: int, chance: float, ties: int
 ) -> int:
     """Return the position that an ε-greedy actor takes; one draw decides whether and which."""
-    drawn = uniform(rng)
+    drawn = sample_uniform(rng)
     if drawn < chance:
         return int(low + min(int(drawn / chance * (high - low)), high - low - 1))
-    return int(greedy(rng, q, entry, low, high, ties))
+    return int(choose_greedy_position(rng, q, entry, low, high, ties))
 
 
-@inlined
+@inline_loop
 def greedy_policy(
-    rng: Numbers, q: Floats, tables: Tables, ties: int, n_actions: int, policy: Numbers
+    rng: Numbers, q: Floats, tables: SamplingTables, ties: int, n_actions: int, policy: Numbers
 ) -> None:
     """Write the greedy action of every row of a flat Q-table into `policy` (K,).
 
@@ -182,13 +184,13 @@ def greedy_policy(
     entry, offsets = tables.row_entry, tables.row_offsets
     for row in range(len(policy)):
         low, high = offsets[row], offsets[row + 1]
-        where = greedy(rng, q, entry, low, high, LAST if ties == LAST else FIRST)
+        where = choose_greedy_position(rng, q, entry, low, high, LAST if ties == LAST else FIRST)
         policy[row] = entry[where] - row * n_actions
 
 
-@compiled
-def learn(
-    tables: Tables,
+@compile_loop
+def run_learner(
+    tables: SamplingTables,
     rng: Numbers,
     q: Floats,
     acting: Floats,
@@ -227,33 +229,45 @@ def learn(
         total = 0.0 if episode == 0 else total
         state = first_state(rng, tables)
         planned, step = -1, 0
-        while not terminal[at(state)]:
+        while not terminal[unsigned_index(state)]:
             if step == max_steps:
                 cut_short += 1
                 break
             step += 1
             taken = planned
             if taken < 0:
-                taken = act(rng, acting, entry, low[at(state)], high[at(state)], chance, ties)
-            drawn = outcome(rng, offsets, cut, taken)
-            gain, state, changed = gains[at(drawn)], following[at(drawn)], entry[at(taken)]
+                taken = choose_position(
+                    rng,
+                    acting,
+                    entry,
+                    low[unsigned_index(state)],
+                    high[unsigned_index(state)],
+                    chance,
+                    ties,
+                )
+            drawn = sample_pair_outcome(rng, offsets, cut, taken)
+            gain, state, changed = (
+                gains[unsigned_index(drawn)],
+                following[unsigned_index(drawn)],
+                entry[unsigned_index(taken)],
+            )
             total += gain
-            table = 1 if double and uniform(rng) < 0.5 else 0
+            table = 1 if double and sample_uniform(rng) < 0.5 else 0
             planned, ahead = -1, 0.0
-            if bootstrap_end or not terminal[at(state)]:
-                lo, hi = low[at(state)], high[at(state)]
+            if bootstrap_end or not terminal[unsigned_index(state)]:
+                lo, hi = low[unsigned_index(state)], high[unsigned_index(state)]
                 if method == Q_LEARNING:
-                    ahead = largest(acting, entry, lo, hi)[0]
+                    ahead = find_largest(acting, entry, lo, hi)[0]
                 elif method == SARSA:
-                    planned = act(rng, acting, entry, lo, hi, chance, ties)
+                    planned = choose_position(rng, acting, entry, lo, hi, chance, ties)
                     ahead = acting[entry[planned]]
                 elif method == EXPECTED_SARSA:
                     mean = 0.0
                     for i in range(lo, hi):
                         mean += acting[entry[i]] / (hi - lo)
-                    ahead = (1.0 - chance) * largest(acting, entry, lo, hi)[0] + chance * mean
+                    ahead = (1.0 - chance) * find_largest(acting, entry, lo, hi)[0] + chance * mean
                 else:
-                    chosen = greedy(rng, q[table], entry, lo, hi, ties)
+                    chosen = choose_greedy_position(rng, q[table], entry, lo, hi, ties)
                     ahead = q[1 - table, entry[chosen]]
             size = alpha
             if power != 0.0:
@@ -264,7 +278,7 @@ def learn(
                 q[table, changed] += size * (target - q[table, changed])
                 acting[changed] = q[0, changed] + q[1, changed]
             else:
-                acting[changed] += size * (target - acting[at(changed)])
+                acting[changed] += size * (target - acting[unsigned_index(changed)])
         steps += step
         if episode + 1 == snapshot:
             greedy_policy(rng, acting, tables, ties, n_actions, snapshots[epoch])
@@ -277,9 +291,9 @@ def learn(
     return steps, cut_short, count
 
 
-@compiled
-def rollouts(
-    tables: Tables,
+@compile_loop
+def sample_returns(
+    tables: SamplingTables,
     rng: Numbers,
     scores: Floats,
     which: Numbers,
@@ -304,8 +318,8 @@ def rollouts(
                     break
                 step += 1
                 low, high = tables.low[state], tables.high[state]
-                taken = act(rng, q, tables.entry, low, high, chance, FIRST)
-                drawn = outcome(rng, tables.offsets, tables.cut, taken)
+                taken = choose_position(rng, q, tables.entry, low, high, chance, FIRST)
+                drawn = sample_pair_outcome(rng, tables.offsets, tables.cut, taken)
                 total += weight * tables.gain[drawn]
                 weight *= discount
                 state = tables.next[drawn]

@@ -15,11 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from exact_mdp.mdp.forms.compiling import at, compiled, inlined, span
+from exact_mdp.mdp.forms.compiling import compile_loop, inline_loop, unsigned_index, unsigned_range
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 
 
-class Rows(NamedTuple):
+class SparseRows(NamedTuple):
     """The rows of a sparse matrix: row r has the entries indptr[r] … indptr[r+1]-1."""
 
     indptr: Numbers
@@ -27,18 +27,18 @@ class Rows(NamedTuple):
     data: Floats
 
 
-@inlined
-def ahead(rows: Rows, state: int, value: Floats) -> float:
+@inline_loop
+def compute_expectation(rows: SparseRows, state: int, value: Floats) -> float:
     """Return Σ P(s, s') x(s') of a state."""
     total = 0.0
-    for i in span(rows.indptr[state], rows.indptr[state + np.uint64(1)]):
-        total += rows.data[i] * value[at(rows.indices[i])]
+    for i in unsigned_range(rows.indptr[state], rows.indptr[state + np.uint64(1)]):
+        total += rows.data[i] * value[unsigned_index(rows.indices[i])]
     return total
 
 
-@compiled
-def swept(
-    rows: Rows,
+@compile_loop
+def sweep_states(
+    rows: SparseRows,
     row: Integers,
     discount: float,
     constant: Floats,
@@ -61,9 +61,12 @@ def swept(
     states, before = len(constant), np.inf
     for sweep in range(most):
         low, high, size = np.inf, -np.inf, 0.0
-        for number in span(0, states):
-            state = at(number)
-            left = constant[state] + (discount * ahead(rows, at(row[state]), value) - value[state])
+        for number in unsigned_range(0, states):
+            state = unsigned_index(number)
+            left = constant[state] + (
+                discount * compute_expectation(rows, unsigned_index(row[state]), value)
+                - value[state]
+            )
             room[state] = left
             low, high = min(low, left), max(high, left)
             if fine > 0:
@@ -84,50 +87,50 @@ def swept(
     return before <= enough
 
 
-@compiled
-def dot(left: Floats, right: Floats) -> float:
+@compile_loop
+def compute_inner_product(left: Floats, right: Floats) -> float:
     """Return the inner product of two vectors (S,), from four sums, which do not wait."""
     one, two, three, four = 0.0, 0.0, 0.0, 0.0
     whole = len(left) // 4 * 4
     for i in range(0, whole, 4):
-        one += left[at(i)] * right[at(i)]
-        two += left[at(i + 1)] * right[at(i + 1)]
-        three += left[at(i + 2)] * right[at(i + 2)]
-        four += left[at(i + 3)] * right[at(i + 3)]
+        one += left[unsigned_index(i)] * right[unsigned_index(i)]
+        two += left[unsigned_index(i + 1)] * right[unsigned_index(i + 1)]
+        three += left[unsigned_index(i + 2)] * right[unsigned_index(i + 2)]
+        four += left[unsigned_index(i + 3)] * right[unsigned_index(i + 3)]
     for i in range(whole, len(left)):
         one += left[i] * right[i]
     return (one + two) + (three + four)
 
 
-@compiled
-def residual(rows: Rows, discount: float, value: Floats, out: Floats) -> None:
+@compile_loop
+def write_residual(rows: SparseRows, discount: float, value: Floats, out: Floats) -> None:
     """Write x - γ P x (S,) of `value` x (S,) into `out`."""
-    for number in span(0, len(value)):
-        state = at(number)
-        out[state] = value[state] - discount * ahead(rows, state, value)
+    for number in unsigned_range(0, len(value)):
+        state = unsigned_index(number)
+        out[state] = value[state] - discount * compute_expectation(rows, state, value)
 
 
-@compiled
-def preconditioned(rows: Rows, discount: float, given: Floats, out: Floats) -> None:
+@compile_loop
+def apply_preconditioner(rows: SparseRows, discount: float, given: Floats, out: Floats) -> None:
     """Write y = M⁻¹ x (S,) of a `given` x (S,) into `out`."""
     (indptr, indices, data), states = rows, len(given)
     for state in range(states):
         total, diagonal = 0.0, 1.0
-        for i in span(indptr[state], indptr[state + 1]):
+        for i in unsigned_range(indptr[state], indptr[state + 1]):
             if indices[i] >= state:
                 if indices[i] == state:
                     diagonal -= discount * data[i]
                 break
-            total += data[i] * out[at(indices[i])]
+            total += data[i] * out[unsigned_index(indices[i])]
         out[state] = (given[state] + discount * total) * (1.0 / diagonal)
     for number in range(states):
         state = states - 1 - number
         total, diagonal = 0.0, 1.0
         for back in range(indptr[state + 1] - indptr[state]):
-            i = at(indptr[state + 1] - 1 - back)
+            i = unsigned_index(indptr[state + 1] - 1 - back)
             if indices[i] <= state:
                 if indices[i] == state:
                     diagonal -= discount * data[i]
                 break
-            total += data[i] * out[at(indices[i])]
+            total += data[i] * out[unsigned_index(indices[i])]
         out[state] += total * (discount / diagonal)

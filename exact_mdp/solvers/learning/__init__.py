@@ -1,1 +1,1 @@
-"""Tabular learning from samples, and what it tends to."""
+"""Tabular learning from samples."""

@@ -21,15 +21,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, located, of_type, suggest
+from exact_mdp.mdp.errors import ModelError, locate_errors, require_type, suggest_name
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.arrays import distinct
+from exact_mdp.mdp.policies.arrays import find_distinct_rows
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import Brief
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats, Numbers
-from exact_mdp.mdp.validate import as_discount, counted
-from exact_mdp.solvers.learning.sampler import Seed, rows_of, stream, tables
+from exact_mdp.mdp.validate import as_discount, require_count
+from exact_mdp.solvers.learning.sampler import (
+    Seed,
+    build_q_table_rows,
+    build_sampling_tables,
+    make_random_stream,
+)
 from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, Schedule, as_schedule
 
 METHODS = ("q-learning", "sarsa", "expected-sarsa", "double-q-learning")
@@ -53,7 +58,7 @@ class QLearning:
     discount : number or "p/q"
         That of the learner; the model's own discount plays no part.
     rate, exploration : Schedule or number
-        α and ε of each epoch, from 0 to 1; a number is that of all epochs.
+        α and ε of each epoch, from 0 to 1; a number holds for all epochs.
     rate_power : float
         The n-th update of an entry uses α n^-power.
     columns : tuple of str, optional
@@ -99,44 +104,50 @@ class QLearning:
 
     def __post_init__(self) -> None:
         for name, options in (("method", METHODS), ("ties", TIES)):
-            self._require(
-                name, getattr(self, name) in options, suggest(str(getattr(self, name)), options)
+            self._require_setting(
+                name,
+                getattr(self, name) in options,
+                suggest_name(str(getattr(self, name)), options),
             )
         for name in ("epochs", "episodes", "max_steps", "last", "snapshot_episode"):
-            with located("QLearning"):
-                value = counted(getattr(self, name), name, int(name != "snapshot_episode"))
+            with locate_errors("QLearning"):
+                value = require_count(getattr(self, name), name, int(name != "snapshot_episode"))
             object.__setattr__(self, name, value)
-        self._require(
+        self._require_setting(
             "epochs",
             self.epochs <= MOST_EPOCHS,
             f"an epoch keeps numbers of its own: choose at most {MOST_EPOCHS:,} of them, with more "
             "episodes in each",
         )
-        self._require("episodes", self.episodes <= MOST_EPISODES // self.epochs, "choose fewer")
-        self._require(
+        self._require_setting(
+            "episodes", self.episodes <= MOST_EPISODES // self.epochs, "choose fewer"
+        )
+        self._require_setting(
             "snapshot_episode",
             self.snapshot_episode <= self.episodes,
             f"an epoch has {self.episodes} episodes (episodes=): give one of these, or 0 to keep "
             "no policies of epochs",
         )
         for name in ("initial", "rate_power"):
-            self._require(name, np.isfinite(getattr(self, name)), "give a finite number")
-        self._require("rate_power", self.rate_power >= 0, "rates must not grow: give 0 or more")
+            self._require_setting(name, np.isfinite(getattr(self, name)), "give a finite number")
+        self._require_setting(
+            "rate_power", self.rate_power >= 0, "rates must not grow: give 0 or more"
+        )
         object.__setattr__(self, "discount", as_discount(self.discount))
         for name in ("exploration", "rate"):
-            with located(f"QLearning, {name}"):
+            with locate_errors(f"QLearning, {name}"):
                 schedule = as_schedule(name, getattr(self, name), self.epochs)
                 object.__setattr__(self, name, schedule)
 
-    def _require(self, name: str, holds: object, fix: str) -> None:
+    def _require_setting(self, name: str, holds: object, fix: str) -> None:
         if not holds:
             raise ModelError(f"{name} is {getattr(self, name)!r}", where="QLearning", fix=fix)
 
     def train(self, model: MDP, rng: Seed) -> TrainingRun:
         """Return one run; the same seed gives the same bytes."""
-        of_type(model, MDP, "model", "give an MDP, as load and scenario.compile return one")
+        require_type(model, MDP, "model", "give an MDP, as load and scenario.compile return one")
         costs, mdp = model.sense == "min", model.maximised
-        read = rows_of(mdp, self.columns)
+        read = build_q_table_rows(mdp, self.columns)
         rows = read.space.size
         recorded = (self.epochs if self.snapshot_episode else 0) + self.last
         if recorded * rows > MOST_RECORDED:
@@ -146,23 +157,29 @@ class QLearning:
                 fix="set snapshot_episode=0, or keep fewer last policies",
             )
         entries, double = rows * mdp.n_actions, self.method == "double-q-learning"
-        initial = 0.0 - float(self.initial) if costs else float(self.initial)
+        if costs:
+            initial = 0.0 - float(self.initial)
+        else:
+            initial = float(self.initial)
         both = np.full((2, entries if double else 0), initial)
-        acting = np.full(entries, initial) if not double else both[0] + both[1]
+        if not double:
+            acting = np.full(entries, initial)
+        else:
+            acting = both[0] + both[1]
         counts = np.zeros(entries if self.rate_power else 0, dtype=np.int64)
         snapshots = np.zeros((self.epochs if self.snapshot_episode else 0, rows), dtype=np.int32)
         last = np.zeros((min(self.last, self.epochs * self.episodes), rows), dtype=np.int32)
         returns = np.zeros(self.epochs)
         from exact_mdp.solvers.kernels import learning as kernels
 
-        laid_out, source = tables(mdp, read), stream(rng)
+        laid_out, source = build_sampling_tables(mdp, read), make_random_stream(rng)
         exploration, rate = (
             np.array(each.values(self.epochs), dtype=float)
             for each in (self.exploration, self.rate)
         )
         steps, cut_short, episode = 0, 0, 0
         while episode < self.epochs * self.episodes:
-            more, also_cut, episode = kernels.learn(
+            more, also_cut, episode = kernels.run_learner(
                 laid_out,
                 source,
                 both,
@@ -186,7 +203,7 @@ class QLearning:
                 AT_ONCE,
             )
             steps, cut_short = steps + int(more), cut_short + int(also_cut)
-        policies, numbers = distinct(np.concatenate([snapshots, last]))
+        policies, numbers = find_distinct_rows(np.concatenate([snapshots, last]))
         numbers = numbers.astype(np.int32)
         q = (acting / (1 + double)).reshape(rows, mdp.n_actions)
         if costs:  # learned as rewards, returned as the costs that they are

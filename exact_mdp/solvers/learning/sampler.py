@@ -23,24 +23,24 @@ from exact_mdp.mdp.table import Integers, Numbers
 from exact_mdp.mdp.validate import RNG, seed_of
 
 if TYPE_CHECKING:
-    from exact_mdp.solvers.kernels.learning import Tables
+    from exact_mdp.solvers.kernels.learning import SamplingTables
 
 
 Seed: TypeAlias = RNG | SeedSequence
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Rows:
+class QTableRows:
     """Rows of a Q-table, by the columns of the state that it reads."""
 
-    space: StateSpace  # what each of the K rows stands for
+    space: StateSpace  # the meaning of each of the K rows
     key: Integers  # (S,) the row that each state reads
     # (K, A) actions to be compared in each row: those of its states with a choice, or, where it
     # has none, of all its states
     offered: NDArray[np.bool_]
 
 
-def rows_of(mdp: MDP, columns: Sequence[str] | None = None) -> Rows:
+def build_q_table_rows(mdp: MDP, columns: Sequence[str] | None = None) -> QTableRows:
     """Return the rows of a Q-table that reads `columns` of the state.
 
     Unless given, these are the status alone where the model has one and all columns otherwise.
@@ -48,7 +48,9 @@ def rows_of(mdp: MDP, columns: Sequence[str] | None = None) -> Rows:
     """
     names = mdp.space.names
     if columns is None:
-        columns = ("status",) if "status" in names else names
+        columns = names
+        if "status" in names:
+            columns = ("status",)
     space = space_over(mdp, tuple(columns))
     key = rows_read(mdp, space)
     mine = np.zeros((mdp.n_states, mdp.n_actions), dtype=bool)
@@ -66,10 +68,10 @@ def rows_of(mdp: MDP, columns: Sequence[str] | None = None) -> Rows:
     inside = np.logical_not(offered.any(axis=1))[key]
     np.logical_or.at(offered, key[inside], mine[inside])
     offered[~offered.any(axis=1), 0] = True
-    return Rows(space=space, key=key, offered=offered)
+    return QTableRows(space=space, key=key, offered=offered)
 
 
-def tables(mdp: MDP, rows: Rows) -> Tables:
+def build_sampling_tables(mdp: MDP, rows: QTableRows) -> SamplingTables:
     """Return the model as flat arrays for `solvers.kernels`."""
     table = mdp.table
     cut = np.empty(len(table.next))
@@ -77,7 +79,7 @@ def tables(mdp: MDP, rows: Rows) -> Tables:
     offsets = np.ascontiguousarray(table.offsets, dtype=np.int64)
     from exact_mdp.solvers.kernels import learning as kernels
 
-    kernels.alias_tables(offsets, table.probabilities(), cut, alias, small, large)
+    kernels.alias_tables(offsets, table.compute_probabilities(), cut, alias, small, large)
     sides = np.stack([np.arange(len(alias)), alias], axis=1).reshape(-1)
     low, high = mdp.pair_offsets[:-1].copy(), mdp.pair_offsets[1:].copy()
     row, action = np.nonzero(rows.offered)
@@ -92,14 +94,14 @@ def tables(mdp: MDP, rows: Rows) -> Tables:
         total += len(entry[-1])
     starts = [state for state, weight in mdp.start if weight]
     weights = [float(weight) for _, weight in mdp.start if weight]
-    return kernels.Tables(
+    return kernels.SamplingTables(
         low=low,
         high=high,
         entry=np.concatenate(entry),
         offsets=offsets,
         cut=cut,
         next=table.next[sides].astype(np.int64),
-        gain=table.gains()[sides],
+        gain=table.compute_gains()[sides],
         terminal=np.array(mdp.terminal),
         start=np.array(starts, dtype=np.int64),
         start_total=np.cumsum(weights),
@@ -108,17 +110,19 @@ def tables(mdp: MDP, rows: Rows) -> Tables:
     )
 
 
-def stream(rng: Seed) -> Numbers:
+def make_random_stream(rng: Seed) -> Numbers:
     """Return the (4,) uint64 state of a random stream; 0 is a seed like any other."""
     return as_sequence(rng).generate_state(4, np.uint64)
 
 
 def as_sequence(rng: Seed) -> SeedSequence:
     """Return the seed sequence of a whole number or a generator, or the sequence given."""
-    return rng if isinstance(rng, SeedSequence) else SeedSequence(seed_of(rng))
+    if isinstance(rng, SeedSequence):
+        return rng
+    return SeedSequence(seed_of(rng))
 
 
-def child(rng: Seed, number: int) -> SeedSequence:
-    """Return what `SeedSequence.spawn` would give as child `number`, without counting children."""
+def spawn_child_seed(rng: Seed, number: int) -> SeedSequence:
+    """Return the child `number` that `SeedSequence.spawn` would make, without counting children."""
     parent = as_sequence(rng)
     return SeedSequence(parent.entropy, spawn_key=(*parent.spawn_key, number))

@@ -105,7 +105,10 @@ PAPER_DECAYING = Exponential.through(0.8, at=300, minimum=0.03)
 def as_schedule(name: str, given: Any, epochs: int) -> Schedule:
     """Return a schedule, a number as the constant one; ModelError where one leaves [0, 1]."""
     known = callable(getattr(given, "values", None)) and not isinstance(given, Mapping)
-    schedule = given if known else Constant(float_of(given, "schedule"))
+    if known:
+        schedule = given
+    else:
+        schedule = Constant(float_of(given, "schedule"))
     values = np.asarray(schedule.values(epochs), dtype=np.float64)
     if values.shape != (epochs,) or not ((values >= 0) & (values <= 1)).all():
         raise ModelError(

@@ -2,8 +2,9 @@
 
 Run i draws from the i-th child of the seed (`SeedSequence.spawn`), so that it depends neither on
 how many runs there are nor on who does them. A finished run is written to its own file at once, and
-read instead of done again when the training is called once more (`solvers.parallel.many`). Workers
-are threads, as the compiled loop needs no interpreter lock, unless joblib is given another backend.
+read instead of done again when the training is called once more (`solvers.parallel.run_pieces`).
+Workers are threads, as the compiled loop needs no interpreter lock, unless joblib is given another
+backend.
 """
 
 from __future__ import annotations
@@ -18,10 +19,15 @@ from numpy.random import SeedSequence
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.validate import counted
+from exact_mdp.mdp.validate import require_count
 from exact_mdp.solvers.learning.q_learning import QLearning, TrainingRun
-from exact_mdp.solvers.learning.sampler import Seed, as_sequence, child, rows_of
-from exact_mdp.solvers.parallel import many
+from exact_mdp.solvers.learning.sampler import (
+    Seed,
+    as_sequence,
+    build_q_table_rows,
+    spawn_child_seed,
+)
+from exact_mdp.solvers.parallel import run_pieces
 
 STEM = "runs-"  # of the files of runs, before their numbers
 RECORDED = [field.name for field in fields(TrainingRun) if field.name != "space"]
@@ -74,16 +80,16 @@ def train(
     >>> len(runs), runs[0].q.shape
     (3, (16, 4))
     """
-    n = counted(n, "n")
+    n = require_count(n, "n")
     learner: object = settings
     if not isinstance(learner, QLearning):
         fix = "give QLearning(), with settings of its own where need be"
-        raise ModelError(f"{learner!r} is no learner", where="train", fix=fix)
+        raise ModelError(f"{learner!r} is not a learner", where="train", fix=fix)
     if rng is None:
         raise ModelError("training needs a seed", where="rng", fix="give rng=0, or another number")
-    space, root = rows_of(model, settings.columns).space, as_sequence(rng)
-    runs = many(
-        partial(_run, settings, model, root),
+    space, root = build_q_table_rows(model, settings.columns).space, as_sequence(rng)
+    runs = run_pieces(
+        partial(_train_once, settings, model, root),
         range(n),
         key={
             "model_hash": fingerprint(model),
@@ -104,7 +110,7 @@ def train(
     return [TrainingRun(space=space, **each) for each in read]
 
 
-def _run(settings: QLearning, model: MDP, root: SeedSequence, number: int) -> dict[str, Any]:
+def _train_once(settings: QLearning, model: MDP, root: SeedSequence, number: int) -> dict[str, Any]:
     """Return a run as arrays, which is what crosses between processes."""
-    run = settings.train(model, child(root, number))
+    run = settings.train(model, spawn_child_seed(root, number))
     return {name: getattr(run, name) for name in RECORDED}

@@ -22,12 +22,19 @@ from fractions import Fraction
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.errors import ModelError, suggest_name
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows
-from exact_mdp.mdp.graph import reachable, termination, ways_out, where_endless
+from exact_mdp.mdp.graph import find_reachable_states, prove_termination, ways_out, where_endless
 from exact_mdp.mdp.io import model_json
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Numbers, common, exact, integers, multiply, ones
+from exact_mdp.mdp.table import (
+    Numbers,
+    exact,
+    make_ones,
+    multiply,
+    to_common_denominator,
+    to_integer_array,
+)
 from exact_mdp.solvers.exact.checker import Model
 from exact_mdp.solvers.exact.duals import Totals
 
@@ -47,7 +54,7 @@ class Objectives:
                 where="objectives",
                 fix='give texts: a name, or a sum such as "name=2*a-b"',
             )
-        named = [_parsed(mdp, text) for text in texts]
+        named = [_parse_objective(mdp, text) for text in texts]
         self.mdp, self.texts, names = mdp, tuple(texts), tuple(name for name, _ in named)
         self.names = names
         if len(set(names)) < len(names):
@@ -56,9 +63,9 @@ class Objectives:
                 where="objectives",
                 fix="name each once: name=2*a-b",
             )
-        columns = [_combined(mdp, terms) for _, terms in named]
+        columns = [_combine_terms(mdp, terms) for _, terms in named]
         earning = np.any([top != 0 for top, _ in columns], axis=0).astype(np.int64)
-        below = integers(np.lcm.reduce([b.astype(object) for _, b in columns]).tolist())
+        below = to_integer_array(np.lcm.reduce([b.astype(object) for _, b in columns]).tolist())
         table = replace(mdp.table, gain=earning, gain_denominator=below)
         # Earns where an objective does: it says which states are terminal here.
         self.ending = mdp.with_(table=table, goal=None, sense="max")
@@ -68,7 +75,7 @@ class Objectives:
         own = rows.scale[mdp.pair_state].astype(object)
         # (L,) expected amounts times scale, negated in a model of costs
         self.amounts = tuple(
-            integers((mdp.sign * top.astype(object) * (own // bottom)).tolist())
+            to_integer_array((mdp.sign * top.astype(object) * (own // bottom)).tolist())
             for top, bottom in columns
         )
         self._require_finite()
@@ -78,19 +85,22 @@ class Objectives:
         """1, or -1 where rewards are costs."""
         return self.mdp.sign
 
-    def weighted(self, weights: Sequence[int]) -> Numbers:
+    def weigh_amounts(self, weights: Sequence[int]) -> Numbers:
         """Return (L,) the amounts added up, with weights."""
         total = sum(w * own.astype(object) for w, own in zip(weights, self.amounts, strict=True))
-        return integers(np.asarray(total).tolist())
+        return to_integer_array(np.asarray(total).tolist())
 
     def rows_for(self, weights: Sequence[int | Fraction]) -> tuple[BellmanRows, int]:
         """Return the equations of the objectives with rational weights, times a whole number."""
-        whole, unit = common([Fraction(weight) for weight in weights])
-        return replace(self.rows, constant=self.weighted(whole)), unit
+        whole, unit = to_common_denominator([Fraction(weight) for weight in weights])
+        return replace(self.rows, constant=self.weigh_amounts(whole)), unit
 
-    def counted(self) -> Totals:
-        """Return what the checker of proofs looks at."""
-        model, scale = Model(model_json.content(self.mdp)), self.rows.scale[self.mdp.pair_state]
+    def to_totals(self) -> Totals:
+        """Return the amounts in the form that the checker of proofs reads."""
+        model, scale = (
+            Model(model_json.encode_model(self.mdp)),
+            self.rows.scale[self.mdp.pair_state],
+        )
         each = [zip(own.tolist(), scale.tolist(), strict=True) for own in self.amounts]
         amounts = [[Fraction(top, below) for top, below in own] for own in each]
         return Totals(model, self.names, amounts)
@@ -100,14 +110,17 @@ class Objectives:
         mdp = self.mdp
         if mdp.discount_exact < 1:
             return
-        if not termination(self.ending).proven:
+        if not prove_termination(self.ending).proven:
             raise ModelError(
-                "a policy need not end, and totals at discount 1 would count for ever",
+                "a policy need not end, and totals at discount 1 would count forever",
                 where=where_endless(self.ending),
                 fix=ways_out(mdp),
             )
-        goal = np.ones_like(mdp.terminal) if mdp.goal is None else mdp.goal
-        if (beside := reachable(mdp) & self.ending.terminal & ~goal).any():
+        if mdp.goal is None:
+            goal = np.ones_like(mdp.terminal)
+        else:
+            goal = mdp.goal
+        if (beside := find_reachable_states(mdp) & self.ending.terminal & ~goal).any():
             raise ModelError(
                 "no total is finite: a policy may end beside the goal",
                 where=mdp.space.place(int(np.flatnonzero(beside)[0])),
@@ -118,7 +131,7 @@ class Objectives:
 Terms = list[tuple[Fraction, str]]
 
 
-def _parsed(mdp: MDP, text: str) -> tuple[str, Terms]:
+def _parse_objective(mdp: MDP, text: str) -> tuple[str, Terms]:
     """Return the name of an objective, and its terms."""
     rewards = dict.fromkeys([*mdp.component_names, reward_name(mdp)])
     known = [*dict.fromkeys([*rewards, STEPS, *mdp.events, *mdp.labels])]
@@ -138,7 +151,7 @@ def _parsed(mdp: MDP, text: str) -> tuple[str, Terms]:
             raise ModelError(
                 f"{text!r} names no total, nor a sum of totals",
                 where=f"objective {text!r}",
-                fix=f"{suggest(part, known)}; a sum is written name=2*a-b",
+                fix=f"{suggest_name(part, known)}; a sum is written name=2*a-b",
             )
         factor = exact(match[2] or "1", f"objective {text!r}")
         terms.append((-factor if match[1] == "-" else factor, match[3]))
@@ -146,9 +159,9 @@ def _parsed(mdp: MDP, text: str) -> tuple[str, Terms]:
     return name, terms
 
 
-def _combined(mdp: MDP, terms: Terms) -> Column:
+def _combine_terms(mdp: MDP, terms: Terms) -> Column:
     """Return the amounts (L,) of a linear combination, over denominators (L,)."""
-    columns = [(factor, *_column(mdp, name)) for factor, name in terms]
+    columns = [(factor, *_read_amounts(mdp, name)) for factor, name in terms]
     below = np.lcm.reduce([f.denominator * b.astype(object) for f, _, b in columns])
     top = sum(
         t.astype(object) * (f.numerator * (below // (b * f.denominator))) for f, t, b in columns
@@ -157,40 +170,40 @@ def _combined(mdp: MDP, terms: Terms) -> Column:
 
 
 def reward_name(mdp: MDP) -> str:
-    """Return what the reward itself is called among the amounts of a model."""
+    """Return the name of the reward itself among the amounts of a model."""
     name = REWARD
     while name in mdp.component_names and len(mdp.component_names) > 1:
         name += "'"
     return name
 
 
-def _column(mdp: MDP, name: str) -> Column:
+def _read_amounts(mdp: MDP, name: str) -> Column:
     """Return the exact amounts (L,) of one name, over denominators (L,)."""
     if name == reward_name(mdp):
         return mdp.table.expected_gain_exact()
     if name in mdp.component_names:
         return mdp.component(name)
     if name == STEPS:
-        return (~mdp.over)[mdp.pair_state].astype(np.int64), ones(mdp.n_pairs)
+        return (~mdp.over)[mdp.pair_state].astype(np.int64), make_ones(mdp.n_pairs)
     # The probability of an event, or of stepping into a label.
     weight, below = mdp.table.integer_weights()
     if name in mdp.events:
         assert mdp.table.event is not None
         happens = (mdp.table.event >> mdp.events.index(name)) & 1 == 1
     else:
-        happens = _arrivals(mdp, name)
+        happens = _find_arrivals(mdp, name)
     counted = multiply(weight, happens.astype(np.int64), terms=len(weight))
     return np.asarray(np.add.reduceat(counted, mdp.table.offsets[:-1])), below
 
 
-def _arrivals(mdp: MDP, label: str) -> Numbers:
+def _find_arrivals(mdp: MDP, label: str) -> Numbers:
     """Return (N,) which outcomes step into a label whose states are not left again."""
     inside = mdp.labels[label]
     here, there = inside[mdp.pair_state[mdp.table.pair]], inside[mdp.table.next]
     begins = any(inside[state] for state, weight in mdp.start if weight)
     if begins or mdp.discount_exact < 1 or (here & ~there).any():
         raise ModelError(
-            f"the probability of label {label!r} is no expected total here",
+            f"the probability of label {label!r} is not an expected total here",
             where="objectives",
             fix="count a label at discount 1 whose states are not left again, and not started in",
         )

@@ -2,15 +2,15 @@
 
     maximise  r(π)   subject to   c_k(π) ≥ b_k,  k = 1 … m,     over all policies π
 
-The totals of policies are mixtures of those of deterministic ones. A linear program mixes the ones
-known so far; its prices p weigh the totals, and the policy that is best for r + p c joins them,
-until no policy exceeds the mixture by these weights (Dantzig and Wolfe, Operations Research 8,
-1960). Its value μ V for them is then the proof: no policy that keeps the limits earns more than
+The totals of a policy are a mixture of the totals of deterministic policies. A linear program mixes
+those known so far; its prices p weigh the totals, and the policy that is best for r + p c joins
+them, until no policy exceeds the mixture by these weights (Dantzig and Wolfe, Operations Research
+8, 1960). Its value μ V for them is then the proof: no policy that keeps the limits earns more than
 μ V - p b. Where no policy keeps the limits, the least step t by which they are all moved takes the
 place of the return, and prices sum to 1.
 
-Visits of the mixture are those of one policy, which has to draw its action in no more states than
-limits bind (Altman, Constrained Markov Decision Processes, 1999, theorem 3.8).
+The visits of the mixture are the visits of one policy, which has to draw its action in no more
+states than limits bind (Altman, Constrained Markov Decision Processes, 1999, theorem 3.8).
 """
 
 from __future__ import annotations
@@ -26,28 +26,33 @@ from typing import Any, ClassVar
 import flint
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.errors import ModelError, locate_errors
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.choices import of_every_state
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, data_frame
-from exact_mdp.mdp.table import Integers, Numbers, common, exact, shown
+from exact_mdp.mdp.table import Integers, Numbers, exact, format_rational, to_common_denominator
 from exact_mdp.solvers.bounds.gains import first_of
-from exact_mdp.solvers.exact.duals import worth
-from exact_mdp.solvers.exact.levels import Level, combined, signs, steps
+from exact_mdp.solvers.exact.duals import weigh_values
+from exact_mdp.solvers.exact.levels import (
+    Level,
+    combine_levels,
+    compute_surplus_signs,
+    list_level_steps,
+)
 from exact_mdp.solvers.objectives.amounts import Objectives, reward_name
-from exact_mdp.solvers.objectives.simplex import maximise
+from exact_mdp.solvers.objectives.simplex import solve_linear_program
 from exact_mdp.solvers.objectives.totals import (
     Attained,
-    Flow,
+    OccupancyMeasure,
     Point,
     TotalsProof,
-    about,
-    attained,
-    extreme,
+    evaluate_objectives,
+    find_extreme_policy,
     flow_under,
-    optimum,
+    list_proof_fields,
+    solve_weighted,
 )
 from exact_mdp.solvers.solution import Certified
 
@@ -64,11 +69,13 @@ class Limit:
     bound: Fraction
 
     def __str__(self) -> str:
-        return self.text()
+        return self.format_limit()
 
-    def text(self, digits: int | None = None) -> str:
+    def format_limit(self, digits: int | None = None) -> str:
         """Return the limit, its bound in decimals where a number of digits is given."""
-        bound = self.bound if digits is None else shown(self.bound, digits)
+        bound = str(self.bound)
+        if digits is not None:
+            bound = format_rational(self.bound, digits)
         return f"{self.name} {'>=' if self.sign > 0 else '<='} {bound}"
 
 
@@ -79,7 +86,7 @@ class ConstrainedSolution(TotalsProof):
     Attributes
     ----------
     objectives : tuple of str
-        The reward, then what is limited.
+        The reward, then the limited amounts.
     limits : tuple of Limit
     feasible : bool
         Whether a policy keeps them.
@@ -107,7 +114,7 @@ class ConstrainedSolution(TotalsProof):
 
     limits: tuple[Limit, ...]
     feasible: bool
-    flow: Flow
+    flow: OccupancyMeasure
     price: tuple[Fraction, ...]
     dual: Level
     shift: Fraction
@@ -122,22 +129,26 @@ class ConstrainedSolution(TotalsProof):
 
     @cached_property
     def totals(self) -> dict[str, Fraction]:
-        """The policy's total of what is limited."""
+        """The policy's totals of the limited amounts."""
         return dict(zip(self.of.names[1:], self._totals[1:], strict=True))
 
     @property
     def start_value(self) -> Fraction | None:
         """The optimum, which the policy earns; None where no policy keeps the limits."""
-        return self._totals[0] if self.feasible else None
+        if self.feasible:
+            return self._totals[0]
+        return None
 
     @property
     def start(self) -> Certified | None:
         """The same as a claim."""
-        return None if self.start_value is None else Certified(value=self.start_value)
+        if self.start_value is None:
+            return None
+        return Certified(value=self.start_value)
 
     @cached_property
     def _totals(self) -> Point:
-        return tuple(self.of.sign * value for value in self.flow.totals(self.of))
+        return tuple(self.of.sign * value for value in self.flow.compute_totals(self.of))
 
     @property
     def prices(self) -> dict[str, Fraction]:
@@ -150,7 +161,7 @@ class ConstrainedSolution(TotalsProof):
     @property
     def closest(self) -> dict[str, Fraction]:
         """The closest limits that can be kept, by name, or by limit where a name has several."""
-        return bounds(self.limits, self.moved)
+        return name_bounds(self.limits, self.moved)
 
     @property
     def moved(self) -> tuple[Limit, ...]:
@@ -160,12 +171,12 @@ class ConstrainedSolution(TotalsProof):
     @property
     def weights(self) -> list[Fraction]:
         """The weight of each objective where limits have prices."""
-        return _weights(self.of, self.limits, (Fraction(self.feasible), *self.price))
+        return _weigh_objectives(self.of, self.limits, (Fraction(self.feasible), *self.price))
 
     @cached_property
     def randomises(self) -> dict[int, dict[str, Fraction]]:
         """The states in which the policy draws its action: {state: {action: probability}}."""
-        mdp, chances = self.of.mdp, self.flow.chances(self.of).items()
+        mdp, chances = self.of.mdp, self.flow.compute_action_probabilities(self.of).items()
         drawn = {state: own.items() for state, own in chances if len(own) > 1}
         action = mdp.pair_action
         return {s: {mdp.actions[action[l]]: p for l, p in own} for s, own in drawn.items()}
@@ -178,8 +189,16 @@ class ConstrainedSolution(TotalsProof):
         """
         of, mdp = self.of, self.of.mdp
         rows, unit = of.rows_for(self.weights)
-        best = first_of(mdp, signs(rows, steps(rows, combined([self.dual], [unit]))[0]) == 0)
-        chances = {s: {pair: ONE} for s, pair in enumerate(best.tolist())} | self.flow.chances(of)
+        best = first_of(
+            mdp,
+            compute_surplus_signs(
+                rows, list_level_steps(rows, combine_levels([self.dual], [unit]))[0]
+            )
+            == 0,
+        )
+        chances = {
+            s: {pair: ONE} for s, pair in enumerate(best.tolist())
+        } | self.flow.compute_action_probabilities(of)
         rule = np.full((mdp.n_states, mdp.n_actions), ZERO, dtype=object)
         for state, own in chances.items():
             for pair, chance in own.items():
@@ -193,7 +212,7 @@ class ConstrainedSolution(TotalsProof):
         return Policy(space=mdp.space, actions=mdp.actions, rule=self.rule)
 
     def report(self) -> Report:
-        """Return what the optimum under limits is, or that no policy keeps them."""
+        """Return a text that states the optimum, or that no policy keeps the limits."""
         mdp, limits, feasible = self.of.mdp, self.limits, self.feasible
         drawn = [{mdp.actions[a]: c for a, c in enumerate(row) if c} for row in self.rule]
         said = ["they can be kept" if feasible else "no policy keeps them all (proven)"]
@@ -229,7 +248,7 @@ class ConstrainedSolution(TotalsProof):
 
         `keeps` says of each limit whether the policy keeps it.
         """
-        near = [limit.text(10) for limit in self.moved]
+        near = [limit.format_limit(10) for limit in self.moved]
         each = zip(self.limits, self.price, near, keeps or near, strict=True)
         rows = [
             {
@@ -257,7 +276,7 @@ class ConstrainedSolution(TotalsProof):
         return data_frame(rows, columns=["limit", "total", "price", "closest"])
 
 
-def bounds(limits: Sequence[Limit], moved: Sequence[Limit]) -> dict[str, Fraction]:
+def name_bounds(limits: Sequence[Limit], moved: Sequence[Limit]) -> dict[str, Fraction]:
     """Return where limits are moved to, by name, or by the limit where a name has several."""
     names = [limit.name for limit in limits]
     keys = [x.name if names.count(x.name) == 1 else str(x) for x in limits]
@@ -278,12 +297,15 @@ def limits_of(subject_to: Mapping[str, Any]) -> tuple[Limit, ...]:
             parts = LIMIT.match(str(text))
             if parts is None:
                 raise ModelError(
-                    f"{text!r} is no limit",
+                    f"{text!r} is not a limit",
                     where=f"subject_to {name!r}",
                     fix='write a text with >= or <=, such as ">= -1/2" or "<= 1/20"',
                 )
-            sign = 1 if parts[1] == ">=" else -1
-            with located(f"subject_to {name!r}"):
+            if parts[1] == ">=":
+                sign = 1
+            else:
+                sign = -1
+            with locate_errors(f"subject_to {name!r}"):
                 limits.append(Limit(name=str(name), sign=sign, bound=exact(parts[2])))
     return tuple(limits)
 
@@ -297,7 +319,7 @@ def solve_under(mdp: MDP, subject_to: Mapping[str, Any]) -> ConstrainedSolution:
         title += "'"
     of = Objectives(mdp, [f"{title}={reward_name(mdp)}", *names])
     limits = tuple(replace(x, name=of.names[1 + names.index(x.name)]) for x in given)
-    shares, shift, price, dual = _mixture(of, limits)
+    shares, shift, price, dual = _combine_policies(of, limits)
     return ConstrainedSolution(
         limits=limits,
         feasible=price[0] == 1,
@@ -305,11 +327,13 @@ def solve_under(mdp: MDP, subject_to: Mapping[str, Any]) -> ConstrainedSolution:
         price=price[1:],
         dual=dual,
         shift=shift,
-        **about(of, "limits"),
+        **list_proof_fields(of, "limits"),
     )
 
 
-def _weights(of: Objectives, limits: Sequence[Limit], price: Sequence[Fraction]) -> list[Fraction]:
+def _weigh_objectives(
+    of: Objectives, limits: Sequence[Limit], price: Sequence[Fraction]
+) -> list[Fraction]:
     """Return the weight of each objective where the reward and the limits have prices."""
     weights = [price[0]] + [ZERO] * (len(of.names) - 1)
     for limit, own in zip(limits, price[1:], strict=True):
@@ -317,75 +341,100 @@ def _weights(of: Objectives, limits: Sequence[Limit], price: Sequence[Fraction])
     return weights
 
 
-def _kept(of: Objectives, limits: Sequence[Limit], totals: Point) -> list[Fraction]:
-    """Return what each limit is on, so that more is better."""
+def _orient_totals(of: Objectives, limits: Sequence[Limit], totals: Point) -> list[Fraction]:
+    """Return the limited amounts with signs that make more better."""
     return [of.sign * limit.sign * totals[of.names.index(limit.name)] for limit in limits]
 
 
 Shares = list[tuple[Attained, Fraction]]
 
 
-def _mixture(
+def _combine_policies(
     of: Objectives, limits: Sequence[Limit]
 ) -> tuple[Shares, Fraction, tuple[Fraction, ...], Level]:
     """Return the best mixture, the step of the limits, prices of reward and limits, and values."""
     size, short = len(limits), True
-    policies = [extreme(of, [1] + [0] * (len(of.names) - 1))]
+    policies = [find_extreme_policy(of, [1] + [0] * (len(of.names) - 1))]
     spare = [[ZERO, *(Fraction(-(i == k)) for i in range(size))] for k in range(size)]
     bounds = [limit.sign * limit.bound for limit in limits]
     while True:  # a column for each policy is 1 and the room that it leaves
-        columns = [[ONE, *map(sub, _kept(of, limits, own.total), bounds)] for own in policies]
+        columns = [
+            [ONE, *map(sub, _orient_totals(of, limits, own.total), bounds)] for own in policies
+        ]
         columns += spare + [[ZERO] + [ONE] * size] * short
         earned = [ZERO if short else policy.total[0] for policy in policies] + [ZERO] * size
-        x, (most, *due) = maximise(earned + [-ONE] * short, columns, [ONE] + [ZERO] * size)
-        shift = x[-1] if short else ZERO
+        x, (most, *due) = solve_linear_program(
+            earned + [-ONE] * short, columns, [ONE] + [ZERO] * size
+        )
+        shift = ZERO
+        if short:
+            shift = x[-1]
         if short and not shift:
             short = False
             continue
         price = (Fraction(not short), *(-each for each in due))
-        pairs, dual = optimum(of, _weights(of, limits, price), policies[-1].pairs)
-        if dual.mean(of.mdp.start) == most + worth(price[1:], bounds):
+        pairs, dual = solve_weighted(of, _weigh_objectives(of, limits, price), policies[-1].pairs)
+        if dual.compute_mean(of.mdp.start) == most + weigh_values(price[1:], bounds):
             shares = [each for each in zip(policies, x, strict=False) if each[1]]
             return shares, shift, price, dual
-        policies.append(attained(of, pairs))
+        policies.append(evaluate_objectives(of, pairs))
 
 
-def _as_one(of: Objectives, limits: Sequence[Limit], shares: Shares, shift: Fraction) -> Flow:
+def _as_one(
+    of: Objectives, limits: Sequence[Limit], shares: Shares, shift: Fraction
+) -> OccupancyMeasure:
     """Return the visits of one policy that earns as much as a mixture."""
     # It has a pair for each state, and at most as many further ones as limits bind: with more, some
     # change of their numbers leaves what these limits are on as it is. It goes on until a pair is
     # not taken any more, or another limit binds.
     taken = dict[int, Fraction]()
     for policy, share in shares:
-        for pair, number in flow_under(of, policy.pairs).numbers().items():
+        for pair, number in flow_under(of, policy.pairs).to_numbers().items():
             taken[pair] = taken.get(pair, ZERO) + share * number
     own = shares[0][0].pairs.copy()
     while True:
         most = sorted(taken, key=lambda pair: (float(taken[pair]), -pair))
         own[of.rows.pair_state[most]] = most
-        further, flow = sorted(taken.keys() - {*own.tolist()})[: len(limits) + 1], Flow.of(taken)
-        totals = _kept(of, limits, flow.totals(of))
+        further, flow = (
+            sorted(taken.keys() - {*own.tolist()})[: len(limits) + 1],
+            OccupancyMeasure.of(taken),
+        )
+        totals = _orient_totals(of, limits, flow.compute_totals(of))
         room = [total - x.sign * x.bound + shift for total, x in zip(totals, limits, strict=True)]
-        moves = [_instead(of, pair, own) for pair in further]
-        gains = [*zip(*(_kept(of, limits, Flow.of(x).totals(of)) for x in moves), strict=True)]
-        tight = [common(gain)[0] for gain, left in zip(gains, room, strict=False) if not left]
+        moves = [_exchange_pair(of, pair, own) for pair in further]
+        gains = [
+            *zip(
+                *(
+                    _orient_totals(of, limits, OccupancyMeasure.of(x).compute_totals(of))
+                    for x in moves
+                ),
+                strict=True,
+            )
+        ]
+        tight = [
+            to_common_denominator(gain)[0]
+            for gain, left in zip(gains, room, strict=False)
+            if not left
+        ]
         free, count = flint.fmpz_mat([[0] * len(further), *tight]).nullspace()
         if not count:
             return flow
         times = [Fraction(int(free[i, 0])) for i in range(len(further))]
-        change = {l: worth(times, [x.get(l, ZERO) for x in moves]) for l in taken}
-        falling = [(left, worth(times, x)) for x, left in zip(gains, room, strict=True) if left]
+        change = {l: weigh_values(times, [x.get(l, ZERO) for x in moves]) for l in taken}
+        falling = [
+            (left, weigh_values(times, x)) for x, left in zip(gains, room, strict=True) if left
+        ]
         falling += [(taken[pair], step) for pair, step in change.items()]
         length = min(left / -step for left, step in falling if step < 0)
         moved = {pair: left + length * change[pair] for pair, left in taken.items()}
         taken = {pair: left for pair, left in moved.items() if left}
 
 
-def _instead(of: Objectives, pair: int, own: Integers) -> dict[int, Fraction]:
+def _exchange_pair(of: Objectives, pair: int, own: Integers) -> dict[int, Fraction]:
     """Return how visits change where a pair is taken once in place of its state's own."""
     rows = of.rows
     state, part = int(rows.pair_state[pair]), slice(rows.offsets[pair], rows.offsets[pair + 1])
     unit = int(rows.scale[state])
     ahead = [Fraction(weight, unit) for weight in rows.weight[part].tolist()]
     sources = [(state, -ONE), *zip(rows.next[part].tolist(), ahead, strict=True)]
-    return {pair: ONE} | flow_under(of, own, sources).numbers()
+    return {pair: ONE} | flow_under(of, own, sources).to_numbers()

@@ -14,10 +14,10 @@ from fractions import Fraction
 
 import flint
 
-from exact_mdp.mdp.exact import fraction, rational
+from exact_mdp.mdp.exact import from_flint, to_flint
 
 
-def maximise(
+def solve_linear_program(
     c: Sequence[Fraction], columns: Sequence[Sequence[Fraction]], b: Sequence[Fraction]
 ) -> tuple[list[Fraction], list[Fraction]]:
     """Return an optimal basic x, and its dual y: y A ≥ c and y b = c x.
@@ -28,9 +28,9 @@ def maximise(
     units = [
         [Fraction((i == k) * (1 if b[i] >= 0 else -1)) for i in range(rows)] for k in range(rows)
     ]
-    turned = flint.fmpq_mat([[rational(x) for x in column] for column in [*columns, *units]])
-    matrix, right = turned.transpose(), flint.fmpq_mat([[rational(value)] for value in b])
-    cost = [(flint.fmpq(0), rational(value)) for value in c] + [(flint.fmpq(-1),) * 2] * rows
+    turned = flint.fmpq_mat([[to_flint(x) for x in column] for column in [*columns, *units]])
+    matrix, right = turned.transpose(), flint.fmpq_mat([[to_flint(value)] for value in b])
+    cost = [(flint.fmpq(0), to_flint(value)) for value in c] + [(flint.fmpq(-1),) * 2] * rows
     basis = [*range(size, size + rows)]
     while True:
         inverse = flint.fmpq_mat([[matrix[i, j] for j in basis] for i in range(rows)]).inv()
@@ -47,5 +47,5 @@ def maximise(
     each = ((due[j], cost[j][1]) for j in range(size) if due[j][0] > 0)
     enough = max(((own - later) / first for (first, later), own in each), default=flint.fmpq(0))
     first, later = price.tolist()
-    y = [fraction(then + enough * now) for now, then in zip(first, later, strict=True)]
-    return [fraction(basic.get(j, flint.fmpq(0))) for j in range(size)], y
+    y = [from_flint(then + enough * now) for now, then in zip(first, later, strict=True)]
+    return [from_flint(basic.get(j, flint.fmpq(0))) for j in range(size)], y

@@ -21,15 +21,20 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.exact import fingerprint
-from exact_mdp.mdp.graph import termination
+from exact_mdp.mdp.graph import prove_termination
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers
 from exact_mdp.solvers.bounds.gains import first_of
 from exact_mdp.solvers.exact import codec, duals
-from exact_mdp.solvers.exact.certificate import Proof, model_of
-from exact_mdp.solvers.exact.find import best
-from exact_mdp.solvers.exact.levels import Level, combined, signs, steps
-from exact_mdp.solvers.exact.linear import evaluated, visited
+from exact_mdp.solvers.exact.certificate import Proof, require_model
+from exact_mdp.solvers.exact.find import optimise_exactly
+from exact_mdp.solvers.exact.levels import (
+    Level,
+    combine_levels,
+    compute_surplus_signs,
+    list_level_steps,
+)
+from exact_mdp.solvers.exact.linear import compute_expected_visits, evaluate_exactly
 from exact_mdp.solvers.objectives.amounts import Objectives
 
 Point = tuple[Fraction, ...]
@@ -37,81 +42,89 @@ Weights = Sequence[int] | Sequence[Fraction]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Flow:
+class OccupancyMeasure:
     """Expected visits from the start: of pairs (K,), all above 0; none of other pairs."""
 
     pairs: Integers
     visits: Level
 
     @classmethod
-    def of(cls, numbers: Mapping[int, Fraction]) -> Flow:
+    def of(cls, numbers: Mapping[int, Fraction]) -> OccupancyMeasure:
         """Return the visits of pairs as one flow."""
         pairs = sorted(numbers)
         visits = Level.of([numbers[pair] for pair in pairs])
         return cls(pairs=np.array(pairs, dtype=np.int64), visits=visits)
 
-    def numbers(self) -> dict[int, Fraction]:
+    def to_numbers(self) -> dict[int, Fraction]:
         """Return the visits of each pair."""
-        return dict(zip(self.pairs.tolist(), self.visits.fractions(), strict=True))
+        return dict(zip(self.pairs.tolist(), self.visits.to_fractions(), strict=True))
 
-    def chances(self, of: Objectives) -> dict[int, dict[int, Fraction]]:
+    def compute_action_probabilities(self, of: Objectives) -> dict[int, dict[int, Fraction]]:
         """Return the probability of each pair {state: {pair: probability}} in states visited."""
         chances, state = dict[int, dict[int, Fraction]](), of.mdp.pair_state
-        for own, some in groupby(sorted(self.numbers().items()), lambda each: int(state[each[0]])):
+        for own, some in groupby(
+            sorted(self.to_numbers().items()), lambda each: int(state[each[0]])
+        ):
             visits = dict(some)
             total = sum(visits.values())
             chances[own] = {pair: number / total for pair, number in visits.items()}
         return chances
 
-    def totals(self, of: Objectives) -> Point:
-        """Return what the pairs earn of each objective; more is better."""
+    def compute_totals(self, of: Objectives) -> Point:
+        """Return each pair's amount of each objective; more is better."""
         scale = of.rows.scale[of.mdp.pair_state[self.pairs]].tolist()
 
-        def earned(amount: Numbers) -> Fraction:
+        def sum_earnings(amount: Numbers) -> Fraction:
             each = zip(amount[self.pairs].tolist(), scale, strict=True)
-            return self.visits.mean(enumerate(Fraction(top, below) for top, below in each))
+            return self.visits.compute_mean(enumerate(Fraction(top, below) for top, below in each))
 
-        return tuple(map(earned, of.amounts))
+        return tuple(map(sum_earnings, of.amounts))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Attained:
     """A deterministic policy, the values of each objective under it, and its totals at the start.
 
-    More is better in all of them: those of a model of costs are negated.
+    More is better in all of them: the amounts of a model of costs are negated.
     """
 
     pairs: Integers
     values: tuple[Level, ...]
     total: Point
 
-    def optimal(self, of: Objectives, weights: Weights) -> bool:
+    def is_optimal(self, of: Objectives, weights: Weights) -> bool:
         """Return whether no pair gains: then no policy exceeds the weighted values, in no state."""
         rows, unit = of.rows_for(weights)
-        value = combined(self.values, [unit * weight for weight in weights])
-        return not (signs(rows, steps(rows, value)[0], self.pairs) > 0).any()
+        value = combine_levels(self.values, [unit * weight for weight in weights])
+        return not (
+            compute_surplus_signs(rows, list_level_steps(rows, value)[0], self.pairs) > 0
+        ).any()
 
 
 def flow_under(
     of: Objectives, pairs: Integers, start: Sequence[tuple[int, Fraction]] | None = None
-) -> Flow:
+) -> OccupancyMeasure:
     """Return the visits of the policy that takes one pair (S,) of each state, from any start."""
     states = ~of.rows.terminal
-    (level,) = visited(of.rows.of_pairs(pairs), states, of.mdp.start if start is None else start)
+    (level,) = compute_expected_visits(
+        of.rows.of_pairs(pairs), states, of.mdp.start if start is None else start
+    )
     taken = np.flatnonzero(states & (np.array(level.top, dtype=object) != 0))
-    visits = Level.grouped([level.top[s] for s in taken], level.below, level.group[taken])
-    return Flow(pairs=pairs[taken], visits=visits)
+    visits = Level.from_groups([level.top[s] for s in taken], level.below, level.group[taken])
+    return OccupancyMeasure(pairs=pairs[taken], visits=visits)
 
 
-def attained(of: Objectives, pairs: Integers) -> Attained:
+def evaluate_objectives(of: Objectives, pairs: Integers) -> Attained:
     """Return the totals of the policy that takes one pair (S,) of each state."""
-    values = tuple(evaluated(of.rows, pairs, of.amounts))
+    values = tuple(evaluate_exactly(of.rows, pairs, of.amounts))
     return Attained(
-        pairs=pairs, values=values, total=tuple(value.mean(of.mdp.start) for value in values)
+        pairs=pairs,
+        values=values,
+        total=tuple(value.compute_mean(of.mdp.start) for value in values),
     )
 
 
-def optimum(
+def solve_weighted(
     of: Objectives, weights: Weights, first: Integers | None = None
 ) -> tuple[Integers, Level]:
     """Return pairs (S,) that are optimal for weights of at least 0, and the weighted values.
@@ -119,42 +132,49 @@ def optimum(
     The search begins with the pairs `first` (S,), and keeps them where none is better.
     """
     rows, unit = of.rows_for(weights)
-    pairs, (value,), _ = best(rows, first)
-    return pairs, combined([value], [Fraction(1, unit)])
+    pairs, (value,), _ = optimise_exactly(rows, first)
+    return pairs, combine_levels([value], [Fraction(1, unit)])
 
 
-def extreme(of: Objectives, weights: Weights, first: Integers | None = None) -> Attained:
+def find_extreme_policy(
+    of: Objectives, weights: Weights, first: Integers | None = None
+) -> Attained:
     """Return a policy that is optimal for weights of at least 0, in every state.
 
     No others dominate its totals or mix to them. The search begins with the pairs `first` (S,).
     """
     size = len(weights)
     ties = [[1] * size, *([int(i == k) for i in range(size)] for k in range(size))]
-    _, _, sign = best(of.rows, first, [of.rows_for(each)[0].constant for each in (weights, *ties)])
-    return attained(of, first_of(of.mdp, sign == 0))
+    _, _, sign = optimise_exactly(
+        of.rows, first, [of.rows_for(each)[0].constant for each in (weights, *ties)]
+    )
+    return evaluate_objectives(of, first_of(of.mdp, sign == 0))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class TotalsProof(Proof):
     """What is proven about totals of a model."""
 
-    objectives: tuple[str, ...]  # what is counted, as `solvers.objectives.amounts` reads it
+    objectives: tuple[str, ...]  # names, as `solvers.objectives.amounts` reads them
     rank: Integers | None  # (S,) proof that every policy ends, at discount 1
 
     @cached_property
     def of(self) -> Objectives:
         """What is counted."""
-        return Objectives(model_of(None, self.mdp, self.kind), self.objectives)
+        return Objectives(require_model(None, self.mdp, self.kind), self.objectives)
 
-    def _wrong(self, mdp: MDP) -> list[str]:
+    def _find_violations(self, mdp: MDP) -> list[str]:
         if self.model != fingerprint(mdp):
             return ["the certificate is of another model"]
-        proof = codec.checked(self)
-        return duals.violations(Objectives(mdp, proof.objectives).counted(), proof)
+        proof = codec.rebuild_proof(self)
+        return duals.list_totals_violations(Objectives(mdp, proof.objectives).to_totals(), proof)
 
 
-def about(of: Objectives, kind: str) -> dict[str, Any]:
+def list_proof_fields(of: Objectives, kind: str) -> dict[str, Any]:
     """Return the fields that all proofs about totals have."""
-    rank = termination(of.ending).rank if of.mdp.discount_exact == 1 else None
+    if of.mdp.discount_exact == 1:
+        rank = prove_termination(of.ending).rank
+    else:
+        rank = None
     parts = {"kind": kind, "model": fingerprint(of.mdp), "mdp": of.mdp}
     return parts | {"objectives": of.texts, "rank": rank}

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import UNIT, gamma
-from exact_mdp.solvers.robust.sets import Ball, Block
+from exact_mdp.solvers.robust.sets import Ball, RowBlock
 
 STEPS = 200  # of Newton's method, each of which at least halves the bracket or stays inside it
 NEAR = 1e-12  # of the divergence, relative: how narrow bounds are, not whether they hold
@@ -38,11 +38,11 @@ class Likelihood(Ball):
     NAME = "a likelihood radius"
 
     @np.errstate(over="ignore", under="ignore")
-    def least(self, block: Block, payoff: Floats) -> tuple[Floats, Floats]:
+    def least(self, block: RowBlock, payoff: Floats) -> tuple[Floats, Floats]:
         """See `Ambiguity.least`."""
-        p, beta = block.probability, self.radii(block)
+        p, beta = block.probability, self.list_radii(block)
         d = payoff - payoff.min(axis=1, keepdims=True)
-        q, short, left = _leaving(p, d, beta)
+        q, short, left = _solve_at_boundary(p, d, beta)
         span = np.where(left, 0.0, d.max(axis=1))
         # What rounding may hide of a divergence is left out of the region. Where that leaves
         # nothing the nominal law stands: by Pinsker's inequality others are within the root of 2 β
@@ -53,7 +53,7 @@ class Likelihood(Ball):
         rows = np.flatnonzero((span > 0) & (inside > 0))
         if len(rows):
             p, d, beta, s = p[rows], d[rows], beta[rows], span[rows]
-            s *= np.exp(_scale(p, d / s[:, None], inside[rows] * (1 - 2 * NEAR)))
+            s *= np.exp(_find_scale(p, d / s[:, None], inside[rows] * (1 - 2 * NEAR)))
             u = d / s[:, None]
             law = p / (1 + u)
             law /= law.sum(axis=1, keepdims=True)
@@ -66,7 +66,7 @@ class Likelihood(Ball):
         return q, short
 
 
-def _scale(p: Floats, d: Floats, edge: Floats) -> Floats:
+def _find_scale(p: Floats, d: Floats, edge: Floats) -> Floats:
     """Return about the least t (K,) where s = e^t has a divergence of up to `edge` (K,)."""
     low, high = np.full_like(edge, -FARTHEST), np.full_like(edge, FARTHEST)
     # Far out the divergence is about (variance / 2) e^-2t, and the variance is at most 1/4.
@@ -95,7 +95,9 @@ def _scale(p: Floats, d: Floats, edge: Floats) -> Floats:
     return t
 
 
-def _leaving(p: Floats, d: Floats, beta: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+def _solve_at_boundary(
+    p: Floats, d: Floats, beta: Floats
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Return laws (K, n), tolerances (K,), and where (K,) they hold: where s is 0."""
     # An outcome of frequency 0 may happen, too. Where all of the least value have frequency 0, and
     # the q_i = p_i / d_i · e^-β Π d_i^p_i of the others add up to no more than 1, what they leave

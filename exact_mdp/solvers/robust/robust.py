@@ -27,15 +27,21 @@ import scipy.sparse as sp
 
 from exact_mdp.mdp.components import require_amounts
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.graph import beside_goal, closure, topological_levels
+from exact_mdp.mdp.graph import beside_goal, find_reachable_nodes, topological_levels
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import MOST_BYTES, Floats, Integers
 from exact_mdp.solvers.bounds.gains import POLICIES, SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import LinearSystem
-from exact_mdp.solvers.dynamic.iterate import RELATIVE_TOLERANCE, check_counts, check_tolerance
-from exact_mdp.solvers.robust.sets import Ambiguity, Inner, entries, inner, side_by_side
+from exact_mdp.solvers.dynamic.base import RELATIVE_TOLERANCE, check_counts, check_tolerance
+from exact_mdp.solvers.robust.sets import (
+    Ambiguity,
+    Inner,
+    list_entries,
+    side_by_side,
+    solve_inner_problem,
+)
 from exact_mdp.solvers.solution import Found, SolverError, Status, warn_of_precision
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -111,8 +117,10 @@ def solve_robust(
         raise ModelError(f"unknown nature {nature!r}", where="robust", fix="say worst or best")
     if not callable(getattr(ambiguity, "check", None)):
         fix = "give sets, such as Intervals.relative(model, 0.1), for ± 10 %"
-        raise ModelError(f"{ambiguity!r:.60} is no set of laws", where="ambiguity", fix=fix)
-    require_room(model)
+        raise ModelError(
+            f"{ambiguity!r:.60} is not a set of distributions", where="ambiguity", fix=fix
+        )
+    require_room_for_rows(model)
     ambiguity.check(model)
     require_amounts(model.table, "a value under other rows")
     if model.discount_exact == 1 and (beside := beside_goal(model)).any():
@@ -131,12 +139,12 @@ def solve_robust(
         weights=None if policy is None else PolicyChain.of(model, policy).weights,
     )
     with np.errstate(over="ignore", invalid="ignore"):
-        status, value, error, asked, iterations = _iterate(game, tol, max_iterations)
-    share, pairs = game.choice(asked.value), None
+        status, value, error, asked, iterations = _iterate_values(game, tol, max_iterations)
+    share, pairs = game.choose_pairs(asked.value), None
     if policy is None:
         pairs = model.pair_offsets[:-1].copy()
         pairs[game.live] = game.pairs[share == 1]
-    chain, earned = game.chain(asked.laws, share)
+    chain, earned = game.build_chain(asked.laws, share)
     if status is Status.PRECISION:
         warn_of_precision(float(error.max()))
     return RobustSolution(
@@ -153,7 +161,7 @@ def solve_robust(
     )
 
 
-def require_room(model: MDP) -> None:
+def require_room_for_rows(model: MDP) -> None:
     """Raise ModelError where the sets of all rows would not fit in memory."""
     size = OF_OUTCOME * len(model.table.next)
     if size > MOST_BYTES:
@@ -183,12 +191,12 @@ class Game:
         self.row_state = np.searchsorted(self.live, state)  # (U,)
         table = mdp.table
         rows = table.offsets[self.pairs], np.diff(table.offsets)[self.pairs]
-        outcomes = table.next, table.probabilities(), table.gains()
+        outcomes = table.next, table.compute_probabilities(), table.compute_gains()
         self.blocks = side_by_side(self.pairs, rows, outcomes)
 
-    def ask(self, value: Floats) -> Inner:
-        """Return what nature makes of each of `pairs`, at values (S,)."""
-        return inner(
+    def solve_inner_problem(self, value: Floats) -> Inner:
+        """Return nature's best reply to each of `pairs`, at values (S,)."""
+        return solve_inner_problem(
             self.ambiguity,
             self.blocks,
             value,
@@ -197,7 +205,7 @@ class Game:
             rewards=self.rewards,
         )
 
-    def choice(self, q: Floats) -> Floats:
+    def choose_pairs(self, q: Floats) -> Floats:
         """Return (U,) the agent's share of each pair, given their values (U,)."""
         if self.weights is not None:
             share = self.weights[self.pairs]
@@ -208,22 +216,22 @@ class Game:
         share[np.minimum.reduceat(number, self.first)] = 1.0
         return share
 
-    def mean(self, share: Floats, q: Floats) -> Floats:
+    def average_pairs(self, share: Floats, q: Floats) -> Floats:
         """Return (T,) the mean of pair values (U,)."""
         return np.asarray(np.add.reduceat(share * q, self.first))
 
-    def agent(self, q: Floats) -> Floats:
+    def back_up_pairs(self, q: Floats) -> Floats:
         """Return (T,) what the agent makes of pair values (U,)."""
-        return self.mean(self.choice(q), q)
+        return self.average_pairs(self.choose_pairs(q), q)
 
-    def solved(self, asked: Inner, share: Floats, order: Integers | None) -> Floats:
+    def solve_chain(self, asked: Inner, share: Floats, order: Integers | None) -> Floats:
         """Return about the values (S,) under what nature chose and shares (U,)."""
-        chain, earned = self.chain(asked.laws, share)
+        chain, earned = self.build_chain(asked.laws, share)
         return LinearSystem(chain, self.mdp.discount, order=order).approximate(earned)
 
-    def chain(self, laws: list[Floats], share: Floats) -> tuple[sp.csr_array, Floats]:
+    def build_chain(self, laws: list[Floats], share: Floats) -> tuple[sp.csr_array, Floats]:
         """Return transitions (S, S) and expected rewards (S,) under laws and shares (U,)."""
-        place, following, probability, earned = entries(self.blocks, laws)
+        place, following, probability, earned = list_entries(self.blocks, laws)
         source, states = self.live[self.row_state], self.mdp.n_states
         taken = share[place] > 0
         place, following, probability = place[taken], following[taken], probability[taken]
@@ -232,7 +240,7 @@ class Game:
         return sp.csr_array(parts, (states, states)), np.asarray(total, dtype=np.float64)
 
 
-def margins(game: Game) -> tuple[Floats, Floats]:
+def verify_margins(game: Game) -> tuple[Floats, Floats]:
     """Return weights (S,), and verified margins (T,) of the states that are not terminal."""
     late = copy(game)  # both sides are after steps
     late.against, late.rewards = False, False
@@ -241,33 +249,35 @@ def margins(game: Game) -> tuple[Floats, Floats]:
     elif game.mdp.discount < 1:
         weight = (~game.mdp.terminal).astype(np.float64)
     else:
-        weight = _longest(late)
-    later = np.maximum.reduceat(late.ask(weight).high, game.first)
+        weight = _maximise_expected_steps(late)
+    later = np.maximum.reduceat(late.solve_inner_problem(weight).high, game.first)
     margin = np.asarray((weight[game.live] - later) * (1 - 4 * UNIT))
     if not np.all(margin > 0):
         raise SolverError(Status.NO_BOUND, "no margin against the worst laws can be verified")
     return weight, margin
 
 
-def _longest(game: Game) -> Floats:
+def _maximise_expected_steps(game: Game) -> Floats:
     """Return about the greatest expected number of steps, by policy iteration on both choices."""
     mdp, live = game.mdp, ~game.mdp.terminal
     weight = live.astype(np.float64)
     for iteration in range(POLICIES):
-        asked = game.ask(weight)
-        gain = 1 + game.agent(asked.value) - weight[game.live]
+        asked = game.solve_inner_problem(weight)
+        gain = 1 + game.back_up_pairs(asked.value) - weight[game.live]
         # What adds less than half a step leaves a margin of over a half.
         if iteration and gain.max() < 0.5:
             return weight
-        chain, _ = game.chain(asked.laws, game.choice(asked.value))
-        stuck = np.flatnonzero(~closure(chain.T.tocsr(), mdp.terminal.copy()))
+        chain, _ = game.build_chain(asked.laws, game.choose_pairs(asked.value))
+        stuck = np.flatnonzero(~find_reachable_nodes(chain.T.tocsr(), mdp.terminal.copy()))
         if len(stuck):
             named = ", ".join(f"({label})" for label in mdp.space.labels(stuck[:4]))
-            more = f" and {len(stuck) - 4} more" if len(stuck) > 4 else ""
+            more = ""
+            if len(stuck) > 4:
+                more = f" and {len(stuck) - 4} more"
             raise ModelError(
                 "discount 1 needs every episode to end, and under laws within the sets one does "
                 "not",
-                where=f"it stays for ever among {named}{more}",
+                where=f"it stays forever among {named}{more}",
                 fix="choose a discount below 1, or smaller sets that keep a way out possible",
             )
         weight = LinearSystem(chain).approximate(live.astype(np.float64))
@@ -276,25 +286,36 @@ def _longest(game: Game) -> Floats:
     raise SolverError(Status.NO_BOUND, "the end is too many steps away under the worst laws")
 
 
-def _iterate(
+def _iterate_values(
     game: Game, tol: float | None, max_iterations: int
 ) -> tuple[Status, Floats, Floats, Inner, int]:
     """Return values and their errors (S,), what nature makes of them, and the iterations."""
     live, value, order = game.live, np.zeros(game.mdp.n_states), topological_levels(game.mdp)
     if not len(live):
-        return Status.CONVERGED, value, value.copy(), game.ask(value), 0
-    weight, margin = margins(game)
+        return Status.CONVERGED, value, value.copy(), game.solve_inner_problem(value), 0
+    weight, margin = verify_margins(game)
     most, best, trust, step = float(weight.max()), np.inf, np.inf, value
-    terms = 1 if game.weights is None else np.diff(np.append(game.first, len(game.pairs))).max() + 1
+    if game.weights is None:
+        terms = 1
+    else:
+        terms = np.diff(np.append(game.first, len(game.pairs))).max() + 1
     for iteration in range(1, max_iterations + 1):
-        asked, here = game.ask(value), value[live]
-        share = game.choice(asked.value)
+        asked, here = game.solve_inner_problem(value), value[live]
+        share = game.choose_pairs(asked.value)
         # What rounds here: the mean over pairs, and the difference from the value.
         size = np.abs(here) + np.maximum.reduceat(np.abs(asked.value), game.first)
         doubt = 4 * UNIT * terms * size
         # Bounds of what a step adds, to the optimum and to the policy that takes these pairs.
-        low = np.minimum(game.agent(asked.low), game.mean(share, asked.low)) - here - doubt
-        high = np.maximum(game.agent(asked.high), game.mean(share, asked.high)) - here + doubt
+        low = (
+            np.minimum(game.back_up_pairs(asked.low), game.average_pairs(share, asked.low))
+            - here
+            - doubt
+        )
+        high = (
+            np.maximum(game.back_up_pairs(asked.high), game.average_pairs(share, asked.high))
+            - here
+            + doubt
+        )
         # NumPy's maximum is not a number where one of them is none, as beyond the range of floats.
         error = float(np.max([0.0, (high / margin).max(), -(low / margin).min()])) * SLACK
         if not error < trust:  # the equations led away: a step of value iteration does not
@@ -302,21 +323,26 @@ def _iterate(
                 raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
             value, trust = step, np.inf
             continue
-        better = game.mean(share, asked.value)
+        better = game.average_pairs(share, asked.value)
         limit = tol or RELATIVE_TOLERANCE * max(1.0, float(np.abs(better).max()))
         noise = float((asked.high - asked.low).max() + doubt.max()) / float(margin.min())
         if error * most <= limit or best <= error <= 4 * noise:
-            status = Status.CONVERGED if error * most <= limit else Status.PRECISION
+            if error * most <= limit:
+                status = Status.CONVERGED
+            else:
+                status = Status.PRECISION
             return status, value, np.asarray(error * weight * SLACK), asked, iteration
         best = min(best, error)
         step = value.copy()
         step[live] = better
-        value = game.solved(asked, share, order)
+        value = game.solve_chain(asked, share, order)
         # Both at once may go round, each undoing the other's choice: then nature settles first, and
         # what the agent gains grows, whatever the bounds do on the way.
-        trust = np.inf if iteration > TURNS else error
+        trust = error
+        if iteration > TURNS:
+            trust = np.inf
         for _ in range(SETTLING if iteration > TURNS else 0):
-            before, value = value, game.solved(game.ask(value), share, order)
+            before, value = value, game.solve_chain(game.solve_inner_problem(value), share, order)
             if not (np.abs(value - before) > 8 * UNIT * np.abs(before).max()).any():
                 break
     detail = f"{best * most:.2g} is the error bound after {max_iterations} iterations"

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.forms.numbers import float_array
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, exact, shown
+from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, exact, format_rational
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.solution import SolverError, Status
 
@@ -34,7 +34,7 @@ ROOM = 2**22  # outcomes in one block
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Block:
+class RowBlock:
     """K rows of n outcomes side by side, so that one call of NumPy asks nature about all of them.
 
     A shorter row is filled up with copies of its first outcome of probability 0.
@@ -54,10 +54,10 @@ class Ambiguity(ABC):
     """A set of laws for each row, chosen from independently: (s, a)-rectangular uncertainty."""
 
     @abstractmethod
-    def least(self, block: Block, payoff: Floats) -> tuple[Floats, Floats]:
+    def least(self, block: RowBlock, payoff: Floats) -> tuple[Floats, Floats]:
         """Return laws q (K, n) and b (K,): q in the set, and no member has Σ q x below Σ q x - b.
 
-        Both hold up to rounding, which `inner` accounts for.
+        Both hold up to rounding, which `solve_inner_problem` accounts for.
         """
 
     @abstractmethod
@@ -113,7 +113,7 @@ class Intervals(Ambiguity):
         [0.45, 0.45]
         """
         part = radius_of(share, "a relative radius")
-        p = model.table.probabilities()
+        p = model.table.compute_probabilities()
         return cls(lower=np.maximum(p * (1 - part), 0.0), upper=np.minimum(p * (1 + part), 1.0))
 
     def check(self, model: MDP) -> None:
@@ -139,7 +139,7 @@ class Intervals(Ambiguity):
                 fix="give 0 ≤ lower ≤ upper ≤ 1 with sums below and above 1",
             )
 
-    def least(self, block: Block, payoff: Floats) -> tuple[Floats, Floats]:
+    def least(self, block: RowBlock, payoff: Floats) -> tuple[Floats, Floats]:
         """See `Ambiguity.least`."""
         lower = np.where(block.filled, 0.0, self.lower[block.outcome])
         room = np.where(block.filled, 0.0, self.upper[block.outcome]) - lower
@@ -178,10 +178,12 @@ class Ball(Ambiguity):
                 fix="give one for each",
             )
 
-    def radii(self, block: Block) -> Floats:
+    def list_radii(self, block: RowBlock) -> Floats:
         """Return (K,) the radius of each row of a block."""
         each = self.radius
-        return each[block.pair] if isinstance(each, np.ndarray) else np.full(len(block.pair), each)
+        if isinstance(each, np.ndarray):
+            return each[block.pair]
+        return np.full(len(block.pair), each)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -190,14 +192,14 @@ class L1Ball(Ball):
 
     NAME = "an L1 radius"
 
-    def least(self, block: Block, payoff: Floats) -> tuple[Floats, Floats]:
+    def least(self, block: RowBlock, payoff: Floats) -> tuple[Floats, Floats]:
         """See `Ambiguity.least`."""
         p = block.probability
         order = np.argsort(-payoff, axis=1)
         lowest = order[:, -1:]
         mass = np.take_along_axis(p, order, axis=1)
         free = 1 - mass[:, -1]
-        moved = np.minimum(self.radii(block) / 2, free)[:, None]
+        moved = np.minimum(self.list_radii(block) / 2, free)[:, None]
         before = np.cumsum(mass, axis=1) - mass
         taken = np.clip(moved - before, 0.0, mass)
         # An outcome that is taken all but for rounding is taken whole: it becomes impossible.
@@ -214,7 +216,7 @@ def radius_of(given: object, what: str) -> float:
     number = exact(given, "radius")
     if not 0 <= number <= np.finfo(float).max:
         fix = "choose one from 0 up, no larger than a float can be"
-        raise ModelError(f"{what} of {shown(number)}", where="radius", fix=fix)
+        raise ModelError(f"{what} of {format_rational(number)}", where="radius", fix=fix)
     return float(number)
 
 
@@ -233,7 +235,7 @@ class Inner:
 
 def side_by_side(
     pairs: Integers, rows: tuple[Integers, Integers], outcomes: tuple[Integers, Floats, Floats]
-) -> list[Block]:
+) -> list[RowBlock]:
     """Return rows (U,) by where they start and their length, in blocks of about the same length.
 
     Outcomes are next states, probabilities, which need not sum to 1, and rewards.
@@ -247,7 +249,7 @@ def side_by_side(
             outcome = start[place][:, None] + np.where(filled, 0, column)
             p = np.where(filled, 0.0, probability[outcome])
             blocks.append(
-                Block(
+                RowBlock(
                     place=place,
                     pair=np.asarray(pairs[place]),
                     outcome=outcome,
@@ -261,9 +263,9 @@ def side_by_side(
     return blocks
 
 
-def inner(
+def solve_inner_problem(
     ambiguity: Ambiguity,
-    blocks: Sequence[Block],
+    blocks: Sequence[RowBlock],
     value: Floats,
     *,
     discount: float,
@@ -301,8 +303,8 @@ def inner(
     return Inner(low=low, high=high, value=middle, laws=laws)
 
 
-def entries(
-    blocks: Sequence[Block], laws: Sequence[Floats]
+def list_entries(
+    blocks: Sequence[RowBlock], laws: Sequence[Floats]
 ) -> tuple[Integers, Integers, Floats, Floats]:
     """Return place, next state and probability (N,) of laws, and the expected gain of rows (U,)."""
     earned = np.zeros(sum(len(block.place) for block in blocks))

@@ -16,9 +16,15 @@ from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.linear import FixedPoint
-from exact_mdp.solvers.endless.chain import Classes, expansion
+from exact_mdp.solvers.endless.chain import Classes, compute_laurent_expansion
 from exact_mdp.solvers.solution import Bounded, Claim, SolverError, Status
-from exact_mdp.solvers.values.policy_chain import OfPolicy, PolicyChain, floats_first, poor, rounded
+from exact_mdp.solvers.values.policy_chain import (
+    OfPolicy,
+    PolicyChain,
+    floats_first,
+    is_too_inaccurate,
+    round_fractions,
+)
 
 LISTED = 1000  # states in a report
 
@@ -48,7 +54,7 @@ class AverageEvaluation(OfPolicy, Result):
     def components(self) -> dict[str, Bounded]:
         """What each reward component adds to the gain from the start."""
         mdp, weights, shares = self.mdp, self.chain.weights, (self.share.value, self.share.error)
-        total, error = self._earned(*(x[mdp.pair_state] * weights for x in shares))
+        total, error = self._sum_components(*(x[mdp.pair_state] * weights for x in shares))
         each = zip(mdp.component_names, total, error, strict=True)
         return {name: Bounded(value=float(x), error=float(off)) for name, x, off in each}
 
@@ -85,8 +91,8 @@ class AverageEvaluation(OfPolicy, Result):
         return f"AverageEvaluation(gain at the start {self.start})"
 
 
-def average(chain: PolicyChain) -> AverageEvaluation:
-    """Return what a policy earns per step: in rationals where floats cannot bound it.
+def evaluate_average(chain: PolicyChain) -> AverageEvaluation:
+    """Return the average reward of a policy: in rationals if floats cannot bound it.
 
     Raises SolverError where that would take too long.
     """
@@ -94,14 +100,23 @@ def average(chain: PolicyChain) -> AverageEvaluation:
     chain = replace(chain, mdp=mdp)
     classes, exact = chain.classes, True
     with floats_first(mdp):
-        (gain, bias), (share, arrivals) = chain.going_on.evaluated(), chain.going_on.shares()
-        if chain.probability.min() < np.finfo(np.float64).tiny:  # errors are no longer relative
+        (gain, bias), (share, arrivals) = (
+            chain.going_on.evaluate_chain(),
+            chain.going_on.compute_limit_distribution(),
+        )
+        if chain.probability.min() < np.finfo(np.float64).tiny:  # below this, errors are absolute
             raise SolverError(Status.NO_BOUND, "probabilities are below the range of floats")
-        exact = poor(share, mdp) or poor(gain, mdp) or not np.isfinite(share.error).all()
+        exact = (
+            is_too_inaccurate(share, mdp)
+            or is_too_inaccurate(gain, mdp)
+            or not np.isfinite(share.error).all()
+        )
     if exact:
         own = chain.exactly
-        classes, levels = own.classes, expansion(own, own.reward)[:2]
-        gain, bias, share, arrivals = map(rounded, (*levels, *own.shares(mdp.start)))
+        classes, levels = own.classes, compute_laurent_expansion(own, own.reward)[:2]
+        gain, bias, share, arrivals = map(
+            round_fractions, (*levels, *own.compute_limit_distribution(mdp.start))
+        )
     return AverageEvaluation(
         chain=chain,
         classes=classes,

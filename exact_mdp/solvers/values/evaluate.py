@@ -1,4 +1,4 @@
-"""The return of a policy: its mean, its spread, what it is made of, and where it comes from.
+"""The return of a policy: its mean, its spread, its components, and where it is earned.
 
     V(s)   = E[r + γ V(s')]                              mean return
     Var(s) = E[(r + γ V(s') - V(s))²] + γ² E[Var(s')]    its variance
@@ -10,7 +10,7 @@ Expectations run over the joint law of reward and next state, which a table of e
 not hold. The second equation adds up squares and so loses no digits to cancellation (Sobel, Journal
 of Applied Probability 19, 1982). In the last one the first sum runs over the outcomes with the
 event, the second over the others (Puterman, Markov Decision Processes, 1994, section 6.9; Kemeny
-and Snell, Finite Markov Chains, 1960, chapter 3). Components are visits times what each pair earns.
+and Snell, Finite Markov Chains, 1960, chapter 3). A component is a sum of visits times rewards.
 Every number comes with a bound on its error that is sound in floating point.
 """
 
@@ -30,16 +30,16 @@ import scipy.sparse as sp
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.exact import BellmanRows
-from exact_mdp.mdp.graph import Mask, closure, ways_out
+from exact_mdp.mdp.graph import Mask, find_reachable_nodes, ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.report import Report, Shown, Table, claimed
+from exact_mdp.mdp.report import Report, Shown, Table, list_claim_facts
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import COMPILED, Floats
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem
-from exact_mdp.solvers.dynamic.iterate import NEARLY_ONE
 from exact_mdp.solvers.dynamic.methods import ModifiedPolicyIteration
+from exact_mdp.solvers.dynamic.values import NEARLY_ONE
 from exact_mdp.solvers.solution import (
     Bounded,
     Claim,
@@ -56,13 +56,13 @@ from exact_mdp.solvers.solver import (
     require_no_target,
     solve,
 )
-from exact_mdp.solvers.values.average import AverageEvaluation, average
+from exact_mdp.solvers.values.average import AverageEvaluation, evaluate_average
 from exact_mdp.solvers.values.policy_chain import (
-    Equations,
     OfPolicy,
     PolicyChain,
-    arrives,
-    parted,
+    PolicyEquations,
+    has_sure_end,
+    split_infinite_returns,
 )
 from exact_mdp.solvers.values.returns import return_distribution
 
@@ -74,12 +74,12 @@ def _or_unknown(number: Callable[..., Bounded]) -> Callable[..., Bounded]:
     """Have a number be unknown where double precision cannot bound it."""
 
     @wraps(number)
-    def known(*given: object) -> Bounded:
+    def call_or_unknown(*given: object) -> Bounded:
         with suppress(SolverError):
             return number(*given)
         return UNKNOWN
 
-    return known
+    return call_or_unknown
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -93,11 +93,11 @@ class Evaluation(OfPolicy, Pictured):
     value, error : (S,)
         Mean return from every state, which may be infinite, and how far it may be from the exact
         one. NaN and infinity where it is unknown: at discount 1 in states that no episode comes to,
-        where the policy may go on for ever in some of them.
+        if the policy may go on forever in some of them.
     given : PolicyChain
         The same without the ends that states of rest stand for; else the chain itself.
     settled : bool
-        False where an episode may go on for ever and earn: then only the mean is known.
+        False if an episode may go on forever and earn: then only the mean is known.
 
     Examples
     --------
@@ -139,13 +139,13 @@ class Evaluation(OfPolicy, Pictured):
         return data_frame(rows, columns=["number", "value", "error"])
 
     def report(self) -> Report:
-        """Return the mean and what it is made of, with quantiles."""
+        """Return the mean, its components and quantiles."""
         shares, finite = self.quantiles or {}, isfinite(self.mean)
         rows = [{"share": share, "return": value} for share, value in shares.items()]
         return Report(
             title="value of a policy",
             facts={
-                **claimed("mean", self.start),
+                **list_claim_facts("mean", self.start),
                 "sd": Shown(self.sd, self._sd if finite else "undefined: the mean is infinite"),
                 "steps": Shown(self.steps, self._steps if self.ends else "inf: it may never end"),
                 "ends": Shown(self.ends),
@@ -173,13 +173,13 @@ class Evaluation(OfPolicy, Pictured):
     def __repr__(self) -> str:
         return f"Evaluation(mean {self.start}, sd {self.sd:.6g})"
 
-    # ---- the mean and what it is made of -----------------------------------------------------
+    # ---- the mean and its components ----------------------------------------------------------
 
     @property
     def components(self) -> dict[str, float]:
         """Expected discounted total of each reward component; they sum to `mean`.
 
-        At discount 1, one that is earned for ever is infinite; NaN where ends differ in sign.
+        At discount 1, a component that is earned forever is infinite; NaN if signs differ.
         """
         return {name: number.value for name, number in self._components.items()}
 
@@ -189,19 +189,19 @@ class Evaluation(OfPolicy, Pictured):
         if mdp.components.shape[1] == 1:
             return {mdp.component_names[0]: self.start}
         if not self.settled:
-            return {name: self._endless(name) for name in mdp.component_names}
+            return {name: self._evaluate_component(name) for name in mdp.component_names}
         try:
             discounted = self._discounted
         except SolverError:
             return dict.fromkeys(mdp.component_names, UNKNOWN)
         used, doubt = (_pair_visits(chain, x) for x in (discounted.value, discounted.error))
         with np.errstate(over="ignore", invalid="ignore"):
-            total, error = self._earned(used, doubt)
+            total, error = self._sum_components(used, doubt)
         numbers = {
             name: Bounded(value=float(value), error=float(bound)) if bound < inf else UNKNOWN
             for name, value, bound in zip(mdp.component_names, total, error, strict=True)
         }
-        if mdp.discount_exact == 1:  # what is counted where all is over, or at rest, is so for ever
+        if mdp.discount_exact == 1:  # an event of an endless stay is counted forever
             given = self.given
             stays = (mdp.terminal & given.reached)[mdp.pair_state] & (given.weights > 0)
             over = stays & given.mdp.terminal[mdp.pair_state]
@@ -210,15 +210,18 @@ class Evaluation(OfPolicy, Pictured):
             ):
                 if often.any():
                     apart = ends.min(initial=0) < 0 < ends.max(initial=0)
-                    numbers[name] = UNKNOWN if apart else self._endless(name)
+                    if apart:
+                        numbers[name] = UNKNOWN
+                    else:
+                        numbers[name] = self._evaluate_component(name)
         return numbers
 
-    def _endless(self, name: str) -> Bounded:
-        """Return the total of a component where a policy goes on for ever."""
+    def _evaluate_component(self, name: str) -> Bounded:
+        """Return the total of a component under a policy that goes on forever."""
         mdp, given = self.given.mdp, self.given
         if mdp.goal is not None:  # a run that misses it is infinite in all, not in its parts
             return UNKNOWN
-        table = mdp.table.earning(*mdp.component(name))
+        table = mdp.table.with_reward(*mdp.component(name))
         alone = mdp.with_(table=table, component_names=(name,))
         chain = PolicyChain(mdp=alone, chosen=given.chosen, policy=given.policy)
         with suppress(SolverError, ModelError):
@@ -263,11 +266,14 @@ class Evaluation(OfPolicy, Pictured):
             surprise = chain.gain + rate * there - here
             off = TINY + 5 * UNIT * (np.abs(chain.gain) + rate * np.abs(there) + np.abs(here))
             off += rate * error[chain.table.next] + error[chain.source]
-            constant = chain.total(chain.probability * surprise**2)
-            doubt = chain.total(chain.probability * (2 * np.abs(surprise) + off) * off)
+            constant = chain.sum_by_state(chain.probability * surprise**2)
+            doubt = chain.sum_by_state(chain.probability * (2 * np.abs(surprise) + off) * off)
             doubt += gamma(chain.outcomes + chain.roundings + 5) * constant + TINY
         rate_exact = self.mdp.discount_exact
-        equations = chain.discounted if rate_exact == 1 else chain.equations(rate_exact**2)
+        if rate_exact == 1:
+            equations = chain.discounted
+        else:
+            equations = chain.build_equations(rate_exact**2)
         point = equations.solve(np.where(live, constant, 0.0), np.where(live, doubt, 0.0) * SLACK)
         # No variance is negative: a negative rounding error is nearer to the truth as 0.
         return FixedPoint(value=np.maximum(point.value, 0.0), error=point.error)
@@ -307,12 +313,16 @@ class Evaluation(OfPolicy, Pictured):
 
         None where the distribution of the return is not a list: `quantiles_missing` says why.
         """
-        return self._quantiles if isinstance(self._quantiles, dict) else None
+        if isinstance(self._quantiles, dict):
+            return self._quantiles
+        return None
 
     @property
     def quantiles_missing(self) -> str:
-        """Why there are no quantiles; empty where there are."""
-        return self._quantiles if isinstance(self._quantiles, str) else ""
+        """The reason for missing quantiles; empty if there are quantiles."""
+        if isinstance(self._quantiles, str):
+            return self._quantiles
+        return ""
 
     @cached_property
     def _quantiles(self) -> dict[float, float] | str:
@@ -365,7 +375,7 @@ class Evaluation(OfPolicy, Pictured):
     def _discounted(self) -> FixedPoint:
         if not self.settled:
             raise ModelError(
-                "the policy goes on for ever, so that visits have no number",
+                "the policy goes on forever, so that visits have no number",
                 where="visits",
                 fix=ways_out(self.mdp),
             )
@@ -389,17 +399,19 @@ class Evaluation(OfPolicy, Pictured):
         if bits is None:
             return {}
         happened = (bits >> k & 1 == 1 for k in range(len(self.mdp.events)))
-        return dict(zip(self.mdp.events, map(self._event, happened), strict=True))
+        return dict(
+            zip(self.mdp.events, map(self._compute_event_probability, happened), strict=True)
+        )
 
     @_or_unknown
-    def _event(self, happens: Mask) -> Bounded:
+    def _compute_event_probability(self, happens: Mask) -> Bounded:
         """Return the probability that one of the marked outcomes (N,) ever happens."""
         chain, states = self.chain, self.mdp.n_states
         source, following = chain.source, chain.table.next
         live = ~self.mdp.terminal[source]  # nothing happens in an end
-        chance = chain.total(np.where(happens & live, chain.probability, 0.0))
+        chance = chain.sum_by_state(np.where(happens & live, chain.probability, 0.0))
         # Elsewhere the probability is 0; among these states the equation has a single solution.
-        possible = closure(chain.graph.T.tocsr(), chance > 0)
+        possible = find_reachable_nodes(chain.graph.T.tocsr(), chance > 0)
         on = ~happens & possible[source] & possible[following] & live
         entries = (chain.probability[on], (source[on], following[on]))
         matrix = sp.csr_array(entries, (states, states))
@@ -418,7 +430,7 @@ class Evaluation(OfPolicy, Pictured):
                 weight=weight[on],
             )
 
-        point = Equations(chain, possible, system, rows).solve(
+        point = PolicyEquations(chain, possible, system, rows).solve(
             chance, gamma(chain.outcomes + chain.roundings) * chance
         )
         ever = FixedPoint(value=np.clip(point.value, 0.0, 1.0), error=point.error)
@@ -428,7 +440,10 @@ class Evaluation(OfPolicy, Pictured):
 def _pair_visits(chain: PolicyChain, visits: Floats) -> Floats:
     """Return (L,) the expected discounted uses of each pair; at discount 1 none where all ended."""
     mdp = chain.mdp
-    stay = 0.0 if mdp.discount_exact == 1 else float(1 / (1 - mdp.discount_exact))
+    if mdp.discount_exact == 1:
+        stay = 0.0
+    else:
+        stay = float(1 / (1 - mdp.discount_exact))
     return (visits * np.where(mdp.terminal, stay, 1.0))[mdp.pair_state] * chain.weights
 
 
@@ -465,7 +480,7 @@ def evaluate(
     kind : "auto", "q" or "policy"
         What a two-dimensional array holds; see `mdp.policies.arrays`.
     horizon : int, optional
-        Stop after this many steps, without a further reward: what is found is that of
+        Stop after this many steps, without a further reward: the evaluation of
         `mdp.within(horizon)`. Policies over states are the same at every time there; those of
         `solve(mdp, horizon=…)` and tables (N, S, A) depend on time.
     criterion : "total" or "average"
@@ -498,25 +513,30 @@ def evaluate(
         require_no_target(mdp)
         if isinstance(policy, str) and policy == "optimal":
             policy = solve(mdp, criterion="average")
-        return average(PolicyChain.of(mdp, policy, kind=kind))
+        return evaluate_average(PolicyChain.of(mdp, policy, kind=kind))
     if horizon is not None:
         mdp = mdp.within(horizon)
     chain = PolicyChain.of(mdp, policy, kind=kind)
     mdp, given = chain.mdp, chain
-    if mdp.discount_exact == 1 and not arrives(chain):
+    if mdp.discount_exact == 1 and not has_sure_end(chain):
         lost: object = True
         with suppress(ModelError):  # the return has no limit, but the mean return has one
-            chain, lost = parted(given)
+            chain, lost = split_infinite_returns(given)
         if lost:
             alone = solve(given.model)
             return Evaluation(
                 chain=given, given=given, value=alone.value, error=alone.state_error, settled=False
             )
         mdp = chain.mdp
-    known = chain.arriving if mdp.discount_exact == 1 else np.ones(mdp.n_states, dtype=bool)
+    if mdp.discount_exact == 1:
+        known = chain.arriving
+    else:
+        known = np.ones(mdp.n_states, dtype=bool)
     live = known & ~mdp.terminal
     reward, error = chain.reward
-    point = _closest(chain, np.where(live, reward, 0.0), np.where(live, error, 0.0) * SLACK)
+    point = _evaluate_closely(
+        chain, np.where(live, reward, 0.0), np.where(live, error, 0.0) * SLACK
+    )
     value, bound = np.where(known, point.value, np.nan), np.where(known, point.error, np.inf)
     if not known.all():
         with suppress(ModelError, SolverError):
@@ -526,7 +546,7 @@ def evaluate(
     return Evaluation(chain=chain, given=given, value=value, error=bound)
 
 
-def _closest(chain: PolicyChain, reward: Floats, error: Floats) -> FixedPoint:
+def _evaluate_closely(chain: PolicyChain, reward: Floats, error: Floats) -> FixedPoint:
     """Return a policy's values by its equations, next to discount 1 by improving them in rounds."""
     mdp = chain.mdp
     near = mdp.discount > NEARLY_ONE and mdp.discount_exact != 1

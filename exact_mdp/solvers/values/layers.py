@@ -3,9 +3,9 @@
     V(s) = max_a Q(s, a)  or  Σ_a π(a | s) Q(s, a),    Q(s, a) = r(s, a) + γ Σ_s' P(s' | s, a) V(s')
 
 from the last states to the first, and the visits forward from the start. The error bound of
-`policy_values` counts every rounding: a state's value is a sum of n products, so with d the length
-of the longest path and W the same recursion over absolute values, it is at most γ(d (n + 6)) W
-(Higham, Accuracy and Stability of Numerical Algorithms, 2002, section 3.1).
+`evaluate_row_policies` counts every rounding: a state's value is a sum of n products, so with d the
+length of the longest path and W the same recursion over absolute values, it is at most γ(d (n + 6))
+W (Higham, Accuracy and Stability of Numerical Algorithms, 2002, section 3.1).
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.graph import reachable, topological_levels
-from exact_mdp.mdp.model import MDP, once
+from exact_mdp.mdp.graph import find_reachable_states, topological_levels
+from exact_mdp.mdp.model import MDP, cache_on_model
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.table import Floats, Integers, Numbers, spans
+from exact_mdp.mdp.table import Floats, Integers, Numbers, concatenate_ranges
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint
-from exact_mdp.solvers.learning.sampler import Rows
+from exact_mdp.solvers.learning.sampler import QTableRows
 from exact_mdp.solvers.values.evaluate import evaluate
 
 NUMBERS = 2**22  # of a table over pairs and policies
@@ -33,19 +33,22 @@ class Layers:
         level = topological_levels(mdp)
         assert level is not None
         self.mdp = mdp
-        used = np.flatnonzero(reachable(mdp) & ~mdp.terminal)
+        used = np.flatnonzero(find_reachable_states(mdp) & ~mdp.terminal)
         used = used[np.argsort(level[used], kind="stable")]
         self.blocks = []
         for states in np.split(used, np.flatnonzero(np.diff(level[used])) + 1) if len(used) else ():
             first, last = mdp.pair_offsets[states], mdp.pair_offsets[states + 1]
-            pairs, offsets = spans(first, last), np.cumsum(last - first) - (last - first)
+            pairs, offsets = (
+                concatenate_ranges(first, last),
+                np.cumsum(last - first) - (last - first),
+            )
             matrix = mdp.transition[pairs]
             targets, columns = np.unique(matrix.indices, return_inverse=True)
             shape = (len(pairs), len(targets))
             back = sp.csr_array((matrix.data, columns, matrix.indptr), shape).T.tocsr()
             self.blocks.append((states, pairs, offsets, matrix, targets, back))
 
-    def best(self, allowed: Flags) -> tuple[Floats, Floats, Floats]:
+    def solve_allowed(self, allowed: Flags) -> tuple[Floats, Floats, Floats]:
         """Return V (S, N) and Q (L, N) of the pairs allowed (L, N), and how far max Q is from V."""
         mdp, worst = self.mdp, np.where(allowed, 0.0, -np.inf)
         value, q = np.zeros((mdp.n_states, allowed.shape[1])), np.zeros(allowed.shape)
@@ -54,7 +57,9 @@ class Layers:
             value[states] = np.maximum.reduceat(q[pairs] + worst[pairs], offsets)
         return value, q, np.zeros(allowed.shape[1])
 
-    def values(self, taken: Integers, reward: Floats | None = None) -> tuple[Floats, Floats]:
+    def evaluate_pairs(
+        self, taken: Integers, reward: Floats | None = None
+    ) -> tuple[Floats, Floats]:
         """Return V (S, N) of policies that take these pairs (S, N), and how far Q is from it."""
         mdp, reward = self.mdp, self.mdp.reward if reward is None else reward
         value, used = np.zeros(taken.shape), np.zeros(mdp.n_pairs, dtype=bool)
@@ -65,7 +70,7 @@ class Layers:
             value[states] = np.take_along_axis(q, np.searchsorted(here, taken[states]), axis=0)
         return value, np.zeros(taken.shape[1])
 
-    def visits(self, weights: Floats | Flags) -> Floats:
+    def compute_visits(self, weights: Floats | Flags) -> Floats:
         """Return (S, N) discounted visits from the start where pairs have these weights (L, N)."""
         mdp = self.mdp
         visits = np.repeat(mdp.start_distribution[:, None], weights.shape[1], axis=1)
@@ -75,19 +80,19 @@ class Layers:
         return visits
 
 
-layers_of = once(Layers)
+layers_of = cache_on_model(Layers)
 
 
-def taken(mdp: MDP, key: Integers, policies: Numbers) -> Integers:
+def find_taken_pairs(mdp: MDP, key: Integers, policies: Numbers) -> Integers:
     """Return the pairs (S, N) of policies (N, K), by the row (S,) that each state reads of them."""
     pair = mdp.by_action(np.arange(mdp.n_pairs), -1).astype(np.int64)
     chosen = pair[np.arange(mdp.n_states)[:, None], policies[:, key].T]
-    # Where there is no choice the row says nothing.
+    # A state with one action does not depend on the row.
     alone = mdp.forced[:, None] | (chosen < 0)
     return np.where(alone, mdp.pair_offsets[:-1][:, None], chosen)
 
 
-def policy_values(mdp: MDP, rows: Rows, policies: Numbers) -> FixedPoint:
+def evaluate_row_policies(mdp: MDP, rows: QTableRows, policies: Numbers) -> FixedPoint:
     """Return the start values (U,) of policies (U, K), an action number for each of K rows."""
     if topological_levels(mdp) is None:
         each = (Policy(space=rows.space, actions=mdp.actions, rule=rule) for rule in policies)
@@ -100,9 +105,9 @@ def policy_values(mdp: MDP, rows: Rows, policies: Numbers) -> FixedPoint:
     value, size = np.empty((2, len(policies)))
     for first in range(0, len(policies), part := max(1, NUMBERS // mdp.n_states)):
         here = slice(first, first + part)
-        pairs = taken(mdp, rows.key, policies[here])
-        value[here] = start @ layers.values(pairs)[0]
-        size[here] = start @ layers.values(pairs, np.abs(mdp.reward))[0]
+        pairs = find_taken_pairs(mdp, rows.key, policies[here])
+        value[here] = start @ layers.evaluate_pairs(pairs)[0]
+        size[here] = start @ layers.evaluate_pairs(pairs, np.abs(mdp.reward))[0]
     longest = int(np.diff(mdp.transition.indptr).max())
     terms = len(layers.blocks) * (longest + 6) + mdp.n_states + 4
     return FixedPoint(value=value, error=(gamma(terms) * size + TINY * terms) * SLACK)

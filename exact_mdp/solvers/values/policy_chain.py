@@ -9,7 +9,7 @@ probability 1, which is where no state is reached from which the terminal ones c
 Markov Decision Processes, 1994, A.2); other policies of the model need not end.
 
 A policy has come to rest in classes of states that it never leaves, without a reward or an event.
-These count as ends for its return; only its steps have no end. Where it goes round for ever and
+These count as ends for its return; only its steps have no end. If it goes round forever and
 earns something else than 0 a step on average, its return is +∞ or -∞; so it is where a run misses
 its goal. What any policy is worth is the optimum of the model in which there is nothing else to do.
 """
@@ -28,10 +28,16 @@ import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, lcm_by_group
-from exact_mdp.mdp.graph import Mask, beside_goal, closure, topological_levels, ways_out
+from exact_mdp.mdp.graph import (
+    Mask,
+    beside_goal,
+    find_reachable_nodes,
+    topological_levels,
+    ways_out,
+)
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
-from exact_mdp.mdp.questions import ended
+from exact_mdp.mdp.questions import make_terminal
 from exact_mdp.mdp.table import (
     FLOAT_ROW_TOLERANCE,
     Floats,
@@ -39,20 +45,27 @@ from exact_mdp.mdp.table import (
     Numbers,
     OutcomeTable,
     divide,
-    dyadic,
     exact,
+    make_ones,
     multiply,
-    ones,
     row_sums,
+    to_dyadic_integers,
 )
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, component_errors, gamma
-from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, part, transposed
+from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, select_rows, transpose_system
 from exact_mdp.solvers.endless.chain import Classes, ExactChain, FloatChain, long_run
 from exact_mdp.solvers.endless.quotient import of_pairs
 from exact_mdp.solvers.exact.levels import Level
-from exact_mdp.solvers.exact.linear import FEW, MANY, equations, evaluated, solved, visited
+from exact_mdp.solvers.exact.linear import (
+    FEW,
+    MANY,
+    build_equations,
+    compute_expected_visits,
+    evaluate_exactly,
+    solve_policy_equations,
+)
 from exact_mdp.solvers.objectives.amounts import Objectives
-from exact_mdp.solvers.objectives.totals import Flow
+from exact_mdp.solvers.objectives.totals import OccupancyMeasure
 from exact_mdp.solvers.solution import SolverError, Status, Valued
 from exact_mdp.solvers.solver import Criterion, solve
 
@@ -98,7 +111,7 @@ class PolicyChain:
             return policy
         wanted = (mdp.n_pairs,)
         if isinstance(policy, np.ndarray) and policy.dtype.kind == "f" and policy.shape == wanted:
-            return cls(mdp=mdp, chosen=_checked(mdp, policy))
+            return cls(mdp=mdp, chosen=_require_weights(mdp, policy))
         own = policy_of(mdp, policy, kind=kind)
         return cls(mdp=mdp, chosen=own.weights(mdp), policy=own)
 
@@ -106,7 +119,7 @@ class PolicyChain:
     def held_fixed(cls, mdp: MDP, policy: PolicyLike) -> tuple[PolicyChain, Mask]:
         """Return the chain of a policy that is held in models of other numbers, too.
 
-        And (S,) True for states with a choice of which it does not say what it does, as that does
+        And (S,) True for states with a choice that the policy leaves open, as the choice does
         not matter in this model. An optimum says nothing of states in which all is over.
         """
         chain = cls.of(mdp, policy)
@@ -118,7 +131,7 @@ class PolicyChain:
         return chain, open_
 
     def require_said(self, undecided: Mask, where: str) -> None:
-        """Raise ModelError if it matters in this model what is done in some states (S,)."""
+        """Raise ModelError if the choice of an action in some states (S,) matters in this model."""
         mdp = self.mdp
         matters = undecided & ~mdp.over & ~mdp.indifferent & self.reached
         if matters.any():
@@ -136,13 +149,20 @@ class PolicyChain:
         """(L,) probability of each pair given its state; sums to 1 over the pairs of a state."""
         shares, mdp = self._shares, self.mdp
         total = np.add.reduceat(shares, mdp.pair_offsets[:-1])[mdp.pair_state]
-        return np.asarray(shares / total) if shares.dtype == np.float64 else divide(shares, total)
+        if shares.dtype == np.float64:
+            return np.asarray(shares / total)
+        return divide(shares, total)
 
     @cached_property
     def _shares(self) -> Numbers:
         """(L,) whole numbers in proportion to the exact probabilities, or floats that are."""
-        exactly = None if self.policy is None else self.policy.weights_exact(self.mdp)
-        return self.chosen if exactly is None else exactly
+        if self.policy is None:
+            exactly = None
+        else:
+            exactly = self.policy.weights_exact(self.mdp)
+        if exactly is None:
+            return self.chosen
+        return exactly
 
     def exact_weights(self, state: int) -> dict[int, Fraction]:
         """Return the exact probability of each pair that is taken in a state."""
@@ -166,7 +186,9 @@ class PolicyChain:
     @property
     def read_as(self) -> ReadAs:
         """What an array was taken for: "q" or "policy"."""
-        return "policy" if self.policy is None else self.policy.read_as
+        if self.policy is None:
+            return "policy"
+        return self.policy.read_as
 
     @property
     def pure(self) -> bool:
@@ -187,19 +209,19 @@ class PolicyChain:
     def probability(self) -> Floats:
         """(N,) the probability of each outcome in its state."""
         share = np.repeat(self.weights[self.pairs], np.diff(self.table.offsets))
-        return np.asarray(share * self.table.probabilities())
+        return np.asarray(share * self.table.compute_probabilities())
 
     @cached_property
     def gain(self) -> Floats:
         """(N,) the reward of each outcome, rounded once."""
-        return self.table.gains()
+        return self.table.compute_gains()
 
     @cached_property
     def outcomes(self) -> Integers:
         """(S,) the number of outcomes of each state."""
         return np.bincount(self.source)
 
-    def total(self, amounts: Floats) -> Floats:
+    def sum_by_state(self, amounts: Floats) -> Floats:
         """Return (S,) the sums of (N,) amounts by state."""
         return np.asarray(np.bincount(self.source, weights=amounts), dtype=np.float64)
 
@@ -210,10 +232,10 @@ class PolicyChain:
         if self.pure and len(mdp.table.gain) == mdp.n_pairs:
             earned = mdp.reward[self.pairs]
             return earned, UNIT * np.abs(earned) + TINY * (mdp.table.gain[self.pairs] != 0)
-        with np.errstate(over="ignore"):  # what is beyond the floats is refused as it is solved for
+        with np.errstate(over="ignore"):  # overflow is refused when the equations are solved
             earned = np.add.reduceat(self.weights * mdp.reward, mdp.pair_offsets[:-1])
-        error = self.total(self.probability * np.abs(self.gain))
-        earning = self.total(self.gain != 0)  # nothing that is 0 is rounded
+        error = self.sum_by_state(self.probability * np.abs(self.gain))
+        earning = self.sum_by_state(self.gain != 0)  # nothing that is 0 is rounded
         return earned, gamma(self.outcomes + self.roundings + 4) * error + TINY * earning
 
     # ---- graph -------------------------------------------------------------------------------
@@ -223,7 +245,7 @@ class PolicyChain:
         """(S, S) probabilities; the rows of terminal states are empty."""
         mdp, live = self.mdp, ~self.mdp.terminal
         if self.pure:
-            return part(mdp.transition, self.pairs, live)
+            return select_rows(mdp.transition, self.pairs, live)
         used = self.pairs[live[mdp.pair_state[self.pairs]]]
         shape = (mdp.n_states, mdp.n_pairs)
         mixing = sp.csr_array((self.weights[used], (mdp.pair_state[used], used)), shape)
@@ -234,7 +256,7 @@ class PolicyChain:
     @cached_property
     def graph(self) -> sp.csr_array:
         """(S, S) entries where a transition is possible, however rare."""
-        if self.probability.min() > 0:  # else the matrix lacks what is below the range of floats
+        if self.probability.min() > 0:  # else entries below the range of floats are missing
             return self.transition
         moves = np.where(self.mdp.terminal, 0, self.outcomes)
         following = self.table.next[~self.mdp.terminal[self.source]]
@@ -246,20 +268,22 @@ class PolicyChain:
     @cached_property
     def order(self) -> Integers | None:
         """(S,) numbers that fall along every transition; None where the model has cycles."""
-        return topological_levels(self.mdp) if self.mdp.terminal.any() else None
+        if self.mdp.terminal.any():
+            return topological_levels(self.mdp)
+        return None
 
     @cached_property
     def reached(self) -> Mask:
         """(S,) True for states that the policy can come to from the start, this included."""
         first = np.zeros(self.mdp.n_states, dtype=bool)
         first[[state for state, weight in self.mdp.start if weight]] = True
-        return closure(self.graph, first)
+        return find_reachable_nodes(self.graph, first)
 
     @cached_property
     def stuck(self) -> Mask:
         """(S,) True where no terminal state can be reached any more."""
         if self.order is None and self.mdp.terminal.any():
-            return ~closure(self.graph.T.tocsr(), self.mdp.terminal)
+            return ~find_reachable_nodes(self.graph.T.tocsr(), self.mdp.terminal)
         return np.full(self.mdp.n_states, self.order is None)
 
     @cached_property
@@ -267,7 +291,7 @@ class PolicyChain:
         """(S,) True where the policy reaches a terminal state with probability 1."""
         if self.stuck.all() or not self.stuck.any():
             return ~self.stuck
-        return ~closure(self.graph.T.tocsr(), self.stuck)
+        return ~find_reachable_nodes(self.graph.T.tocsr(), self.stuck)
 
     @cached_property
     def arriving(self) -> Mask:
@@ -275,11 +299,11 @@ class PolicyChain:
         beside = beside_goal(self.mdp)
         if not beside.any():
             return self.ends
-        return self.ends & ~closure(self.graph.T.tocsr(), beside)
+        return self.ends & ~find_reachable_nodes(self.graph.T.tocsr(), beside)
 
     @cached_property
     def going_on(self) -> FloatChain:
-        """The chain at discount 1, in which terminal states go on for ever."""
+        """The chain at discount 1, in which terminal states go on forever."""
         weights = self.weights[self.pairs]
         return FloatChain(self.mdp.undiscounted, self.pairs, weights, self.roundings)
 
@@ -309,30 +333,35 @@ class PolicyChain:
         if not self.ends_from_start:
             trapped = int(np.flatnonzero(self.reached & self.stuck)[0])
             raise ModelError(
-                "discount 1 needs a policy that ends, and this one may stay for ever",
+                "discount 1 needs a policy that ends, and this one may stay forever",
                 where=f"policy, {self.mdp.space.place(trapped)}",
                 fix=ways_out(self.mdp, "take a policy that leaves such states"),
             )
 
     # ---- equations ---------------------------------------------------------------------------
 
-    def equations(self, rate: Fraction) -> Equations:
+    def build_equations(self, rate: Fraction) -> PolicyEquations:
         """Return x = c + rate · P_π x, at rate 1 in states that end; x is 0 where all has ended."""
-        live = self.ends & ~self.mdp.terminal if rate == 1 else ~self.mdp.terminal
-        inner = part(self.transition, np.arange(len(live)), live, inner=True)
+        if rate == 1:
+            live = self.ends & ~self.mdp.terminal
+        else:
+            live = ~self.mdp.terminal
+        inner = select_rows(self.transition, np.arange(len(live)), live, inner=True)
         system = LinearSystem(inner, float(rate), order=self.order, roundings=self.roundings)
-        return Equations(self, live, system, partial(self.rows, rate))
+        return PolicyEquations(self, live, system, partial(self.build_bellman_rows, rate))
 
     @cached_property
-    def undiscounted(self) -> Equations:
+    def undiscounted(self) -> PolicyEquations:
         """Equation x = c + P_π x on the states that end; the others have empty rows."""
-        return self.equations(Fraction(1))
+        return self.build_equations(Fraction(1))
 
     @cached_property
-    def discounted(self) -> Equations:
+    def discounted(self) -> PolicyEquations:
         """Equation x = c + γ P_π x; at discount 1 on the states that end."""
         rate = self.mdp.discount_exact
-        return self.undiscounted if rate == 1 else self.equations(rate)
+        if rate == 1:
+            return self.undiscounted
+        return self.build_equations(rate)
 
     # ---- exact numbers -----------------------------------------------------------------------
 
@@ -341,7 +370,7 @@ class PolicyChain:
         """(N,), (S,) integers: the exact probability of each outcome, over one for its state."""
         share, (weight, below) = self._shares[self.pairs], self.table.integer_weights()
         if share.dtype == np.float64:
-            share, _ = dyadic(share, self._first)
+            share, _ = to_dyadic_integers(share, self._first)
         unit, each = self._over_common(below)
         outcomes = multiply(weight, multiply(share, each)[self.table.pair])
         return outcomes, multiply(unit, row_sums(share, self._first))
@@ -356,12 +385,17 @@ class PolicyChain:
         unit = lcm_by_group(below, self._first)
         return unit, np.repeat(unit, np.diff(self._first)) // below
 
-    def rows(self, rate: Fraction | None = None) -> BellmanRows:
+    def build_bellman_rows(self, rate: Fraction | None = None) -> BellmanRows:
         """Return the equations of the chain in integers, at another discount if one is given."""
-        mdp = self.mdp if self.pure else self.model
+        if self.pure:
+            mdp = self.mdp
+        else:
+            mdp = self.model
         if rate not in (None, mdp.discount_exact):
             mdp = mdp.with_(discount=rate)
-        return bellman_rows(mdp).of_pairs(self.pairs) if self.pure else bellman_rows(mdp)
+        if self.pure:
+            return bellman_rows(mdp).of_pairs(self.pairs)
+        return bellman_rows(mdp)
 
     @cached_property
     def model(self) -> MDP:
@@ -370,7 +404,7 @@ class PolicyChain:
         if self.pure:
             return of_pairs(mdp, self.pairs)
         (weight, below), states = self.odds, np.arange(mdp.n_states)
-        gain, under = table.gain, ones(mdp.n_states)
+        gain, under = table.gain, make_ones(mdp.n_states)
         if len(gain) == table.pairs:
             gain = gain[table.pair]
         if gain.dtype != np.float64:
@@ -395,26 +429,28 @@ class PolicyChain:
         They have where the optimum is proven: a rank that falls along every pair, or w > γ P w,
         holds for mixtures of rows, too. 0 stands for states that need not end at discount 1.
         """
-        rows = self.rows()
+        rows = self.build_bellman_rows()
         if self.mdp.discount_exact == 1:
             rows = replace(rows, terminal=rows.terminal | ~self.ends)
-        (level,) = evaluated(rows, np.arange(self.mdp.n_states))
+        (level,) = evaluate_exactly(rows, np.arange(self.mdp.n_states))
         return level
 
     @cached_property
     def exact_visits(self) -> Level:
         """The expected discounted visits from the start; terminal states count arrivals."""
-        (visits,) = visited(self.rows(), self.reached & ~self.mdp.terminal, self.mdp.start)
+        (visits,) = compute_expected_visits(
+            self.build_bellman_rows(), self.reached & ~self.mdp.terminal, self.mdp.start
+        )
         return visits
 
     @cached_property
     def exactly(self) -> ExactChain:
-        """The chain in exact numbers, in which terminal states go on for ever, at discount 1."""
-        return ExactChain(self.rows(Fraction(1)))
+        """The exact chain at discount 1, in which terminal states go on forever."""
+        return ExactChain(self.build_bellman_rows(Fraction(1)))
 
-    def ended(self, states: Mask) -> PolicyChain:
+    def make_terminal(self, states: Mask) -> PolicyChain:
         """Return the chain with some states (S,) made terminal."""
-        return replace(self, mdp=ended(self.mdp, states))
+        return replace(self, mdp=make_terminal(self.mdp, states))
 
 
 class OfPolicy(Valued):
@@ -442,8 +478,8 @@ class OfPolicy(Valued):
         """Mean return, or gain, from the start."""
         return self.start.value
 
-    def _earned(self, used: Floats, doubt: Floats) -> tuple[Floats, Floats]:
-        """Return what uses of pairs (L,) earn of each component, and how far that may be off."""
+    def _sum_components(self, used: Floats, doubt: Floats) -> tuple[Floats, Floats]:
+        """Return the total of each component for given visits of pairs (L,), with error bounds."""
         rounding = gamma(len(self.chain.pairs) + self.chain.roundings + 6)
         amounts = self.mdp.components
         size = np.abs(amounts)
@@ -451,17 +487,19 @@ class OfPolicy(Valued):
         return used @ amounts, off * SLACK
 
 
-def flow_of(of: Objectives, policy: PolicyLike) -> Flow:
+def flow_of(of: Objectives, policy: PolicyLike) -> OccupancyMeasure:
     """Return the expected visits of pairs under any policy, of which totals are made."""
     chain = replace(PolicyChain.of(of.mdp, policy), mdp=of.ending)
-    visits = chain.exact_visits.fractions()
+    visits = chain.exact_visits.to_fractions()
     states = np.flatnonzero(chain.reached & ~of.ending.terminal).tolist()
     uses = ((visits[s], chain.exact_weights(s).items()) for s in states if visits[s])
-    return Flow.of({pair: share * number for number, shares in uses for pair, share in shares})
+    return OccupancyMeasure.of(
+        {pair: share * number for number, shares in uses for pair, share in shares}
+    )
 
 
 @dataclass(frozen=True, eq=False)
-class Equations:
+class PolicyEquations:
     """x = c + rate · P x in some states of a chain, the `live` ones (S,); x = c = 0 in others.
 
     Where floats cannot bound x, as the chain mixes or ends too slowly, x is found in rationals.
@@ -478,8 +516,8 @@ class Equations:
         chain, live, start = self.chain, self.live, self.chain.mdp.start_distribution
         rate, exact = self.system.discount, True
         with floats_first(chain.mdp):
-            point = transposed(self.system).solve(start, UNIT * start)
-            onward = part(chain.transition, np.arange(len(live)), live).T.tocsr()
+            point = transpose_system(self.system).solve(start, UNIT * start)
+            onward = select_rows(chain.transition, np.arange(len(live)), live).T.tocsr()
             came, size, off = (
                 rate * (onward @ each) for each in (point.value, np.abs(point.value), point.error)
             )
@@ -487,10 +525,10 @@ class Equations:
             off += gamma(terms) * (start + size) + TINY * terms
             value = np.where(live, point.value, start + came)
             point = FixedPoint(value=value, error=np.where(live, point.error, off * SLACK))
-            exact = poor(point, chain.mdp)
+            exact = is_too_inaccurate(point, chain.mdp)
         if exact:
-            (visits,) = visited(self.rows(), live, chain.mdp.start)
-            point = rounded(visits.fractions())
+            (visits,) = compute_expected_visits(self.rows(), live, chain.mdp.start)
+            point = round_fractions(visits.to_fractions())
         # Nothing is visited less than never: a negative rounding error is nearer to the truth as 0.
         return FixedPoint(value=np.maximum(point.value, 0.0), error=point.error)
 
@@ -509,13 +547,16 @@ class Equations:
         if not np.isfinite([constant, doubt]).all():
             raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
         rows = self.rows()
-        matrix = equations(rows, self.live)
+        matrix = build_equations(rows, self.live)
         sides = ([*map(Fraction, side.tolist())] for side in (constant, doubt))
-        value, off = (rounded(solved(matrix, rows, side).fractions()) for side in sides)
+        value, off = (
+            round_fractions(solve_policy_equations(matrix, rows, side).to_fractions())
+            for side in sides
+        )
         return FixedPoint(value=value.value, error=value.error + off.value * SLACK)
 
 
-def poor(point: FixedPoint, mdp: MDP) -> bool:
+def is_too_inaccurate(point: FixedPoint, mdp: MDP) -> bool:
     """Return whether floats gave less than half of their digits, and rationals soon give all."""
     return mdp.n_states <= FEW and point.error.max() > HALF * np.abs(point.value).max()
 
@@ -532,7 +573,7 @@ def floats_first(mdp: MDP) -> Iterator[None]:
             raise SolverError(Status.TOO_LARGE, detail) from error
 
 
-def rounded(numbers: Iterable[Fraction]) -> FixedPoint:
+def round_fractions(numbers: Iterable[Fraction]) -> FixedPoint:
     """Return (S,) exact numbers, each rounded once."""
     exactly = [*numbers]
     try:
@@ -544,7 +585,7 @@ def rounded(numbers: Iterable[Fraction]) -> FixedPoint:
     )
 
 
-def _checked(mdp: MDP, weights: Floats) -> Floats:
+def _require_weights(mdp: MDP, weights: Floats) -> Floats:
     """Return (L,) pair weights, or raise ModelError where they are not a policy."""
     total = np.add.reduceat(weights, mdp.pair_offsets[:-1])
     lowest = np.minimum.reduceat(weights, mdp.pair_offsets[:-1])
@@ -562,20 +603,20 @@ def _checked(mdp: MDP, weights: Floats) -> Floats:
 # ---- policies that never end ---------------------------------------------------------------------
 
 
-def arrives(chain: PolicyChain) -> bool:
+def has_sure_end(chain: PolicyChain) -> bool:
     """Return whether every episode ends, and not beside a goal."""
     beside = bool((chain.reached & beside_goal(chain.mdp)).any())
     return chain.ends_from_start and not beside
 
 
-def parted(chain: PolicyChain) -> tuple[PolicyChain, dict[float, Mask]]:
+def split_infinite_returns(chain: PolicyChain) -> tuple[PolicyChain, dict[float, Mask]]:
     """Return a chain whose every run ends, and the ends (S,) for returns of inf and -inf, if any.
 
-    These stand for states in which a run gains or loses for ever, or misses its goal; others for
-    states of rest. Raises ModelError where rewards cancel for ever, so that a return has no limit.
+    These stand for states in which a run gains or loses forever, or misses its goal; others for
+    states of rest. Raises ModelError if rewards cancel forever, so that a return has no limit.
     """
     mdp = chain.mdp
-    if mdp.discount_exact != 1 or arrives(chain):
+    if mdp.discount_exact != 1 or has_sure_end(chain):
         return chain, {}
     if mdp.goal is not None:
         rest = (chain.stuck | mdp.terminal) & ~mdp.goal
@@ -583,22 +624,25 @@ def parted(chain: PolicyChain) -> tuple[PolicyChain, dict[float, Mask]]:
     else:
         rest = chain.resting
         busy = chain.reached & chain.classes.recurrent & ~rest & ~mdp.terminal
-        gain = _signs(chain, busy) if busy.any() else np.zeros(mdp.n_states)
+        if busy.any():
+            gain = _find_gain_signs(chain, busy)
+        else:
+            gain = np.zeros(mdp.n_states)
         if (flat := busy & (gain == 0)).any():
             raise ModelError(
-                "rewards cancel for ever, and the return has no limit",
+                "rewards cancel forever, and the return has no limit",
                 where=f"policy, {mdp.space.place(int(np.flatnonzero(flat)[0]))}",
                 fix=ways_out(mdp, 'take evaluate(), with criterion="average"'),
             )
         lost = {inf: busy & (gain > 0), -inf: busy & (gain < 0)}
-    ending = chain.ended(np.logical_or.reduce([rest, *lost.values()]))
+    ending = chain.make_terminal(np.logical_or.reduce([rest, *lost.values()]))
     return ending, {sign: each for sign, each in lost.items() if each.any()}
 
 
-def _signs(chain: PolicyChain, busy: Mask) -> Numbers:
+def _find_gain_signs(chain: PolicyChain, busy: Mask) -> Numbers:
     """Return (S,) the gains or their signs, sure in some states (S,)."""
     with floats_first(chain.mdp):
-        gain, _ = chain.going_on.evaluated()
+        gain, _ = chain.going_on.evaluate_chain()
         if not (busy & (np.abs(gain.value) <= gain.error)).any():
             return gain.value
     return np.sign(long_run(chain.exactly, chain.exactly.reward))

@@ -23,7 +23,7 @@ import tqdm
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import Mask, longest_ways
-from exact_mdp.mdp.table import Integers, Numbers, spans
+from exact_mdp.mdp.table import Integers, Numbers, concatenate_ranges
 from exact_mdp.solvers.bounds.gains import TINY
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -40,11 +40,11 @@ DENSE, MERGED = 8, 64  # numbers of an array for each mass in it; sweeps kept ap
 Mass = tuple[Integers, Numbers, Numbers]  # states, multiples and masses (K,)
 
 
-class Flow:
-    """The outcomes that an episode can meet, among states numbered by block, and what they carry.
+class MassFlow:
+    """The outcomes that an episode can meet, among states numbered by block, with their returns.
 
     The ends are a block of their own, the last: all finite ones together, and those for a return of
-    -∞ and of ∞. Their numbers follow those of the states.
+    -∞ and of ∞. Their numbers follow the numbers of the states.
     """
 
     def __init__(
@@ -81,19 +81,19 @@ class Flow:
                 self.start[int(place[state])] += weight
         self.total, shares = 1, chain.probability[used]
         if exact:
-            shares = self._integers(used, source, target)
+            shares = self._to_integer_shares(used, source, target)
         else:
             self.start |= {state: float(weight) for state, weight in self.start.items()}
         # Several actions may do the same: their outcomes become one.
         count = len(self.block)
-        pair, self.gain, self.share = _summed([(source * count + target, gain[used], shares)])
+        pair, self.gain, self.share = _sum_masses([(source * count + target, gain[used], shares)])
         self.source, self.target = np.divmod(pair, count)
         self.inner = self.block[self.source] == self.block[self.target]
         self.lost: Any = 0
         self.work = 0
 
-    def _integers(self, used: Integers, source: Integers, target: Integers) -> Numbers:
-        """Return shares (M,) of outcomes as integers, and make those of the masses at the start.
+    def _to_integer_shares(self, used: Integers, source: Integers, target: Integers) -> Numbers:
+        """Return the shares (M,) of outcomes as integers; make the masses at the start integers.
 
         A mass of block b is over start · common[0] ⋯ common[b-1]: the share of a transition that
         skips blocks is multiplied by every denominator between. `total` is the one at the end.
@@ -113,7 +113,7 @@ class Flow:
         self.total = bottom * product[-1]
         return shares
 
-    def carried(self) -> tuple[Numbers, Numbers, Any, int]:
+    def carry_mass(self) -> tuple[Numbers, Numbers, Any, int]:
         """Return multiples and masses at the ends, the mass that is not in them, its roundings."""
         waiting, roundings = defaultdict[int, list[Mass]](list), 0
         tolerance = REMAINING / max(int(self.cyclic.sum()), 1)  # left in each cyclic block
@@ -124,11 +124,14 @@ class Flow:
         for block in tqdm.tqdm(blocks, desc="returns", unit="block", delay=2, disable=None):
             if block not in waiting:  # what led here was too small to speak of
                 continue
-            moving = _summed(waiting.pop(block))
+            moving = _sum_masses(waiting.pop(block))
             visits, sweep = [moving], 0
             own = np.arange(*np.searchsorted(self.source, self.first[block : block + 2]))
             inner = self.inner[own]
-            if self.cyclic[block] and self._left(block, moving, own[inner]) > 2 * tolerance:
+            if (
+                self.cyclic[block]
+                and self._estimate_remaining(block, moving, own[inner]) > 2 * tolerance
+            ):
                 raise ModelError(
                     f"after {SWEEPS:,} steps among states that lead back to each other the end is "
                     "still to come",
@@ -136,7 +139,9 @@ class Flow:
                     fix="evaluate() gives mean and sd, simulate(…, horizon=1000) samples returns",
                 )
             while self.cyclic[block]:
-                moving = self._large(_summed([self._handed_on(moving, own[inner])]), tolerance)
+                moving = self._drop_small(
+                    _sum_masses([self._handed_on(moving, own[inner])]), tolerance
+                )
                 left, sweep = float(moving[2].sum()), sweep + 1
                 if left <= tolerance:
                     self.lost += left
@@ -150,28 +155,31 @@ class Flow:
                     )
                 visits.append(moving)
                 if len(visits) == MERGED:
-                    visits = [_summed(visits)]
-            met = self._large(_summed(visits), 0.0)
+                    visits = [_sum_masses(visits)]
+            met = self._drop_small(_sum_masses(visits), 0.0)
             roundings += (int(self.entering[block]) + self.chain.roundings + 7) * (sweep + 1)
             following = self._handed_on(met, own[~inner])
             leads = self.block[following[0]]
             for there in np.flatnonzero(np.bincount(leads)).tolist():
                 to, multiple, mass = (part[leads == there] for part in following)
                 waiting[there].append((to, multiple, mass))
-        end, multiples, masses = self._large(_summed(waiting[self.last]), 0.0)
+        end, multiples, masses = self._drop_small(_sum_masses(waiting[self.last]), 0.0)
         if masses.dtype == object:
             masses = np.array([Fraction(mass, self.total) for mass in masses.tolist()], object)
         finite, above = np.searchsorted(end, len(self.block) - np.array([2, 1]))
         listed, chances = multiples[:finite], masses[:finite]
         for sign, some in ((-inf, masses[finite:above]), (inf, masses[above:])):
             if len(some):
-                place = 0 if sign < 0 else len(listed)
+                if sign < 0:
+                    place = 0
+                else:
+                    place = len(listed)
                 listed = np.insert(listed.astype(object), place, sign)
                 chances = np.insert(chances, place, some.sum())
         roundings += int(self.entering[self.last]) + 10 + len(end) - int(finite)
         return listed, chances, self.lost, roundings
 
-    def _left(self, block: int, moving: Mass, inner: Integers) -> float:
+    def _estimate_remaining(self, block: int, moving: Mass, inner: Integers) -> float:
         """Return about the mass that is still in a cyclic block after all sweeps; 0 if unknown."""
         first, last = self.first[block : block + 2]
         if last - first > FEW:
@@ -183,7 +191,7 @@ class Flow:
         return float((mass @ np.linalg.matrix_power(matrix, SWEEPS)).sum())
 
     def _handed_on(self, moving: Mass, outcomes: Integers) -> Mass:
-        """Return what becomes of a mass by some outcomes, in the order of their sources."""
+        """Propagate a probability mass along some outcomes, in the order of their sources."""
         state, multiple, mass = moving
         first, after = (
             np.searchsorted(self.source[outcomes], state, side) for side in ("left", "right")
@@ -201,7 +209,10 @@ class Flow:
             if mass.min() * self.share[outcomes].min() < EDGE:  # underflow takes some away
                 self.lost += TINY * count
             return products
-        by, each = outcomes[spans(first, after)], np.repeat(np.arange(len(state)), after - first)
+        by, each = (
+            outcomes[concatenate_ranges(first, after)],
+            np.repeat(np.arange(len(state)), after - first),
+        )
         onward = mass[each] * self.share[by]
         self.lost += TINY * (len(onward) - np.count_nonzero(onward))  # underflow takes some away
         return self.target[by], multiple[each] + self.gain[by], onward
@@ -233,8 +244,8 @@ class Flow:
         place, further = np.nonzero(there)
         return to[place], low + int(gains[0]) + further, there[place, further]
 
-    def _large(self, moving: Mass, tolerance: float) -> Mass:
-        """Return a mass without what is too small to speak of, which is lost."""
+    def _drop_small(self, moving: Mass, tolerance: float) -> Mass:
+        """Return a mass without its negligible parts, and count these as lost."""
         if moving[2].dtype == object:
             return moving
         small = moving[2] < max(EDGE, tolerance * SLOW_EDGE)
@@ -243,8 +254,8 @@ class Flow:
         return state, multiple, mass
 
 
-def _summed(parts: list[Mass]) -> Mass:
-    """Return masses in the order of states and multiples, those of the same added up."""
+def _sum_masses(parts: list[Mass]) -> Mass:
+    """Return masses in the order of states and multiples; equal places are added up."""
     state, multiple, mass = (np.concatenate(each) for each in zip(*parts, strict=True))
     if multiple.dtype == np.int64 and mass.dtype == np.float64 and len(mass):
         low, least = int(multiple.min()), int(state.min())
@@ -258,5 +269,7 @@ def _summed(parts: list[Mass]) -> Mass:
     key = state * len(different) + place
     order = np.argsort(key, kind="stable")
     first = np.flatnonzero(np.diff(key[order], prepend=-1))
-    total = np.add.reduceat(mass[order], first) if len(first) else mass
+    total = mass
+    if len(first):
+        total = np.add.reduceat(mass[order], first)
     return state[order][first], multiple[order][first], total

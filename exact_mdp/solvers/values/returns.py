@@ -7,8 +7,8 @@ of every pair (state, reward so far) is carried along the policy's chain, from t
 
 state after state in an order in which no transition leads back. Only terms that are at least 0 are
 ever added, so every probability keeps a small *relative* error, however small it is. States that
-lead back to each other are swept until at most 10⁻¹² of the mass is left among them; what is left
-is reported. Runs that gain or lose for ever, or miss a goal, end with an infinite return (forward
+lead back to each other are swept until at most 10⁻¹² of the mass is left among them; the rest
+is reported. Runs that gain or lose forever, or miss a goal, end with an infinite return (forward
 dynamic programming; for the distribution of the return see Sobel, Journal of Applied Probability
 19, 1982, section 2, and Chung and Sobel, Discounted MDP's: distribution functions and exponential
 utility maximization, SIAM J. Control and Optimization 25, 1987).
@@ -32,14 +32,14 @@ from exact_mdp.mdp.components import require_amounts
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.report import Report, Shown, Table, at_most, decimal
+from exact_mdp.mdp.report import Report, Shown, Table, format_decimal, format_error_bound
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
-from exact_mdp.mdp.table import Floats, Numbers, exact, integers, multiply, shown
+from exact_mdp.mdp.table import Floats, Numbers, exact, format_rational, multiply, to_integer_array
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.solution import Claim, in_float
 from exact_mdp.solvers.solver import mdp_of
-from exact_mdp.solvers.values.policy_chain import PolicyChain, parted
-from exact_mdp.solvers.values.return_mass import Flow
+from exact_mdp.solvers.values.policy_chain import PolicyChain, split_infinite_returns
+from exact_mdp.solvers.values.return_mass import MassFlow
 
 WIDE = 2**31  # of multiples: a return adds up fewer than 2³² of them, which 64 bits hold
 LISTED = 1000  # returns that people see
@@ -52,14 +52,14 @@ class ReturnDistribution(Pictured):
     Attributes
     ----------
     multiples : (K,) ints
-        Returns, as multiples of `unit`; inf or -inf for runs that gain or lose for ever, or miss a
+        Returns, as multiples of `unit`; inf or -inf for runs that gain or lose forever, or miss a
         goal. Runs that come to rest, where nothing is earned any more, have a return as any other.
     unit : Fraction
     probabilities : (K,)
     relative_error : float
         Each probability is off by at most this part of itself, and by `remaining` more.
     remaining : float
-        Probability of the returns that are not listed, at most: what was still moving when the
+        A bound on the probability of all other returns: the mass that was still moving when the
         sweeps stopped, and parts below 10⁻²⁹⁰. 0 where all are listed.
     exact : tuple of Fraction, optional
         The probabilities as exact rationals, where these were asked for.
@@ -86,14 +86,16 @@ class ReturnDistribution(Pictured):
         """(K,) bounds on the errors of the probabilities."""
         return self.relative_error * self.probabilities + self.remaining + TINY
 
-    def _value(self, place: int) -> Fraction | float:
+    def _compute_value(self, place: int) -> Fraction | float:
         multiple: Any = self.multiples[place]
-        return multiple if isinstance(multiple, float) else self.unit * int(multiple)
+        if isinstance(multiple, float):
+            return multiple
+        return self.unit * int(multiple)
 
     @cached_property
     def values(self) -> tuple[Fraction | float, ...]:
         """The returns as exact rationals, or infinite floats."""
-        return tuple(map(self._value, range(len(self.multiples))))
+        return tuple(map(self._compute_value, range(len(self.multiples))))
 
     @cached_property
     def _floats(self) -> Floats:
@@ -106,7 +108,7 @@ class ReturnDistribution(Pictured):
 
     @property
     def mean(self) -> float:
-        """Mean of the returns listed; `evaluate` bounds that of all, rare ones included.
+        """Mean of the listed returns; `evaluate` bounds the mean of all, rare ones included.
 
         Infinite where one is; NaN where some are +∞ and others -∞.
         """
@@ -122,13 +124,17 @@ class ReturnDistribution(Pictured):
     @cached_property
     def _sums(self) -> Any:
         """The cdf at each return: exact where the probabilities are."""
-        return np.cumsum(self.probabilities) if self.exact is None else [*accumulate(self.exact)]
+        if self.exact is None:
+            return np.cumsum(self.probabilities)
+        return [*accumulate(self.exact)]
 
     def cdf(self, value: object) -> float:
         """Return the probability of a return of at most `value` (a number or "p/q")."""
         bound = exact(value, "return") / self.unit
         count = bisect_right(self.multiples, bound.numerator // bound.denominator)
-        return float(self._sums[count - 1]) if count else 0.0
+        if count:
+            return float(self._sums[count - 1])
+        return 0.0
 
     def quantile(self, share: object) -> Fraction | float:
         """Return the least return whose cdf is at least `share`; it may be infinite.
@@ -141,14 +147,14 @@ class ReturnDistribution(Pictured):
         wanted = exact(str(share) if isinstance(share, float) else share, "quantile")
         if not 0 <= wanted <= 1:  # of a float, its decimal
             raise ModelError(
-                f"no quantile is at {shown(wanted)}",
+                f"no quantile is at {format_rational(wanted)}",
                 where="quantile",
                 fix="choose a probability from 0 to 1",
             )
         if self.exact is None:
             slack = (self.relative_error + self.remaining + len(self.multiples) * UNIT) * SLACK
             wanted -= Fraction(slack)
-        return self._value(min(bisect_left(self._sums, wanted), len(self.multiples) - 1))
+        return self._compute_value(min(bisect_left(self._sums, wanted), len(self.multiples) - 1))
 
     def tail_mean(self, share: object, *, highest: bool = False) -> Fraction | float:
         """Return the mean of the lowest share of the returns (CVaR), or of the highest.
@@ -178,7 +184,7 @@ class ReturnDistribution(Pictured):
         >>> str(law.tail_mean("3/4")), str(law.tail_mean(1))
         ('10/3', '5')
         """
-        part = share_of(share)
+        part = parse_tail_share(share)
         if part <= self.remaining:
             what = f"returns with a probability of up to {self.remaining:.2g} are not listed"
             fix = "choose a greater share, or a horizon, which ends cycles"
@@ -198,13 +204,15 @@ class ReturnDistribution(Pictured):
 
     def report(self) -> Report:
         """Return the law of the return."""
-        law = {decimal(value): chance for value, chance in self.as_dict().items()}
+        law = {format_decimal(value): chance for value, chance in self.as_dict().items()}
         error = float(self.error.max())
         facts: dict[str, Any] = {
             "claim": Shown(self.claim),
             "mean": self.mean,
             "sd": self.sd,
-            "error_bound": Shown(error, f"{at_most(error)} of each probability ({self.claim})"),
+            "error_bound": Shown(
+                error, f"{format_error_bound(error)} of each probability ({self.claim})"
+            ),
             "remaining": Shown(self.remaining, self.remaining or None),
             "never_ends": Shown(self.never_ends, self.never_ends or None),
             "distribution": law,
@@ -229,12 +237,12 @@ class ReturnDistribution(Pictured):
         )
 
 
-def share_of(level: object) -> Fraction:
+def parse_tail_share(level: object) -> Fraction:
     """Return the share of the worst episodes that counts."""
     share = exact(level, "conditional value at risk")
     if not 0 < share <= 1:
         raise ModelError(
-            f"the level is {shown(share)}",
+            f"the level is {format_rational(share)}",
             where="conditional value at risk",
             fix="choose the share of the worst episodes: above 0, at most 1",
         )
@@ -279,7 +287,7 @@ def return_distribution(
     Raises
     ------
     ModelError
-        Below discount 1; where rewards cancel for ever, so that a return has no limit; where there
+        Below discount 1; where rewards cancel forever, so that a return has no limit; where there
         are too many different returns; where states that lead back to each other are left too
         slowly.
 
@@ -301,10 +309,13 @@ def return_distribution(
         )
     if horizon is not None:
         mdp = mdp.within(horizon)
-    chain, lost = parted(PolicyChain.of(mdp, policy, kind=kind))
-    gain, unit = _lattice(chain)
-    multiples, masses, left, roundings = Flow(chain, gain, lost, exact=exact).carried()
-    shares = tuple(masses) if exact else None
+    chain, lost = split_infinite_returns(PolicyChain.of(mdp, policy, kind=kind))
+    gain, unit = _find_lattice(chain)
+    multiples, masses, left, roundings = MassFlow(chain, gain, lost, exact=exact).carry_mass()
+    if exact:
+        shares = tuple(masses)
+    else:
+        shares = None
     return ReturnDistribution(
         multiples=multiples,
         unit=unit,
@@ -315,7 +326,7 @@ def return_distribution(
     )
 
 
-def _lattice(chain: PolicyChain) -> tuple[Numbers, Fraction]:
+def _find_lattice(chain: PolicyChain) -> tuple[Numbers, Fraction]:
     """Return the rewards (N,) as multiples of their greatest common unit, and that unit."""
     table = chain.table
     top, bottom = table.integer_gains()
@@ -323,7 +334,7 @@ def _lattice(chain: PolicyChain) -> tuple[Numbers, Fraction]:
     if len(top) == table.pairs:
         top = np.repeat(top, lengths)
     whole = lcm(*np.unique(bottom).tolist())
-    factor = np.repeat(integers(whole // int(number) for number in bottom), lengths)
+    factor = np.repeat(to_integer_array(whole // int(number) for number in bottom), lengths)
     scaled = multiply(top, factor)
     used = chain.reached[chain.source] & ~chain.mdp.terminal[chain.source]
     step = max(int(np.gcd.reduce(scaled[used])), 1)

@@ -20,15 +20,15 @@ from exact_mdp.mdp.components import require_amounts
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.report import Report, Shown, between, number
+from exact_mdp.mdp.report import Report, Shown, format_interval, format_number
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import RNG, seed_of
 from exact_mdp.solvers.bounds.gains import SLACK, TINY
-from exact_mdp.solvers.dynamic.iterate import check_counts
+from exact_mdp.solvers.dynamic.base import check_counts
 from exact_mdp.solvers.solution import Claim, Estimated
 from exact_mdp.solvers.solver import mdp_of
-from exact_mdp.solvers.values.policy_chain import PolicyChain, parted
+from exact_mdp.solvers.values.policy_chain import PolicyChain, split_infinite_returns
 
 MOST_STEPS = 10**8  # of an episode that need not end, minutes of work
 NEGLIGIBLE = 1e-12  # of the greatest return: what follows counts in the error, however small
@@ -36,7 +36,7 @@ NEGLIGIBLE = 1e-12  # of the greatest return: what follows counts in the error, 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Simulation(Pictured):
-    """Returns of sampled episodes, and what they say of the policy's mean return.
+    """Returns of sampled episodes, and the estimate of the policy's mean return.
 
     Attributes
     ----------
@@ -51,10 +51,10 @@ class Simulation(Pictured):
         Episodes cut off before a terminal state: below discount 1, or by a horizon.
     truncation_error : float
         How much a cut may have changed a return, at most: γ^t max|r| / (1 - γ), rounding included.
-        `value` and its interval include it. A horizon is no error: its returns are those of
+        `value` and its interval include it. A horizon is not an error: its returns belong to
         episodes that stop there.
     endless : int
-        Episodes that never end: they gain or lose for ever, or have come to rest.
+        Episodes that never end: they gain or lose forever, or stay where rewards are 0.
 
     Examples
     --------
@@ -79,14 +79,14 @@ class Simulation(Pictured):
 
     @property
     def value(self) -> Estimated:
-        """The mean return with its standard error, and what was cut off."""
+        """The mean return with its standard error and a bound for the ends that were cut off."""
         return Estimated(
             value=self.mean, standard_error=self.standard_error, cut_off=self.truncation_error
         )
 
     @property
     def never_ends(self) -> float:
-        """Share of the episodes that gain or lose for ever; their return is infinite."""
+        """Share of the episodes that gain or lose forever; their return is infinite."""
         return float(np.isinf(self.returns).mean())
 
     @property
@@ -101,7 +101,9 @@ class Simulation(Pictured):
         if self.never_ends:
             return nan
         with np.errstate(over="ignore", invalid="ignore"):
-            return float(self.returns.std(ddof=1)) if self.episodes > 1 else inf
+            if self.episodes > 1:
+                return float(self.returns.std(ddof=1))
+            return inf
 
     @property
     def standard_error(self) -> float:
@@ -111,13 +113,15 @@ class Simulation(Pictured):
     @property
     def mean_steps(self) -> float:
         """Mean number of timesteps; infinite where an episode never ends."""
-        return inf if self.endless else float(self.steps.mean())
+        if self.endless:
+            return inf
+        return float(self.steps.mean())
 
     def report(self) -> Report:
-        """Return the estimate and what it rests on."""
+        """Return the estimate, the number of episodes, and their settings."""
         finite = isfinite(self.mean)
         low, high = self.value.interval
-        ends = between(low, high, self.standard_error / 10)
+        ends = format_interval(low, high, self.standard_error / 10)
         return Report(
             title="simulation",
             facts={
@@ -127,7 +131,7 @@ class Simulation(Pictured):
                 "interval": Shown(self.value.interval, f"{ends} (95 %)" if finite else None),
                 "sd": Shown(
                     self.sd,
-                    number(self.sd, self.standard_error / 10)
+                    format_number(self.sd, self.standard_error / 10)
                     if finite
                     else "undefined: the mean is infinite",
                 ),
@@ -183,7 +187,7 @@ def simulate(
     Raises
     ------
     ModelError
-        For no episodes or no seed; at discount 1 where rewards cancel for ever.
+        For no episodes or no seed; at discount 1 if rewards cancel forever.
 
     Examples
     --------
@@ -193,18 +197,27 @@ def simulate(
     True
     """
     check_counts("simulate", n=n)
-    generator = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(seed_of(rng))
+    if isinstance(rng, np.random.Generator):
+        generator = rng
+    else:
+        generator = np.random.default_rng(seed_of(rng))
     unstopped = mdp_of(model)
     require_amounts(unstopped.table, "a sample of returns")
-    given = unstopped if horizon is None else unstopped.within(horizon)
-    chain, infinite = parted(PolicyChain.of(given, policy, kind=kind))
+    if horizon is None:
+        given = unstopped
+    else:
+        given = unstopped.within(horizon)
+    chain, infinite = split_infinite_returns(PolicyChain.of(given, policy, kind=kind))
     mdp = chain.mdp
     size = float(np.abs(chain.gain[chain.reached[chain.source]]).max(initial=0.0))
     missing = float(1 - mdp.discount_exact)
     limit = horizon
     if limit is None and missing:
         # The greatest return is size / (1 - γ), and what follows t steps at most γ^t of it.
-        limit = 1 if missing == 1 else ceil(log(NEGLIGIBLE) / log1p(-missing))
+        if missing == 1:
+            limit = 1
+        else:
+            limit = ceil(log(NEGLIGIBLE) / log1p(-missing))
         if limit > MOST_STEPS and not chain.ends_from_start:
             raise ModelError(
                 f"episodes need not end, and at discount {mdp.discount:.12g} their first "
@@ -251,7 +264,9 @@ def simulate(
     if horizon is not None:
         over = mdp.n_states - unstopped.n_states  # the first state of the time when all is over
         stopped = int((~unstopped.terminal[state[state >= over] - over]).sum())
-    rest = (size * factor / missing * SLACK + TINY) if len(running) and size else 0.0
+    rest = 0.0
+    if len(running) and size:
+        rest = size * factor / missing * SLACK + TINY
     return Simulation(
         returns=returns,
         steps=steps,

@@ -1,4 +1,4 @@
-"""SIGTERM ends the work as Ctrl-C does: workers end, what is finished is kept and used again."""
+"""SIGTERM ends the work as Ctrl-C does: workers end, finished work is kept and used again."""
 
 import os
 import signal
@@ -16,15 +16,15 @@ WORK = """
 import sys
 import click
 import worker
-from exact_mdp.analysis.exit_status import leave, run
-from exact_mdp.solvers.parallel import many
+from exact_mdp.analysis.exit_status import end_process, run_command
+from exact_mdp.solvers.parallel import run_pieces
 
 @click.command()
 @click.argument("folder")
 def main(folder):
-    many(worker.piece, range(6), key={}, n_jobs=2, folder=folder)
+    run_pieces(worker.piece, range(6), key={}, n_jobs=2, folder=folder)
 
-leave(run(main, "job", sys.argv[1:]))
+end_process(run_command(main, "job", sys.argv[1:]))
 """
 
 PIECE = """
@@ -101,7 +101,7 @@ def test_workers_end_with_the_program(tmp_path: Path, name: str) -> None:
     assert gone(process.pid)
     assert (process.returncode, out) == (128 + number, "")
     assert err == (
-        f"stopped by {name}; what is finished (runs: 3 of 6) is kept in {tmp_path / 'out'}, "
+        f"stopped by {name}; the finished part (runs: 3 of 6) is kept in {tmp_path / 'out'}, "
         "and the same command goes on from there\n"
     )
     assert not list((tmp_path / "out").glob(".*"))
@@ -116,7 +116,7 @@ def test_a_training_that_was_stopped_goes_on_to_the_same_bytes(tmp_path: Path) -
     out, err = process.communicate()
     assert gone(process.pid)
     assert (process.returncode, out) == (143, ""), err
-    assert err.startswith("stopped by SIGTERM; what is finished (runs: ")
+    assert err.startswith("stopped by SIGTERM; the finished part (runs: ")
     assert "Traceback" not in err
     saved = sorted(path.name for path in (tmp_path / "out").glob("runs-*.npz"))
     count = str(len(saved) + 2)

@@ -122,7 +122,7 @@ def test_where_actions_tie_every_kind_holds_0() -> None:
             assert interval.low == 0, kind
             if kind == "posterior":
                 assert interval.found["equal_tails"][0] > 0  # which is why it has no lower end
-                assert interval.decided(F(1, 1000)) is None
+                assert interval.keeps_limit(F(1, 1000)) is None
     audit = check(mdp, "always:a", max_regret="1/1000", confidence=0.95, by=Posterior(n=400))
     assert audit.undecided
     assert "kept with probability 0 by the posterior" in audit.message()

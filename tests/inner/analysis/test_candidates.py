@@ -27,6 +27,6 @@ def test_a_policy_is_counted_in_every_draw_whose_optimum_it_was(model) -> None:
     solver, counts = solver_of(model, draws.names), np.bincount(draws.table.which)
     assert len(counts) > 2 * POOL
     for number in (int(np.flatnonzero(counts == counts.min())[-1]), int(counts.argmax())):
-        policy = solver.held(draws.table.rows[number])
-        assert np.array_equal(solver.row(policy), draws.table.rows[number])
+        policy = solver.hold_policy(draws.table.rows[number])
+        assert np.array_equal(solver.to_action_numbers(policy), draws.table.rows[number])
         assert psa(model, 150, policy=policy, **how).candidates[0].frequency == counts[number]

@@ -22,13 +22,24 @@ import exact_mdp
 from exact_mdp import ModelError, SolverError, Status, solve
 from exact_mdp.analysis.ci import Case, write_junit
 from exact_mdp.analysis.cli import cli
-from exact_mdp.mdp.report import Report, at_most, cell, decimal, digits_of, number, ratio
+from exact_mdp.mdp.report import (
+    Report,
+    digits_of,
+    format_cell,
+    format_decimal,
+    format_error_bound,
+    format_number,
+    format_ratio,
+)
 from exact_mdp.paper_repro.__main__ import main as reproduce
 from exact_mdp.paper_repro.agents.__main__ import main as agents
 
 READ = "exact_mdp.analysis.cli.given.read_model"
 SOLVE = "exact_mdp.analysis.optimum.solve"
-RUN, LOG = "exact_mdp.paper_repro.run.run", "exact_mdp.paper_repro.agents.log.read"
+RUN, LOG = (
+    "exact_mdp.paper_repro.run.run_reproduction",
+    "exact_mdp.paper_repro.agents.log.read_recording",
+)
 GIVES_UP = SolverError(Status.NO_BOUND)
 
 
@@ -113,9 +124,9 @@ def test_a_check_that_does_not_end_leaves_an_error_case(
 @given(st.integers(-(10**30), 10**30), st.integers(1, 200))
 def test_rationals_are_printed_exactly(top: int, bottom: int) -> None:
     value = Fraction(top, bottom)
-    assert Fraction(decimal(value)) == Fraction(ratio(value)) == value
+    assert Fraction(format_decimal(value)) == Fraction(format_ratio(value)) == value
     ends = (value * 10 ** value.denominator.bit_length()).denominator == 1  # the decimal expansion
-    assert ("/" in decimal(value)) == (not ends)
+    assert ("/" in format_decimal(value)) == (not ends)
 
 
 @pytest.mark.parametrize("digits", [1, 602, 603, 4299, 4301, 30_000])
@@ -131,8 +142,11 @@ def test_integers_have_all_their_digits(digits: int) -> None:
 
 
 def test_a_rational_beyond_the_floats_has_a_cell() -> None:
-    assert cell(Fraction(10**400, 7)) == "1.428571429e399"
-    assert (cell(Fraction(1, 7)), cell(Fraction(10**9, 7 * 10**6))) == ("1/7", "1000/7")
+    assert format_cell(Fraction(10**400, 7)) == "1.428571429e399"
+    assert (format_cell(Fraction(1, 7)), format_cell(Fraction(10**9, 7 * 10**6))) == (
+        "1/7",
+        "1000/7",
+    )
 
 
 @settings(max_examples=50)
@@ -149,12 +163,12 @@ def test_json_is_strict_and_exact_and_takes_arrays_and_rationals(value: object) 
 def test_printed_numbers_are_as_good_as_their_error(
     value: float, error: float, bound: float
 ) -> None:
-    assert abs(float(number(value, error)) - value) <= max(error / 2, 1e-9 * abs(value))
-    assert re.fullmatch(r"-?[0-9.]+(e[-+][0-9]+)?", number(value, error))
+    assert abs(float(format_number(value, error)) - value) <= max(error / 2, 1e-9 * abs(value))
+    assert re.fullmatch(r"-?[0-9.]+(e[-+][0-9]+)?", format_number(value, error))
     if error > abs(value):
-        assert re.fullmatch(r"-?[0.]*[1-9]?0*(\.0)?(e[-+][0-9]+)?", number(value, error))
-    assert Fraction(at_most(bound)) >= Fraction(bound)
-    assert float(at_most(bound)) <= 1.1 * bound + 1e-320
+        assert re.fullmatch(r"-?[0.]*[1-9]?0*(\.0)?(e[-+][0-9]+)?", format_number(value, error))
+    assert Fraction(format_error_bound(bound)) >= Fraction(bound)
+    assert float(format_error_bound(bound)) <= 1.1 * bound + 1e-320
 
 
 # ---- reports -------------------------------------------------------------------------------------

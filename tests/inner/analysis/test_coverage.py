@@ -6,8 +6,8 @@ from math import sqrt
 import numpy as np
 import pytest
 
-from exact_mdp.analysis.vary.information import evpi, evppi
-from exact_mdp.analysis.vary.intervals import wilson
+from exact_mdp.analysis.vary.information import estimate_evpi, estimate_evppi
+from exact_mdp.analysis.vary.intervals import compute_wilson_interval
 
 STEP = 0.02  # what the second action costs below the step
 
@@ -47,11 +47,11 @@ def test_intervals_cover_or_are_doubted(case: str, noise: float) -> None:
     for _ in range(60):
         x = rng.uniform(size=(500, 1))
         ahead = gain(x) + noise * rng.normal(size=x.shape)
-        value = evppi(np.hstack([ahead, 0 * ahead]), x, ("x",))
+        value = estimate_evppi(np.hstack([ahead, 0 * ahead]), x, ("x",))
         low, high = value.regression.interval
         covered += [low <= truth <= high] * value.reliable
-        assert value.regression.value <= evpi(np.hstack([ahead, 0 * ahead])).value + 1e-12
-    assert not covered or wilson(sum(covered), len(covered))[1] >= 0.95
+        assert value.regression.value <= estimate_evpi(np.hstack([ahead, 0 * ahead])).value + 1e-12
+    assert not covered or compute_wilson_interval(sum(covered), len(covered))[1] >= 0.95
     if noise == 0.3 and case in ("edge 0.9", "edge 0.98", "middle"):
         assert len(covered) <= 4
     if noise == 0.3 and case == "linear":
@@ -64,6 +64,6 @@ def test_evppi_is_cut_at_evpi_where_the_fit_promises_more(share: float) -> None:
     known = np.linspace(-1, 1, 400)[:, None]
     ahead = np.where(known > 0.3, -1.0, 0.0) + np.where(known > 0.99, 1 + share, 0.0)
     values = np.hstack([np.zeros_like(known), ahead])
-    cut, most = evppi(values, known, ("x",)), evpi(values).value
+    cut, most = estimate_evppi(values, known, ("x",)), estimate_evpi(values).value
     assert cut.regression.value == most == pytest.approx(share * (known > 0.99).mean())
     assert not share or "cut at EVPI of the candidates" in cut.doubts

@@ -14,11 +14,11 @@ from records import NAMES, POLICY, STAGES, estimated, recorded, staged_policy
 from scipy import integrate, optimize
 
 from exact_mdp import MDP, ModelError, Policy, Robust, check, solve
-from exact_mdp.analysis.gate.data.posterior import drawn, drawn_regrets
+from exact_mdp.analysis.gate.data.posterior import drawn_regrets, sample_models
 from exact_mdp.analysis.gate.data.robust import robust_bounds
-from exact_mdp.analysis.gate.data.sets import RowSets, _highest, _radius
+from exact_mdp.analysis.gate.data.sets import RowSets, _bound_mean_above, _compute_radii
 from exact_mdp.analysis.vary.intervals import mean_at_least
-from exact_mdp.mdp.questions import by_time
+from exact_mdp.mdp.questions import split_by_time
 from exact_mdp.solvers import batch
 
 SEEDS = st.integers(0, 10**6)
@@ -61,7 +61,7 @@ def test_no_rounding_makes_a_set_smaller(seed: int) -> None:
     """Of a row of many outcomes, and of rewards seen 10¹³ times, in 60 digits."""
     c = np.random.default_rng(seed).integers(1, 3, size=20_000)
     n, states, doubt = int(c.sum()), 400_000, 2.0**-9
-    far = _radius(c / n, 0 * c, np.array([float(n)]), states, doubt)[0]
+    far = _compute_radii(c / n, 0 * c, np.array([float(n)]), states, doubt)[0]
     with ctx.workprec(200):
         part, size = arb(1) / states, arb(n)
         each = {k: arb(k) * (arb(k) / n).log() - (k + part).lgamma() for k in (1, 2)}
@@ -71,7 +71,7 @@ def test_no_rounding_makes_a_set_smaller(seed: int) -> None:
         exact += len(c) * part.lgamma() + (size + 1).lgamma() - arb(doubt).log()
         assert arb(float(far)) * n >= exact
         edge = 2.0**-38 * (1 + seed / 7)
-        most = _highest(np.zeros(1), np.array([edge]))[0]
+        most = _bound_mean_above(np.zeros(1), np.array([edge]))[0]
         assert -(1 - arb(float(most))).log() >= edge
 
 
@@ -97,7 +97,7 @@ def test_nature_may_send_a_row_where_nobody_saw_it_go(seed: int) -> None:
     sets = RowSets.of(mdp, 0.1, "known")
     value, start = rng.normal(size=4), mdp.start_distribution
     for most in (False, True):
-        sign, extreme = -1.0 if most else 1.0, sets.worth(value, most=most)
+        sign, extreme = -1.0 if most else 1.0, sets.solve_inner_problem(value, most=most)
         law, p = extreme.piece()[0][[0]].toarray()[0], row / row.sum()
         assert law.sum() == pytest.approx(1)
         assert p[p > 0] @ np.log(p[p > 0] / law[p > 0]) <= sets.radius[0] + 1e-9
@@ -202,7 +202,7 @@ def test_with_ever_more_records_the_interval_is_the_regret(how: str) -> None:
         returns = (-50.0, 50.0)
     if how == "within 3 steps":
         audit = check(mdp, staged_policy(mdp), horizon=3)
-        own, wanted = by_time(mdp, audit.chain.weights, 3), audit.value.value
+        own, wanted = split_by_time(mdp, audit.chain.weights, 3), audit.value.value
     if how == "cut off":  # what follows there stays unknown: 0 to 10, of which 1 is earned before
         rows = [(n, "s", "ab"[n % 2], n % 2, ("u", None)[n % 2], n % 2 == 0) for n in range(200)]
         mdp = MDP.from_transitions(pd.DataFrame(rows, columns=[*NAMES, "truncated"]))
@@ -228,8 +228,10 @@ def test_a_draw_is_a_model_that_is_solved(horizon: int | None) -> None:
     mdp = estimated(recorded(np.random.default_rng(2), 60))
     own = Policy.of(mdp, POLICY).weights(mdp)
     if horizon:
-        own = by_time(mdp, Policy.of(mdp.within(3), staged_policy(mdp)).weights(mdp.within(3)), 3)
-    models = drawn(mdp, mdp.observations > 0, 1.0, np.random.default_rng(0), 20)
+        own = split_by_time(
+            mdp, Policy.of(mdp.within(3), staged_policy(mdp)).weights(mdp.within(3)), 3
+        )
+    models = sample_models(mdp, mdp.observations > 0, 1.0, np.random.default_rng(0), 20)
     regret, table = drawn_regrets(models, own), np.eye(2)[STAGES]
     for draw in range(20):
         one = MDP.from_pairs(
@@ -247,7 +249,7 @@ def test_drawn_models_whose_policies_do_not_settle_are_refused(
     """Values of policies that may still improve would let wide bounds pass for no regret."""
     rows = [[["1/2", "1/2"], [0, 1]], [[0, 1], [1, 0]]]
     mdp = MDP.from_arrays(rows, [[0, 1], [0, 4]], "9/10")
-    models = drawn(mdp, np.zeros(mdp.n_pairs, dtype=bool), 1.0, np.random.default_rng(0), 3)
+    models = sample_models(mdp, np.zeros(mdp.n_pairs, dtype=bool), 1.0, np.random.default_rng(0), 3)
     own = np.array([1.0, 0.0, 1.0, 0.0])  # the first policy that is tried, and two are better
     assert (drawn_regrets(models, own) > 0).all()
     monkeypatch.setattr(batch, "POLICIES", 1)

@@ -13,9 +13,9 @@ from scipy.stats import binomtest
 
 from exact_mdp.analysis.learning.trainers import (
     GRID,
-    _decided,
-    excluded,
-    fewest,
+    _is_share_reached,
+    count_fewest_misses,
+    is_share_excluded,
     share_intervals,
 )
 
@@ -39,9 +39,9 @@ def test_what_is_won_is_the_mixture_and_a_martingale(share: F, hits: int, misses
     assert purse == share * won(share, hits + 1, misses) + (1 - share) * won(
         share, hits, misses + 1
     )
-    if purse > 1:  # `excluded` finds the same number, to a billionth
-        assert excluded(share, hits, misses, 1 / purse)
-        assert not excluded(share, hits, misses, (1 - F(1, 10**9)) / purse)
+    if purse > 1:  # `is_share_excluded` finds the same number, to a billionth
+        assert is_share_excluded(share, hits, misses, 1 / purse)
+        assert not is_share_excluded(share, hits, misses, (1 - F(1, 10**9)) / purse)
     p = float(share)
     mixture = betaln(hits + 0.5, misses + 0.5) - betaln(0.5, 0.5)
     assert log(purse) == pytest.approx(mixture - hits * log(p) - misses * log(1 - p), abs=1e-9)
@@ -55,17 +55,19 @@ def test_intervals_hold_all_shares_not_excluded_so_far(trials: list[bool], alpha
         assert low <= left <= right <= high  # they only narrow
         for end, sign in ((left, 1), (right, -1)):
             if end not in (low, high):
-                assert excluded(end, k, n - k, alpha)
-                assert not excluded(end + F(sign, GRID), k, n - k, alpha)
+                assert is_share_excluded(end, k, n - k, alpha)
+                assert not is_share_excluded(end + F(sign, GRID), k, n - k, alpha)
         inside = [j for j in range(1, 100) if left < F(j, 100) < right]
-        assert not any(excluded(F(j, 100), k, n - k, alpha) for j in inside)
+        assert not any(is_share_excluded(F(j, 100), k, n - k, alpha) for j in inside)
         low, high = left, right
 
 
 @example(F(3, 4), F(1, 2))  # E_1 is 1/α
 @given(SHARES, st.fractions(F(1, 1000), F(1, 2), max_denominator=1000))
 def test_the_fewest_runs_that_can_fail(share: F, alpha: F) -> None:
-    assert fewest(share, alpha) == next(n for n in count(1) if excluded(share, 0, n, alpha))
+    assert count_fewest_misses(share, alpha) == next(
+        n for n in count(1) if is_share_excluded(share, 0, n, alpha)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +76,7 @@ def decisions() -> np.ndarray:
     table = np.zeros((LONGEST + 1, LONGEST + 1), dtype=int)
     for n in range(1, LONGEST + 1):
         for k in range(n + 1):
-            decided = _decided(k, n, LIMIT, ALPHA)
+            decided = _is_share_reached(k, n, LIMIT, ALPHA)
             table[n, k] = 0 if decided is None else 1 if decided else -1
     return table
 
@@ -102,5 +104,5 @@ def test_a_good_trainer_hardly_ever_fails(decisions: np.ndarray, share: float) -
 
 
 def test_the_fewest_runs_for_a_tiny_share() -> None:
-    n = fewest(F(1, 10**15), F(1, 100))
+    n = count_fewest_misses(F(1, 10**15), F(1, 100))
     assert n / 1e15 - log(pi * n) / 2 == pytest.approx(log(100))

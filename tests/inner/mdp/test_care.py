@@ -10,8 +10,8 @@ from own_scenarios import check_own, own_text, scenario_of
 
 from exact_mdp import READINGS, ModelError, Scenario, counted
 from exact_mdp.mdp.care import compile as blocks
-from exact_mdp.mdp.care.compile import check_explicit, size
-from exact_mdp.mdp.care.perception import rates
+from exact_mdp.mdp.care.compile import check_explicit, estimate_size
+from exact_mdp.mdp.care.perception import compute_rates
 from exact_mdp.mdp.table import OutcomeTable
 
 # ---- models built in blocks ----------------------------------------------------------------------
@@ -24,7 +24,7 @@ def test_the_size_of_a_table_is_known_beforehand(option: str, tasks: list[int]) 
     for chosen in product(*(READINGS[name] for name in others)):
         readings = dict(zip(others, chosen, strict=True)) | {"skip_timestep": option}
         scenario = Scenario.load("yuan2025").with_(tasks=tasks, max_trial=2, readings=readings)
-        (outcomes, denominator), table = size(scenario.laws), scenario.compile().table
+        (outcomes, denominator), table = estimate_size(scenario.laws), scenario.compile().table
         assert len(table.next) <= outcomes <= 3 * len(table.next)
         assert max(int(bottom) for bottom in table.denominator) <= denominator
 
@@ -46,7 +46,7 @@ def test_last_trials_of_statuses_with_weights_of_their_own(
     statuses: int, same: bool, base: F, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scenario = weighted(statuses, same=same, base=base)
-    table, (outcomes, denominator) = scenario.compile().table, size(scenario.laws)
+    table, (outcomes, denominator) = scenario.compile().table, estimate_size(scenario.laws)
     assert (table.weight.dtype == object) == (base != F(1, 3))
     assert (denominator >= 2**62) == (base != F(1, 3))
     check_own(scenario, range(0, table.pairs - 1, 1 if statuses == 3 else 37))
@@ -73,12 +73,12 @@ def test_what_is_too_large_to_build_is_refused_for_a_reason_that_is_true() -> No
 
 def test_rates_are_of_single_statuses() -> None:
     counts = counted([("10", "11"), ("10", "00"), ("01", "01"), ("00", "10")], size=4)
-    table = rates(counts, ["anger", "confusion"])
+    table = compute_rates(counts, ["anger", "confusion"])
     assert table[["status", "rate", "right", "total"]].to_numpy().tolist() == [
         ["anger", "sensitivity", 1, 2], ["anger", "specificity", 1, 2],
         ["confusion", "sensitivity", 1, 1], ["confusion", "specificity", 2, 3],
     ]  # fmt: skip
-    empty = rates(counted([("00", "00")], size=4), ["a", "b"]).iloc[0]
+    empty = compute_rates(counted([("00", "00")], size=4), ["a", "b"]).iloc[0]
     assert (empty.total, empty.low, empty.high) == (0, 0.0, 1.0)
-    ten = rates(counted([(1, 1)] * 10 + [(0, 0)], size=2), ["a"]).iloc[0]
+    ten = compute_rates(counted([(1, 1)] * 10 + [(0, 0)], size=2), ["a"]).iloc[0]
     assert (ten.low, ten.high) == (pytest.approx(0.025**0.1), 1.0)

@@ -20,10 +20,10 @@ from exact_mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp import graph, table
 from exact_mdp.mdp.forms import threads
 from exact_mdp.mdp.graph import (
+    find_reachable_states,
     is_acyclic,
-    reachable,
+    prove_termination,
     require_termination,
-    termination,
     topological_levels,
 )
 
@@ -52,9 +52,9 @@ def test_what_is_reached_in_how_many_steps_and_whether_it_ends(rows: Rows, data)
     edges = edges_of(mdp, pairs)
     expected = set(start).union(*(nx.descendants(edges, s) for s in start))
     for chosen in (pairs, np.isin(np.arange(mdp.n_pairs), pairs)):
-        assert set(np.flatnonzero(reachable(mdp, sorted(start), chosen))) == expected
+        assert set(np.flatnonzero(find_reachable_states(mdp, sorted(start), chosen))) == expected
     edges = edges_of(mdp, [*range(mdp.n_pairs)])
-    assert set(np.flatnonzero(reachable(mdp))) == {0} | nx.descendants(edges, 0)
+    assert set(np.flatnonzero(find_reachable_states(mdp))) == {0} | nx.descendants(edges, 0)
     edges.remove_edges_from([(s, s) for s in np.flatnonzero(mdp.terminal)])
     levels = topological_levels(mdp)
     assert is_acyclic(mdp) == (levels is not None) == nx.is_directed_acyclic_graph(edges)
@@ -64,7 +64,7 @@ def test_what_is_reached_in_how_many_steps_and_whether_it_ends(rows: Rows, data)
         return max((1 + longest(after) for after in edges.successors(state)), default=0)
 
     assert levels is None or levels.tolist() == [longest(s) for s in range(mdp.n_states)]
-    end = termination(mdp)
+    end = prove_termination(mdp)
     assert end.proven == every_policy_ends(rows.n_states, rows.pairs) == proves(mdp, end.rank)
     if end.proven:
         require_termination(mdp.with_(discount=1))
@@ -79,7 +79,7 @@ def test_what_is_reached_in_how_many_steps_and_whether_it_ends(rows: Rows, data)
 
 def test_models_end_as_they_say_and_a_policy_that_does_not_is_named() -> None:
     for case in CASES:
-        assert case.discount < 1 or termination(of_case(case)).proven == case.proper
+        assert case.discount < 1 or prove_termination(of_case(case)).proven == case.proper
     rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 2, 0)]), (1, 0, [(1, 0, 0)]), (2, 0, [(1, 2, 0)])]
     mdp = MDP.from_outcomes(rows, states=["left", "right", "end"], actions=["go", "stop"])
     refused(
@@ -93,7 +93,7 @@ def test_models_end_as_they_say_and_a_policy_that_does_not_is_named() -> None:
     levels = topological_levels(care)
     assert levels.max() == 5000  # four further trials of each subtask, then the next
     assert proves(care, levels)
-    assert proves(care, termination(care).rank)
+    assert proves(care, prove_termination(care).rank)
 
 
 @given(st.integers(1, 12), st.lists(st.tuples(st.integers(0, 11), st.integers(0, 11))), st.data())
@@ -113,7 +113,7 @@ def test_components_and_closures_are_those_of_networkx(size: int, ends, data) ->
     assert [*dict.fromkeys(parts.tolist())] == [*range(len(expected))]
     begins = np.flatnonzero(first).tolist()
     reached = set(begins).union(*(nx.descendants(known, node) for node in begins))
-    assert set(np.flatnonzero(graph.closure(edges, first))) == reached
+    assert set(np.flatnonzero(graph.find_reachable_nodes(edges, first))) == reached
 
 
 # ---- rows ----------------------------------------------------------------------------------------

@@ -7,13 +7,16 @@ import pytest
 from bare_numbers import bare_numbers
 
 from exact_mdp import Bounded, Certified
-from exact_mdp.mdp.report import Report, Table, claimed
-from exact_mdp.mdp.result import data_frame, framed
+from exact_mdp.mdp.report import Report, Table, list_claim_facts
+from exact_mdp.mdp.result import data_frame, frame_to_table
 
 SURE = {
     "nothing": {"states": 3, "share": Fraction(1, 3), "name": "x"},
     "each": {"value": Bounded(value=1.5, error=1e-9), "by": [Certified(value=Fraction(1, 2))]},
-    "one for all": {**claimed("value", Bounded(value=1.5, error=0.0)), "others": {"a": 0.5}},
+    "one for all": {
+        **list_claim_facts("value", Bounded(value=1.5, error=0.0)),
+        "others": {"a": 0.5},
+    },
 }
 BARE: dict[str, dict[str, Any]] = {
     "a fact": {"value": 1.5},
@@ -35,7 +38,7 @@ def test_a_bare_number_fails_wherever_it_is_shown(facts: dict[str, Any], form: s
 
 
 @pytest.mark.parametrize("table", [
-    framed(data_frame({"state": ["a"], "value": [0.5]})),
+    frame_to_table(data_frame({"state": ["a"], "value": [0.5]})),
     Table(title="states", columns={"value": "value"}, rows=[{"value": 0.5}]),
 ])  # fmt: skip
 def test_a_bare_number_in_a_table_fails(table: Table) -> None:

@@ -28,12 +28,12 @@ def test_a_batch_is_its_models_one_by_one(discount: str, sense: str) -> None:
     models = [drawn(seed, discount, sense) for seed in range(25)]
     batch = Batch.of(models)
     assert batch is not None
-    found = batch.optimum()
+    found = batch.solve_models()
     assert found is not None
     shares = np.array([0.5, 0.25, 0.25, 0, 1, 0.125, 0.875, 1])
     amounts = np.stack([np.arange(8.0), np.ones(8)], axis=1)
     own, off = batch.of_policy(shares)
-    totals = batch.totals(shares, np.stack([amounts] * len(models)))
+    totals = batch.compute_totals(shares, np.stack([amounts] * len(models)))
     for k, mdp in enumerate(models):
         sign, rate, rows = mdp.sign, mdp.discount_exact, rows_of(mdp)
         ended = {3} if rate == 1 else set()

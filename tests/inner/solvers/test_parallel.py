@@ -13,7 +13,7 @@ import pytest
 from numpy.random import SeedSequence, default_rng
 
 from exact_mdp import ModelError
-from exact_mdp.solvers.parallel import many
+from exact_mdp.solvers.parallel import run_pieces
 
 KEY = {"model": "normal draws", "seed": 0}
 
@@ -56,7 +56,7 @@ def failing_last(folder: str, index: int) -> dict[str, Any]:
 def test_what_is_finished_before_an_error_is_kept(tmp_path: Path, n_jobs: int) -> None:
     work = partial(failing_last, str(tmp_path))
     with pytest.raises(ModelError, match="piece 2 cannot be done"):
-        many(work, range(3), key=KEY, folder=tmp_path, n_jobs=n_jobs)
+        run_pieces(work, range(3), key=KEY, folder=tmp_path, n_jobs=n_jobs)
     files = {path.name for path in tmp_path.glob("*.npz")}
     assert files == {"000000.npz", "000001.npz"}
 
@@ -64,10 +64,10 @@ def test_what_is_finished_before_an_error_is_kept(tmp_path: Path, n_jobs: int) -
 def test_a_process_that_dies_loses_no_finished_piece(tmp_path: Path) -> None:
     work = partial(draws_that_die, str(tmp_path))
     with pytest.raises(ModelError, match="a worker process died"):
-        many(work, range(12), key=KEY, n_jobs=2, folder=tmp_path)
+        run_pieces(work, range(12), key=KEY, n_jobs=2, folder=tmp_path)
     kept = {path: path.read_bytes() for path in tmp_path.glob("*.npz")}
     assert kept
-    assert same(many(work, range(12), key=KEY, n_jobs=2, folder=tmp_path))
+    assert same(run_pieces(work, range(12), key=KEY, n_jobs=2, folder=tmp_path))
     assert {path: path.read_bytes() for path in kept} == kept
 
 
@@ -86,5 +86,5 @@ def test_no_more_workers_start_than_there_are_cores_and_pieces(
 
     monkeypatch.setattr(joblib, "cpu_count", lambda: 4)
     monkeypatch.setattr(joblib, "Parallel", Noted)
-    assert len(many(draws, range(pieces), key=KEY, n_jobs=wanted)) == pieces
+    assert len(run_pieces(draws, range(pieces), key=KEY, n_jobs=wanted)) == pieces
     assert seen == ([] if started is None else [started])

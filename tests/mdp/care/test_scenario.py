@@ -130,7 +130,7 @@ def test_numbers_that_outgrow_64_bits_stay_exact(values: dict[str, Any], skip: s
     assert any(wide)
     check_pairs(mdp, oracle, sample(mdp, 40, 3))
     probabilities = [float(p) for pair in range(mdp.n_pairs) for p, _, _ in table.row(pair)]
-    assert table.probabilities().tolist() == probabilities
+    assert table.compute_probabilities().tolist() == probabilities
 
 
 # ---- settings and errors -------------------------------------------------------------------------

@@ -19,34 +19,34 @@ from exact_mdp import ModelError, Scenario, counted, evaluate, independent, perc
 from exact_mdp.paper_repro.agents import DISCLAIMER, log
 from exact_mdp.paper_repro.agents.__main__ import main
 from exact_mdp.paper_repro.agents.scripted import PHRASES, Scripted
-from exact_mdp.paper_repro.agents.simulate import NAME, Conversation, conversation
-from exact_mdp.paper_repro.agents.texts import PROMPTS, VARIANTS, Modules, Request, encode
+from exact_mdp.paper_repro.agents.simulate import NAME, Conversation, build_conversation
+from exact_mdp.paper_repro.agents.texts import PROMPTS, VARIANTS, Modules, Request, to_safe_json
 
 STATUS = {"forgetfulness": 1, "confusion": 0, "anger": 1, "disengagement": 0}
 PAST = [{"timestep": 0, "nonverbal": "Nods.", "verbal": "PAST WORDS", "caregiver": "PAST ANSWER"}]
 BEHAVIOUR = {"nonverbal": "NOW SEEN", "verbal": "NOW SAID"}
 MODULES = Modules.of(Scenario.load("yuan2025"))
-PLACE = MODULES.place(1, 3, 5)
+PLACE = MODULES.describe_place(1, 3, 5)
 
 
 def talk(**settings: Any) -> Conversation:
     backend = settings.pop("backend", None) or Scripted(noise=0.1)
-    return conversation(backend, **{"policy": "random", "seed": 7} | settings)
+    return build_conversation(backend, **{"policy": "random", "seed": 7} | settings)
 
 
 def steps_of(one: Conversation) -> list[dict[str, Any]]:
     steps: list[dict[str, Any]] = []
     while not steps or not one.mdp.terminal[steps[-1]["next_state"]]:
-        steps.append(one.step(steps))
+        steps.append(one.simulate_step(steps))
     return steps
 
 
 def requests(variant: str = "detailed+status") -> dict[str, Request]:
     modules = replace(MODULES, variant=variant)
     return {
-        "behaviour": modules.behaviour(PLACE, PAST, STATUS, 1),
-        "perception": modules.perception(BEHAVIOUR, 2),
-        "execution": modules.execution(PLACE, PAST, BEHAVIOUR, "directive", STATUS, 3),
+        "behaviour": modules.ask_behaviour(PLACE, PAST, STATUS, 1),
+        "perception": modules.ask_perception(BEHAVIOUR, 2),
+        "execution": modules.ask_execution(PLACE, PAST, BEHAVIOUR, "directive", STATUS, 3),
     }
 
 
@@ -71,10 +71,10 @@ def test_prompts_have_every_component_in_the_papers_order_and_hold_what_they_are
         assert sign in prompts["behaviour"]
         assert sign in prompts["execution"]
         assert sign not in prompts["perception"]
-    assert encode(STATUS) in prompts["behaviour"]
+    assert to_safe_json(STATUS) in prompts["behaviour"]
     assert "decided on: directive" in prompts["execution"]
     assert "NOW SAID" in prompts["perception"]
-    assert encode(STATUS) not in prompts["perception"]  # nobody tells it the status
+    assert to_safe_json(STATUS) not in prompts["perception"]  # nobody tells it the status
     assert set(requests()["perception"].facts) == {"nonverbal", "verbal"}
 
 
@@ -90,7 +90,7 @@ def test_the_four_variants(variant: str) -> None:
 def test_data_stays_within_its_tags(attack: str) -> None:
     behaviour = {"nonverbal": attack, "verbal": attack}
     past = [PAST[0] | {"verbal": attack, "caregiver": attack}]
-    prompt = text(MODULES.execution(PLACE, past, behaviour, "directive", STATUS, 0))
+    prompt = text(MODULES.ask_execution(PLACE, past, behaviour, "directive", STATUS, 0))
     for tag in ("behaviour", "history", "status"):
         assert prompt.count(f"<{tag}>") == prompt.count(f"</{tag}>") == 1
     assert json.loads(prompt.split("<behaviour>\n")[1].split("\n</behaviour>")[0]) == behaviour
@@ -109,19 +109,19 @@ def test_scenarios_without_words_are_refused() -> None:
 def test_statuses_are_read_back_from_phrases_and_from_whole_behaviours() -> None:
     for kind, parts in PHRASES["behaviour"].items():
         for phrase in chain(*parts.values()):
-            seen = Scripted().answer(MODULES.perception({"nonverbal": phrase, "verbal": ""}, 0))
+            seen = Scripted().answer(MODULES.ask_perception({"nonverbal": phrase, "verbal": ""}, 0))
             assert seen == {name: int(name == kind) for name in STATUS}, (kind, phrase)
     for bits, seed in product(product((0, 1), repeat=4), range(4)):
         status = dict(zip(STATUS, bits, strict=True))
-        behaviour = Scripted().answer(MODULES.behaviour(PLACE, PAST, status, seed))
-        assert Scripted().answer(MODULES.perception(behaviour, seed)) == status
+        behaviour = Scripted().answer(MODULES.ask_behaviour(PLACE, PAST, status, seed))
+        assert Scripted().answer(MODULES.ask_perception(behaviour, seed)) == status
 
 
 # ---- the law -------------------------------------------------------------------------------------
 
 
 def test_the_mean_return_is_the_exact_one_under_the_same_errors() -> None:
-    one = conversation(Scripted(noise=0.2), policy="reported:non-directive", history=0)
+    one = build_conversation(Scripted(noise=0.2), policy="reported:non-directive", history=0)
     confusion = independent([0.8] * 4, [0.8] * 4)
     exact = evaluate(one.mdp, perceived(one.mdp, one.policy, confusion))
     returns = [
@@ -138,7 +138,7 @@ def test_the_mean_return_is_the_exact_one_under_the_same_errors() -> None:
 def test_every_reading_plays_to_its_end(change: str, policy: str) -> None:
     one = talk(sets=[change], policy=policy, seed=3)
     steps = steps_of(one)
-    end = log.totals(steps)
+    end = log.compute_totals(steps)
     assert end["completed"] + end["skipped"] == sum(one.scenario.tasks)
     for step in steps:
         assert (step["assistance"] == "") == (step["action"] in ("none", "skip"))
@@ -179,7 +179,7 @@ def test_a_failure_loses_the_running_step_alone(tmp_path: Path) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         talk(backend=Failing(noise=0.1)).hold(tmp_path)
-    assert 0 < len(log.read(tmp_path / NAME).steps) < 4
+    assert 0 < len(log.read_recording(tmp_path / NAME).steps) < 4
     assert "Timestep 0" in (tmp_path / "conversation.txt").read_text("utf-8")
     again = talk().hold(tmp_path, resume=True)
     assert again.end == talk().hold(tmp_path / "whole").end
@@ -224,13 +224,13 @@ def test_words_cannot_look_like_a_line_of_the_record(tmp_path: Path, said: str) 
 
 
 def label(path: Path, noise: float, each: int) -> None:
-    talk(backend=Scripted(noise=noise), seed=1).labelled(path, each=each, behave=Scripted())
+    talk(backend=Scripted(noise=noise), seed=1).label_behaviours(path, each=each, behave=Scripted())
 
 
 def test_the_counted_matrix_is_that_of_independent_errors(tmp_path: Path) -> None:
     path = tmp_path / "labelled.jsonl"
     label(path, noise=0.2, each=40)
-    pairs = [(step["status"], step["perceived"]) for step in log.read(path).steps]
+    pairs = [(step["status"], step["perceived"]) for step in log.read_recording(path).steps]
     counts, status = counted(pairs, size=16), np.arange(16)
     for bit in 1 << np.arange(4):
         for present in ((status & bit) > 0, (status & bit) == 0):

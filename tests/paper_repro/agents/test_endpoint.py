@@ -12,14 +12,22 @@ import pytest
 from fake_endpoint import DRIPS, GOOD, fake_endpoint
 
 from exact_mdp import ModelError, Scenario
-from exact_mdp.paper_repro.agents.endpoint import SHAPES, BackendError, Endpoint, Malformed, checked
-from exact_mdp.paper_repro.agents.simulate import NAME, conversation
+from exact_mdp.paper_repro.agents.endpoint import (
+    SHAPES,
+    BackendError,
+    Endpoint,
+    Malformed,
+    require_form,
+)
+from exact_mdp.paper_repro.agents.simulate import NAME, build_conversation
 from exact_mdp.paper_repro.agents.texts import Modules
 
 KEY = "sk-test-0123456789abcdef"
 ELSEWHERE = "https://example.org/v1"
 MODULES = Modules.of(Scenario.load("yuan2025"))
-QUESTION = MODULES.behaviour(MODULES.place(0, 1, 5), (), dict.fromkeys(MODULES.statuses, 0), 3)
+QUESTION = MODULES.ask_behaviour(
+    MODULES.describe_place(0, 1, 5), (), dict.fromkeys(MODULES.statuses, 0), 3
+)
 
 
 @pytest.fixture(autouse=True)
@@ -53,16 +61,16 @@ def test_a_conversation_finishes_over_faults_and_is_resumed_after_a_failure(tmp_
     (tmp_path / "two").mkdir()
     with fake_endpoint(429, "malformed", 500, "drop", "fenced", "wrong-schema", "cut") as state:
         one = endpoint(state.url, tries=8)
-        record = conversation(one).hold(tmp_path)
+        record = build_conversation(one).hold(tmp_path)
         assert record.end is not None
         assert KEY not in (tmp_path / NAME).read_text("utf-8")
         assert record.header["backend"]["base_url"] == state.url
         with pytest.raises(BackendError):
-            conversation(one).hold(
+            build_conversation(one).hold(
                 tmp_path / "two", progress=lambda _: state.faults.__setitem__(slice(None), [401])
             )
         assert (tmp_path / "two" / NAME).read_text("utf-8").count("\n") == 2  # header and a step
-        assert conversation(one).hold(tmp_path / "two", resume=True).end is not None
+        assert build_conversation(one).hold(tmp_path / "two", resume=True).end is not None
 
 
 @pytest.mark.parametrize("fault", [408, 429, 500, 503, "drop", "not-json", "no-choice"])
@@ -130,9 +138,9 @@ def test_an_answer_is_bounded_in_time_and_size_and_not_unpacked(fault: str, word
         {"b": 0.0}))],
 )  # fmt: skip
 def test_only_the_asked_form_is_taken(value: object) -> None:
-    assert checked({"x": "a", "b": 1}, {"x": "text", "b": "bit"}) == {"x": "a", "b": 1}
+    assert require_form({"x": "a", "b": 1}, {"x": "text", "b": "bit"}) == {"x": "a", "b": 1}
     with pytest.raises(Malformed):
-        checked(value, {"x": "text", "b": "bit"})
+        require_form(value, {"x": "text", "b": "bit"})
 
 
 # ---- the key and the way -------------------------------------------------------------------------
@@ -144,7 +152,7 @@ def test_the_key_is_shown_and_kept_by_nothing(tmp_path: Path) -> None:
     assert KEY.encode() not in pickle.dumps(one.describe())
     given_away = pytest.raises(BackendError, match="holds the key")
     with fake_endpoint("say") as state, given_away as caught:
-        conversation(endpoint(state.url)).hold(tmp_path)
+        build_conversation(endpoint(state.url)).hold(tmp_path)
     assert KEY not in str(caught.value)
     assert all(KEY.encode() not in path.read_bytes() for path in tmp_path.iterdir())
 

@@ -109,7 +109,7 @@ def test_runs_without_end_are_a_return_of_their_own(model: Pairs) -> None:
             sign = inf if mean > 0 else -inf
             lost[sign] = lost.get(sign, F(0)) + sum(star[0][t] for t in each)
         elif any(reward[t] for t in each) and any(star[0][t] for t in each):
-            with pytest.raises(ModelError, match="cancel for ever"):
+            with pytest.raises(ModelError, match="cancel forever"):
                 return_distribution(mdp, [0] * size)
             return
     endless = return_distribution(mdp, [0] * size)

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.analysis.gate.regret import kept
-from exact_mdp.analysis.vary.intervals import Ranged, share_of
+from exact_mdp.analysis.gate.regret import is_at_most
+from exact_mdp.analysis.vary.intervals import Ranged, estimate_share
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.transitions import CUT_OFF
 from exact_mdp.mdp.model import MDP
@@ -59,17 +59,17 @@ class RegretInterval(Result):
         level = f"{100 * self.confidence:.10g} % confidence"
         return f"[{self.low:.6g}, {self.high:.6g}] at {level}, {self.by}"
 
-    def decided(self, limit: Fraction) -> bool | None:
+    def keeps_limit(self, limit: Fraction) -> bool | None:
         """Return whether the regret is at most `limit`; None where the records leave it open."""
-        return kept((self.low, self.high), limit)
+        return is_at_most((self.low, self.high), limit)
 
     def within(self, limit: Fraction) -> Ranged:
         """Return the probability that the regret is at most `limit`, as the draws show it."""
         assert self.draws is not None
         hits = int((self.draws <= float_of(limit, "limit")).sum())
-        return share_of(hits, len(self.draws))
+        return estimate_share(hits, len(self.draws))
 
-    def facts(self, limit: Fraction | None) -> dict[str, Any]:
+    def list_facts(self, limit: Fraction | None) -> dict[str, Any]:
         """Return what a report says of it; of draws also how likely the limit is kept."""
         found = dict(self.found)
         if self.draws is not None and limit is not None:
@@ -85,7 +85,7 @@ class RegretInterval(Result):
     def report(self) -> Report:
         """Return the interval, what else was found, and what it rests on."""
         notes = [f"assumed: {each}" for each in self.assumptions]
-        facts = {**self.facts(None), "claim": Shown(self.claim)}
+        facts = {**self.list_facts(None), "claim": Shown(self.claim)}
         return Report(title="interval of the regret", facts=facts, notes=notes)
 
     def frame(self) -> DataFrame:
@@ -115,14 +115,16 @@ def of_process(mdp: MDP) -> tuple[str, ...]:
         if mdp.episodes is None
         else "the recorded episodes begin as those of the process do, each drawn by itself",
     ]
-    if ends := entered(mdp):
+    if ends := list_entered_states(mdp):
         said = "nothing is earned any more after"
-        sentences.append(f"{said} {_some(ends)}: entered and never left, taken for ends")
+        sentences.append(
+            f"{said} {_format_first_names(ends)}: entered and never left, taken for ends"
+        )
     # Where actions that nobody took are offered all the same, `Robust.assumptions` says so.
     offered = set(zip(mdp.pair_state.tolist(), mdp.pair_action.tolist(), strict=True))
     if never := [(s, a) for s, a in never_taken(mdp).tolist() if (s, a) not in offered]:
         names = [f"{mdp.space.label(state)}: {mdp.actions[action]}" for state, action in never]
-        sentences.append(f"what nobody took is not to be had: {_some(names)}")
+        sentences.append(f"what nobody took is not to be had: {_format_first_names(names)}")
     if mdp.n_actions == 1:
         sentences.append(
             "only one action was ever taken, and no other is to be had: nothing can be lost"
@@ -130,17 +132,17 @@ def of_process(mdp: MDP) -> tuple[str, ...]:
     return tuple(sentences)
 
 
-def named(mdp: MDP, states: Flags) -> str:
+def format_states(mdp: MDP, states: Flags) -> str:
     """Return the names of some states (S,) in brackets."""
-    return _some(mdp.space.labels(np.flatnonzero(states)))
+    return _format_first_names(mdp.space.labels(np.flatnonzero(states)))
 
 
-def _some(names: Sequence[str]) -> str:
+def _format_first_names(names: Sequence[str]) -> str:
     more = len(names) - SHOWN
     return f"({', '.join(names[:SHOWN])}{f' and {more:,} more' if more > 0 else ''})"
 
 
-def range_of(given: Any, what: str) -> Ends | None:
+def parse_range(given: Any, what: str) -> Ends | None:
     """Return the ends of a range that the user states, None where there is none."""
     if given is None:
         return None
@@ -162,18 +164,18 @@ def of_sense(mdp: MDP, ends: Ends) -> Ends:
 # ---- what records leave open of the model -------------------------------------------------------
 
 
-def over(mdp: MDP) -> Flags:
+def find_recorded_ends(mdp: MDP) -> Flags:
     """Return (S,) ends, worth 0 whatever the rows: nobody left them, and nobody was cut off."""
     left = np.logical_or.reduceat(observations_of(mdp) > 0, mdp.pair_offsets[:-1])
     return mdp.terminal & ~left & ~cut_off(mdp)
 
 
-def entered(mdp: MDP) -> tuple[str, ...]:
+def list_entered_states(mdp: MDP) -> tuple[str, ...]:
     """Return the states of a model with counts that were entered and never left.
 
     It takes them for ends, which the records do not say: they may have been cut off there.
     """
-    states = np.flatnonzero(over(mdp)[: mdp.space.regular])
+    states = np.flatnonzero(find_recorded_ends(mdp)[: mdp.space.regular])
     return tuple(mdp.space.labels(states))
 
 

@@ -26,7 +26,7 @@ from exact_mdp.analysis.gate.data.interval import (
 from exact_mdp.analysis.gate.data.robust import Robust
 from exact_mdp.analysis.gate.data.sets import Given
 from exact_mdp.analysis.vary.intervals import mean_at_least, mean_of
-from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.errors import ModelError, locate_errors
 from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -113,8 +113,8 @@ class OffPolicy:
                 where=mdp.where(int(refuted.argmax())),
                 fix="state the policy that chose the recorded actions, or leave it to be estimated",
             )
-        record = transitions.Record(self.records, self.columns)
-        w, returns, steps, cut, ended = _trajectories(mdp, ratio, record, horizon)
+        record = transitions.TransitionRecord(self.records, self.columns)
+        w, returns, steps, cut, ended = _read_trajectories(mdp, ratio, record, horizon)
         lowest, highest = bounds.range
         ends = returns[~cut]
         if len(ends) and not lowest <= ends.min() <= ends.max() <= highest:
@@ -157,19 +157,19 @@ class OffPolicy:
         )
 
 
-def _trajectories(
-    mdp: MDP, ratio: Floats, record: transitions.Record, horizon: int | None
+def _read_trajectories(
+    mdp: MDP, ratio: Floats, record: transitions.TransitionRecord, horizon: int | None
 ) -> tuple[Floats, Floats, Integers, Flags, int]:
     """Return weight, return and length (E,) of each episode, and whether it was cut off.
 
     Last comes how many stop in a state that is taken for an end. `ratio` is (1, L), or (N, L) by
     time.
     """
-    parts = list(record.read())
+    parts = list(record.read_chunks())
     if not parts:
         raise ModelError("no transitions", where=record.where, fix="give at least one row")
     episode, keys = map(np.concatenate, zip(*parts, strict=True))
-    with located(record.where):
+    with locate_errors(record.where):
         states = np.array([mdp.space.number(str(name)) for name in record.numbers["state"]])
         actions = np.array([mdp.action(str(name)) for name in record.numbers["action"]])
     pairs = mdp.by_action(np.arange(mdp.n_pairs), -1).astype(np.int64)

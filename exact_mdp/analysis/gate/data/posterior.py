@@ -23,19 +23,19 @@ from numpy.random import SeedSequence
 from exact_mdp.analysis.gate.data.interval import (
     RegretInterval,
     cut_off,
-    named,
+    format_states,
     observations_of,
     of_process,
 )
-from exact_mdp.analysis.vary.intervals import quantiles, require_draws, upper_quantile
+from exact_mdp.analysis.vary.intervals import estimate_quantiles, require_draws, upper_quantile
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, exact, shown
-from exact_mdp.mdp.validate import RNG, counted, seed_of
+from exact_mdp.mdp.table import Floats, exact, format_rational
+from exact_mdp.mdp.validate import RNG, require_count, seed_of
 from exact_mdp.solvers.batch import Batch
 from exact_mdp.solvers.bounds.gains import SLACK, gamma
-from exact_mdp.solvers.parallel import Arrays, joined, many, seeded
-from exact_mdp.solvers.solution import regrets
+from exact_mdp.solvers.parallel import Arrays, join_blocks, run_pieces, seed_blocks
+from exact_mdp.solvers.solution import compute_regrets
 
 DRAWS = 2000
 BLOCK = 250  # draws in a piece of work, each with its own seed
@@ -57,7 +57,7 @@ class Posterior:
         Draws; few do not show a high quantile, and are refused.
     rng : int or Generator
     n_jobs, progress
-        Where the work is done, as `solvers.parallel.many` takes it; results do not change.
+        Where the work is done, as `solvers.parallel.run_pieces` takes it; results do not change.
 
     Examples
     --------
@@ -83,7 +83,8 @@ class Posterior:
         """Return the interval; raises ModelError without counts, for a bad prior or few draws."""
         if (unknown := cut_off(mdp)).any():
             raise ModelError(
-                f"episodes were cut off in {named(mdp, unknown)}, which no record leaves: no prior "
+                f"episodes were cut off in {format_states(mdp, unknown)}, "
+                "which no record leaves: no prior "
                 "says what follows there",
                 where="posterior",
                 fix="ask for a robust interval, or record what follows",
@@ -96,21 +97,21 @@ class Posterior:
             )
         given, seed, level = exact(self.prior, "prior"), seed_of(self.rng), float(confidence)
         if not 1e-6 <= given <= 1e9:
-            what = f"the prior is {shown(given)} observations"
+            what = f"the prior is {format_rational(given)} observations"
             raise ModelError(what, where="prior", fix="give 1e-6 to 1e9, such as 1")
         prior = float(given)
-        n = counted(self.n, "the number of draws, n,", 2)
+        n = require_count(self.n, "the number of draws, n,", 2)
         require_draws(n, level)
-        blocks = many(
-            partial(_block, mdp.maximised, observations_of(mdp) > 0, own, prior),
-            seeded(seed, n, BLOCK),
+        blocks = run_pieces(
+            partial(_sample_regrets, mdp.maximised, observations_of(mdp) > 0, own, prior),
+            seed_blocks(seed, n, BLOCK),
             key={},
             n_jobs=self.n_jobs,
             progress=self.progress,
             what="draws",
         )
-        draws = joined(blocks)["regret"]
-        low, high = quantiles(draws, [(1 - level) / 2, (1 + level) / 2])
+        draws = join_blocks(blocks)["regret"]
+        low, high = estimate_quantiles(draws, [(1 - level) / 2, (1 + level) / 2])
         return RegretInterval(
             low=0.0,
             high=upper_quantile(draws, level),
@@ -137,11 +138,13 @@ class Posterior:
         )
 
 
-def drawn(mdp: MDP, known: np.ndarray, prior: float, rng: np.random.Generator, count: int) -> Batch:
+def sample_models(
+    mdp: MDP, known: np.ndarray, prior: float, rng: np.random.Generator, count: int
+) -> Batch:
     """Return models of the posterior, whose pairs are drawn where they were counted (L,)."""
     table, shape, part = mdp.table, mdp.transition.shape, prior / mdp.n_states
     seen = known[table.pair]
-    pair, following, gain = table.pair[seen], table.next[seen], table.gains()[seen]
+    pair, following, gain = table.pair[seen], table.next[seen], table.compute_gains()[seen]
     # A next state that was seen with several rewards has their share of the prior each.
     _, place, rewards = np.unique(
         pair * shape[1] + following, return_inverse=True, return_counts=True
@@ -185,7 +188,7 @@ def drawn_regrets(models: Batch, own: Floats) -> Floats:
     A policy (N, L) by time is that of episodes of N steps, solved by backward induction.
     """
     if own.ndim == 1:
-        optimum = models.optimum()
+        optimum = models.solve_models()
         if optimum is None:
             raise ModelError(
                 "a model drawn from the posterior is not solved: an episode may never end",
@@ -194,7 +197,7 @@ def drawn_regrets(models: Batch, own: Floats) -> Floats:
             )
         best, error = models.at_start(*optimum[:2])
         value, off = models.of_policy(own)
-        return regrets(best, value, error + off)
+        return compute_regrets(best, value, error + off)
     value = np.zeros((len(models.rows), len(models.first), 2))
     for taken in own[::-1]:
         ahead = models.rate[0] * np.einsum("dls,dsv->dlv", models.rows, value)
@@ -205,14 +208,14 @@ def drawn_regrets(models: Batch, own: Floats) -> Floats:
     # Each value is a sum over N steps, of at most L + S + 4 roundings each.
     size = len(own) * np.abs(models.reward).max(axis=1)
     noise = 2 * gamma(len(own) * (sum(models.rows.shape[1:]) + 4)) * size * SLACK
-    return regrets(best, mine, noise)
+    return compute_regrets(best, mine, noise)
 
 
-def _block(
+def _sample_regrets(
     mdp: MDP, known: np.ndarray, own: Floats, prior: float, piece: tuple[SeedSequence, int]
 ) -> Arrays:
     sequence, count = piece
     rng, size = np.random.default_rng(sequence), max(1, ROOM // mdp.n_pairs // mdp.n_states)
     parts = [min(size, count - done) for done in range(0, count, size)]
-    regrets = [drawn_regrets(drawn(mdp, known, prior, rng, part), own) for part in parts]
+    regrets = [drawn_regrets(sample_models(mdp, known, prior, rng, part), own) for part in parts]
     return {"regret": np.concatenate(regrets)}

@@ -29,12 +29,12 @@ from exact_mdp.analysis.gate.data.interval import (
     Ends,
     RegretInterval,
     cut_off,
-    named,
+    find_recorded_ends,
+    format_states,
     observations_of,
     of_process,
     of_sense,
-    over,
-    range_of,
+    parse_range,
 )
 from exact_mdp.analysis.gate.data.sets import Given, RowSets, Step
 from exact_mdp.mdp.errors import ModelError
@@ -97,7 +97,7 @@ class Robust:
 
     def bounds(self, mdp: MDP, own: Floats, doubt: float) -> RobustBounds:
         """Return the bounds within sets of rows that some are outside of with this probability."""
-        sets, returns = RowSets.of(mdp, doubt, self.rewards), range_of(self.returns, "returns")
+        sets, returns = RowSets.of(mdp, doubt, self.rewards), parse_range(self.returns, "returns")
         if returns is None:
             return robust_bounds(sets, own)
         if own.ndim > 1:
@@ -123,7 +123,7 @@ class Robust:
         if sets.unknown.any():
             said.append(
                 "what follows where episodes were cut off and no record leaves, "
-                f"{named(mdp, sets.unknown)}, is worth whatever rewards allow"
+                f"{format_states(mdp, sets.unknown)}, is worth whatever rewards allow"
             )
         if (sets.counted[~mdp.terminal[mdp.pair_state]] == 0).any():
             said.append("actions that nobody took are worth what the model says")
@@ -134,7 +134,7 @@ def _require_seen(mdp: MDP, returns: Ends) -> None:
     """Raise ModelError where a recorded transition cannot have a total in the range stated."""
     table = mdp.table
     seen, ended = observations_of(mdp)[table.pair] > 0, mdp.terminal & ~cut_off(mdp)
-    gain, after = table.gains(), np.where(ended[table.next], 0.0, mdp.discount)
+    gain, after = table.compute_gains(), np.where(ended[table.next], 0.0, mdp.discount)
     low, high = (gain + after * end for end in returns)
     outside = seen & ((low > returns[1]) | (high < returns[0]))
     if outside.any():
@@ -176,17 +176,17 @@ def robust_bounds(sets: RowSets, own: Floats, returns: Ends | None = None) -> Ro
     With a policy (N, L) by time, of episodes of N steps; nature may choose other rows at each time.
     """
     if own.ndim == 1:
-        ends = _totals(sets) if returns is None else returns
-        return Operators(sets=sets, own=own, ends=ends).bounds()
+        ends = _bound_totals(sets) if returns is None else returns
+        return Operators(sets=sets, own=own, ends=ends).bound_values()
     none = np.zeros((2, sets.mdp.n_states))
     bounds = RobustBounds(sets=sets, range=(0.0, 0.0), own=none, best=none, lost=none)
     for steps in tqdm.trange(1, len(own) + 1, desc="stages", disable=None, delay=2):
-        at = Operators(sets=sets, own=own[-steps], ends=_totals(sets, steps))
-        bounds = at.bounds(bounds)
+        at = Operators(sets=sets, own=own[-steps], ends=_bound_totals(sets, steps))
+        bounds = at.bound_values(bounds)
     return bounds
 
 
-def _totals(sets: RowSets, steps: int | None = None) -> Ends:
+def _bound_totals(sets: RowSets, steps: int | None = None) -> Ends:
     """Return where the total of some steps lies, or of all, in every model of the sets."""
     (low, high), rest = sets.of_a_step, 1 - sets.mdp.discount_exact
     if steps is None and not rest:
@@ -216,23 +216,25 @@ class Operators:
         offsets = self.sets.mdp.pair_offsets
         return sp.csr_array((self.own, np.arange(len(self.own)), offsets))
 
-    def bounds(self, later: RobustBounds | None = None) -> RobustBounds:
+    def bound_values(self, later: RobustBounds | None = None) -> RobustBounds:
         """Return the bounds before a step that `later` follows; unless given, it comes for ever."""
         then = dict.fromkeys(("own", "best", "lost")) if later is None else vars(later)
         own, best = (
-            np.array([self.settled(most, then[whose], mixing=mixing) for most in (0, 1)])
+            np.array([self.bound_fixed_point(most, then[whose], mixing=mixing) for most in (0, 1)])
             for whose, mixing in (("own", self.mixing), ("best", None))
         )
         after, lost = {"own": own, "best": best} if later is None else vars(later), []
-        for most, advantage in enumerate(self.advantages(*after["own"])):
-            ahead = self.sets.worth(after["best"][most], most=bool(most)).bound
+        for most, advantage in enumerate(self.bound_advantages(*after["own"])):
+            ahead = self.sets.solve_inner_problem(after["best"][most], most=bool(most)).bound
             apart = ahead - own[1 - most][self.sets.mdp.pair_state]
             first = np.maximum(best[most] - own[1 - most], 0.0)
-            lost.append(self.settled(most, then["lost"], first, losing=(advantage, apart)))
+            lost.append(
+                self.bound_fixed_point(most, then["lost"], first, losing=(advantage, apart))
+            )
         sides = {"own": own, "best": best, "lost": np.array(lost)}
         return RobustBounds(sets=self.sets, range=self.ends, **sides)
 
-    def step(
+    def apply_operator(
         self,
         value: Floats,
         *,
@@ -246,7 +248,7 @@ class Operators:
         model for each side: what the best may be worth less what the policy is (L,).
         """
         mdp, unknown = self.sets.mdp, self.sets.unknown
-        nature = self.sets.worth(value, most=bool(most), rewards=losing is None)
+        nature = self.sets.solve_inner_problem(value, most=bool(most), rewards=losing is None)
         pairs, gain, off = nature.bound, self.ends[most], 0.0
         if losing is not None:
             advantage, apart = losing
@@ -262,7 +264,7 @@ class Operators:
             off = (4 if most else -4) * UNIT * mdp.n_actions
         bound = mixing @ pairs + off * (mixing @ np.abs(pairs))
 
-        def piece() -> tuple[sp.csr_array, Floats]:
+        def compute_piece() -> tuple[sp.csr_array, Floats]:
             laws, constant = nature.piece()
             if losing is not None:
                 laws = laws.multiply(alone.astype(np.float64)[:, None])
@@ -272,14 +274,16 @@ class Operators:
                 mixed = sp.csr_array(mixed.multiply((~unknown).astype(np.float64)[:, None]))
             return mixed, np.where(unknown, gain, mixing @ constant)
 
-        return Step(np.where(unknown, gain, bound), piece)
+        return Step(np.where(unknown, gain, bound), compute_piece)
 
-    def advantages(self, low: Floats, high: Floats) -> tuple[Floats, Floats]:
+    def bound_advantages(self, low: Floats, high: Floats) -> tuple[Floats, Floats]:
         """Return bounds (L,) of A_P(l) in every model P, with V^π that follows within bounds."""
         mdp, own, mixing = self.sets.mdp, self.own, self.mixing
         middle = (low + high) / 2
         half = np.maximum(high - middle, middle - low)
-        least, most = (self.sets.worth(middle, most=side).bound for side in (False, True))
+        least, most = (
+            self.sets.solve_inner_problem(middle, most=side).bound for side in (False, True)
+        )
         moved = np.minimum(np.sqrt(2 * self.sets.radius) * SLACK, 2.0) * float(half.max())
         state = mdp.pair_state
         apart = abs(mdp.transition - (mixing @ mdp.transition)[state]) @ half
@@ -293,7 +297,7 @@ class Operators:
             advantages.append(np.where(own == 1, 0.0, (1 - own) * mine - rest + sign * coupled))
         return advantages[0], advantages[1]
 
-    def settled(
+    def bound_fixed_point(
         self, most: int, then: Sides | None, first: Floats | None = None, **of: Any
     ) -> Floats:
         """Return (S,) bounds of the fixed point of a step, or of one step: from below or above.
@@ -303,13 +307,13 @@ class Operators:
         """
         mdp, (sign, take) = self.sets.mdp, (1, np.minimum) if most else (-1, np.maximum)
         if then is not None:
-            value = self.step(then[most], most=most, **of).bound
+            value = self.apply_operator(then[most], most=most, **of).bound
             return value if first is None else take(value, first)
-        known = np.where(over(mdp), 0.0, self.ends[most]) if first is None else first
+        known = np.where(find_recorded_ends(mdp), 0.0, self.ends[most]) if first is None else first
         left, scale = float(1 - mdp.discount_exact), SMALL * (self.ends[1] - self.ends[0])
         value = known
         for _ in range(IMPROVEMENTS if left else SWEEPS):
-            after = self.step(value, most=most, **of)
+            after = self.apply_operator(value, most=most, **of)
             if left:
                 beyond = max(float((sign * (after.bound - value)).max()), 0.0) / left * SLACK
                 known = take(known, value + sign * (beyond + 4 * UNIT * (np.abs(value) + beyond)))

@@ -24,14 +24,20 @@ import numpy as np
 import scipy.sparse as sp
 from scipy import special
 
-from exact_mdp.analysis.gate.data.interval import Ends, cut_off, observations_of, of_sense, range_of
+from exact_mdp.analysis.gate.data.interval import (
+    Ends,
+    cut_off,
+    observations_of,
+    of_sense,
+    parse_range,
+)
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
 from exact_mdp.solvers.robust.likelihood import Likelihood
-from exact_mdp.solvers.robust.sets import Block, entries, inner, side_by_side
+from exact_mdp.solvers.robust.sets import RowBlock, list_entries, side_by_side, solve_inner_problem
 
 KNOWN = "known"
 HALVINGS = 60  # of [0, 1]: fewer leave a bound sound, but wider
@@ -61,7 +67,7 @@ class RowSets:
         """Return the sets of a model's counts; `rewards` as `Robust` has them."""
         seen = observations_of(mdp).astype(np.float64)
         table = mdp.table
-        gains = table.gains()[(seen > 0)[table.pair]]
+        gains = table.compute_gains()[(seen > 0)[table.pair]]
         ends = (float(gains.min()), float(gains.max()))
         if rewards is None:
             raise ModelError(
@@ -76,7 +82,7 @@ class RowSets:
         if known and rewards != KNOWN:
             fix = "give 'known', or (low, high)"
             raise ModelError(f"rewards are {rewards!r}", where="rewards", fix=fix)
-        low, high = ends if known else range_of(rewards, "rewards") or ends
+        low, high = ends if known else parse_range(rewards, "rewards") or ends
         if not low <= ends[0] <= ends[1] <= high:
             what = f"rewards from {ends[0]:g} to {ends[1]:g} were seen"
             raise ModelError(what, where="rewards", fix="state a range that holds them")
@@ -119,7 +125,7 @@ class RowSets:
         p = counts.data / np.bincount(row, counts.data)[row]
         radius = np.zeros(self.mdp.n_pairs)
         doubt = self.share if self.known else self.share / 2
-        radius[self.pairs] = _radius(p, row, n, self.mdp.n_states, doubt)
+        radius[self.pairs] = _compute_radii(p, row, n, self.mdp.n_states, doubt)
         return radius
 
     def at_start(self, value: Floats, *, most: bool) -> float:
@@ -131,10 +137,12 @@ class RowSets:
             return float(weights @ value + (rounding if most else -rounding))
         begun, one = sp.csr_array(weights[None] / weights.sum()), np.array([0])
         n = np.array([self.episodes])
-        radius = _radius(begun.data, 0 * begun.indices, n, self.mdp.n_states, self.share)
+        radius = _compute_radii(begun.data, 0 * begun.indices, n, self.mdp.n_states, self.share)
         blocks = _with_unseen(one, begun, np.zeros(begun.nnz), 0.0)
         values = np.append(value, value.max() if most else value.min())
-        worst = inner(Likelihood(radius=radius), blocks, values, discount=1.0, against=not most)
+        worst = solve_inner_problem(
+            Likelihood(radius=radius), blocks, values, discount=1.0, against=not most
+        )
         return float(worst.high[0] if most else worst.low[0])
 
     @cached_property
@@ -146,8 +154,8 @@ class RowSets:
             n = self.counted[self.pairs]
             mean = np.clip((low[self.pairs] - least) / (most - least), 0.0, 1.0)
             edge = np.log((n + 1) / (self.share / 2)) / n * SLACK
-            low[self.pairs] = least + (most - least) * (1 - _highest(1 - mean, edge))
-            high[self.pairs] = least + (most - least) * _highest(mean, edge)
+            low[self.pairs] = least + (most - least) * (1 - _bound_mean_above(1 - mean, edge))
+            high[self.pairs] = least + (most - least) * _bound_mean_above(mean, edge)
         return low, high
 
     @cached_property
@@ -162,7 +170,7 @@ class RowSets:
         """The reward of each entry of `counts`, where rewards are known."""
         mdp, table = self.mdp, self.mdp.table
         seen = (self.counted > 0)[table.pair]
-        row, gain = table.pair[seen], table.gains()[seen]
+        row, gain = table.pair[seen], table.compute_gains()[seen]
         entry = row.astype(np.int64) * mdp.n_states + table.next[seen]
         _, first, place = np.unique(entry, return_index=True, return_inverse=True)
         if (unlike := gain != gain[first][place]).any():
@@ -174,7 +182,7 @@ class RowSets:
         return np.asarray(gain[first])
 
     @cached_property
-    def blocks(self) -> list[list[Block]]:
+    def blocks(self) -> list[list[RowBlock]]:
         """The counted rows; with the least reward where nobody saw one, and with the most."""
         seen = self.gains if self.known else np.zeros(self.counts.nnz)
         never = (gain * self.known for gain in self.rewards)
@@ -185,7 +193,7 @@ class RowSets:
         """What rows may be."""
         return Likelihood(radius=self.radius)
 
-    def worth(self, value: Floats, *, most: bool, rewards: bool = True) -> Step:
+    def solve_inner_problem(self, value: Floats, *, most: bool, rewards: bool = True) -> Step:
         """Return what nature makes of every pair at values (S,): as much or as little as it can.
 
         The piece has the laws (L, S) that it chose, and the rewards (L,) under them.
@@ -193,7 +201,7 @@ class RowSets:
         mdp, pairs = self.mdp, self.pairs
         far = int(value.argmax() if most else value.argmin())
         blocks = self.blocks[most]
-        values = inner(
+        values = solve_inner_problem(
             self.laws,
             blocks,
             np.append(value, value[far]),
@@ -211,8 +219,8 @@ class RowSets:
         length = np.diff(mdp.transition.indptr) + 8
         bound = bound + reward + sign * (length * 4 * UNIT * size + TINY * (size > 0))
 
-        def piece() -> tuple[sp.csr_array, Floats]:
-            place, following, weight, earned = entries(blocks, values.laws)
+        def compute_piece() -> tuple[sp.csr_array, Floats]:
+            place, following, weight, earned = list_entries(blocks, values.laws)
             following = np.where(following == mdp.n_states, far, following)
             certain = mdp.transition.multiply((self.counted == 0).reshape(-1, 1)).tocoo()
             row = np.concatenate([pairs[place], certain.coords[0]])
@@ -222,10 +230,12 @@ class RowSets:
             total[pairs] += earned
             return sp.csr_array(laws, mdp.transition.shape), total
 
-        return Step(bound, piece)
+        return Step(bound, compute_piece)
 
 
-def _with_unseen(pairs: Integers, counts: sp.csr_array, gains: Floats, gain: float) -> list[Block]:
+def _with_unseen(
+    pairs: Integers, counts: sp.csr_array, gains: Floats, gain: float
+) -> list[RowBlock]:
     """Return rows of counts (U, S) with one more outcome that nobody saw, its state number S."""
     ends = counts.indptr
     following = np.insert(counts.indices, ends[1:], counts.shape[1]).astype(np.int64)
@@ -234,7 +244,7 @@ def _with_unseen(pairs: Integers, counts: sp.csr_array, gains: Floats, gain: flo
     return side_by_side(pairs, rows, (following, *seen))
 
 
-def _radius(p: Floats, row: Integers, n: Floats, states: int, doubt: float) -> Floats:
+def _compute_radii(p: Floats, row: Integers, n: Floats, states: int, doubt: float) -> Floats:
     """Return (U,) the radii of rows, each seen n (U,) times with shares `p` at their `row` (N,)."""
     if states == 1:
         return np.zeros(len(n))
@@ -247,7 +257,7 @@ def _radius(p: Floats, row: Integers, n: Floats, states: int, doubt: float) -> F
     return np.asarray((total + (np.bincount(row) + 64) * UNIT * size) / n)
 
 
-def _highest(mean: Floats, edge: Floats) -> Floats:
+def _bound_mean_above(mean: Floats, edge: Floats) -> Floats:
     """Return (U,) no less than the greatest μ with kl(mean, μ) ≤ edge, kl that of two coins."""
     low, high = mean.copy(), np.ones_like(mean)
     for _ in range(HALVINGS):

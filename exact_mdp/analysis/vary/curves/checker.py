@@ -21,22 +21,28 @@ import numpy as np
 from flint import fmpq_poly
 from numpy.typing import NDArray
 
-from exact_mdp.analysis.vary.curves.equations import Equations, Mix, Values, weighed
-from exact_mdp.analysis.vary.curves.roots import nonnegative, odd_part, positive, roots_on, signs
-from exact_mdp.mdp.exact import fraction, rational
+from exact_mdp.analysis.vary.curves.equations import Mix, SectionEquations, Values, sum_weighted
+from exact_mdp.analysis.vary.curves.roots import (
+    compute_coefficient_signs,
+    is_nonnegative,
+    is_positive,
+    odd_part,
+    roots_on,
+)
+from exact_mdp.mdp.exact import from_flint, to_flint
 from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.parametric.row_change import Piece
-from exact_mdp.mdp.table import shown
+from exact_mdp.mdp.table import format_rational
 
 Bracket = tuple[Fraction, Fraction]
 Start = tuple[tuple[int, Fraction], ...]
 
 
-def _reduced(poly: fmpq_poly) -> tuple[type[fmpq_poly], tuple[list[int], int]]:
+def _reduce_polynomial(poly: fmpq_poly) -> tuple[type[fmpq_poly], tuple[list[int], int]]:
     return fmpq_poly, ([*map(int, poly.numer().coeffs())], int(poly.denom()))
 
 
-copyreg.pickle(fmpq_poly, _reduced)  # FLINT's polynomials cannot be pickled by themselves
+copyreg.pickle(fmpq_poly, _reduce_polynomial)  # FLINT's polynomials cannot be pickled by themselves
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,29 +55,29 @@ class RationalFunction:
     @classmethod
     def of(cls, start: Start, values: Values) -> RationalFunction:
         """Return N / D at the start in lowest terms, the first coefficient of D not 0 made 1."""
-        top, below = weighed(start, values[0]), values[1]
+        top, below = sum_weighted(start, values[0]), values[1]
         shared = top.gcd(below)
         unit = next(c for c in (below / shared).coeffs() if c)
         tops, belows = ((poly / shared / unit).coeffs() for poly in (top, below))
         return cls(
-            numerator=tuple(map(fraction, tops)) or (Fraction(0),),
-            denominator=tuple(map(fraction, belows)),
+            numerator=tuple(map(from_flint, tops)) or (Fraction(0),),
+            denominator=tuple(map(from_flint, belows)),
         )
 
-    def _polynomials(self) -> tuple[fmpq_poly, fmpq_poly]:
-        top, below = (fmpq_poly([*map(rational, c)]) for c in (self.numerator, self.denominator))
+    def _to_polynomials(self) -> tuple[fmpq_poly, fmpq_poly]:
+        top, below = (fmpq_poly([*map(to_flint, c)]) for c in (self.numerator, self.denominator))
         return top, below
 
     def at(self, value: Fraction) -> Fraction:
         """Return the ratio at a point."""
-        top, below = (poly(rational(value)) for poly in self._polynomials())
-        return fraction(top / below)
+        top, below = (poly(to_flint(value)) for poly in self._to_polynomials())
+        return from_flint(top / below)
 
     def slope(self, value: Fraction) -> Fraction:
         """Return the derivative at a point."""
-        top, below = self._polynomials()
+        top, below = self._to_polynomials()
         rise = top.derivative() * below - top * below.derivative()
-        return fraction(rise(rational(value)) / below(rational(value)) ** 2)
+        return from_flint(rise(to_flint(value)) / below(to_flint(value)) ** 2)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,19 +114,23 @@ def piece_violations(
     for piece in pieces:
         begins = last is None or piece.section is not last.section
         if begins:
-            equations, open_ = Equations(family, name, piece.section), set[int]()
+            equations, open_ = SectionEquations(family, name, piece.section), set[int]()
             low, high = equations.low, equations.high
             start = tuple((state, sign * weight) for state, weight in equations.mdp.start)
             if any(low < cut < high for cut in family.breakpoints(name)):
                 yield "rows pass to other polynomials inside a section"
-            yield from equations.unsound()
+            yield from equations.find_faults()
         # Open are pairs of whose gap the sign is not known on all that is left of the section.
         turning = [equations.gap[pair] for pair in open_]
-        open_ |= equations.follow(piece.values)
-        open_ = {p for p in open_ if not all(signs(equations.gap[p], piece.low[0], high))}
+        open_ |= equations.update_gaps(piece.values)
+        open_ = {
+            p
+            for p in open_
+            if not all(compute_coefficient_signs(equations.gap[p], piece.low[0], high))
+        }
         turning += [equations.gap[pair] for pair in open_]
         yield from _not_optimal(equations, piece, open_)
-        at = shown(piece.low[1])
+        at = format_rational(piece.low[1])
         if piece.start != start:
             yield f"the value at the start from {at} on is another one"
         if mix is not None:
@@ -133,39 +143,39 @@ def piece_violations(
         last = piece
 
 
-def _not_optimal(equations: Equations, piece: CurvePiece, open_: set[int]) -> Iterator[str]:
+def _not_optimal(equations: SectionEquations, piece: CurvePiece, open_: set[int]) -> Iterator[str]:
     """Yield why the values of a piece, which are followed, may not be optimal throughout."""
-    at = shown(piece.low[1])
+    at = format_rational(piece.low[1])
     if not equations.low <= piece.low[0] <= piece.high[1] <= equations.high:
         yield f"the piece from {at} on is outside its section"
-    if not positive(piece.values[1], piece.low[0], piece.high[1]):
+    if not is_positive(piece.values[1], piece.low[0], piece.high[1]):
         yield f"the denominator from {at} on is not positive"
     for state, pairs in equations.pairs.items():
         marked = [bool(piece.optimal[pair]) for pair in pairs]
         if not any(marked) or marked != [equations.gap[pair].degree() < 0 for pair in pairs]:
             yield f"the pairs of state {state} from {at} on are not those that are optimal"
     for pair in open_:
-        if not nonnegative(equations.gap[pair], piece.low[1], piece.high[0]):
+        if not is_nonnegative(equations.gap[pair], piece.low[1], piece.high[0]):
             yield f"a pair of state {equations.state[pair]} is better from {at} on"
 
 
-def _not_of(equations: Equations, piece: CurvePiece, mix: Mix) -> Iterator[str]:
+def _not_of(equations: SectionEquations, piece: CurvePiece, mix: Mix) -> Iterator[str]:
     """Yield why the fixed policy's values may be others."""
-    at, values = shown(piece.low[1]), piece.fixed_values
+    at, values = format_rational(piece.low[1]), piece.fixed_values
     if values is None:
         yield f"the policy held fixed has no value from {at} on"
         return
-    if not positive(values[1], piece.low[0], piece.high[1]):
+    if not is_positive(values[1], piece.low[0], piece.high[1]):
         yield f"the denominator of the policy held fixed from {at} on is not positive"
     for state in equations.live:
-        ahead = (share * equations.ahead(pair, values) for pair, share in mix[state])
+        ahead = (share * equations.compute_action_value(pair, values) for pair, share in mix[state])
         if values[0][state] != sum(ahead, fmpq_poly()):
             yield f"the policy held fixed has another value in state {state} from {at} on"
 
 
 def _turn_at_once(gaps: Iterable[fmpq_poly], bracket: Bracket) -> bool:
     """Whether all gaps that turn negative in a bracket do so at one point, once."""
-    open_ = (odd_part(gap) for gap in gaps if not all(signs(gap, *bracket)))
+    open_ = (odd_part(gap) for gap in gaps if not all(compute_coefficient_signs(gap, *bracket)))
     turning = [odd for odd in open_ if roots_on(odd, *bracket)]
     if not turning:
         return True

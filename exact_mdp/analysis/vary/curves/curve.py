@@ -25,14 +25,19 @@ from flint import fmpq_poly
 from exact_mdp.analysis.gate.regret import limit_of
 from exact_mdp.analysis.optimum import actions_of
 from exact_mdp.analysis.vary.curves.checker import Bracket, CurvePiece, piece_violations
-from exact_mdp.analysis.vary.curves.equations import Mix, weighed
-from exact_mdp.analysis.vary.curves.roots import roots, roots_on, sign, simple
+from exact_mdp.analysis.vary.curves.equations import Mix, sum_weighted
+from exact_mdp.analysis.vary.curves.roots import (
+    compute_sign,
+    isolate_roots,
+    remove_double_roots,
+    roots_on,
+)
 from exact_mdp.analysis.vary.curves.walk import pieces_of
 from exact_mdp.analysis.vary.ranges import Range, range_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
-from exact_mdp.mdp.exact import rational
-from exact_mdp.mdp.graph import endless
+from exact_mdp.mdp.exact import to_flint
+from exact_mdp.mdp.graph import has_improper_policy
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, parametric
@@ -40,7 +45,7 @@ from exact_mdp.mdp.policies.choices import of_every_state
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
-from exact_mdp.mdp.table import exact, shown
+from exact_mdp.mdp.table import exact, format_rational
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -49,7 +54,7 @@ NEARLY_ONE = 1 - Fraction(1, 2**40)  # where a range ends that may not hold 1: 1
 
 
 @dataclass(frozen=True, kw_only=True)
-class Interval:
+class ParameterInterval:
     """An interval of a parameter, ends included; each end is in its bracket.
 
     One whose ends share a bracket is at most 1e-12 wide, and may be empty.
@@ -72,7 +77,7 @@ class ValueFunction(Pictured):
     checked: int | None = None  # points at which a degree was checked that is not proven
 
     def __repr__(self) -> str:
-        low, high = shown(self.range.low), shown(self.range.high)
+        low, high = format_rational(self.range.low), format_rational(self.range.high)
         return (
             f"ValueFunction({self.parameter.name} from {low} to {high}: {len(self.pieces)} pieces, "
             f"{self.claim})"
@@ -83,16 +88,16 @@ class ValueFunction(Pictured):
         """Certified, or checked where the degree of the rows is checked and not proven."""
         return Claim.CERTIFIED if self.checked is None else Claim.CHECKED
 
-    def _number(self, value: object) -> Fraction:
+    def _parse_value(self, value: object) -> Fraction:
         return exact(value, f"parameter {self.parameter.name}")
 
     def around(self, value: object) -> list[CurvePiece]:
         """Return the piece that a value of the parameter is in, or both that it is between."""
-        at = self._number(value)
+        at = self._parse_value(value)
         pieces = [piece for piece in self.pieces if piece.low[0] <= at <= piece.high[1]]
         if not pieces:
             raise ModelError(
-                f"{self.parameter.name} is {shown(at)}, outside the range of the curve",
+                f"{self.parameter.name} is {format_rational(at)}, outside the range of the curve",
                 where=f"parameter {self.parameter.name}",
                 fix=f"choose a value from {self.range.low} to {self.range.high}",
             )
@@ -100,13 +105,13 @@ class ValueFunction(Pictured):
 
     def at(self, value: object) -> Fraction:
         """Return the optimal value at the start at a value of the parameter, in its range."""
-        where = self._number(value)
+        where = self._parse_value(value)
         best = max if self.mdp.sense == "max" else min
         return best(piece.value.at(where) for piece in self.around(where))
 
     def fixed_at(self, value: object) -> Fraction | None:
         """Return the value of the policy held fixed there, None without one; as `at` does."""
-        where = self._number(value)
+        where = self._parse_value(value)
         fixed = self.around(where)[0].fixed
         return None if fixed is None else fixed.at(where)
 
@@ -115,7 +120,7 @@ class ValueFunction(Pictured):
 
         None beyond the range. They differ at a threshold, and at a breakpoint of the rows.
         """
-        at = self._number(value)
+        at = self._parse_value(value)
         pieces = self.around(at)
         best = self.at(at)
         left, *_, right = [p.value.slope(at) for p in pieces if p.value.at(at) == best] * 2
@@ -124,7 +129,7 @@ class ValueFunction(Pictured):
 
     def within(
         self, max_regret: object | None = None, max_relative_regret: object | None = None
-    ) -> tuple[Interval, ...]:
+    ) -> tuple[ParameterInterval, ...]:
         """Return for which values of the parameter the policy held fixed keeps a limit.
 
         Parameters
@@ -156,18 +161,18 @@ class ValueFunction(Pictured):
         most = limit_of("max_regret", 0 if max_regret is None else max_regret)
         relative = 0 if max_relative_regret is None else max_relative_regret
         share = limit_of("max_relative_regret", relative)
-        intervals, begun, left = list[Interval](), self.pieces[0].low, False
-        for at, root, open_, right in self._places(most, share):
+        intervals, begun, left = list[ParameterInterval](), self.pieces[0].low, False
+        for at, root, open_, right in self._yield_brackets(most, share):
             if left and (open_ or not right):
-                intervals.append(Interval(low=begun, high=at))
+                intervals.append(ParameterInterval(low=begun, high=at))
             if right and (open_ or not left):
                 begun = at
             if root and not left and not right:
-                intervals.append(Interval(low=at, high=at))
+                intervals.append(ParameterInterval(low=at, high=at))
             left = right
         return tuple(intervals)
 
-    def _places(
+    def _yield_brackets(
         self, most: Fraction, share: Fraction
     ) -> Iterator[tuple[Bracket, bool, bool, bool]]:
         """Yield the brackets in which a limit may begin or cease to be kept, in rising order.
@@ -177,19 +182,19 @@ class ValueFunction(Pictured):
         """
         last, before = self.pieces[-1], fmpq_poly([1])
         for piece in self.pieces:
-            sides = self._margins(piece, most, share)
+            sides = self._build_margins(piece, most, share)
             every = prod((side for side in sides if side), start=fmpq_poly([1]))
             at, root = piece.low, roots_on(before * every, *piece.low) > 0
             open_, here, end = root and at[0] < at[1], piece.low[1], piece.high[0]
-            for inside in roots(simple(every), here, end):
-                near = inside.apart(here, WIDTH)
-                yield at, root, open_, _kept(sides, here, near.low)
+            for inside in isolate_roots(remove_double_roots(every), here, end):
+                near = inside.isolate_beyond(here, WIDTH)
+                yield at, root, open_, _is_limit_kept(sides, here, near.low)
                 at, root, open_, here = (near.low, near.high), True, False, near.high
-            yield at, root, open_, _kept(sides, here, end)
+            yield at, root, open_, _is_limit_kept(sides, here, end)
             before = every
         yield last.high, roots_on(before, *last.high) > 0, False, False
 
-    def _margins(self, piece: CurvePiece, most: Fraction, share: Fraction) -> list[fmpq_poly]:
+    def _build_margins(self, piece: CurvePiece, most: Fraction, share: Fraction) -> list[fmpq_poly]:
         """Return polynomials of which one is not negative where the limit is kept.
 
         With V* = N / D and V_π = M / E, both D and E > 0, V* - V_π ≤ x + ρ |V*| is
@@ -198,10 +203,10 @@ class ValueFunction(Pictured):
         assert piece.fixed_values is not None
         start = self.mdp.start
         (best, d), (mine, e) = (
-            (weighed(start, tops), below) for tops, below in (piece.values, piece.fixed_values)
+            (sum_weighted(start, tops), below) for tops, below in (piece.values, piece.fixed_values)
         )
-        room = rational(most) * d * e - (best * e - mine * d)
-        return [room + rational(share) * best * e, room - rational(share) * best * e]
+        room = to_flint(most) * d * e - (best * e - mine * d)
+        return [room + to_flint(share) * best * e, room - to_flint(share) * best * e]
 
     def violations(self) -> list[str]:
         """Return what does not hold of the function, in words: nothing where it is sound.
@@ -213,17 +218,17 @@ class ValueFunction(Pictured):
         ends = [(self.range.low,) * 2, *(piece.high for piece in self.pieces)]
         for end, piece in zip(ends, self.pieces, strict=False):
             if piece.low != end or [*piece.low, *piece.high] != sorted([*piece.low, *piece.high]):
-                wrong.append(f"no piece covers {shown(end[1])}")
+                wrong.append(f"no piece covers {format_rational(end[1])}")
         if ends[-1] != (self.range.high,) * 2:
-            wrong.append(f"no piece covers {shown(self.range.high)}")
-        name, mix, sign = self.parameter.name, _mix(self.chain), self.mdp.sign
+            wrong.append(f"no piece covers {format_rational(self.range.high)}")
+        name, mix, sign = self.parameter.name, _to_rational_weights(self.chain), self.mdp.sign
         return [*wrong, *piece_violations(self.family, name, self.pieces, mix, sign)]
 
-    def report(self, within: Sequence[Interval] | None = None) -> Report:
+    def report(self, within: Sequence[ParameterInterval] | None = None) -> Report:
         """Return the pieces; `within` is where a policy held fixed keeps a limit."""
         pieces = [
             {
-                **_between(each.low, each.high),
+                **_describe_interval(each.low, each.high),
                 **vars(each.value),
                 **({} if each.fixed is None else {"fixed": vars(each.fixed)}),
                 "policy": of_every_state(
@@ -238,7 +243,7 @@ class ValueFunction(Pictured):
             "pieces": pieces,
         }
         if within is not None:
-            ends = [_between(each.low, each.high) for each in within]
+            ends = [_describe_interval(each.low, each.high) for each in within]
             words = [f"{float(each['from']):.10g} to {float(each['to']):.10g}" for each in ends]
             said = "; ".join(words) or "nowhere"
             facts["within"] = Shown(ends, f"the policy keeps the limit: {said}")
@@ -272,17 +277,17 @@ class ValueFunction(Pictured):
         )
 
 
-def _kept(sides: Sequence[fmpq_poly], low: Fraction, high: Fraction) -> bool:
+def _is_limit_kept(sides: Sequence[fmpq_poly], low: Fraction, high: Fraction) -> bool:
     """Whether a limit is kept between two points without a root in between."""
-    return any(sign(side, (low + high) / 2) >= 0 for side in sides)
+    return any(compute_sign(side, (low + high) / 2) >= 0 for side in sides)
 
 
-def _between(low: Bracket, high: Bracket) -> dict[str, Any]:
-    ends = {"from": _point(low), "to": _point(high)}
+def _describe_interval(low: Bracket, high: Bracket) -> dict[str, Any]:
+    ends = {"from": _choose_simple_fraction(low), "to": _choose_simple_fraction(high)}
     return ends | {"from_bracket": low, "to_bracket": high}
 
 
-def _point(bracket: Bracket) -> Fraction:
+def _choose_simple_fraction(bracket: Bracket) -> Fraction:
     """Return a fraction of small denominator between two ends; the end, where they are equal."""
     low, high = bracket
     middle, most = (low + high) / 2, 1
@@ -341,20 +346,20 @@ def curve(
     if name == DISCOUNT:
         if ranges is None and relative is None and span.high < 1:
             span = Range(low=span.low, high=NEARLY_ONE)
-        if span.high == 1 and endless(family.at({DISCOUNT: 1})):
+        if span.high == 1 and has_improper_policy(family.at({DISCOUNT: 1})):
             if span.low >= NEARLY_ONE:
                 raise ModelError(
                     "at discount 1 some policy never ends",
                     where=f"parameter {DISCOUNT}",
-                    fix=f"choose a range that begins below {shown(NEARLY_ONE)}",
+                    fix=f"choose a range that begins below {format_rational(NEARLY_ONE)}",
                 )
             span = Range(low=span.low, high=NEARLY_ONE)
     chain, undecided = (None, None) if policy is None else PolicyChain.held_fixed(mdp, policy)
-    pieces, sections = pieces_of(family, name, span, mdp.sign, _mix(chain))
+    pieces, sections = pieces_of(family, name, span, mdp.sign, _to_rational_weights(chain))
     if chain is not None and undecided is not None and undecided.any():
         for equations in sections:
             for state in np.flatnonzero(undecided).tolist():
-                if equations.differ(state):
+                if equations.has_different_actions(state):
                     raise ModelError(
                         "the policy held fixed does not say what it does in a state where that "
                         "does not matter today, but does elsewhere",
@@ -372,8 +377,8 @@ def curve(
     )
 
 
-def _mix(chain: PolicyChain | None) -> Mix | None:
+def _to_rational_weights(chain: PolicyChain | None) -> Mix | None:
     if chain is None:
         return None
     weights = map(chain.exact_weights, range(chain.mdp.n_states))
-    return [[(pair, rational(weight)) for pair, weight in each.items()] for each in weights]
+    return [[(pair, to_flint(weight)) for pair, weight in each.items()] for each in weights]

@@ -19,16 +19,22 @@ from graphlib import CycleError, TopologicalSorter
 
 from flint import fmpq, fmpq_poly
 
-from exact_mdp.analysis.vary.curves.roots import Root, nonnegative, positive, roots, simple
-from exact_mdp.mdp.exact import rational
-from exact_mdp.mdp.graph import beside_goal, reachable
+from exact_mdp.analysis.vary.curves.roots import (
+    Root,
+    is_nonnegative,
+    is_positive,
+    isolate_roots,
+    remove_double_roots,
+)
+from exact_mdp.mdp.exact import to_flint
+from exact_mdp.mdp.graph import beside_goal, find_reachable_states
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.parametric.row_change import (
     Piece,
-    ratios,
     reward_entries,
     row_change,
+    to_flint_ratios,
     transition_entries,
 )
 
@@ -38,7 +44,7 @@ Mix = Sequence[Sequence[tuple[int, fmpq]]]
 """Of each state, the pairs that a policy takes there, with their probabilities."""
 
 
-class Equations:
+class SectionEquations:
     """The equations of a model that maximises, on a section from `low` to `high`.
 
     `live` states are those in which something happens for some θ. `following` holds the discounted
@@ -51,14 +57,17 @@ class Equations:
         self.family = family
         self.low, self.high, self.mdp = section.low, section.high, mdp
         self.change = change = row_change(family, name, section, mdp)
-        shift = fmpq_poly([rational(-section.origin), 1])
-        self.rate: fmpq_poly = change.rate(shift) + rational(mdp.discount_exact)
-        self.reward: list[fmpq_poly] = [fmpq_poly([r]) for r in ratios(*reward_entries(mdp)[1:])]
+        shift = fmpq_poly([to_flint(-section.origin), 1])
+        self.rate: fmpq_poly = change.rate(shift) + to_flint(mdp.discount_exact)
+        self.reward: list[fmpq_poly] = [
+            fmpq_poly([r]) for r in to_flint_ratios(*reward_entries(mdp)[1:])
+        ]
         for pair, moved in zip(change.reward.key.tolist(), change.reward.moved, strict=True):
             self.reward[pair] += moved(shift)
         keys, top, bottom = transition_entries(mdp)
         weight: dict[int, fmpq_poly] = {
-            key: fmpq_poly([p]) for key, p in zip(keys.tolist(), ratios(top, bottom), strict=True)
+            key: fmpq_poly([p])
+            for key, p in zip(keys.tolist(), to_flint_ratios(top, bottom), strict=True)
         }
         for key, moved in zip(change.transition.key.tolist(), change.transition.moved, strict=True):
             weight[key] = weight.get(key, fmpq_poly()) + moved(shift)
@@ -87,7 +96,7 @@ class Equations:
         self.values: Values = ((), fmpq_poly())
         self.gap = [fmpq_poly()] * mdp.n_pairs
 
-    def ahead(self, pair: int, values: Values) -> fmpq_poly:
+    def compute_action_value(self, pair: int, values: Values) -> fmpq_poly:
         """Return D Q of a pair: D r + γ Σ p N; from its gap, where nothing that follows is new."""
         (new, scale), (old, before), row = values, self.values, self.following[pair]
         if scale == before and all(new[to] == old[to] for to, _ in row):
@@ -97,19 +106,19 @@ class Equations:
             total = total + p * new[to]
         return total
 
-    def differ(self, state: int) -> bool:
+    def has_different_actions(self, state: int) -> bool:
         """Return whether the actions of a state differ for some θ, in what they earn or lead to."""
         pairs = self.pairs.get(state, range(0))
         kinds = {(str(self.reward[pair]), str(self.following[pair])) for pair in pairs}
         return len(kinds) > 1
 
-    def follow(self, values: Values, taken: Collection[int] = ()) -> set[int]:
+    def update_gaps(self, values: Values, taken: Collection[int] = ()) -> set[int]:
         """Work out the gaps of other values; return the pairs whose gap is another.
 
         Gaps of pairs `taken` are 0: the values are those of the policy that takes them.
         """
         gaps = {
-            pair: values[0][self.state[pair]] - self.ahead(pair, values)
+            pair: values[0][self.state[pair]] - self.compute_action_value(pair, values)
             for pair in self.following
             if pair not in taken
         }
@@ -122,18 +131,21 @@ class Equations:
 
     # ---- one solution ----------------------------------------------------------------------------
 
-    def unsound(self) -> Iterator[str]:
+    def find_faults(self) -> Iterator[str]:
         """Yield why rows may be no probabilities, or the equations have several solutions."""
         low, high = self.low, self.high
         chances = [p for row in self.following.values() for _, p in row]
-        if not all(nonnegative(p, low, high) for p in [*_different(chances), *self._slack()]):
+        if not all(
+            is_nonnegative(p, low, high)
+            for p in [*_remove_duplicates(chances), *self._list_exit_probabilities()]
+        ):
             yield "a probability is negative, or probabilities pass 1"
         elif not self.one_solution():
             yield "nothing proves that the Bellman equations have one solution"
-        if self.misses() is not None:
+        if self.find_missed_goal() is not None:
             yield "a run may end beside the goal, which is worth infinity"
 
-    def misses(self) -> MDP | None:
+    def find_missed_goal(self) -> MDP | None:
         """Return a model of the section in which a run may end beside the goal; None without one.
 
         The goal of a total counts at discount 1 alone: where only the discount of an end is 1, the
@@ -143,32 +155,36 @@ class Equations:
             return None
         models = [self.mdp]
         for end in (self.low, self.high):
-            if self.mdp.discount_exact != 1 and self.rate(rational(end)) == 1:
+            if self.mdp.discount_exact != 1 and self.rate(to_flint(end)) == 1:
                 models.append(self.family.at({self.change.name: end}))
-        met = reachable(self.mdp)
+        met = find_reachable_states(self.mdp)
         return next((mdp for mdp in models if (beside_goal(mdp) & met).any()), None)
 
     def one_solution(self) -> bool:
         """Whether the equations have one solution on the whole section, ends included."""
         low, high = self.low, self.high
-        if self.order is not None or all(positive(each, low, high) for each in self._slack()):
+        if self.order is not None or all(
+            is_positive(each, low, high) for each in self._list_exit_probabilities()
+        ):
             return True
-        falls = self._nearer(None)
+        falls = self._compute_progress_chances(None)
         if falls is None:
             return False
         nowhere = fmpq_poly()
         places = [Root(poly=nowhere, low=end, high=end) for end in (low, high)]
-        places += (root for fall in falls for root in roots(simple(fall), low, high))
-        return all(self._nearer(place) is not None for place in places)
+        places += (
+            root for fall in falls for root in isolate_roots(remove_double_roots(fall), low, high)
+        )
+        return all(self._compute_progress_chances(place) is not None for place in places)
 
-    def _leak(self, pair: int) -> fmpq_poly:
+    def _compute_exit_probability(self, pair: int) -> fmpq_poly:
         """Return 1 - γ Σ P of a pair, over live states."""
         return fmpq_poly([1]) - sum(p for _, p in self.following[pair])
 
-    def _slack(self) -> list[fmpq_poly]:
-        return _different(map(self._leak, self.following))
+    def _list_exit_probabilities(self) -> list[fmpq_poly]:
+        return _remove_duplicates(map(self._compute_exit_probability, self.following))
 
-    def _nearer(self, at: Root | None) -> list[fmpq_poly] | None:
+    def _compute_progress_chances(self, at: Root | None) -> list[fmpq_poly] | None:
         """Return the chances of coming nearer to the end, from the end on; None where it stays.
 
         Nearer at one point of the section, or, without one, at all but some.
@@ -179,7 +195,10 @@ class Equations:
             layer = list[int]()
             for state in left:
                 falls = [
-                    sum((p for to, p in self.following[pair] if to in near), self._leak(pair))
+                    sum(
+                        (p for to, p in self.following[pair] if to in near),
+                        self._compute_exit_probability(pair),
+                    )
                     for pair in self.pairs[state]
                 ]
                 if all(p.degree() >= 0 if at is None else not at.is_of(p) for p in falls):
@@ -189,14 +208,16 @@ class Equations:
                 return None
             near.update(layer)
             left = [state for state in left if state not in near]
-        return _different(chances)
+        return _remove_duplicates(chances)
 
 
-def weighed(weights: Iterable[tuple[int, Fraction]], polynomials: Sequence[fmpq_poly]) -> fmpq_poly:
+def sum_weighted(
+    weights: Iterable[tuple[int, Fraction]], polynomials: Sequence[fmpq_poly]
+) -> fmpq_poly:
     """Return a sum of some of the polynomials, each with a weight."""
-    return sum((rational(weight) * polynomials[k] for k, weight in weights), fmpq_poly())
+    return sum((to_flint(weight) * polynomials[k] for k, weight in weights), fmpq_poly())
 
 
-def _different(polynomials: Iterable[fmpq_poly]) -> list[fmpq_poly]:
+def _remove_duplicates(polynomials: Iterable[fmpq_poly]) -> list[fmpq_poly]:
     """Return every polynomial once."""
     return [*{str(p): p for p in polynomials}.values()]

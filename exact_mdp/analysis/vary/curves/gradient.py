@@ -26,34 +26,40 @@ import numpy as np
 from flint import fmpq
 from numpy.typing import NDArray
 
-from exact_mdp.analysis.gate.regret import proven
-from exact_mdp.analysis.vary.curves.walk import unending
+from exact_mdp.analysis.gate.regret import certify_and_check
+from exact_mdp.analysis.vary.curves.walk import make_improper_error
 from exact_mdp.analysis.vary.ranges import unit_of
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError, listed, named_options
-from exact_mdp.mdp.exact import fraction, rational
-from exact_mdp.mdp.graph import Mask, endless, is_acyclic, reachable, termination
+from exact_mdp.mdp.errors import ModelError, named_options, require_list
+from exact_mdp.mdp.exact import from_flint, to_flint
+from exact_mdp.mdp.graph import (
+    Mask,
+    find_reachable_states,
+    has_improper_policy,
+    is_acyclic,
+    prove_termination,
+)
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.parametric.row_change import (
     Piece,
     RowChange,
-    pieces,
-    ratios,
+    find_pieces,
     row_change,
+    to_flint_ratios,
     transition_entries,
 )
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.report import Report, Shown, Table, cell, claimed
+from exact_mdp.mdp.report import Report, Shown, Table, format_cell, list_claim_facts
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
-from exact_mdp.mdp.table import Integers, Numbers, common, integers
-from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains, gamma
+from exact_mdp.mdp.table import Integers, Numbers, to_common_denominator, to_integer_array
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, compute_advantages, gamma
 from exact_mdp.solvers.endless.quotient import of_pairs
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, in_float
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
-from exact_mdp.solvers.values.policy_chain import PolicyChain, arrives
+from exact_mdp.solvers.values.policy_chain import PolicyChain, has_sure_end
 
 # Up to these numbers derivatives are certified, in about a second; beyond, they have bounds.
 EXACT_TRANSITIONS = 100_000
@@ -143,13 +149,13 @@ class Gradient(Pictured):
         """Return derivatives and elasticities by every parameter."""
         each = self.derivatives.items()
         slopes, lefts, rights = (
-            {name: _float(getattr(d, side)) for name, d in each}
+            {name: _slope_to_float(getattr(d, side)) for name, d in each}
             for side in ("value", "left", "right")
         )
         exact = {n: d.value.value if isinstance(d.value, Certified) else None for n, d in each}
         errors = {n: max(getattr(s, "error", 0.0) for s in (d.left, d.right)) for n, d in each}
         facts = {
-            **claimed("start_value", self.start),
+            **list_claim_facts("start_value", self.start),
             "policy": "re-optimised" if self.reoptimised else "fixed",
             "derivatives": slopes,
             "left": Shown(lefts),
@@ -159,10 +165,12 @@ class Gradient(Pictured):
             "error_bounds": Shown(errors),
         }
         del facts["error_bound"]
-        rows = self._rows()
+        rows = self._list_derivative_rows()
         for row in rows:
             if self.derivatives[row["parameter"]].value is None:
-                row[SLOPE] = f"{cell(row['left'], '.6g')} | {cell(row['right'], '.6g')}"
+                row[SLOPE] = (
+                    f"{format_cell(row['left'], '.6g')} | {format_cell(row['right'], '.6g')}"
+                )
         table = Table(
             title="derivatives of the start value, per unit of the parameter",
             rows=rows,
@@ -177,17 +185,17 @@ class Gradient(Pictured):
 
     def frame(self) -> DataFrame:
         """Return one row for each parameter, the largest elasticity first."""
-        return data_frame(self._rows())
+        return data_frame(self._list_derivative_rows())
 
-    def _rows(self) -> list[dict[str, Any]]:
+    def _list_derivative_rows(self) -> list[dict[str, Any]]:
         rows: list[dict[str, Any]] = [
             {
                 "parameter": name,
                 "value": float(each.parameter.value),
                 "unit": unit_of(each.parameter),
-                SLOPE: _float(each.value),
-                "left": _float(each.left),
-                "right": _float(each.right),
+                SLOPE: _slope_to_float(each.value),
+                "left": _slope_to_float(each.left),
+                "right": _slope_to_float(each.right),
                 ELASTICITY: np.nan if each.elasticity is None else each.elasticity,
                 "policy": "re-optimised" if self.reoptimised else "fixed",
                 "claim": str(each.claim),
@@ -198,7 +206,7 @@ class Gradient(Pictured):
         return rows
 
 
-def _float(number: Slope | None) -> float:
+def _slope_to_float(number: Slope | None) -> float:
     return np.nan if number is None else in_float(number.value)
 
 
@@ -246,12 +254,14 @@ def gradient(
     """
     family = parametric(model)
     known = [parameter.name for parameter in family.parameters]
-    names = known if names is None else listed(names, "names")
+    names = known if names is None else require_list(names, "names")
     parameters = [parameter_of(family, name) for name in names]
     mdp = family.at({})
     reoptimised = isinstance(policy, str) and policy == "optimal"
-    if endless(mdp) and (reoptimised or not arrives(PolicyChain.of(mdp, policy))):
-        raise unending("today's parameters", beside=termination(mdp).proven, ranges=False)
+    if has_improper_policy(mdp) and (reoptimised or not has_sure_end(PolicyChain.of(mdp, policy))):
+        raise make_improper_error(
+            "today's parameters", beside=prove_termination(mdp).proven, ranges=False
+        )
     if exact is None:
         sparse = mdp.n_transitions <= EXACT_SPARSE_TRANSITIONS
         sparse = sparse and mdp.table.weight.dtype == np.int64
@@ -262,26 +272,30 @@ def gradient(
     return Gradient(
         model=family.name,
         start=start,
-        derivatives={each.name: _derivative(family, mdp, passed, each) for each in parameters},
+        derivatives={
+            each.name: _compute_derivative(family, mdp, passed, each) for each in parameters
+        },
         reoptimised=reoptimised,
     )
 
 
-def _derivative(family: Parametric, mdp: MDP, passed: Pass, parameter: Parameter) -> Derivative:
+def _compute_derivative(
+    family: Parametric, mdp: MDP, passed: Pass, parameter: Parameter
+) -> Derivative:
     start, slope = passed
 
     @cache
-    def change(piece: Piece) -> RowChange:
+    def compute_row_change(piece: Piece) -> RowChange:
         return row_change(family, parameter.name, piece, mdp)
 
-    def side(piece: Piece | None, sign: int) -> Slope | None:
+    def compute_side(piece: Piece | None, sign: int) -> Slope | None:
         if piece is None:
             return None
-        number, points = slope(change(piece), sign), change(piece).checked
+        number, points = slope(compute_row_change(piece), sign), compute_row_change(piece).checked
         return number if points is None else Checked(number=number, points=points)
 
-    below, above = pieces(family, parameter.name, parameter.value)
-    left, right = side(below, -1), side(above, 1)
+    below, above = find_pieces(family, parameter.name, parameter.value)
+    left, right = compute_side(below, -1), compute_side(above, 1)
     each = Derivative(parameter=parameter, left=left, right=right, elasticity=None)
     if each.value is None or not start.value:
         return each
@@ -296,33 +310,33 @@ def _exact_pass(mdp: MDP, policy: PolicyLike) -> Pass:
     """Return the value at the start in rationals, and what gives its derivatives."""
     certificate = None
     if isinstance(policy, str) and policy == "optimal":
-        certificate = proven(mdp)
+        certificate = certify_and_check(mdp)
         policy = certificate.policy
     chain, undecided = PolicyChain.held_fixed(mdp, policy)
     if mdp.discount_exact == 1:
         chain.require_end()
     if certificate is None:
         level = chain.exact_value
-        values, start = level.fractions(), Certified(value=level.mean(mdp.start))
+        values, start = level.to_fractions(), Certified(value=level.compute_mean(mdp.start))
     else:
         values, start = certificate.value, certificate.start
-    value = np.array([*map(rational, values)], dtype=object)
-    uses = np.array([rational(0)] * mdp.n_pairs, dtype=object)
-    for state, seen in enumerate(chain.exact_visits.fractions()):
+    value = np.array([*map(to_flint, values)], dtype=object)
+    uses = np.array([to_flint(0)] * mdp.n_pairs, dtype=object)
+    for state, seen in enumerate(chain.exact_visits.to_fractions()):
         if seen:
             leak = 1 - mdp.discount_exact
-            amount = rational(seen / leak if mdp.terminal[state] and leak else seen)
+            amount = to_flint(seen / leak if mdp.terminal[state] and leak else seen)
             for pair, weight in chain.exact_weights(state).items():
-                uses[pair] = amount * rational(weight)
+                uses[pair] = amount * to_flint(weight)
     row_keys, top, bottom = transition_entries(mdp)
-    rows = row_keys, np.array(ratios(top, bottom), dtype=object)
+    rows = row_keys, np.array(to_flint_ratios(top, bottom), dtype=object)
 
     infinite = _infinite_states(chain)
-    met = chain.reached if certificate is None else reachable(mdp)
+    met = chain.reached if certificate is None else find_reachable_states(mdp)
 
-    def slope(change: RowChange, sign: int) -> Certified:
-        keys, slopes, gain_keys, gains = _moves(mdp, change, lambda x: x, rows)
-        begun = _begun(mdp, change)
+    def compute_slope(change: RowChange, sign: int) -> Certified:
+        keys, slopes, gain_keys, gains = _list_slopes(mdp, change, lambda x: x, rows)
+        begun = _find_newly_live_states(mdp, change)
         if certificate is None:
             _refuse_silence(mdp, begun & met & undecided, change.name)
         unique = certificate is None or (certificate.unique and not (begun & met).any())
@@ -330,20 +344,22 @@ def _exact_pass(mdp: MDP, policy: PolicyLike) -> Pass:
             used = np.asarray(uses != 0, dtype=bool)[keys // mdp.n_states]
             keys, slopes = keys[used], slopes[used]
             _refuse_infinite(mdp, keys[np.asarray(slopes != 0)], infinite, change.name)
-        earned = _earned(keys, slopes, gain_keys, gains, value, mdp.n_pairs)
+        earned = _compute_pair_slopes(keys, slopes, gain_keys, gains, value, mdp.n_pairs)
         _refuse_endless(mdp, earned != 0, change.name)
         if certificate is None or unique:
-            return Certified(value=fraction(rational(0) + uses @ earned))
-        top, bottom = common([sign * fraction(rational(0) + each) for each in earned])
-        table = mdp.table.earning(integers(top), integers([bottom] * len(top)))
+            return Certified(value=from_flint(to_flint(0) + uses @ earned))
+        top, bottom = to_common_denominator(
+            [sign * from_flint(to_flint(0) + each) for each in earned]
+        )
+        table = mdp.table.with_reward(to_integer_array(top), to_integer_array([bottom] * len(top)))
         tied = np.flatnonzero(certificate.optimal_pairs)
-        best = proven(of_pairs(mdp.with_(table=table), tied))
+        best = certify_and_check(of_pairs(mdp.with_(table=table), tied))
         return Certified(value=sign * Fraction(best.start_value))
 
-    return start, slope
+    return start, compute_slope
 
 
-def _several(where: str) -> ModelError:
+def _make_tie_error(where: str) -> ModelError:
     """Return the error of derivatives in floats where more than one action may be optimal."""
     return ModelError(
         "several actions are optimal, or floats cannot tell them apart",
@@ -352,7 +368,7 @@ def _several(where: str) -> ModelError:
     )
 
 
-def _begun(mdp: MDP, change: RowChange) -> Mask:
+def _find_newly_live_states(mdp: MDP, change: RowChange) -> Mask:
     """Return (S,) True for states with a choice that are terminal today, but not next to today."""
     moving = np.zeros(mdp.n_states, dtype=bool)
     moving[mdp.pair_state[change.reward.key]] = True
@@ -393,15 +409,15 @@ def _refuse_infinite(mdp: MDP, keys: Integers, infinite: Mask, name: str) -> Non
 
 def _bounded_pass(mdp: MDP, policy: PolicyLike) -> Pass:
     """Return the same in floats; both sides are alike where one policy is optimal."""
-    met, undecided = reachable(mdp), ~mdp.forced
+    met, undecided = find_reachable_states(mdp), ~mdp.forced
     if isinstance(policy, str) and policy == "optimal":
         solution = solve(mdp)
-        gain = gains(mdp, solution.value)
+        gain = compute_advantages(mdp, solution.value)
         tied = mdp.sign * gain.value >= -2 * (solution.error_bound + gain.noise)
         several = np.add.reduceat(tied, mdp.pair_offsets[:-1], dtype=np.int64) != 1
-        several &= reachable(mdp, pairs=tied) & ~mdp.terminal
+        several &= find_reachable_states(mdp, pairs=tied) & ~mdp.terminal
         if several.any():
-            raise _several(mdp.space.place(int(several.argmax())))
+            raise _make_tie_error(mdp.space.place(int(several.argmax())))
         policy, optimum = solution, True
     else:
         given, undecided = PolicyChain.held_fixed(mdp, policy)
@@ -423,28 +439,28 @@ def _bounded_pass(mdp: MDP, policy: PolicyLike) -> Pass:
     rows = pair * mdp.n_states + mdp.transition.indices, mdp.transition.data
     terms = int(lengths.max()) * 2 + count + 8
 
-    def slope(change: RowChange, _: int) -> Bounded:
-        begun = _begun(mdp, change) & met & undecided
+    def compute_slope(change: RowChange, _: int) -> Bounded:
+        begun = _find_newly_live_states(mdp, change) & met & undecided
         if optimum and begun.any():
             where = f"parameter {change.name}, {mdp.space.place(int(begun.argmax()))}"
-            raise _several(where)
+            raise _make_tie_error(where)
         _refuse_silence(mdp, begun, change.name)
-        moves = _moves(mdp, change, lambda x: float(fraction(x)), rows)
+        moves = _list_slopes(mdp, change, lambda x: float(from_flint(x)), rows)
         leads = moves[0][(moves[1] != 0) & (uses[moves[0] // mdp.n_states] > 0)]
         _refuse_infinite(mdp, leads, infinite, change.name)
         keys, slopes, gain_keys, gains = map(np.abs, moves)
-        earned = _earned(*moves, value, count)
-        size = _earned(keys, slopes, gain_keys, gains, np.abs(value), count)
-        off = _earned(keys, slopes, gain_keys, 0 * gains, value_error, count)
+        earned = _compute_pair_slopes(*moves, value, count)
+        size = _compute_pair_slopes(keys, slopes, gain_keys, gains, np.abs(value), count)
+        off = _compute_pair_slopes(keys, slopes, gain_keys, 0 * gains, value_error, count)
         _refuse_endless(mdp, size > 0, change.name)
         used = uses + doubt
         error = doubt @ size + used @ off + float(gamma(terms)) * (used @ size)
         return Bounded(value=float(uses @ earned), error=float(error * SLACK + TINY * terms))
 
-    return evaluation.numbers["mean"], slope
+    return evaluation.numbers["mean"], compute_slope
 
 
-def _moves(
+def _list_slopes(
     mdp: MDP, change: RowChange, kind: Callable[[fmpq], Any], rows: tuple[Integers, Numbers]
 ) -> tuple[Integers, Numbers, Integers, Numbers]:
     """Return keys and slopes of discounted transitions (P has `rows`), and of rewards."""
@@ -452,14 +468,14 @@ def _moves(
         np.array([kind(each) for each in part.slope], dtype=rows[1].dtype)
         for part in (change.transition, change.reward)
     )
-    keys, slopes = change.transition.key, slopes * kind(rational(mdp.discount_exact))
+    keys, slopes = change.transition.key, slopes * kind(to_flint(mdp.discount_exact))
     if change.rate[1]:
         keys = np.concatenate([keys, rows[0]])
         slopes = np.concatenate([slopes, rows[1] * kind(change.rate[1])])
     return keys, slopes, change.reward.key, gains
 
 
-def _earned(
+def _compute_pair_slopes(
     keys: Integers, slopes: Numbers, gain_keys: Integers, gains: Numbers, value: Numbers, pairs: int
 ) -> Numbers:
     """Return c(l) (L,) from values (S,)."""

@@ -17,7 +17,7 @@ from itertools import pairwise
 
 from flint import fmpq_poly, fmpz_poly
 
-from exact_mdp.mdp.exact import fraction, rational
+from exact_mdp.mdp.exact import from_flint, to_flint
 
 DIGITS = 12  # of the denominator of a root that is looked for as a fraction
 
@@ -30,17 +30,19 @@ class Root:
     low: Fraction
     high: Fraction
 
-    def narrowed(self, width: Fraction) -> Root:
+    def narrow_to_width(self, width: Fraction) -> Root:
         """Return the root in an interval of at most this width."""
         low, high = self.low, self.high
         if low == high or high - low <= width:
             return self
         # Where both ends are roots themselves, the sign between this root and `high`.
         right = (
-            sign(self.poly, high) or -sign(self.poly, low) or -sign(self.poly.derivative(), high)
+            compute_sign(self.poly, high)
+            or -compute_sign(self.poly, low)
+            or -compute_sign(self.poly.derivative(), high)
         )
         # Rationals of FLINT are halved many times faster than Python's.
-        begin, end, wide = rational(low), rational(high), rational(width)
+        begin, end, wide = to_flint(low), to_flint(high), to_flint(width)
         while end - begin > wide:
             middle = (begin + end) / 2
             value = self.poly(middle)
@@ -50,57 +52,58 @@ class Root:
                 end = middle
             else:
                 begin = middle
-        return replace(self, low=fraction(begin), high=fraction(end))
+        return replace(self, low=from_flint(begin), high=from_flint(end))
 
-    def apart(self, point: Fraction, width: Fraction) -> Root:
+    def isolate_beyond(self, point: Fraction, width: Fraction) -> Root:
         """Return the root in so narrow an interval, beyond a point, whose ends are no roots.
 
         It is a fraction of small denominator where that is the root.
         """
-        near = self.narrowed(width)
+        near = self.narrow_to_width(width)
         for digits in range(1, DIGITS + 1):
             short = ((near.low + near.high) / 2).limit_denominator(10**digits)
-            if near.low < short < near.high and sign(self.poly, short) == 0:
+            if near.low < short < near.high and compute_sign(self.poly, short) == 0:
                 return replace(self, low=short, high=short)
         while near.low < near.high and (
-            near.low <= point or 0 in (sign(self.poly, near.low), sign(self.poly, near.high))
+            near.low <= point
+            or 0 in (compute_sign(self.poly, near.low), compute_sign(self.poly, near.high))
         ):
-            near = near.narrowed((near.high - near.low) / 4)
+            near = near.narrow_to_width((near.high - near.low) / 4)
         return near
 
     def is_of(self, poly: fmpq_poly) -> bool:
         """Whether another polynomial has this root, too."""
         if self.low == self.high:
-            return sign(poly, self.low) == 0
-        return any(True for _ in roots(self.poly.gcd(poly), self.low, self.high))
+            return compute_sign(poly, self.low) == 0
+        return any(True for _ in isolate_roots(self.poly.gcd(poly), self.low, self.high))
 
 
-def sign(poly: fmpq_poly, x: Fraction) -> int:
+def compute_sign(poly: fmpq_poly, x: Fraction) -> int:
     """Return the sign of a polynomial at a rational point."""
-    value = poly(rational(x))
+    value = poly(to_flint(x))
     return int(value > 0) - int(value < 0)
 
 
-def signs(poly: fmpq_poly, low: Fraction, high: Fraction) -> list[bool]:
+def compute_coefficient_signs(poly: fmpq_poly, low: Fraction, high: Fraction) -> list[bool]:
     """Return which coefficients are positive after the substitution, of those that are not 0."""
-    moved = poly(_line(low, high)).numer()
+    moved = poly(_make_line_polynomial(low, high)).numer()
     turned = fmpz_poly(moved.coeffs()[::-1])(fmpz_poly([1, 1]))
     return [c > 0 for c in turned.coeffs() if c]
 
 
 @lru_cache(maxsize=16)
-def _line(low: Fraction, high: Fraction) -> fmpq_poly:
+def _make_line_polynomial(low: Fraction, high: Fraction) -> fmpq_poly:
     """Return low + (high - low) t; many polynomials are looked at on one interval in turn."""
-    line: fmpq_poly = fmpq_poly([rational(low), rational(high - low)])
+    line: fmpq_poly = fmpq_poly([to_flint(low), to_flint(high - low)])
     return line
 
 
-def variations(poly: fmpq_poly, low: Fraction, high: Fraction) -> int:
+def count_sign_variations(poly: fmpq_poly, low: Fraction, high: Fraction) -> int:
     """Return how often the sign varies: no less than the roots in between, and 0 or 1 as they."""
-    return sum(a != b for a, b in pairwise(signs(poly, low, high)))
+    return sum(a != b for a, b in pairwise(compute_coefficient_signs(poly, low, high)))
 
 
-def simple(poly: fmpq_poly) -> fmpq_poly:
+def remove_double_roots(poly: fmpq_poly) -> fmpq_poly:
     """Return the polynomial with the same roots, none of them double."""
     return poly / poly.gcd(poly.derivative()) if poly.degree() > 1 else poly
 
@@ -114,39 +117,43 @@ def odd_part(poly: fmpq_poly) -> fmpq_poly:
     return odd
 
 
-def roots(poly: fmpq_poly, low: Fraction, high: Fraction) -> Iterator[Root]:
+def isolate_roots(poly: fmpq_poly, low: Fraction, high: Fraction) -> Iterator[Root]:
     """Yield the roots of a polynomial without double ones on an open interval, from the left."""
-    most = variations(poly, low, high)
+    most = count_sign_variations(poly, low, high)
     if most == 1:
         yield Root(poly=poly, low=low, high=high)
     elif most:
         middle = (low + high) / 2
-        yield from roots(poly, low, middle)
-        if sign(poly, middle) == 0:
+        yield from isolate_roots(poly, low, middle)
+        if compute_sign(poly, middle) == 0:
             yield Root(poly=poly, low=middle, high=middle)
-        yield from roots(poly, middle, high)
+        yield from isolate_roots(poly, middle, high)
 
 
 def roots_on(poly: fmpq_poly, low: Fraction, high: Fraction) -> int:
     """Return the number of roots on a closed interval, double ones counted once."""
     if low == high:
-        return int(sign(poly, low) == 0)
-    part = simple(poly)
-    ends = (sign(part, low), sign(part, high)).count(0)
-    return ends + sum(1 for _ in roots(part, low, high))
+        return int(compute_sign(poly, low) == 0)
+    part = remove_double_roots(poly)
+    ends = (compute_sign(part, low), compute_sign(part, high)).count(0)
+    return ends + sum(1 for _ in isolate_roots(part, low, high))
 
 
-def nonnegative(poly: fmpq_poly, low: Fraction, high: Fraction) -> bool:
+def is_nonnegative(poly: fmpq_poly, low: Fraction, high: Fraction) -> bool:
     """Whether a polynomial is nowhere negative on a closed interval."""
-    if all(signs(poly, low, high)):
+    if all(compute_coefficient_signs(poly, low, high)):
         return True
-    if low < high and any(True for _ in roots(odd_part(poly), low, high)):
+    if low < high and any(True for _ in isolate_roots(odd_part(poly), low, high)):
         return False
     steps = poly.degree() + 2  # one of so many points is no root
     inside = (low + (high - low) * Fraction(k, steps) for k in range(1, steps))
-    return all(sign(poly, y) >= 0 for y in inside)
+    return all(compute_sign(poly, y) >= 0 for y in inside)
 
 
-def positive(poly: fmpq_poly, low: Fraction, high: Fraction) -> bool:
+def is_positive(poly: fmpq_poly, low: Fraction, high: Fraction) -> bool:
     """Whether a polynomial is positive on a closed interval."""
-    return sign(poly, low) > 0 and sign(poly, high) > 0 and not roots_on(poly, low, high)
+    return (
+        compute_sign(poly, low) > 0
+        and compute_sign(poly, high) > 0
+        and not roots_on(poly, low, high)
+    )

@@ -22,12 +22,12 @@ from exact_mdp.analysis.vary.curves.curve import ValueFunction, curve
 from exact_mdp.analysis.vary.ranges import Range, Stated, range_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import named_options
-from exact_mdp.mdp.graph import reachable
+from exact_mdp.mdp.graph import find_reachable_states
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.report import Report, Table
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
-from exact_mdp.mdp.table import shown
+from exact_mdp.mdp.table import format_rational
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.solution import Claim
 
@@ -77,7 +77,8 @@ class Thresholds(Pictured):
     def __repr__(self) -> str:
         name, span = self.curve.parameter.name, self.curve.range
         found = f"{len(self.found)} threshold{'s' * (len(self.found) != 1)}, {self.claim}"
-        return f"Thresholds({name} from {shown(span.low)} to {shown(span.high)}: {found})"
+        low, high = format_rational(span.low), format_rational(span.high)
+        return f"Thresholds({name} from {low} to {high}: {found})"
 
     @property
     def claim(self) -> Claim:
@@ -180,7 +181,7 @@ def report_of(every: Mapping[str, Thresholds]) -> Report:
             ),
             "switches": Table(
                 title="optimal actions that change",
-                rows=_alike(switches),
+                rows=_group_switches(switches),
                 columns={
                     "parameter": "parameter",
                     "state": "state",
@@ -194,7 +195,7 @@ def report_of(every: Mapping[str, Thresholds]) -> Report:
     )
 
 
-def _alike(switches: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def _group_switches(switches: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return a row for states that change alike, all of one status (or last column), or at once."""
     groups: dict[Any, list[Mapping[str, Any]]] = {}
     for each in switches:
@@ -256,17 +257,17 @@ def thresholds(
     family = parametric(model)
     whole = curve(family, name, range_of(family, name, ranges, relative))
     turns = (
-        (left.high, _switches(whole.mdp, left.optimal, right.optimal))
+        (left.high, _find_switches(whole.mdp, left.optimal, right.optimal))
         for left, right in pairwise(whole.pieces)
     )
     found = (Threshold(low=low, high=high, switches=each) for (low, high), each in turns if each)
     return Thresholds(curve=whole, found=tuple(found))
 
 
-def _switches(mdp: MDP, before: Flags, after: Flags) -> tuple[Switch, ...]:
+def _find_switches(mdp: MDP, before: Flags, after: Flags) -> tuple[Switch, ...]:
     """Return the states whose optimal pairs (L,) change."""
     states = np.unique(mdp.pair_state[before != after]).tolist()
-    seen = reachable(mdp, pairs=before) | reachable(mdp, pairs=after)
+    seen = find_reachable_states(mdp, pairs=before) | find_reachable_states(mdp, pairs=after)
     below, above = actions_of(mdp, before), actions_of(mdp, after)
     return tuple(
         Switch(

@@ -26,17 +26,23 @@ from math import ceil, floor
 import numpy as np
 from flint import fmpq, fmpq_mat, fmpq_poly, fmpz_poly
 
-from exact_mdp.analysis.gate.regret import proven
+from exact_mdp.analysis.gate.regret import certify_and_check
 from exact_mdp.analysis.vary.curves.checker import Bracket, CurvePiece
-from exact_mdp.analysis.vary.curves.equations import Equations, Mix, Values
-from exact_mdp.analysis.vary.curves.roots import Root, odd_part, roots, sign, variations
+from exact_mdp.analysis.vary.curves.equations import Mix, SectionEquations, Values
+from exact_mdp.analysis.vary.curves.roots import (
+    Root,
+    compute_sign,
+    count_sign_variations,
+    isolate_roots,
+    odd_part,
+)
 from exact_mdp.analysis.vary.ranges import Range
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.exact import rational
-from exact_mdp.mdp.model import MDP, once
+from exact_mdp.mdp.exact import to_flint
+from exact_mdp.mdp.model import MDP, cache_on_model
 from exact_mdp.mdp.parametric import Parametric
-from exact_mdp.mdp.parametric.row_change import Piece, polynomials, transition_entries
-from exact_mdp.mdp.table import Integers, shown
+from exact_mdp.mdp.parametric.row_change import Piece, interpolate_polynomials, transition_entries
+from exact_mdp.mdp.table import Integers, format_rational
 from exact_mdp.solvers.solution import Bounded, Certified
 
 DIGITS = 13  # of the ends of a bracket, unless it is too wide
@@ -50,27 +56,27 @@ Entries = Sequence[tuple[int, fmpq_poly]]
 class Sweep:
     """A walk over one section of a parameter, with the optimal policy; `mix` is held fixed."""
 
-    def __init__(self, equations: Equations, mix: Mix | None, sign: int) -> None:
+    def __init__(self, equations: SectionEquations, mix: Mix | None, sign: int) -> None:
         self.equations, self.gap = equations, equations.gap
         self.low, self.high = equations.low, equations.high
-        self.fixed = None if mix is None else values_of(equations, mix)
+        self.fixed = None if mix is None else compute_policy_values(equations, mix)
         self.start = tuple((state, sign * weight) for state, weight in equations.mdp.start)
         self.ahead: dict[int, list[Root]] = {}  # where gaps turn
         self.policy: Integers = np.empty(0, dtype=np.int64)
 
-    def pieces(self, policy: Integers) -> Iterator[CurvePiece]:
+    def yield_pieces(self, policy: Integers) -> Iterator[CurvePiece]:
         """Yield the pieces, beginning with a policy (S,) that may not be optimal."""
-        self._follow(policy)
-        first = Root(poly=fmpq_poly([rational(-self.low), 1]), low=self.low, high=self.low)
+        self._follow_policy(policy)
+        first = Root(poly=fmpq_poly([to_flint(-self.low), 1]), low=self.low, high=self.low)
         steps = ((self.high - self.low) / 64 * Fraction(3, 64) ** k for k in count())
-        here = self._cross(first, ((self.low, self.low + step) for step in steps))[1]
+        here = self._cross_root(first, ((self.low, self.low + step) for step in steps))[1]
         before: Bracket = (self.low, self.low)
         while before[0] < self.high:
-            root = self._next(here)
+            root = self._find_next_root(here)
             optimal = np.array([poly.degree() < 0 for poly in self.gap])
             values, after = self.equations.values, (self.high, self.high)
             if root is not None:
-                after = self._cross(root, self._brackets(root, here))
+                after = self._cross_root(root, self._yield_narrowing_brackets(root, here))
             yield CurvePiece(
                 low=before,
                 high=after,
@@ -82,58 +88,62 @@ class Sweep:
             )
             here, before = after[1], after
 
-    def _follow(self, policy: Integers) -> None:
+    def _follow_policy(self, policy: Integers) -> None:
         self.policy = policy
-        values = values_of(self.equations, [[(pair, rational(1))] for pair in policy.tolist()])
-        for pair in self.equations.follow(values, set(policy.tolist())):
+        values = compute_policy_values(
+            self.equations, [[(pair, to_flint(1))] for pair in policy.tolist()]
+        )
+        for pair in self.equations.update_gaps(values, set(policy.tolist())):
             self.ahead.pop(pair, None)
 
     # ---- the roots ahead -------------------------------------------------------------------------
 
-    def _roots(self, pair: int, here: Fraction) -> list[Root]:
+    def _find_roots(self, pair: int, here: Fraction) -> list[Root]:
         """Return the roots beyond a point at which a gap changes its sign."""
         known = self.ahead.get(pair)
         if known is None or (known and known[0].low < here):
             poly, known = self.gap[pair], []
-            if poly.degree() > 0 and variations(poly, here, self.high):
+            if poly.degree() > 0 and count_sign_variations(poly, here, self.high):
                 # Narrow at once, so that comparing it with others needs no more, ever again.
                 width = (self.high - self.low) / 2**8
-                turning = roots(odd_part(poly), here, self.high)
-                known = [root.narrowed(width) for root in turning]
+                turning = isolate_roots(odd_part(poly), here, self.high)
+                known = [root.narrow_to_width(width) for root in turning]
             self.ahead[pair] = known
         return known
 
-    def _next(self, here: Fraction) -> Root | None:
+    def _find_next_root(self, here: Fraction) -> Root | None:
         """Return the first root beyond `here` at which a gap turns negative."""
-        every = (self._roots(pair, here) for pair in self.equations.following)
+        every = (self._find_roots(pair, here) for pair in self.equations.following)
         first = [known[0] for known in every if known]
-        return reduce(_earlier, first) if first else None
+        return reduce(_find_earlier_root, first) if first else None
 
     # ---- beyond a root ---------------------------------------------------------------------------
 
-    def _cross(self, root: Root, brackets: Iterable[Bracket]) -> Bracket:
+    def _cross_root(self, root: Root, brackets: Iterable[Bracket]) -> Bracket:
         """Follow the policy that is optimal from a root on; return the bracket that shows it."""
         former = self.policy
         for low, high in islice(brackets, ATTEMPTS):
-            self._improve(low, high)
-            if all(self._clear(pair, root, low, high) for pair in self._near(low, high)):
+            self._improve_policy(low, high)
+            if all(
+                self._is_clear(pair, root, low, high) for pair in self._find_near_pairs(low, high)
+            ):
                 return low, high
             self.ahead.clear()
-            self._follow(former)
+            self._follow_policy(former)
         raise RuntimeError("thresholds without end, or two that cannot be told apart")
 
-    def _brackets(self, root: Root, here: Fraction) -> Iterator[Bracket]:
+    def _yield_narrowing_brackets(self, root: Root, here: Fraction) -> Iterator[Bracket]:
         """Yield ever narrower intervals around a root, between decimals."""
         for digits in count(DIGITS, 3):
             unit = Fraction(1, 10**digits)
-            root = root.narrowed(unit * Fraction(5, 8))
+            root = root.narrow_to_width(unit * Fraction(5, 8))
             low, high = floor(root.low / unit) * unit, ceil(root.high / unit) * unit
             if low == high:
                 low, high = low - unit, high + unit
             if here < low and high < self.high:
                 yield low, high
 
-    def _near(self, low: Fraction, high: Fraction) -> list[int]:
+    def _find_near_pairs(self, low: Fraction, high: Fraction) -> list[int]:
         """Return the pairs whose gap may turn in a bracket: no roots, known to lie elsewhere."""
         return [
             pair
@@ -145,44 +155,44 @@ class Sweep:
             )
         ]
 
-    def _improve(self, low: Fraction, high: Fraction) -> None:
+    def _improve_policy(self, low: Fraction, high: Fraction) -> None:
         """Follow a policy that is optimal at the end of a bracket (policy iteration)."""
-        at = rational(high)
+        at = to_flint(high)
         while True:
-            gaps = ((self.gap[pair](at), pair) for pair in self._near(low, high))
+            gaps = ((self.gap[pair](at), pair) for pair in self._find_near_pairs(low, high))
             falls, pairs = [each for each in gaps if each[0] < 0], self.policy.copy()
             if not falls:
                 return
             for _, pair in sorted(falls, reverse=True):  # the best pair of a state is the last
                 pairs[self.equations.state[pair]] = pair
-            self._follow(pairs)
+            self._follow_policy(pairs)
 
-    def _clear(self, pair: int, root: Root, low: Fraction, high: Fraction) -> bool:
+    def _is_clear(self, pair: int, root: Root, low: Fraction, high: Fraction) -> bool:
         """Whether a gap does not turn in (low, high], but for the root of the threshold itself."""
         poly = self.gap[pair]
-        if sign(poly, high) <= 0:
+        if compute_sign(poly, high) <= 0:
             return False
-        if not self._roots(pair, low):
+        if not self._find_roots(pair, low):
             return True
         odd = odd_part(poly)
-        inside = len([*roots(odd, low, high)])
+        inside = len([*isolate_roots(odd, low, high)])
         return inside == 0 or (inside == 1 and low < root.high and root.is_of(odd))
 
 
-def _earlier(one: Root, other: Root) -> Root:
+def _find_earlier_root(one: Root, other: Root) -> Root:
     """Return the smaller of two roots."""
     while not (one.high <= other.low or other.high <= one.low):
         low, high = max(one.low, other.low), min(one.high, other.high)
-        if (low < high or sign(one.poly, low) == 0) and Root(
+        if (low < high or compute_sign(one.poly, low) == 0) and Root(
             poly=one.poly, low=low, high=high
         ).is_of(other.poly):
             return one if one.high - one.low <= other.high - other.low else other
         width = max(one.high - one.low, other.high - other.low) / 4
-        one, other = one.narrowed(width), other.narrowed(width)
+        one, other = one.narrow_to_width(width), other.narrow_to_width(width)
     return one if one.high <= other.low else other
 
 
-def unending(where: str, *, beside: bool = False, ranges: bool = True) -> ModelError:
+def make_improper_error(where: str, *, beside: bool = False, ranges: bool = True) -> ModelError:
     """Return the error of an analysis that follows finite values only, and may take `ranges`.
 
     Some policy never ends, or some run ends `beside` the goal.
@@ -201,41 +211,45 @@ def unending(where: str, *, beside: bool = False, ranges: bool = True) -> ModelE
 # ---- sections ----------------------------------------------------------------------------------
 
 
-@once
-def optimum(mdp: MDP) -> tuple[Integers, Certified | Bounded]:
+@cache_on_model
+def find_optimal_pairs(mdp: MDP) -> tuple[Integers, Certified | Bounded]:
     """Return an optimal pair of each state, and the proven value at the start, of a model."""
-    certificate = proven(mdp)
+    certificate = certify_and_check(mdp)
     optimal = np.flatnonzero(certificate.optimal_pairs)
     return optimal[np.searchsorted(optimal, mdp.pair_offsets[:-1])], certificate.start
 
 
 def pieces_of(
     family: Parametric, name: str, span: Range, sign: int, mix: Mix | None
-) -> tuple[list[CurvePiece], list[Equations]]:
+) -> tuple[list[CurvePiece], list[SectionEquations]]:
     """Return the pieces over a range, and their sections; sign is -1 for costs, `mix` is held."""
     inside = (cut for cut in family.breakpoints(name) if span.low < cut < span.high)
-    pieces, sections, policy = list[CurvePiece](), list[Equations](), None
+    pieces, sections, policy = list[CurvePiece](), list[SectionEquations](), None
     for low, high in pairwise(sorted({span.low, *inside, span.high})):
-        equations = _middle(family, name, low, high)
-        beside = equations.misses() is not None
+        equations = _build_section_equations(family, name, low, high)
+        beside = equations.find_missed_goal() is not None
         if beside or not equations.one_solution():
-            between = f"for some {name} from {shown(low)} to {shown(high)}"
-            raise unending(between, beside=beside)
+            between = f"for some {name} from {format_rational(low)} to {format_rational(high)}"
+            raise make_improper_error(between, beside=beside)
         sweep = Sweep(equations, mix, sign)
-        pieces += sweep.pieces(optimum(equations.mdp)[0] if policy is None else policy)
+        pieces += sweep.yield_pieces(
+            find_optimal_pairs(equations.mdp)[0] if policy is None else policy
+        )
         policy = sweep.policy
         sections.append(equations)
     return pieces, sections
 
 
-def _middle(family: Parametric, name: str, low: Fraction, high: Fraction) -> Equations:
+def _build_section_equations(
+    family: Parametric, name: str, low: Fraction, high: Fraction
+) -> SectionEquations:
     """Return the equations from the middle of a section, or from next to it if a chance is 0 there.
 
     What may happen there may then happen next to it, too. A chance that moves is 0 at few points.
     """
     for share in chain([Fraction(1, 2)], (Fraction(37 + k, 97 + 2 * k) for k in count())):
         origin = low + (high - low) * share
-        equations = Equations(family, name, Piece(low=low, high=high, origin=origin))
+        equations = SectionEquations(family, name, Piece(low=low, high=high, origin=origin))
         moving, there = equations.change.transition.key, transition_entries(equations.mdp)[0]
         if np.isin(moving, there).all():
             return equations
@@ -245,17 +259,19 @@ def _middle(family: Parametric, name: str, low: Fraction, high: Fraction) -> Equ
 # ---- the values of a policy --------------------------------------------------------------------
 
 
-def values_of(equations: Equations, mix: Mix) -> Values:
+def compute_policy_values(equations: SectionEquations, mix: Mix) -> Values:
     """Return the values of a policy; raises ModelError where a model with cycles is too large."""
     value = [fmpq_poly()] * equations.mdp.n_states
     if equations.order is not None:
         values = value, fmpq_poly([1])
         for state in equations.order:
-            ahead = (equations.ahead(pair, values) * share for pair, share in mix[state])
+            ahead = (
+                equations.compute_action_value(pair, values) * share for pair, share in mix[state]
+            )
             value[state] = sum(ahead, fmpq_poly())
         return values
     live, change = equations.live, equations.change
-    degree, place, count = _degree(equations), {s: k for k, s in enumerate(live)}, len(live)
+    degree, place, count = _bound_degree(equations), {s: k for k, s in enumerate(live)}, len(live)
     side = [sum((equations.reward[l] * w for l, w in mix[s]), fmpq_poly()) for s in live]
     entries = [
         (place[state] * count + place[to], share * p)
@@ -267,13 +283,13 @@ def values_of(equations: Equations, mix: Mix) -> Values:
     if still and equations.rate.degree() > 0:
         numerators, scale = _by_powers(equations.rate, entries, side)
     else:
-        numerators, scale = _interpolated(equations, degree, entries, side)
+        numerators, scale = _interpolate_values(equations, degree, entries, side)
     for state, numerator in zip(live, numerators, strict=True):
         value[state] = numerator
     return value, scale
 
 
-def _degree(equations: Equations) -> int:
+def _bound_degree(equations: SectionEquations) -> int:
     """Return the degree that values have at most, of a model with cycles."""
     live, where = len(equations.live), f"parameter {equations.change.name}"
     degree = 0
@@ -296,24 +312,24 @@ def _degree(equations: Equations) -> int:
     return degree
 
 
-def _interpolated(
-    equations: Equations, degree: int, entries: Entries, side: Sequence[fmpq_poly]
+def _interpolate_values(
+    equations: SectionEquations, degree: int, entries: Entries, side: Sequence[fmpq_poly]
 ) -> tuple[list[fmpq_poly], fmpq_poly]:
     """Return N, of live states, and D from their values at `degree` + 1 points inside."""
     low, size, count = equations.low, degree + 1, len(side)
     step = (equations.high - low) / (size + 1)
     samples: list[list[fmpq]] = []
     for k in range(1, size + 1):
-        at, matrix = rational(low + step * k), [rational(0)] * count**2
-        matrix[:: count + 1] = [rational(1)] * count
+        at, matrix = to_flint(low + step * k), [to_flint(0)] * count**2
+        matrix[:: count + 1] = [to_flint(1)] * count
         for place, p in entries:
             matrix[place] -= p(at)
         system = fmpq_mat(count, count, matrix)
         scale = system.det()
         values = system.solve(fmpq_mat(count, 1, [each(at) for each in side])).entries()
         samples.append([*(scale * each for each in values), scale])
-    number = fmpq_poly([rational(-low / step), rational(1 / step)])  # of a point
-    *tops, below = (each(number) for each in polynomials(range(1, size + 1), samples))
+    number = fmpq_poly([to_flint(-low / step), to_flint(1 / step)])  # of a point
+    *tops, below = (each(number) for each in interpolate_polynomials(range(1, size + 1), samples))
     return tops, below
 
 
@@ -322,7 +338,7 @@ def _by_powers(
 ) -> tuple[list[fmpq_poly], fmpq_poly]:
     """Return N, of live states, and D from powers of the matrix."""
     count = len(side)
-    numbers = [rational(0)] * count**2
+    numbers = [to_flint(0)] * count**2
     for place, p in entries:
         numbers[place] += (p / rate)[0]
     matrix, unit = fmpq_mat(count, count, numbers).numer_denom()  # P = A / q

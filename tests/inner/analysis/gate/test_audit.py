@@ -12,14 +12,14 @@ from exact_mdp import MDP, SolverError, assert_policy_optimal, check
 from exact_mdp.analysis.gate.audit import Audit
 from exact_mdp.analysis.gate.data.interval import RegretInterval
 from exact_mdp.analysis.gate.regret import policy_regret
-from exact_mdp.solvers.values.policy_chain import Equations, PolicyChain
+from exact_mdp.solvers.values.policy_chain import PolicyChain, PolicyEquations
 
 
 def test_a_verdict_is_shown_where_visits_are_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
     def unbounded(*_: Any, **__: Any) -> Any:
         raise SolverError("no bound")
 
-    monkeypatch.setattr(Equations, "visits", property(unbounded))
+    monkeypatch.setattr(PolicyEquations, "visits", property(unbounded))
     mdp = MDP.from_arrays([np.full((3, 3), 1 / 3)] * 2, [[1.0, 0.0]] * 3, discount=0.9)
     audit = check(mdp, [0, 1, 0], exact_values=False)
     assert not audit.passed

@@ -71,7 +71,7 @@ def test_the_claim_is_as_asked_and_bounds_that_do_not_decide_are_followed() -> N
         audit = check(mdp, [1, 0], max_regret="1/2", exact_values=exactly)
         assert isinstance(audit.regret.at_start, kind)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("exact_mdp.analysis.gate.regret.cheap", lambda _: False)
+        patch.setattr("exact_mdp.analysis.gate.regret.is_cheap_to_certify", lambda _: False)
         assert isinstance(check(mdp, [1, 0], max_regret=1).value, Bounded)
         assert isinstance(check(mdp, [1, 0], max_regret="1/2").value, Certified)
         patch.setattr(module, "LAST_CYCLE", 0)
@@ -79,14 +79,14 @@ def test_the_claim_is_as_asked_and_bounds_that_do_not_decide_are_followed() -> N
 
 
 def test_rational_arithmetic_follows_where_floats_fail(monkeypatch: pytest.MonkeyPatch) -> None:
-    own = Total.regret
+    own = Total.compute_regret
 
     def failing(self: Total, exact: bool | None) -> Any:
         if exact is not True:
             raise SolverError(Status.NO_BOUND)
         return own(self, exact)
 
-    monkeypatch.setattr(Total, "regret", failing)
+    monkeypatch.setattr(Total, "compute_regret", failing)
     assert check(model(), [1, 0, 0]).value == Certified(value=F(6))
     with pytest.raises(SolverError):
         check(model(), [1, 0, 0], exact_values=False)

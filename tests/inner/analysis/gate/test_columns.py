@@ -11,7 +11,7 @@ import pytest
 
 from exact_mdp import MDP, Column, ModelError, StateSpace, best_policy
 from exact_mdp.analysis.gate import columns as module
-from exact_mdp.analysis.gate.columns import Cycles, Rows, _Search
+from exact_mdp.analysis.gate.columns import Cycles, PolicyRows, _BranchAndBound
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.values.layers import Layers
 
@@ -53,7 +53,7 @@ def worth(mdp: MDP, key: Integers, choice: Any) -> F | None:
     return sum((p * value[s] for s, p in mdp.start), F(0))
 
 
-def every_choice(mdp: MDP, rows: Rows) -> Iterator[tuple[tuple[int, ...], F]]:
+def every_choice(mdp: MDP, rows: PolicyRows) -> Iterator[tuple[tuple[int, ...], F]]:
     for choice in product(range(mdp.n_actions), repeat=rows.space.size):
         value = worth(mdp, rows.key, choice)
         if value is not None:
@@ -66,7 +66,7 @@ def test_no_policy_that_reads_the_columns_is_better(cyclic: bool, read: tuple[st
     for seed in range(5):
         for sense in ("max", "min"):
             mdp = in_columns(seed, cyclic=cyclic, sense=sense)
-            rows = Rows(mdp, read)
+            rows = PolicyRows(mdp, read)
             found = best_policy(mdp, read)
             pick = max if sense == "max" else min
             exact = pick(value for _, value in every_choice(mdp, rows))
@@ -82,7 +82,7 @@ def test_no_policy_that_reads_the_columns_is_better(cyclic: bool, read: tuple[st
             )
             most = mdp.sign * sum((p * full[s] for s, p in mdp.start), F(0))
             assert mdp.sign * (F(found.mixed_upper_bound) - most) <= F(1, 10**8)
-            assert worth(mdp, rows.key, rows.choices(found.policy)) == exact
+            assert worth(mdp, rows.key, rows.choices_of(found.policy)) == exact
             assert found.columns == read
             labels = [rows.space.label(k) or "all states" for k in range(rows.space.size)]
             assert [*found.actions] == [
@@ -95,13 +95,13 @@ def test_rows_offer_what_all_their_states_do() -> None:
     for seed in range(4):
         mdp = in_columns(seed, cyclic=False)
         for read in (("row",), ("time",), ("time", "row"), ()):
-            rows = Rows(mdp, read)
+            rows = PolicyRows(mdp, read)
             for k in range(rows.space.size):
                 own = [s for s in range(4) if rows.key[s] == k]
                 offered = [{*mdp.pair_action[mdp.pairs_of(s)].tolist()} for s in own]
                 common = set.intersection(*offered) if own else set[int]()
                 assert set(np.flatnonzero(rows.available[k]).tolist()) == common
-            later = Rows(mdp.with_(start=2), read)
+            later = PolicyRows(mdp.with_(start=2), read)
             met = {int(later.key[s]) for s in (2,)}
             assert set(np.flatnonzero(later.asked).tolist()) == met or "time" not in read
     rows_of: Any = [
@@ -113,21 +113,21 @@ def test_rows_offer_what_all_their_states_do() -> None:
     apart = MDP.from_outcomes(
         [*rows_of, (0, 3, [(1, 2, 5)]), (1, 4, [(1, 2, 0)]), (2, 0, [(1, 2, 0)])]
     )
-    assert np.flatnonzero(Rows(apart, ()).available[0]).tolist() == [1]
+    assert np.flatnonzero(PolicyRows(apart, ()).available[0]).tolist() == [1]
     none = MDP.from_outcomes([*rows_of[:1], (0, 3, [(1, 2, 5)]), *rows_of[2:], (2, 0, [(1, 2, 0)])])
     with pytest.raises(ModelError, match="no action is available"):
-        Rows(none, ())
+        PolicyRows(none, ())
 
 
 @pytest.mark.parametrize("cyclic", [True, False])
 def test_a_relaxation_is_no_less_than_its_policies_and_says_what_they_lose(cyclic: bool) -> None:
     for seed in range(5):
         mdp = in_columns(seed, cyclic=cyclic)
-        rows = Rows(mdp, ("row",))
+        rows = PolicyRows(mdp, ("row",))
         rng = np.random.default_rng(seed)
         nodes = np.repeat(rows.available[None], 4, axis=0) & (rng.random((4, 2, 3)) < 0.7)
         nodes |= np.eye(3, dtype=bool)[rows.available.argmax(axis=1)][None]
-        upper, choice, lost = rows.relaxed(nodes)
+        upper, choice, lost = rows.bound_relaxations(nodes)
         for n, node in enumerate(nodes):
             kept = [
                 pair
@@ -173,9 +173,9 @@ def test_values_of_choices_hold_the_exact_ones(
         monkeypatch.setattr(module, "NUMBERS", numbers)
         for seed in range(3):
             mdp = in_columns(seed, cyclic=cyclic)
-            rows = Rows(mdp, ("time",))
+            rows = PolicyRows(mdp, ("time",))
             listed = [*every_choice(mdp, rows)]
-            point = rows.values(np.array([choice for choice, _ in listed]))
+            point = rows.evaluate_choices(np.array([choice for choice, _ in listed]))
             for (_, exact), value, error in zip(listed, point.value, point.error, strict=True):
                 assert abs(F(float(value)) - exact) <= F(float(error)) <= F(1, 10**9)
 
@@ -188,16 +188,20 @@ def test_cycles_do_what_layers_do() -> None:
         pairs = np.array([rng.choice(mdp.pairs_of(s), size=4) for s in range(5)])
         np.put_along_axis(allowed, pairs, True, axis=0)
         one, other = Cycles(mdp), Layers(mdp)
-        value, q, apart = one.best(allowed)
-        wanted, of_pairs, _ = other.best(allowed)
+        value, q, apart = one.solve_allowed(allowed)
+        wanted, of_pairs, _ = other.solve_allowed(allowed)
         assert value == pytest.approx(wanted, abs=1e-12)
         assert q[mdp.pair_state < 4] == pytest.approx(of_pairs[mdp.pair_state < 4], abs=1e-12)
         assert (apart < 1e-12).all()
-        assert one.values(pairs)[0] == pytest.approx(other.values(pairs)[0], abs=1e-12)
+        assert one.evaluate_pairs(pairs)[0] == pytest.approx(
+            other.evaluate_pairs(pairs)[0], abs=1e-12
+        )
         alone = np.zeros_like(allowed)
         np.put_along_axis(alone, pairs, True, axis=0)
         # An end is worth nothing, and how often it is met is not asked.
-        assert one.visits(alone)[:4] == pytest.approx(other.visits(alone)[:4], abs=1e-12)
+        assert one.compute_visits(alone)[:4] == pytest.approx(
+            other.compute_visits(alone)[:4], abs=1e-12
+        )
 
 
 def test_what_a_search_of_few_rounds_leaves_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -205,18 +209,18 @@ def test_what_a_search_of_few_rounds_leaves_is_counted(monkeypatch: pytest.Monke
     monkeypatch.setattr(module, "ITERATIONS", 1)
     for seed in range(6):
         mdp = in_columns(seed, cyclic=True)
-        value, q, apart = Cycles(mdp).best(np.ones((mdp.n_pairs, 1), dtype=bool))
+        value, q, apart = Cycles(mdp).solve_allowed(np.ones((mdp.n_pairs, 1), dtype=bool))
         best = np.maximum.reduceat(q[:, 0], mdp.pair_offsets[:-1])
         assert apart[0] == np.abs(best - value[:, 0]).max()
         found = best_policy(mdp, ("row",))
-        exact = max(v for _, v in every_choice(mdp, Rows(mdp, ("row",))))
+        exact = max(v for _, v in every_choice(mdp, PolicyRows(mdp, ("row",))))
         assert found.upper_bound >= exact - F(1, 10**9)
 
 
 def test_a_search_that_stops_early_bounds_the_others() -> None:
     for seed in range(8):
         mdp = in_columns(seed, cyclic=False)
-        rows = Rows(mdp, ("row",))
+        rows = PolicyRows(mdp, ("row",))
         exact = max(value for _, value in every_choice(mdp, rows))
         for limit in (1, 2, 4):
             found = best_policy(mdp, ("row",), node_limit=limit)
@@ -224,8 +228,8 @@ def test_a_search_that_stops_early_bounds_the_others() -> None:
             assert found.upper_bound <= found.mixed_upper_bound
             assert found.nodes >= 1
             assert limit > 1 or found.nodes == 1
-        search = _Search(rows)
-        search.split(1000)
+        search = _BranchAndBound(rows)
+        search.split_nodes(1000)
         assert search.ended
         assert search.nodes < 1000
         assert search.upper <= search.mixed
@@ -237,7 +241,7 @@ def test_a_policy_to_begin_from_is_kept_where_it_is_best() -> None:
         best = best_policy(mdp, ("row",))
         again = best_policy(mdp, ("row",), start=best.policy, node_limit=1)
         assert again.value.value >= best.value.value - 1e-12
-        search = _Search(Rows(mdp, ("row",)))
+        search = _BranchAndBound(PolicyRows(mdp, ("row",)))
         choice = search.choice.copy()
-        search.offer(search.choice[None])  # no better than itself
+        search.offer_policies(search.choice[None])  # no better than itself
         assert search.choice.tolist() == choice.tolist()

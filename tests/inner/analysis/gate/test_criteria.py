@@ -12,7 +12,13 @@ from small_models import given, random_policy, small_model
 
 from exact_mdp import MDP
 from exact_mdp.analysis.gate import criteria as module
-from exact_mdp.analysis.gate.criteria import Average, Total, UnderLimits, Verdict, number
+from exact_mdp.analysis.gate.criteria import (
+    Average,
+    Total,
+    UnderLimits,
+    Verdict,
+    format_claimed_number,
+)
 from exact_mdp.solvers.solution import Bounded, Certified
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -27,8 +33,8 @@ def test_a_verdict_says_what_was_found() -> None:
         assert verdict.passed is passed
         assert str(verdict) == words
         assert verdict.name == "the regret is zero"
-    assert number(Certified(value=F(1, 3))) == "0.3333333333 (certified)"
-    assert number(Bounded(value=1.0, error=0.5)) == "1 ± 0.5 (bounded)"
+    assert format_claimed_number(Certified(value=F(1, 3))) == "0.3333333333 (certified)"
+    assert format_claimed_number(Bounded(value=1.0, error=0.5)) == "1 ± 0.5 (bounded)"
 
 
 def test_rewards_per_step_that_are_lost() -> None:
@@ -41,7 +47,7 @@ def test_rewards_per_step_that_are_lost() -> None:
         chain = oracle.mixed(rows, chances)
         own, _ = oracle.gain_and_bias(chain)
         about = Average(chain=PolicyChain.of(mdp, given(chances)))
-        lost = about.regret(True)
+        lost = about.compute_regret(True)
         wanted = sum((p * (best[s] - own[s]) for s, p in mdp.start), F(0))
         assert lost.at_start == Certified(value=wanted)
         assert lost.optimal.value == mdp.sign * sum(p * best[s] for s, p in mdp.start)
@@ -54,7 +60,7 @@ def test_rewards_per_step_that_are_lost() -> None:
             if s not in inner:
                 assert lost.gap[pair] == float(first)
         # Costs sum to the regret: visits on the way, shares of time where the policy stays.
-        visits, wrong = about.findings(lost)
+        visits, wrong = about.find_disagreements(lost)
         star = oracle.limit(chain)
         share = [sum((p * star[s][t] for s, p in mdp.start), F(0)) for t in range(mdp.n_states)]
         moves = [{} if s in inner else row for s, _, _, row in chain]
@@ -62,7 +68,7 @@ def test_rewards_per_step_that_are_lost() -> None:
         met = [share[s] if s in inner else often[s] for s in range(mdp.n_states)]
         assert visits == pytest.approx([*map(float, met)], rel=1e-12)
         assert sum(each.cost for each in wrong) == pytest.approx(float(wanted), rel=1e-9, abs=1e-9)
-        bounded = about.regret(False)
+        bounded = about.compute_regret(False)
         low, high = bounded.at_start.interval
         assert low <= wanted <= high <= wanted + F(1, 10**6)
         assert bounded.optimal_value == pytest.approx([mdp.sign * float(x) for x in best], abs=1e-6)
@@ -81,12 +87,12 @@ def test_exact_models_are_forgiven_nothing_and_floats_little() -> None:
     ]
     mdp = MDP.from_outcomes(rows, 0.5)
     for action, right in ((0, True), (1, True), (2, False)):
-        lost = Average(chain=PolicyChain.of(mdp, [action, 0])).regret(True)
+        lost = Average(chain=PolicyChain.of(mdp, [action, 0])).compute_regret(True)
         assert 0 < lost.forgiven < F(1, 10**15)
         assert lost.optimal_pairs.tolist() == [True, True, False, True]
-        assert lost.decided(lost.forgiven) is right
+        assert lost.keeps_limit(lost.forgiven) is right
     exact = small_model(1, "1/2", leaving=False)
-    assert Average(chain=PolicyChain.of(exact, "random")).regret(True).forgiven == 0
+    assert Average(chain=PolicyChain.of(exact, "random")).compute_regret(True).forgiven == 0
 
 
 def limited(seed: int, sense: str = "max") -> MDP:
@@ -138,29 +144,29 @@ def test_a_policy_under_limits_is_against_the_best_mixture(sense: str) -> None:
         for each, (reward, cost) in list(zip(every, points, strict=True))[::4]:
             chain = PolicyChain.of(mdp, mdp.pair_action[list(each)])
             about = UnderLimits.of(chain, {"cost": f"<= {bound}"})
-            lost = about.regret(None)
+            lost = about.compute_regret(None)
             assert about.feasible
             assert about.earned == reward
             assert about.totals == {"cost": cost}
             (limit,), (price,) = about.best.limits, about.best.price
-            assert about.keeps(limit) == (cost <= bound)
+            assert about.keeps_limit(limit) == (cost <= bound)
             assert about.room == price * (bound - cost)
             assert lost.optimal.value == best
             assert lost.at_start.value == mdp.sign * (best - reward)
             assert lost.forgiven == 0
-            visits, wrong = about.findings(lost)
+            visits, wrong = about.find_disagreements(lost)
             # What is lost is what states cost in the priced model, less the room left.
             whole = sum(item.cost for item in wrong)
             assert whole + float(about.room) == pytest.approx(float(lost.at_start.value))
             assert visits[0] == 1
-            (verdict,) = about.verdicts()
+            (verdict,) = about.list_verdicts()
             assert verdict.passed == (cost <= bound)
-            facts = about.facts()
+            facts = about.list_facts()
             assert facts["kept"].value == [cost <= bound]
             assert facts["totals"].value == {"cost": cost}
             assert facts["feasible"] is True
             assert facts["prices"].value == {"cost": about.best.prices["cost"]}
-            table = about.tables()["limits of the policy"]
+            table = about.list_tables()["limits of the policy"]
             assert ("NO" in str(table.rows)) == (cost > bound)
 
 
@@ -170,19 +176,19 @@ def test_limits_that_none_keeps_leave_nothing_to_compare_with() -> None:
     least = min(totals(mdp, each, "cost") for each in every)
     about = UnderLimits.of(PolicyChain.of(mdp, [0, 0, 0]), {"cost": f"<= {least - F(1, 9)}"})
     assert not about.feasible
-    lost = about.regret(None)
+    lost = about.compute_regret(None)
     assert isnan(lost.optimal.value)
     assert isnan(lost.at_start.value)
     assert np.isnan(lost.by_state).all()
     assert np.isnan(lost.optimal_value).all()
-    *_, last = about.verdicts()
+    *_, last = about.list_verdicts()
     assert last.decision is False
     assert "the closest that can be kept" in last.text
-    facts = about.facts()
+    facts = about.list_facts()
     assert facts["room"] is None
     assert facts["prices"].value is None
     assert facts["closest"].value == {"cost": least}
-    assert about.findings(lost)[0][0] == 1
+    assert about.find_disagreements(lost)[0][0] == 1
 
 
 def test_a_total_has_no_limits() -> None:
@@ -191,19 +197,19 @@ def test_a_total_has_no_limits() -> None:
     assert about.sums == "discount 1"
     assert Total(chain=PolicyChain.of(small_model(0, "1/2"), "random")).sums == "discount 0.5"
     assert about.feasible
-    assert [*about.verdicts()] == []
-    assert about.tables() == {}
-    assert set(about.facts().values()) == {None}
+    assert [*about.list_verdicts()] == []
+    assert about.list_tables() == {}
+    assert set(about.list_facts().values()) == {None}
     assert about.plain
     assert not Average.plain
     assert not UnderLimits.plain
-    assert about.regret(True).at_start.value >= 0
-    assert about.regret(True).at_start.value < inf
+    assert about.compute_regret(True).at_start.value >= 0
+    assert about.compute_regret(True).at_start.value < inf
 
 
 def test_large_cycles_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     mdp = small_model(2, "1/2", leaving=False, ends=0)
     about = Average(chain=PolicyChain.of(mdp, "random"))
-    assert isinstance(about.regret(None).at_start, Certified)
+    assert isinstance(about.compute_regret(None).at_start, Certified)
     monkeypatch.setattr(module, "LAST_CYCLE", 0)
-    assert isinstance(about.regret(None).at_start, Bounded)
+    assert isinstance(about.compute_regret(None).at_start, Bounded)

@@ -10,10 +10,16 @@ import pytest
 from small_models import small_model
 
 from exact_mdp import MDP, SolverError
-from exact_mdp.analysis.gate.forgiveness import forgiven, per_use, rounded, ties, widest
+from exact_mdp.analysis.gate.forgiveness import (
+    bound_per_use,
+    compute_rounding_allowance,
+    compute_tie_gaps,
+    per_use,
+    round_finite_values,
+)
 from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.solution import Status
-from exact_mdp.solvers.values.policy_chain import Equations, PolicyChain
+from exact_mdp.solvers.values.policy_chain import PolicyChain, PolicyEquations
 
 
 def in_floats(seed: int, discount: object, **kind: Any) -> MDP:
@@ -33,7 +39,7 @@ def in_floats(seed: int, discount: object, **kind: Any) -> MDP:
 
 
 def outcomes(mdp: MDP) -> Iterator[tuple[int, list[tuple[float, int, float]]]]:
-    chance, gain, table = mdp.table.probabilities(), mdp.table.gains(), mdp.table
+    chance, gain, table = mdp.table.compute_probabilities(), mdp.table.compute_gains(), mdp.table
     for pair in range(mdp.n_pairs):
         here = range(table.offsets[pair], table.offsets[pair + 1])
         yield pair, [(float(chance[i]), int(table.next[i]), float(gain[i])) for i in here]
@@ -102,10 +108,10 @@ def test_what_one_use_of_a_pair_can_move(discount: F) -> None:
 def test_exact_numbers_are_forgiven_nothing() -> None:
     mdp = small_model(0)
     one, other = policies(mdp, 0)
-    known = rounded(np.array(values_of(one)[0], dtype=object))
-    assert forgiven(mdp, (one, known), (other, known)) == 0
+    known = round_finite_values(np.array(values_of(one)[0], dtype=object))
+    assert compute_rounding_allowance(mdp, (one, known), (other, known)) == 0
     assert per_use(mdp, known).max() < 1e-290
-    assert widest(mdp, known) < 1e-290
+    assert bound_per_use(mdp, known) < 1e-290
 
 
 @pytest.mark.parametrize("discount", [F(0), F(1, 2), F(1)])
@@ -114,7 +120,10 @@ def test_what_is_forgiven_between_two_policies(discount: F) -> None:
         mdp = in_floats(seed, discount, falling=seed % 2 == 0)
         one, other = policies(mdp, seed)
         (own, met), (best, came) = values_of(one), values_of(other)
-        known = [(c, rounded(np.array(v, dtype=object))) for c, v in ((one, own), (other, best))]
+        known = [
+            (c, round_finite_values(np.array(v, dtype=object)))
+            for c, v in ((one, own), (other, best))
+        ]
         total = 0.0
         for pair, row in outcomes(mdp):
             s = int(mdp.pair_state[pair])
@@ -126,7 +135,7 @@ def test_what_is_forgiven_between_two_policies(discount: F) -> None:
                 for _, t, r in row
             ]
             total += abs(v - u) * of_rewards(mdp, row) + of_row(mdp, row, x)
-        found = forgiven(mdp, known[0], known[1])
+        found = compute_rounding_allowance(mdp, known[0], known[1])
         assert found >= F(total) * F(999999, 1000000)
         assert float(found) == pytest.approx(total, rel=1e-5, abs=1e-28)
 
@@ -141,9 +150,9 @@ def test_where_a_policy_stays_for_ever_nothing_moves() -> None:
     mdp = MDP.from_outcomes(rows)
     stays, leaves = PolicyChain.of(mdp, [0, 0, 0]), PolicyChain.of(mdp, [0, 1, 0])
     zero = FixedPoint(value=np.zeros(3), error=np.zeros(3))
-    found = float(forgiven(mdp, (stays, zero), (leaves, zero)))
+    found = float(compute_rounding_allowance(mdp, (stays, zero), (leaves, zero)))
     assert found == pytest.approx(0.3 * half(0.3), rel=1e-3)
-    again = float(forgiven(mdp, (stays, zero), (stays, zero)))
+    again = float(compute_rounding_allowance(mdp, (stays, zero), (stays, zero)))
     assert again < 1e-28
 
 
@@ -152,13 +161,13 @@ def test_nothing_is_forgiven_where_visits_are_not_known(monkeypatch: pytest.Monk
     one, other = policies(mdp, 0)
     known = FixedPoint(value=np.zeros(mdp.n_states), error=np.zeros(mdp.n_states))
     endless = FixedPoint(value=np.full(mdp.n_states, np.inf), error=np.zeros(mdp.n_states))
-    assert forgiven(mdp, (one, endless), (other, endless)) == 0
+    assert compute_rounding_allowance(mdp, (one, endless), (other, endless)) == 0
 
     def unbounded(_: Any) -> Any:
         raise SolverError(Status.NO_BOUND)
 
-    monkeypatch.setattr(Equations, "visits", property(unbounded))
-    assert forgiven(mdp, (one, known), (other, known)) == 0
+    monkeypatch.setattr(PolicyEquations, "visits", property(unbounded))
+    assert compute_rounding_allowance(mdp, (one, known), (other, known)) == 0
 
 
 @pytest.mark.parametrize("discount", [F(0), F(1, 2), F(1)])
@@ -180,13 +189,13 @@ def test_the_gap_of_a_tie(discount: F) -> None:
             e[pair] + float(discount * oracle.mean(row, later) + later[s])
             for pair, (s, _, _, row) in enumerate(oracle.rows_of(mdp))
         ]
-        found = ties(best, rounded(value))
+        found = compute_tie_gaps(best, round_finite_values(value))
         assert found == pytest.approx(wanted, rel=1e-4, abs=1e-28)
         assert (found >= np.array(wanted) * 0.999999).all()
 
 
 def test_infinite_values_are_counted_as_none() -> None:
-    point = rounded(np.array([F(1, 3), np.inf, -np.inf, F(0)], dtype=object))
+    point = round_finite_values(np.array([F(1, 3), np.inf, -np.inf, F(0)], dtype=object))
     assert point.value.tolist() == [1 / 3, 0, 0, 0]
     assert point.error[0] == 2.0**-53 / 3
     assert 0 < point.error[1] == point.error[3] < 1e-290
@@ -202,7 +211,7 @@ def test_no_use_of_a_pair_is_forgiven_more_than_the_widest(exact: bool, seed: in
     mdp = MDP.from_arrays(rows, rewards, discount="1/2")
     value = rng.normal(size=3) * 10.0 ** rng.integers(-9, 9)
     known = FixedPoint(value=value, error=np.abs(value) / 10.0 ** rng.integers(1, 16))
-    assert per_use(mdp, known).max() <= widest(mdp, known)
+    assert per_use(mdp, known).max() <= bound_per_use(mdp, known)
 
 
 def test_the_widest_is_no_wider_than_the_greatest_numbers() -> None:
@@ -210,9 +219,9 @@ def test_the_widest_is_no_wider_than_the_greatest_numbers() -> None:
     for seed in range(10):
         mdp = in_floats(seed, F(1, 2))
         value, error = rng.normal(size=mdp.n_states), rng.random(mdp.n_states)
-        gain = mdp.table.gains()
+        gain = mdp.table.compute_gains()
         size = float(np.abs(gain).max() + np.abs(value).max())
         spread = float(np.ptp(gain)) + float(np.ptp(value) + 2 * error.max()) / 2
         wanted = mdp.float_rewards * size + mdp.float_probabilities * spread / 2
-        found = widest(mdp, FixedPoint(value=value, error=error))
+        found = bound_per_use(mdp, FixedPoint(value=value, error=error))
         assert found == pytest.approx(wanted * 2.0**-53, rel=1e-5, abs=1e-29)

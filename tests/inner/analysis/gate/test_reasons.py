@@ -13,13 +13,13 @@ from exact_mdp import MDP, Column, Policy, SolverError, StateSpace, check
 from exact_mdp.analysis.gate.reasons import (
     Representation,
     action_of,
-    either,
-    findings,
+    find_policy_disagreements,
+    format_alternatives,
     q_error,
 )
 from exact_mdp.analysis.gate.regret import policy_regret
 from exact_mdp.solvers.solution import Status
-from exact_mdp.solvers.values.policy_chain import Equations, PolicyChain
+from exact_mdp.solvers.values.policy_chain import PolicyChain, PolicyEquations
 
 
 @pytest.mark.parametrize("exact", [True, False])
@@ -30,7 +30,7 @@ def test_each_state_costs_its_gap_as_often_as_it_is_visited(discount: F, exact: 
         chances = random_policy(mdp, seed, pure=seed % 3 == 0)
         chain = PolicyChain.of(mdp, given(chances))
         lost = policy_regret(chain, exact=exact)
-        visits, wrong = findings(chain, lost)
+        visits, wrong = find_policy_disagreements(chain, lost)
         rows = [(s, a, mdp.sign * r, row) for s, a, r, row in oracle.rows_of(mdp)]
         best, optimal = oracle.solve_exact(mdp.n_states, rows, discount)
         law = oracle.mixed(rows, chances)
@@ -60,7 +60,7 @@ def test_each_state_costs_its_gap_as_often_as_it_is_visited(discount: F, exact: 
 
 
 def test_waiting_for_ever_is_charged_to_those_who_wait() -> None:
-    """In state 1 one may stay for ever, or leave and earn 4; half of all runs come there."""
+    """In state 1 one may stay forever, or leave and earn 4; half of all runs come there."""
     rows: Any = [
         (0, 0, [(F(1, 2), 1, 0), (F(1, 2), 2, 1)]),
         (1, 0, [(1, 1, 0)]),
@@ -70,13 +70,13 @@ def test_waiting_for_ever_is_charged_to_those_who_wait() -> None:
     mdp = MDP.from_outcomes(rows)
     chain = PolicyChain.of(mdp, [0, 0, 0])
     lost = policy_regret(chain)
-    visits, (only,) = findings(chain, lost)
+    visits, (only,) = find_policy_disagreements(chain, lost)
     assert lost.at_start.value == 2
     assert visits[:2].tolist() == [1, inf]
     assert (only.state, only.gap, only.cost, only.expected_visits) == (1, 4, 2, inf)
     assert only.optimal == ("1",)
     elsewhere = PolicyChain.of(mdp.with_(start=2), [0, 0, 0])
-    visits, (only,) = findings(elsewhere, policy_regret(elsewhere))
+    visits, (only,) = find_policy_disagreements(elsewhere, policy_regret(elsewhere))
     assert (only.cost, only.expected_visits) == (0, 0)
 
 
@@ -86,15 +86,15 @@ def test_visits_are_found_in_rationals_where_floats_have_few_digits(
     mdp = small_model(1, "1/2")
     chain = PolicyChain.of(mdp, given(random_policy(mdp, 1)))
     exact, bounded = (policy_regret(chain, exact=each) for each in (True, False))
-    wanted, _ = findings(chain, exact)
+    wanted, _ = find_policy_disagreements(chain, exact)
 
     def unbounded(_: Any) -> Any:
         raise SolverError(Status.NO_BOUND)
 
-    monkeypatch.setattr(Equations, "visits", property(unbounded))
-    visits, _ = findings(chain, exact)
+    monkeypatch.setattr(PolicyEquations, "visits", property(unbounded))
+    visits, _ = find_policy_disagreements(chain, exact)
     assert visits == pytest.approx(wanted, rel=1e-14)
-    assert np.isnan(findings(chain, bounded)[0][chain.reached]).all()
+    assert np.isnan(find_policy_disagreements(chain, bounded)[0][chain.reached]).all()
 
 
 def test_names_of_actions_in_a_state() -> None:
@@ -111,9 +111,9 @@ def test_names_of_actions_in_a_state() -> None:
     assert taken(1, 1, 1, 1, 1, 1) == "any of 6"
     assert taken(1, 1, 1, 1, 1, 0) == "any of 5"
     assert taken(1, 2, 3, 4, 6, 0) == "0.375 e, 0.25 d, 0.1875 c, 2 others"
-    assert either(["a"]) == "a"
-    assert either([*"abcd"]) == "a or b or c or d"
-    assert either([*"abcde"]) == "a or b or c or 2 others"
+    assert format_alternatives(["a"]) == "a"
+    assert format_alternatives([*"abcd"]) == "a or b or c or d"
+    assert format_alternatives([*"abcde"]) == "a or b or c or 2 others"
 
 
 def test_errors_of_a_table_are_those_of_states_with_a_choice() -> None:
@@ -215,7 +215,7 @@ def test_what_columns_cannot_express_and_what_was_learned_wrongly() -> None:
                 changed[k] = mdp.actions.index(row["best"])
                 assert row["learned"] == mdp.actions[rule[k]]
                 assert row["gain"] == pytest.approx(float(worth(changed) - worth(rule)))
-            facts = why.facts()["representation"].value
+            facts = why.list_facts()["representation"].value
             assert facts["loss"] == float(why.loss.value)
             assert facts["learning_error"] == float(why.learning_error.value)
 

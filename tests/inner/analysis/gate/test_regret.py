@@ -16,12 +16,12 @@ from exact_mdp.analysis.gate import regret as module
 from exact_mdp.analysis.gate.regret import (
     ActionBounds,
     bounded_optimum,
-    cheap,
-    ends,
-    kept,
+    include_near_ties,
+    interval_of,
+    is_at_most,
+    is_cheap_to_certify,
     limit_of,
     policy_regret,
-    tied,
 )
 from exact_mdp.solvers.bounds.bounds import Bounds
 from exact_mdp.solvers.exact.certificate import Certificate
@@ -62,7 +62,7 @@ def test_certified_and_bounded_regrets_hold_the_exact_one(discount: F) -> None:
                 assert lost.unclear is False
                 assert isinstance(lost.optimum, Certificate)
             else:
-                low, high = ends(lost.at_start)
+                low, high = interval_of(lost.at_start)
                 assert low <= wanted <= high <= wanted + F(1, 10**8)
                 assert not (np.array([g == 0 for g in gap]) & ~lost.optimal_pairs).any()
                 assert not wanted or lost.claim is Claim.BOUNDED
@@ -83,7 +83,7 @@ def test_certified_and_bounded_regrets_hold_the_exact_one(discount: F) -> None:
             apart = [float(mdp.sign * (b - o)) for b, o in zip(best, own, strict=True)]
             assert lost.by_state == pytest.approx(apart, rel=1e-9, abs=1e-9)
             for number, values in ((lost.optimal, best), (lost.learned, own)):
-                low, high = ends(number)
+                low, high = interval_of(number)
                 assert low <= sum((p * values[s] for s, p in mdp.start), F(0)) <= high
 
 
@@ -179,13 +179,13 @@ def test_bounds_that_are_wide_stay_sound() -> None:
 def test_what_is_proven_is_what_is_asked() -> None:
     rows: Any = [(0, 0, [(1, 1, 5)]), (0, 1, [(1, 0, 1)]), (1, 0, [(1, 1, 0)])]
     mdp = MDP.from_outcomes(rows, "1/2")
-    assert module.proven(mdp).start_value == 5
-    assert module.proven(mdp, "average").start_value == 1
+    assert module.certify_and_check(mdp).start_value == 5
+    assert module.certify_and_check(mdp, "average").start_value == 1
 
 
 def test_optimal_pairs_have_no_gap() -> None:
     flat, best = np.zeros(2), (Certified(value=F(3)), np.array([3.0, 0.0]))
-    lost = module.Regret.between(
+    lost = module.Regret.from_values(
         best,
         (Certified(value=F(1)), np.array([1.0, 0.0])),
         np.array([True, False]),
@@ -218,7 +218,7 @@ def test_a_policy_is_best_where_bounds_prove_each_of_its_pairs() -> None:
         assert near.all_best(chain) == best
         lost = policy_regret(chain, exact=False)
         assert isinstance(lost.at_start, Certified) == best
-        assert lost.decided(F(0)) == best
+        assert lost.keeps_limit(F(0)) == best
         assert np.asarray(lost.unclear).tolist() == [True, True, False, False, False]
     never = PolicyChain.of(mdp.with_(start=1), [2, 0, 0])
     assert near.all_best(PolicyChain(mdp=never.mdp, chosen=never.chosen))
@@ -227,17 +227,21 @@ def test_a_policy_is_best_where_bounds_prove_each_of_its_pairs() -> None:
 def test_few_transitions_and_short_cycles_are_cheap(monkeypatch: pytest.MonkeyPatch) -> None:
     rows: Any = [(s, 0, [(F(1, 2), (s + 1) % 4, 1), (F(1, 2), 4, 0)]) for s in range(4)]
     mdp = MDP.from_outcomes([*rows, (4, 0, [(1, 4, 0)])])
-    assert (cheap(mdp, 4), cheap(mdp, 3), cheap(mdp)) == (True, False, True)
+    assert (is_cheap_to_certify(mdp, 4), is_cheap_to_certify(mdp, 3), is_cheap_to_certify(mdp)) == (
+        True,
+        False,
+        True,
+    )
     falling = small_model(0, falling=True)
-    assert cheap(falling, 1)
-    assert not cheap(falling, 0)
+    assert is_cheap_to_certify(falling, 1)
+    assert not is_cheap_to_certify(falling, 0)
     for most, answer in ((mdp.n_transitions, True), (mdp.n_transitions - 1, False)):
         monkeypatch.setattr(module, "EXACT_TRANSITIONS", most)
-        assert cheap(mdp) == answer
+        assert is_cheap_to_certify(mdp) == answer
     stopped = mdp.within(2)
     for most, answer in ((stopped.n_transitions, True), (stopped.n_transitions - 1, False)):
         monkeypatch.setattr(module, "EXACT_IN_TIME", most)
-        assert cheap(stopped) == answer
+        assert is_cheap_to_certify(stopped) == answer
     monkeypatch.setattr(module, "EXACT_TRANSITIONS", 0)
     other = small_model(1, "1/2")
     chain = PolicyChain.of(other, given(random_policy(other, 1)))
@@ -253,9 +257,9 @@ def test_a_limit_is_kept_broken_or_left_open() -> None:
         ((0.6, 1.0), F(1, 2), False),
         ((F(1, 2), F(1, 2)), F(1, 2), True),
     ):
-        assert kept(within, F(limit)) == wanted
-    assert ends(Certified(value=F(1, 3))) == (F(1, 3), F(1, 3))
-    low, high = ends(Bounded(value=1.0, error=0.25))
+        assert is_at_most(within, F(limit)) == wanted
+    assert interval_of(Certified(value=F(1, 3))) == (F(1, 3), F(1, 3))
+    low, high = interval_of(Bounded(value=1.0, error=0.25))
     assert low < 0.75 < 1.25 < high
     assert limit_of("max_regret", "1/3") == F(1, 3)
     assert limit_of("max_regret", 0) == 0
@@ -272,11 +276,11 @@ def test_ties_count_unless_their_sum_is_too_much() -> None:
     none = np.zeros(mdp.n_pairs, dtype=bool)
     for optimal, near in ((none, taken), (taken, none)):
         for lost, most, both in ((F(1), F(2), True), (F(2), F(2), True), (F(3), F(2), False)):
-            found = tied(chain, optimal, near, lost, lambda most=most: most)  # type: ignore[misc]
+            found = include_near_ties(chain, optimal, near, lost, lambda most=most: most)  # type: ignore[misc]
             assert found.tolist() == (taken if both else optimal).tolist()
     part = taken.copy()
     part[int(taken.argmax())] = False
-    assert tied(chain, none, part, F(3), lambda: F(2)).tolist() == part.tolist()
+    assert include_near_ties(chain, none, part, F(3), lambda: F(2)).tolist() == part.tolist()
 
 
 def test_floats_tie_within_their_rounding_and_exact_numbers_do_not() -> None:
@@ -303,7 +307,7 @@ def test_floats_tie_within_their_rounding_and_exact_numbers_do_not() -> None:
     for exact in (True, False):
         lost = policy_regret(PolicyChain.of(MDP.from_outcomes(far), [0, 0]), exact=exact)
         assert lost.optimal_pairs.tolist() == [False, True, True]
-        assert lost.decided(lost.forgiven) is False
+        assert lost.keeps_limit(lost.forgiven) is False
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -321,6 +325,6 @@ def test_a_bounded_regret_keeps_the_errors_of_both_values(
     far = replace(own, value=own.value - 2 * shift, error=own.error + 2 * abs(shift))
     monkeypatch.setattr(module, "evaluate", lambda *_: far)
     off = replace(best, value=best.value + shift, low=-0.126, high=0.126)
-    low, high = module._bounded(mdp, chain, off).at_start.interval
+    low, high = module._bound_regret(mdp, chain, off).at_start.interval
     assert low <= true <= high
     assert high - low < 0.8  # no wider than twice both errors

@@ -13,12 +13,12 @@ from small_models import small_model
 from exact_mdp import MDP
 from exact_mdp.analysis.gate.regret import proven_optimum
 from exact_mdp.analysis.gate.waiting import (
-    attaining,
+    chain_of_pairs,
+    charge_class_losses,
+    compute_exact_row,
     final_class,
-    outcomes,
-    resting,
-    shares,
-    taking,
+    find_attaining_pairs,
+    find_zero_reward_pairs,
     to_blame,
 )
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -28,15 +28,15 @@ def test_twins_have_the_same_outcomes() -> None:
     for seed in range(10):
         mdp = small_model(seed)
         for pair, (_, _, reward, row) in enumerate(oracle.rows_of(mdp)):
-            assert outcomes(mdp, pair) == (reward, frozenset(row.items()))
+            assert compute_exact_row(mdp, pair) == (reward, frozenset(row.items()))
 
 
 def test_a_policy_that_takes_pairs() -> None:
     mdp = small_model(3)
     rng = np.random.default_rng(0)
     pairs = np.array([rng.choice(mdp.pairs_of(s)) for s in range(mdp.n_states)])
-    assert taking(mdp, pairs).pairs.tolist() == pairs.tolist()
-    assert taking(mdp, pairs).chosen.dtype == np.float64
+    assert chain_of_pairs(mdp, pairs).pairs.tolist() == pairs.tolist()
+    assert chain_of_pairs(mdp, pairs).chosen.dtype == np.float64
 
 
 def test_final_classes_are_the_recurrent_ones_but_ends() -> None:
@@ -44,7 +44,7 @@ def test_final_classes_are_the_recurrent_ones_but_ends() -> None:
         mdp = small_model(seed, leaving=False)
         rng = np.random.default_rng(seed)
         pairs = [int(rng.choice(mdp.pairs_of(s))) for s in range(mdp.n_states)]
-        label = final_class(taking(mdp, np.array(pairs)))
+        label = final_class(chain_of_pairs(mdp, np.array(pairs)))
         found = {frozenset(np.flatnonzero(label == k).tolist()) for k in {*label.tolist()} - {-1}}
         every = map(frozenset, oracle.classes(oracle.rows_of(mdp, pairs)))
         assert found == {each for each in every if not mdp.terminal[min(each)]}
@@ -58,7 +58,7 @@ def test_what_waiting_loses_is_shared_among_those_to_blame() -> None:
         came, by_state = rng.integers(0, 3, size=size) / 2, rng.integers(0, 4, size=size) / 4
         gap = rng.choice([0.0, 0.0, 0.0, 1.0], size=size)
         wrong = rng.random(size) < 0.6
-        found = shares(label, came, by_state, gap, wrong)
+        found = charge_class_losses(label, came, by_state, gap, wrong)
         for state in range(size):
             own = [s for s in range(size) if label[s] == label[state]]
             blamed = [s for s in own if wrong[s]]
@@ -66,7 +66,9 @@ def test_what_waiting_loses_is_shared_among_those_to_blame() -> None:
             open_ = label[state] >= 0 and wrong[state] and not any(gap[s] > 0 for s in own)
             wanted = lost / len(blamed) if open_ else 0.0
             assert found[state] == pytest.approx(wanted)
-    never = shares(np.array([0]), np.zeros(1), np.array([inf]), np.zeros(1), np.array([True]))
+    never = charge_class_losses(
+        np.array([0]), np.zeros(1), np.array([inf]), np.zeros(1), np.array([True])
+    )
     assert never.tolist() == [0]
 
 
@@ -100,7 +102,7 @@ def test_optimal_actions_are_those_of_optimal_policies() -> None:
                 if total == best:
                     attained[s].add(choice[s])
         for s in range(3):
-            found = attaining(mdp, proof, optimal, s)
+            found = find_attaining_pairs(mdp, proof, optimal, s)
             compared += len(mdp.pairs_of(s)) > 1
             assert {*found} == attained[s]
     assert compared > 20
@@ -125,7 +127,7 @@ def test_pairs_that_may_earn_nothing_for_ever() -> None:
             if left == kept:
                 break
             kept = left
-        assert set(np.flatnonzero(resting(mdp, proof, optimal)).tolist()) == pairs
+        assert set(np.flatnonzero(find_zero_reward_pairs(mdp, proof, optimal)).tolist()) == pairs
 
 
 def test_who_waits_for_ever_is_to_blame() -> None:
@@ -140,7 +142,7 @@ def test_who_waits_for_ever_is_to_blame() -> None:
             total = oracle.total([rows[pair] for pair in choice])
             if not all(abs(v) < inf for v in total):
                 continue
-            chain = taking(mdp, np.array(choice))
+            chain = chain_of_pairs(mdp, np.array(choice))
             lost = np.array([float(b - t) for b, t in zip(best, total, strict=True)])
             blamed = to_blame(chain, proof, lost)
             label = final_class(chain)
@@ -155,7 +157,7 @@ def test_who_waits_for_ever_is_to_blame() -> None:
                 if label[s] < 0 and optimal[choice[s]]:
                     twin = any(
                         blamed[p]
-                        and outcomes(mdp, p) == outcomes(mdp, choice[s])
+                        and compute_exact_row(mdp, p) == compute_exact_row(mdp, choice[s])
                         and p != choice[s]
                         for p in mdp.pairs_of(s)
                     )

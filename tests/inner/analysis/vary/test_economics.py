@@ -14,12 +14,12 @@ from exact_mdp import MDP, Family, ModelError, cost_effectiveness, evaluate
 from exact_mdp.analysis.vary.distributions import Uncertain, Uncertainty
 from exact_mdp.analysis.vary.economics import (
     CostEffectiveness,
-    _bends,
+    _classify_strategies,
+    _is_icer_rising,
     _Means,
-    _statuses,
-    price,
+    parse_price,
 )
-from exact_mdp.analysis.vary.information import evpi, evppi
+from exact_mdp.analysis.vary.information import estimate_evpi, estimate_evppi
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT
 
 NAMES = ("none", "some", "more", "most", "all", "double", "triple")
@@ -91,10 +91,10 @@ def test_groups_are_known_by_regression_on_their_columns() -> None:
     analysis = analysis_of(effect, cost, draws)
     net = 0.7 * effect - cost
     found = analysis.evppi(0.7)
-    assert found["p.two"] == evppi(net, draws[:, 1:], ("p.two",))
-    assert found["p.one"] == evppi(net, draws[:, :1], ("p.one",))
+    assert found["p.two"] == estimate_evppi(net, draws[:, 1:], ("p.two",))
+    assert found["p.one"] == estimate_evppi(net, draws[:, :1], ("p.one",))
     grouped = analysis.evppi(0.7, {"both": ["p.two", "p.one"]})
-    assert grouped["both"].regression.value == pytest.approx(evpi(net).value, rel=0.05)
+    assert grouped["both"].regression.value == pytest.approx(estimate_evpi(net).value, rel=0.05)
     assert grouped["both"].parameters == ("p.two", "p.one")
 
 
@@ -134,10 +134,10 @@ def test_rounding_is_worth_no_information() -> None:
         assert analysis.evpi(1.0).value == 0
     assert analysis_of(effect, cost, effect_error=0.45 * error).evpi(1.0).value > 0
     assert analysis_of(np.array(effect)[:, [0]], cost[:, [0]]).evpi([1.0])[0].value == 0
-    settled = analysis_of(effect, cost, effect_error=error)._settled(1.0)
+    settled = analysis_of(effect, cost, effect_error=error)._equalise_ties(1.0)
     assert settled.tolist() == [[row[0]] * 2 for row in effect]
     far = np.add(effect, [[0, 3.0]])
-    assert np.array_equal(analysis_of(far, cost, effect_error=error)._settled(1.0), far)
+    assert np.array_equal(analysis_of(far, cost, effect_error=error)._equalise_ties(1.0), far)
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -149,7 +149,7 @@ def test_bounds_cover_the_exact_net_benefit_of_numbers_within_their_errors(seed:
            "cost_error": np.abs(rng.normal(size=(3, 2))) * 2.0**-45}  # fmt: skip
     analysis = analysis_of(effect, cost, **off)
     for wtp in (3.7, -0.3):
-        net, bound = analysis.net_benefit(wtp), analysis._error(wtp)
+        net, bound = analysis.net_benefit(wtp), analysis._bound_errors(wtp)
         for at in product(range(3), range(2)):
             e, c = Fraction(effect[at]), Fraction(cost[at])
             de, dc = Fraction(off["effect_error"][at]), Fraction(off["cost_error"][at])
@@ -160,7 +160,7 @@ def test_bounds_cover_the_exact_net_benefit_of_numbers_within_their_errors(seed:
             assert far <= bound[at]
             assert float(own) == pytest.approx(bound[at], rel=1e-5)
             assert own <= Fraction(bound[at])
-    assert analysis._error([1.0, 2.0]).shape == (2, 3, 2)
+    assert analysis._bound_errors([1.0, 2.0]).shape == (2, 3, 2)
 
 
 # ---- means ---------------------------------------------------------------------------------------
@@ -182,7 +182,7 @@ def test_means_and_differences_are_within_their_bounds_in_fractions(seed: int) -
         own = given[n] + (draws + 4) * Fraction(UNIT) * size[n]
         assert float(own) == pytest.approx(means.error[n], rel=1e-5)
     for one, other in permutations(range(3), 2):
-        apart, off = means.difference(one, other)
+        apart, off = means.compute_difference(one, other)
         assert apart == means.value[one] - means.value[other]
         wanted = means.error[one] + means.error[other] + UNIT * abs(apart)
         assert off == pytest.approx(wanted * SLACK, rel=1e-12)
@@ -193,7 +193,7 @@ def test_means_and_differences_are_within_their_bounds_in_fractions(seed: int) -
 
 def test_means_are_equal_within_both_errors() -> None:
     means = _Means(np.array([0.0, 1.0, 3.0]), np.array([0.5, 0.5, 0.25]))
-    signs = [[means.sign(one, other) for other in range(3)] for one in range(3)]
+    signs = [[means.compare_means(one, other) for other in range(3)] for one in range(3)]
     assert signs == [[0, 0, -1], [0, 0, -1], [1, 1, 0]]
 
 
@@ -232,7 +232,7 @@ def test_the_frontier_is_what_no_strategy_and_no_mixture_dominates(block: int) -
         if most == 30:  # along a curve that bends, on which many are efficient
             cost = [each * each // 10 for each in effect]
         said = said_of(cost, effect)
-        assert _statuses(exact_means(cost), exact_means(effect), NAMES[:count]) == said
+        assert _classify_strategies(exact_means(cost), exact_means(effect), NAMES[:count]) == said
         rows = analysis_of([effect, effect], [cost, cost]).icers()
         order = sorted(range(count), key=lambda n: (cost[n], -effect[n]))
         points = [(c, e) for c, e in zip(rows["cost"], rows["effect"], strict=True)]
@@ -258,7 +258,7 @@ def test_strategies_equal_within_their_errors_are_one() -> None:
         (_Means(close, 0 * wide), _Means(close, wide), "dominated"),  # it costs more
         (_Means(close, wide), _Means(close, 0 * wide), "efficient"),  # the first gains less
     ):
-        assert _statuses(cost, effect, NAMES[:3])[1] == said
+        assert _classify_strategies(cost, effect, NAMES[:3])[1] == said
 
 
 def test_three_strategies_bend_where_no_numbers_within_the_errors_say_otherwise() -> None:
@@ -270,13 +270,13 @@ def test_three_strategies_bend_where_no_numbers_within_the_errors_say_otherwise(
         numbers = np.concatenate([np.zeros((2, 1)), steps.cumsum(axis=1)], axis=1)
         errors = rng.random((2, 3)) * rng.choice([0.003, 0.03, 0.3])
         cost, effect = (_Means(n, e) for n, e in zip(numbers, errors, strict=True))
-        (c1, dc1), (e1, de1) = cost.difference(1, 0), effect.difference(1, 0)
-        (c2, dc2), (e2, de2) = cost.difference(2, 1), effect.difference(2, 1)
+        (c1, dc1), (e1, de1) = cost.compute_difference(1, 0), effect.compute_difference(1, 0)
+        (c2, dc2), (e2, de2) = cost.compute_difference(2, 1), effect.compute_difference(2, 1)
         corners = [
             (c2 + i * dc2) * (e1 + j * de1) - (c1 + k * dc1) * (e2 + m * de2)
             for i, j, k, m in product((-1, 1), repeat=4)
         ]
-        found = _bends(cost, effect, 0, 1, 2)
+        found = _is_icer_rising(cost, effect, 0, 1, 2)
         assert not found or min(corners) > 0
         surely = c2 * e1 - c1 * e2 - (abs(c2) * de1 + abs(c1) * de2)
         surely -= (abs(e1) + de1) * dc2 + (abs(e2) + de2) * dc1
@@ -288,15 +288,15 @@ def test_three_strategies_bend_where_no_numbers_within_the_errors_say_otherwise(
 def test_what_bends_by_rounding_alone_does_not_bend() -> None:
     """1/3 and 2/3 of the way: the exact products of floats differ by less than they round."""
     third = _Means(np.array([0.0, 1 / 3, 1.0]), np.zeros(3))
-    assert not _bends(third, third, 0, 1, 2)
+    assert not _is_icer_rising(third, third, 0, 1, 2)
     more = _Means(np.array([0.0, 1 / 3, 1 + 1e-9]), np.zeros(3))
-    assert _bends(more, third, 0, 1, 2)
-    assert not _bends(third, more, 0, 1, 2)
+    assert _is_icer_rising(more, third, 0, 1, 2)
+    assert not _is_icer_rising(third, more, 0, 1, 2)
     for scale in (1e-8, 1.0, 1e8):
         for units, bends in ((2, False), (5, False), (60, True)):
             cost = _Means(scale * np.array([0.0, 1.0, 2 + 2 * units * UNIT]), np.zeros(3))
             line = _Means(np.array([0.0, 1.0, 2.0]), np.zeros(3))
-            assert _bends(cost, line, 0, 1, 2) == bends
+            assert _is_icer_rising(cost, line, 0, 1, 2) == bends
 
 
 # ---- results -------------------------------------------------------------------------------------
@@ -350,14 +350,14 @@ def test_the_report_has_the_numbers_of_the_analysis() -> None:
 
 def test_a_price_is_one_finite_number_and_prices_are_a_list() -> None:
     analysis = random_analysis(0)
-    assert (price(3), price("2.5")) == (3, 2.5)
+    assert (parse_price(3), parse_price("2.5")) == (3, 2.5)
     for wrong in ([[1, 2]], [], "x", np.nan, np.inf, [1, np.inf], None):
         with pytest.raises(ModelError, match="no finite number"):
             analysis.acceptability(wrong)  # type: ignore[arg-type]
     with pytest.raises(ModelError, match="several numbers"):
-        price([1, 2])
+        parse_price([1, 2])
     with pytest.raises(ModelError, match="several numbers"):
-        price([1])
+        parse_price([1])
     assert len(analysis.evpi([1])) == 1
 
 

@@ -10,11 +10,11 @@ from scipy.stats import sem
 
 from exact_mdp import ModelError
 from exact_mdp.analysis.vary.information import (
-    _basis,
-    _longest,
-    _solved,
-    evpi,
-    evppi,
+    _build_spline_basis,
+    _find_largest_sum,
+    _solve_normal_equations,
+    estimate_evpi,
+    estimate_evppi,
     too_wide,
 )
 
@@ -25,12 +25,12 @@ def test_evpi_is_the_mean_of_the_greatest_less_the_greatest_mean() -> None:
     rng = np.random.default_rng(0)
     for count in (2, 5, 40):
         values = rng.normal(size=(count, 3))
-        loss = evpi(values)
+        loss = estimate_evpi(values)
         most = [max(row) for row in values.tolist()]
         best = max(range(3), key=lambda n: sum(values[:, n]))
         assert loss.value == pytest.approx(np.mean(most) - values[:, best].mean())
         assert loss.standard_error == pytest.approx(sem(np.subtract(most, values[:, best])))
-    assert evpi(np.ones((4, 1))).value == 0
+    assert estimate_evpi(np.ones((4, 1))).value == 0
 
 
 # ---- the regression ------------------------------------------------------------------------------
@@ -80,7 +80,7 @@ def test_the_terms_span_the_splines_and_products_that_draws_allow(
     count: int, known: int, knots: int | None, crossed: bool
 ) -> None:
     draws = np.random.default_rng(count).uniform(-3, 5, (count, known))
-    terms = _basis(draws)
+    terms = _build_spline_basis(draws)
     wanted = known + 1 if knots is None else known * (knots + 3) + 1
     assert terms.shape == (count, wanted + crossed * comb(known, 2))
     if known < 10:  # of the same rank together: the same functions
@@ -106,7 +106,7 @@ def test_normal_equations_give_the_least_squares_of_another_library(seed: int) -
         best = terms @ np.linalg.solve(
             terms.T @ terms / size[:, None], terms.T @ sides / size[:, None]
         )
-        found = given @ _solved(given.T @ given, given.T @ sides)
+        found = given @ _solve_normal_equations(given.T @ given, given.T @ sides)
         assert found == pytest.approx(best, abs=1e-5)
 
 
@@ -142,7 +142,7 @@ def test_the_longest_pattern_of_residuals_is_that_of_loops(seed: int) -> None:
     if seed % 2:
         residuals += 1.5 * (draws[:, :1] > 0.5)
     total, surprising = longest(draws, residuals)
-    assert _longest(draws, residuals) == (pytest.approx(total), surprising)
+    assert _find_largest_sum(draws, residuals) == (pytest.approx(total), surprising)
 
 
 def test_a_pattern_surprises_at_the_root_of_twice_the_logarithm_of_the_windows() -> None:
@@ -152,15 +152,15 @@ def test_a_pattern_surprises_at_the_root_of_twice_the_logarithm_of_the_windows()
         residuals = np.where(np.arange(40) % 2, 1.0, -1.0)
         residuals[10:26] = size
         total, surprising = longest(x, residuals[:, None])
-        assert _longest(x, residuals[:, None]) == (pytest.approx(total), surprising)
+        assert _find_largest_sum(x, residuals[:, None]) == (pytest.approx(total), surprising)
         assert said in (True, False)
-    assert _longest(x, np.zeros((40, 2))) == (0, False)
+    assert _find_largest_sum(x, np.zeros((40, 2))) == (0, False)
     flat = np.where(np.arange(40) % 2, 1.0, -1.0)
     flat[20] = -0.5  # no sum is longer than half a residual
-    assert _longest(x, flat[:, None]) == (pytest.approx(0.5), False)
+    assert _find_largest_sum(x, flat[:, None]) == (pytest.approx(0.5), False)
     begins = np.array([1.0] * 7 + [-7.0] + [0.0] * 8)  # seven neighbours are not eight
-    assert _longest(x[:16], begins[:, None])[0] == longest(x[:16], begins[:, None])[0] == 7
-    assert _longest(x[:15], np.ones((15, 1))) == (0, False)
+    assert _find_largest_sum(x[:16], begins[:, None])[0] == longest(x[:16], begins[:, None])[0] == 7
+    assert _find_largest_sum(x[:15], np.ones((15, 1))) == (0, False)
 
 
 # ---- EVPPI ---------------------------------------------------------------------------------------
@@ -178,11 +178,11 @@ Expected = tuple[float, float, float, float, list[str]]
 def expected(values: np.ndarray, draws: np.ndarray) -> Expected:
     """EVPPI, its standard error, the lower estimate, its standard error, and what is doubtful."""
     count, best = len(values), int(values.mean(axis=0).argmax())
-    ahead, terms = values - values[:, [best]], _basis(draws)
+    ahead, terms = values - values[:, [best]], _build_spline_basis(draws)
     fitted = regression(terms, ahead, terms)
     greatest, chosen = fitted.max(axis=1), fitted.argmax(axis=1)
     gain = greatest - fitted[:, fitted.mean(axis=0).argmax()]
-    promised, most = gain.mean(), evpi(values).value
+    promised, most = gain.mean(), estimate_evpi(values).value
     value, own = min(promised, most), [ahead[d, c] for d, c in enumerate(chosen)]
     earned = []
     for k in range(5):
@@ -231,7 +231,7 @@ def test_evppi_is_what_its_definition_says_and_doubts_what_is_doubtful() -> None
     for seed in range(60):
         values, draws = problem(seed)
         found, (value, error, lower, own, said) = (
-            evppi(values, draws, ("x",)),
+            estimate_evppi(values, draws, ("x",)),
             expected(values, draws),
         )
         assert found.parameters == ("x",)
@@ -249,32 +249,34 @@ def test_what_is_known_of_nothing_that_varies_or_of_one_candidate_is_worth_nothi
     rng = np.random.default_rng(0)
     values = rng.normal(size=(50, 2))
     for found in (
-        evppi(values, np.ones((50, 2)), ("x", "y")),
-        evppi(values[:, :1], rng.random((50, 1)), ("x",)),
+        estimate_evppi(values, np.ones((50, 2)), ("x", "y")),
+        estimate_evppi(values[:, :1], rng.random((50, 1)), ("x",)),
     ):
         assert (found.regression.value, found.regression.standard_error) == (0, 0)
         assert (found.lower.value, found.lower.standard_error) == (0, 0)
         assert found.reliable
     x = rng.random((50, 1))
-    with_constant = evppi(values, np.hstack([np.ones((50, 1)), x]), ("c", "x"))
-    alone = evppi(values, x, ("x",))
-    assert evppi(values, np.hstack([x, np.zeros((50, 1))]), ("x",)) == alone
+    with_constant = estimate_evppi(values, np.hstack([np.ones((50, 1)), x]), ("c", "x"))
+    alone = estimate_evppi(values, x, ("x",))
+    assert estimate_evppi(values, np.hstack([x, np.zeros((50, 1))]), ("x",)) == alone
     assert with_constant.regression == alone.regression
     assert with_constant.doubts == alone.doubts
 
 
 def test_a_regression_takes_at_least_20_draws_and_the_first_20_000() -> None:
     rng = np.random.default_rng(0)
-    assert evppi(rng.normal(size=(20, 2)), rng.random((20, 1)), ("x",)).parameters == ("x",)
+    assert estimate_evppi(rng.normal(size=(20, 2)), rng.random((20, 1)), ("x",)).parameters == (
+        "x",
+    )
     for count, said in ((19, "19 draws for"), (1, "1 draw for")):
         with pytest.raises(ModelError, match=f"{said} a regression") as error:
-            evppi(rng.normal(size=(count, 2)), rng.random((count, 1)), ("x",))
+            estimate_evppi(rng.normal(size=(count, 2)), rng.random((count, 1)), ("x",))
         assert (error.value.where, error.value.fix) == ("EVPPI", "ask for at least 20")
     x = rng.random((20_005, 1))
     values = np.hstack([x - 0.5, 0 * x])
     values[20_000:] = 1e9
-    found = evppi(values, x, ("x",))
-    assert found == evppi(values[:20_000], x[:20_000], ("x",))
+    found = estimate_evppi(values, x, ("x",))
+    assert found == estimate_evppi(values[:20_000], x[:20_000], ("x",))
     assert found.regression.value == pytest.approx(1 / 8, rel=0.02)
 
 

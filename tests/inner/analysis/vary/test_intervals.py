@@ -12,17 +12,17 @@ from exact_mdp.analysis.vary.intervals import (
     NORMAL,
     QUANTILES,
     MeanLoss,
+    compute_wilson_interval,
     confidence_of,
+    estimate_quantiles,
+    estimate_share,
     mean_at_least,
     mean_interval,
     mean_loss,
     mean_of,
-    quantiles,
     require_draws,
-    share_of,
     tolerances_of,
     upper_quantile,
-    wilson,
 )
 
 # ---- means ---------------------------------------------------------------------------------------
@@ -174,7 +174,7 @@ def test_the_ends_of_a_quantile_are_order_statistics(count: int) -> None:
     """The quantile is below the k-th smallest only where fewer than k draws are below it."""
     values = np.random.default_rng(0).permutation(count).astype(float)
     for p in (0.02, 0.3, 0.5, 0.97):
-        (found,) = quantiles(values, [p])
+        (found,) = estimate_quantiles(values, [p])
         ranks = range(1, count + 1)
         low = [k - 1 for k in ranks if binom.cdf(k - 1, count, p) <= 0.025]
         high = [k - 1 for k in ranks if binom.cdf(k - 1, count, p) >= 0.975]
@@ -186,7 +186,7 @@ def test_the_ends_of_a_quantile_are_order_statistics(count: int) -> None:
 
 def test_an_end_counts_where_it_is_just_as_sure_as_needed() -> None:
     """Of one draw at the quantile 0.975, in floats: 1 - 0.975 is the chance that none is below."""
-    (found,) = quantiles(np.array([7.0]), [0.975])
+    (found,) = estimate_quantiles(np.array([7.0]), [0.975])
     assert found["low"] == 7
     assert found["high"] == np.inf
 
@@ -194,7 +194,7 @@ def test_an_end_counts_where_it_is_just_as_sure_as_needed() -> None:
 def test_seven_quantiles_are_given_and_mirror_each_other() -> None:
     assert QUANTILES == (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
     assert [1 - p for p in QUANTILES] == pytest.approx(QUANTILES[::-1])
-    assert [each["probability"] for each in quantiles(np.arange(9.0))] == [*QUANTILES]
+    assert [each["probability"] for each in estimate_quantiles(np.arange(9.0))] == [*QUANTILES]
 
 
 def test_so_many_draws_are_needed_that_the_greatest_is_surely_beyond() -> None:
@@ -228,15 +228,17 @@ def test_tolerances_are_geometric_up_to_the_largest_quantile() -> None:
 def test_intervals_of_quantiles_end_at_order_statistics_that_cover() -> None:
     """By another library's distribution; none closer does."""
     for p in (0.5, 0.1):
-        (interval,) = quantiles(np.arange(1.0, 1001.0)[::-1], [p])  # sorted, the k-th smallest is k
+        (interval,) = estimate_quantiles(
+            np.arange(1.0, 1001.0)[::-1], [p]
+        )  # sorted, the k-th smallest is k
         below, (low, high) = binom(1000, p).cdf, (interval["low"] - 1, interval["high"] - 1)
         assert below(high - 1) - below(low + 1) < below(high) - below(low)
         assert 0.95 <= below(high) - below(low) < 0.97
         assert interval["value"] == 999 * p + 1
-    (least,) = quantiles(np.arange(1.0, 11.0), [0.025])
+    (least,) = estimate_quantiles(np.arange(1.0, 11.0), [0.025])
     assert (least["low"], least["high"]) == (-np.inf, 2)  # the least of ten is above it in 78 %
     for count in (1, 10, 100, 146, 2000):  # both ends are beyond by 97.5 %, or there is none
-        for each in quantiles(np.arange(1.0, count + 1)):
+        for each in estimate_quantiles(np.arange(1.0, count + 1)):
             below = binom(count, each["probability"]).cdf
             assert below(each["low"] - 1) <= 1 - 0.975
             assert below(each["high"] - 1) >= 0.975
@@ -255,9 +257,9 @@ def test_the_upper_end_is_the_lowest_order_statistic_that_covers(level: float, c
 @pytest.mark.parametrize(("successes", "count"), [(0, 20), (3, 20), (20, 20), (1, 1), (50, 1000)])
 def test_wilsons_interval_is_that_of_scipy(successes: int, count: int) -> None:
     wanted = binomtest(successes, count).proportion_ci(method="wilson")
-    low, high = wilson(successes, count)
+    low, high = compute_wilson_interval(successes, count)
     assert (float(low), float(high)) == pytest.approx((wanted.low, wanted.high), abs=1e-6)
-    share = share_of(successes, count)
+    share = estimate_share(successes, count)
     assert share.interval == pytest.approx((wanted.low, wanted.high), abs=1e-6)
     assert share.value == successes / count
     assert share.standard_error == pytest.approx(binom.std(count, successes / count) / count)
@@ -266,7 +268,7 @@ def test_wilsons_interval_is_that_of_scipy(successes: int, count: int) -> None:
 def test_shares_of_none_and_of_all_end_where_a_share_ends() -> None:
     """Without a last bit of rounding beyond."""
     for count in range(1, 200):
-        low, high = wilson([0, count], count)
+        low, high = compute_wilson_interval([0, count], count)
         assert low[0] == 0 < low[1] < 1
         assert high[1] == 1 > high[0] > 0
 

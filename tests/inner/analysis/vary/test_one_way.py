@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from exact_mdp import MDP, Family, ModelError, Parameter, one_way, tornado, two_way
-from exact_mdp.analysis.vary.one_way import grid
+from exact_mdp.analysis.vary.one_way import make_grid
 from exact_mdp.analysis.vary.ranges import Range
 
 F = Fraction
@@ -133,11 +133,11 @@ def test_a_curve_has_the_values_along_the_range(sense: str) -> None:
 
 def test_a_grid_is_even_and_has_both_ends() -> None:
     span = Range(low=F(1, 3), high=F(2))
-    assert grid(span, 2) == [F(1, 3), 2]
-    assert grid(span, 6) == [F(1, 3) + F(k, 3) for k in range(6)]
+    assert make_grid(span, 2) == [F(1, 3), 2]
+    assert make_grid(span, 6) == [F(1, 3) + F(k, 3) for k in range(6)]
     for few in (1, 0, 2.5):
         with pytest.raises(ModelError, match="points"):
-            grid(span, few)  # type: ignore[arg-type]
+            make_grid(span, few)  # type: ignore[arg-type]
 
 
 @SENSES

@@ -13,16 +13,16 @@ from scipy.stats import binomtest, sem
 
 from exact_mdp import MDP, Family, ModelError, Parameter, psa
 from exact_mdp.analysis.vary.distributions import Uncertain, Uncertainty, uncertainty
-from exact_mdp.analysis.vary.information import PartialInformation, evppi, too_wide
-from exact_mdp.analysis.vary.intervals import mean_loss, quantiles, tolerances_of
+from exact_mdp.analysis.vary.information import PartialInformation, estimate_evppi, too_wide
+from exact_mdp.analysis.vary.intervals import estimate_quantiles, mean_loss, tolerances_of
 from exact_mdp.analysis.vary.psa import (
     CANDIDATES,
     MISSING,
     POOL,
     PSA,
     Candidate,
-    drawn,
     groups_of,
+    sample_parameters,
 )
 from exact_mdp.analysis.vary.study import Study
 from exact_mdp.solvers.solution import Estimated
@@ -142,7 +142,7 @@ def test_groups_are_valued_by_their_columns_and_doubted_where_policies_are_missi
     assert found.keys() == columns.keys()
     for label, each in columns.items():
         names = tuple(analysis.names[k] for k in each)
-        wanted = evppi(gained, points[:, each], names)
+        wanted = estimate_evppi(gained, points[:, each], names)
         assert found[label].regression == wanted.regression
         assert found[label].lower == wanted.lower
     among, low = analysis.evpi_of_candidates(), analysis.evpi().low
@@ -227,7 +227,7 @@ def test_the_report_has_the_numbers_of_the_analysis(draws: int) -> None:
         assert values == sorted(values, reverse=True)
     else:
         assert told["evppi"] == {}
-    every = quantiles(table.optimal)
+    every = estimate_quantiles(table.optimal)
     assert [each["value"] for each in told["value"]["quantiles"]] == [q["value"] for q in every]
     assert told["drawn"]["q"]["mean"] == 0.5
     assert told["drawn"]["q"]["sd"] == pytest.approx(12**-0.5)
@@ -275,15 +275,15 @@ def test_the_groups_whose_errors_are_above_evpi_are_told_with_their_remedy(
 
 def test_draws_come_in_blocks_of_streams_of_their_own_or_from_ones_sample() -> None:
     chosen = uncertainty(WAGERS, SAID)
-    points = drawn(WAGERS, chosen, 11, 5, 4)
+    points = sample_parameters(WAGERS, chosen, 11, 5, 4)
     streams = np.random.SeedSequence(5).spawn(3)
     parts = [chosen.draw(s, n) for s, n in zip(streams, (4, 4, 3), strict=True)]
     assert np.array_equal(points, np.concatenate(parts))
     frame = pd.DataFrame({"q": [0.1, 0.2, 0.3], "p": [0.4, 0.5, 0.6]})
     sample = uncertainty(WAGERS, frame)
-    assert drawn(WAGERS, sample, None, 5, 4).tolist() == frame.to_numpy().tolist()
-    assert drawn(WAGERS, sample, 2, 5, 4).tolist() == frame.to_numpy()[:2].tolist()
-    assert len(drawn(WAGERS, sample, 3, 5, 4)) == 3
+    assert sample_parameters(WAGERS, sample, None, 5, 4).tolist() == frame.to_numpy().tolist()
+    assert sample_parameters(WAGERS, sample, 2, 5, 4).tolist() == frame.to_numpy()[:2].tolist()
+    assert len(sample_parameters(WAGERS, sample, 3, 5, 4)) == 3
     for how, said in (
         ((sample, 4), "4 draws of a sample of 3"),
         ((chosen, None), "nothing says how many"),
@@ -292,10 +292,10 @@ def test_draws_come_in_blocks_of_streams_of_their_own_or_from_ones_sample() -> N
         ((Uncertainty(parts=(), fixed={}), 5), "no parameter is uncertain"),
     ):
         with pytest.raises(ModelError, match=said):
-            drawn(WAGERS, *how, 5, 4)
+            sample_parameters(WAGERS, *how, 5, 4)
     outside = uncertainty(WAGERS, {"p": {"distribution": "normal", "mean": 0.5, "sd": 5}})
     with pytest.raises(ModelError, match="outside"):
-        drawn(WAGERS, outside, 20, 0, 8)
+        sample_parameters(WAGERS, outside, 20, 0, 8)
 
 
 # ---- models --------------------------------------------------------------------------------------

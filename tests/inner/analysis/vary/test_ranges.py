@@ -12,16 +12,16 @@ from exact_mdp.analysis.vary.ranges import (
     RELATIVE,
     Range,
     Ranges,
-    admitted,
-    around,
-    checked,
-    entries,
+    flatten_entries,
     is_probability,
+    list_usual_parameters,
+    make_range_around,
     range_of,
     ranges_of,
+    read_ranges,
+    restrict_range,
     spans_of,
     unit_of,
-    usual,
 )
 
 F = Fraction
@@ -51,23 +51,23 @@ def test_units_follow_from_what_a_parameter_may_be() -> None:
 def test_a_share_of_the_value_to_both_sides(value: Fraction, share: object) -> None:
     reach = abs(value) * F(share)  # type: ignore[call-overload]
     low, high = value - reach, value + reach
-    assert ends(around(parameter(value), share)) == (low, high)
+    assert ends(make_range_around(parameter(value), share)) == (low, high)
     bounded = parameter(value, value - 1, value + 2)
-    assert ends(around(bounded, share)) == (max(low, value - 1), min(high, value + 2))
+    assert ends(make_range_around(bounded, share)) == (max(low, value - 1), min(high, value + 2))
 
 
 def test_the_whole_is_all_that_a_parameter_may_be() -> None:
-    assert ends(around(parameter(3, -1, 9), "whole")) == (-1, 9)
-    assert ends(around(parameter(3, None, 9), "whole")) == (0, 9)
-    assert ends(around(parameter(-3, -9), "whole")) == (-9, 0)
-    assert ends(around(parameter(3), "whole")) == (0, 6)
+    assert ends(make_range_around(parameter(3, -1, 9), "whole")) == (-1, 9)
+    assert ends(make_range_around(parameter(3, None, 9), "whole")) == (0, 9)
+    assert ends(make_range_around(parameter(-3, -9), "whole")) == (-9, 0)
+    assert ends(make_range_around(parameter(3), "whole")) == (0, 6)
     assert 5 * RELATIVE == 1
-    assert ends(around(parameter(10))) == (8, 12)
+    assert ends(make_range_around(parameter(10))) == (8, 12)
     for wrong in (0, -1, "-1/5", "all", 10**400):
         with pytest.raises(ModelError, match="relative"):
-            around(parameter(3), wrong)
-    assert ends(around(parameter(1), F(1, 10**9))) == (1 - F(1, 10**9), 1 + F(1, 10**9))
-    assert ends(around(parameter(1), 1)) == (0, 2)
+            make_range_around(parameter(3), wrong)
+    assert ends(make_range_around(parameter(1), F(1, 10**9))) == (1 - F(1, 10**9), 1 + F(1, 10**9))
+    assert ends(make_range_around(parameter(1), 1)) == (0, 2)
 
 
 def test_a_range_keeps_its_ends_exact_and_in_order() -> None:
@@ -90,21 +90,21 @@ def named(model: Any, name: str) -> Parameter:
 
 def test_named_probabilities_of_a_row_leave_room_for_each_other() -> None:
     stay = named(ROW, "stay")
-    assert ends(admitted(ROW, stay, Range(low=0, high=1))) == (0, F(3, 4))
-    assert ends(admitted(ROW, stay, Range(low="1/4", high="5/8"))) == (F(1, 4), F(5, 8))
+    assert ends(restrict_range(ROW, stay, Range(low=0, high=1))) == (0, F(3, 4))
+    assert ends(restrict_range(ROW, stay, Range(low="1/4", high="5/8"))) == (F(1, 4), F(5, 8))
     assert ends(ranges_of(ROW, ["one"], None, "whole")["one"]) == (0, F(1, 2))
     scenario = parametric(Scenario.load("yuan2025"))
     span = Range(low=0, high=1)
-    assert admitted(scenario, named(scenario, "base.anger"), span) is span
+    assert restrict_range(scenario, named(scenario, "base.anger"), span) is span
 
 
 def test_an_end_without_finite_values_is_halved_towards_today() -> None:
     """At discount 1 an episode may go on for ever: 9/10 ends half way, at 19/20."""
     stays = MDP.from_arrays([[[1]]], [1], "9/10")
     discount = named(parametric(stays), "discount")
-    found = admitted(parametric(stays), discount, Range(low="1/2", high=1))
+    found = restrict_range(parametric(stays), discount, Range(low="1/2", high=1))
     assert ends(found) == (F(1, 2), F(19, 20))
-    assert ends(admitted(parametric(stays), discount, Range(low="9/10", high=1))) == (
+    assert ends(restrict_range(parametric(stays), discount, Range(low="9/10", high=1))) == (
         F(9, 10), F(19, 20)
     )  # fmt: skip
 
@@ -123,11 +123,14 @@ LIMITED = Family(parameters=(parameter("1/2"), parameter(1, name="y")), build=bu
 def test_ends_at_which_no_model_can_be_built_are_halved_one_by_one() -> None:
     x, y = LIMITED.parameters
     # From 0: 0, 1/4, 3/8; from 1: 1, 3/4.
-    assert ends(admitted(LIMITED, x, Range(low=0, high=1))) == (F(3, 8), F(3, 4))
-    assert ends(admitted(LIMITED, x, Range(low="2/5", high="4/5"))) == (F(2, 5), F(4, 5))
-    assert ends(admitted(LIMITED, y, Range(low=0, high=2))) == (0, F(9, 8))  # 2, 3/2, 5/4, 9/8
+    assert ends(restrict_range(LIMITED, x, Range(low=0, high=1))) == (F(3, 8), F(3, 4))
+    assert ends(restrict_range(LIMITED, x, Range(low="2/5", high="4/5"))) == (F(2, 5), F(4, 5))
+    assert ends(restrict_range(LIMITED, y, Range(low=0, high=2))) == (
+        0,
+        F(9, 8),
+    )  # 2, 3/2, 5/4, 9/8
     point = Range(low="1/2", high="1/2")
-    assert ends(admitted(LIMITED, x, point)) == (F(1, 2), F(1, 2))
+    assert ends(restrict_range(LIMITED, x, point)) == (F(1, 2), F(1, 2))
 
 
 def test_what_no_halving_reaches_has_no_range_there() -> None:
@@ -145,13 +148,13 @@ def test_what_no_halving_reaches_has_no_range_there() -> None:
     for k, high in ((38, 1 + F(1, 2**38)), (39, 1 + F(1, 2**39)), (40, 1)):
         model = only(F(1, 2**k))
         (x,) = model.parameters
-        assert ends(admitted(model, x, Range(low=0, high=2))) == (0, high)
+        assert ends(restrict_range(model, x, Range(low=0, high=2))) == (0, high)
 
 
 def test_a_model_without_finite_values_today_keeps_its_range() -> None:
     stays = parametric(MDP.from_arrays([[[1]]], [1], 1))
     reward = named(stays, "reward.1")
-    assert ends(admitted(stays, reward, Range(low=0, high=2))) == (0, 2)
+    assert ends(restrict_range(stays, reward, Range(low=0, high=2))) == (0, 2)
 
 
 # ---- what is stated ------------------------------------------------------------------------------
@@ -166,33 +169,33 @@ MODEL = Family(
 
 
 def test_stated_ranges_are_pairs_within_what_may_be() -> None:
-    found = checked(MODEL, {"p": (0, "1/3"), "zero": [-1, 0.5], "cost.a": Range(low=1, high=2)})
+    found = read_ranges(MODEL, {"p": (0, "1/3"), "zero": [-1, 0.5], "cost.a": Range(low=1, high=2)})
     assert {name: ends(span) for name, span in found.items()} == {
         "p": (0, F(1, 3)), "zero": (-1, F(1, 2)), "cost.a": (1, 2),
     }  # fmt: skip
-    assert checked(MODEL, found) is found
-    assert checked(MODEL, None) == checked(MODEL, {}) == Ranges()
+    assert read_ranges(MODEL, found) is found
+    assert read_ranges(MODEL, None) == read_ranges(MODEL, {}) == Ranges()
     wrong: list[Any] = [
         {"p": (0, 2)}, {"p": (-1, 1)}, {"p": (1, 1)}, {"p": (1, 0)}, {"p": 1}, {"p": (1, 2, 3)},
         {"p": (0,)}, {"p": "01"}, {"p": (0, "x")}, {"unknown": (0, 1)}, [("p", 0, 1)],
     ]  # fmt: skip
     for ranges in wrong:
         with pytest.raises(ModelError):
-            checked(MODEL, ranges)
+            read_ranges(MODEL, ranges)
 
 
 def test_a_file_states_ranges_by_dotted_names(tmp_path: Path) -> None:
     file = tmp_path / "ranges.toml"
     file.write_text('p = [0.25, "3/4"]\n[cost]\na = [1, 2]\n')
     for path in (file, str(file)):
-        found = checked(MODEL, path)
+        found = read_ranges(MODEL, path)
         assert {n: ends(s) for n, s in found.items()} == {"p": (F(1, 4), F(3, 4)), "cost.a": (1, 2)}
     for text in ("", "q = [1, 2]", "p = 1", "[p]"):
         file.write_text(text)
         with pytest.raises(ModelError, match=r"ranges\.toml"):
-            checked(MODEL, file)
+            read_ranges(MODEL, file)
     table = {"a": 1, "b": {"c": 2, "d": {"e": [3]}}, "f": {}}
-    assert [*entries(table)] == [("", "a", 1), ("b", "c", 2), ("b.d", "e", [3])]
+    assert [*flatten_entries(table)] == [("", "a", 1), ("b", "c", 2), ("b.d", "e", [3])]
 
 
 def test_ranges_are_stated_or_around_today() -> None:
@@ -243,9 +246,9 @@ def test_a_plain_number_below_1_that_is_varied_beyond_may_be_a_probability(
 
 
 def test_what_varies_together_has_a_range_and_is_not_the_discount() -> None:
-    assert usual(MODEL) == ["p", "zero", "cost.a"]
+    assert list_usual_parameters(MODEL) == ["p", "zero", "cost.a"]
     alone = Family(parameters=(parameter("9/10", 0, 1, name="discount"),), build=MODEL.build)
-    assert usual(alone) == ["discount"]
+    assert list_usual_parameters(alone) == ["discount"]
 
     def of(*args: Any) -> dict[str, tuple[Fraction, Fraction]]:
         return {each.name: ends(span) for each, span in spans_of(MODEL, *args).items()}

@@ -9,7 +9,12 @@ from scipy import stats
 
 from exact_mdp import MDP, Family, ModelError, sobol
 from exact_mdp.analysis.vary.ranges import Range
-from exact_mdp.analysis.vary.sobol import RESAMPLES, _design, _indices, _shares
+from exact_mdp.analysis.vary.sobol import (
+    RESAMPLES,
+    _build_design,
+    _compute_indices,
+    _estimate_indices,
+)
 from exact_mdp.solvers.solution import NORMAL
 
 SPANS = [
@@ -28,7 +33,7 @@ FUNCTIONS = (
 @pytest.mark.parametrize("n", [2, 64])
 def test_the_design_exchanges_one_column_of_each_point_at_a_time(count: int, n: int) -> None:
     spans = SPANS[:count]
-    draws = _design(spans, n, np.random.default_rng(0)).reshape(n, count + 2, count)
+    draws = _build_design(spans, n, np.random.default_rng(0)).reshape(n, count + 2, count)
     points = stats.qmc.Sobol(2 * count, rng=np.random.default_rng(0)).random(n)
     low, high = np.array([[float(s.low), float(s.high)] for s in spans]).T
     a, b = low + points[:, :count] * (high - low), low + points[:, count:] * (high - low)
@@ -44,7 +49,7 @@ def test_the_design_exchanges_one_column_of_each_point_at_a_time(count: int, n: 
 def test_no_draw_is_beyond_the_end_of_its_range() -> None:
     """low + u (high - low) may round to more than high."""
     span = Range(low=Fraction(-1, 3), high=Fraction(1, 10**17))
-    draws = _design([span] * 2, 4096, np.random.default_rng(0))
+    draws = _build_design([span] * 2, 4096, np.random.default_rng(0))
     assert float(span.low) <= draws.min()
     assert draws.max() <= float(span.high)
 
@@ -52,11 +57,11 @@ def test_no_draw_is_beyond_the_end_of_its_range() -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_indices_are_those_of_scipy(seed: int) -> None:
     rng, count, n = np.random.default_rng(seed), 3, 32
-    points = _design(SPANS, n, rng)
+    points = _build_design(SPANS, n, rng)
     for function in FUNCTIONS:
         output = function(points.T).reshape(n, count + 2)
         a, ab, b = output[:, 0], output[:, 1:-1].T, output[:, -1]
-        found = _shares(output)
+        found = _compute_indices(output)
         wanted = stats.sobol_indices(
             n=n, func={"f_A": a[None], "f_B": b[None], "f_AB": ab[:, None, :]}
         )
@@ -84,7 +89,7 @@ def test_indices_are_means_over_points_and_their_intervals_a_bootstrap(seed: int
         ]
         return np.array([first, total])
 
-    found, (first, total) = _indices(output, 0.0, resamples), shares(output)
+    found, (first, total) = _estimate_indices(output, 0.0, resamples), shares(output)
     assert found.first == pytest.approx(first)
     assert found.total == pytest.approx(total)
     both = np.concatenate([output[:, 0], output[:, -1]])
@@ -101,24 +106,24 @@ def test_an_output_that_does_not_vary_has_no_indices() -> None:
     output = np.full((4, 4), 2.0)
     output[:, 1] = [1, 2, 3, 4]  # between the halves nothing counts
     for noise in (0.0, 1e-9):
-        found = _indices(output, noise, resamples)
+        found = _estimate_indices(output, noise, resamples)
         assert (found.mean, found.sd, found.constant) == (2, 0, True)
         for each in (found.first, found.first_half, found.total, found.total_half):
             assert each.shape == (2,)
             assert np.isnan(each).all()
     output[0, 0] += 2.0**-10
-    assert _indices(output, 2.0**-10, resamples).constant
-    assert not _indices(output, 2.0**-11, resamples).constant
+    assert _estimate_indices(output, 2.0**-10, resamples).constant
+    assert not _estimate_indices(output, 2.0**-11, resamples).constant
 
 
 def test_resamples_that_do_not_vary_are_left_out_and_one_alone_has_no_spread() -> None:
     output = np.array([[0.0, 1.0, 2.0], [0.0, 0.0, 0.0], [0.0, 3.0, 0.0]])
     flat, one, other = [1, 2, 1], [0, 1, 2], [0, 0, 1]
-    two = _indices(output, 0.0, np.array([flat, one, other]))
-    same = _indices(output, 0.0, np.array([one, other]))
+    two = _estimate_indices(output, 0.0, np.array([flat, one, other]))
+    same = _estimate_indices(output, 0.0, np.array([one, other]))
     assert two.first_half.tolist() == same.first_half.tolist()
     assert two.total_half.tolist() == same.total_half.tolist()
-    single = _indices(output, 0.0, np.array([flat, one]))
+    single = _estimate_indices(output, 0.0, np.array([flat, one]))
     assert np.isnan(single.first_half).all()
     assert np.isfinite(single.first).all()
 
@@ -143,13 +148,13 @@ def test_a_model_is_solved_at_each_point_of_the_design() -> None:
     found = sobol(MODEL, ranges=RANGES, n=n, rng=5, policy=held)
     spans = [Range(low=low, high=high) for low, high in RANGES.values()]
     child = np.random.SeedSequence(5).spawn(2)
-    points = _design(spans, n, np.random.default_rng(child[0]))
+    points = _build_design(spans, n, np.random.default_rng(child[0]))
     y, x, z = points.T
     values = {"optimal": np.maximum(x + y * z, z), "fixed": z,
               "regret": np.maximum(x + y * z - z, 0)}  # fmt: skip
     resamples = np.random.default_rng(child[1]).integers(n, size=(RESAMPLES, n))
     for name, value in values.items():
-        wanted, indices = _indices(value.reshape(n, -1), 0.0, resamples), found.of(name)
+        wanted, indices = _estimate_indices(value.reshape(n, -1), 0.0, resamples), found.of(name)
         for part in ("mean", "sd", "first", "first_half", "total", "total_half"):
             assert getattr(indices, part) == pytest.approx(getattr(wanted, part), abs=1e-9), part
     assert found.names == ("y", "x", "z")
@@ -229,7 +234,7 @@ def test_room_is_asked_for_all_points_of_1024_samples(
         asked.append((count, parameters))
         raise ModelError("full", where="here", fix=fix)
 
-    monkeypatch.setattr("exact_mdp.analysis.vary.sobol.require_room", note)
+    monkeypatch.setattr("exact_mdp.analysis.vary.sobol.require_room_for_points", note)
     with pytest.raises(ModelError, match="full"):
         sobol(MODEL, names=names)
     assert asked == [(1024 * (len(names) + 2), len(names))]

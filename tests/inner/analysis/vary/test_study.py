@@ -13,11 +13,11 @@ from exact_mdp.analysis.vary.study import (
     CareSolver,
     ModelSolver,
     _Built,
-    checked,
-    digest,
     finite_optimum,
     finite_worth,
-    require_room,
+    hash_policies,
+    read_points,
+    require_room_for_points,
     solver_of,
 )
 from exact_mdp.mdp.errors import ModelError
@@ -62,22 +62,22 @@ def test_each_point_is_its_model(sense: str) -> None:
             assert abs(F(found.fixed[d, n]) - exact) <= F(found.error[d, n + 1]) < F(1, 10**9)
             assert found.regret[d, n] == pytest.approx(abs(float(best - exact)), abs=1e-12)
     assert found.points.tolist() == [*map(list, zip(*POINTS.values(), strict=True))]
-    optimum, fixed = found.bounded(1)
+    optimum, fixed = found.bound_point_values(1)
     assert (optimum.value, fixed.value) == (found.optimal[1], found.fixed[1, 0])
     assert (optimum.error, fixed.error) == (found.error[1, 0], found.error[1, 1])
 
 
 def test_a_digest_tells_policies_apart() -> None:
     one, other = np.array([0.0, 1.0]), np.array([1.0, 0.0])
-    seen = {digest(*each) for each in product([one, other], repeat=2)}
+    seen = {hash_policies(*each) for each in product([one, other], repeat=2)}
     assert len(seen) == 4
-    assert digest(one) == digest(one.copy())
+    assert hash_policies(one) == hash_policies(one.copy())
 
 
 def test_too_many_points_are_refused_before_any_work() -> None:
-    require_room(10, 2, "fewer")
+    require_room_for_points(10, 2, "fewer")
     with pytest.raises(ModelError):
-        require_room(10**12, 50, "fewer")
+        require_room_for_points(10**12, 50, "fewer")
 
 
 # ---- optima and policies of a few models ---------------------------------------------------------
@@ -118,7 +118,7 @@ def test_models_are_solved_all_at_once_or_one_by_one(sense: str, together: bool)
     assert built.size == built.batch.rows.size == 3 * 6 * 3
     if not together:
         built.batch = None
-    start, error, gap, doubt, policy = built.optimum()
+    start, error, gap, doubt, policy = built.solve_models()
     for d, mdp in enumerate(models):
         best, lost = exactly(mdp)
         assert abs(F(start[d]) - best[0]) <= F(error[d]) < F(1, 10**9)
@@ -130,8 +130,8 @@ def test_models_are_solved_all_at_once_or_one_by_one(sense: str, together: bool)
         assert {*enumerate(policy[d].tolist())} <= taken
     weights = np.array([0.25, 0.75, 1, 0.5, 0.5, 0])
     nowhere = np.zeros(3, dtype=bool)
-    value, off = built.held(weights, nowhere)
-    totals, far = built.totals(weights, ["tip", "fare"], nowhere)
+    value, off = built.evaluate_policy(weights, nowhere)
+    totals, far = built.compute_totals(weights, ["tip", "fare"], nowhere)
     for d, mdp in enumerate(models):
         for amounts, got, bound in (
             (mdp.reward, value[d], off[d]),
@@ -214,21 +214,23 @@ def test_a_solver_says_what_a_policy_does() -> None:
     assert solver.labels == ("state 0", "state 2")
     assert solver.place.tolist() == [0, -1, 1]
     weights = np.array([0, 1, 1, 0, 0, 1.0])
-    assert solver.row(weights).tolist() == [1, 1, 2]
-    assert solver.shown(weights) == {"state 0": "1", "state 2": "2"}
+    assert solver.to_action_numbers(weights).tolist() == [1, 1, 2]
+    assert solver.describe_policy(weights) == {"state 0": "1", "state 2": "2"}
     mixed = np.array([0.5, 0.5, 1, 0, 0, 1.0])
-    assert solver.row(mixed).tolist() == [-1, 1, 2]
-    assert solver.shown(mixed) is None
-    assert solver.held([1, 1, 2]).tolist() == weights.tolist()
-    assert solver._where(np.array([[0.5], [0.25]]), 7, 1) == "draw 8, p = 0.25"
-    assert solver._where(np.array([[0.5], [0.25]]), 7, 0) == "draw 7, today's parameters"
-    value = solver.values(np.array([[0.25], [0.75]]), [weights, mixed], 0)
+    assert solver.to_action_numbers(mixed).tolist() == [-1, 1, 2]
+    assert solver.describe_policy(mixed) is None
+    assert solver.hold_policy([1, 1, 2]).tolist() == weights.tolist()
+    assert solver._describe_draw(np.array([[0.5], [0.25]]), 7, 1) == "draw 8, p = 0.25"
+    assert solver._describe_draw(np.array([[0.5], [0.25]]), 7, 0) == "draw 7, today's parameters"
+    value = solver.evaluate_policies(np.array([[0.25], [0.75]]), [weights, mixed], 0)
     assert value["value"].shape == value["error"].shape == (2, 2)
-    totals, errors = solver.totals(np.array([[0.25], [0.75]]), [weights, mixed], ["fare", "tip"], 0)
+    totals, errors = solver.compute_totals(
+        np.array([[0.25], [0.75]]), [weights, mixed], ["fare", "tip"], 0
+    )
     assert totals.shape == errors.shape == (2, 2, 2)
     assert totals.sum(axis=2) == pytest.approx(value["value"])
     with pytest.raises(ModelError, match="components are fare, tip there"):
-        solver.totals(np.array([[0.25]]), [weights], ["toll"], 0)
+        solver.compute_totals(np.array([[0.25]]), [weights], ["toll"], 0)
 
 
 # ---- care scenarios ------------------------------------------------------------------------------
@@ -241,13 +243,13 @@ def test_loops_of_a_care_scenario_are_as_its_models() -> None:
     draws = np.array([[float(today.value)], [float(today.value) * 0.5]])
     fast, slow = solver_of(scenario, [name]), ModelSolver(scenario, [name])
     assert isinstance(fast, CareSolver)
-    one, other = fast.solved(draws), slow.solved(draws)
+    one, other = fast.solve_draws(draws), slow.solve_draws(draws)
     assert one["start"] == pytest.approx(other["start"], rel=1e-12)
     for d in range(2):
         assert (one["rows"][one["which"][d]] == other["rows"][other["which"][d]])[fast.tried].all()
     assert one["lost"] == pytest.approx(other["lost"][:, : one["lost"].shape[1]], abs=1e-9)
-    held = fast.held("optimal")
-    mine, theirs = (each.values(draws, [held], 0) for each in (fast, slow))
+    held = fast.hold_policy("optimal")
+    mine, theirs = (each.evaluate_policies(draws, [held], 0) for each in (fast, slow))
     assert mine["value"] == pytest.approx(theirs["value"], rel=1e-12)
     assert mine["error"].shape == (2, 1)
     assert mine["value"][0, 0] == pytest.approx(one["start"][0])
@@ -269,9 +271,9 @@ def test_points_are_checked_by_column_and_draw() -> None:
         parameters=(Parameter(name="p", value="1/2", low=0, high=1), Parameter(name="r", value=0)),
         build=varied,
     )
-    points = checked(family, {"r": [-(10.0**6), 2.0], "p": [0.0, 1.0]})
+    points = read_points(family, {"r": [-(10.0**6), 2.0], "p": [0.0, 1.0]})
     assert points.tolist() == [[-(10.0**6), 0.0], [2.0, 1.0]]
-    assert checked(family, {"p": ["1/3", 1]}).tolist() == [[F(1, 3)], [F(1)]]
+    assert read_points(family, {"p": ["1/3", 1]}).tolist() == [[F(1, 3)], [F(1)]]
     for table, what, where in (
         ({"p": [0.5, 1.5]}, "p is 1.5, outside [0, 1]", "draw 1"),
         ({"p": [-0.5, 1]}, "p is -0.5, outside [0, 1]", "draw 0"),
@@ -281,15 +283,15 @@ def test_points_are_checked_by_column_and_draw() -> None:
         ({}, "columns of shape none", "points"),
     ):
         with pytest.raises(ModelError) as caught:
-            checked(family, table)
+            read_points(family, table)
         assert (caught.value.what, caught.value.where) == (what, where)
 
 
 def test_room_ends_at_the_most_bytes() -> None:
-    require_room(MOST_BYTES // 32, 1, "fewer")
-    require_room(MOST_BYTES // 96, 3, "fewer")
+    require_room_for_points(MOST_BYTES // 32, 1, "fewer")
+    require_room_for_points(MOST_BYTES // 96, 3, "fewer")
     with pytest.raises(ModelError):
-        require_room(MOST_BYTES // 32 + 1, 1, "fewer")
+        require_room_for_points(MOST_BYTES // 32 + 1, 1, "fewer")
 
 
 def test_infinite_values_are_refused_with_the_ways_out() -> None:

@@ -6,7 +6,14 @@ from math import isfinite, nextafter
 import numpy as np
 import pytest
 
-from exact_mdp.mdp.forms.rows import WHOLE, dyadic, exactly, meant, put_right, settle
+from exact_mdp.mdp.forms.rows import (
+    WHOLE,
+    normalize_rows_in_numpy,
+    put_right,
+    rationalize_row,
+    rows_to_integers,
+    to_dyadic_integers,
+)
 
 ROWS = [
     [0.1, 0.2, 0.7],
@@ -50,7 +57,7 @@ def drawn(seed: int) -> list[list[float]]:
 
 @pytest.mark.parametrize("row", ROWS, ids=str)
 def test_a_row_means_numbers_that_sum_to_1(row: list[float]) -> None:
-    found = meant(row)
+    found = rationalize_row(row)
     assert found == read(row)
     assert sum(found) == 1
 
@@ -60,30 +67,30 @@ def test_many_rows_at_once_mean_what_each_one_means(seed: int) -> None:
     rows = [*ROWS, *drawn(seed)]
     offsets = np.cumsum([0, *map(len, rows)])
     weight = np.concatenate(rows)
-    assert settle(weight, offsets)
-    top, bottom = exactly(weight, offsets)
+    assert normalize_rows_in_numpy(weight, offsets)
+    top, bottom = rows_to_integers(weight, offsets)
     for k, row in enumerate(rows):
         own = slice(offsets[k], offsets[k + 1])
         found = [F(int(n), int(bottom[k])) for n in top[own]]
-        assert found == meant(row) == read(row)
+        assert found == rationalize_row(row) == read(row)
         assert weight[own].tolist() == [float(x) for x in found]
     again = weight.copy()
-    settle(again, offsets)
+    normalize_rows_in_numpy(again, offsets)
     assert (again == weight).all()
 
 
 def test_exact_numbers_beside_floats_stay() -> None:
-    assert meant([F(1, 3), 1 / 6, 0.5]) == [F(1, 3), F(1, 6), F(1, 2)]
-    assert meant([F(1, 7), 0.2, 1 - 1 / 7 - 0.2]) == [F(1, 7), F(1, 5), F(23, 35)]
+    assert rationalize_row([F(1, 3), 1 / 6, 0.5]) == [F(1, 3), F(1, 6), F(1, 2)]
+    assert rationalize_row([F(1, 7), 0.2, 1 - 1 / 7 - 0.2]) == [F(1, 7), F(1, 5), F(23, 35)]
 
 
 @pytest.mark.parametrize("row", [[0.5, 0.6], [0.5, 0.5 + 2e-9], [-0.5, 1.5], [float("nan"), 1.0],
                                  [float("inf")], [F(1, 2), 0.6]])  # fmt: skip
 def test_what_is_no_distribution_stays(row: list[float]) -> None:
-    assert str(meant(row)) == str(row)
+    assert str(rationalize_row(row)) == str(row)
     if all(isinstance(x, float) and isfinite(x) for x in row):
         weight = np.array(row)
-        assert not settle(weight, np.array([0, len(row)]))
+        assert not normalize_rows_in_numpy(weight, np.array([0, len(row)]))
         assert str(weight.tolist()) == str(row)
 
 
@@ -110,7 +117,7 @@ def test_floats_are_integers_over_powers_of_two(seed: int) -> None:
     values = rng.normal(size=12) * 2.0 ** rng.integers(-90 * (seed > 1) - 4, 4, 12)
     values[[0, 5]] = 0
     offsets = np.array([0, 3, 3, 12])
-    top, bottom = dyadic(values, offsets)
+    top, bottom = to_dyadic_integers(values, offsets)
     below = np.repeat(bottom, np.diff(offsets))
     found = [F(int(a), int(b)) for a, b in zip(top, below, strict=True)]
     assert found == [F(x) for x in values.tolist()]

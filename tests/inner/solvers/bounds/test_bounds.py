@@ -13,15 +13,15 @@ from exact_mdp import MDP, ModelError, SolverError
 from exact_mdp.solvers.bounds import bounds as module
 from exact_mdp.solvers.bounds.bounds import (
     Bounds,
-    _closed,
-    _margins,
-    backward,
-    evaluated,
-    improved,
+    _compute_margins,
+    _is_closed,
+    bound_optimal_values,
+    evaluate_pairs,
+    improve_policy,
     margin_weights,
-    verify,
+    solve_backward,
 )
-from exact_mdp.solvers.bounds.gains import SLACK, gains
+from exact_mdp.solvers.bounds.gains import SLACK, compute_advantages
 
 Array = np.ndarray[Any, Any]
 RATES = (F(0), F(1, 2), F(9, 10), F(9999, 10_000), F(1))
@@ -90,11 +90,11 @@ def test_values_lie_within_their_bounds(acyclic: bool) -> None:
         near = np.array([float(x) for x in best])
         for size in (0.0, 1e-9, 1.0, 100.0):
             value = np.where(mdp.terminal, 0.0, near + size * rng.normal(size=mdp.n_states))
-            found = verify(mdp, value)
+            found = bound_optimal_values(mdp, value)
             own = policy_values(rows_of(mdp, found.pairs.tolist()), mdp.discount_exact, ended(mdp))
             assert within(found, own, best)
             assert found.value is value
-            centred = found.centred()
+            centred = found.centre_bounds()
             assert within(centred, own, best)
             middle = 1e-15 * max(abs(found.low), abs(found.high))
             assert abs(centred.low + centred.high) <= 1e-6 * (found.high - found.low) + middle
@@ -112,7 +112,7 @@ def test_bounds_are_the_greatest_and_the_least_ratio() -> None:
     rng = np.random.default_rng(2)
     for mdp in models(3):
         value = np.where(mdp.terminal, 0.0, rng.normal(size=mdp.n_states))
-        found, rows = verify(mdp, value), rows_of(mdp)
+        found, rows = bound_optimal_values(mdp, value), rows_of(mdp)
         ratios = dict[int, float]()
         for pair, (s, _, r, law) in enumerate(rows):
             if mdp.terminal[s]:
@@ -126,7 +126,7 @@ def test_bounds_are_the_greatest_and_the_least_ratio() -> None:
         assert found.low == pytest.approx(min(ratios[pair] for pair in own), rel=1e-9, abs=1e-9)
         states = [s for s, *_ in rows]
         for pair in own:
-            added = gains(mdp, value).value
+            added = compute_advantages(mdp, value).value
             others = [added[k] for k in ratios if states[k] == states[pair]]
             assert added[pair] >= max(others) - 1e-9
 
@@ -142,13 +142,13 @@ def test_what_bounds_say_of_errors() -> None:
     assert found.regret == 3 * SLACK
     with pytest.raises(ValueError, match="read-only"):
         found.state_error[0] = 1
-    centred = found.centred()
+    centred = found.centre_bounds()
     np.testing.assert_allclose(centred.value, [0.75, 1.5, 0], rtol=1e-15)
     np.testing.assert_allclose([centred.low, centred.high], [-0.375, 0.375], rtol=2e-6)
     assert centred.high >= 0.375
     other = replace(found, low=0.25, high=0.75)
     np.testing.assert_allclose(other.state_error, [1.5, 3, 0], rtol=2e-6)
-    np.testing.assert_allclose(other.centred().value, [2, 4, 0], rtol=1e-15)
+    np.testing.assert_allclose(other.centre_bounds().value, [2, 4, 0], rtol=1e-15)
 
 
 def test_centring_counts_its_own_roundings() -> None:
@@ -162,7 +162,7 @@ def test_centring_counts_its_own_roundings() -> None:
             value = rng.normal(size=5) - ends[0] * weight
         given = Bounds(value=value, weight=weight, pairs=np.arange(5), low=float(ends[0]),
                        high=float(ends[1]))  # fmt: skip
-        made = given.centred()
+        made = given.centre_bounds()
         for own, middle, w in zip(value, made.value, weight, strict=True):
             exact = [F(float(own)) + F(c) * F(float(w)) for c in (given.low, given.high)]
             around = [F(float(middle)) + F(c) * F(float(w)) for c in (made.low, made.high)]
@@ -175,8 +175,8 @@ def test_actions_that_rounding_does_not_tell_apart_are_as_good() -> None:
     """Rounding of 10⁹ hides a difference of 10⁻⁸ between rewards."""
     rows: Any = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 1 + F(1, 10**8))]), (1, 0, [(1, 0, 0)])]
     mdp = MDP.from_outcomes(rows, "1/2")
-    assert verify(mdp, np.array([1e9, 1e9])).pairs.tolist() == [0, 2]
-    assert verify(mdp, np.zeros(2)).pairs.tolist() == [1, 2]
+    assert bound_optimal_values(mdp, np.array([1e9, 1e9])).pairs.tolist() == [0, 2]
+    assert bound_optimal_values(mdp, np.zeros(2)).pairs.tolist() == [1, 2]
 
 
 def test_strict_choices_follow_gains_alone() -> None:
@@ -184,20 +184,20 @@ def test_strict_choices_follow_gains_alone() -> None:
     more = 1 + F(1, 2**48)
     mdp = MDP.from_outcomes([(0, 0, [(1, 0, 1)]), (0, 1, [(1, 0, more)])], 1 - F(1, 2**20))
     value = np.array([2.0**20])
-    assert verify(mdp, value).pairs.tolist() == [0]
-    assert verify(mdp, value, strict=True).pairs.tolist() == [1]
+    assert bound_optimal_values(mdp, value).pairs.tolist() == [0]
+    assert bound_optimal_values(mdp, value, strict=True).pairs.tolist() == [1]
 
 
 def test_values_that_no_bounds_are_around_are_refused() -> None:
     mdp = MDP.from_outcomes([(0, 0, [(1, 1, 1)]), (1, 0, [(1, 1, 0)])])
     with pytest.raises(ValueError, match="terminal states are worth 0"):
-        verify(mdp, np.array([0.0, 1e-300]))
+        bound_optimal_values(mdp, np.array([0.0, 1e-300]))
     for size in (np.inf, np.nan, 1.7e308):
         half = MDP.from_outcomes([(0, 0, [(1, 1, 1)]), (1, 0, [(1, 0, 0)])], "1/2")
         with pytest.raises(SolverError, match="beyond the range of floats"):
-            verify(half, np.array([size, -size]))
+            bound_optimal_values(half, np.array([size, -size]))
     over = MDP.from_outcomes([(0, 0, [(1, 0, 0)])])
-    found = verify(over, np.zeros(1))
+    found = bound_optimal_values(over, np.zeros(1))
     assert (found.low, found.high, found.weight.tolist()) == (0, 0, [0])
 
 
@@ -229,18 +229,18 @@ def test_weights_are_steps_to_the_end_or_one(acyclic: bool) -> None:
 def test_margins_of_one_need_no_sums_where_nothing_ends() -> None:
     rng = np.random.default_rng(6)
     endless = model(rng, F(3, 4), ends=False)
-    margin, error = _margins(endless, np.ones(endless.n_states))
+    margin, error = _compute_margins(endless, np.ones(endless.n_states))
     assert margin.tolist() == [0.25]
     assert 0.25 * 2.0**-53 * 5 <= error <= 0.25 * 2.0**-53 * 6
     assert margin_weights(endless).uniform
     ending = model(rng, F(3, 4))
-    margin, error = _margins(ending, np.where(ending.terminal, 0.0, 1.0))
+    margin, error = _compute_margins(ending, np.where(ending.terminal, 0.0, 1.0))
     live = ~ending.terminal[ending.pair_state]
     assert margin[~live].tolist() == [1.0]
     assert (margin[live] >= 0.25 - 1e-15).all()
     assert 0 < error < 1e-14
     undiscounted = ending.with_(discount=1)
-    assert len(_margins(undiscounted, np.ones(ending.n_states))[0]) == ending.n_pairs
+    assert len(_compute_margins(undiscounted, np.ones(ending.n_states))[0]) == ending.n_pairs
 
 
 def test_weights_are_closed_where_all_that_live_stay_among_themselves() -> None:
@@ -253,7 +253,7 @@ def test_weights_are_closed_where_all_that_live_stay_among_themselves() -> None:
         ([(0, 0, [(1, 0, 0)])], [0], False), ([(0, 0, [(1, 0, 0)])], [1], True),
     ):  # fmt: skip
         mdp = MDP.from_outcomes(rows, "1/2")
-        assert _closed(mdp, np.array(weight, dtype=float)) is closed
+        assert _is_closed(mdp, np.array(weight, dtype=float)) is closed
 
 
 def test_where_margins_vanish_there_are_no_weights() -> None:
@@ -281,10 +281,10 @@ def test_values_from_the_end_on_are_the_optimum(
     monkeypatch.setattr(module, "COMPILED", compiled)
     for mdp in models(7, acyclic=True):
         best, _ = optimum(mdp)
-        value = backward(mdp, mdp.reward)
+        value = solve_backward(mdp, mdp.reward)
         np.testing.assert_allclose(value, [float(x) for x in best], rtol=1e-13, atol=1e-13)
         steps = [float(x) for x in steps_of(mdp)]
-        np.testing.assert_allclose(backward(mdp, np.ones(mdp.n_pairs)), steps, rtol=1e-13)
+        np.testing.assert_allclose(solve_backward(mdp, np.ones(mdp.n_pairs)), steps, rtol=1e-13)
 
 
 @pytest.mark.parametrize("compiled", [0, 20_000])
@@ -304,7 +304,7 @@ def test_states_in_any_order_have_the_same_values(
                 rows.append((int(place[s]), a, law))
         mdp = MDP.from_outcomes(sorted(rows, key=lambda row: row[:2]))
         best, _ = optimum(mdp)
-        value = backward(mdp, mdp.reward)
+        value = solve_backward(mdp, mdp.reward)
         np.testing.assert_allclose(value, [float(x) for x in best], atol=1e-13)
 
 
@@ -318,29 +318,29 @@ def test_values_of_a_policy_are_those_of_its_equations() -> None:
                     for pair, (s, a, _, law) in zip(pairs, rows_of(mdp, pairs.tolist()),
                                                     strict=True)]  # fmt: skip
             exact = policy_values(rows, mdp.discount_exact, ended(mdp))
-            found = evaluated(mdp, pairs, reward)
+            found = evaluate_pairs(mdp, pairs, reward)
             np.testing.assert_allclose(found, [float(x) for x in exact], rtol=1e-9, atol=1e-9)
 
 
 def test_policies_improve_to_the_optimum() -> None:
     for mdp in models(11):
         best, actions = optimum(mdp)
-        pairs, value, gain = improved(mdp, mdp.pair_offsets[:-1])
+        pairs, value, gain = improve_policy(mdp, mdp.pair_offsets[:-1])
         np.testing.assert_allclose(value, [float(x) for x in best], rtol=1e-9, atol=1e-9)
         for state, pair in enumerate(pairs.tolist()):
             assert mdp.pair_state[pair] == state
             assert int(mdp.pair_action[pair]) in actions[state] or mdp.terminal[state]
         assert gain.value.max() <= gain.noise.max()
-        again, *_ = improved(mdp, pairs)
+        again, *_ = improve_policy(mdp, pairs)
         assert again.tolist() == pairs.tolist()  # as good a policy stays
-        first, value, gain = improved(mdp, mdp.pair_offsets[:-1], enough=np.inf)
+        first, value, gain = improve_policy(mdp, mdp.pair_offsets[:-1], enough=np.inf)
         assert first.tolist() == mdp.pair_offsets[:-1].tolist()
-        np.testing.assert_array_equal(value, evaluated(mdp, first))
-        np.testing.assert_array_equal(gain.value, gains(mdp, value).value)
+        np.testing.assert_array_equal(value, evaluate_pairs(mdp, first))
+        np.testing.assert_array_equal(gain.value, compute_advantages(mdp, value).value)
         ones = np.where(mdp.terminal, 0.0, 1.0)[mdp.pair_state]
-        _, steps, _ = improved(mdp, first, ones)
+        _, steps, _ = improve_policy(mdp, first, ones)
         np.testing.assert_allclose(steps, [float(x) for x in steps_of(mdp)], rtol=1e-9)
-        _, steps, gain = improved(mdp, first, ones, enough=0.5)
+        _, steps, gain = improve_policy(mdp, first, ones, enough=0.5)
         assert gain.value.max() <= 0.5
 
 
@@ -351,10 +351,10 @@ def test_the_number_of_policies_that_are_tried_is_limited(monkeypatch: pytest.Mo
         rows += [(s, 0, [(1, 4, 0)]), (s, 1, [(1, s + 1, 1 if s == 3 else "-1/9")])]
     mdp = MDP.from_outcomes(sorted(rows, key=lambda row: row[:2]))
     begin = mdp.pair_offsets[:-1]
-    assert improved(mdp, begin)[0].tolist() == [1, 3, 5, 7, 8]
+    assert improve_policy(mdp, begin)[0].tolist() == [1, 3, 5, 7, 8]
     for most, pairs in ((1, [0, 2, 4, 7, 8]), (2, [0, 2, 5, 7, 8]), (3, [0, 3, 5, 7, 8])):
         monkeypatch.setattr(module, "POLICIES", most)
-        assert improved(mdp, begin)[0].tolist() == pairs
+        assert improve_policy(mdp, begin)[0].tolist() == pairs
     monkeypatch.setattr(module, "POLICIES", 1)
     ring: Any = [(0, 0, [("1/2", 0, 0), ("1/2", 2, 0)]),
                  (0, 1, [("99/100", 1, 0), ("1/100", 2, 0)]),
@@ -365,11 +365,11 @@ def test_the_number_of_policies_that_are_tried_is_limited(monkeypatch: pytest.Mo
 
 def test_a_step_to_a_state_of_smaller_number_is_taken_in_order() -> None:
     mdp = MDP.from_outcomes([(0, 0, [(1, 0, 0)]), (1, 0, [(1, 0, 5)]), (1, 1, [(1, 0, 3)])])
-    assert backward(mdp, mdp.reward).tolist() == [0, 5]
+    assert solve_backward(mdp, mdp.reward).tolist() == [0, 5]
 
 
 def test_a_pair_that_is_as_good_stays() -> None:
     rows: Any = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 1)]), (0, 2, [(1, 1, 0)]), (1, 0, [(1, 1, 0)])]
     mdp = MDP.from_outcomes(rows)
     for first, last in ((0, 0), (1, 1), (2, 0)):
-        assert improved(mdp, np.array([first, 3]))[0].tolist() == [last, 3]
+        assert improve_policy(mdp, np.array([first, 3]))[0].tolist() == [last, 3]

@@ -17,15 +17,15 @@ from exact_mdp.solvers.bounds.gains import (
     UNIT,
     Gain,
     Weights,
+    choose_greedy_pairs,
     component_errors,
+    compute_advantages,
+    count_roundings,
     first_of,
-    gains,
     gamma,
-    greedy,
     largest_error,
     reward_errors,
     rounding_facts,
-    roundings,
     row_error,
 )
 
@@ -73,7 +73,7 @@ def test_what_is_added_is_exact_up_to_the_error(
     for mdp in models(kind):
         for value in values(rng, mdp):
             for reward in (None, rng.normal(size=mdp.n_pairs)):
-                found = gains(mdp, value, reward=reward)
+                found = compute_advantages(mdp, value, reward=reward)
                 exact = added(mdp, value, reward)
                 each = zip(found.value.tolist(), exact, found.error.tolist(), strict=True)
                 assert all(abs(F(x) - y) <= F(e) for x, y, e in each)
@@ -88,9 +88,9 @@ def test_errors_count_the_roundings_on_the_way(kind: type) -> None:
         assert rounding_facts(mdp).leak == leak
         for value in values(rng, mdp):
             for reward in (None, rng.normal(size=mdp.n_pairs)):
-                found = gains(mdp, value, reward=reward)
+                found = compute_advantages(mdp, value, reward=reward)
                 earned = mdp.reward if reward is None else reward
-                own, count = value[mdp.pair_state], roundings(mdp)
+                own, count = value[mdp.pair_state], count_roundings(mdp)
                 dense = mdp.transition.toarray()
                 flow = mdp.discount * (dense * np.abs(value[None, :] - own[:, None])).sum(axis=1)
                 tiny = TINY * (1 + np.abs(value).max()) * (count + 1) if value.any() else 0
@@ -121,11 +121,11 @@ def test_an_error_of_any_row_is_that_of_its_parts() -> None:
 
 def test_terms_are_the_numbers_that_are_added_up() -> None:
     for mdp in models():
-        assert roundings(mdp).tolist() == [len(law) for *_, law in rows_of(mdp)]
+        assert count_roundings(mdp).tolist() == [len(law) for *_, law in rows_of(mdp)]
     twice: Any = [(0, 0, [(0.25, 0, 1.0), (0.25, 0, 2.0), (0.5, 1, 0.0)]), (1, 0, [(1.0, 1, 0.0)])]
-    assert roundings(MDP.from_outcomes(twice)).tolist() == [6, 2]
+    assert count_roundings(MDP.from_outcomes(twice)).tolist() == [6, 2]
     once: Any = [(0, 0, [(0.5, 0, 1.0), (0.5, 1, 0.0)]), (1, 0, [(1.0, 1, 0.0)])]
-    assert roundings(MDP.from_outcomes(once)).tolist() == [2, 1]
+    assert count_roundings(MDP.from_outcomes(once)).tolist() == [2, 1]
 
 
 @pytest.mark.parametrize("kind", [F, float])
@@ -138,7 +138,10 @@ def test_rewards_are_exact_up_to_their_error(kind: type) -> None:
             assert off <= F(float(errors[pair]))
         table = mdp.table
         if kind is float and table.joint:
-            count, paid = np.diff(table.offsets), table.probabilities() * np.abs(table.gains())
+            count, paid = (
+                np.diff(table.offsets),
+                table.compute_probabilities() * np.abs(table.compute_gains()),
+            )
             total = np.add.reduceat(paid, table.offsets[:-1])
             wanted = gamma(2 * count + 2) * total * SLACK + count * TINY
         else:
@@ -147,7 +150,7 @@ def test_rewards_are_exact_up_to_their_error(kind: type) -> None:
         facts = rounding_facts(mdp)
         assert facts.most_reward_error == errors.max()
         assert facts.size == np.abs(mdp.reward).max()
-        assert facts.most == roundings(mdp).max()
+        assert facts.most == count_roundings(mdp).max()
 
 
 def test_components_are_exact_up_to_their_errors() -> None:
@@ -163,7 +166,7 @@ def test_what_is_beyond_the_floats_is_refused() -> None:
     mdp = MDP.from_outcomes([(0, 0, [(1, 1, 1)]), (1, 0, [(1, 0, 1)])], "1/2")
     for value in ([np.inf, 0.0], [np.nan, 0.0], [1.7e308, -1.7e308]):
         with pytest.raises(SolverError, match="beyond the range of floats"):
-            gains(mdp, np.array(value))
+            compute_advantages(mdp, np.array(value))
 
 
 def test_the_greatest_error_of_values_in_a_range() -> None:
@@ -173,7 +176,7 @@ def test_the_greatest_error_of_values_in_a_range() -> None:
             bound = largest_error(mdp, low, high)
             for _ in range(5):
                 value = rng.uniform(low, high, mdp.n_states)
-                assert gains(mdp, value).error.max() <= bound
+                assert compute_advantages(mdp, value).error.max() <= bound
             facts, size = rounding_facts(mdp), max(abs(low), abs(high))
             wanted = gamma(facts.most + 8) * 1.001 * mdp.discount * (high - low)
             wanted += FEW * (facts.size + facts.leak * size) + UNIT * facts.leak * size
@@ -204,10 +207,10 @@ def test_the_first_pair_that_no_other_beats_is_taken() -> None:
                 pairs = [p for p in pairs if level.value[p] + level.noise[p] >= best]
             wanted.append(pairs[0])
             left |= {*pairs}
-        assert greedy(mdp, *levels).tolist() == wanted
+        assert choose_greedy_pairs(mdp, *levels).tolist() == wanted
         keep = np.array([int(rng.choice(pairs)) for pairs in of_states(mdp)])
         kept = [int(own) if own in left else first for own, first in zip(keep, wanted, strict=True)]
-        assert greedy(mdp, *levels, keep=keep).tolist() == kept
+        assert choose_greedy_pairs(mdp, *levels, keep=keep).tolist() == kept
 
 
 def test_the_first_of_some_pairs_of_each_state() -> None:
@@ -226,7 +229,7 @@ def test_weights_make_gains_into_steps() -> None:
     weights = Weights(value=np.ones(3), margin=margin, error=error)
     gain = rng.normal(size=9)
     gain[0] = 0.0
-    step = weights.ratio(gain)
+    step = weights.compute_ratios(gain)
     for m in (margin - error, margin, margin + error):
         assert (step * m >= gain - 1e-15).all()
     least = np.where(gain > 0, gain / (margin - error), gain / (margin + error))
@@ -234,10 +237,10 @@ def test_weights_make_gains_into_steps() -> None:
     assert weights.smallest == margin.min() - error
     assert not weights.uniform
     assert Weights(value=np.ones(3), margin=np.array([0.5]), error=0.0).uniform
-    floor = weights.floor(1e-9, 7.0)
+    floor = weights.bound_rounding(1e-9, 7.0)
     assert floor == pytest.approx((1e-9 + 7 * (error + 8 * UNIT)) / weights.smallest, rel=1e-15)
     exact = Weights(value=np.ones(3), margin=margin, error=0.0)
-    assert exact.floor(0.0, 4.0) == pytest.approx(32 * UNIT / margin.min())
+    assert exact.bound_rounding(0.0, 4.0) == pytest.approx(32 * UNIT / margin.min())
 
 
 def test_what_underflows_is_counted() -> None:
@@ -246,8 +249,8 @@ def test_what_underflows_is_counted() -> None:
                  (2, 0, [("1/3", t, 0) for t in (1, 2, 3)]), (3, 0, [(1, 2, 0)])]  # fmt: skip
     mdp = MDP.from_outcomes(rows)
     for far in (1e-310, 1e300):
-        error = gains(mdp, np.array([far, 0, 0, 0])).error
+        error = compute_advantages(mdp, np.array([far, 0, 0, 0])).error
         np.testing.assert_allclose(error[1:], SLACK * TINY * (1 + far) * np.array([3, 4, 2]))
         bound = largest_error(mdp, far, far)
         assert bound == pytest.approx(SLACK * TINY * (1 + far) * 4, rel=1e-12, abs=0)
-    assert not gains(mdp, np.zeros(4)).error.any()
+    assert not compute_advantages(mdp, np.zeros(4)).error.any()

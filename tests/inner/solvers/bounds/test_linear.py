@@ -14,10 +14,10 @@ from exact_mdp import MDP, SolverError
 from exact_mdp.solvers.bounds import linear
 from exact_mdp.solvers.bounds.linear import (
     LinearSystem,
-    part,
     policy_chain,
-    swept,
-    transposed,
+    select_rows,
+    sweep_system,
+    transpose_system,
 )
 from exact_mdp.solvers.solution import Status
 
@@ -77,17 +77,17 @@ def test_each_elimination_agrees_with_numpy(states: int) -> None:
         system = LinearSystem(moves, rate)
         order = rng.permutation(states)
         ways: list[Callable[[Array], Array]] = [
-            linear._dense(rate, moves),
-            linear._banded(rate, *system._reach, moves),
-            system._sparse(moves),
+            linear._factor_dense(rate, moves),
+            linear._factor_banded(rate, *system._reach, moves),
+            system._factor_sparse(moves),
             system._within_band,
-            system._ordered(partial(linear._dense, rate), order),
-            system._ordered(partial(linear._dense, rate), None),
+            system._factor_in_order(partial(linear._factor_dense, rate), order),
+            system._factor_in_order(partial(linear._factor_dense, rate), None),
         ]
         for solve in ways:
             np.testing.assert_allclose(solve(constant), plain(system, constant), rtol=1e-11)
         onward = LinearSystem(backwards(rng, states), rate)
-        for onward_solve in (onward._onward(onward.transition), onward._direct):
+        for onward_solve in (onward._make_substitution(onward.transition), onward._direct):
             assert onward_solve
             np.testing.assert_allclose(onward_solve(constant), plain(onward, constant), rtol=1e-12)
 
@@ -111,11 +111,11 @@ def test_all_ways_lead_to_the_same_values(
                 found = system.solve(constant)
                 np.testing.assert_allclose(found.value, wanted, atol=near)
                 assert (found.error < 1e3 * near).all()
-                rough = system.roughly(constant)
+                rough = system.solve_roughly(constant)
                 left = constant + rate * (system.transition @ rough) - rough
                 assert np.linalg.norm(left) <= 1.01e-2 * np.linalg.norm(constant)
                 np.testing.assert_allclose(
-                    system.roughly(constant, closely=True), wanted, atol=near
+                    system.solve_roughly(constant, closely=True), wanted, atol=near
                 )
 
 
@@ -126,7 +126,7 @@ def test_chains_in_order_are_substituted_in_their_order(monkeypatch: pytest.Monk
         place = rng.permutation(9)
         moves = sp.csr_array(backwards(rng, 9).toarray()[place][:, place])
         system, constant = LinearSystem(moves, 1.0, order=place), rng.normal(size=9)
-        for each in (system, transposed(system)):
+        for each in (system, transpose_system(system)):
             assert each._direct
             np.testing.assert_allclose(each._direct(constant), plain(each, constant), rtol=1e-12)
 
@@ -134,7 +134,7 @@ def test_chains_in_order_are_substituted_in_their_order(monkeypatch: pytest.Monk
 def test_the_equation_of_visits_has_rows_for_columns() -> None:
     rng = np.random.default_rng(3)
     system = LinearSystem(chain(rng, 6), 0.9, roundings=5)
-    turned, constant = transposed(system), rng.random(6)
+    turned, constant = transpose_system(system), rng.random(6)
     assert (turned.roundings, turned.order) == (5, None)
     wanted = np.linalg.solve(np.eye(6) - 0.9 * system.transition.toarray().T, constant)
     np.testing.assert_allclose(turned.approximate(constant), wanted, rtol=1e-12)
@@ -142,12 +142,12 @@ def test_the_equation_of_visits_has_rows_for_columns() -> None:
 
 def test_a_chain_that_never_leaks_has_no_values() -> None:
     ring = sp.csr_array(np.roll(np.eye(4), 1, axis=1))
-    for solve in (linear._dense, lambda rate, rows: linear._banded(rate, 3, 3, rows)):
+    for solve in (linear._factor_dense, lambda rate, rows: linear._factor_banded(rate, 3, 3, rows)):
         with pytest.raises(SolverError, match=r"elimination failed \(pivot of state 3\)"):
             solve(1.0, ring)
     system = LinearSystem(ring)
     with pytest.raises(SolverError, match="elimination failed"):
-        system._sparse(ring)
+        system._factor_sparse(ring)
     stays = LinearSystem(sp.csr_array([[0.5, 0.25, 0.25], [0, 0.75, 0.25], [0, 0.5, 0.5]]), 1.0)
     with pytest.raises(SolverError):
         stays.solve(np.ones(3))
@@ -168,7 +168,7 @@ def test_how_far_a_chain_leads_is_counted_by_hand() -> None:
         moves, place = chain(rng, 8, terms=2), rng.permutation(8)
         for each in (place, np.arange(8)):
             ahead = [each[t] - each[s] for s, t in zip(*moves.nonzero(), strict=True)]
-            assert linear._furthest(moves, each) == (-min(*ahead, 0), max(*ahead, 0))
+            assert linear._compute_bandwidths(moves, each) == (-min(*ahead, 0), max(*ahead, 0))
     assert LinearSystem(banded(20, 2, 3))._reach == (2, 3)
     assert LinearSystem(sp.csr_array((3, 3)))._reach == (0, 0)
 
@@ -176,28 +176,28 @@ def test_how_far_a_chain_leads_is_counted_by_hand() -> None:
 def taken(system: LinearSystem, patch: pytest.MonkeyPatch) -> str:
     """Return which way of solution is taken."""
     used = list[str]()
-    for name in ("_dense", "_banded"):
+    for name in ("_factor_dense", "_factor_banded"):
         inner = getattr(linear, name)
         patch.setattr(linear, name, lambda *a, n=name, f=inner: used.append(n) or f(*a))
-    for name in ("_sparse", "_onward", "_stepped"):
+    for name in ("_factor_sparse", "_make_substitution", "_solve_by_bicgstab"):
         inner = getattr(LinearSystem, name)
         patch.setattr(LinearSystem, name, lambda *a, n=name, f=inner: used.append(n) or f(*a))
-    kept, patched = linear.swept, lambda *a: used.append("swept") or kept(*a)
-    patch.setattr(linear, "swept", patched)
+    kept, patched = linear.sweep_system, lambda *a: used.append("sweep_system") or kept(*a)
+    patch.setattr(linear, "sweep_system", patched)
     constant = np.arange(1.0, system.transition.shape[0] + 1)
     np.testing.assert_allclose(system.approximate(constant), plain(system, constant), rtol=1e-9)
     patch.undo()
-    return "".join(dict.fromkeys(used))
+    return " ".join(dict.fromkeys(used))
 
 
 def test_what_costs_least_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     """A band has 2 S (l + 1)(l + u + 1) multiplications, all entries S³ / 3."""
     rng = np.random.default_rng(5)
     for states, down, up, cheaper in (
-        (12, 2, 5, "_dense"),  # 6 · 3 · 8 = 144 = 12²
-        (13, 2, 5, "_banded"),
-        (48, 9, 30, "_dense"),  # 6 · 10 · 40 = 2400 < 49²
-        (49, 9, 30, "_banded"),
+        (12, 2, 5, "_factor_dense"),  # 6 · 3 · 8 = 144 = 12²
+        (13, 2, 5, "_factor_banded"),
+        (48, 9, 30, "_factor_dense"),  # 6 · 10 · 40 = 2400 < 49²
+        (49, 9, 30, "_factor_banded"),
     ):
         assert taken(LinearSystem(banded(states, down, up)), monkeypatch) == cheaper
     dense = chain(rng, 12, terms=9)
@@ -211,17 +211,24 @@ def test_what_costs_least_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
         return taken(LinearSystem(mixing, 0.5), monkeypatch)
 
     none = {"CHEAP": 0, "NARROW": 0}
-    assert way(FEW=12) == "_dense"
-    assert way(FEW=11, SPARSE=many, **none) == "_sparse"
-    assert way(FEW=11, SPARSE=many, CHEAP=1e9, NARROW=0) == "_banded"
-    assert way(FEW=11, SPARSE=many - 1, **none) == "swept"
-    assert way(FEW=11, SPARSE=many - 1, CHEAP=0, NARROW=9) == "_banded"
-    assert way(FEW=11, SPARSE=many - 1, CHEAP=1e9, NARROW=0) == "swept"
-    assert way(FEW=11, SPARSE=many - 1, SWEEPS=1, **none) == "swept_stepped"
-    assert way(FEW=11, SPARSE=many - 1, SWEEPS=1, STEPS=1, **none) == "swept_stepped_banded"
-    assert way(FEW=11, SPARSE=many - 1, SWEEPS=1, CHEAP=1e9, NARROW=0) == "swept_banded"
+    assert way(FEW=12) == "_factor_dense"
+    assert way(FEW=11, SPARSE=many, **none) == "_factor_sparse"
+    assert way(FEW=11, SPARSE=many, CHEAP=1e9, NARROW=0) == "_factor_banded"
+    assert way(FEW=11, SPARSE=many - 1, **none) == "sweep_system"
+    assert way(FEW=11, SPARSE=many - 1, CHEAP=0, NARROW=9) == "_factor_banded"
+    assert way(FEW=11, SPARSE=many - 1, CHEAP=1e9, NARROW=0) == "sweep_system"
+    assert way(FEW=11, SPARSE=many - 1, SWEEPS=1, **none) == "sweep_system _solve_by_bicgstab"
+    assert way(FEW=11, SPARSE=many - 1, SWEEPS=1, STEPS=1, **none) == (
+        "sweep_system _solve_by_bicgstab _factor_banded"
+    )
+    assert (
+        way(FEW=11, SPARSE=many - 1, SWEEPS=1, CHEAP=1e9, NARROW=0) == "sweep_system _factor_banded"
+    )
     ordered = LinearSystem(backwards(rng, 12), order=np.arange(12))
-    for compiled, wanted in ((ordered.transition.nnz, "_onward"), (10**9, "_sparse")):
+    for compiled, wanted in (
+        (ordered.transition.nnz, "_make_substitution"),
+        (10**9, "_factor_sparse"),
+    ):
         limits(monkeypatch, FEW=11, COMPILED=compiled)
         assert taken(ordered, monkeypatch) == wanted
         ordered = LinearSystem(ordered.transition, order=np.arange(12))
@@ -264,13 +271,13 @@ def test_factors_that_would_fill_the_memory_are_refused(monkeypatch: pytest.Monk
     system = LinearSystem(chain(np.random.default_rng(7), 20), 0.99)
     entries = sum(system._reach) * 20
     constant = np.arange(20.0)
-    asked, kept = list[int](), LinearSystem._stepped
+    asked, kept = list[int](), LinearSystem._solve_by_bicgstab
 
     def stepped(self: LinearSystem, constant: Array, rtol: float, steps: int) -> Array | None:
         asked.append(steps)
         return kept(self, constant, rtol, steps)
 
-    monkeypatch.setattr(LinearSystem, "_stepped", stepped)
+    monkeypatch.setattr(LinearSystem, "_solve_by_bicgstab", stepped)
     monkeypatch.setattr(linear.csgraph, "reverse_cuthill_mckee", lambda *_, **__: np.arange(20))
     limits(monkeypatch, **FAR, SWEEPS=0, STEPS=1, PATIENT=2, MOST_ENTRIES=entries)
     fits = LinearSystem(system.transition, 0.99)
@@ -294,23 +301,23 @@ def test_bicgstab_solves_as_closely_as_asked() -> None:
         for rtol in (0.5, 1e-3, 1e-10):
             matrix = np.eye(states) - 0.7 * chain(rng, states).toarray()
             constant = rng.normal(size=states)
-            value = linear._bicgstab(lambda y, m=matrix: m @ y, constant, rtol, 4 * states + 4)
+            value = linear._run_bicgstab(lambda y, m=matrix: m @ y, constant, rtol, 4 * states + 4)
             assert value is not None
             left = np.linalg.norm(constant - matrix @ value)
             assert left <= rtol * np.linalg.norm(constant) * (1 + 1e-6) + 1e-15
-    assert linear._bicgstab(lambda y: 0.5 * y, np.ones(3), 1e-9, 1) is not None
-    assert linear._bicgstab(lambda y: matrix @ y, constant, 1e-12, 2) is None
+    assert linear._run_bicgstab(lambda y: 0.5 * y, np.ones(3), 1e-9, 1) is not None
+    assert linear._run_bicgstab(lambda y: matrix @ y, constant, 1e-12, 2) is None
 
 
 def test_bicgstab_begins_anew_where_its_directions_vanish() -> None:
     """A quarter turn moves each direction to one at right angles: b · A b = 0."""
     turn = np.array([[0.0, -1.0], [1.0, 0.0]])
-    assert linear._bicgstab(lambda y: turn @ y, np.array([1.0, 2.0]), 1e-9, 50) is None
+    assert linear._run_bicgstab(lambda y: turn @ y, np.array([1.0, 2.0]), 1e-9, 50) is None
     nearly = turn + 0.3 * np.eye(2)
-    value = linear._bicgstab(lambda y: nearly @ y, np.array([1.0, 2.0]), 1e-12, 50)
+    value = linear._run_bicgstab(lambda y: nearly @ y, np.array([1.0, 2.0]), 1e-12, 50)
     np.testing.assert_allclose(value, np.linalg.solve(nearly, [1, 2]), rtol=1e-9)
     with np.errstate(all="ignore"):
-        assert linear._bicgstab(lambda y: np.inf * y, np.ones(2), 1e-9, 5) is None
+        assert linear._run_bicgstab(lambda y: np.inf * y, np.ones(2), 1e-9, 5) is None
 
 
 @pytest.mark.parametrize(
@@ -329,7 +336,7 @@ def test_bicgstab_goes_on_from_where_it_was(
 ) -> None:
     """Each of these comes to a direction that vanishes up to rounding, at any scale."""
     matrix, side = scale * np.array(rows), size * np.array(constant)
-    value = linear._bicgstab(lambda y: matrix @ y, side, 1e-10, 30)
+    value = linear._run_bicgstab(lambda y: matrix @ y, side, 1e-10, 30)
     assert value is not None
     np.testing.assert_allclose(matrix @ value, side, rtol=1e-6)
 
@@ -339,7 +346,7 @@ def test_what_is_asked_for_roughly_is_iterated_for_roughly(monkeypatch: pytest.M
     rng = np.random.default_rng(18)
     system, constant = LinearSystem(chain(rng, 40), 0.99), rng.normal(size=40)
     off = [
-        np.abs(system.roughly(constant, **more) / plain(system, constant) - 1).max()
+        np.abs(system.solve_roughly(constant, **more) / plain(system, constant) - 1).max()
         for more in ({}, {"closely": False}, {"closely": True})
     ]
     assert off[0] == off[1] > 1e-6 > 1e-10 > off[2]
@@ -350,17 +357,17 @@ def test_sweeps_take_each_state_its_row() -> None:
     moves, row = chain(rng, 9), rng.permutation(9)
     constant = rng.normal(size=9)
     fixed = LinearSystem(moves[row], 0.5)
-    value, done = swept(moves, row, 0.5, constant, False, 1e-12, 0.0)
+    value, done = sweep_system(moves, row, 0.5, constant, False, 1e-12, 0.0)
     assert done
     np.testing.assert_allclose(value, plain(fixed, constant), atol=1e-11)
     whole = mixing(rng, 9)
-    value, done = swept(whole, row, 0.999999, constant, True, 1e-9, 0.0)
+    value, done = sweep_system(whole, row, 0.999999, constant, True, 1e-9, 0.0)
     assert done  # all values rise at once
     exact = plain(LinearSystem(whole[row], 0.999999), constant)
     np.testing.assert_allclose(value, exact, rtol=1e-9)
-    assert not swept(whole, row, 1 - 1e-9, constant, False, 1e-9, 0.0)[1]
+    assert not sweep_system(whole, row, 1 - 1e-9, constant, False, 1e-9, 0.0)[1]
     # at discount 1 no constant is what all values lack
-    value, done = swept(half := 0.5 * moves, row, 1.0, constant, True, 1e-9, 0.0)
+    value, done = sweep_system(half := 0.5 * moves, row, 1.0, constant, True, 1e-9, 0.0)
     np.testing.assert_allclose(value, plain(LinearSystem(half[row]), constant), atol=1e-8)
 
 
@@ -370,14 +377,14 @@ def test_sweeps_of_an_equation_end_where_they_are_close(monkeypatch: pytest.Monk
     constant = 1e9 * np.arange(1.0, 13)
     system = LinearSystem(moves, 0.9)
     errors = [
-        np.abs(system._nearly(constant, rtol) / plain(system, constant) - 1).max()
+        np.abs(system._solve_nearly(constant, rtol) / plain(system, constant) - 1).max()
         for rtol in (linear.FIRST, linear.CORRECTION)
     ]
     assert errors[0] < 2e-15 < 1e-9 < errors[1] < 2e-3
     assert system._slow == []
-    assert not system._nearly(np.zeros(12), 1e-9).any()
+    assert not system._solve_nearly(np.zeros(12), 1e-9).any()
     for each in (np.inf, np.nan):
-        assert np.isnan(system._nearly(np.full(12, each), 1e-9)).all()
+        assert np.isnan(system._solve_nearly(np.full(12, each), 1e-9)).all()
     slow = LinearSystem(chain(np.random.default_rng(11), 12, leak=1e-6), 1.0)
     np.testing.assert_allclose(slow.approximate(constant), plain(slow, constant), rtol=1e-6)
     assert slow._slow == [True]
@@ -413,9 +420,9 @@ def test_values_are_refined_as_long_as_it_helps(
         asked.append(rtol)
         return (1 - share) * plain(self, constant)
 
-    monkeypatch.setattr(LinearSystem, "_nearly", nearly)
+    monkeypatch.setattr(LinearSystem, "_solve_nearly", nearly)
     constant = np.array([1.0, 3.0])
-    value, residual = system._refined(constant)
+    value, residual = system._refine_solution(constant)
     wanted = plain(system, constant)
     np.testing.assert_allclose(value, (1 - left) * wanted, rtol=1e-15 if not left else 1e-9)
     again = constant + system.transition @ value - value
@@ -440,9 +447,9 @@ def test_what_rounding_alone_leaves_is_not_refined(
                 return np.zeros(terms)
             return np.full(terms, 4.0) + off * 7 * UNIT / 0.75
 
-        monkeypatch.setattr(LinearSystem, "_nearly", nearly)
+        monkeypatch.setattr(LinearSystem, "_solve_nearly", nearly)
         calls.clear()
-        system._refined(np.full(terms, 3.0))  # x = 4, and |c| + |x| = 7
+        system._refine_solution(np.full(terms, 3.0))  # x = 4, and |c| + |x| = 7
         assert len(calls) == 1 + (off > units)
 
 
@@ -498,10 +505,10 @@ def test_a_chain_that_leaks_by_rounding_alone_proves_nothing(
     assert sum(tenths[0].tolist()) < 1 < sum(map(F, tenths[0].tolist()))
     system = LinearSystem(sp.csr_array(tenths))
     assert (system._leak < 0).all()
-    monkeypatch.setattr(LinearSystem, "_nearly", lambda self, constant, _: np.ones(10))
+    monkeypatch.setattr(LinearSystem, "_solve_nearly", lambda self, constant, _: np.ones(10))
     monkeypatch.setattr(LinearSystem, "approximate", lambda self, constant: np.ones(10))
     with pytest.raises(SolverError):
-        system._dominating(np.arange(10.0))
+        system._bound_error(np.arange(10.0))
 
 
 def test_the_rounding_of_a_residual_is_what_its_terms_can_lose() -> None:
@@ -514,22 +521,22 @@ def test_the_rounding_of_a_residual_is_what_its_terms_can_lose() -> None:
         unit = terms * UNIT / (1 - terms * UNIT)
         flow = 0.75 * system.transition.toarray() @ value
         wanted = unit * (constant + flow) + 2 * UNIT * value
-        given = system._rounding(constant, value)
+        given = system._bound_rounding(constant, value)
         np.testing.assert_allclose(given, wanted, rtol=1e-13)
         assert (given >= wanted * (1 - 1e-15)).all()
-    tiny = system._rounding(0 * constant, 0 * value)
+    tiny = system._bound_rounding(0 * constant, 0 * value)
     assert not tiny.any()
-    least = system._rounding(0 * constant, np.full(9, 1e-320))  # products vanish
+    least = system._bound_rounding(0 * constant, np.full(9, 1e-320))  # products vanish
     entries = (system.transition.toarray() > 0).sum(axis=1) + 1
     np.testing.assert_allclose(least, 2.0**-1000 * entries, rtol=1e-10)
     beside = LinearSystem(sp.csr_array([[0.5, 0, 0], [0, 0, 0], [0, 0, 0.5]]))
-    far = beside._rounding(np.zeros(3), np.array([1e300, 0, 0]))
+    far = beside._bound_rounding(np.zeros(3), np.array([1e300, 0, 0]))
     np.testing.assert_allclose(far[1:], 2.0**-1000 * 1e300 * np.array([1, 2]), rtol=1e-10)
 
 
 def dominated(system: LinearSystem, excess: Array) -> tuple[Array, Array]:
     """Return the error, which is proven to be at least the exact one, and the exact one."""
-    error, least = system._dominating(excess), exactly(system, excess)
+    error, least = system._bound_error(excess), exactly(system, excess)
     rate, moves = F(float(system.discount)), system.transition.toarray().tolist()
     for own, row, need in zip(error, moves, excess, strict=True):
         ahead = sum((F(p) * F(float(e)) for p, e in zip(row, error, strict=True)), F(0))
@@ -558,18 +565,18 @@ def test_errors_are_refined_where_rough_ones_prove_nothing(monkeypatch: pytest.M
     rng = np.random.default_rng(15)
     system = LinearSystem(chain(rng, 6, leak=0.5), 0.97)
     excess = 1e-12 * np.array([1.0, 0, 0, 0, 2, 0])
-    wanted = system._dominating(excess)
-    kept = LinearSystem._nearly
+    wanted = system._bound_error(excess)
+    kept = LinearSystem._solve_nearly
 
     def rough(self: LinearSystem, constant: Array, rtol: float) -> Array:
         value = kept(self, constant, rtol)
         return value if rtol == linear.FIRST else value * (1 - 2 * (np.arange(6) == 2))
 
-    monkeypatch.setattr(LinearSystem, "_nearly", rough)
-    np.testing.assert_allclose(system._dominating(excess), wanted, rtol=1e-9)
-    monkeypatch.setattr(LinearSystem, "_nearly", lambda self, constant, _: -constant)
+    monkeypatch.setattr(LinearSystem, "_solve_nearly", rough)
+    np.testing.assert_allclose(system._bound_error(excess), wanted, rtol=1e-9)
+    monkeypatch.setattr(LinearSystem, "_solve_nearly", lambda self, constant, _: -constant)
     with pytest.raises(SolverError):
-        system._dominating(excess)
+        system._bound_error(excess)
 
 
 def test_an_error_that_is_alike_in_all_states_takes_no_equations() -> None:
@@ -584,10 +591,10 @@ def test_an_error_that_is_alike_in_all_states_takes_no_equations() -> None:
             assert (error >= wanted).all()
         else:
             np.testing.assert_allclose(error, least, rtol=1e-2)
-    assert not system._dominating(np.zeros(2)).any()
+    assert not system._bound_error(np.zeros(2)).any()
     for size in (np.inf, np.nan):
         with pytest.raises(SolverError, match="beyond the range of floats"):
-            system._dominating(np.array([size, 1.0]))
+            system._bound_error(np.array([size, 1.0]))
     with pytest.raises(SolverError, match="beyond the range of floats"):
         system.solve(np.array([1e308, 1.7e308]))
 
@@ -614,7 +621,7 @@ def test_values_apart_from_what_all_share(
             moves = [{t: rate * p for t, p in enumerate(row)} for row in rows]
             exact = fixed_point([F(int(c)) for c in constant], moves)
             system = LinearSystem(sp.csr_array(weights / count), float(rate))
-            value, level = system.relatively(constant * 1.0, np.full(5, leak))
+            value, level = system.solve_relatively(constant * 1.0, np.full(5, leak))
             size = max(1.0, np.abs(value).max())
             lacks = [F(float(h)) + F(level) - x for h, x in zip(value, exact, strict=True)]
             spread = max(lacks) - min(lacks)
@@ -642,7 +649,11 @@ def test_parts_of_a_matrix_are_those_of_dense_ones() -> None:
             wanted = matrix.toarray()[rows] * states[:, None]
             if inner:
                 wanted = wanted * states
-            given = part(matrix, rows, states, inner=True) if inner else part(matrix, rows, states)
+            given = (
+                select_rows(matrix, rows, states, inner=True)
+                if inner
+                else select_rows(matrix, rows, states)
+            )
             np.testing.assert_array_equal(given.toarray(), wanted)
             assert given.nnz == (wanted > 0).sum()
             assert given.indptr.dtype == matrix.indptr.dtype

@@ -30,10 +30,10 @@ def test_pairs_that_lead_into_a_set(seed: int) -> None:
     mdp, pairs = drawn(seed)
     graph, inside = Graph(mdp), {0, 3}
     mask = np.isin(np.arange(5), [0, 3])
-    assert graph.every(mask).tolist() == [after <= inside for _, after in pairs]
-    assert graph.some(mask).tolist() == [bool(after & inside) for _, after in pairs]
+    assert graph.find_pairs_within(mask).tolist() == [after <= inside for _, after in pairs]
+    assert graph.find_pairs_into(mask).tolist() == [bool(after & inside) for _, after in pairs]
     some = np.arange(len(pairs)) % 2 == 0
-    assert graph.having(some).tolist() == [
+    assert graph.find_states_with(some).tolist() == [
         any(s == t for k, (t, _) in enumerate(pairs) if some[k]) for s in range(5)
     ]
 
@@ -46,11 +46,13 @@ def test_a_distance_is_that_of_networkx(seed: int) -> None:
     edges.add_nodes_from(range(5))
     far = nx.single_source_shortest_path_length(edges, 4)
     graph = Graph(mdp)
-    found = graph.distance(np.arange(5) == 4, allowed)
+    found = graph.compute_distance(np.arange(5) == 4, allowed)
     assert found.tolist() == [far.get(s, -1) for s in range(5)]
     least = [min((found[t] for t in after if found[t] >= 0), default=5) for _, after in pairs]
     own = [found[s] if found[s] >= 0 else 5 for s, _ in pairs]
-    assert graph.falling(found).tolist() == [a < b for a, b in zip(least, own, strict=True)]
+    assert graph.find_falling_pairs(found).tolist() == [
+        a < b for a, b in zip(least, own, strict=True)
+    ]
 
 
 @pytest.mark.parametrize("seed", range(30))
@@ -65,9 +67,9 @@ def test_who_reaches_a_target_for_sure_and_who_cannot_help_it(seed: int) -> None
         back.add_node(4)
         if 4 in inside and inside <= {4, *nx.descendants(back, 4)}:
             sure |= inside
-    rounds = graph.rounds(np.arange(5) == 4, every)
+    rounds = graph.compute_rounds(np.arange(5) == 4, every)
     assert (rounds == 0).tolist() == [s in sure for s in range(5)]
-    ranks = graph.ranks(np.arange(5) == 4, every)
+    ranks = graph.compute_ranks(np.arange(5) == 4, every)
     drawn_in = {4}  # whatever is done, a way leads there
     for _ in range(5):
         drawn_in |= {s for s in range(5) if all(after & drawn_in for t, after in pairs if t == s)}

@@ -7,7 +7,12 @@ from oracle import every_policy_ends, rows_of
 
 from exact_mdp import MDP
 from exact_mdp.solvers.endless.graph import Graph
-from exact_mdp.solvers.endless.quotient import derived, first_of, of_pairs, toward
+from exact_mdp.solvers.endless.quotient import (
+    build_derived_model,
+    choose_first_pairs,
+    choose_nearer_pairs,
+    of_pairs,
+)
 
 # 0 ⇄ 1 by a pair each, 1 may leave for 2 or 3, 2 stays; 3 leads back to 0.
 ROWS = [
@@ -22,7 +27,7 @@ MODEL = MDP.from_outcomes(ROWS, 1)
 
 def test_merged_states_share_their_pairs() -> None:
     """0 and 1 become 0, 3 becomes 1, and 2 is the end; a rest in 0 is worth 9."""
-    found = derived(MODEL, np.array([2, 4]), np.array([0, 0, -1, 1]))
+    found = build_derived_model(MODEL, np.array([2, 4]), np.array([0, 0, -1, 1]))
     assert rows_of(found.mdp) == [
         (0, 0, F(2), {2: F(1, 3), 1: F(2, 3)}),
         (1, 0, F(7), {0: F(1)}),
@@ -30,7 +35,9 @@ def test_merged_states_share_their_pairs() -> None:
     ]
     assert found.label.tolist() == [0, 0, 2, 1]
     assert found.source.tolist() == [2, 4, 5]
-    free = derived(MODEL, np.array([2, 4]), np.array([0, 0, -1, 1]), free=True, rests=[(0, F(9))])
+    free = build_derived_model(
+        MODEL, np.array([2, 4]), np.array([0, 0, -1, 1]), free=True, rests=[(0, F(9))]
+    )
     assert rows_of(free.mdp) == [
         (0, 0, F(0), {2: F(1, 3), 1: F(2, 3)}),
         (0, 1, F(9), {2: F(1)}),
@@ -43,7 +50,9 @@ def test_merged_states_share_their_pairs() -> None:
 def test_pairs_that_lose_in_circles_are_left_out_and_no_more() -> None:
     """1 may go round with 0 at a loss of 1, or on for nothing; 0 has one way."""
     rows = [(0, 0, [(1, 1, -1)]), (1, 0, [(1, 0, 0)]), (1, 1, [(1, 2, 0)]), (2, 0, [(1, 2, 0)])]
-    whole = derived(MDP.from_outcomes(rows, 1), np.array([0, 1, 2]), np.array([0, 1, -1]))
+    whole = build_derived_model(
+        MDP.from_outcomes(rows, 1), np.array([0, 1, 2]), np.array([0, 1, -1])
+    )
     part = whole.without_losing()
     assert part.source.tolist() == [0, 2, 4]
     assert every_policy_ends(3, rows_of(part.mdp))
@@ -57,9 +66,9 @@ def test_a_model_of_some_pairs_has_their_rows() -> None:
 def test_pairs_toward_a_target_come_nearer_with_each_step() -> None:
     graph, every = Graph(MODEL), np.ones(5, dtype=bool)
     chosen = np.full(4, -7)
-    toward(graph, np.arange(4) == 2, every, chosen)
+    choose_nearer_pairs(graph, np.arange(4) == 2, every, chosen)
     assert chosen.tolist() == [0, 2, -7, 4]
-    first_of(graph, np.array([True, False, True, False, False]), chosen)
+    choose_first_pairs(graph, np.array([True, False, True, False, False]), chosen)
     assert chosen.tolist() == [0, 2, -7, 4]
-    first_of(graph, np.array([False, True, True, False, False]), chosen)
+    choose_first_pairs(graph, np.array([False, True, True, False, False]), chosen)
     assert chosen.tolist() == [0, 1, -7, 4]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from exact_mdp import MDP, solve
-from exact_mdp.solvers.endless.total import Structure, rounded
+from exact_mdp.solvers.endless.total import Structure, round_exact_solution
 
 
 def ring(earned: object, leave: object) -> MDP:
@@ -25,7 +25,7 @@ def test_the_sign_of_a_round_decides(earned: str, values: list[float]) -> None:
     Of a round that earns 0 the total is what is earned until it is left, here at once.
     """
     mdp = ring(earned, 3)
-    found, exact = solve(mdp), rounded(mdp)
+    found, exact = solve(mdp), round_exact_solution(mdp)
     assert exact.value.tolist() == [*values, 0]
     for one in (found.value, exact.value):
         assert [*one[:2]] == pytest.approx(values)
@@ -33,16 +33,18 @@ def test_the_sign_of_a_round_decides(earned: str, values: list[float]) -> None:
 
 def test_finite_parts_are_those_without_an_infinite_value() -> None:
     structure = Structure(ring("1/2", 3))
-    assert structure.finite().mdp.n_states == 3
-    label = structure.finite().label
+    assert structure.build_finite_model().mdp.n_states == 3
+    label = structure.build_finite_model().label
     assert len({*label.tolist()}) == 3
     assert np.isfinite(solve(ring("1/2", 3)).value).all()
 
 
 def test_rounded_is_the_exact_number_rounded_once() -> None:
     rows = [(0, 0, [("1/3", 0, 1), ("2/3", 1, "1/7")]), (1, 0, [(1, 1, 0)])]
-    found = rounded(MDP.from_outcomes(rows, 1))
+    found = round_exact_solution(MDP.from_outcomes(rows, 1))
     assert found.value[0] == (1 / 3 + 2 / 21) / (2 / 3) or abs(found.value[0] - 9 / 14) <= 2**-53
-    average = rounded(MDP.from_outcomes([(0, 0, [(1, 1, 1)]), (1, 0, [(1, 0, 2)])], 1), "average")
+    average = round_exact_solution(
+        MDP.from_outcomes([(0, 0, [(1, 1, 1)]), (1, 0, [(1, 0, 2)])], 1), "average"
+    )
     assert average.value.tolist() == [1.5, 1.5]
     assert average.bias.tolist() == [-0.25, 0.25]

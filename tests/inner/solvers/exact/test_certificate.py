@@ -13,7 +13,7 @@ from model_contents import negated
 from oracle import Row, best_average, best_total, mean, rows_of, solve_exact
 
 from exact_mdp import MDP, BoundedCertificate, Certificate, ModelError, certify, solve
-from exact_mdp.solvers.exact.certificate import exact_rows, model_of
+from exact_mdp.solvers.exact.certificate import exact_rows, require_model
 from exact_mdp.solvers.exact.levels import Level
 
 RATES = ("0", "1/2", "9/10")
@@ -115,7 +115,7 @@ def test_totals_without_a_discount_may_be_infinite() -> None:
         seen |= {*infinite}
         if proof.g is None:
             continue
-        g, h = proof.g.fractions().tolist(), proof.h.fractions().tolist()
+        g, h = proof.g.to_fractions().tolist(), proof.h.to_fractions().tolist()
         optimal, losses = list[bool](), list[F | None]()
         for s, _, r, law in rows:
             ahead, loss = mean(law, g), g[s] + h[s] - r - mean(law, h)
@@ -150,7 +150,7 @@ def test_with_a_goal_pairs_are_worth_what_they_lead_to() -> None:
         if proof.infinite is None:
             continue
         infinite, sign = proof.infinite.tolist(), proof.sign
-        h = proof.h.fractions().tolist()
+        h = proof.h.to_fractions().tolist()
         for s, x in enumerate(proof.value.tolist()):
             assert x == sign * (infinite[s] * inf if infinite[s] else h[s])
         optimal, losses = list[bool](), list[F | None]()
@@ -246,10 +246,15 @@ def test_several_optimal_actions_may_not_be_optimal_together() -> None:
 
 def test_a_proof_is_of_the_model_given_or_its_own(tmp_path: Path) -> None:
     proof, other = certify(PLAIN), MDP.from_outcomes(ROWS, "1/2")
-    assert model_of(None, PLAIN) is model_of(PLAIN, None) is model_of(PLAIN, other) is PLAIN
+    assert (
+        require_model(None, PLAIN)
+        is require_model(PLAIN, None)
+        is require_model(PLAIN, other)
+        is PLAIN
+    )
     for where in ("violations", "here"):
         with pytest.raises(ModelError, match="does not contain the model") as caught:
-            model_of(None, None, where)
+            require_model(None, None, where)
         assert caught.value.where == where
     assert proof.violations() == proof.violations(PLAIN) == []
     assert proof.violations(other) == ["the certificate is of another model"]

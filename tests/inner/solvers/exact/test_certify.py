@@ -105,7 +105,7 @@ def values(mdp: MDP, actions: np.ndarray[Any, Any] | None = None) -> list[F]:
 
 def check(mdp: MDP, proof: BoundedCertificate) -> float:
     """Check that values lie between, and return how wide the bounds are."""
-    low, high = proof.low.fractions().tolist(), proof.high.fractions().tolist()
+    low, high = proof.low.to_fractions().tolist(), proof.high.to_fractions().tolist()
     own, best = values(mdp, proof.policy), values(mdp)
     assert all(a <= b <= c <= d for a, b, c, d in zip(low, own, best, high, strict=True))
     assert low[-1] == high[-1] == 0
@@ -148,11 +148,11 @@ def test_a_poor_solution_has_bounds_as_wide_as_it_is_poor() -> None:
                     down.append(-gain)
             for level, step in ((proof.high, max(up)), (proof.low, -max(down))):
                 wanted = value + step * np.where(mdp.terminal, 0.0, weight)
-                np.testing.assert_allclose(level.floats(), wanted, rtol=1e-9, atol=1e-9 * size)
+                np.testing.assert_allclose(level.to_floats(), wanted, rtol=1e-9, atol=1e-9 * size)
 
 
 def test_bounds_that_floats_never_prove_are_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    kept, calls = module.gains, list[int]()
+    kept, calls = module.compute_advantages, list[int]()
 
     def unsure(*given: Any, **more: Any) -> Any:
         calls.append(1)
@@ -160,7 +160,7 @@ def test_bounds_that_floats_never_prove_are_given_up(monkeypatch: pytest.MonkeyP
         doubt = 4 * np.abs(found.value).max() + 1
         return replace(found, error=found.error + doubt) if len(calls) > 2 else found
 
-    monkeypatch.setattr(module, "gains", unsure)
+    monkeypatch.setattr(module, "compute_advantages", unsure)
     with pytest.raises(SolverError) as caught:
         certify(MDP.from_outcomes(ENDING), bounded=True)
     assert caught.value.status is Status.NO_BOUND

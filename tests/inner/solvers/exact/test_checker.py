@@ -268,7 +268,7 @@ def proven(name: str) -> tuple[File, File]:
         proof: Any = certify(mdp, bounded=True)
     else:
         proof = certify(mdp, criterion=kind or "total")
-    return model_json.content(mdp), codec.content(proof, int)
+    return model_json.encode_model(mdp), codec.build_file_content(proof, int)
 
 
 HOLD = [*MODELS, *PLAIN, "averages", "least averages", "bounds", "bounds at discount 1"]
@@ -624,7 +624,7 @@ def test_a_model_is_read_as_its_rows_say() -> None:
     rng = np.random.default_rng(0)
     for _ in range(40):
         mdp = random_model(rng)
-        given = model_json.content(mdp)
+        given = model_json.encode_model(mdp)
         given["pairs"].reverse()
         read = Model(given)
         assert read.digest() == fingerprint(mdp)
@@ -679,7 +679,7 @@ def test_gains_have_the_sign_of_the_equation() -> None:
     rng = np.random.default_rng(2)
     for _ in range(40):
         mdp = random_model(rng)
-        read, rows = Model(model_json.content(mdp)), rows_of(mdp)
+        read, rows = Model(model_json.encode_model(mdp)), rows_of(mdp)
         states, sign = mdp.n_states, 1 if mdp.sense == "max" else -1
         group = [int(s % 2) for s in range(states)]
         below = rng.integers(1, 5, len({*group})).tolist()

@@ -15,7 +15,12 @@ from exact_mdp import ModelError
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.exact import codec
 from exact_mdp.solvers.exact.checker import Unreadable
-from exact_mdp.solvers.exact.codec import checked, content, decode, encode
+from exact_mdp.solvers.exact.codec import (
+    build_file_content,
+    decode_record,
+    encode_record,
+    rebuild_proof,
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,28 +71,28 @@ WRITTEN: dict[str, Any] = {
 
 
 def same(made: Any, other: Any) -> bool:
-    return bool(encode(made) == encode(other))
+    return bool(encode_record(made) == encode_record(other))
 
 
 def test_each_type_is_written_as_the_format_says() -> None:
-    assert encode(proof()) == WRITTEN
-    assert encode(proof(end=-inf, one=Part(name="c", many=[1]))) == WRITTEN | {
+    assert encode_record(proof()) == WRITTEN
+    assert encode_record(proof(end=-inf, one=Part(name="c", many=[1]))) == WRITTEN | {
         "end": "-inf", "one": {"name": "c", "many": ["0x1"]}
     }  # fmt: skip
-    assert encode(proof(), int) == WRITTEN | {
+    assert encode_record(proof(), int) == WRITTEN | {
         "count": -31, "pair": [1, LONG],
         "parts": [{"name": "a", "many": [0, 16]}, {"name": "b", "many": []}],
     }  # fmt: skip
     with pytest.raises(TypeError, match=r"\{1\} is of type set, which no file holds"):
-        encode({1})
+        encode_record({1})
     head = {"format": "exact-mdp certificate", "version": 2}
-    assert content(proof()) == head | WRITTEN
-    assert content(proof(), int)["count"] == -31
+    assert build_file_content(proof()) == head | WRITTEN
+    assert build_file_content(proof(), int)["count"] == -31
 
 
 def test_what_is_written_is_read() -> None:
     for made in (proof(), proof(end=-inf), proof(end=F(1, 2)), proof(one=Part(name="", many=[7]))):
-        again = decode(Proof, json.loads(json.dumps(encode(made))))
+        again = decode_record(Proof, json.loads(json.dumps(encode_record(made))))
         assert same(again, made)
         assert type(again) is Proof
         assert type(again.numbers) is np.ndarray
@@ -95,10 +100,10 @@ def test_what_is_written_is_read() -> None:
         assert type(again.pair) is tuple
         assert type(again.parts) is list
         assert type(again.end) is type(made.end)
-        assert same(checked(made), made)
-    assert type(decode(F | float, "0x2/0x1")) is F
-    assert decode(int | None, None) is None
-    assert decode(str | int, "0x1") == "0x1"  # the first that fits
+        assert same(rebuild_proof(made), made)
+    assert type(decode_record(F | float, "0x2/0x1")) is F
+    assert decode_record(int | None, None) is None
+    assert decode_record(str | int, "0x1") == "0x1"  # the first that fits
 
 
 REFUSED: list[tuple[Any, list[Any]]] = [
@@ -122,8 +127,8 @@ REFUSED: list[tuple[Any, list[Any]]] = [
 def test_what_is_no_value_of_a_type_is_refused(kind: Any, values: list[Any]) -> None:
     for value in values:
         with pytest.raises((ValueError, AttributeError, TypeError)):
-            decode(kind, value)
-    assert decode(Integers, []).tolist() == []
+            decode_record(kind, value)
+    assert decode_record(Integers, []).tolist() == []
 
 
 @pytest.mark.parametrize(
@@ -133,7 +138,7 @@ def test_what_is_no_value_of_a_type_is_refused(kind: Any, values: list[Any]) -> 
 )  # fmt: skip
 def test_a_proof_of_other_types_is_not_checked(changes: dict[str, Any]) -> None:
     with pytest.raises(Unreadable, match="no file holds such a proof of test or other"):
-        checked(proof(**changes))
+        rebuild_proof(proof(**changes))
 
 
 # ---- files ---------------------------------------------------------------------------------------
@@ -143,17 +148,17 @@ KINDS: dict[str, type[Proof]] = {"test": Proof, "other": Proof}
 
 def test_a_file_has_a_line_for_each_field(tmp_path: Path) -> None:
     path = tmp_path / "proof.json"
-    codec.save(proof(), path)
+    codec.save_proof(proof(), path)
     text = path.read_text("utf-8")
-    assert json.loads(text) == content(proof())
+    assert json.loads(text) == build_file_content(proof())
     lines = text.splitlines()
     assert lines[0] == '{"format": "exact-mdp certificate",'
     assert lines[1] == ' "version": 2,'
     assert len(lines) == 2 + len(WRITTEN)
     assert text.endswith("}\n")
-    assert same(codec.load(KINDS, path), proof())
-    path.write_text(json.dumps(content(proof(kind="other"))), "utf-8")
-    assert codec.load(KINDS, path).kind == "other"
+    assert same(codec.load_proof(KINDS, path), proof())
+    path.write_text(json.dumps(build_file_content(proof(kind="other"))), "utf-8")
+    assert codec.load_proof(KINDS, path).kind == "other"
 
 
 Change = dict[str, Any]
@@ -175,12 +180,12 @@ DAMAGED: list[tuple[Change | Callable[[Change], Any], str]] = [
 @pytest.mark.parametrize("number", range(len(DAMAGED)))
 def test_a_damaged_file_says_where(number: int, tmp_path: Path) -> None:
     change, said = DAMAGED[number]
-    given = content(proof())
+    given = build_file_content(proof())
     path = tmp_path / "proof.json"
     changed = given | change if isinstance(change, dict) else change(given)
     path.write_text(json.dumps(changed), "utf-8")
     with pytest.raises(ModelError) as caught:
-        codec.load(KINDS, path)
+        codec.load_proof(KINDS, path)
     assert said in caught.value.what
     assert caught.value.where == str(path)
 
@@ -190,7 +195,7 @@ def test_what_is_no_json_is_no_certificate(text: str, tmp_path: Path) -> None:
     path = tmp_path / "proof.json"
     path.write_text(text, "utf-8")
     with pytest.raises(ModelError) as caught:
-        codec.load(KINDS, path)
+        codec.load_proof(KINDS, path)
     assert caught.value.what in (
         "not a certificate, which is JSON text", "'a' is written twice",
     )  # fmt: skip

@@ -13,7 +13,12 @@ from scipy.spatial import ConvexHull
 
 from exact_mdp.solvers.exact import duals
 from exact_mdp.solvers.exact.checker import Model, Unreadable
-from exact_mdp.solvers.exact.duals import Totals, allowed, violations, worth
+from exact_mdp.solvers.exact.duals import (
+    Totals,
+    list_totals_violations,
+    solve_inequalities,
+    weigh_values,
+)
 
 Amounts = list[list[F]]
 
@@ -83,14 +88,14 @@ def test_a_gain_has_the_sign_of_what_the_pair_adds() -> None:
             rows, totals = made(rng, rate, 2)
             weights = [F(int(n), 3) for n in rng.integers(-3, 4, 2)]
             value = [F(int(n), int(d)) for n, d in rng.integers(1, 6, (4, 2))]
-            read = duals._level(level(value), 4)
+            read = duals._read_level(level(value), 4)
             signs = set[int]()
             for pair, (s, _, _, law) in enumerate(rows):
                 earned = sum(w * own[pair] for w, own in zip(weights, totals.amounts, strict=True))
                 wanted = earned + rate * sum(p * value[t] for t, p in law.items()) - value[s]
                 if s == 3:
                     wanted = -value[s]
-                gain = totals.gain(weights, read, pair)
+                gain = totals.compute_advantage_sign(weights, read, pair)
                 assert (gain > 0, gain < 0) == (wanted > 0, wanted < 0)
                 signs.add((gain > 0) - (gain < 0))
             assert totals.ends == {3}
@@ -102,25 +107,25 @@ def test_values_bound_a_total_where_no_pair_gains_and_the_start_has_no_more() ->
         for _ in range(8):
             rows, totals = made(rng, rate, 2)
             weights = [F(int(n), 2) for n in rng.integers(0, 4, 2)]
-            amounts = [worth(weights, own) for own in zip(*totals.amounts, strict=True)]
+            amounts = [weigh_values(weights, own) for own in zip(*totals.amounts, strict=True)]
             each = [
                 policy_values(earning(policy, rows, amounts), rate, {3})
                 for policy in policies(rows)
             ]
             best = [max(column) for column in zip(*each, strict=True)]
             most = sum((share * best[s] for s, share in START.items()), F(0))
-            assert totals.bounds(weights, level(best), most)
-            assert not totals.bounds(weights, level(best), most - F(1, 10**9))
-            assert totals.bounds(weights, level(best), most + 1)
+            assert totals.is_upper_bound(weights, level(best), most)
+            assert not totals.is_upper_bound(weights, level(best), most - F(1, 10**9))
+            assert totals.is_upper_bound(weights, level(best), most + 1)
             for state in range(4):
                 less = [x - F(s == state, 10**9) for s, x in enumerate(best)]
                 if state < 3:  # an end may be worth less than it is
-                    assert not totals.bounds(weights, level(less), most)
+                    assert not totals.is_upper_bound(weights, level(less), most)
             above = [*best[:3], F(1, 10**9)]
             if rate and not all(p == 0 for *_, law in rows[:-1] for t, p in law.items() if t == 3):
-                assert not totals.bounds(weights, level(above), most)
+                assert not totals.is_upper_bound(weights, level(above), most)
     with pytest.raises(Unreadable):
-        totals.bounds(weights, level(best[:3]), most)
+        totals.is_upper_bound(weights, level(best[:3]), most)
 
 
 def test_a_policy_attains_its_own_totals_alone() -> None:
@@ -133,25 +138,25 @@ def test_a_policy_attains_its_own_totals_alone() -> None:
             total = [sum((share * v[s] for s, share in START.items()), F(0)) for v in values]
             pairs = [rows.index(row) for row in policy]
             given = [level(v) for v in values]
-            assert totals.attained(pairs, given, total)
-            assert totals.attained(np.array(pairs), given, tuple(total))
+            assert totals.is_attained(pairs, given, total)
+            assert totals.is_attained(np.array(pairs), given, tuple(total))
             for k in range(3):
                 off = [x + F(i == k) for i, x in enumerate(total)]
-                assert not totals.attained(pairs, given, off)
+                assert not totals.is_attained(pairs, given, off)
                 for state in range(3):
                     other = [x + F(s == state) for s, x in enumerate(values[k])]
                     wrong = [level(other) if i == k else v for i, v in enumerate(given)]
                     both = [x + F(i == k) * START.get(state, 0) for i, x in enumerate(total)]
-                    assert not totals.attained(pairs, wrong, both)
-            assert not totals.attained(pairs[:-1], given, total)
-            assert not totals.attained([pairs[1], pairs[0], *pairs[2:]], given, total)
+                    assert not totals.is_attained(pairs, wrong, both)
+            assert not totals.is_attained(pairs[:-1], given, total)
+            assert not totals.is_attained([pairs[1], pairs[0], *pairs[2:]], given, total)
             with pytest.raises(Unreadable, match="not one total for each objective"):
-                totals.attained(pairs, given, total[:2])
+                totals.is_attained(pairs, given, total[:2])
             with pytest.raises(Unreadable, match="not one total for each objective"):
-                totals.attained(pairs, given[:2], total[:2])
+                totals.is_attained(pairs, given[:2], total[:2])
             for pair in (-1, len(rows)):
                 with pytest.raises(Unreadable, match="a pair is none of the model"):
-                    totals.attained([pair, *pairs[1:]], given, total)
+                    totals.is_attained([pair, *pairs[1:]], given, total)
 
 
 def drawn(rng: np.random.Generator, rows: Sequence[Row], rate: F) -> dict[int, F]:
@@ -177,13 +182,13 @@ def test_visits_earn_what_the_policy_earns() -> None:
             rows, totals = made(rng, rate, 2)
             numbers = drawn(rng, rows, rate)
             wanted = [sum(x * own[pair] for pair, x in numbers.items()) for own in totals.amounts]
-            assert totals.earns(flow(dict(numbers))) == wanted
+            assert totals.compute_earnings(flow(dict(numbers))) == wanted
             backwards = dict(reversed([*numbers.items()]))
-            assert totals.earns(flow(dict(backwards))) == wanted
+            assert totals.compute_earnings(flow(dict(backwards))) == wanted
             for pair, x in numbers.items():
                 for other in (x + F(1, 10**9), x / 2):
                     with pytest.raises(Unreadable, match="visits are not those of a policy"):
-                        totals.earns(flow(numbers | {pair: other}))
+                        totals.compute_earnings(flow(numbers | {pair: other}))
     one = min(numbers)
     refused: list[tuple[Record, str]] = [
         (flow(numbers | {len(rows): F(1)}), "a pair is none of the model"),
@@ -200,14 +205,14 @@ def test_visits_earn_what_the_policy_earns() -> None:
     )
     for wrong, sentence in [*refused, (twice, "visits are not > 0")]:
         with pytest.raises(Unreadable, match=sentence):
-            totals.earns(wrong)
+            totals.compute_earnings(wrong)
 
 
 def test_a_policy_may_take_every_pair() -> None:
     rows: list[Row] = [(0, 0, F(1), {1: F(1)}), (1, 0, F(2), {0: F(1)})]
     totals = Totals(Model(content(rows, F(1, 2))), ["c"], [[F(1), F(2)]])
-    assert totals.attained([0, 1], [level([F(8, 3), F(10, 3)])], [F(8, 3)])
-    assert totals.earns(flow({0: F(4, 3), 1: F(2, 3)})) == [F(8, 3)]
+    assert totals.is_attained([0, 1], [level([F(8, 3), F(10, 3)])], [F(8, 3)])
+    assert totals.compute_earnings(flow({0: F(4, 3), 1: F(2, 3)})) == [F(8, 3)]
 
 
 def test_ends_neither_lead_on_nor_earn() -> None:
@@ -242,14 +247,14 @@ PAY = [[F(1), F(2), F(3), F(0), F(1), F(0)]]
 def test_a_rank_shows_that_every_policy_ends(rank: list[int], fault: bool) -> None:
     """Each pair may lower it, but at an end."""
     faults = ["the rank does not show that every policy ends"] * fault
-    assert [*Totals(Model(content(GO, F(1))), ["c"], PAY).sound(rank)] == faults
-    assert [*Totals(Model(content(GO, F(1, 2))), ["c"], PAY).sound(None)] == []
+    assert [*Totals(Model(content(GO, F(1))), ["c"], PAY).find_faults(rank)] == faults
+    assert [*Totals(Model(content(GO, F(1, 2))), ["c"], PAY).find_faults(None)] == []
 
 
 @pytest.mark.parametrize("rank", [None, [2, 1, 0, 1], [2, 1, 0, 1, 0, 0], [2, 1, 0, 1, -1]])
 def test_a_rank_is_a_number_of_each_state(rank: Any) -> None:
     with pytest.raises(Unreadable, match="the rank is missing, or negative"):
-        [*Totals(Model(content(GO, F(1))), ["c"], PAY).sound(rank)]
+        [*Totals(Model(content(GO, F(1))), ["c"], PAY).find_faults(rank)]
 
 
 @pytest.mark.parametrize(
@@ -257,7 +262,7 @@ def test_a_rank_is_a_number_of_each_state(rank: Any) -> None:
 )
 def test_runs_end_at_the_goal(start: int, goal: int, fault: bool) -> None:
     model = Model(content(GO, F(1), start={str(start): 1}, goal=[goal]))
-    faults = [*Totals(model, ["c"], PAY).sound([2, 1, 0, 1, 0])]
+    faults = [*Totals(model, ["c"], PAY).find_faults([2, 1, 0, 1, 0])]
     assert faults == ["a run may end beside the goal, and its totals are not finite"] * fault
 
 
@@ -269,12 +274,14 @@ def test_the_size_of_a_cell_is_that_of_its_hull() -> None:
     for _ in range(30):
         points = [[F(int(x)) for x in row] for row in rng.integers(0, 9, (8, 3))]
         flat = np.array([[float(x) for x in row[:2]] for row in points])
-        assert float(duals._size(points)) == pytest.approx(2 * ConvexHull(flat).volume)
+        assert float(duals._measure_hull(points)) == pytest.approx(2 * ConvexHull(flat).volume)
         pairs = [row[:2] for row in points]
-        assert duals._size(pairs) == max(x for x, _ in pairs) - min(x for x, _ in pairs)
+        assert duals._measure_hull(pairs) == max(x for x, _ in pairs) - min(x for x, _ in pairs)
     line = [[F(k), F(2 * k), F(0)] for k in range(5)]
-    assert duals._size(line) == duals._size(line[:1]) == duals._size([]) == 0
-    assert duals._size([*map(list, np.eye(3, dtype=int).tolist())]) == 1
+    assert (
+        duals._measure_hull(line) == duals._measure_hull(line[:1]) == duals._measure_hull([]) == 0
+    )
+    assert duals._measure_hull([*map(list, np.eye(3, dtype=int).tolist())]) == 1
 
 
 def test_multipliers_are_allowed_where_all_lines_say_so() -> None:
@@ -282,7 +289,7 @@ def test_multipliers_are_allowed_where_all_lines_say_so() -> None:
     seen = set[tuple[bool, bool]]()
     for _ in range(200):
         lines = [(F(int(a)), F(int(b), 2)) for a, b in rng.integers(-2, 3, (rng.integers(0, 4), 2))]
-        low, high = allowed(lines)
+        low, high = solve_inequalities(lines)
         for x in [F(n, 12) for n in range(61)]:
             assert (low <= x <= high) == all(a * x + b <= 0 for a, b in lines)
         for end in (low, high):
@@ -290,12 +297,12 @@ def test_multipliers_are_allowed_where_all_lines_say_so() -> None:
                 assert all(a * F(end) + b <= 0 for a, b in lines)
         seen.add((low <= high, high == inf))
     assert seen == {(True, True), (True, False), (False, False)}
-    assert allowed([]) == (0, inf)
+    assert solve_inequalities([]) == (0, inf)
 
 
 def test_worth_is_a_weighted_sum() -> None:
-    assert worth([2, F(1, 2)], [F(3), F(-4)]) == 4
-    assert worth([], []) == 0
+    assert weigh_values([2, F(1, 2)], [F(3), F(-4)]) == 4
+    assert weigh_values([], []) == 0
 
 
 # ---- proofs by hand ------------------------------------------------------------------------------
@@ -319,7 +326,7 @@ def choices(*amounts: Sequence[int | F], **more: Any) -> Totals:
 
 def wrong(totals: Totals, proof: Any) -> list[str]:
     try:
-        return violations(totals, proof)
+        return list_totals_violations(totals, proof)
     except Unreadable as error:
         return [f"unreadable: {error}"]
 
@@ -337,7 +344,7 @@ def front_of(*points: Sequence[int], weights: Sequence[Sequence[F]]) -> tuple[To
     ]
     corners = []
     for at in weights:
-        each = [worth(at, [F(x) for x in point]) for point in points]
+        each = [weigh_values(at, [F(x) for x in point]) for point in points]
         best = [a for a, own in enumerate(each) if own == max(each)]
         dual = level([max(each), 0, each[0]])
         corners.append(Record(weights=[*at], best=best, dual=dual))
@@ -362,10 +369,10 @@ def triangle() -> tuple[Totals, Record]:
 @pytest.mark.parametrize("front", [line, triangle])
 def test_a_front_by_hand_holds(front: Callable[[], tuple[Totals, Record]]) -> None:
     totals, proof = front()
-    assert violations(totals, proof) == []
+    assert list_totals_violations(totals, proof) == []
     for corner in proof.corners:
-        most = max(worth(corner.weights, vertex.total) for vertex in proof.attained)
-        assert totals.bounds(corner.weights, corner.dual, most)
+        most = max(weigh_values(corner.weights, vertex.total) for vertex in proof.attained)
+        assert totals.is_upper_bound(corner.weights, corner.dual, most)
 
 
 def put(name: str, place: int, **changes: Any) -> Change:
@@ -477,7 +484,7 @@ def out_of_reach(sense: str = "max") -> tuple[Totals, Record]:
 def test_an_optimum_under_limits_by_hand_holds(
     proven: Callable[[str], tuple[Totals, Record]], sense: str
 ) -> None:
-    assert violations(*proven(sense)) == []
+    assert list_totals_violations(*proven(sense)) == []
 
 
 BETTER = "the values do not prove that no policy is better"
@@ -536,20 +543,20 @@ def test_limits_that_do_not_bind_have_no_price() -> None:
         totals, proof = choices((4, 1), (2, 0)), limited()[1]
         vars(proof).update(limits=limits, price=[F(0)] * len(limits), flow=flow({0: F(1, 2)}),
                            dual=level([4, 0, 4]))  # fmt: skip
-        assert violations(totals, proof) == []
+        assert list_totals_violations(totals, proof) == []
 
 
 def test_rewards_under_limits_may_be_fractions() -> None:
     totals, proof = choices((F(4, 3), 6), (F(2, 3), 2)), limited()[1]
     vars(proof).update(price=[F(1, 6)], dual=level([F(1, 3), 0, F(1, 3)]))
-    assert violations(totals, proof) == []
+    assert list_totals_violations(totals, proof) == []
 
 
 def test_two_limits_of_one_total_add_their_prices() -> None:
     totals, proof = limited()
     proof.limits.append(Record(name="b", sign=1, bound=F(2)))
     vars(proof).update(price=[F(1), F(1, 2)])
-    assert violations(totals, proof) == []
+    assert list_totals_violations(totals, proof) == []
 
 
 # ---- weights -------------------------------------------------------------------------------------
@@ -600,15 +607,15 @@ def already() -> tuple[Totals, Record]:
 def test_the_least_change_of_weights_by_hand_holds(
     proven: Callable[[], tuple[Totals, Record]],
 ) -> None:
-    assert violations(*proven()) == []
+    assert list_totals_violations(*proven()) == []
 
 
 def test_multipliers_of_policies_add_up() -> None:
-    assert violations(*single()) == []
+    assert list_totals_violations(*single()) == []
     totals, proof = between()
     half, none = (Record(multiplier=x, flow=proof.cuts[0].flow) for x in (F(1, 2), F(0)))
     proof.cuts = [half, none, half]
-    assert violations(totals, proof) == []
+    assert list_totals_violations(totals, proof) == []
 
 
 def single() -> tuple[Totals, Record]:

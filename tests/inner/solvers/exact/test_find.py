@@ -59,25 +59,25 @@ def endless(seed: int) -> Iterator[MDP]:
 
 def test_averages_are_the_greatest_of_all_policies() -> None:
     for mdp in endless(0):
-        proof = find.expansion(mdp, "average")
+        proof = find.prove_gain_and_bias(mdp, "average")
         assert (proof.kind, proof.violations()) == ("average", [])
         gain, bias = best_average(rows := maximised(mdp))
         assert proof.g is not None
-        assert (*proof.g.fractions(),) == gain
-        assert (*proof.h.fractions(),) == bias
+        assert (*proof.g.to_fractions(),) == gain
+        assert (*proof.h.to_fractions(),) == bias
         pairs, levels = find.best_average(mdp)
         own = [rows[pair] for pair in pairs.tolist()]
         assert gain_and_bias(own) == (gain, bias)
-        assert (*levels[0].fractions(),) == gain
-        assert (*levels[1].fractions(),) == bias
+        assert (*levels[0].to_fractions(),) == gain
+        assert (*levels[1].to_fractions(),) == bias
         first = bellman_rows(mdp.maximised).pair_offsets[:-1]
         _, discounted = find.best_average(mdp.with_(discount="1/2"))  # which counts for nothing
-        assert [level.fractions().tolist() for level in discounted] == [
-            level.fractions().tolist() for level in levels
+        assert [level.to_fractions().tolist() for level in discounted] == [
+            level.to_fractions().tolist() for level in levels
         ]
-        again, levels = find.expanded(exact_rows(mdp, average=True), first)
+        again, levels = find.optimise_expansion(exact_rows(mdp, average=True), first)
         assert gain_and_bias([rows[pair] for pair in again.tolist()]) == (gain, bias)
-        assert (*levels[1].fractions(),) == bias
+        assert (*levels[1].to_fractions(),) == bias
 
 
 def test_the_search_for_averages_begins_anywhere(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -86,12 +86,12 @@ def test_the_search_for_averages_begins_anywhere(monkeypatch: pytest.MonkeyPatch
     def fails(*_: Any, **__: Any) -> Any:
         raise find.SolverError(None, "")
 
-    monkeypatch.setattr(find, "improved", fails)
+    monkeypatch.setattr(find.AveragePolicyIteration, "run", fails)
     for mdp in [*endless(1)][:20]:
         gain, bias = best_average(maximised(mdp))
         _, levels = find.best_average(mdp)
-        assert (*levels[0].fractions(),) == gain
-        assert (*levels[1].fractions(),) == bias
+        assert (*levels[0].to_fractions(),) == gain
+        assert (*levels[1].to_fractions(),) == bias
 
 
 def test_totals_are_the_limits_of_all_policies() -> None:
@@ -99,7 +99,7 @@ def test_totals_are_the_limits_of_all_policies() -> None:
     for mdp in endless(2):
         best = best_total(maximised(mdp))
         try:
-            proof = find.expansion(mdp, "total")
+            proof = find.prove_gain_and_bias(mdp, "total")
         except ModelError:
             refused += 1
             continue
@@ -126,8 +126,8 @@ def test_values_are_the_best_of_all_policies() -> None:
         rows, equations = maximised(mdp), exact_rows(mdp)
         best, actions = solve_exact(mdp.n_states, rows, mdp.discount_exact)
         for first in (None, mdp.pair_offsets[1:] - 1):
-            pairs, (value,), sign = find.best(equations, first)
-            assert value.fractions().tolist() == best
+            pairs, (value,), sign = find.optimise_exactly(equations, first)
+            assert value.to_fractions().tolist() == best
             for (s, a, *_), own in zip(rows, sign.tolist(), strict=True):
                 if not mdp.terminal[s]:
                     assert own == (0 if a in actions[s] else -1)
@@ -145,7 +145,7 @@ def test_one_amount_after_the_other_settles_ties() -> None:
         equations, end = exact_rows(mdp), {mdp.n_states - 1}
         scale = equations.scale.tolist()
         amounts = [rng.integers(-1, 2, mdp.n_pairs).astype(object) for _ in range(2)]
-        _, values, _ = find.best(equations, amounts=amounts)
+        _, values, _ = find.optimise_exactly(equations, amounts=amounts)
         each = list[tuple[tuple[F, ...], ...]]()
         rows = maximised(mdp)
         place = {row[:2]: number for number, row in enumerate(rows)}
@@ -155,7 +155,7 @@ def test_one_amount_after_the_other_settles_ties() -> None:
             totals = [policy_values(chain, mdp.discount_exact, end) for chain in own]
             each.append(tuple(zip(*totals, strict=True)))
         best = [max(column) for column in zip(*each, strict=True)]
-        found = [level.fractions().tolist() for level in values]
+        found = [level.to_fractions().tolist() for level in values]
         assert [*zip(*found, strict=True)] == best
 
 
@@ -163,11 +163,11 @@ def test_floats_suggest_a_policy_that_ends() -> None:
     for mdp in ending(6):
         equations = exact_rows(mdp)
         _, actions = solve_exact(mdp.n_states, maximised(mdp), mdp.discount_exact)
-        pairs = find.nearly(equations, mdp.pair_offsets[:-1])
+        pairs = find.improve_in_floats(equations, mdp.pair_offsets[:-1])
         for s, pair in enumerate(pairs.tolist()):
             assert mdp.pair_state[pair] == s
             assert mdp.terminal[s] or int(mdp.pair_action[pair]) in actions[s]
-        again = find.nearly(equations, pairs)
+        again = find.improve_in_floats(equations, pairs)
         assert again.tolist() == pairs.tolist()
 
 
@@ -183,10 +183,10 @@ def test_where_floats_fail_the_first_policy_stays(reward: F, stay: F, kept: bool
     law = [(stay, 0, reward), (1 - stay, 1, reward)] if stay else [(1, 1, reward)]
     rows: Any = [(0, 0, law), (0, 1, [(p, t, 2 * r) for p, t, r in law]), (1, 0, [(1, 1, 0)])]
     mdp = MDP.from_outcomes(rows)
-    pairs = find.nearly(exact_rows(mdp), np.array([0, 2]))
+    pairs = find.improve_in_floats(exact_rows(mdp), np.array([0, 2]))
     assert pairs.tolist() == ([0, 2] if kept else [1, 2])
-    best, (value,), _ = find.best(exact_rows(mdp))
-    assert value.fractions()[0] == 2 * reward / (1 - stay)
+    best, (value,), _ = find.optimise_exactly(exact_rows(mdp))
+    assert value.to_fractions()[0] == 2 * reward / (1 - stay)
     assert best.tolist() == [1, 2]
 
 
@@ -195,8 +195,8 @@ def test_numbers_beyond_the_floats_suggest_nothing() -> None:
     rows = exact_rows(mdp)
     for size, pairs in ((10**400, [0, 2]), (10**300, [1, 2])):
         large = replace(rows, constant=rows.constant.astype(object) * size)
-        assert find.nearly(large, np.array([0, 2])).tolist() == pairs
-        best, (value,), _ = find.best(large)
+        assert find.improve_in_floats(large, np.array([0, 2])).tolist() == pairs
+        best, (value,), _ = find.optimise_exactly(large)
         assert (best.tolist(), value.top[0]) == ([1, 2], 2 * size)
 
 
@@ -204,11 +204,13 @@ def test_what_floats_gain_by_rounding_is_no_gain() -> None:
     """Two ways that are as good, up to 2⁻⁶⁰ of what is added: the first one stays."""
     rows: Any = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 1 + F(1, 2**52))]), (1, 0, [(1, 1, 0)])]
     mdp = MDP.from_outcomes(rows)
-    assert find.nearly(exact_rows(mdp), np.array([0, 2])).tolist() == [0, 2]
-    pairs, *_ = find.best(exact_rows(mdp))
+    assert find.improve_in_floats(exact_rows(mdp), np.array([0, 2])).tolist() == [0, 2]
+    pairs, *_ = find.optimise_exactly(exact_rows(mdp))
     assert pairs.tolist() == [1, 2]
     more: Any = [rows[0], (0, 1, [(1, 1, 1 + F(1, 2**30))]), rows[2]]
-    assert find.nearly(exact_rows(MDP.from_outcomes(more)), np.array([0, 2])).tolist() == [1, 2]
+    assert find.improve_in_floats(
+        exact_rows(MDP.from_outcomes(more)), np.array([0, 2])
+    ).tolist() == [1, 2]
 
 
 # ---- a goal --------------------------------------------------------------------------------------
@@ -251,7 +253,7 @@ def test_totals_until_a_goal_are_the_best_of_all_policies() -> None:
         ((start, _),) = mdp.start
         above = gains_for_ever(mdp) if mdp.maximised.unreached == -inf else set()
         try:
-            proof = find.reaching(mdp)
+            proof = find.prove_goal_total(mdp)
         except ModelError:  # costs fall without end before the goal
             assert start in above
             continue
@@ -330,11 +332,11 @@ def test_certificates_have_the_start_value_of_their_levels() -> None:
     rows: Any = [(0, 0, [(1, 2, 3)]), (1, 0, [(1, 2, 5)]), (1, 2, [(1, 2, 5)]), (2, 0, [(1, 2, 0)])]
     for sense, sign in (("max", 1), ("min", -1)):
         mdp = MDP.from_outcomes(rows, "1/2", start=["1/4", "3/4", 0], sense=sense)
-        pairs, (value,), optimal = find.best(exact_rows(mdp))
-        proof = find.certificate(mdp, pairs, optimal == 0, h=value)
+        pairs, (value,), optimal = find.optimise_exactly(exact_rows(mdp))
+        proof = find.build_certificate(mdp, pairs, optimal == 0, h=value)
         assert type(proof) is Certificate
         assert proof.start_value == F(3, 4) + F(15, 4)
-        assert value.fractions().tolist() == [3 * sign, 5 * sign, 0]
+        assert value.to_fractions().tolist() == [3 * sign, 5 * sign, 0]
         assert (proof.kind, proof.sense, proof.unique) == ("total", sense, False)
         assert proof.policy.tolist() == [0, 0, 0]
-        assert proof.violations() == find.certificate(mdp, pairs, h=value).violations() == []
+        assert proof.violations() == find.build_certificate(mdp, pairs, h=value).violations() == []

@@ -11,7 +11,15 @@ from oracle import Row, mean, rows_of
 from exact_mdp import MDP, ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows
 from exact_mdp.solvers.exact import levels
-from exact_mdp.solvers.exact.levels import Level, combined, fraction, gains, signs, steps, surplus
+from exact_mdp.solvers.exact.levels import (
+    Level,
+    combine_levels,
+    compute_surplus_signs,
+    compute_surpluses,
+    list_level_steps,
+    make_fraction,
+    yield_level_advantages,
+)
 
 
 def random_level(rng: np.random.Generator, states: int) -> Level:
@@ -44,7 +52,7 @@ def models() -> Iterator[tuple[MDP, BellmanRows, list[Row]]]:
 def test_a_fraction_is_in_lowest_terms() -> None:
     rng = np.random.default_rng(1)
     for top, below in [(0, 7), (-6, 4), (10**400, 3 * 10**399), *rng.integers(1, 99, (50, 2))]:
-        made, wanted = fraction(int(top), int(below)), F(int(top), int(below))
+        made, wanted = make_fraction(int(top), int(below)), F(int(top), int(below))
         assert type(made) is F
         assert (made.numerator, made.denominator) == (wanted.numerator, wanted.denominator)
         assert type(made.numerator) is type(made.denominator) is int
@@ -60,24 +68,24 @@ def test_numbers_of_a_level_are_tops_over_the_belows_of_their_groups() -> None:
             numbers = listed(level)
             assert level.each_below == [level.below[g] for g in level.group]
             for sign in (1, -1):
-                assert level.fractions(sign).tolist() == [sign * x for x in numbers]
-                assert level.floats(sign).tolist() == [float(sign * x) for x in numbers]
-            assert level.fractions().tolist() == numbers
-            assert level.floats().tolist() == [float(x) for x in numbers]
-            for array in (level.fractions(), level.floats()):
+                assert level.to_fractions(sign).tolist() == [sign * x for x in numbers]
+                assert level.to_floats(sign).tolist() == [float(sign * x) for x in numbers]
+            assert level.to_fractions().tolist() == numbers
+            assert level.to_floats().tolist() == [float(x) for x in numbers]
+            for array in (level.to_fractions(), level.to_floats()):
                 with pytest.raises(ValueError, match="read-only"):
                     array[0] = 1
             one = Level.of(numbers)
-            assert one.fractions().tolist() == numbers
+            assert one.to_fractions().tolist() == numbers
             assert (one.below, one.group.tolist()) == ([one.below[0]], [0] * states)
             assert gcd(one.below[0], *one.top) == 1
     with pytest.raises(ModelError):
-        Level.of([F(10**400)]).floats()
-    assert Level.of([F(10**400), F(10**400, 3)]).fractions()[1] == F(10**400, 3)
+        Level.of([F(10**400)]).to_floats()
+    assert Level.of([F(10**400), F(10**400, 3)]).to_fractions()[1] == F(10**400, 3)
 
 
 def test_denominators_that_no_number_has_are_left_out() -> None:
-    level = Level.grouped([1, 2, 3], [5, 7, 11, 13], np.array([3, 1, 3]))
+    level = Level.from_groups([1, 2, 3], [5, 7, 11, 13], np.array([3, 1, 3]))
     assert (level.top, level.below, level.group.tolist()) == ([1, 2, 3], [7, 13], [1, 0, 1])
     assert listed(level) == [F(1, 13), F(2, 7), F(3, 13)]
 
@@ -102,7 +110,7 @@ def test_a_mean_is_a_weighted_sum() -> None:
         level = random_level(rng, 5)
         weights = [(int(s), F(int(n), 6)) for s, n in rng.integers(0, 5, (4, 2))]
         wanted = sum((w * listed(level)[s] for s, w in weights), F(0))
-        assert level.mean(weights) == level.mean(iter(weights)) == wanted
+        assert level.compute_mean(weights) == level.compute_mean(iter(weights)) == wanted
 
 
 def test_levels_are_combined_number_by_number() -> None:
@@ -113,12 +121,12 @@ def test_levels_are_combined_number_by_number() -> None:
                                group=first.group) for _ in range(2))]  # fmt: skip
         weights = [F(int(n), int(d)) for n, d in rng.integers(1, 7, (3, 2))]
         weights[1] *= -1
-        made = combined(each, weights)
+        made = combine_levels(each, weights)
         columns = zip(*map(listed, each), strict=True)
         assert listed(made) == [
             sum((w * x for w, x in zip(weights, column, strict=True)), F(0)) for column in columns
         ]
-        assert listed(combined(each[:1], [2])) == [2 * x for x in listed(first)]
+        assert listed(combine_levels(each[:1], [2])) == [2 * x for x in listed(first)]
 
 
 def shares(found: list[tuple[int, int]]) -> list[F]:
@@ -132,19 +140,21 @@ def test_what_pairs_gain_on_values_is_what_the_equation_leaves() -> None:
         value = random_level(rng, mdp.n_states)
         numbers, rate = listed(value), mdp.discount_exact
         wanted = [r + rate * mean(law, numbers) - numbers[s] for s, _, r, law in rows]
-        (found,) = surplus(equations, value)
+        (found,) = compute_surpluses(equations, value)
         assert shares(found) == wanted
         some = rng.integers(0, mdp.n_pairs, 3)
-        (found,) = surplus(equations, value, pairs=some)
+        (found,) = compute_surpluses(equations, value, pairs=some)
         assert shares(found) == [wanted[pair] for pair in some]
-        (step,) = steps(equations, value)
-        for top, first, second in gains(equations, step):
+        (step,) = list_level_steps(equations, value)
+        for top, first, second in yield_level_advantages(equations, step):
             assert min(first, second) > 0
             assert type(top) is type(first) is type(second) is int
-        assert signs(equations, step).tolist() == [(x > 0) - (x < 0) for x in wanted]
+        assert compute_surplus_signs(equations, step).tolist() == [
+            (x > 0) - (x < 0) for x in wanted
+        ]
         own = np.unique(some)
         others = [0 if pair in own else (x > 0) - (x < 0) for pair, x in enumerate(wanted)]
-        assert signs(equations, step, own).tolist() == others
+        assert compute_surplus_signs(equations, step, own).tolist() == others
 
 
 def test_gains_of_three_levels_are_those_of_gain_bias_and_the_next() -> None:
@@ -159,9 +169,11 @@ def test_gains_of_three_levels_are_those_of_gain_bias_and_the_next() -> None:
             [r - g[s] + mean(law, h) - h[s] for s, _, r, law in rows],
             [mean(law, w) - w[s] - h[s] for s, _, _, law in rows],
         ]
-        assert [shares(found) for found in surplus(equations, *made)] == wanted
-        for step, each in zip(steps(equations, *made), wanted, strict=True):
-            assert signs(equations, step).tolist() == [(x > 0) - (x < 0) for x in each]
+        assert [shares(found) for found in compute_surpluses(equations, *made)] == wanted
+        for step, each in zip(list_level_steps(equations, *made), wanted, strict=True):
+            assert compute_surplus_signs(equations, step).tolist() == [
+                (x > 0) - (x < 0) for x in each
+            ]
 
 
 def test_numbers_of_one_denominator_are_not_looked_up(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -173,6 +185,6 @@ def test_numbers_of_one_denominator_are_not_looked_up(monkeypatch: pytest.Monkey
 def test_signs_are_integers_of_what_is_gained() -> None:
     rows = [(0, a, [(1, 0, reward)]) for a, reward in enumerate((1, 0, -1))]
     equations = bellman_rows(MDP.from_outcomes(rows))
-    (step,) = steps(equations, Level.of([F(0)]))
-    found = signs(equations, step)
+    (step,) = list_level_steps(equations, Level.of([F(0)]))
+    found = compute_surplus_signs(equations, step)
     assert (found.tolist(), found.dtype) == ([1, 0, -1], np.int64)

@@ -10,7 +10,7 @@ import flint
 import numpy as np
 import pytest
 
-from exact_mdp.mdp.table import integers
+from exact_mdp.mdp.table import to_integer_array
 from exact_mdp.solvers.exact import lifting
 from exact_mdp.solvers.exact.lifting import Lifting
 
@@ -22,7 +22,7 @@ def lifted(dense: Dense) -> Lifting:
     rows = [[(j, a) for j, a in enumerate(row) if a] for row in dense]
     ends = np.cumsum([0, *map(len, rows)])
     column = np.array([j for row in rows for j, _ in row], dtype=np.int64)
-    return Lifting(ends, column, integers(a for row in rows for _, a in row))
+    return Lifting(ends, column, to_integer_array(a for row in rows for _, a in row))
 
 
 def listed(dense: Dense) -> lifting.Rows:
@@ -89,7 +89,7 @@ def test_digits_of_each_width_lead_to_the_solution(
 def test_a_known_denominator_takes_half_as_many_digits(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(1)
     dense, side = chain(rng, 40, 30), rng.integers(-9, 10, 40).tolist()
-    counts, kept = list[int](), Lifting._digits
+    counts, kept = list[int](), Lifting._yield_digits
 
     def counted(self: Lifting, *given: Any) -> Any:
         counts.append(0)
@@ -97,7 +97,7 @@ def test_a_known_denominator_takes_half_as_many_digits(monkeypatch: pytest.Monke
             counts[-1] += 1
             yield digit
 
-    monkeypatch.setattr(Lifting, "_digits", counted)
+    monkeypatch.setattr(Lifting, "_yield_digits", counted)
     matrix = lifted(dense)
     first = matrix.solve(side, listed(dense))
     assert first is not None
@@ -152,12 +152,12 @@ def test_numbers_are_split_into_digits_and_joined_again() -> None:
             together = [sum(p * int(d) for p, d in zip(place, own, strict=True))
                         for own in digits.T]  # fmt: skip
             assert together == numbers
-            assert lifting._joined(digits, width) == numbers
+            assert lifting._join_digits(digits, width) == numbers
     # digits as they come are of either sign, and may be as large as the base
     for width in (24, 40):
         digits = rng.integers(-(1 << width), (1 << width) + 1, (4, 600))
         wanted = [sum(int(d) << width * (3 - k) for k, d in enumerate(own)) for own in digits.T]
-        assert lifting._joined(digits, width) == wanted
+        assert lifting._join_digits(digits, width) == wanted
 
 
 def test_digits_come_out_as_the_solution_has_them() -> None:
@@ -168,9 +168,9 @@ def test_digits_come_out_as_the_solution_has_them() -> None:
         side = [int(x) << bits for x in rng.integers(-9, 10, 7)]
         matrix, exact = lifted(dense), eliminated(dense, side)
         lead = (max(map(abs, side)).bit_length() + 54) // 40 + 1
-        digits = np.array([*islice(matrix._digits(side, lead), lead + 9)])
+        digits = np.array([*islice(matrix._yield_digits(side, lead), lead + 9)])
         for count in (lead, lead + 4, lead + 9):
-            joined = lifting._joined(digits[:count], 40)
+            joined = lifting._join_digits(digits[:count], 40)
             shift = 40 * (count - lead)
             assert all(abs(n - x * 2**shift) <= 1 for n, x in zip(joined, exact, strict=True))
 
@@ -184,10 +184,10 @@ def test_a_denominator_is_found_where_bits_tell_it() -> None:
             top = int(rng.integers(1, 1 << 60)) * below // (1 << 60)
             enough = 2 * bits + lifting.SPARE + 4
             number = flint.fmpz(round(F(top, below) * 2**enough))
-            assert lifting._denominator(number, enough) == F(top, below).denominator
+            assert lifting._find_denominator(number, enough) == F(top, below).denominator
             few = bits + lifting.SPARE // 2
             short = flint.fmpz(round(F(top, below) * 2**few))
-            assert lifting._denominator(short, few) is None
+            assert lifting._find_denominator(short, few) is None
 
 
 def test_fractions_are_found_over_a_multiple_of_what_is_known(
@@ -210,7 +210,7 @@ def test_fractions_are_found_over_a_multiple_of_what_is_known(
         number = round(F(top_of, 7 * factor) * 2**few)
         found = lifting._over_one_denominator([number], few, flint.fmpz(factor))
         assert found == ([flint.fmpz(top_of)], flint.fmpz(7 * factor))
-    monkeypatch.setattr(lifting, "_denominator", lambda *_, **__: asked.append(1))
+    monkeypatch.setattr(lifting, "_find_denominator", lambda *_, **__: asked.append(1))
     found = lifting._over_one_denominator(numbers, bits, flint.fmpz(3003 * 5))
     assert found is not None
     assert asked == []  # nothing is looked for where the known one does
@@ -226,29 +226,29 @@ def test_a_solution_is_one_of_every_row() -> None:
     below = lcm(*(x.denominator for x in exact))
     top = [flint.fmpz(int(x * below)) for x in exact]
     rows, side = listed(dense), [1, 2, 3]
-    assert lifting._solves(rows, side, top, flint.fmpz(below))
-    assert not lifting._solves(rows, side, top, flint.fmpz(below + 1))
+    assert lifting._is_solution(rows, side, top, flint.fmpz(below))
+    assert not lifting._is_solution(rows, side, top, flint.fmpz(below + 1))
     for k in range(3):
         other = [x + (i == k) for i, x in enumerate(top)]
-        assert not lifting._solves(rows, side, other, flint.fmpz(below))
+        assert not lifting._is_solution(rows, side, other, flint.fmpz(below))
 
 
 def test_a_wrong_denominator_costs_digits_and_no_truth(monkeypatch: pytest.MonkeyPatch) -> None:
     """Candidates that solve nothing are refused, until there can be no more digits."""
     rng = np.random.default_rng(5)
     dense, side = chain(rng, 6, 10), rng.integers(-9, 10, 6).tolist()
-    kept: Callable[..., Any] = lifting._solves
+    kept: Callable[..., Any] = lifting._is_solution
     tries = list[int]()
 
     def refused(*given: Any) -> bool:
         tries.append(1)
         return len(tries) > 3 and kept(*given)
 
-    monkeypatch.setattr(lifting, "_solves", refused)
+    monkeypatch.setattr(lifting, "_is_solution", refused)
     found = lifted(dense).solve(side, listed(dense))
     assert found is not None
     assert [F(int(x), int(found[1])) for x in found[0]] == eliminated(dense, side)
-    monkeypatch.setattr(lifting, "_solves", lambda *_: False)
+    monkeypatch.setattr(lifting, "_is_solution", lambda *_: False)
     matrix = lifted(dense)
     assert matrix.solve(side, listed(dense)) is None
     assert matrix.width == 0

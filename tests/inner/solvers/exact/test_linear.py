@@ -12,7 +12,7 @@ from oracle import Row, fixed_point, policies, policy_values, rows_of, visits
 
 from exact_mdp import MDP, ModelError
 from exact_mdp.mdp.exact import bellman_rows
-from exact_mdp.mdp.table import integers
+from exact_mdp.mdp.table import to_integer_array
 from exact_mdp.solvers.exact import linear
 from exact_mdp.solvers.exact.linear import Matrix, solve_all
 
@@ -24,7 +24,7 @@ def ring(size: int, pivot: int, weight: int) -> Matrix:
         size,
         np.concatenate([place, place]),
         np.concatenate([place, (place + 1) % size]),
-        integers([pivot] * size + [-weight] * size),
+        to_integer_array([pivot] * size + [-weight] * size),
     )
 
 
@@ -105,7 +105,7 @@ def test_several_right_sides_share_their_denominators() -> None:
             sides = rng.integers(-9, 10, (3, 7)).tolist()
             levels = solve_all(matrix, sides)
             for level, side in zip(levels, sides, strict=True):
-                assert list(level.fractions()) == eliminated(7, entries, side)
+                assert list(level.to_fractions()) == eliminated(7, entries, side)
                 assert level.below == levels[0].below
                 assert (level.group == levels[0].group).all()
             (zero,) = solve_all(matrix, [[0] * 7])
@@ -121,7 +121,7 @@ def test_denominators_are_in_lowest_terms_and_apart_where_they_are_long() -> Non
         size = len(pivots)
         matrix = matrix_of(size, {(i, i): pivot for i, pivot in enumerate(pivots)})
         (level,) = solve_all(matrix, [[1] * size])
-        assert list(level.fractions()) == [F(1, pivot) for pivot in pivots]
+        assert list(level.to_fractions()) == [F(1, pivot) for pivot in pivots]
         assert level.top == [b // p for b, p in zip(level.each_below, pivots, strict=True)]
         return level.below
 
@@ -227,15 +227,19 @@ def test_values_of_a_policy_are_those_of_its_equations() -> None:
     for mdp in some_models():
         rows, last = bellman_rows(mdp), mdp.n_states - 1
         for policy, pairs in each_policy(mdp):
-            (value,) = linear.evaluated(rows, pairs)
+            (value,) = linear.evaluate_exactly(rows, pairs)
             wanted = policy_values(policy, mdp.discount_exact, {last})
-            assert list(value.fractions()) == wanted
+            assert list(value.to_fractions()) == wanted
             amounts = [rng.integers(-9, 10, mdp.n_pairs).astype(object) for _ in range(2)]
-            for level, own in zip(linear.evaluated(rows, pairs, amounts), amounts, strict=True):
+            for level, own in zip(
+                linear.evaluate_exactly(rows, pairs, amounts), amounts, strict=True
+            ):
                 scale = rows.scale.tolist()
                 other = [(s, a, F(int(own[pair]), int(scale[s])), law)
                          for pair, (s, a, _, law) in zip(pairs, policy, strict=True)]  # fmt: skip
-                assert list(level.fractions()) == policy_values(other, mdp.discount_exact, {last})
+                assert list(level.to_fractions()) == policy_values(
+                    other, mdp.discount_exact, {last}
+                )
 
 
 def test_constants_of_any_denominator_are_solved_for() -> None:
@@ -245,12 +249,12 @@ def test_constants_of_any_denominator_are_solved_for() -> None:
             rows = bellman_rows(mdp).of_pairs(pairs)
             constant = [F(int(n), int(d)) for n, d in rng.integers(1, 9, (mdp.n_states, 2))]
             constant[-1] = F(0)
-            level = linear.solved(linear.equations(rows), rows, constant)
+            level = linear.solve_policy_equations(linear.build_equations(rows), rows, constant)
             moves = [
                 {t: mdp.discount_exact * p for t, p in law.items()} if s < mdp.n_states - 1 else {}
                 for s, _, _, law in policy
             ]
-            assert list(level.fractions()) == fixed_point(constant, moves)
+            assert list(level.to_fractions()) == fixed_point(constant, moves)
 
 
 def test_visits_are_counted_from_each_start() -> None:
@@ -262,19 +266,21 @@ def test_visits_are_counted_from_each_start() -> None:
             rows = bellman_rows(mdp).of_pairs(pairs)
             states = np.append(rng.random(size - 1) < 0.7, False)
             starts = [{0: F(1)}, {0: F(1, 3), size - 1: F(2, 3)}]
-            levels = linear.visited(rows, states, *([*start.items()] for start in starts))
+            levels = linear.compute_expected_visits(
+                rows, states, *([*start.items()] for start in starts)
+            )
             moves = [
                 {t: mdp.discount_exact * p for t, p in law.items()} if states[s] else {}
                 for s, _, _, law in policy
             ]
             for level, start in zip(levels, starts, strict=True):
-                assert list(level.fractions()) == visits(start, moves)
-    twice = linear.visited(rows, states, [(0, F(1, 2)), (0, F(1, 2))])
-    assert list(twice[0].fractions()) == list(levels[0].fractions())
+                assert list(level.to_fractions()) == visits(start, moves)
+    twice = linear.compute_expected_visits(rows, states, [(0, F(1, 2)), (0, F(1, 2))])
+    assert list(twice[0].to_fractions()) == list(levels[0].to_fractions())
 
 
 def test_a_least_common_multiple_is_positive() -> None:
     rng = np.random.default_rng(7)
     for _ in range(20):
         numbers = [int(n) or 1 for n in rng.integers(-9, 10, rng.integers(0, 5))]
-        assert linear._lcm(map(linear.flint.fmpz, numbers)) == lcm(*numbers)
+        assert linear._compute_common_multiple(map(linear.flint.fmpz, numbers)) == lcm(*numbers)

@@ -17,7 +17,7 @@ from proof_models import ENDING, ISLANDS, LOOP, MODELS, THREE, TIES, of
 from exact_mdp import MDP, ModelError, best_cvar, certify, rationalize, solve, tradeoff
 from exact_mdp.analysis.cli.policies import KINDS
 from exact_mdp.mdp.io import model_json
-from exact_mdp.solvers.bounds.gains import gains
+from exact_mdp.solvers.bounds.gains import compute_advantages
 from exact_mdp.solvers.exact import checker, codec
 
 TIED = of(TIES, start=["1/2", "1/2", 0])
@@ -97,7 +97,7 @@ def claims_of(proof: Any) -> list[Any]:
     if proof.kind == "front":
         return [proof.vertices, proof.edges, sorted(proof.facets)]
     if proof.kind == "weights":
-        earned = dict(zip(proof.of.names, proof.flow.totals(proof.of), strict=True))
+        earned = dict(zip(proof.of.names, proof.flow.compute_totals(proof.of), strict=True))
         return [proof.change, proof.weights, proof.alone, earned]
     if proof.kind == "limits":
         return [proof.start_value, proof.totals, proof.prices, proof.closest]
@@ -117,8 +117,8 @@ def is_true(proof: Any, made: Any) -> bool:
     own = certify(under(mdp, proof.policy), **asked)
     if kind == "bounds":
         signed = [-1 if mdp.sense == "min" else 1] * mdp.n_states
-        each = zip(signed, proof.low.fractions(), own.value, certify(mdp).value,
-                   proof.high.fractions(), strict=True)  # fmt: skip
+        each = zip(signed, proof.low.to_fractions(), own.value, certify(mdp).value,
+                   proof.high.to_fractions(), strict=True)  # fmt: skip
         return all(low <= sign * x <= sign * v <= high for sign, low, x, v, high in each)
     values, bias = claims_of(own)[:2]
     if proof.infinite is not None:  # +∞ may be no policy's
@@ -133,7 +133,7 @@ def test_no_change_of_a_proof_is_accepted_that_makes_it_false(name: str, tmp_pat
     assert made.violations() == []
     assert made.violations(made.mdp.with_(sense="min" if made.mdp.sense == "max" else "max"))
     made.save(path := tmp_path / "proof.json")
-    content, model = json.loads(path.read_text("utf-8")), model_json.content(made.mdp)
+    content, model = json.loads(path.read_text("utf-8")), model_json.encode_model(made.mdp)
     by_checker = made.kind in checker.KEYS
     refused = tried = 0
     for mutant in mutants(content):
@@ -144,7 +144,7 @@ def test_no_change_of_a_proof_is_accepted_that_makes_it_false(name: str, tmp_pat
             wrong = checker.violations(model, mutant) if by_checker else []
             if not wrong:
                 path.write_text(json.dumps(mutant), "utf-8")
-                forged = replace(codec.load(KINDS, path), mdp=made.mdp)
+                forged = replace(codec.load_proof(KINDS, path), mdp=made.mdp)
                 wrong = forged.violations()
         except (ModelError, checker.Unreadable):
             wrong = ["it cannot be read"]
@@ -158,11 +158,11 @@ def test_bounds_that_floats_do_not_prove_are_widened(monkeypatch: pytest.MonkeyP
     errors = list[Any]()
 
     def free_at_first(*given: Any, **more: Any) -> Any:
-        added = gains(*given, **more)
+        added = compute_advantages(*given, **more)
         errors.append(added.error)
         return replace(added, error=0 * added.error) if len(errors) == 2 else added
 
-    monkeypatch.setattr("exact_mdp.solvers.exact.certify.gains", free_at_first)
+    monkeypatch.setattr("exact_mdp.solvers.exact.certify.compute_advantages", free_at_first)
     monkeypatch.setattr("exact_mdp.solvers.exact.certify.UNIT", 0.0)
     rng = np.random.default_rng(0)
     mdp = MDP.from_arrays(rng.dirichlet(np.ones(9), (2, 9)), rng.random((9, 2)), 0.9)

@@ -10,7 +10,7 @@ from integer_systems import Entries, eliminated, matrix_of, solution
 from made_models import gridworld
 
 from exact_mdp import ModelError, certify
-from exact_mdp.mdp.table import integers
+from exact_mdp.mdp.table import to_integer_array
 from exact_mdp.solvers.exact import linear
 from exact_mdp.solvers.exact.linear import Matrix
 
@@ -62,7 +62,7 @@ def ring(size: int, pivot: int, weight: int) -> Matrix:
         size,
         np.concatenate([place, place]),
         np.concatenate([place, (place + 1) % size]),
-        integers([pivot] * size + [-weight] * size),
+        to_integer_array([pivot] * size + [-weight] * size),
     )
 
 

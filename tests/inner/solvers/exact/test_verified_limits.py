@@ -25,15 +25,15 @@ def verdicts(mdp: MDP, content: File) -> tuple[bool, bool]:
     """Whether each of the two checkers accepts what a file has; what it cannot read, it refuses."""
     parts = {key: x for key, x in content.items() if key not in ("format", "version")}
     try:
-        proof: Any = codec.decode(KINDS[content["kind"]], parts)
-        totals = Objectives(mdp, proof.objectives).counted()
+        proof: Any = codec.decode_record(KINDS[content["kind"]], parts)
+        totals = Objectives(mdp, proof.objectives).to_totals()
         known = proof.model == fingerprint(mdp)
-        first = known and duals.violations(totals, codec.checked(proof)) == []
+        first = known and duals.list_totals_violations(totals, codec.rebuild_proof(proof)) == []
     except (ValueError, TypeError, AttributeError, OverflowError, ModelError):
         first = False
-    totals = Objectives(mdp, content["objectives"]).counted()
+    totals = Objectives(mdp, content["objectives"]).to_totals()
     try:
-        model = model_json.content(mdp)
+        model = model_json.encode_model(mdp)
         if content["kind"] == "front":
             second = verified.front_holds(model, content, totals.amounts)
         else:
@@ -68,7 +68,7 @@ def proofs(draw: random.Random, count: int) -> list[tuple[MDP, File]]:
         mdp = drawn(draw)
         limits = {name: f"{draw.choice(['>=', '<='])} {draw.randint(-2, 6)}/2"
                   for name in draw.sample(["a", "b"], draw.choice([1, 2]))}  # fmt: skip
-        found.append((mdp, codec.content(solve(mdp, subject_to=limits))))
+        found.append((mdp, codec.build_file_content(solve(mdp, subject_to=limits))))
     return found
 
 
@@ -122,26 +122,26 @@ def test_a_policy_may_not_end_beside_a_goal() -> None:
     rows = [(0, 0, [(1, 1, 1)]), (0, 1, [("1/2", 1, 2), ("1/2", 2, 2)]), (1, 0, [(1, 1, 0)]),
             (2, 0, [(1, 2, 0)])]  # fmt: skip
     plain = MDP.from_outcomes(rows, components={"a": [1, 1, 0, 0]})
-    content = codec.content(solve(plain, subject_to={"a": ">= 1"}))
+    content = codec.build_file_content(solve(plain, subject_to={"a": ">= 1"}))
     assert verdicts(plain, content) == (True, True)
     goal = plain.with_(labels={"goal": [s == 1 for s in range(3)]}).until("goal")
-    totals = Objectives(plain, content["objectives"]).counted()
-    model = model_json.content(goal)
+    totals = Objectives(plain, content["objectives"]).to_totals()
+    model = model_json.encode_model(goal)
     other = content | {"model": fingerprint(goal)}
     assert not verified.limits_hold(model, other, totals.names, totals.amounts)
     wide = duals.Totals(checker.Model(model), totals.names, totals.amounts)
     parts = {key: x for key, x in other.items() if key not in ("format", "version")}
-    proof = codec.decode(ConstrainedSolution, parts)
-    assert duals.violations(wide, proof) == [
+    proof = codec.decode_record(ConstrainedSolution, parts)
+    assert duals.list_totals_violations(wide, proof) == [
         "a run may end beside the goal, and its totals are not finite"
     ]
 
 
 def test_what_is_not_a_proof_of_limits_is_refused() -> None:
     mdp = drawn(random.Random(1))
-    content = codec.content(solve(mdp, subject_to={"a": ">= -9"}))
-    totals = Objectives(mdp, content["objectives"]).counted()
-    given = model_json.content(mdp), totals.names, totals.amounts
+    content = codec.build_file_content(solve(mdp, subject_to={"a": ">= -9"}))
+    totals = Objectives(mdp, content["objectives"]).to_totals()
+    given = model_json.encode_model(mdp), totals.names, totals.amounts
     assert verified.limits_hold(given[0], content, *given[1:])
     assert not verified.limits_hold(given[0], content | {"model": "0"}, *given[1:])
     swapped = [totals.amounts[1], totals.amounts[0]]
@@ -197,7 +197,7 @@ def test_both_checkers_say_the_same_of_whole_and_altered_fronts() -> None:
     found = Counter[tuple[bool, bool]]()
     for _ in range(20):
         mdp = drawn(draw)
-        content = codec.content(tradeoff(mdp, ["a", "b"]))
+        content = codec.build_file_content(tradeoff(mdp, ["a", "b"]))
         assert verdicts(mdp, content) == (True, True)
         for _ in range(12):
             found[verdicts(mdp, altered_front(content, draw))] += 1
@@ -207,9 +207,9 @@ def test_both_checkers_say_the_same_of_whole_and_altered_fronts() -> None:
 
 def test_what_is_not_a_front_is_refused() -> None:
     mdp = drawn(random.Random(3))
-    content = codec.content(tradeoff(mdp, ["a", "b"]))
-    amounts = Objectives(mdp, content["objectives"]).counted().amounts
-    model = model_json.content(mdp)
+    content = codec.build_file_content(tradeoff(mdp, ["a", "b"]))
+    amounts = Objectives(mdp, content["objectives"]).to_totals().amounts
+    model = model_json.encode_model(mdp)
     assert verified.front_holds(model, content, amounts)
     assert not verified.front_holds(model, content | {"model": "0"}, amounts)
     assert not verified.front_holds(model, content, amounts[::-1])

@@ -13,7 +13,7 @@ from strategies import Rows, models
 from exact_mdp import MDP, Constant, Exponential, QLearning, Scenario
 from exact_mdp.solvers.kernels import learning as kernels
 from exact_mdp.solvers.learning import q_learning
-from exact_mdp.solvers.learning.sampler import rows_of, tables
+from exact_mdp.solvers.learning.sampler import build_q_table_rows, build_sampling_tables
 
 METHODS = ("q-learning", "sarsa", "expected-sarsa", "double-q-learning")
 TIES = ("first", "last", "random")
@@ -27,8 +27,8 @@ OTHERS = {"skip_timestep": "own", "task_bonus": "no-subtask-skipped"}
 
 def compare_with_twin(mdp: MDP, learner: QLearning, seed: int) -> None:
     run = learner.train(mdp, seed)
-    rows = rows_of(mdp, learner.columns)
-    twin = Twin(tables(mdp, rows), mdp.n_actions, learner)
+    rows = build_q_table_rows(mdp, learner.columns)
+    twin = Twin(build_sampling_tables(mdp, rows), mdp.n_actions, learner)
     words = np.random.SeedSequence(seed).generate_state(4, np.uint64)
     episodes = learner.epochs * learner.episodes
     at = learner.snapshot_episode
@@ -67,8 +67,8 @@ def test_a_signal_ends_a_long_run_soon(monkeypatch: pytest.MonkeyPatch) -> None:
             raise KeyboardInterrupt
         return once(*arguments)
 
-    once = kernels.learn
-    monkeypatch.setattr(kernels, "learn", learn)
+    once = kernels.run_learner
+    monkeypatch.setattr(kernels, "run_learner", learn)
     with pytest.raises(KeyboardInterrupt):
         QLearning(epochs=2_000_000, snapshot_episode=0).train(MDP_OF_CARE, 0)
     assert len(calls) == 3
@@ -127,7 +127,7 @@ def test_the_stream_is_known() -> None:
 @pytest.mark.parametrize("readings", [{}, OTHERS, {"skip_onset": "base"}], ids=str)
 def test_alias_columns_are_the_exact_rows(readings: dict[str, str]) -> None:
     mdp = CARE.with_(readings=readings).compile()
-    laid = tables(mdp, rows_of(mdp))
+    laid = build_sampling_tables(mdp, build_q_table_rows(mdp))
     for pair in range(mdp.n_pairs):
         first, last = laid.offsets[pair], laid.offsets[pair + 1]
         chances: dict[tuple[int, float], float] = {}

@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 
 from exact_mdp import MDP, Column, ModelError, Scenario, StateSpace
-from exact_mdp.solvers.learning.sampler import child, rows_of, stream, tables
+from exact_mdp.solvers.learning.sampler import (
+    build_q_table_rows,
+    build_sampling_tables,
+    make_random_stream,
+    spawn_child_seed,
+)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -13,7 +18,7 @@ def test_alias_tables_give_each_outcome_its_probability(seed: int) -> None:
     rng = np.random.default_rng(seed)
     rows = rng.dirichlet(np.full(5, 0.5), (3, 5))
     mdp = MDP.from_arrays(rows, rng.normal(size=(5, 3)), "9/10", start={1: "1/8", 3: "7/8"})
-    laid = tables(mdp, rows_of(mdp))
+    laid = build_sampling_tables(mdp, build_q_table_rows(mdp))
     for pair in range(mdp.n_pairs):
         first, last = laid.offsets[pair], laid.offsets[pair + 1]
         chance = np.zeros(5)
@@ -29,32 +34,40 @@ def test_alias_tables_give_each_outcome_its_probability(seed: int) -> None:
 
 def test_states_that_agree_in_the_columns_share_a_row() -> None:
     mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).compile()
-    rows = rows_of(mdp)
+    rows = build_q_table_rows(mdp)
     assert rows.space.size == 16
     labels = [mdp.space.label(s) for s in range(mdp.n_states)]
     for s, label in enumerate(labels):
         own = label.rpartition(" ")[2]
         assert rows.key[s] == (int(own, 2) if set(own) <= {"0", "1"} else 0)
     assert rows.offered[:, :4].all()
-    assert rows_of(mdp, mdp.space.names).space.size >= mdp.n_states - 1
+    assert build_q_table_rows(mdp, mdp.space.names).space.size >= mdp.n_states - 1
 
 
 def test_states_of_different_actions_share_no_row() -> None:
     rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 0, 0)]), (1, 0, [(1, 1, 0)])]
-    offered = rows_of(MDP.from_outcomes(rows, "1/2")).offered
+    offered = build_q_table_rows(MDP.from_outcomes(rows, "1/2")).offered
     assert offered.tolist() == [[True, True], [True, False]]
     space = StateSpace(columns=(Column(name="place", size=2), Column(name="side", size=2)))
     both = [(s, a, [(1, (s + a) % 4, 0)]) for s in range(4) for a in range(2 + (s == 1))]
     mdp = MDP.from_outcomes(both, "1/2").with_(space=space)
     with pytest.raises(ModelError, match="different actions"):
-        rows_of(mdp, ["place"])
-    assert rows_of(mdp, ["place", "side"]).offered[:, 2].tolist() == [False, True, False, False]
+        build_q_table_rows(mdp, ["place"])
+    assert build_q_table_rows(mdp, ["place", "side"]).offered[:, 2].tolist() == [
+        False,
+        True,
+        False,
+        False,
+    ]
 
 
 def test_a_child_is_the_one_that_numpy_spawns() -> None:
     children = np.random.SeedSequence(7).spawn(3)
-    assert [child(7, k).generate_state(2).tolist() for k in range(3)] == [
+    assert [spawn_child_seed(7, k).generate_state(2).tolist() for k in range(3)] == [
         each.generate_state(2).tolist() for each in children
     ]
-    assert child(child(7, 1), 2).spawn_key == (1, 2)
-    assert stream(7).tolist() == np.random.SeedSequence(7).generate_state(4, np.uint64).tolist()
+    assert spawn_child_seed(spawn_child_seed(7, 1), 2).spawn_key == (1, 2)
+    assert (
+        make_random_stream(7).tolist()
+        == np.random.SeedSequence(7).generate_state(4, np.uint64).tolist()
+    )

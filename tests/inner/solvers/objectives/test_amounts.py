@@ -46,7 +46,7 @@ def test_weights_add_amounts_up() -> None:
     scale = rows.scale[of.mdp.pair_state].tolist()
     found = [F(int(x), int(s)) for x, s in zip(rows.constant.tolist(), scale, strict=True)]
     assert found == [unit * (r / 2 - 2 * c / 3) for r, c in zip(MEANS, COST, strict=True)]
-    weighted = [int(x) for x in of.weighted([3, 5]).tolist()]
+    weighted = [int(x) for x in of.weigh_amounts([3, 5]).tolist()]
     assert [F(x, int(s)) for x, s in zip(weighted, scale, strict=True)] == [
         3 * r + 5 * c for r, c in zip(MEANS, COST, strict=True)
     ]

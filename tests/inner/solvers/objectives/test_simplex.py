@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from exact_mdp.solvers.objectives.simplex import maximise
+from exact_mdp.solvers.objectives.simplex import solve_linear_program
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -21,7 +21,7 @@ def test_x_is_an_optimum_and_y_proves_it(seed: int) -> None:
     columns.append([F(0)] * rows)  # and a budget on all of x, which bounds the program
     columns, b = [[*column, F(1)] for column in columns], [*b, sum(known, F(2))]
     c = [F(int(k), 2) for k in rng.integers(-5, 6, size)] + [F(0)]
-    x, y = maximise(c, columns, b)
+    x, y = solve_linear_program(c, columns, b)
     assert min(x) >= 0
     for i, right in enumerate(b):
         assert sum(v * column[i] for v, column in zip(x, columns, strict=True)) == right

@@ -9,7 +9,13 @@ from oracle import policy_values, rows_of
 
 from exact_mdp import MDP
 from exact_mdp.solvers.objectives.amounts import Objectives
-from exact_mdp.solvers.objectives.totals import Flow, attained, extreme, flow_under, optimum
+from exact_mdp.solvers.objectives.totals import (
+    OccupancyMeasure,
+    evaluate_objectives,
+    find_extreme_policy,
+    flow_under,
+    solve_weighted,
+)
 
 
 def drawn(seed: int, discount: str) -> MDP:
@@ -46,26 +52,26 @@ def test_optima_for_weights_are_those_of_all_policies(seed: int, discount: str) 
     of = Objectives(mdp, ["a", "b"])
     each, start = all_totals(mdp, of), dict(mdp.start)
     for pairs, values in each.items():
-        found = attained(of, np.array(pairs))
-        assert [list(level.fractions()) for level in found.values] == values
+        found = evaluate_objectives(of, np.array(pairs))
+        assert [list(level.to_fractions()) for level in found.values] == values
         mean = tuple(sum(p * own[s] for s, p in start.items()) for own in values)
         assert found.total == mean
         flow = flow_under(of, np.array(pairs))
-        assert flow.totals(of) == mean
+        assert flow.compute_totals(of) == mean
     for weights in ([F(1), F(0)], [F(1, 3), F(2)], [F(1), F(1)]):
         best = [max(sum(w * own[s] for w, own in zip(weights, values, strict=True))
                     for values in each.values()) for s in range(4)]  # fmt: skip
-        pairs, level = optimum(of, weights)
-        assert list(level.fractions()) == best
-        found = extreme(of, weights)
-        assert found.optimal(of, weights)
+        pairs, level = solve_weighted(of, weights)
+        assert list(level.to_fractions()) == best
+        found = find_extreme_policy(of, weights)
+        assert found.is_optimal(of, weights)
         for s in range(4):
-            assert sum(w * own.fractions()[s] for w, own in zip(weights, found.values, strict=True)
-                       ) == best[s]  # fmt: skip
+            own = [level.to_fractions()[s] for level in found.values]
+            assert sum(w * x for w, x in zip(weights, own, strict=True)) == best[s]
         worst = min(
             each, key=lambda p: sum(w * own[0] for w, own in zip(weights, each[p], strict=True))
         )
-        assert attained(of, np.array(worst)).optimal(of, weights) == all(
+        assert evaluate_objectives(of, np.array(worst)).is_optimal(of, weights) == all(
             sum(w * own[s] for w, own in zip(weights, each[worst], strict=True)) == best[s]
             for s in range(4)
         )
@@ -74,6 +80,6 @@ def test_optima_for_weights_are_those_of_all_policies(seed: int, discount: str) 
 def test_a_flow_gives_the_chances_of_a_policy() -> None:
     mdp = drawn(0, "1")
     of = Objectives(mdp, ["a"])
-    flow = Flow.of({1: F(1, 2), 0: F(3, 2), 4: F(5)})
-    assert flow.numbers() == {0: F(3, 2), 1: F(1, 2), 4: F(5)}
-    assert flow.chances(of) == {0: {0: F(3, 4), 1: F(1, 4)}, 2: {4: F(1)}}
+    flow = OccupancyMeasure.of({1: F(1, 2), 0: F(3, 2), 4: F(5)})
+    assert flow.to_numbers() == {0: F(3, 2), 1: F(1, 2), 4: F(5)}
+    assert flow.compute_action_probabilities(of) == {0: {0: F(3, 4), 1: F(1, 4)}, 2: {4: F(1)}}

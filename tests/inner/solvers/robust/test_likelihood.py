@@ -5,13 +5,13 @@ import pytest
 from scipy.optimize import minimize
 
 from exact_mdp.solvers.robust.likelihood import Likelihood
-from exact_mdp.solvers.robust.sets import Block
+from exact_mdp.solvers.robust.sets import RowBlock
 
 
-def block(p: np.ndarray) -> Block:
+def block(p: np.ndarray) -> RowBlock:
     rows, n = p.shape
     zero = np.zeros((rows, n), dtype=np.int64)
-    return Block(place=np.arange(rows), pair=np.arange(rows), outcome=zero, filled=zero > 0,
+    return RowBlock(place=np.arange(rows), pair=np.arange(rows), outcome=zero, filled=zero > 0,
                  next=zero, probability=p, gain=zero * 0.0, largest=np.zeros(rows))  # fmt: skip
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from exact_mdp import MDP, Intervals, solve_robust
-from exact_mdp.solvers.robust.robust import Game, margins
+from exact_mdp.solvers.robust.robust import Game, verify_margins
 
 
 def drawn(seed: int, sense: str) -> MDP:
@@ -47,7 +47,7 @@ def test_margins_bound_what_any_law_keeps() -> None:
     """w - γ q w ≥ m of every law q: at the nominal laws and at the ends of the intervals."""
     mdp = drawn(1, "max")
     game = Game(mdp, Intervals.relative(mdp, "3/10"), against=True, weights=None)
-    weight, margin = margins(game)
+    weight, margin = verify_margins(game)
     p = mdp.transition.toarray()
     assert (margin > 0).all()
     for share in (0.7, 1.0, 1.3):

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import linprog
 
 from exact_mdp import MDP, Intervals
-from exact_mdp.solvers.robust.sets import L1Ball, entries, inner, side_by_side
+from exact_mdp.solvers.robust.sets import L1Ball, list_entries, side_by_side, solve_inner_problem
 
 RNG = np.random.default_rng(3)
 
@@ -21,7 +21,7 @@ def asked(mdp: MDP, ambiguity: object, value: np.ndarray, against: bool) -> tupl
     gain = np.repeat(mdp.reward, np.diff(offsets))
     rows = offsets[:-1], np.diff(offsets)
     blocks = side_by_side(np.arange(10), rows, (mdp.table.next, chances, gain))
-    return inner(ambiguity, blocks, value, discount=0.9, against=against), blocks
+    return solve_inner_problem(ambiguity, blocks, value, discount=0.9, against=against), blocks
 
 
 @pytest.mark.parametrize("against", [True, False])
@@ -44,7 +44,7 @@ def test_intervals_and_l1_balls_are_the_programs_over_them(seed: int, against: b
                        A_eq=[[1] * 5 + [-1] * 5], b_eq=[0])  # fmt: skip
         wanted = sign * (both.fun + cost @ p[pair])
         assert ball.value[pair] == pytest.approx(wanted)
-    place, following, weight, earned = entries(blocks, own.laws)
+    place, following, weight, earned = list_entries(blocks, own.laws)
     law = np.zeros((10, 5))
     np.add.at(law, (place, following), weight)
     assert law.sum(axis=1) == pytest.approx(np.ones(10))

@@ -14,7 +14,7 @@ from exact_mdp import MDP
 from exact_mdp.solvers.endless.chain import FloatChain
 from exact_mdp.solvers.solution import SolverError, Status
 from exact_mdp.solvers.values import average as module
-from exact_mdp.solvers.values.average import AverageEvaluation, average
+from exact_mdp.solvers.values.average import AverageEvaluation, evaluate_average
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
@@ -65,7 +65,7 @@ def holds(mdp: MDP, chances: Chances, law: AverageEvaluation, most: float) -> No
 
 def test_gain_bias_and_shares_are_those_of_the_limit() -> None:
     for mdp, chances, chain in cases():
-        law = average(chain)
+        law = evaluate_average(chain)
         holds(mdp, chances, law, 1e-8)
         assert law.mean == law.start.value
         assert law.mdp.discount == 1
@@ -75,25 +75,25 @@ def test_rationals_give_them_where_floats_cannot(monkeypatch: pytest.MonkeyPatch
     def unbounded(_: Any) -> Any:
         raise SolverError(Status.NO_BOUND)
 
-    for name in ("evaluated", "shares"):
+    for name in ("evaluate_chain", "compute_limit_distribution"):
         with monkeypatch.context() as patch:
             patch.setattr(FloatChain, name, unbounded)
             for mdp, chances, chain in cases(4):
-                holds(mdp, chances, average(chain), 1e-15)
+                holds(mdp, chances, evaluate_average(chain), 1e-15)
 
 
 def test_poor_floats_are_replaced_and_good_ones_are_not(monkeypatch: pytest.MonkeyPatch) -> None:
     used = list[int]()
-    expand = module.expansion
+    expand = module.compute_laurent_expansion
 
     def counting(*given: Any) -> Any:
         used.append(1)
         return expand(*given)
 
-    monkeypatch.setattr(module, "expansion", counting)
+    monkeypatch.setattr(module, "compute_laurent_expansion", counting)
     rows: Any = [(0, 0, [(1, 1, 5)]), (1, 0, [(F(1, 2), 0, 1), (F(1, 2), 1, 2)])]
     chain = PolicyChain.of(MDP.from_outcomes(rows), "random")
-    average(chain)
+    evaluate_average(chain)
     assert not used
     for place in range(2):
         seen = list[int]()
@@ -103,20 +103,20 @@ def test_poor_floats_are_replaced_and_good_ones_are_not(monkeypatch: pytest.Monk
             return len(seen) == place + 1
 
         with monkeypatch.context() as patch:
-            patch.setattr(module, "poor", poor)
-            average(chain)
+            patch.setattr(module, "is_too_inaccurate", poor)
+            evaluate_average(chain)
             assert len(used) == place + 1
     with monkeypatch.context() as patch:
-        shares = FloatChain.shares
+        shares = FloatChain.compute_limit_distribution
 
         def endless(own: FloatChain) -> Any:
             share, arrivals = shares(own)
             share.error[0] = np.inf
             return share, arrivals
 
-        patch.setattr(FloatChain, "shares", endless)
-        patch.setattr(module, "poor", lambda *_: False)
-        average(chain)
+        patch.setattr(FloatChain, "compute_limit_distribution", endless)
+        patch.setattr(module, "is_too_inaccurate", lambda *_: False)
+        evaluate_average(chain)
         assert len(used) == 3
 
 
@@ -126,14 +126,14 @@ def test_chances_below_the_range_of_floats_are_kept() -> None:
         (0, 0, [(rare, 1, 3), (1 - rare, 0, 3)]),
         (1, 0, [(2 * rare, 0, 3), (1 - 2 * rare, 1, 3)]),
     ]
-    law = average(PolicyChain.of(MDP.from_outcomes(rows), "random"))
+    law = evaluate_average(PolicyChain.of(MDP.from_outcomes(rows), "random"))
     assert law.value.tolist() == [3, 3]
     assert law.share.value == pytest.approx([2 / 3, 1 / 3], rel=1e-15)
 
 
 def test_a_report_lists_states_unless_there_are_many(monkeypatch: pytest.MonkeyPatch) -> None:
     for mdp, _, chain in cases(1):
-        law = average(chain)
+        law = evaluate_average(chain)
         for most, listed in ((mdp.n_states, True), (mdp.n_states - 1, False)):
             monkeypatch.setattr(module, "LISTED", most)
             facts = json.loads(law.report().json())

@@ -26,7 +26,7 @@ from exact_mdp.solvers.dynamic.methods import ModifiedPolicyIteration
 from exact_mdp.solvers.solution import Bounded, Status
 from exact_mdp.solvers.values import evaluate as module
 from exact_mdp.solvers.values.evaluate import Evaluation
-from exact_mdp.solvers.values.policy_chain import Equations
+from exact_mdp.solvers.values.policy_chain import PolicyEquations
 
 DISCOUNTS = [F(0), F(95, 100), F(1)]
 
@@ -352,8 +352,8 @@ def test_what_cannot_be_bounded_is_unknown_and_the_rest_stands(
 
     (_, _, law), *_ = cases(F(1, 2), 1)
     mean = law.mean
-    monkeypatch.setattr(Equations, "solve", unbounded)
-    monkeypatch.setattr(Equations, "visits", property(unbounded))
+    monkeypatch.setattr(PolicyEquations, "solve", unbounded)
+    monkeypatch.setattr(PolicyEquations, "visits", property(unbounded))
     numbers = law.numbers
     assert numbers.pop("mean").value == mean
     assert len(numbers) == 7

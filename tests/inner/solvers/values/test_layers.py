@@ -9,9 +9,9 @@ from small_models import small_model
 
 from exact_mdp import MDP
 from exact_mdp.mdp.table import Integers
-from exact_mdp.solvers.learning.sampler import rows_of
+from exact_mdp.solvers.learning.sampler import build_q_table_rows
 from exact_mdp.solvers.values import layers as module
-from exact_mdp.solvers.values.layers import Layers, policy_values, taken
+from exact_mdp.solvers.values.layers import Layers, evaluate_row_policies, find_taken_pairs
 
 DISCOUNTS = [F(0), F(2, 3), F(1)]
 
@@ -41,7 +41,7 @@ def test_values_of_policies(discount: F) -> None:
     for seed in range(5):
         mdp = small_model(seed, discount, falling=True, states=6)
         pairs, here = some_policies(mdp, 7, seed), reached(mdp)
-        value, off = Layers(mdp).values(pairs)
+        value, off = Layers(mdp).evaluate_pairs(pairs)
         assert value.shape == pairs.shape
         assert off.tolist() == [0.0] * 7
         for k in range(7):
@@ -50,7 +50,7 @@ def test_values_of_policies(discount: F) -> None:
             wanted = [float(v) if s in here else 0.0 for s, v in enumerate(exact)]
             assert value[:, k] == pytest.approx(wanted, rel=1e-13, abs=1e-14)
         reward = np.arange(mdp.n_pairs) / 4
-        other, _ = Layers(mdp).values(pairs, reward)
+        other, _ = Layers(mdp).evaluate_pairs(pairs, reward)
         law = [
             (s, a, F(pair, 4), row)
             for pair, (s, a, _, row) in zip(
@@ -69,7 +69,7 @@ def test_the_best_among_sets_of_actions(discount: F) -> None:
         rng, here = np.random.default_rng(seed), reached(mdp)
         allowed = rng.random((mdp.n_pairs, 4)) < 0.6
         allowed[some_policies(mdp, 4, seed), np.arange(4)] = True
-        value, q, off = Layers(mdp).best(allowed)
+        value, q, off = Layers(mdp).solve_allowed(allowed)
         assert off.tolist() == [0.0] * 4
         for k in range(4):
             rows = oracle.rows_of(mdp, np.flatnonzero(allowed[:, k]).tolist())
@@ -90,7 +90,7 @@ def test_visits_of_mixtures(discount: F) -> None:
         shares /= np.add.reduceat(shares, mdp.pair_offsets[:-1])[mdp.pair_state]
         shares[:, 0] = 0
         shares[some_policies(mdp, 1, seed)[:, 0], 0] = 1
-        found = Layers(mdp).visits(shares)
+        found = Layers(mdp).compute_visits(shares)
         assert found.shape == (mdp.n_states, 3)
         for k in range(3):
             chances = {
@@ -111,7 +111,7 @@ def test_a_model_that_begins_in_an_end_has_no_blocks() -> None:
     over = mdp.with_(start=int(np.flatnonzero(mdp.terminal)[0]))
     layers = Layers(over)
     assert layers.blocks == []
-    assert not layers.values(some_policies(over, 2, 0))[0].any()
+    assert not layers.evaluate_pairs(some_policies(over, 2, 0))[0].any()
 
 
 def test_policies_say_nothing_where_there_is_no_choice() -> None:
@@ -119,7 +119,7 @@ def test_policies_say_nothing_where_there_is_no_choice() -> None:
         mdp = small_model(seed, falling=True)
         key = np.random.default_rng(seed).integers(0, 3, size=mdp.n_states)
         policies = np.random.default_rng(seed + 1).integers(0, mdp.n_actions, size=(5, 3))
-        pairs = taken(mdp, key, policies)
+        pairs = find_taken_pairs(mdp, key, policies)
         for state in range(mdp.n_states):
             named = {int(mdp.pair_action[pair]): pair for pair in mdp.pairs_of(state)}
             for k in range(5):
@@ -138,11 +138,11 @@ def test_start_values_are_bounded(
     monkeypatch.setattr(module, "NUMBERS", numbers)
     for seed in range(5):
         mdp = small_model(seed, discount, falling=seed % 4 > 0)
-        rows = rows_of(mdp)
+        rows = build_q_table_rows(mdp)
         names = [mdp.pair_action[mdp.pairs_of(s)] for s in range(mdp.n_states)]
         rng = np.random.default_rng(seed)
         policies = np.array([[rng.choice(each) for each in names] for _ in range(5)])
-        point = policy_values(mdp, rows, policies)
+        point = evaluate_row_policies(mdp, rows, policies)
         for policy, value, error in zip(policies, point.value, point.error, strict=True):
             pairs = [mdp.pair(s, int(a)) for s, a in enumerate(policy)]
             exact = oracle.policy_values(oracle.rows_of(mdp, pairs), discount, ends_of(mdp))
@@ -171,7 +171,7 @@ def test_errors_cover_roundings_of_long_ways() -> None:
         rows.append((s, 0, each))
     rows.append((100, 0, [(F(1), 100, F(0))]))
     mdp = MDP.from_outcomes(rows)
-    point = policy_values(mdp, rows_of(mdp), np.zeros((1, 101), dtype=np.int64))
+    point = evaluate_row_policies(mdp, build_q_table_rows(mdp), np.zeros((1, 101), dtype=np.int64))
     exact = oracle.policy_values(oracle.rows_of(mdp), F(1), {100})[0]
     assert abs(F(float(point.value[0])) - exact) <= F(float(point.error[0]))
 
@@ -180,6 +180,8 @@ def test_rewards_at_the_end_of_the_range_of_floats() -> None:
     for reward in (F(0), F(1, 3 * 10**320)):
         rows = [(0, 0, [(F(1, 3), 1, reward), (F(2, 3), 2, reward)]), (1, 0, [(1, 2, reward)])]
         mdp = MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])])
-        point = policy_values(mdp, rows_of(mdp), np.zeros((1, 3), dtype=np.int64))
+        point = evaluate_row_policies(
+            mdp, build_q_table_rows(mdp), np.zeros((1, 3), dtype=np.int64)
+        )
         exact = reward * F(4, 3)
         assert abs(F(float(point.value[0])) - exact) <= F(float(point.error[0])) <= F(1, 2**900)

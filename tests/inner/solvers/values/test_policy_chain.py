@@ -19,16 +19,16 @@ from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.solution import Status
 from exact_mdp.solvers.values import policy_chain
 from exact_mdp.solvers.values.policy_chain import (
-    Equations,
     OfPolicy,
     PolicyChain,
-    arrives,
+    PolicyEquations,
     floats_first,
     flow_of,
-    parted,
+    has_sure_end,
+    is_too_inaccurate,
     policy_of,
-    poor,
-    rounded,
+    round_fractions,
+    split_infinite_returns,
 )
 
 KINDS: list[dict[str, Any]] = [{}, {"falling": True}, {"leaving": False}, {"by_outcome": False}]
@@ -119,7 +119,7 @@ def test_the_outcomes_are_those_of_the_pairs_taken() -> None:
         assert chain.gain.tolist() == [*map(float, gain)]
         sizes = [source.count(s) for s in range(mdp.n_states)]
         assert chain.outcomes.tolist() == sizes
-        assert chain.total(np.ones(len(source))).tolist() == sizes
+        assert chain.sum_by_state(np.ones(len(source))).tolist() == sizes
         weight, below = chain.odds
         assert [F(int(w), int(below[s])) for w, s in zip(weight, source, strict=True)] == [*chance]
 
@@ -230,7 +230,7 @@ def test_the_equations_in_integers_are_those_of_the_mixture() -> None:
         law = law_of(mdp, chances)
         for asked, rate in ((None, F(9, 10)), (F(9, 10), F(9, 10)), (F(1, 2), F(1, 2))):
             wanted = [(r, {t: rate * p for t, p in row.items()}) for _, _, r, row in law]
-            assert rows_of(chain.rows(asked)) == wanted
+            assert rows_of(chain.build_bellman_rows(asked)) == wanted
         assert chain.exactly.reward.tolist() == [r for _, _, r, _ in law]
         assert rows_of(chain.exactly.rows) == [(r, row) for _, _, r, row in law]
 
@@ -261,9 +261,9 @@ def test_the_graph_says_what_is_reached_and_where_a_run_ends() -> None:
         assert set(np.flatnonzero(chain.stuck).tolist()) == stuck
         assert set(np.flatnonzero(chain.ends).tolist()) == sure
         assert np.array_equal(chain.arriving, chain.ends)
-        assert chain.ends_from_start == (not reached & stuck) == arrives(chain)
+        assert chain.ends_from_start == (not reached & stuck) == has_sure_end(chain)
         if reached & stuck:
-            with pytest.raises(ModelError, match="may stay for ever") as refused:
+            with pytest.raises(ModelError, match="may stay forever") as refused:
                 chain.require_end()
             assert f"state {min(reached & stuck)}" in str(refused.value)
         else:
@@ -322,8 +322,8 @@ def test_a_run_beside_the_goal_does_not_arrive() -> None:
         chain = PolicyChain.of(mdp, "random")
         assert chain.ends.tolist() == [True] * 4 + [False]
         assert chain.arriving.tolist() == [False, True, False, True, False]
-        assert arrives(chain) == arriving
-        ending, lost = parted(chain)
+        assert has_sure_end(chain) == arriving
+        ending, lost = split_infinite_returns(chain)
         if arriving:
             assert (ending, lost) == (chain, {})
         else:
@@ -371,7 +371,7 @@ def test_values_and_visits_are_those_of_fractions(discount: F) -> None:
         law, over = law_of(mdp, chances), ends_of(mdp)
         stopped = set(over) if discount < 1 else {*over, *np.flatnonzero(~chain.ends).tolist()}
         wanted = oracle.policy_values(law, discount, stopped)
-        assert chain.exact_value.fractions().tolist() == wanted
+        assert chain.exact_value.to_fractions().tolist() == wanted
         live = chain.discounted.live
         assert set(np.flatnonzero(~live).tolist()) == stopped
         earned, error = (np.where(live, each, 0.0) for each in chain.reward)
@@ -386,30 +386,32 @@ def test_values_and_visits_are_those_of_fractions(discount: F) -> None:
         near(chain.discounted.visits, often, 2e5)
         assert (chain.discounted.visits.value >= 0).all()
         if chain.ends.all():
-            assert chain.exact_visits.fractions().tolist() == often
+            assert chain.exact_visits.to_fractions().tolist() == often
 
 
 def test_only_at_rate_1_do_equations_ask_for_an_end() -> None:
     for mdp, _, chain in chains(F(1, 2), kinds=[{"leaving": False, "ends": 1}], seeds=20):
         assert np.array_equal(chain.discounted.live, ~mdp.terminal)
         assert np.array_equal(chain.undiscounted.live, chain.ends & ~mdp.terminal)
-        assert chain.equations(F(1, 4)).system.discount == 0.25
+        assert chain.build_equations(F(1, 4)).system.discount == 0.25
         assert chain.undiscounted.system.roundings == chain.roundings
         law = law_of(mdp, random_policy(mdp, 0, pure=True))
         own = PolicyChain.of(mdp, given(random_policy(mdp, 0, pure=True)))
         wanted = oracle.policy_values(law, F(1, 2), ends_of(mdp))
-        assert own.exact_value.fractions().tolist() == wanted
+        assert own.exact_value.to_fractions().tolist() == wanted
         alone = PolicyChain.of(mdp.undiscounted, own.policy)
         stopped = {*np.flatnonzero(~own.ends).tolist(), *ends_of(mdp)}
         assert np.array_equal(alone.discounted.live, alone.undiscounted.live)
         wanted = oracle.policy_values(law, F(1), stopped)
-        assert alone.exact_value.fractions().tolist() == wanted
+        assert alone.exact_value.to_fractions().tolist() == wanted
 
 
 def test_floats_do_without_rationals_where_they_can(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("solved", "visited"):
+    for name in ("solve_policy_equations", "compute_expected_visits"):
         monkeypatch.setattr(policy_chain, name, None)
-    monkeypatch.setattr(policy_chain, "poor", lambda point, _: point.error.max() > 1e-10)
+    monkeypatch.setattr(
+        policy_chain, "is_too_inaccurate", lambda point, _: point.error.max() > 1e-10
+    )
     for mdp, chances, chain in chains(F(3, 4), seeds=4):
         law, over = law_of(mdp, chances), ends_of(mdp)
         moves = [
@@ -456,7 +458,7 @@ def test_a_chain_that_hardly_ends_is_solved_in_rationals() -> None:
     chain = PolicyChain.of(MDP.from_outcomes(rows), "random")
     assert chain.undiscounted.solve(np.array([1.0, 0.0])).value.tolist() == [2.0**70, 0]
     assert chain.undiscounted.visits.value.tolist() == [2.0**70, 1]
-    assert chain.exact_value.fractions().tolist() == [2**70, 0]
+    assert chain.exact_value.to_fractions().tolist() == [2**70, 0]
 
 
 def test_flows_of_a_policy_are_the_visits_of_its_pairs() -> None:
@@ -471,9 +473,9 @@ def test_flows_of_a_policy_are_the_visits_of_its_pairs() -> None:
             if often[s] and not mdp.terminal[s]
         }
         flow = flow_of(of, given(chances))
-        assert flow.numbers() == wanted
+        assert flow.to_numbers() == wanted
         start = oracle.policy_values(law, F(1), ends_of(mdp))
-        assert flow.totals(of) == (sum(p * start[s] for s, p in mdp.start),)
+        assert flow.compute_totals(of) == (sum(p * start[s] for s, p in mdp.start),)
 
 
 def test_a_flow_ends_where_no_objective_is_earned_any_more() -> None:
@@ -483,7 +485,7 @@ def test_a_flow_ends_where_no_objective_is_earned_any_more() -> None:
         (2, 0, [(1, 2, {"a": 0, "b": 0})]),
     ]
     of = Objectives(MDP.from_outcomes(rows), ["b"])
-    assert flow_of(of, "random").numbers() == {0: 1}
+    assert flow_of(of, "random").to_numbers() == {0: 1}
 
 
 class Earning(OfPolicy):
@@ -500,8 +502,8 @@ def test_components_are_uses_times_amounts() -> None:
     of = Earning(chain)
     used = np.random.default_rng(1).random(mdp.n_pairs) * 5
     doubt = used / 2**20
-    total, error = of._earned(used, doubt)
-    none = of._earned(used, 0 * doubt)[1]
+    total, error = of._sum_components(used, doubt)
+    none = of._sum_components(used, 0 * doubt)[1]
     for part in range(2):
         exact = sum(F(float(u)) * x[part] for u, x in zip(used, amounts, strict=True))
         away = sum(F(float(u)) * abs(x[part]) for u, x in zip(doubt, amounts, strict=True))
@@ -529,7 +531,7 @@ def test_errors_of_components_count_those_of_amounts_that_cancel() -> None:
         exact = (3 * F(big) + 7 * F(small)) / 10
         for used, doubt in ((1.0, 0.0), (0.0, 1.0)):
             of = Earning(PolicyChain.of(mdp, "random"))
-            total, error = of._earned(np.array([used, 0.0]), np.array([doubt, 0.0]))
+            total, error = of._sum_components(np.array([used, 0.0]), np.array([doubt, 0.0]))
             assert abs(F(float(total[0])) - F(used) * exact) <= F(float(error[0]))
             assert error[0] >= UNIT * (0.3 * abs(big) + 0.7 * abs(small))
 
@@ -549,16 +551,16 @@ def test_runs_that_go_on_for_ever_are_told_apart_by_their_gain() -> None:
         busy -= set(np.flatnonzero(chain.resting).tolist())
         if any(gain[s] == 0 for s in busy):
             told["refused"] += 1
-            with pytest.raises(ModelError, match="rewards cancel for ever") as refused:
-                parted(chain)
+            with pytest.raises(ModelError, match="rewards cancel forever") as refused:
+                split_infinite_returns(chain)
             assert f"state {min(s for s in busy if gain[s] == 0)}" in str(refused.value)
             continue
-        ending, lost = parted(chain)
-        if arrives(chain):
+        ending, lost = split_infinite_returns(chain)
+        if has_sure_end(chain):
             told["none"] += 1
             assert (ending, lost) == (chain, {})
             continue
-        assert arrives(ending)
+        assert has_sure_end(ending)
         assert {*lost} == {inf if gain[s] > 0 else -inf for s in busy}
         for sign, states in lost.items():
             told["+" if sign > 0 else "-"] += 1
@@ -573,10 +575,10 @@ def test_rewards_that_cancel_are_told_from_those_that_hardly_do(more: F, sign: f
     rows: Any = [(0, 0, [(1, 1, 1)]), (1, 0, [(1, 0, -1 + F(more))])]
     chain = PolicyChain.of(MDP.from_outcomes(rows), "random")
     if sign is None:
-        with pytest.raises(ModelError, match="rewards cancel for ever"):
-            parted(chain)
+        with pytest.raises(ModelError, match="rewards cancel forever"):
+            split_infinite_returns(chain)
     else:
-        ending, lost = parted(chain)
+        ending, lost = split_infinite_returns(chain)
         assert {s: m.tolist() for s, m in lost.items()} == {sign: [True, True]}
         assert ending.mdp.terminal.all()
         assert ending.chosen is chain.chosen
@@ -584,7 +586,7 @@ def test_rewards_that_cancel_are_told_from_those_that_hardly_do(more: F, sign: f
 
 def test_below_discount_1_nothing_is_parted() -> None:
     chain = PolicyChain.of(small_model(0, "1/2", ends=0, leaving=False), "random")
-    assert parted(chain) == (chain, {})
+    assert split_infinite_returns(chain) == (chain, {})
 
 
 # ---- what is given -------------------------------------------------------------------------------
@@ -682,11 +684,11 @@ def test_poor_floats_have_less_than_half_of_their_digits(monkeypatch: pytest.Mon
     value = np.array([-4.0, 1.0])
     for error, wanted in ((2.0**-24, False), (2.0**-23.9, True), (2.0**-25, False)):
         point = FixedPoint(value=value, error=np.array([0.0, error]))
-        assert poor(point, mdp) == wanted
+        assert is_too_inaccurate(point, mdp) == wanted
     coarse = FixedPoint(value=value, error=value**2)
     for most, wanted in ((mdp.n_states, True), (mdp.n_states - 1, False)):
         monkeypatch.setattr(policy_chain, "FEW", most)
-        assert poor(coarse, mdp) == wanted
+        assert is_too_inaccurate(coarse, mdp) == wanted
 
 
 def test_large_chains_are_not_solved_in_rationals(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -706,14 +708,14 @@ def test_large_chains_are_not_solved_in_rationals(monkeypatch: pytest.MonkeyPatc
 
 
 def test_numbers_are_rounded_once() -> None:
-    point = rounded([F(1, 3), F(0), F(-7, 2**80), F(1, 10**400)])
+    point = round_fractions([F(1, 3), F(0), F(-7, 2**80), F(1, 10**400)])
     assert point.value.tolist() == [1 / 3, 0, -7 / 2**80, 0]
     assert point.error[0] == UNIT / 3
     assert point.error[1] == 0
     assert point.error[2] == pytest.approx(7 / 2**133, rel=1e-12)
     assert 0 < point.error[3] <= 2.0**-900
     with pytest.raises(SolverError, match="beyond the range of floats"):
-        rounded([F(10) ** 400])
+        round_fractions([F(10) ** 400])
 
 
 def test_visits_of_a_chain_go_back_to_rationals_where_floats_are_poor(
@@ -721,9 +723,9 @@ def test_visits_of_a_chain_go_back_to_rationals_where_floats_are_poor(
 ) -> None:
     mdp = small_model(6, "1/2")
     chances = random_policy(mdp, 6)
-    monkeypatch.setattr(policy_chain, "poor", lambda *_: True)
+    monkeypatch.setattr(policy_chain, "is_too_inaccurate", lambda *_: True)
     equations = PolicyChain.of(mdp, given(chances)).discounted
-    assert isinstance(equations, Equations)
+    assert isinstance(equations, PolicyEquations)
     law = law_of(mdp, chances)
     moves = [{} if mdp.terminal[s] else {t: p / 2 for t, p in row.items()} for s, _, _, row in law]
     near(equations.visits, oracle.visits(dict(mdp.start), moves), 1)

@@ -13,14 +13,14 @@ from exact_mdp import MDP, ModelError
 from exact_mdp.mdp.table import Numbers
 from exact_mdp.solvers.values import return_mass as module
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-from exact_mdp.solvers.values.return_mass import Flow, _summed
+from exact_mdp.solvers.values.return_mass import MassFlow, _sum_masses
 
 
 def whole(seed: int, **kind: Any) -> tuple[MDP, Any, PolicyChain, Numbers]:
     """A model whose rewards are whole numbers, a policy, its chain and its rewards."""
     mdp = small_model(seed, **kind)
     top, below = mdp.table.integer_gains()
-    mdp = mdp.with_(table=mdp.table.earning(top, np.ones_like(below)))
+    mdp = mdp.with_(table=mdp.table.with_reward(top, np.ones_like(below)))
     chances = random_policy(mdp, seed, pure=seed % 4 == 0)
     chain = PolicyChain.of(mdp, given(chances))
     return mdp, chances, chain, chain.gain.astype(np.int64)
@@ -55,8 +55,8 @@ def test_masses_at_the_end_are_those_of_all_runs(
     for seed in range(12):
         mdp, chances, chain, gain = whole(seed, falling=True, states=6)
         for kind in (np.int64, object):
-            flow = Flow(chain, gain.astype(kind), {}, exact=exact)
-            values, masses, lost, roundings = flow.carried()
+            flow = MassFlow(chain, gain.astype(kind), {}, exact=exact)
+            values, masses, lost, roundings = flow.carry_mass()
             runs = law_of_return(mdp, chances)
             assert values.tolist() == [*runs]
             if exact:
@@ -80,8 +80,8 @@ def test_masses_of_cycles_are_those_of_powers(monkeypatch: pytest.MonkeyPatch) -
         for dense, merged in ((0, 64), (8, 64), (8, 3), (10**6, 5)):
             monkeypatch.setattr(module, "DENSE", dense)
             monkeypatch.setattr(module, "MERGED", merged)
-            flow = Flow(chain, gain, {}, exact=False)
-            values, masses, lost, _ = flow.carried()
+            flow = MassFlow(chain, gain, {}, exact=False)
+            values, masses, lost, _ = flow.carry_mass()
             listed = dict(zip(values.tolist(), masses.tolist(), strict=True))
             assert 0 <= lost <= 1e-3
             assert (lost > 1e-290) == flow.cyclic.any()
@@ -101,7 +101,7 @@ def test_blocks_are_levels_and_the_ends_are_last() -> None:
         (1, 0, [(1, 1, 0)]),
     ]
     chain = PolicyChain.of(MDP.from_outcomes(rows, start=4), "random")
-    flow = Flow(chain, chain.gain.astype(np.int64), {}, exact=False)
+    flow = MassFlow(chain, chain.gain.astype(np.int64), {}, exact=False)
     assert flow.block.tolist() == [0, 1, 1, 2, 3, 3, 3]  # 4, then 0 and 3, then 2, then the ends
     assert flow.first.tolist() == [0, 1, 3, 4, 7]
     assert flow.cyclic.tolist() == [False, True, False, False]
@@ -121,7 +121,7 @@ def test_blocks_are_levels_and_the_ends_are_last() -> None:
     assert flow.inner.sum() == 2
     assert flow.share.sum() == pytest.approx(4)
     with pytest.raises(ModelError, match="lead back to each other"):
-        Flow(chain, chain.gain.astype(np.int64), {}, exact=True)
+        MassFlow(chain, chain.gain.astype(np.int64), {}, exact=True)
 
 
 def test_actions_that_do_the_same_become_one() -> None:
@@ -131,15 +131,15 @@ def test_actions_that_do_the_same_become_one() -> None:
         (1, 0, [(1, 1, 0)]),
     ]
     chain = PolicyChain.of(MDP.from_outcomes(rows), "random")
-    flow = Flow(chain, chain.gain.astype(np.int64), {}, exact=True)
+    flow = MassFlow(chain, chain.gain.astype(np.int64), {}, exact=True)
     assert flow.gain.tolist() == [1, 2, 3]
-    values, masses, _, _ = flow.carried()
+    values, masses, _, _ = flow.carry_mass()
     assert dict(zip(values.tolist(), masses.tolist(), strict=True)) == {
         1: F(3, 8),
         2: F(1, 4),
         3: F(3, 8),
     }
-    again = Flow(chain, chain.gain.astype(np.int64), {}, exact=False)
+    again = MassFlow(chain, chain.gain.astype(np.int64), {}, exact=False)
     assert again.entering.tolist() == [0, 4]
 
 
@@ -154,11 +154,11 @@ def test_infinite_ends_come_first_and_last() -> None:
             (1, 2, {-inf: F(1, 8), 9: F(5, 8), inf: F(1, 4)}),
             (2, 1, {-inf: F(1, 4), 9: F(5, 8), inf: F(1, 8)}),
         ):
-            flow = Flow(chain, gain, {-inf: at[low], inf: at[high]}, exact=exact)
-            values, masses, _, _ = flow.carried()
+            flow = MassFlow(chain, gain, {-inf: at[low], inf: at[high]}, exact=exact)
+            values, masses, _, _ = flow.carry_mass()
             assert values.tolist() == [*wanted]
             assert masses.tolist() == [*wanted.values()]
-        values, masses, _, _ = Flow(chain, gain, {inf: at[1] | at[2]}, exact=exact).carried()
+        values, masses, _, _ = MassFlow(chain, gain, {inf: at[1] | at[2]}, exact=exact).carry_mass()
         assert (values.tolist(), masses.tolist()) == ([9, inf], [F(5, 8), F(3, 8)])
 
 
@@ -169,11 +169,13 @@ def test_masses_that_are_too_small_are_counted_as_lost(monkeypatch: pytest.Monke
         (3, 0, [(1, 3, 0)]),
     ]
     chain = PolicyChain.of(MDP.from_outcomes(rows), "random")
-    values, masses, lost, _ = Flow(chain, chain.gain.astype(np.int64), {}, exact=False).carried()
+    values, masses, lost, _ = MassFlow(
+        chain, chain.gain.astype(np.int64), {}, exact=False
+    ).carry_mass()
     assert values.tolist() == [0, 1]
     assert masses.tolist() == pytest.approx([1, 1e-200], rel=1e-12)
     assert 0 < lost < 1e-280
-    exactly = Flow(chain, chain.gain.astype(np.int64), {}, exact=True).carried()
+    exactly = MassFlow(chain, chain.gain.astype(np.int64), {}, exact=True).carry_mass()
     assert exactly[0].tolist() == [0, 1, 7]
     assert exactly[1].tolist() == [1 - rare, rare * (1 - rare), rare**2]
     for small in (1e-3, 1e-2):
@@ -184,7 +186,9 @@ def test_masses_that_are_too_small_are_counted_as_lost(monkeypatch: pytest.Monke
             ),
             "random",
         )
-        values, masses, lost, _ = Flow(own, own.gain.astype(np.int64), {}, exact=False).carried()
+        values, masses, lost, _ = MassFlow(
+            own, own.gain.astype(np.int64), {}, exact=False
+        ).carry_mass()
         assert values.tolist() == ([0, 1] if small < 0.005 else [0])
         assert lost >= (0 if small < 0.005 else 0.005)
         assert masses.sum() + lost == pytest.approx(1, rel=1e-12)
@@ -201,12 +205,12 @@ def test_cycles_that_are_hardly_left_are_refused(monkeypatch: pytest.MonkeyPatch
         monkeypatch.setattr(module, "FEW", few)
         rows: Any = [(0, 0, [(stay, 0, 1), (1 - stay, 1, 0)]), (1, 0, [(1, 1, 0)])]
         chain = PolicyChain.of(MDP.from_outcomes(rows), "random")
-        flow = Flow(chain, chain.gain.astype(np.int64), {}, exact=False)
+        flow = MassFlow(chain, chain.gain.astype(np.int64), {}, exact=False)
         if words:
             with pytest.raises(ModelError, match=words):
-                flow.carried()
+                flow.carry_mass()
         else:
-            values, masses, lost, _ = flow.carried()
+            values, masses, lost, _ = flow.carry_mass()
             for value, mass in zip(values.tolist(), masses.tolist(), strict=True):
                 assert mass == pytest.approx(float((1 - stay) * stay**value), rel=1e-12)
             assert lost == pytest.approx(float(stay) ** len(values), rel=1e-9)
@@ -216,8 +220,8 @@ def test_what_all_cycles_leave_together_is_bounded(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(module, "REMAINING", 1e-3)
     rows: Any = [(s, 0, [(F(1, 2), s, 1), (F(1, 2), s + 1, 0)]) for s in range(4)]
     chain = PolicyChain.of(MDP.from_outcomes([*rows, (4, 0, [(1, 4, 0)])]), "random")
-    flow = Flow(chain, chain.gain.astype(np.int64), {}, exact=False)
-    values, masses, lost, roundings = flow.carried()
+    flow = MassFlow(chain, chain.gain.astype(np.int64), {}, exact=False)
+    values, masses, lost, roundings = flow.carry_mass()
     assert 1e-5 < lost <= 1e-3
     assert masses.sum() + lost == pytest.approx(1, rel=1e-12)
     assert roundings >= len(values)  # a sweep for each round
@@ -232,7 +236,7 @@ def test_what_underflows_is_lost() -> None:
     rows += [(2, 0, [(1, 3, 2)]), (3, 0, [(1, 3, 0)])]
     chain = PolicyChain.of(MDP.from_outcomes(rows), "random")
     for kind in (np.int64, object):
-        _, _, lost, _ = Flow(chain, chain.gain.astype(kind), {}, exact=False).carried()
+        _, _, lost, _ = MassFlow(chain, chain.gain.astype(kind), {}, exact=False).carry_mass()
         assert 0 < lost < 1e-280
 
 
@@ -240,7 +244,7 @@ def test_what_is_left_in_a_block_is_a_power_of_its_matrix(monkeypatch: pytest.Mo
     monkeypatch.setattr(module, "SWEEPS", 7)
     for seed in range(10):
         _, _, chain, gain = whole(seed, states=4)
-        flow = Flow(chain, gain, {}, exact=False)
+        flow = MassFlow(chain, gain, {}, exact=False)
         for block in np.flatnonzero(flow.cyclic).tolist():
             first, last = flow.first[block : block + 2].tolist()
             own = np.flatnonzero((flow.source >= first) & (flow.source < last) & flow.inner)
@@ -256,11 +260,13 @@ def test_what_is_left_in_a_block_is_a_power_of_its_matrix(monkeypatch: pytest.Mo
                     )
                     for to in range(first, last)
                 ]
-            assert flow._left(block, moving, own) == pytest.approx(sum(onward), rel=1e-12)
+            assert flow._estimate_remaining(block, moving, own) == pytest.approx(
+                sum(onward), rel=1e-12
+            )
             for few, known in ((last - first - 1, False), (last - first, True)):
                 with monkeypatch.context() as patch:
                     patch.setattr(module, "FEW", few)
-                    assert (flow._left(block, moving, own) > 0) == known
+                    assert (flow._estimate_remaining(block, moving, own) > 0) == known
 
 
 def test_work_beyond_the_limits_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -270,10 +276,10 @@ def test_work_beyond_the_limits_is_refused(monkeypatch: pytest.MonkeyPatch) -> N
     for name, least in (("STEPS", 6), ("CELLS", 3)):  # three outcomes, then one of three masses
         with monkeypatch.context() as patch:
             patch.setattr(module, name, least)
-            assert Flow(chain, gain, {}, exact=False).carried()[0].tolist() == [1, 2, 3]
+            assert MassFlow(chain, gain, {}, exact=False).carry_mass()[0].tolist() == [1, 2, 3]
             patch.setattr(module, name, least - 1)
             with pytest.raises(ModelError, match="too many different returns"):
-                Flow(chain, gain, {}, exact=False).carried()
+                MassFlow(chain, gain, {}, exact=False).carry_mass()
 
 
 def summed(parts: Any) -> dict[tuple[int, int], F]:
@@ -297,7 +303,7 @@ def test_masses_of_the_same_state_and_reward_are_added_up() -> None:
         ]
         for kind in (np.float64, object):
             given_parts = [(s, m, x.astype(kind)) for s, m, x in parts]
-            state, multiple, mass = _summed(given_parts)
+            state, multiple, mass = _sum_masses(given_parts)
             listed = zip(state.tolist(), multiple.tolist(), mass.tolist(), strict=True)
             assert [((s, m), F(x)) for s, m, x in listed] == [*summed(given_parts).items()]
 
@@ -306,7 +312,7 @@ def test_products_of_matrices_hand_masses_on_as_loops_do(monkeypatch: pytest.Mon
     rng = np.random.default_rng(1)
     for seed in range(20):
         _, _, chain, gain = whole(seed, states=6)
-        flow = Flow(chain, gain, {}, exact=False)
+        flow = MassFlow(chain, gain, {}, exact=False)
         sources = np.unique(flow.source)
         some = np.sort(rng.choice(sources, size=min(3, len(sources)), replace=False))
         state = np.repeat(some, 3)

@@ -15,7 +15,7 @@ from exact_mdp import MDP, ModelError, return_distribution
 from exact_mdp.solvers.bounds.gains import UNIT
 from exact_mdp.solvers.values import returns as module
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-from exact_mdp.solvers.values.returns import ReturnDistribution, share_of, tail_mean
+from exact_mdp.solvers.values.returns import ReturnDistribution, parse_tail_share, tail_mean
 
 SHARES = [F(1, 20), F(1, 3), F(1, 2), F(4, 5), F(1)]
 
@@ -117,7 +117,7 @@ def test_long_multiples_are_integers_of_python() -> None:
             law = return_distribution(MDP.from_outcomes(rows), "random")
             assert law.values == (sign * far + 1,)
             chain = PolicyChain.of(MDP.from_outcomes(rows), "random")
-            assert module._lattice(chain)[0].dtype == kind
+            assert module._find_lattice(chain)[0].dtype == kind
 
 
 def test_runs_without_an_end_have_infinite_returns() -> None:
@@ -220,10 +220,10 @@ def test_a_lattice_of_long_denominators() -> None:
 
 
 def test_the_share_of_a_tail_is_above_0_and_at_most_1() -> None:
-    assert (share_of("1/3"), share_of(1)) == (F(1, 3), 1)
+    assert (parse_tail_share("1/3"), parse_tail_share(1)) == (F(1, 3), 1)
     for share in (0, "1.001", -1):
         with pytest.raises(ModelError, match="the level is"):
-            share_of(share)
+            parse_tail_share(share)
     assert tail_mean({inf: F(1, 2), F(3): F(1, 2)}, F(1, 2)) == 3
     assert tail_mean({inf: F(1, 2), F(3): F(1, 2)}, F(1, 2), highest=True) == inf
     assert tail_mean({-inf: F(1, 2), F(3): F(1, 2)}, F(3, 4)) == -inf

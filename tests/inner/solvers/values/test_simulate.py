@@ -9,7 +9,7 @@ import pytest
 from small_models import given, random_policy, small_model, with_events
 
 from exact_mdp import MDP, ModelError, simulate
-from exact_mdp.mdp.report import between, number
+from exact_mdp.mdp.report import format_interval, format_number
 from exact_mdp.solvers.values import simulate as module
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.simulate import Simulation
@@ -242,8 +242,8 @@ def test_a_report_shows_what_is_not_0() -> None:
     low, high = sample.value.interval
     digits = sample.standard_error / 10
     facts = sample.report().facts
-    assert facts["interval"].text == f"{between(low, high, digits)} (95 %)"
-    assert facts["sd"].text == number(sample.sd, digits)
+    assert facts["interval"].text == f"{format_interval(low, high, digits)} (95 %)"
+    assert facts["sd"].text == format_number(sample.sd, digits)
 
 
 def test_one_episode_has_no_spread() -> None:

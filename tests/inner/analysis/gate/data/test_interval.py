@@ -12,14 +12,14 @@ from exact_mdp import MDP, ModelError
 from exact_mdp.analysis.gate.data.interval import (
     RegretInterval,
     cut_off,
-    entered,
-    named,
+    find_recorded_ends,
+    format_states,
+    list_entered_states,
     never_taken,
     observations_of,
     of_process,
     of_sense,
-    over,
-    range_of,
+    parse_range,
 )
 from exact_mdp.mdp.space import StateSpace
 
@@ -43,11 +43,13 @@ def test_states_that_no_record_leaves() -> None:
     mdp = model()
     (c, d) = (mdp.space.label(mdp.space.number(name)) for name in "cd")
     assert flags(mdp, cut_off(mdp)) == {d}
-    assert flags(mdp, over(mdp)) - {c} == flags(mdp, over(mdp)) - set(entered(mdp))
-    assert entered(mdp) == (c,)
+    assert flags(mdp, find_recorded_ends(mdp)) - {c} == flags(mdp, find_recorded_ends(mdp)) - set(
+        list_entered_states(mdp)
+    )
+    assert list_entered_states(mdp) == (c,)
     plain = estimated(recorded(np.random.default_rng(0), 10))
     assert not cut_off(plain).any()
-    assert entered(plain) == ()
+    assert list_entered_states(plain) == ()
 
 
 def test_actions_that_nobody_took() -> None:
@@ -81,12 +83,12 @@ def test_models_without_counts_are_refused() -> None:
 
 def test_a_range_has_its_lower_end_first() -> None:
     mdp = model()
-    assert range_of(None, "returns") is None
-    assert range_of(("-1/2", 3), "returns") == (-0.5, 3)
-    assert range_of((2, 2), "returns") == (2, 2)
+    assert parse_range(None, "returns") is None
+    assert parse_range(("-1/2", 3), "returns") == (-0.5, 3)
+    assert parse_range((2, 2), "returns") == (2, 2)
     for wrong in ((3, 2), 5, (1,), ("a", 2)):
         with pytest.raises(ModelError):
-            range_of(wrong, "returns")
+            parse_range(wrong, "returns")
     assert of_sense(mdp, (1, 2)) == (1, 2)
     assert of_sense(mdp.with_(sense="min"), (1, 2)) == (-2, -1)
 
@@ -98,11 +100,11 @@ def test_names_of_many_states_are_cut_short() -> None:
     states = np.zeros(8, dtype=bool)
     states[[1, 2, 4, 5, 6]] = True
     own = [mdp.space.label(s) for s in (1, 2, 4, 5, 6)]
-    assert named(mdp, states) == f"({', '.join(own)})"
+    assert format_states(mdp, states) == f"({', '.join(own)})"
     states[7] = True
-    assert named(mdp, states) == f"({', '.join(own)} and 1 more)"
+    assert format_states(mdp, states) == f"({', '.join(own)} and 1 more)"
     states[0] = True
-    assert named(mdp, states).endswith(" and 2 more)")
+    assert format_states(mdp, states).endswith(" and 2 more)")
 
 
 def interval(**parts: Any) -> RegretInterval:
@@ -118,19 +120,21 @@ def test_an_interval_keeps_breaks_or_leaves_open_a_limit() -> None:
         (F(3, 8), None),
         (F(1, 8), False),
     ):
-        assert interval().decided(F(limit)) is decision
+        assert interval().keeps_limit(F(limit)) is decision
     assert str(interval()) == "[0.25, 0.5] at 95 % confidence, robust"
     draws = np.array([0.0, 0.25, 0.5, 1.0])
     for limit, share in ((0, 0.25), (F(1, 4), 0.5), (F(1, 5), 0.25), (2, 1.0)):
-        assert interval(draws=draws).within(F(limit)).value == share
-    facts = interval(draws=draws).facts(F(1, 4))
+        assert interval(draws=draws).estimate_probability(F(limit)).value == share
+    facts = interval(draws=draws).list_facts(F(1, 4))
     assert facts["interval"]["probability_within"].value == 0.5
     assert facts["interval"]["a"] == 1
     assert facts["regret_interval"].value == (0.25, 0.5)
     assert facts["confidence"].value == 0.95
     assert facts["by"].value == "robust"
     for draws_or_none, limit in ((None, F(1)), (draws, None)):
-        assert "probability_within" not in interval(draws=draws_or_none).facts(limit)["interval"]
+        assert (
+            "probability_within" not in interval(draws=draws_or_none).list_facts(limit)["interval"]
+        )
     assert interval().report().notes == ["assumed: one", "assumed: two"]
     (row,) = interval().frame().to_dict("records")
     assert row == {"low": 0.25, "high": 0.5, "confidence": 0.95, "by": "robust", "a": 1}

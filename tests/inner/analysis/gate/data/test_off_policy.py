@@ -9,7 +9,7 @@ import pytest
 from records import NAMES, POLICY, STAGES, recorded
 
 from exact_mdp import MDP, ModelError, OffPolicy, Robust
-from exact_mdp.analysis.gate.data.off_policy import _trajectories
+from exact_mdp.analysis.gate.data.off_policy import _read_trajectories
 from exact_mdp.analysis.vary.intervals import mean_at_least
 from exact_mdp.mdp.io import transitions
 
@@ -61,8 +61,8 @@ def test_weights_and_returns_are_those_of_a_loop(horizon: int | None, cut: bool)
         own = own_of(mdp, STAGES if horizon else POLICY)
         chance = np.where(mdp.forced[mdp.pair_state], 1.0, 0.25 + 0.5 * mdp.pair_action)
         ratio = np.atleast_2d(own) / chance
-        record = transitions.Record(frame, None)
-        w, returns, steps, cuts, ended = _trajectories(mdp, ratio, record, horizon)
+        record = transitions.TransitionRecord(frame, None)
+        w, returns, steps, cuts, ended = _read_trajectories(mdp, ratio, record, horizon)
         wanted = looped(mdp, frame, own, chance, horizon)
         assert w == pytest.approx([each[0] for each in wanted])
         assert returns == pytest.approx([mdp.sign * each[1] for each in wanted])

@@ -12,7 +12,7 @@ from records import NAMES, POLICY, STAGES, by_stage, estimated, recorded
 
 from exact_mdp import MDP, ModelError, Posterior
 from exact_mdp.analysis.gate.data import posterior as module
-from exact_mdp.analysis.gate.data.posterior import drawn, drawn_regrets
+from exact_mdp.analysis.gate.data.posterior import drawn_regrets, sample_models
 from exact_mdp.analysis.vary.intervals import upper_quantile
 
 
@@ -36,7 +36,7 @@ def test_the_mean_of_rows_is_counts_and_the_prior_over_their_sum() -> None:
         mdp = estimated(recorded(np.random.default_rng(seed), 30))
         known, counts = known_of(mdp), mdp.counts
         assert counts is not None
-        models = drawn(mdp, known, prior, Mean(), 3)
+        models = sample_models(mdp, known, prior, Mean(), 3)
         assert models.rows.shape == (3, mdp.n_pairs, mdp.n_states)
         for pair in range(mdp.n_pairs):
             n, row = counts.toarray()[pair].sum(), counts.toarray()[pair]
@@ -58,7 +58,7 @@ def test_the_mean_of_rows_is_counts_and_the_prior_over_their_sum() -> None:
         begun = (mdp.start_distribution * 30 + prior / mdp.n_states) / (30 + prior)
         assert models.start[0] == pytest.approx(begun, rel=1e-12)
         given = mdp.with_(start=1)
-        assert drawn(given, known, prior, Mean(), 2).start.tolist() == [[0, 1, 0, 0]] * 2
+        assert sample_models(given, known, prior, Mean(), 2).start.tolist() == [[0, 1, 0, 0]] * 2
         assert models.rate.tolist() == [0.9] * 3
         assert models.leak.tolist() == [[float(F(1, 10))]]
         assert models.live.all()
@@ -66,7 +66,7 @@ def test_the_mean_of_rows_is_counts_and_the_prior_over_their_sum() -> None:
 
 def test_draws_differ_and_are_laws() -> None:
     mdp = estimated(recorded(np.random.default_rng(0), 30))
-    models = drawn(mdp, known_of(mdp), 1.0, np.random.default_rng(0), 400)
+    models = sample_models(mdp, known_of(mdp), 1.0, np.random.default_rng(0), 400)
     assert models.rows.sum(axis=2) == pytest.approx(np.ones((400, mdp.n_pairs)))
     counts = mdp.counts
     assert counts is not None
@@ -90,7 +90,7 @@ def test_regrets_of_draws_are_those_of_all_policies() -> None:
     for seed in range(2):
         mdp = estimated(recorded(np.random.default_rng(seed), 10))
         own = (mdp.pair_action == np.array(POLICY)[mdp.pair_state]) | mdp.forced[mdp.pair_state]
-        models = drawn(mdp, known_of(mdp), 1.0, np.random.default_rng(seed), 6)
+        models = sample_models(mdp, known_of(mdp), 1.0, np.random.default_rng(seed), 6)
         found = drawn_regrets(models, own.astype(float))
         for k in range(6):
             start = partial(start_value, models.rows[k], models.reward[k], models.start[k])
@@ -104,7 +104,7 @@ def test_regrets_of_draws_are_those_of_all_policies() -> None:
 def test_regrets_within_a_horizon_are_those_of_stages() -> None:
     mdp = estimated(recorded(np.random.default_rng(3), 40))
     own = (mdp.pair_action == STAGES[:, mdp.pair_state]) | mdp.forced[mdp.pair_state]
-    models = drawn(mdp, known_of(mdp), 1.0, np.random.default_rng(0), 5)
+    models = sample_models(mdp, known_of(mdp), 1.0, np.random.default_rng(0), 5)
     found = drawn_regrets(models, own.astype(float))
     for k in range(5):
         rows, reward = np.zeros((4, 2, 4)), np.full((4, 2), -1e9)

@@ -10,7 +10,12 @@ import pytest
 from records import NAMES, POLICY, STAGES, estimated, recorded
 
 from exact_mdp import MDP, ModelError, Robust
-from exact_mdp.analysis.gate.data.robust import Operators, _require_seen, _totals, robust_bounds
+from exact_mdp.analysis.gate.data.robust import (
+    Operators,
+    _bound_totals,
+    _require_seen,
+    robust_bounds,
+)
 from exact_mdp.analysis.gate.data.sets import RowSets
 
 NEAR = 1e-7
@@ -92,7 +97,7 @@ def test_bounds_are_the_fixed_points_of_their_steps() -> None:
             for found, taken in ((bounds.own, pairs), (bounds.best, None)):
                 value = np.zeros(mdp.n_states)
                 for _ in range(200):
-                    q = sets.worth(value, most=bool(most)).bound
+                    q = sets.solve_inner_problem(value, most=bool(most)).bound
                     value = (
                         q[taken]
                         if taken is not None
@@ -111,7 +116,7 @@ def test_the_regret_under_one_model_is_the_optimum_of_advantages() -> None:
     sets, own = RowSets.of(mdp, 0.05, (0, 1)), own_of(mdp)
     at = Operators(sets=sets, own=own, ends=(-20.0, 20.0))
     bounds = robust_bounds(sets, own)
-    least, greatest = at.advantages(*bounds.own)
+    least, greatest = at.bound_advantages(*bounds.own)
     rng = np.random.default_rng(0)
     for _ in range(50):
         rows, reward = sampled(sets, rng)
@@ -123,8 +128,11 @@ def test_the_regret_under_one_model_is_the_optimum_of_advantages() -> None:
     assert (greatest[own == 1] == 0).all()
     lost = np.zeros(mdp.n_states)
     for _ in range(200):
-        ahead = sets.worth(bounds.best[1], most=True).bound - bounds.own[0][mdp.pair_state]
-        joint = greatest + sets.worth(lost, most=True, rewards=False).bound
+        ahead = (
+            sets.solve_inner_problem(bounds.best[1], most=True).bound
+            - bounds.own[0][mdp.pair_state]
+        )
+        joint = greatest + sets.solve_inner_problem(lost, most=True, rewards=False).bound
         lost = np.maximum.reduceat(np.minimum(joint, ahead), mdp.pair_offsets[:-1])
         lost[mdp.terminal] = 0
     found = bounds.lost[1]
@@ -140,15 +148,15 @@ def test_advantages_are_narrow_where_values_are_known() -> None:
     own /= np.add.reduceat(own, mdp.pair_offsets[:-1])[mdp.pair_state]
     value = rng.normal(size=mdp.n_states)
     at = Operators(sets=sets, own=own, ends=(-10.0, 10.0))
-    least, greatest = at.advantages(value, value)
-    low, high = (sets.worth(value, most=most).bound for most in (False, True))
+    least, greatest = at.bound_advantages(value, value)
+    low, high = (sets.solve_inner_problem(value, most=most).bound for most in (False, True))
     for pair, s in enumerate(mdp.pair_state.tolist()):
         others = [k for k in mdp.pairs_of(s) if k != pair]
         above = (1 - own[pair]) * high[pair] - sum(own[k] * low[k] for k in others)
         below = (1 - own[pair]) * low[pair] - sum(own[k] * high[k] for k in others)
         assert greatest[pair] == pytest.approx(above, rel=1e-9, abs=1e-9)
         assert least[pair] == pytest.approx(below, rel=1e-9, abs=1e-9)
-    wide, off = at.advantages(value - 0.5, value + 0.5), 1.0
+    wide, off = at.bound_advantages(value - 0.5, value + 0.5), 1.0
     assert (wide[0] <= least).all()
     assert (wide[1] >= greatest).all()
     assert (wide[1] - greatest <= 0.9 * off * 4).all()
@@ -161,9 +169,9 @@ def test_stages_are_steps_from_the_last_to_the_first() -> None:
     for most in (0, 1):
         mine, best = np.zeros(mdp.n_states), np.zeros(mdp.n_states)
         for taken in own[::-1]:
-            q = sets.worth(mine, most=bool(most)).bound
+            q = sets.solve_inner_problem(mine, most=bool(most)).bound
             mine = np.add.reduceat(q * taken, mdp.pair_offsets[:-1])
-            q = sets.worth(best, most=bool(most)).bound
+            q = sets.solve_inner_problem(best, most=bool(most)).bound
             best = np.maximum.reduceat(q, mdp.pair_offsets[:-1])
         assert bounds.own[most] == pytest.approx(mine, abs=1e-9)
         assert bounds.best[most] == pytest.approx(best, abs=1e-9)
@@ -173,19 +181,19 @@ def test_stages_are_steps_from_the_last_to_the_first() -> None:
 
 def test_totals_are_rewards_over_what_the_discount_leaves() -> None:
     sets = RowSets.of(model(), 0.05, (-1, 2))
-    assert _totals(sets) == pytest.approx((-10, 20), rel=1e-5)
-    low, high = _totals(sets)
+    assert _bound_totals(sets) == pytest.approx((-10, 20), rel=1e-5)
+    low, high = _bound_totals(sets)
     assert low <= -10
     assert high >= 20
     weight = 1 + 0.9 + 0.81
-    low, high = _totals(sets, 3)
+    low, high = _bound_totals(sets, 3)
     assert (low, high) == pytest.approx((-weight, 2 * weight), rel=1e-5)
     assert low <= -weight
     assert high >= 2 * weight
     whole = RowSets.of(model().with_(discount=1), 0.05, (0, 1))
     with pytest.raises(ModelError, match="how long an episode may go on"):
-        _totals(whole)
-    assert _totals(whole, 4) == pytest.approx((0, 4), rel=1e-5)
+        _bound_totals(whole)
+    assert _bound_totals(whole, 4) == pytest.approx((0, 4), rel=1e-5)
 
 
 def test_at_discount_1_a_range_that_is_stated_is_kept() -> None:
@@ -199,7 +207,7 @@ def test_at_discount_1_a_range_that_is_stated_is_kept() -> None:
     for most in (0, 1):
         value = np.where(mdp.terminal, 0.0, 30.0 * most)
         for _ in range(400):
-            q = sets.worth(value, most=bool(most)).bound
+            q = sets.solve_inner_problem(value, most=bool(most)).bound
             after = np.maximum.reduceat(q, mdp.pair_offsets[:-1])
             after[mdp.terminal] = 0
             value = np.minimum(after, value) if most else np.maximum(after, value)

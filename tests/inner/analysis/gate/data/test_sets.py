@@ -11,7 +11,7 @@ from records import NAMES, recorded
 from scipy import optimize
 
 from exact_mdp import MDP, ModelError
-from exact_mdp.analysis.gate.data.sets import RowSets, _highest, _radius
+from exact_mdp.analysis.gate.data.sets import RowSets, _bound_mean_above, _compute_radii
 from exact_mdp.mdp.io.transitions import CUT_OFF
 
 
@@ -76,7 +76,7 @@ def test_radii_are_the_likelihood_ratio(known: bool) -> None:
             assert sets.radius[pair] >= wanted * (1 - 1e-13)
         given = RowSets.of(mdp.with_(start=0), 0.05, "known")
         assert given.share == pytest.approx(0.05 / (states * mdp.n_actions), rel=1e-15)
-    one = _radius(np.ones(1), np.zeros(1, dtype=int), np.array([5.0]), 1, 0.1)
+    one = _compute_radii(np.ones(1), np.zeros(1, dtype=int), np.array([5.0]), 1, 0.1)
     assert one.tolist() == [0]
 
 
@@ -89,7 +89,7 @@ def test_nature_chooses_the_extreme_law_of_each_set(known: bool, most: bool) -> 
         sets = RowSets.of(mdp, 0.05, "known" if known else (-1, 2))
         value, counts = rng.normal(size=mdp.n_states) * 3, counts_of(mdp)
         for rewards in (True, False):
-            step = sets.worth(value, most=most, rewards=rewards)
+            step = sets.solve_inner_problem(value, most=most, rewards=rewards)
             laws, earned = step.piece()
             laws = laws.toarray()
             gain = {}
@@ -128,7 +128,9 @@ def test_laws_within_a_set_are_no_more_extreme() -> None:
     mdp = model(0)
     sets = RowSets.of(mdp, 0.05, (0, 1))
     value = rng.normal(size=mdp.n_states)
-    low, high = (sets.worth(value, most=most, rewards=False).bound for most in (False, True))
+    low, high = (
+        sets.solve_inner_problem(value, most=most, rewards=False).bound for most in (False, True)
+    )
     counts, inside = counts_of(mdp), 0
     for pair in sets.pairs.tolist():
         p = counts[pair] / counts[pair].sum()
@@ -162,7 +164,7 @@ def test_means_of_rewards_are_those_of_coins() -> None:
         assert low[pair] < mdp.reward[pair] < high[pair]
     flat = RowSets.of(
         mdp.with_(
-            table=mdp.table.earning(0 * mdp.table.gain, mdp.table.gain_denominator),
+            table=mdp.table.with_reward(0 * mdp.table.gain, mdp.table.gain_denominator),
             observations=mdp.observations,
             episodes=mdp.episodes,
         ),
@@ -174,7 +176,7 @@ def test_means_of_rewards_are_those_of_coins() -> None:
 
 def test_the_greatest_mean_of_a_coin() -> None:
     mean, edge = np.array([0.0, 0.25, 0.9, 1.0, 0.5]), np.array([0.5, 0.1, 2.0, 0.3, 0.0])
-    found = _highest(mean, edge)
+    found = _bound_mean_above(mean, edge)
     assert found[0] == pytest.approx(1 - exp(-0.5), rel=1e-5)
     parts = 0.25 * log(0.25 / found[1]) + 0.75 * log(0.75 / (1 - found[1]))
     assert parts == pytest.approx(0.1, rel=1e-4)
@@ -210,7 +212,7 @@ def test_what_one_step_may_earn() -> None:
     costs = mdp.with_(sense="min")
     assert RowSets.of(costs, 0.05, (-1.5, 3)).rewards == (-3, 1.5)
     known = model(0, rewards="decided")
-    gains = known.table.gains()[known.observations[known.table.pair] > 0]
+    gains = known.table.compute_gains()[known.observations[known.table.pair] > 0]
     assert RowSets.of(known, 0.05, "known").rewards == (gains.min(), gains.max())
 
 

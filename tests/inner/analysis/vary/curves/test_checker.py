@@ -17,9 +17,9 @@ from exact_mdp.analysis.vary.curves.checker import (
     _turn_at_once,
     piece_violations,
 )
-from exact_mdp.mdp.exact import rational
+from exact_mdp.mdp.exact import to_flint
 from exact_mdp.mdp.parametric.row_change import Piece
-from exact_mdp.mdp.table import shown
+from exact_mdp.mdp.table import format_rational
 
 
 def build(at: dict[str, F]) -> MDP:
@@ -36,7 +36,7 @@ def build(at: dict[str, F]) -> MDP:
 
 FAMILY = Family(parameters={"x": "1/2"}, build=build)
 FOUND = curve(FAMILY, "x", ("1/10", "1"), policy=[0, 0, 0])
-MIX = [[(0, rational(F(1)))], [(2, rational(F(1)))], [(3, rational(F(1)))]]
+MIX = [[(0, to_flint(F(1)))], [(2, to_flint(F(1)))], [(3, to_flint(F(1)))]]
 
 
 def said(pieces: Any, mix: Any = MIX, sign: int = 1) -> list[str]:
@@ -86,7 +86,7 @@ def test_the_policy_held_fixed_has_its_own_rules() -> None:
     negative = tuple(-top for top in tops), -below
     assert any("fixed from" in x for x in changed(0, fixed_values=negative))
     assert said([replace(each, fixed_values=None) for each in FOUND.pieces], mix=None) == []
-    other = [[(1, rational(F(1)))], *MIX[1:]]
+    other = [[(1, to_flint(F(1)))], *MIX[1:]]
     assert any("another value" in x for x in said(FOUND.pieces, mix=other))
 
 
@@ -129,7 +129,7 @@ def piece(
         section=section,
         optimal=np.array([*best, False]),
         start=((0, F(1)),),
-        values=((fmpq_poly([rational(F(c)) for c in worth]), fmpq_poly()), fmpq_poly([1])),
+        values=((fmpq_poly([to_flint(F(c)) for c in worth]), fmpq_poly()), fmpq_poly([1])),
     )
 
 
@@ -171,7 +171,7 @@ def test_pieces_of_a_section_join_and_are_of_its_values() -> None:
     early = (F(1, 8), F(1, 4)), (F(1, 4), F(3, 8))
     for between in early:  # not where the lines cross
         said = refused(family, replace(one, high=between), replace(other, low=between))
-        assert said == ["a pair of state 0 is better from " + shown(between[1]) + " on"]
+        assert said == ["a pair of state 0 is better from " + format_rational(between[1]) + " on"]
     late = F(3, 4), F(7, 8)
     said = refused(family, replace(one, high=late), replace(other, low=late))
     assert said == ["a pair of state 0 is better from 0 on"]
@@ -211,13 +211,13 @@ def test_rows_are_one_polynomial_inside_a_section() -> None:
 
 def test_a_polynomial_survives_being_pickled() -> None:
     for numbers in ([], [F(2, 3), F(0), F(-5, 7)], [F(4)]):
-        poly = fmpq_poly([rational(c) for c in numbers])
+        poly = fmpq_poly([to_flint(c) for c in numbers])
         assert pickle.loads(pickle.dumps(poly)) == poly
 
 
 def test_gaps_turn_at_once_where_they_share_their_only_root() -> None:
     def through(*numbers: F) -> fmpq_poly:
-        return prod((fmpq_poly([rational(-n), 1]) for n in numbers), start=fmpq_poly([1]))
+        return prod((fmpq_poly([to_flint(-n), 1]) for n in numbers), start=fmpq_poly([1]))
 
     half, third, bracket = F(1, 2), F(1, 3), (F(1, 4), F(3, 4))
     assert _turn_at_once([], bracket)

@@ -10,7 +10,11 @@ import pytest
 from oracle import policy_values, rows_of, solve_exact
 
 from exact_mdp import MDP, Family, curve
-from exact_mdp.analysis.vary.curves.curve import ValueFunction, _between, _point
+from exact_mdp.analysis.vary.curves.curve import (
+    ValueFunction,
+    _choose_simple_fraction,
+    _describe_interval,
+)
 from exact_mdp.mdp.errors import ModelError
 
 NEAR = F(1, 10**20)  # of a step for derivatives: its square is lost in what is compared
@@ -277,8 +281,8 @@ def test_values_at_the_ends_of_a_piece_are_taken_inside_its_brackets() -> None:
     ],
 )
 def test_a_point_of_small_denominator_stands_for_a_bracket(low: F, high: F, point: F) -> None:
-    assert _point((low, high)) == point
-    assert _between((low, high), (F(7), F(7))) == {
+    assert _choose_simple_fraction((low, high)) == point
+    assert _describe_interval((low, high), (F(7), F(7))) == {
         "from": point, "to": 7, "from_bracket": (low, high), "to_bracket": (F(7), F(7))
     }  # fmt: skip
 

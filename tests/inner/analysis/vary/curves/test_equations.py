@@ -9,8 +9,12 @@ from flint import fmpq_poly
 from oracle import mean, rows_of
 
 from exact_mdp import MDP, Family, parametric
-from exact_mdp.analysis.vary.curves.equations import Equations, _different, weighed
-from exact_mdp.mdp.exact import fraction, rational
+from exact_mdp.analysis.vary.curves.equations import (
+    SectionEquations,
+    _remove_duplicates,
+    sum_weighted,
+)
+from exact_mdp.mdp.exact import from_flint, to_flint
 from exact_mdp.mdp.parametric.row_change import Piece
 
 
@@ -24,31 +28,33 @@ def family(ends: bool, discount: str = "3/4") -> Family:
     return Family(parameters={"x": "1/2"}, build=build)
 
 
-def made(ends: bool, discount: str = "3/4", low: F = F(0), high: F = F(1)) -> Equations:
+def made(ends: bool, discount: str = "3/4", low: F = F(0), high: F = F(1)) -> SectionEquations:
     kind = family(ends, discount)
-    return Equations(kind, "x", Piece(low=low, high=high, origin=(low + high) / 2))
+    return SectionEquations(kind, "x", Piece(low=low, high=high, origin=(low + high) / 2))
 
 
 @pytest.mark.parametrize("ends", [True, False])
 def test_gaps_are_what_pairs_fall_short_of_the_values(ends: bool) -> None:
     equations, kind = made(ends), family(ends)
     values = ((fmpq_poly([1, 2]), fmpq_poly([-1, 0, 3]), fmpq_poly()), fmpq_poly([2, 1]))
-    assert equations.follow(values) == {0, 1, 2}
+    assert equations.update_gaps(values) == {0, 1, 2}
     for x in (F(0), F(1, 3), F(1)):
-        mdp, place = kind.at({"x": x}), rational(x)
-        below = fraction(values[1](place))
-        v = [fraction(top(place)) / below for top in values[0]]
+        mdp, place = kind.at({"x": x}), to_flint(x)
+        below = from_flint(values[1](place))
+        v = [from_flint(top(place)) / below for top in values[0]]
         for pair, (s, _, r, law) in enumerate(rows_of(mdp)[:3]):
             short = v[s] - r - F(3, 4) * mean(law, v)
-            assert fraction(equations.gap[pair](place)) == below * short
-            assert fraction(equations.ahead(pair, values)(place)) == below * (v[s] - short)
-    assert equations.follow(values) == set()
-    assert equations.follow(values, taken=[0]) == {0}
+            assert from_flint(equations.gap[pair](place)) == below * short
+            assert from_flint(equations.compute_action_value(pair, values)(place)) == below * (
+                v[s] - short
+            )
+    assert equations.update_gaps(values) == set()
+    assert equations.update_gaps(values, taken=[0]) == {0}
     assert equations.gap[0] == fmpq_poly()
     assert equations.live == [0, 1]
     assert (equations.order is None) == (not ends)
-    assert equations.differ(0)
-    assert not equations.differ(1)
+    assert equations.has_different_actions(0)
+    assert not equations.has_different_actions(1)
 
 
 def test_one_solution_is_proved_where_there_is_one() -> None:
@@ -60,20 +66,22 @@ def test_one_solution_is_proved_where_there_is_one() -> None:
 
     kind = Family(parameters={"x": "1/2"}, build=build)
     for low, one in ((F(1, 10), True), (F(0), False)):
-        equations = Equations(kind, "x", Piece(low=low, high=F(1), origin=F(1, 2)))
+        equations = SectionEquations(kind, "x", Piece(low=low, high=F(1), origin=F(1, 2)))
         assert equations.one_solution() == one
-        said = list(equations.unsound())
+        said = list(equations.find_faults())
         assert bool(said) != one
     assert made(False).one_solution()
-    assert list(made(False).unsound()) == []
+    assert list(made(False).find_faults()) == []
     beyond = made(False, high=F(1))
     beyond.high = F(2)  # where a probability is negative
-    assert "negative" in next(beyond.unsound())
+    assert "negative" in next(beyond.find_faults())
 
 
 def test_a_weighed_sum_is_one() -> None:
     polynomials = [fmpq_poly([1, 2]), fmpq_poly([5]), fmpq_poly([0, 0, 1])]
-    assert weighed([(0, F(1, 2)), (2, F(-3))], polynomials) == fmpq_poly([rational(F(1, 2)), 1, -3])
+    assert sum_weighted([(0, F(1, 2)), (2, F(-3))], polynomials) == fmpq_poly(
+        [to_flint(F(1, 2)), 1, -3]
+    )
 
 
 def test_rows_that_move_hold_at_every_point() -> None:
@@ -101,41 +109,41 @@ def test_rows_that_move_hold_at_every_point() -> None:
             return MDP.from_outcomes(rows, "2/3")
 
         kind = Family(parameters={"x": "1/2"}, build=build)
-        equations = Equations(kind, "x", Piece(low=F(0), high=F(1), origin=F(1, 4)))
+        equations = SectionEquations(kind, "x", Piece(low=F(0), high=F(1), origin=F(1, 4)))
         tops = [fmpq_poly(rng.integers(-3, 4, 3).tolist()) for _ in range(3)]
         values = tops, fmpq_poly([3, 1])
-        equations.follow(values)
+        equations.update_gaps(values)
         for x in (F(0), F(2, 7), F(1)):
-            place = rational(x)
-            below = fraction(values[1](place))
-            v = [fraction(top(place)) / below for top in tops]
+            place = to_flint(x)
+            below = from_flint(values[1](place))
+            v = [from_flint(top(place)) / below for top in tops]
             for pair, (s, _, r, law) in enumerate(rows_of(kind.at({"x": x}))):
                 short = v[s] - r - F(2, 3) * mean(law, v)
-                assert fraction(equations.gap[pair](place)) == below * short
+                assert from_flint(equations.gap[pair](place)) == below * short
         assert equations.state == states
         # Where only the values of state 1 change, gaps come from those before.
         news = [tops[0], tops[1] + 1, tops[2]], values[1]
         for pair, state in enumerate(states):
             total = equations.reward[pair] * values[1]
             total += sum((p * news[0][to] for to, p in equations.following[pair]), fmpq_poly())
-            assert equations.ahead(pair, news) == total
-            assert equations.ahead(pair, values) == tops[state] - equations.gap[pair]
+            assert equations.compute_action_value(pair, news) == total
+            assert equations.compute_action_value(pair, values) == tops[state] - equations.gap[pair]
         doubled = tops, values[1] * 2
         for pair in range(5):
             total = equations.reward[pair] * values[1] * 2
             total += sum((p * tops[to] for to, p in equations.following[pair]), fmpq_poly())
-            assert equations.ahead(pair, doubled) == total
+            assert equations.compute_action_value(pair, doubled) == total
 
 
 def test_the_discount_is_the_rate_of_what_follows() -> None:
     mdp = family(False).at({"x": F(1, 3)})
     section = Piece(low=F(1, 4), high=F(3, 4), origin=F(1, 2))
-    equations = Equations(parametric(mdp), "discount", section)
+    equations = SectionEquations(parametric(mdp), "discount", section)
     assert equations.rate == fmpq_poly([0, 1])
-    third = rational(F(1, 3))
+    third = to_flint(F(1, 3))
     assert dict(equations.following[0]) == {1: fmpq_poly([0, third])}  # state 2 is terminal
-    assert dict(equations.following[2]) == {0: fmpq_poly([0, rational(F(1, 2))])}
-    assert made(False).rate == rational(F(3, 4))
+    assert dict(equations.following[2]) == {0: fmpq_poly([0, to_flint(F(1, 2))])}
+    assert made(False).rate == to_flint(F(3, 4))
 
 
 @pytest.mark.parametrize("kind", ["earns", "is left"])
@@ -151,7 +159,7 @@ def test_a_state_that_is_terminal_at_one_point_alone_is_live(kind: str) -> None:
         return MDP.from_outcomes(rows, "1/2")
 
     family = Family(parameters={"x": "1/2"}, build=build, degrees={"x": 2})
-    equations = Equations(family, "x", Piece(low=F(0), high=F(1), origin=F(1, 2)))
+    equations = SectionEquations(family, "x", Piece(low=F(0), high=F(1), origin=F(1, 2)))
     assert equations.mdp.terminal.tolist() == [False, True, True]
     assert equations.live == [0, 1]
     assert equations.order is None
@@ -173,12 +181,17 @@ def test_actions_differ_in_what_they_earn_or_lead_to() -> None:
         ]
         return MDP.from_outcomes(rows)
 
-    equations = Equations(
+    equations = SectionEquations(
         Family(parameters={"x": "1/2"}, build=build),
         "x",
         Piece(low=F(0), high=F(1), origin=F(1, 3)),
     )
-    assert [equations.differ(state) for state in range(4)] == [False, True, True, False]
+    assert [equations.has_different_actions(state) for state in range(4)] == [
+        False,
+        True,
+        True,
+        False,
+    ]
     assert equations.order is not None
     assert [*equations.order][-2:] in ([0, 2], [2, 0])
 
@@ -205,7 +218,7 @@ def test_there_is_one_solution_where_every_policy_ends_at_every_point() -> None:
             return MDP.from_outcomes([*rows, (3, 0, [(1, 3, 0)])], 1)
 
         kind = Family(parameters={"x": "1/2"}, build=build, degrees={"x": 2})
-        equations = Equations(kind, "x", Piece(low=F(0), high=F(1), origin=F(1, 2)))
+        equations = SectionEquations(kind, "x", Piece(low=F(0), high=F(1), origin=F(1, 2)))
 
         def ends(x: F, pairs: Any = pairs) -> bool:
             near = {3}
@@ -223,7 +236,7 @@ def test_there_is_one_solution_where_every_policy_ends_at_every_point() -> None:
         points = [F(k, 6) for k in range(7)]
         wanted = all(map(ends, points))
         assert equations.one_solution() == wanted
-        assert bool([*equations.unsound()]) != wanted
+        assert bool([*equations.find_faults()]) != wanted
         seen.add(wanted)
     assert seen == {True, False}
 
@@ -234,11 +247,11 @@ def test_below_discount_1_there_is_one_solution_up_to_where_it_is_1() -> None:
 
     loop = parametric(build({"g": F(1, 2)}))
     for high, one in ((F(99, 100), True), (F(1), False)):
-        equations = Equations(loop, "discount", Piece(low=F(0), high=high, origin=F(1, 2)))
+        equations = SectionEquations(loop, "discount", Piece(low=F(0), high=high, origin=F(1, 2)))
         assert equations.one_solution() == one
-        said = [*equations.unsound()]
+        said = [*equations.find_faults()]
         assert said == ["nothing proves that the Bellman equations have one solution"] * (not one)
-        assert equations._leak(0) == fmpq_poly([1, -1])
+        assert equations._compute_exit_probability(0) == fmpq_poly([1, -1])
 
 
 @pytest.mark.parametrize(("discount", "high"), [("1/2", F(3, 4)), ("1/2", F(1)), ("1", F(1))])
@@ -250,12 +263,14 @@ def test_a_run_may_miss_the_goal_at_discount_1_alone(discount: str, high: F) -> 
         mdp = MDP.from_outcomes(rows, discount, target=[1], start=0)
         low = F(1, 4) if discount != "1" else F(1, 2)
         origin = (low + high) / 2
-        equations = Equations(parametric(mdp), "discount", Piece(low=low, high=high, origin=origin))
+        equations = SectionEquations(
+            parametric(mdp), "discount", Piece(low=low, high=high, origin=origin)
+        )
         missed = beside and high == 1
-        assert (equations.misses() is not None) == missed
+        assert (equations.find_missed_goal() is not None) == missed
         words = "a run may end beside the goal, which is worth infinity"
-        assert (words in [*equations.unsound()]) == missed
-    assert made(True).misses() is None
+        assert (words in [*equations.find_faults()]) == missed
+    assert made(True).find_missed_goal() is None
 
 
 def test_chances_that_pass_their_bounds_are_refused() -> None:
@@ -263,12 +278,12 @@ def test_chances_that_pass_their_bounds_are_refused() -> None:
     for low, high, wrong in ((F(0), F(1), False), (F(0), F(2), True), (F(-1), F(1), True)):
         equations = made(True)
         equations.low, equations.high = low, high
-        assert (words in [*equations.unsound()]) == wrong
+        assert (words in [*equations.find_faults()]) == wrong
     more = made(True)
-    more.following[1] = [(1, fmpq_poly([rational(F(3, 4)), 1]))]  # passes 1 from x = 1/4 on
-    assert words in [*more.unsound()]
+    more.following[1] = [(1, fmpq_poly([to_flint(F(3, 4)), 1]))]  # passes 1 from x = 1/4 on
+    assert words in [*more.find_faults()]
 
 
 def test_polynomials_are_told_apart_once_each() -> None:
     one, other = fmpq_poly([1, 2]), fmpq_poly([2, 1])
-    assert _different([one, other, fmpq_poly([1, 2]), other]) == [one, other]
+    assert _remove_duplicates([one, other, fmpq_poly([1, 2]), other]) == [one, other]

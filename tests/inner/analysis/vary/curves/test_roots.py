@@ -11,17 +11,17 @@ from hypothesis import strategies as st
 
 from exact_mdp.analysis.vary.curves.roots import (
     Root,
-    nonnegative,
+    compute_coefficient_signs,
+    compute_sign,
+    count_sign_variations,
+    is_nonnegative,
+    is_positive,
+    isolate_roots,
     odd_part,
-    positive,
-    roots,
+    remove_double_roots,
     roots_on,
-    sign,
-    signs,
-    simple,
-    variations,
 )
-from exact_mdp.mdp.exact import rational
+from exact_mdp.mdp.exact import to_flint
 
 F = Fraction
 
@@ -29,7 +29,7 @@ F = Fraction
 def product(numbers: list[Fraction]) -> flint.fmpq_poly:
     poly = flint.fmpq_poly([1])
     for number in numbers:
-        poly *= flint.fmpq_poly([rational(-number), 1])
+        poly *= flint.fmpq_poly([to_flint(-number), 1])
     return poly
 
 
@@ -47,8 +47,8 @@ def product(numbers: list[Fraction]) -> flint.fmpq_poly:
 def test_signs_on_the_unit_interval(
     coefficients: tuple[Fraction | int, ...], signs: tuple[bool, bool]
 ) -> None:
-    poly = flint.fmpq_poly([rational(c) for c in coefficients])
-    assert (nonnegative(poly, F(0), F(1)), positive(poly, F(0), F(1))) == signs
+    poly = flint.fmpq_poly([to_flint(c) for c in coefficients])
+    assert (is_nonnegative(poly, F(0), F(1)), is_positive(poly, F(0), F(1))) == signs
 
 
 @settings(max_examples=100)
@@ -63,28 +63,30 @@ def test_roots_are_all_found_once_and_signs_change_there(
 ) -> None:
     poly = product(numbers * (1 + square)) * lead
     inside = sorted({number for number in numbers if low < number < 1})
-    for root, number in zip(roots(simple(poly), low, F(1)), inside, strict=True):
-        near = root.narrowed(F(1, 10**9))
+    for root, number in zip(
+        isolate_roots(remove_double_roots(poly), low, F(1)), inside, strict=True
+    ):
+        near = root.narrow_to_width(F(1, 10**9))
         assert near.low <= number <= near.high <= near.low + F(1, 10**9)
-    assert variations(simple(poly), low, F(1)) >= len(inside)
+    assert count_sign_variations(remove_double_roots(poly), low, F(1)) >= len(inside)
     within = {number for number in numbers if low <= number <= 1}
     assert roots_on(poly, low, F(1)) == len(within)
-    assert sign(poly, F(3)) == lead
+    assert compute_sign(poly, F(3)) == lead
     odd = {number for number in inside if numbers.count(number) * (1 + square) % 2}
     assert roots_on(odd_part(poly), low, F(1)) >= len(odd)
-    assert all((sign(odd_part(poly), number) == 0) == (number in odd) for number in inside)
+    assert all((compute_sign(odd_part(poly), number) == 0) == (number in odd) for number in inside)
     cuts = [low, *inside, F(1)]
-    least = min(poly(rational((a + b) / 2)) for a, b in pairwise(cuts))
-    assert nonnegative(poly, low, F(1)) == (least >= 0)
-    assert positive(poly, low, F(1)) == (least > 0 and not within)
+    least = min(poly(to_flint((a + b) / 2)) for a, b in pairwise(cuts))
+    assert is_nonnegative(poly, low, F(1)) == (least >= 0)
+    assert is_positive(poly, low, F(1)) == (least > 0 and not within)
 
 
 def test_roots_closer_than_a_bracket_are_told_apart() -> None:
     """A root 1e-20 from an exact one is not mistaken for it."""
     near, below = F(1, 10**20), F(0)
     every = [F(1, 2) - near, F(1, 2), 1 - near]
-    for root, true in zip(roots(product(every), F(0), F(1)), every, strict=True):
-        brackets = root.apart(below, F(1, 10**12))
+    for root, true in zip(isolate_roots(product(every), F(0), F(1)), every, strict=True):
+        brackets = root.isolate_beyond(below, F(1, 10**12))
         assert below < brackets.low <= true <= brackets.high <= 1
         below = brackets.high
 
@@ -97,25 +99,25 @@ def test_a_root_is_halved_until_it_is_narrow_and_no_further(lead: int, width: Fr
     for number in (F(1, 7), F(-2, 9), F(7, 5), F(22, 17)):
         for others in ([], [low], [high], [low, high], [F(-3)], [F(2)]):
             whole = Root(poly=product([number, *others]) * lead, low=low, high=high)
-            near = whole.narrowed(width)
+            near = whole.narrow_to_width(width)
             assert near.poly == whole.poly
             assert low <= near.low < number < near.high <= high
             assert width / 2 < near.high - near.low <= width
-            assert near.narrowed(near.high - near.low) is near
-            assert near.narrowed(width * 5) is near
+            assert near.narrow_to_width(near.high - near.low) is near
+            assert near.narrow_to_width(width * 5) is near
 
 
 def test_a_root_that_is_met_is_an_exact_one() -> None:
     whole = Root(poly=product([F(5, 8)]), low=F(0), high=F(1))
-    assert whole.narrowed(F(1, 2)).low == F(1, 2)
-    exact = whole.narrowed(F(1, 8))
+    assert whole.narrow_to_width(F(1, 2)).low == F(1, 2)
+    exact = whole.narrow_to_width(F(1, 8))
     assert exact.low == exact.high == F(5, 8)
-    assert exact.narrowed(F(0)) is exact
+    assert exact.narrow_to_width(F(0)) is exact
 
 
 def test_a_root_apart_from_a_point_has_no_root_at_its_ends() -> None:
     third = Root(poly=product([F(0), F(1, 3), F(1)]), low=F(0), high=F(1))
-    exact = third.apart(F(0), F(1, 100))
+    exact = third.isolate_beyond(F(0), F(1, 100))
     assert (exact.low, exact.high) == (F(1, 3), F(1, 3))
     square = flint.fmpq_poly([-2, 0, 1])
     for poly, low, high in (
@@ -125,22 +127,24 @@ def test_a_root_apart_from_a_point_has_no_root_at_its_ends() -> None:
         (square * product([F(1), F(2)]), F(1), F(2)),
     ):
         for point in (F(1), F(141421356237, 10**11)):
-            near = Root(poly=poly, low=low, high=high).apart(point, F(3))
+            near = Root(poly=poly, low=low, high=high).isolate_beyond(point, F(3))
             assert point < near.low < near.high
             assert near.low**2 < 2 < near.high**2
             assert near.high - near.low <= 1
-            assert sign(poly, near.low) * sign(poly, near.high) == -1
-    loose = Root(poly=square, low=F(1), high=F(2)).apart(F(0), F(3))
+            assert compute_sign(poly, near.low) * compute_sign(poly, near.high) == -1
+    loose = Root(poly=square, low=F(1), high=F(2)).isolate_beyond(F(0), F(3))
     assert (loose.low, loose.high) == (1, 2)
     long = F(123456789012347, 10**15)  # no fraction of a denominator that is looked for
-    wide = Root(poly=product([long]), low=F(0), high=F(1)).apart(F(0), F(1, 10**3))
+    wide = Root(poly=product([long]), low=F(0), high=F(1)).isolate_beyond(F(0), F(1, 10**3))
     assert 0 < wide.low < long < wide.high
 
 
 @pytest.mark.parametrize("digits", [1, 6, 12])
 def test_a_root_apart_is_a_fraction_where_its_denominator_is_small(digits: int) -> None:
     number = F(10 ** (digits - 1) + 1, 10**digits - 1) if digits > 1 else F(2, 7)
-    near = Root(poly=product([number]), low=F(0), high=F(1)).apart(F(0), F(1, 10 ** (2 * digits)))
+    near = Root(poly=product([number]), low=F(0), high=F(1)).isolate_beyond(
+        F(0), F(1, 10 ** (2 * digits))
+    )
     assert (near.low, near.high) == (number, number)
 
 
@@ -162,21 +166,21 @@ def test_signs_are_those_of_the_coefficients_after_the_substitution() -> None:
     for _ in range(40):
         numbers = [F(int(k)) for k in rng.integers(-9, 10, 4)] + [F(1)]
         low, high = (F(int(k), 5) for k in sorted(rng.choice(np.arange(-9, 10), 2, replace=False)))
-        poly = flint.fmpq_poly([rational(c) for c in numbers])
-        up, one = flint.fmpq_poly([rational(high), rational(low)]), flint.fmpq_poly([1, 1])
-        terms = (rational(c) * up**k * one ** (4 - k) for k, c in enumerate(numbers))
+        poly = flint.fmpq_poly([to_flint(c) for c in numbers])
+        up, one = flint.fmpq_poly([to_flint(high), to_flint(low)]), flint.fmpq_poly([1, 1])
+        terms = (to_flint(c) * up**k * one ** (4 - k) for k, c in enumerate(numbers))
         coefficients = sum(terms, flint.fmpq_poly()).coeffs()
         wanted = [c > 0 for c in coefficients if c != 0]
-        assert signs(poly, low, high) == wanted
-        assert variations(poly, low, high) == sum(a != b for a, b in pairwise(wanted))
+        assert compute_coefficient_signs(poly, low, high) == wanted
+        assert count_sign_variations(poly, low, high) == sum(a != b for a, b in pairwise(wanted))
 
 
 def test_at_one_point_an_interval_is_as_a_point() -> None:
     poly = product([F(1), F(2)])
     for x, least in ((F(0), 1), (F(1), 0), (F(3, 2), -1), (F(2), 0), (F(3), 1)):
-        assert sign(poly, x) == least
-        assert nonnegative(poly, x, x) == (least >= 0)
-        assert positive(poly, x, x) == (least > 0)
+        assert compute_sign(poly, x) == least
+        assert is_nonnegative(poly, x, x) == (least >= 0)
+        assert is_positive(poly, x, x) == (least > 0)
         assert roots_on(poly, x, x) == (least == 0)
 
 
@@ -186,36 +190,38 @@ def test_a_polynomial_is_looked_at_inside_the_interval_alone() -> None:
         at = [low + (high - low) * F(k, 6) for k in range(1, 6)]
         for a, b in pairwise(at):
             double = product([a, a, b, b])
-            assert nonnegative(double, low, high)
-            assert not nonnegative(-double, low, high)
-            assert nonnegative(double * product([low]), low, high)
-            assert nonnegative(-double * product([high]), low, high)
-            assert not nonnegative(-double * product([low]), low, high)
-            assert not nonnegative(double * product([high]), low, high)
+            assert is_nonnegative(double, low, high)
+            assert not is_nonnegative(-double, low, high)
+            assert is_nonnegative(double * product([low]), low, high)
+            assert is_nonnegative(-double * product([high]), low, high)
+            assert not is_nonnegative(-double * product([low]), low, high)
+            assert not is_nonnegative(double * product([high]), low, high)
 
 
 def test_double_roots_become_single_ones() -> None:
     a, b, c = F(1, 2), F(-3), F(5, 7)
     poly = product([a, b, b, c, c, c]) * 6
-    assert simple(poly) / simple(poly).leading_coefficient() == product([a, b, c])
+    assert remove_double_roots(poly) / remove_double_roots(poly).leading_coefficient() == product(
+        [a, b, c]
+    )
     odd = odd_part(poly)
     assert odd / odd.leading_coefficient() == product([a, c])
     assert odd_part(product([b, b])).degree() == 0
     for few in (flint.fmpq_poly([3]), product([a]), flint.fmpq_poly()):
-        assert simple(few) == few
-    assert simple(product([b, b])).degree() == 1
-    assert [each.low for each in roots(product([a]), F(0), F(1))] == [F(0)]
+        assert remove_double_roots(few) == few
+    assert remove_double_roots(product([b, b])).degree() == 1
+    assert [each.low for each in isolate_roots(product([a]), F(0), F(1))] == [F(0)]
     assert roots_on(poly, b, c) == 3
     assert roots_on(poly, a, F(7, 10)) == 1
 
 
 def test_a_root_of_more_than_twelve_digits_is_not_looked_for() -> None:
     number = F(10**12 + 1, 10**13 - 1)
-    near = Root(poly=product([number]), low=F(0), high=F(1)).apart(F(0), F(1, 10**26))
+    near = Root(poly=product([number]), low=F(0), high=F(1)).isolate_beyond(F(0), F(1, 10**26))
     assert near.low < number < near.high
 
 
 def test_a_root_at_an_end_is_not_the_one_inside() -> None:
     number = F(1, 10**13 + 1)
-    near = Root(poly=product([F(0), number]), low=F(0), high=F(1)).apart(F(-1), F(1, 100))
+    near = Root(poly=product([F(0), number]), low=F(0), high=F(1)).isolate_beyond(F(-1), F(1, 100))
     assert 0 < near.low < number < near.high

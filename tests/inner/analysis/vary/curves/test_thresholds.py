@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from exact_mdp import MDP, Family, Parameter, thresholds
-from exact_mdp.analysis.vary.curves.thresholds import _alike, report_of
+from exact_mdp.analysis.vary.curves.thresholds import _group_switches, report_of
 
 WIDTH = F(1, 10**12)
 
@@ -169,7 +169,7 @@ def test_states_of_several_columns_are_told_by_the_last() -> None:
             "after": (after,),
         }
 
-    rows = _alike(
+    rows = _group_switches(
         [
             change("s0", "01", 0.25),
             change("s1", "10", 0.375),

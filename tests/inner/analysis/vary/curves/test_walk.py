@@ -15,20 +15,20 @@ from oracle import policy_values, rows_of
 from exact_mdp import MDP, Family, curve, parametric
 from exact_mdp.analysis.vary.curves import walk
 from exact_mdp.analysis.vary.curves.curve import ValueFunction
-from exact_mdp.analysis.vary.curves.equations import Equations
-from exact_mdp.analysis.vary.curves.roots import Root, roots
+from exact_mdp.analysis.vary.curves.equations import SectionEquations
+from exact_mdp.analysis.vary.curves.roots import Root, isolate_roots
 from exact_mdp.analysis.vary.curves.walk import (
     Sweep,
-    _degree,
-    _earlier,
-    _interpolated,
-    _middle,
-    optimum,
-    unending,
-    values_of,
+    _bound_degree,
+    _build_section_equations,
+    _find_earlier_root,
+    _interpolate_values,
+    compute_policy_values,
+    find_optimal_pairs,
+    make_improper_error,
 )
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.exact import fraction, rational
+from exact_mdp.mdp.exact import from_flint, to_flint
 from exact_mdp.mdp.parametric.row_change import Piece
 
 
@@ -50,9 +50,9 @@ def test_values_of_a_policy_are_ratios_of_polynomials(name: str, shares: tuple[F
     if name == "discount":
         family = parametric(ring({"x": F(1, 2)}))
     section = Piece(low=F(1, 10), high=F(9, 10), origin=F(1, 2))
-    equations = Equations(family, name, section)
-    mix = [[(0, rational(F(1)))], [(1 + k, rational(p)) for k, p in enumerate(shares) if p]]
-    tops, below = values_of(equations, mix)
+    equations = SectionEquations(family, name, section)
+    mix = [[(0, to_flint(F(1)))], [(1 + k, to_flint(p)) for k, p in enumerate(shares) if p]]
+    tops, below = compute_policy_values(equations, mix)
     for k in range(1, 10):
         place = F(k, 10)
         mdp = family.at({name: place})
@@ -61,9 +61,9 @@ def test_values_of_a_policy_are_ratios_of_polynomials(name: str, shares: tuple[F
                 {t: shares[0] * rows[1][3].get(t, F(0)) + shares[1] * rows[2][3].get(t, F(0))
                  for t in (0, 1)})  # fmt: skip
         wanted = policy_values([rows[0], mean], mdp.discount_exact)
-        d = below(rational(place))
+        d = below(to_flint(place))
         assert d > 0
-        assert [fraction(top(rational(place)) / d) for top in tops] == wanted
+        assert [from_flint(top(to_flint(place)) / d) for top in tops] == wanted
 
 
 @pytest.mark.parametrize("apart", [F(1, 100), F(1, 10**15), F(1, 10**25)])
@@ -170,7 +170,7 @@ def test_a_point_next_to_the_middle_is_used_where_a_chance_is_0_there() -> None:
                 return MDP.from_outcomes(rows, "1/2")
 
             family = Family(parameters={"x": "9/20"}, build=build, degrees={"x": 5})
-            equations = _middle(family, "x", low, high)
+            equations = _build_section_equations(family, "x", low, high)
             origin = equations.change.piece.origin
             assert low < origin < high
             assert chance(origin) > 0
@@ -182,39 +182,39 @@ def test_a_point_next_to_the_middle_is_used_where_a_chance_is_0_there() -> None:
 
 
 def factored(*numbers: F) -> fmpq_poly:
-    return prod((fmpq_poly([rational(-n), 1]) for n in numbers), start=fmpq_poly([1]))
+    return prod((fmpq_poly([to_flint(-n), 1]) for n in numbers), start=fmpq_poly([1]))
 
 
 def test_the_earlier_of_two_roots_is_the_smaller() -> None:
     rng = np.random.default_rng(5)
     for _ in range(60):
         a, b, c, d = (F(int(k), 997) for k in rng.choice(np.arange(1, 997), 4, replace=False))
-        one = next(r for r in roots(factored(a, c), F(0), F(1)))
-        other = next(r for r in roots(factored(b, d), F(0), F(1)))
+        one = next(r for r in isolate_roots(factored(a, c), F(0), F(1)))
+        other = next(r for r in isolate_roots(factored(b, d), F(0), F(1)))
         wanted = one if min(a, c) < min(b, d) else other
-        assert _earlier(one, other).is_of(wanted.poly)
-        assert _earlier(other, one).is_of(wanted.poly)
+        assert _find_earlier_root(one, other).is_of(wanted.poly)
+        assert _find_earlier_root(other, one).is_of(wanted.poly)
 
 
 def test_of_equal_roots_the_one_known_better_is_the_earlier() -> None:
     square = fmpq_poly([-2, 0, 1])
     wide = Root(poly=square, low=F(1), high=F(2))
     close = Root(poly=square * fmpq_poly([-3, 1]), low=F(7, 5), high=F(3, 2))
-    assert _earlier(wide, close) is close
-    assert _earlier(close, wide) is close
+    assert _find_earlier_root(wide, close) is close
+    assert _find_earlier_root(close, wide) is close
     alike = Root(poly=square * fmpq_poly([-5, 1]), low=F(1), high=F(2))
-    assert _earlier(wide, alike) is wide
+    assert _find_earlier_root(wide, alike) is wide
     point = Root(poly=factored(F(1, 2)), low=F(1, 2), high=F(1, 2))
     around = Root(poly=factored(F(1, 2), F(-5)), low=F(0), high=F(1))
-    assert _earlier(point, around) is point
-    assert _earlier(around, point) is point
+    assert _find_earlier_root(point, around) is point
+    assert _find_earlier_root(around, point) is point
     beyond = Root(poly=factored(F(3, 4)), low=F(1, 2), high=F(1))
-    assert _earlier(point, beyond) is point
-    assert _earlier(beyond, point) is point
+    assert _find_earlier_root(point, beyond) is point
+    assert _find_earlier_root(beyond, point) is point
 
 
 def sweep_of(family: Family, low: F, high: F) -> Sweep:
-    return Sweep(_middle(family, "x", low, high), None, 1)
+    return Sweep(_build_section_equations(family, "x", low, high), None, 1)
 
 
 def test_brackets_are_decimals_around_a_root_within_what_is_left() -> None:
@@ -224,7 +224,7 @@ def test_brackets_are_decimals_around_a_root_within_what_is_left() -> None:
         (Root(poly=square, low=F(0), high=F(1)), None),
         (Root(poly=factored(F(1, 4)), low=F(1, 4), high=F(1, 4)), F(1, 4)),
     ):
-        for k, (low, high) in enumerate(islice(sweep._brackets(root, F(0)), 4)):
+        for k, (low, high) in enumerate(islice(sweep._yield_narrowing_brackets(root, F(0)), 4)):
             unit = F(1, 10 ** (13 + 3 * k))
             assert high - low <= 2 * unit
             assert (low / unit).denominator == (high / unit).denominator == 1
@@ -234,17 +234,17 @@ def test_brackets_are_decimals_around_a_root_within_what_is_left() -> None:
                 assert (low, high) == (true - unit, true + unit)
     quarter = Root(poly=factored(F(1, 4)), low=F(1, 4), high=F(1, 4))
     here = F(1, 4) - F(1, 10**16)
-    low, _ = next(sweep._brackets(quarter, here))
+    low, _ = next(sweep._yield_narrowing_brackets(quarter, here))
     assert low == F(1, 4) - F(1, 10**19)
     sweep.high = F(1, 4) + F(1, 10**16)
-    _, high = next(sweep._brackets(quarter, F(0)))
+    _, high = next(sweep._yield_narrowing_brackets(quarter, F(0)))
     assert high == F(1, 4) + F(1, 10**19)
 
 
 def test_the_best_action_of_a_state_is_taken_first() -> None:
     sweep = sweep_of(paying([[0], [3], [1]], [[0], [1]], [[5], [2]]), F(0), F(1))
-    sweep._follow(np.array([0, 3, 5, 7]))
-    sweep._improve(F(1, 4), F(1, 2))
+    sweep._follow_policy(np.array([0, 3, 5, 7]))
+    sweep._improve_policy(F(1, 4), F(1, 2))
     assert sweep.policy.tolist() == [1, 4, 5, 7]
 
 
@@ -267,17 +267,17 @@ def test_the_degree_is_the_sum_of_the_greatest_of_each_state(
         return MDP.from_outcomes(rows, "1/2")
 
     family = Family(parameters={"x": "1/2"}, build=build, degrees={"x": 2})
-    equations = _middle(family, "x", F(0), F(1))
-    assert _degree(equations) == 3
+    equations = _build_section_equations(family, "x", F(0), F(1))
+    assert _bound_degree(equations) == 3
     monkeypatch.setattr(walk, "LARGEST", 3)
     monkeypatch.setattr(walk, "CYCLIC_DEGREE", 3)
-    assert _degree(equations) == 3
+    assert _bound_degree(equations) == 3
     monkeypatch.setattr(walk, "CYCLIC_DEGREE", 2)
     with pytest.raises(ModelError, match="degree 3"):
-        _degree(equations)
+        _bound_degree(equations)
     monkeypatch.setattr(walk, "LARGEST", 2)
     with pytest.raises(ModelError, match="3 states with cycles"):
-        _degree(equations)
+        _bound_degree(equations)
 
 
 def test_values_are_interpolated_from_points_inside_the_section() -> None:
@@ -285,14 +285,14 @@ def test_values_are_interpolated_from_points_inside_the_section() -> None:
     seen = []
 
     def chance(at: Any) -> Any:
-        seen.append(fraction(at))
+        seen.append(from_flint(at))
         return at / 2
 
     section: Any = SimpleNamespace(low=F(1, 3), high=F(5, 3))
     entries: Any = [(1, chance), (2, chance)]
-    tops, below = _interpolated(section, 2, entries, [fmpq_poly([0, 1]), fmpq_poly([1])])
-    assert below == fmpq_poly([1, 0, rational(F(-1, 4))])
-    assert tops == [fmpq_poly([0, rational(F(3, 2))]), fmpq_poly([1, 0, rational(F(1, 2))])]
+    tops, below = _interpolate_values(section, 2, entries, [fmpq_poly([0, 1]), fmpq_poly([1])])
+    assert below == fmpq_poly([1, 0, to_flint(F(-1, 4))])
+    assert tops == [fmpq_poly([0, to_flint(F(3, 2))]), fmpq_poly([1, 0, to_flint(F(1, 2))])]
     assert len({*seen}) == 3
     assert all(F(1, 3) < x < F(5, 3) for x in seen)
 
@@ -309,16 +309,18 @@ def test_without_cycles_values_are_polynomials() -> None:
         ]
         return MDP.from_outcomes(rows, "3/4")
 
-    equations = _middle(Family(parameters={"x": "1/2"}, build=build), "x", F(0), F(1))
-    mix = [[(0, rational(F(1, 3))), (1, rational(F(2, 3)))], [(2, rational(F(1)))], []]
-    tops, below = values_of(equations, mix)
+    equations = _build_section_equations(
+        Family(parameters={"x": "1/2"}, build=build), "x", F(0), F(1)
+    )
+    mix = [[(0, to_flint(F(1, 3))), (1, to_flint(F(2, 3)))], [(2, to_flint(F(1)))], []]
+    tops, below = compute_policy_values(equations, mix)
     assert below == 1
-    assert tops[0] == fmpq_poly([rational(F(13, 12)), rational(F(5, 6))])
+    assert tops[0] == fmpq_poly([to_flint(F(13, 12)), to_flint(F(5, 6))])
     assert tops[1:] == [fmpq_poly([-1, 2]), fmpq_poly()]
 
 
 def test_where_values_may_be_infinite_is_said_with_the_ways_out() -> None:
-    plain, both = unending("here"), unending("there", beside=True)
+    plain, both = make_improper_error("here"), make_improper_error("there", beside=True)
     assert plain.where == "the total at discount 1, here"
     assert "some policy never ends" in plain.what
     assert "within(N)" in plain.fix
@@ -326,7 +328,7 @@ def test_where_values_may_be_infinite_is_said_with_the_ways_out() -> None:
     assert "beside the goal" in both.what
     assert "within(N)" not in both.fix
     assert "every run ends at the goal" in both.fix
-    assert "range" not in unending("here", ranges=False).fix
+    assert "range" not in make_improper_error("here", ranges=False).fix
 
     def build(at: dict[str, F]) -> MDP:
         rows = [(0, 0, [(at["x"], 1, 1), (1 - at["x"], 0, 1)]), (0, 1, [(1, 0, 0)])]
@@ -345,7 +347,7 @@ def test_a_model_gives_an_optimal_pair_of_every_state() -> None:
         (1, 1, [(1, 1, 4)]),
         (1, 2, [(1, 1, 4)]),
     ]
-    pairs, start = optimum(MDP.from_outcomes(rows, "1/2", start=0))
+    pairs, start = find_optimal_pairs(MDP.from_outcomes(rows, "1/2", start=0))
     assert pairs.tolist() == [1, 3]
     assert start.value == 4
 

@@ -1,6 +1,7 @@
-"""The loop of methods that improve values, with a solver of a user's own."""
+"""Values that a solver of a user's own improves state by state."""
 
 from dataclasses import dataclass
+from time import perf_counter
 from typing import ClassVar
 
 import numpy as np
@@ -8,10 +9,10 @@ import pytest
 from cases import BY_NAME
 from strategies import of_case
 
-from exact_mdp import Status, solve
-from exact_mdp.solvers.dynamic.iterate import Values
+from exact_mdp import MDP, Status, solve
 from exact_mdp.solvers.dynamic.methods import Improving
 from exact_mdp.solvers.kernels import bellman
+from exact_mdp.solvers.solution import Solution
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,10 +21,17 @@ class OneByOne(Improving):
 
     name: ClassVar[str] = "one-by-one"
 
-    def step(self, values: Values, goal: float) -> None:
-        values.take()
-        model = bellman.model_of(values.mdp, values.mdp.reward, values.weights.margin)
-        bellman.relax(np.arange(values.mdp.n_states), model, values.value, values.level)
+    def maximise(self, model: MDP) -> Solution:
+        started = perf_counter()
+        values, stopping = self.begin(model)
+        pairs = bellman.build_compiled_model(model, model.reward, values.weights.margin)
+        for _ in range(self.max_iterations):
+            values.pass_over_pairs()
+            if stopping.is_reached():
+                break
+            values.apply_backup()
+            bellman.relax_states(np.arange(model.n_states), pairs, values.value, values.level)
+        return stopping.conclude(self, started)
 
 
 @pytest.mark.parametrize("name", ["howard-taxicab", "forest-10-24/25", "puterman-two-state-9/10"])

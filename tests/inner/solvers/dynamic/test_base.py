@@ -1,0 +1,65 @@
+"""The interface of solvers: settings that are refused, and the end of a search."""
+
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+import pytest
+
+from exact_mdp import MDP, ModelError, PolicyIteration, SolverError, Status
+from exact_mdp.solvers.bounds.bounds import bound_optimal_values
+from exact_mdp.solvers.dynamic.base import check_counts, check_tolerance, conclude_solution
+from exact_mdp.solvers.solution import PrecisionWarning
+
+MODEL = MDP.from_arrays([[[1]], [[1]]], [[1, 2]], discount="1/2")
+
+
+@pytest.mark.parametrize("tol", [0, -1, np.inf, np.nan, True, "1e-3"])
+def test_a_tolerance_is_positive_and_finite(tol: Any) -> None:
+    with pytest.raises(ModelError, match="tol is"):
+        check_tolerance("solve", tol)
+
+
+def test_tolerances_and_counts_that_may_be_given() -> None:
+    for tol in (None, 1e-300, 1, 1e300):
+        check_tolerance("solve", tol)
+    check_counts("solve", a=1, b=10**9)
+
+
+@pytest.mark.parametrize("count", [0, -1, 1.5, True, "3"])
+def test_a_count_is_a_whole_number_from_1_up(count: Any) -> None:
+    with pytest.raises(ModelError):
+        check_counts("solve", max_iterations=count)
+
+
+def conclude(status: Status) -> Any:
+    """Conclude a search whose values are 3.5 ± …, of the optimum 4."""
+    bounds = bound_optimal_values(MODEL, np.array([3.5])).centre_bounds()
+    return conclude_solution(
+        MODEL, PolicyIteration(), bounds, status=status, iterations=7, started=perf_counter()
+    )
+
+
+def test_a_solution_has_the_middle_of_the_bounds() -> None:
+    solution = conclude(Status.CONVERGED)
+    assert abs(solution.value[0] - 4) <= solution.state_error[0]
+    assert (solution.iterations, solution.method) == (7, "policy-iteration")
+    assert solution.policy.tolist() == [1]
+    assert solution.regret_bound >= 0
+    assert 0 <= solution.seconds < 60
+
+
+def test_a_search_without_a_proof_raises_and_keeps_its_solution() -> None:
+    for status in (Status.ITERATION_LIMIT, Status.NO_BOUND):
+        with pytest.raises(SolverError, match="after 7 iterations") as caught:
+            conclude(status)
+        assert caught.value.status is status
+        assert caught.value.solution.iterations == 7
+    with pytest.warns(PrecisionWarning):
+        conclude(Status.PRECISION)
+
+
+def test_costs_are_solved_as_negated_rewards() -> None:
+    costs = MDP.from_arrays([[[1]], [[1]]], [[1, 2]], discount="1/2", sense="min")
+    solution = PolicyIteration().solve(costs)
+    assert (solution.value.tolist(), solution.policy.tolist()) == ([2.0], [0])

@@ -1,0 +1,76 @@
+"""How the code names things: a function by a verb and its object, and each thing by one name."""
+
+import ast
+import re
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+import exact_mdp
+
+PACKAGE = Path(exact_mdp.__file__).parent
+ROOT = Path(__file__).resolve().parents[2]
+PARTICIPLE = re.compile(r"[a-z]+(ed|en|ing)")
+IRREGULAR = re.compile(
+    "known|kept|shown|meant|taken|given|held|told|found|made|said|left|lost|seen|read|written|"
+    "chosen|drawn|least|most|short|long|alone|alike|poor|slow|whole|apart|common|often|nearly"
+)
+VERBS = {"feed", "need", "seed", "embed", "exceed"}
+# Names that users script against, and their overrides.
+PUBLIC = {
+    *("perceived", "counted", "negated", "moving", "made", "posed", "undecided", "reaching"),
+    *("heading", "thing", "chosen", "least"),
+}
+# Short helpers inside one function, and the checker that stands alone.
+INNER = {"claimed", "fixed", "flipped", "seen"}
+CHECKER = {"wanted", "headed", "keyed", "read", "weighted", "alone", "reaching"}
+SEVERAL_HOMES = {"main", "__dir__", "Level"}  # entry points; the checker has levels of its own
+
+
+def modules() -> Iterator[tuple[Path, ast.Module]]:
+    """Yield the modules but for the proven checker, which has the names of the Coq program."""
+    for path in sorted(PACKAGE.rglob("*.py")):
+        if path.name != "verified.py":
+            yield path, ast.parse(path.read_text("utf-8"))
+
+
+def functions() -> list[tuple[Path, str]]:
+    """Return the names of all functions, without properties and special methods."""
+    found = list[tuple[Path, str]]()
+    for path, tree in modules():
+        for node in ast.walk(tree):
+            if not isinstance(node, ast.FunctionDef) or node.name.startswith("__"):
+                continue
+            if not any("property" in ast.unparse(each) for each in node.decorator_list):
+                found.append((path, node.name.lstrip("_")))
+    return found
+
+
+def test_a_function_is_a_verb_with_its_object() -> None:
+    names = functions()
+    words = [name for _, name in names if "_" not in name]
+    assert len(words) <= 0.2 * len(names)
+    bare = {
+        (path.stem == "checker" and path.parent.name == "exact", name)
+        for path, name in names
+        if name not in VERBS and (PARTICIPLE.fullmatch(name) or IRREGULAR.fullmatch(name))
+    }
+    assert {name for is_checker, name in bare if not is_checker} <= PUBLIC | INNER
+    assert {name for is_checker, name in bare if is_checker} <= CHECKER
+
+
+def test_a_name_has_one_home() -> None:
+    homes = defaultdict[str, set[Path]](set)
+    for path, tree in modules():
+        for node in tree.body:
+            if isinstance(node, ast.FunctionDef | ast.ClassDef):
+                homes[node.name].add(path)
+    assert {name for name, where in homes.items() if len(where) > 1} <= SEVERAL_HOMES
+
+
+def test_the_glossary_explains_each_word_once() -> None:
+    page = (ROOT / "ARCHITECTURE.md").read_text("utf-8")
+    glossary = page.partition("## Glossary")[2].partition("\n## ")[0]
+    words = [line.split("|")[1].strip() for line in glossary.splitlines() if line.startswith("| ")]
+    words = [word for word in words if word != "word"]
+    assert len(words) == len(set(words)) >= 60
