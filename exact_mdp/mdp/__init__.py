@@ -1,4 +1,4 @@
-"""What a problem is: finite Markov decision processes, exact and explicit.
+"""Problems: finite Markov decision processes, exact and explicit.
 
 >>> from exact_mdp import Scenario
 >>> Scenario.load("yuan2025").compile()

@@ -1,10 +1,10 @@
 """Models from arrays, from rows of pairs and from lists of outcomes, floats or exact rationals.
 
-Every form becomes columns: state and action of each pair, and next state, probability, reward and
-amounts of what follows; `_parts_from_columns` makes the parts of a model of these. Every number
-keeps its exact value (`mdp.forms.numbers`); rows of floats mean what `mdp.forms.rows` says. Where
-all numbers are doubles, and one at least was given as a float, the table holds floats; else
-integers.
+Every form is turned into columns: state and action of each pair; next state, probability, reward
+and component amounts of each outcome. `_parts_from_columns` makes the parts of a model from them.
+Every number keeps its exact value (`mdp.forms.numbers`); `mdp.forms.rows` defines the exact
+distribution that a row of floats stands for. If all numbers fit in doubles, and at least one was
+given as a float, the table holds floats; else integers.
 """
 
 from __future__ import annotations
@@ -36,11 +36,13 @@ from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Integers, Numbers, exact
 from exact_mdp.mdp.validate import COUNTED, Parts, as_discount, as_start, check_options
 
-MOST_UNNAMED_ACTIONS = 100_000  # a higher number is a typing error rather than an action
+# An action number from here on, without names for the actions, is more likely a typing error, and a
+# name for each smaller number would fill the memory.
+MOST_UNNAMED_ACTIONS = 100_000
 ACTIONS_LAST = "ssa"
 LAYOUTS = {"ass": 1, "sas": 0}
-"""Orders of the indices of P, action, state, next state or state, action, next state, and which of
-the indices is that of the states."""
+"""The two orders of the indices of P, "action, state, next state" and "state, action, next state",
+and the place of the state in each."""
 
 Flags = NDArray[np.bool_]
 
@@ -64,23 +66,23 @@ class FromArrays(Parts):
         Parameters
         ----------
         P : (A, S, S), (S, A, S) or (S, S, A) array, A sparse (S, S) matrices, or {action: matrix}
-            Transition probabilities: Fractions, ints, "p/q" and floats in any mixture; each number
-            keeps its exact value, a float that of the binary fraction that it is. Or P[s][a][t] in
+            Transition probabilities: Fractions, ints, "p/q" and floats in any mixture. Each number
+            keeps its exact value; a float is the binary fraction that it stores. Or P[s][a][t] in
             dictionaries, or quadruples (s, a, t, p): see `mdp.forms.listed`.
         R : (S,), (S, A) or (A, S, S) array, a sparse (S, A) matrix, or A sparse (S, S) ones
-            Rewards of states, of pairs, or of transitions. An action with the reward -inf (inf
-            where rewards are costs) is not available, whatever P says of it; all others are.
+            Rewards of states, of pairs, or of transitions. An action with the reward -inf (inf for
+            costs) is not available, whatever its row in P; all others are.
         discount : number or "p/q"
         layout : "ass", "sas" or "ssa", optional
-            Order of the indices action and state, of P and of rewards of transitions. The shape
-            says it, but not where A = S: there it is needed if the two readings of P differ. "ssa",
-            P[state, next state, action], has to be said.
+            Order of the indices action and state, in P and in rewards of transitions. It follows
+            from the shape, unless A = S: then it is needed if the two readings of P differ. "ssa",
+            P[state, next state, action], must always be given.
         start : state, {state: probability}, (S,) probabilities, or another model's `start`
-            The first state unless given; `mdp.forms.names` says how a state is named.
+            The first state by default; see `mdp.forms.names` for ways to name a state.
         **names
-            `actions` (A words), `states` (S words), `name`; `sense`, "max" or "min" where rewards
-            are costs; `labels` {name: (S,) truth values}; `components` {name: amounts as `R` or
-            `reward` has them, or one for each pair}: what they leave of the reward is a component
+            `actions` (A words), `states` (S words), `name`; `sense`, "max" or "min" (for costs);
+            `labels` {name: (S,) truth values}; `components` {name: amounts in the form of `R` or
+            `reward`, or one for each pair}. The reward less all given components is the component
             "rest".
 
         Returns
@@ -90,7 +92,7 @@ class FromArrays(Parts):
         Raises
         ------
         ModelError
-            For shapes that do not fit, or fit two readings that differ; and as the constructor
+            For shapes that do not fit, or that allow two different readings; and as the constructor
             does.
 
         Examples
@@ -109,15 +111,17 @@ class FromArrays(Parts):
             raise ModelError(
                 "no rewards are given",
                 where="R",
-                fix="give them beside P: MDP.from_arrays(P, R); where each outcome comes with its "
+                fix="give them beside P: MDP.from_arrays(P, R); if each outcome comes with its "
                 "reward, use MDP.from_outcomes",
             )
+        # Nested dictionaries and quadruples list outcomes.
         if listed.is_listed(P):
             if layout not in (None, "sas"):
-                fix = "leave it out; what is listed goes by state, then action"
+                fix = "leave it out; dictionaries go by state, then action"
                 raise ModelError(f"dictionaries are not {layout!r}", where="layout", fix=fix)
             pairs, names = listed.rows_from_listed(P, R, {**names, "start": start})
             return cls.from_outcomes(pairs, discount, **names)
+        # Bring P into rows (L, S), sorted by state, then action.
         if layout == ACTIONS_LAST:
             P, R, layout = _move_actions_first(P, "P"), _move_actions_first(R, "R"), "ass"
             each_component(names, _move_actions_first)
@@ -128,41 +132,53 @@ class FromArrays(Parts):
         P, R, layout, listed_pairs = listed.fill_missing_rows(P, R, layout)
         rows, shape, order = _rows_of_matrices(P, "P", layout)
         states, actions = shape
+        # With as many actions as states, the shape does not tell which index is which.
         swapped = None
         if layout is None and states == actions > 1:
             swapped = np.arange(states * actions).reshape(shape).T.reshape(-1)
             _check_alike(rows, swapped)
+        # Keys of a dictionary of matrices are names of the first index.
         if keys != [*range(len(keys))]:
-            states_named = {"states": name_things(keys, "state")} if order == "sas" else {}
-            names = (states_named or action_names(keys)) | names
+            if order == "sas":
+                names = {"states": name_things(keys, "state")} | names
+            else:
+                names = action_names(keys) | names
 
         def of_pairs(values: Any, where: str) -> Any:
+            """Return rewards, or amounts of a component, by pair or by transition."""
             if isinstance(values, Mapping) and keys and values.keys() == {*keys}:
                 matrices = [values[key] for key in keys]
-                values = matrices if all(np.ndim(each) == 2 for each in matrices) else values
-            like = order if states == actions else layout
+                if all(np.ndim(each) == 2 for each in matrices):
+                    values = matrices
+            like = layout
+            if states == actions:
+                like = order
             rewards, of_transitions = _rewards_of_arrays(values, where, shape, like, order)
             if swapped is not None and of_transitions:
                 _check_alike(rewards, swapped)
             return rewards
 
+        # An infinite reward marks an action that is not available.
         reward = of_pairs(R, "R")
         offered = _find_available_pairs(reward, names, listed_pairs)
-        count = states * actions if offered is None else np.count_nonzero(offered)
+        count = states * actions
+        if offered is not None:
+            count = int(np.count_nonzero(offered))
 
         def read_amounts(values: Any, where: str) -> Any:
-            if not (
-                isinstance(values, Mapping) or is_pandas_table(values) or _holds_sparse(values)
-            ):
+            """Return the amounts of a component: one for each pair, or in a form of R."""
+            other = isinstance(values, Mapping) or is_pandas_table(values) or _holds_sparse(values)
+            if not other:
                 array = array_of(values, where)
                 if array.shape in ((count,), (states * actions,)):
-                    return array  # one for each pair
+                    return array
             return of_pairs(values, where)
 
         names.setdefault("actions", [str(number) for number in range(actions)])
         each_component(names, read_amounts)
         pair = np.arange(states * actions)
         columns = pair // actions, pair % actions, rows, reward, offered
+        # The table may use the rows as they are only if they are not the user's own array.
         own = not isinstance(P, np.ndarray) or not np.may_share_memory(rows, P)
         return cls(
             **_parts_from_pairs(*columns, names | {"discount": discount, "start": start}, own=own)
@@ -236,9 +252,9 @@ class FromArrays(Parts):
         Parameters
         ----------
         rows : iterable
-            One for each pair, in any order. In place of a reward there may be
-            {component: amount}: the reward is their sum. `components` may also have, for a pair, a
-            list with the amount of each of its outcomes.
+            One row for each pair, in any order. Instead of a reward, an outcome may have
+            {component: amount}; the reward is their sum. In `components`, the amount of a pair may
+            also be a list with the amount of each of its outcomes.
         discount, start, **names
             As in `from_arrays`.
 
@@ -259,16 +275,19 @@ class FromArrays(Parts):
         [0.5, 0.0]
         """
         check_options(names, COUNTED)
+        # Sort the pairs by state, then action, and list all outcomes in this order.
         try:
             pairs = [(index(row[0]), index(row[1]), list(row[2])) for row in rows]
             order = np.array(sorted(range(len(pairs)), key=lambda each: pairs[each][:2]), np.int64)
             state = np.array([row[0] for row in pairs], dtype=np.int64)[order]
             action = np.array([row[1] for row in pairs], dtype=np.int64)[order]
-            every = [(p, index(to), r) for number in order for p, to, r in pairs[number][2]]
+            every = []
+            for number in order:
+                every += [(p, index(to), r) for p, to, r in pairs[number][2]]
             following = np.array([to for _, to, _ in every], dtype=np.int64)
         except (TypeError, ValueError, LookupError, OverflowError) as error:
             raise ModelError(
-                f"a row or an outcome is not of the right form: {error}",
+                f"a row or an outcome has the wrong form: {error}",
                 where="rows",
                 fix="give (state, action, [(probability, next state, reward), …]) with whole "
                 "numbers for states and actions",
@@ -277,13 +296,15 @@ class FromArrays(Parts):
         chance, gain = ([each[place] for each in every] for place in (0, 2))
         lengths = [len(pairs[number][2]) for number in order]
         offsets = np.cumsum([0, *lengths])
+        # Amounts of components by outcome: in place of rewards, or listed in `components`.
         amounts: dict[str, Any] = {}
         if any(isinstance(reward, Mapping) for reward in gain):
             amounts = _collect_amounts(gain, names)
-            gain = [sum(map(exact, r.values())) if isinstance(r, Mapping) else r for r in gain]
+            gain = [_add_amounts(reward) for reward in gain]
         listed = _list_outcome_amounts(names.get("components"), lengths, order)
         if listed:
-            amounts, names = listed, {k: v for k, v in names.items() if k != "components"}
+            amounts = listed
+            names.pop("components")
         columns = offsets, following, one_kind(chance), one_kind(gain)
         each_component(names, lambda values, where: require_length(values, where, len(pairs)))
         names |= {"discount": discount, "start": start}
@@ -291,48 +312,68 @@ class FromArrays(Parts):
         return cls(**_parts_from_columns(state, action, *columns, size, order, names, **settings))
 
 
+def _add_amounts(reward: Any) -> Any:
+    """Return the sum of {component: amount}, or a reward as it is."""
+    if isinstance(reward, Mapping):
+        return sum(map(exact, reward.values()))
+    return reward
+
+
 def _collect_amounts(gains: list[Any], names: dict[str, Any]) -> dict[str, Any]:
-    """Return the amounts (N,) of each component that rewards of outcomes (N,) name."""
-    parted = [gain if isinstance(gain, Mapping) else {} for gain in gains]
-    given = [as_given(amount) for amounts in parted for amount in amounts.values()]
-    names.setdefault("float_rewards", any(isinstance(amount, float) for amount in given))
-    columns = {str(name): [Fraction(0)] * len(parted) for part in parted for name in part}
-    for place, part in enumerate(parted):
-        for name, amount in part.items():
-            columns[str(name)][place] = exact(amount)
+    """Return {component: amounts (N,)} from rewards of outcomes {component: amount}."""
+    columns: dict[str, list[Fraction]] = {}
+    floats = False
+    for place, gain in enumerate(gains):
+        if not isinstance(gain, Mapping):
+            continue
+        for name, amount in gain.items():
+            # An outcome that does not name a component has the amount 0.
+            column = columns.setdefault(str(name), [Fraction(0)] * len(gains))
+            column[place] = exact(amount)
+            floats = floats or isinstance(as_given(amount), float)
+    names.setdefault("float_rewards", floats)
     return {name: _as_objects(amounts) for name, amounts in columns.items()}
 
 
-def _list_outcome_amounts(given: Any, lengths: list[int], order: Integers) -> dict[str, Any]:
-    """Return amounts (N,) of outcomes by name, where some are listed so; else nothing.
+def _lists_outcomes(amounts: Any) -> bool:
+    """Return whether some pair's amount is itself a list, of amounts by outcome."""
+    if not isinstance(amounts, list | tuple):
+        return False
+    return any(isinstance(amount, list | tuple) for amount in amounts)
 
-    `given` has a number, or a list of numbers, for each pair; the model has them in `order`.
+
+def _list_outcome_amounts(given: Any, lengths: list[int], order: Integers) -> dict[str, Any]:
+    """Return {component: amounts (N,)} if some amounts are listed by outcome; else {}.
+
+    `given` is {component: a number or a list of numbers for each pair}, with the pairs as the user
+    listed them; `order` is their order in the model.
     """
     if not isinstance(given, Mapping):
         return {}
-    lists = {str(n): values for n, values in given.items() if isinstance(values, list | tuple)}
-    if not any(isinstance(each, list | tuple) for own in lists.values() for each in own):
+    if not any(map(_lists_outcomes, given.values())):
         return {}
     amounts = {}
     for name, values in given.items():
         own = [*values]
         if len(own) != len(order):
             raise ShapeError(
-                f"amounts of {len(own)} pairs, not of {len(order)}",
+                f"amounts for {len(own)} pairs, not {len(order)}",
                 where=f"component {name}",
                 fix="give one amount for each pair, or a list for its outcomes",
             )
         every = list[Any]()
         for number, count in zip(order.tolist(), lengths, strict=True):
             amount = own[number]
-            several = isinstance(amount, list | tuple)
-            if several and len(amount) != count:
+            # One number is the amount of all outcomes of the pair.
+            if not isinstance(amount, list | tuple):
+                amount = [amount] * count
+            if len(amount) != count:
                 raise ShapeError(
-                    f"{len(amount)} amounts of {count} outcomes",
+                    f"{len(amount)} amounts for {count} outcomes",
                     where=f"component {name}, pair {number}",
                     fix="give one amount for each outcome, or one for the pair",
                 )
-            every += [*map(as_given, amount)] if several else [as_given(amount)] * count
+            every += map(as_given, amount)
         amounts[str(name)] = _as_objects(every)
     return amounts
 
@@ -347,7 +388,7 @@ def _as_objects(values: Sequence[Any]) -> Numbers:
 
 
 def _move_actions_first(values: Any, where: str) -> Any:
-    """Return an array (S, S, A) as one of (A, S, S); others as they are."""
+    """Return an array (S, S, A) as (A, S, S), and other arrays as they are."""
     if isinstance(values, Mapping) or _holds_sparse(values):
         raise ModelError(
             "dictionaries and lists of sparse matrices go by action",
@@ -355,13 +396,17 @@ def _move_actions_first(values: Any, where: str) -> Any:
             fix='leave layout="ssa" out',
         )
     array = array_of(values, where)
-    return np.moveaxis(array, 2, 0) if array.ndim == 3 else values
+    if array.ndim == 3:
+        return np.moveaxis(array, 2, 0)
+    return values
 
 
 def _check_alike(rows: Any, swapped: Integers) -> None:
-    """Raise ModelError unless rows (L, …) of as many actions as states are the same by either."""
+    """Raise ModelError unless rows (L, …) are the same with states and actions swapped."""
     differ = rows[swapped] != rows
-    if differ.nnz if sp.issparse(differ) else np.asarray(differ, dtype=bool).any():
+    if sp.issparse(differ):
+        differ = differ.data
+    if np.asarray(differ, dtype=bool).any():
         raise ModelError(
             "there are as many actions as states: P may go by action, then state, or by state, "
             "then action, and the models differ",
@@ -374,17 +419,20 @@ def _check_alike(rows: Any, swapped: Integers) -> None:
 def _rewards_of_arrays(
     R: Any, where: str, shape: tuple[int, int], layout: str | None, order: str
 ) -> tuple[Any, bool]:
-    """Return rewards of pairs (L,) or transitions (L, S), and whether they are of transitions."""
+    """Return rewards by pair (L,) or by transition (L, S), and whether they are by transition."""
     states, actions = shape
     if isinstance(R, Mapping):
         raise ModelError(
-            "the rewards are a dictionary of another form than P",
+            "the rewards are a dictionary that does not match P",
             where=where,
             fix=f"give an array ({states}, {actions}); or {{action: matrix}} beside such a P, and "
             "{state: {action: reward}} beside {state: {action: {next state: probability}}}",
         )
-    given = R if _holds_sparse(R) else to_dense(array_of(R, where))
-    of_transitions = _holds_sparse(R) or given.ndim == 3
+    sparse = _holds_sparse(R)
+    given = R
+    if not sparse:
+        given = to_dense(array_of(R, where))
+    of_transitions = sparse or given.ndim == 3
     if of_transitions:
         reward, sizes, _ = _rows_of_matrices(given, where, layout)
         size: tuple[int, ...] = (sizes[1], sizes[0], reward.shape[1])
@@ -392,11 +440,15 @@ def _rewards_of_arrays(
     else:
         size = given.shape
         fits = size in ((states,), shape)
-        reward = np.repeat(given, actions) if given.ndim == 1 else given.reshape(-1)
+        reward = given.reshape(-1)
+        if given.ndim == 1:  # rewards of states
+            reward = np.repeat(given, actions)
     if not fits:
-        transitions = f"transitions have shape ({states}, {actions}, {states}), (S, A, S), and "
+        what = f"rewards have shape {size}"
+        if order == "sas":
+            what = f"transitions have shape ({states}, {actions}, {states}), (S, A, S), and {what}"
         raise ShapeError(
-            f"{transitions * (order == 'sas')}rewards have shape {size}",
+            what,
             where=where,
             fix=f"give ({states},), ({states}, {actions}) or ({actions}, {states}, {states})",
         )
@@ -404,6 +456,7 @@ def _rewards_of_arrays(
 
 
 def _holds_sparse(values: Any) -> bool:
+    """Return whether values are a list, or an array of objects, with a sparse matrix in it."""
     row = isinstance(values, np.ndarray) and values.dtype == object and values.ndim == 1
     return (row or isinstance(values, Sequence)) and any(map(sp.issparse, values))
 
@@ -412,7 +465,10 @@ def _rows_of_matrices(
     values: Any, where: str, layout: str | None
 ) -> tuple[Any, tuple[int, int], str]:
     """Return P, or R by transition, as (L, S) rows in pair order, (S, A), and the layout."""
-    what = "transitions" if where == "P" else "rewards"
+    # Read the shape, which is that of an array with three indices.
+    what = "rewards"
+    if where == "P":
+        what = "transitions"
     if _holds_sparse(values):
         if not all(map(sp.issparse, values)):
             raise ModelError(
@@ -423,34 +479,39 @@ def _rows_of_matrices(
     else:
         array = array_of(values, where)
         shapes, shape = [array.shape[1:]], array.shape
+    # A layout fits if its state index is as long as the index of next states, which is the last.
     fits = [each for each, at in LAYOUTS.items() if len(shape) == 3 and shape[at] == shape[2]]
-    last = len(shape) == 3 and shape[0] == shape[1]  # the actions may be the last index
     if len(shapes) > 1 or 0 in shape or not fits or layout not in (None, *fits):
-        raise ShapeError(
-            f"matrices of {what} have shapes {shapes}"
-            if len(shapes) > 1
-            else f"{what} have shape {shape}",
-            where=where,
-            fix="give (A, S, S), (S, A, S), or a list of A sparse (S, S) matrices"
-            + (f"; this is not {layout!r}" if fits else "")
-            + '; layout="ssa" if it is P[state, next state, action]' * last,
-        )
+        found = f"{what} have shape {shape}"
+        if len(shapes) > 1:
+            found = f"matrices of {what} have shapes {shapes}"
+        fix = "give (A, S, S), (S, A, S), or a list of A sparse (S, S) matrices"
+        if fits and layout is not None:
+            fix += f"; this is not {layout!r}"
+        if len(shape) == 3 and shape[0] == shape[1]:
+            fix += '; layout="ssa" if it is P[state, next state, action]'
+        raise ShapeError(found, where=where, fix=fix)
     layout = layout or fits[0]
-    sizes = (shape[0], shape[1]) if layout == "sas" else (shape[1], shape[0])
+    sizes = (shape[1], shape[0])
+    if layout == "sas":
+        sizes = (shape[0], shape[1])
     rows = sizes[0] * sizes[1]
+    # Rows are sorted by state, then action: the layout "ass" has to be transposed.
     if not _holds_sparse(values):
-        by_state = array if layout == "sas" else array.transpose(1, 0, 2)
-        return by_state.reshape(rows, -1), sizes, layout
+        if layout == "ass":
+            array = array.transpose(1, 0, 2)
+        return array.reshape(rows, -1), sizes, layout
     stacked = sp.csr_array(sp.vstack([array_of(matrix, where) for matrix in values], "csr"))
-    order = np.arange(rows).reshape(shape[:2]).T.reshape(-1)
-    return stacked if layout == "sas" else stacked[order], sizes, layout
+    if layout == "ass":
+        stacked = stacked[np.arange(rows).reshape(shape[:2]).T.reshape(-1)]
+    return stacked, sizes, layout
 
 
 # ---- from columns to the parts of a model --------------------------------------------------------
 
 
 def _rewards_of_rows(reward: Any, where: str, rows: Any) -> Any:
-    """Return rewards as `from_pairs` takes them: of pairs (L,) or transitions (L, S)."""
+    """Return rewards in a form that `from_pairs` accepts: by pair (L,) or transition (L, S)."""
     rewards = array_of(reward, where)
     if rewards.shape != rows.shape:
         rewards = to_dense(rewards)
@@ -466,15 +527,20 @@ def _rewards_of_rows(reward: Any, where: str, rows: Any) -> Any:
 def _find_available_pairs(
     reward: Any, names: dict[str, Any], listed: Flags | None = None
 ) -> Flags | None:
-    """Return which pairs there are: those listed, without the infinite reward; None for all."""
+    """Return (L,) True for available pairs: listed, and not of infinite loss; None for all."""
     if sp.issparse(reward):
         return listed
-    never = np.inf if names.get("sense") == "min" else -np.inf
+    never = -np.inf
+    if names.get("sense") == "min":
+        never = np.inf
     offered: Flags = np.asarray(reward != never, dtype=bool)
     if offered.ndim == 2:
         offered = np.asarray(offered.any(axis=1))
-    offered = offered if listed is None else offered & listed
-    return None if offered.all() else offered
+    if listed is not None:
+        offered = offered & listed
+    if offered.all():
+        return None
+    return offered
 
 
 def _parts_from_pairs(
@@ -487,24 +553,28 @@ def _parts_from_pairs(
     *,
     own: bool = False,
 ) -> dict[str, Any]:
-    """Return a model's parts from pairs in any order; dense rows are copied unless its `own`."""
+    """Return a model's parts from pairs in any order; dense rows are copied unless `own`."""
+    # Sort the pairs, and drop the pairs that are not available.
     order, total = np.arange(len(state)), len(state)
-    ahead, level = state[1:] > state[:-1], state[1:] == state[:-1]
-    rising = (ahead | (level & (action[1:] >= action[:-1]))).all()
+    next_state, same_state = state[1:] > state[:-1], state[1:] == state[:-1]
+    rising = (next_state | (same_state & (action[1:] >= action[:-1]))).all()
     if not rising:
         order = np.lexsort((action, state))
     if offered is not None:
         order = order[offered[order]]
     if offered is not None or not rising:
         state, action, rows, reward = state[order], action[order], rows[order], reward[order]
+    # The outcomes of a pair are the entries of its row that are not 0.
     size, by_pair, sparse = rows.shape[1], reward.ndim == 1, sp.issparse(rows)
     if sparse:
         offsets, following, chance = rows.indptr, rows.indices, rows.data
     else:
         positive, column = rows != 0, np.arange(size, dtype=np.int32)
         offsets = np.concatenate([[0], np.cumsum(np.count_nonzero(positive, axis=1))])
-        if offsets[-1] == rows.size:  # as masks take their time
-            following, chance = np.tile(column, len(rows)), rows.ravel() if own else rows.flatten()
+        if offsets[-1] == rows.size:  # without zeros no mask is needed, which is faster
+            following, chance = np.tile(column, len(rows)), rows.ravel()
+            if not own:
+                chance = rows.flatten()
         else:
             following, chance = np.broadcast_to(column, rows.shape)[positive], rows[positive]
     if not by_pair:
@@ -532,19 +602,26 @@ def _parts_from_columns(
 ) -> dict[str, Any]:
     """Return a model's parts from columns: sorted pairs (L,), and their outcomes (N,).
 
-    Components are those of all pairs that were given, of which the model has `order` (L,); or
-    `read_amounts` (N,) of outcomes by name.
+    `order` (L,) are the places of the model's pairs among the `total` pairs that were given, which
+    components by pair follow. `amounts` are components by outcome {name: (N,)}.
     """
     total, parts = total or len(order), dict(amounts or {})
     table = table_of(offsets, following, chance, gain, size, names, parts, by_pair=by_pair, own=own)
-    each_component(names, lambda given, _: given[order] if len(given) == total else given)
+
+    def select_pairs(given: Any, _: str) -> Any:
+        if len(given) == total:
+            return given[order]
+        return given
+
+    each_component(names, select_pairs)
+    # Name the states and the actions.
     words = words_of(names.pop("states", ()), "states")
     actions = words_of(names.pop("actions", ()), "actions")
     if not actions:
         last = int(action.max(initial=-1))
         if last >= MOST_UNNAMED_ACTIONS:
             raise ModelError(
-                f"there is an action {last}, and actions without names go to "
+                f"the number of an action is {last}, and actions without names go up to "
                 f"{MOST_UNNAMED_ACTIONS - 1:,}",
                 where="pairs",
                 fix="number actions from 0 on, or name them all: actions=[…]",

@@ -1,13 +1,14 @@
-"""What a reward is made of: the exact expected amount of each component, for every pair.
+"""Components of the reward: the exact expected amount of each, for every pair.
 
     r(i) = Σ_c components[i, c] / component_denominator[l]
 
-The amounts are columns of the table of outcomes: integers over one denominator for each pair, or
-floats, each the dyadic rational that it is; of an outcome i of pair l, or of the pair where all of
-its outcomes have the same. What components given by name leave of the reward is
-one more, "rest"; so a cost that is no part of the reward (Altman, Constrained Markov Decision
-Processes, 1999) is a component like any other. Floats that add up to the reward but for rounding,
-and exactly as the decimals that they print as, are these decimals: 6.1 and -1.1 are parts of 5.
+The amounts are columns of the table of outcomes: integers over one denominator for each pair l, or
+floats, each the dyadic rational that it is. They are stored by outcome i, or by pair if all of its
+outcomes have the same amount. The remainder, the reward less all components given by name, is one
+more component, "rest"; so a cost that is not part of the reward (Altman, Constrained Markov
+Decision Processes, 1999) is a component like any other. Floats that add up to the reward except for
+rounding, and add up exactly as the decimals that they print as, are taken as these decimals: 6.1
+and -1.1 add up to 5.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from exact_mdp.mdp.forms.numbers import array_of, group_numbers
 from exact_mdp.mdp.forms.rows import NEXT
 from exact_mdp.mdp.table import (
     Floats,
+    Integers,
     Numbers,
     OutcomeTable,
     divide,
@@ -43,40 +45,46 @@ def with_components(
     table: OutcomeTable, columns: Sequence[tuple[Numbers, Numbers]]
 ) -> OutcomeTable:
     """Return a table with components, given as numerators (L,) or (N,) and denominators (L,)."""
+    # If one column is by outcome, all are.
     if any(len(top) != table.pairs for top, _ in columns):
         columns = [(_repeat_by_outcome(top, table), below) for top, below in columns]
     if all(top.dtype == np.float64 for top, _ in columns):
         amounts, bottom = np.stack([top for top, _ in columns], axis=1), make_ones(table.pairs)
     else:
+        # Exact columns come over one denominator for each pair, the least common multiple.
         each = [
             _cancel_common_divisor(*_column_to_integers(column, table), table) for column in columns
         ]
         common = np.lcm.reduce([below.astype(object) for _, below in each])
-        whole = [
-            multiply(top, _of_length_of(top, common // below, table)).astype(object)
-            for top, below in each
-        ]
+        whole = []
+        for top, below in each:
+            factor = _of_length_of(top, common // below, table)
+            whole.append(multiply(top, factor).astype(object))
         amounts = to_integer_array(np.stack(whole, axis=1).reshape(-1).tolist())
         amounts, bottom = amounts.reshape(-1, len(columns)), to_integer_array(common.tolist())
-    made = copy(table)  # what is known of its rows still holds
+    made = copy(table)  # the rows are the same, and cached facts about them remain true
     vars(made).update(components=amounts, component_denominator=bottom, averaged=False)
     return made
 
 
 def _repeat_by_outcome(top: Numbers, table: OutcomeTable) -> Numbers:
-    """Return numbers (N,) of outcomes; those (L,) of pairs are repeated."""
-    return np.asarray(top[table.pair]) if len(top) == table.pairs else top
+    """Return numbers by outcome (N,); numbers by pair (L,) are repeated."""
+    if len(top) == table.pairs:
+        return np.asarray(top[table.pair])
+    return top
 
 
 def _of_length_of(top: Numbers, below: Numbers, table: OutcomeTable) -> Numbers:
-    """Return denominators (L,), repeated for each outcome where the numerators are (N,)."""
-    return below if len(top) == table.pairs else np.asarray(below[table.pair])
+    """Return denominators (L,), repeated for each outcome if the numerators are (N,)."""
+    if len(top) == table.pairs:
+        return below
+    return np.asarray(below[table.pair])
 
 
 def _cancel_common_divisor(
     top: Numbers, below: Numbers, table: OutcomeTable
 ) -> tuple[Numbers, Numbers]:
-    """Return numerators (L,) or (N,) and denominators (L,) without a divisor that all share."""
+    """Return numerators (L,) or (N,) and denominators (L,) without a common divisor."""
     if len(top) == table.pairs:
         return reduce_fractions(top, below)
     shared = np.gcd(np.gcd.reduceat(top, table.offsets[:-1]), below)
@@ -86,31 +94,39 @@ def _cancel_common_divisor(
 def _column_to_integers(
     column: tuple[Numbers, Numbers], table: OutcomeTable
 ) -> tuple[Numbers, Numbers]:
-    """Return a column in integers."""
+    """Return a column as integer numerators and denominators."""
     top, bottom = column
     if top.dtype != np.float64:
         return top, bottom
-    return to_dyadic_integers(
-        top, np.arange(len(top) + 1) if len(top) == table.pairs else table.offsets
-    )
+    return to_dyadic_integers(top, _list_groups(top, table))
+
+
+def _list_groups(top: Numbers, table: OutcomeTable) -> Integers:
+    """Return the offsets (L+1,) of the numbers of each pair: one (L,), or its outcomes' (N,)."""
+    if len(top) == table.pairs:
+        return np.arange(len(top) + 1)
+    return table.offsets
 
 
 def _complete_components(
     columns: dict[str, tuple[Numbers, Numbers]], earned: OutcomeTable
 ) -> tuple[tuple[str, ...], OutcomeTable]:
-    """Return names and table of components that were given by name, with the rest of the reward."""
+    """Return names and table of the given components and the rest of the reward."""
     names, table = _add_remainder(columns, earned)
-    # Where the reward differs between outcomes, components that were given by pair are means.
-    means = not table.parted_by_outcome and not adds_up(table)
-    return names, replace(table, averaged=True) if means else table
+    # If the reward differs between outcomes, components that were given by pair are means.
+    if not table.parted_by_outcome and not adds_up(table):
+        table = replace(table, averaged=True)
+    return names, table
 
 
 def adds_up(table: OutcomeTable) -> bool:
-    """Return whether components add up to the reward in each outcome, not on average alone."""
+    """Return whether components add up to the reward in each outcome, not only on average."""
     if not (table.joint or table.parted_by_outcome):
         return True
+    # Integers add up exactly or not at all.
     if np.float64 not in (table.gain.dtype, table.components.dtype):
         return not np.asarray(_remainder_by_outcome(table)[0] != 0).any()
+    # Floats: compare in each outcome, with an allowance for rounding.
     gain, below = table.compute_gains(), table.component_denominator
     counts = np.diff(table.offsets)
     parts = table.components
@@ -126,32 +142,36 @@ def adds_up(table: OutcomeTable) -> bool:
 def _add_remainder(
     columns: dict[str, tuple[Numbers, Numbers]], earned: OutcomeTable
 ) -> tuple[tuple[str, ...], OutcomeTable]:
-    """Return names and table of the components, and of what they leave of the reward."""
+    """Return names and table of the components, with the remainder of the reward if any."""
     table = with_components(earned, [*columns.values()])
     left, below = _compute_remainder(table)
     if not np.asarray(left != 0).any():
         return tuple(columns), table
+    # Floats may miss the reward by rounding alone. If their printed decimals add up exactly, these
+    # are the amounts that the user meant.
     floats = np.float64 in (table.components.dtype, table.gain.dtype, table.weight.dtype)
     if floats and not wrong_rows(table, table.expected_gain()).any():
         printed = with_components(
             table, [_as_printed(column, table) for column in columns.values()]
         )
-        whole = not np.asarray(_compute_remainder(printed)[0] != 0).any()
-        return tuple(columns), printed if whole else table
+        if not np.asarray(_compute_remainder(printed)[0] != 0).any():
+            table = printed
+        return tuple(columns), table
+    # A real remainder is a component of its own.
     if REST in columns:
         raise ModelError(
-            f"components are given with one called {REST!r}, and do not add up to the reward",
+            f"the components, one of them called {REST!r}, do not add up to the reward",
             where="components",
-            fix=f"leave {REST!r} out: it is what the others leave of the reward",
+            fix=f"leave {REST!r} out: it is the reward less the others, and is added by itself",
         )
     more = columns | {REST: _cancel_common_divisor(left, below, table)}
     return tuple(more), with_components(table, [*more.values()])
 
 
 def _compute_remainder(table: OutcomeTable) -> tuple[Numbers, Numbers]:
-    """Return what components leave of the reward: of each pair (L,), over denominators (L,).
+    """Return the reward less all components: integers (L,) over denominators (L,).
 
-    Of each outcome (N,), where components are known by outcome.
+    The integers are by outcome (N,) if the components are.
     """
     if table.parted_by_outcome:
         return _remainder_by_outcome(table)
@@ -162,7 +182,7 @@ def _compute_remainder(table: OutcomeTable) -> tuple[Numbers, Numbers]:
 
 
 def _remainder_by_outcome(table: OutcomeTable) -> tuple[Numbers, Numbers]:
-    """Return what components leave of the reward of each outcome (N,), over denominators (L,)."""
+    """Return the reward less all components in each outcome (N,), over denominators (L,)."""
     gain, below = table.integer_gains()
     left = _repeat_by_outcome(gain, table).astype(object)
     for number in range(table.components.shape[1]):
@@ -174,32 +194,32 @@ def _remainder_by_outcome(table: OutcomeTable) -> tuple[Numbers, Numbers]:
 
 
 def _as_printed(column: tuple[Numbers, Numbers], table: OutcomeTable) -> tuple[Numbers, Numbers]:
-    """Return amounts with each float as the decimal that it prints as: 0.1 as 1/10."""
+    """Return amounts in which each float is the decimal that it prints as: 0.1 is 1/10."""
     top, _ = column
     if top.dtype != np.float64:
         return column
     values = [Fraction(repr(value)) for value in top.tolist()]
-    of_pair = len(top) == table.pairs
-    return over_groups(values, np.arange(len(top) + 1) if of_pair else table.offsets)
+    return over_groups(values, _list_groups(top, table))
 
 
 def wrong_rows(table: OutcomeTable, reward: Floats) -> Numbers:
-    """Return (L,) where components do not add up to the rewards, up to rounding in floats."""
+    """Return (L,) True where components do not add up to the reward, even up to rounding."""
     floats = table.expected_components()
-    with np.errstate(over="ignore"):  # a scale beyond the floats forgives nothing that it should
+    with np.errstate(over="ignore"):  # sums of huge amounts may overflow
         total = floats.sum(axis=1)
-        # Rewards of both signs cancel: it is the size of each that rounding is relative to.
+        # Amounts of both signs may cancel, but rounding is relative to the size of each of them.
         sizes = replace(table, gain=np.abs(table.gain), components=np.abs(table.components))
         scale = sizes.expected_components().sum(axis=1) + sizes.expected_gain()
-    lost = (floats.shape[1] + 1) * 2.0**-1074  # below the range, rounding is no longer relative
-    # A product and a sum for each outcome, of the reward and of each component, and a sum for each
-    # component; twice: here, and by the user.
+    # Rounding is relative, except below the range of normal floats, where it is absolute.
+    lost = (floats.shape[1] + 1) * 2.0**-1074
+    # Roundings: a product and a sum for each outcome, of the reward and of each component, and a
+    # sum for each component. All of them happened twice: here, and in the user's own sums.
     roundings = 4 * np.diff(table.offsets) + floats.shape[1] + 4
     return np.asarray(~(np.abs(total - reward) <= roundings * NEXT * scale + lost))
 
 
 def each_component(names: dict[str, Any], change: Callable[[Any, str], Any]) -> None:
-    """Replace what is given for each component of the reward by what a function makes of it."""
+    """Apply `change`, a function of values and their place, to the values of each component."""
     given = names.get("components")
     if given is None:
         return
@@ -215,12 +235,13 @@ def each_component(names: dict[str, Any], change: Callable[[Any, str], Any]) -> 
         given = dict(zip(words, columns.T, strict=True))
     changed = {str(name): change(values, f"component {name}") for name, values in given.items()}
     if not changed:
-        raise ModelError("no component is given", where="components", fix="name one, or none")
+        fix = "name at least one, or leave components out"
+        raise ModelError("no component is given", where="components", fix=fix)
     names["components"] = changed
 
 
 def require_length(values: Any, where: str, pairs: int) -> Any:
-    """Return amounts (L,) for L pairs."""
+    """Return amounts as an array (L,); raise ShapeError for another length."""
     amounts = array_of(values, where)
     if amounts.shape != (pairs,):
         raise ShapeError(
@@ -234,17 +255,21 @@ def require_length(values: Any, where: str, pairs: int) -> Any:
 def named_components(
     parts: dict[str, Any], table: OutcomeTable, by_outcome: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """Take `components` out of parts; return the names of all, and the table with them.
+    """Take `components` out of parts; return component names and the table with components.
 
-    Unless parts have some, they are those `by_outcome`, with amounts (N,) by name.
+    Without components in `parts`, `by_outcome` gives their amounts (N,) by name.
     """
+    # A reward that is not finite is refused by validation, which comes next.
     sound = table.gain.dtype != np.float64 or np.isfinite(table.gain).all()
     given = parts.get("components") is not None
-    if not (given or by_outcome) or not sound:  # a reward that is not a number is refused next
+    if not (given or by_outcome) or not sound:
         parts.pop("components", None)
         return {"table": table}
     each_component(parts, lambda values, where: _read_table_amounts(values, where, table))
-    every: Mapping[str, Any] = parts.pop("components") if given else by_outcome or {}
+    every: Mapping[str, Any] = by_outcome or {}
+    if given:
+        every = parts.pop("components")
+    # Bring each component into one form: by outcome, and then by pair if its outcomes agree.
     columns = {}
     for name, values in every.items():
         if values.ndim == 2:
@@ -261,13 +286,13 @@ def named_components(
 
 
 def with_outcome_amounts(table: OutcomeTable, amounts: Mapping[str, Any]) -> OutcomeTable:
-    """Return a table with components, given as amounts (N,) of its outcomes by name."""
+    """Return a table with components, given as amounts by outcome {name: (N,)}."""
     columns = [_by_pair_if_alike(np.asarray(values), table) for values in amounts.values()]
     return with_components(table, columns)
 
 
 def _by_pair_if_alike(values: Numbers, table: OutcomeTable) -> tuple[Numbers, Numbers]:
-    """Return amounts (N,) of outcomes as the arrays of a table: by pair, if those of each agree."""
+    """Return numerators and denominators of amounts (N,); by pair, if its outcomes agree."""
     of_pair = values[table.offsets[:-1]]
     if np.asarray(values == of_pair[table.pair], dtype=bool).all():
         return group_numbers(of_pair, np.arange(table.pairs + 1))
@@ -275,13 +300,13 @@ def _by_pair_if_alike(values: Numbers, table: OutcomeTable) -> tuple[Numbers, Nu
 
 
 def require_amounts(table: OutcomeTable, what: str) -> None:
-    """Raise ModelError where what is asked for needs the amount of each outcome.
+    """Raise ModelError if only the mean reward of each pair is known, not of each outcome.
 
-    Only its mean over the outcomes of a pair is known of a component of a scenario.
+    This is so for a single component of a scenario; `what` names the analysis that needs more.
     """
     if table.averaged and table.components is None:
         raise ModelError(
-            f"{what} needs the reward of each outcome, and of this component of the reward only "
+            f"{what} needs the reward of each outcome, but for this component of the reward only "
             "the mean of each pair is known",
             where="reward components",
             fix="evaluate() gives the mean; or, in a scenario, set every other weight to 0 (--set "
@@ -290,7 +315,7 @@ def require_amounts(table: OutcomeTable, what: str) -> None:
 
 
 def _read_table_amounts(values: Any, where: str, table: OutcomeTable) -> Any:
-    """Return amounts of pairs (L,) or of transitions (L, S) as arrays."""
+    """Return an array of amounts by pair (L,) or by transition (L, S)."""
     amounts = array_of(values, where)
     if amounts.ndim == 2 and len(amounts) == table.pairs and amounts.shape[1] > table.next.max():
         return amounts

@@ -1,12 +1,12 @@
-"""Any model, and the care scenarios, as Gymnasium environments, for agents from elsewhere to learn.
+"""Models and care scenarios as Gymnasium environments, for the agents of other libraries.
 
     import gymnasium
     env = gymnasium.make("exact_mdp.mdp.environment:exact_mdp/Yuan2025-v0")
 
 An environment draws next state and reward together from the exact outcomes of the model. An agent
-sees the number of the state, or of the combination of the columns that it may read; the end of a
-scenario has no columns and is seen as combination 0. Importing this module registers the scenario;
-so does the entry point `gymnasium.envs` with versions of Gymnasium that load plug-ins.
+observes the number of the state, or the number of a combination of some of its columns; the end of
+a scenario has no columns and is observed as combination 0. Importing this module registers the
+scenario; so does the entry point `gymnasium.envs` with versions of Gymnasium that load plug-ins.
 """
 
 from __future__ import annotations
@@ -37,30 +37,30 @@ class MDPEnv(gymnasium.Env[np.int64, np.int64]):
     ----------
     mdp : MDP
     state : int
-        The state that the environment is in, whatever the agent sees of it.
+        The current state, of which the agent may observe only a part.
     observed : StateSpace
-        What the observations stand for: `observed.label(observation)`.
+        The space of the observations: `observed.label(observation)` is one in words.
 
     Parameters
     ----------
     model : MDP
     columns : names of columns, optional
-        What the agent sees; the whole state unless given.
+        The columns that the agent observes; the whole state by default.
     pass_forced : bool
-        Do not ask the agent where there is no choice: such states are passed at once. Their
-        rewards are added to that of the step, discounted by the model's own discount, and
-        `info["timesteps"]` says how many timesteps went by. In a circle of such states that is
-        done once round. Otherwise any action number stands for the only action there.
+        Pass states with a single action at once, without asking the agent. Their rewards are added
+        to the reward of the step, discounted by the model's discount, and `info["timesteps"]` is
+        the number of timesteps that passed. A cycle of such states is passed once. Otherwise any
+        action number stands for the only action there.
 
     Notes
     -----
-    The action numbers are those of the model, less the actions that never are a choice. Where some
-    states lack an action that others have, `info["action_mask"]` tells which can be taken, and
-    another one raises ModelError. `info` also holds `state` (its label), `timesteps`, `events`
-    (names of the model's events that happened) and `components`: the expected reward by component
-    of the states and actions passed through. An episode ends where all is over (`mdp.over`): not in
-    a state that earns nothing, but has components that are counted. Costs are paid as rewards,
-    which they are times -1.
+    Actions are numbered as in the model, without the actions that are never a choice. If some
+    states lack an action that others have, `info["action_mask"]` marks the available ones, and any
+    other raises ModelError. `info` also holds `state` (its label), `timesteps`, `events` (names of
+    the model's events that happened) and `components`: the expected reward by component of the
+    states and actions passed through. An episode ends in a state in which it is over (`mdp.over`):
+    not in a terminal state with components that are still counted. Costs become rewards, with the
+    sign changed.
 
     Examples
     --------
@@ -73,13 +73,18 @@ class MDPEnv(gymnasium.Env[np.int64, np.int64]):
         self, model: MDP, *, columns: Sequence[str] | None = None, pass_forced: bool = False
     ) -> None:
         self.mdp, self.pass_forced, self.state = model, pass_forced, model.start[0][0]
+        # The observation of each state.
         self.observed, self._seen = model.space, np.arange(model.n_states)
         if columns is not None and tuple(columns) != model.space.names:
             self.observed = StateSpace(columns=tuple(map(model.space.column, columns)))
             self._seen = model.space.rows(self.observed.columns)
+        # Actions that are a choice in some state; one action if there is never a choice.
         choosing = np.logical_not(model.forced)[model.pair_state]
-        numbers = np.unique(model.pair_action[choosing]) if choosing.any() else np.arange(1)
+        numbers = np.arange(1)
+        if choosing.any():
+            numbers = np.unique(model.pair_action[choosing])
         self.action_names = tuple(model.actions[number] for number in numbers)
+        # The pair (S, A) of each state and action, or -1; a single action has all numbers.
         pairs = np.full((model.n_states, model.n_actions), -1, dtype=np.int64)
         pairs[model.pair_state, model.pair_action] = np.arange(model.n_pairs)
         pairs[model.forced] = model.pair_offsets[:-1][model.forced][:, None]
@@ -96,17 +101,17 @@ class MDPEnv(gymnasium.Env[np.int64, np.int64]):
     ) -> tuple[np.int64, dict[str, Any]]:
         """Begin an episode in a state drawn from the model's start distribution."""
         super().reset(seed=seed, options=options)
-        self.state = self.mdp.start[
-            self._sample_index(float(weight) for _, weight in self.mdp.start)
-        ][0]
-        return self._seen[self.state], self._build_info(
-            0, 0, np.zeros(len(self.mdp.component_names))
-        )
+        place = self._sample_index(float(weight) for _, weight in self.mdp.start)
+        self.state = self.mdp.start[place][0]
+        info = self._build_info(0, 0, np.zeros(len(self.mdp.component_names)))
+        return self._seen[self.state], info
 
     def step(self, action: np.int64) -> tuple[np.int64, float, bool, bool, dict[str, Any]]:
         """Take an action; return observation, reward, terminated, truncated and information."""
         mdp, table = self.mdp, self.mdp.table
-        pair = int(self._pair[self.state, action]) if self.action_space.contains(action) else -1
+        pair = -1
+        if self.action_space.contains(action):
+            pair = int(self._pair[self.state, action])
         if pair < 0:
             raise ModelError(
                 f"action {action} is not available",
@@ -115,14 +120,17 @@ class MDPEnv(gymnasium.Env[np.int64, np.int64]):
             )
         reward, factor, timesteps, events = 0.0, 1.0, 0, 0
         components = np.zeros(len(mdp.component_names))
+        # One timestep, and then more as long as states have a single action and are to be passed.
         while True:
             first, last = int(table.offsets[pair]), int(table.offsets[pair + 1])
             outcome = first + self._sample_index(self._chances[first:last].tolist())
             reward += factor * float(self._gains[outcome])
             components += factor * mdp.components[pair]
-            events |= 0 if table.event is None else int(table.event[outcome])
+            if table.event is not None:
+                events |= int(table.event[outcome])
             self.state, timesteps = int(table.next[outcome]), timesteps + 1
             over = bool(mdp.over[self.state])
+            # After S timesteps without a choice the states are a cycle.
             passed = self.pass_forced and mdp.forced[self.state] and timesteps <= mdp.n_states
             if over or not passed:
                 info = self._build_info(timesteps, events, components)
@@ -130,7 +138,7 @@ class MDPEnv(gymnasium.Env[np.int64, np.int64]):
             factor, pair = factor * mdp.discount, int(mdp.pair_offsets[self.state])
 
     def _sample_index(self, weights: Iterable[float]) -> int:
-        """Return a place, drawn by its weight."""
+        """Return a random index, drawn with the given weights."""
         totals = list(accumulate(weights))
         drawn = bisect_right(totals, float(self.np_random.random()) * totals[-1])
         return min(drawn, len(totals) - 1)
@@ -148,14 +156,15 @@ class MDPEnv(gymnasium.Env[np.int64, np.int64]):
 def scenario_env(
     scenario: Scenario | str = "yuan2025", *, columns: Sequence[str] = ("status",), **changes: Any
 ) -> MDPEnv:
-    """Return a care scenario to act in: the agent sees the status and is never asked to skip.
+    """Return the environment of a care scenario; states with a single action are passed.
 
     Parameters
     ----------
     scenario : Scenario or str
         A scenario, or the name or file of one.
     columns : names of columns, optional
-        What the agent sees, the status alone unless given; ("subtask", "trial", "status") for all.
+        The columns that the agent observes; only the status by default, and ("subtask", "trial",
+        "status") for all.
     **changes
         Changes to the scenario as in `Scenario.with_`.
 

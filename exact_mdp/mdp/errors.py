@@ -1,9 +1,9 @@
-"""Errors that say what is wrong, where, and how to correct it; and what names may hold.
+"""Errors that say what is wrong, where, and how to correct it; and the rules for names.
 
-What a message repeats from a file is data: control characters steer a terminal and are not allowed
-in XML 1.0 (section 2.2), others change the direction of text (Unicode Standard Annex 9), end a
-line, or cannot be seen. Messages show all of these escaped; a name that holds one is refused where
-it comes in, so that figures, web pages and XML reports need not escape it.
+A message may quote text from a file, and that text is not trusted: control characters steer a
+terminal and are not allowed in XML 1.0 (section 2.2), others change the direction of text (Unicode
+Standard Annex 9), end a line, or cannot be seen. Messages show all of these escaped. A name that
+contains one is refused when it is read, so figures, web pages and XML reports need not escape it.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ UNSAFE = re.compile(f"[{CONTROL}{SEPARATORS}{SURROGATES}{DIRECTIONS}{INVISIBLE}{
 T = TypeVar("T")
 F = TypeVar("F", bound=Callable[..., Any])
 
-LONGEST = 1000  # characters of a name, and of what a message quotes
-LONGEST_FIX = 2000  # of advice, which may list names
-LONGEST_LIST = 600  # of all names in a list; of more, a few are named
-LONGEST_TEXT = 20_000  # of a text of several lines, such as a source
-SHOWN = 40
+# Characters allowed in a name, and in a passage that a message quotes. A longer limit would let one
+# bad file fill the terminal; a shorter one would cut names that people use.
+LONGEST = 1000
 
 
 def shown_text(text: str, *, lines: bool = False) -> str:
-    r"""Return a text with unsafe characters escaped, ends of lines kept where `lines` says so."""
+    r"""Return a text with unsafe characters escaped; `lines` keeps the ends of lines."""
 
     def escape_character(match: re.Match[str]) -> str:
-        return match[0] if lines and match[0] == "\n" else ascii(match[0])[1:-1]
+        if lines and match[0] == "\n":
+            return "\n"
+        return ascii(match[0])[1:-1]
 
     return UNSAFE.sub(escape_character, text)
 
@@ -50,7 +50,7 @@ class ModelError(ValueError):
     Parameters
     ----------
     what : str
-        What is wrong, with the offending number in it.
+        What is wrong, including the offending number.
     where : str, optional
         The state, action, file or key at fault.
     fix : str, optional
@@ -66,7 +66,7 @@ class ModelError(ValueError):
 
     def __init__(self, what: str, *, where: str = "", fix: str = "") -> None:
         what, where = shown_text(shorten_text(what)), shown_text(shorten_text(where))
-        fix = shown_text(shorten_text(fix, LONGEST_FIX))
+        fix = shown_text(shorten_text(fix, 2 * LONGEST))  # advice may list names
         self.what, self.where, self.fix = what, where, fix
         lines = [what]
         if where:
@@ -80,7 +80,7 @@ class ModelError(ValueError):
 
 
 class DistributionError(ModelError):
-    """Probabilities that do not sum to 1, or of which one is negative or no number."""
+    """Probabilities that do not sum to 1, or one that is negative or not a number."""
 
 
 class NegativeError(DistributionError):
@@ -88,28 +88,28 @@ class NegativeError(DistributionError):
 
 
 class ShapeError(ModelError):
-    """An array whose shape fits no reading."""
+    """An array with a shape that cannot be interpreted."""
 
 
 class ScenarioWarning(UserWarning):
-    """The tables of a scenario, as they are read, state a probability above 1."""
+    """The tables of a scenario imply a probability above 1."""
 
 
 def no_such(what: str, number: object, size: int, *, where: str = "") -> ModelError:
-    """Return the error to raise for a number that none of `size` things has."""
+    """Return the error for a number outside 0 … size-1."""
     said = f"there is no {what} {number}: numbers go from 0 to {size - 1}"
     return ModelError(said, where=where, fix="choose one of these")
 
 
 def require_list(given: Iterable[T], what: str) -> list[T]:
-    """Return what is listed; raises ModelError for a text or what is no list."""
+    """Return the items as a list; raise ModelError for a string or a non-iterable."""
     if isinstance(given, str) or not isinstance(given, Iterable):
-        raise ModelError(f"{given!r} is no list of {what}", where=what, fix="give a list")
+        raise ModelError(f"{given!r} is not a list of {what}", where=what, fix="give a list")
     return list(given)
 
 
 def require_type(value: Any, kind: Any, where: str, fix: str) -> Any:
-    """Return a value of a type, or of one of several; raises ModelError for another value."""
+    """Return the value if it has the type `kind` (or one of several); else raise ModelError."""
     if not isinstance(value, kind):
         raise ModelError(
             f"{shorten_text(repr(value), 80)} is of type {type(value).__name__}",
@@ -120,7 +120,7 @@ def require_type(value: Any, kind: Any, where: str, fix: str) -> Any:
 
 
 def once_each(items: Iterable[tuple[T, Any]], label: Callable[[T], str] = str) -> dict[T, Any]:
-    """Return what is said of each thing; raises ModelError where it is said twice of one."""
+    """Return the items as a dictionary; raise ModelError if a key appears twice."""
     listed = list(items)
     entries = dict(listed)
     if len(entries) < len(listed):
@@ -130,25 +130,29 @@ def once_each(items: Iterable[tuple[T, Any]], label: Callable[[T], str] = str) -
 
 
 def words_of(names: Iterable[object] | None, where: str) -> tuple[str, ...]:
-    """Return names as texts; raises ModelError for a text alone, and for what is no list."""
-    return () if names is None else tuple(map(str, require_list(names, where)))
+    """Return names as a tuple of strings; raise ModelError if they are not a list."""
+    if names is None:
+        return ()
+    return tuple(map(str, require_list(names, where)))
 
 
 @contextmanager
 def locate_errors(where: str, *, instead: bool = False) -> Iterator[None]:
-    """Put a place in front of that of a ModelError raised inside, or `instead` of it."""
+    """Prefix the place of a ModelError raised inside with `where`; `instead` replaces it."""
     try:
         yield
     except ModelError as error:
         if error.where.startswith(shown_text(shorten_text(where))):
             raise
-        place = f"{where}, {error.where}" if error.where and not instead else where
+        place = where
+        if error.where and not instead:
+            place = f"{where}, {error.where}"
         raise type(error)(error.what, where=place, fix=error.fix) from error
 
 
 @contextmanager
 def annotate_errors(where: str) -> Iterator[None]:
-    """Note the place on an error of the user's own function, which stays what it is."""
+    """Add a note that says where a user's function failed; the exception itself is unchanged."""
     try:
         yield
     except Exception as error:
@@ -157,7 +161,7 @@ def annotate_errors(where: str) -> Iterator[None]:
 
 
 def shorten_text(text: str, most: int = LONGEST) -> str:
-    """Return a text as it is, or its two ends where it has more than `most` characters."""
+    """Return the text, or only its beginning and end if it has more than `most` characters."""
     if len(text) <= most:
         return text
     note = f"… ({len(text):,} characters) …"
@@ -166,20 +170,24 @@ def shorten_text(text: str, most: int = LONGEST) -> str:
 
 
 def suggest_name(name: str, known: Iterable[str]) -> str:
-    """Return advice that names the known spelling nearest to `name`."""
+    """Return advice that suggests the known name most like `name`, or lists known names."""
     options = list(known)
+    # A name that differs in capitals only is meant, even if another one looks more alike.
     close = [option for option in options if option.casefold() == str(name).casefold()]
-    if close := close or get_close_matches(str(name)[:LONGEST], options, n=1, cutoff=0.6):
+    if not close:
+        close = get_close_matches(str(name)[:LONGEST], options, n=1, cutoff=0.6)
+    if close:
         return f"did you mean {close[0]}?"
+    # A short list is printed in full; from a long one four names serve as examples.
     every = ", ".join(options)
-    if len(options) <= 12 and len(every) <= LONGEST_LIST:
+    if len(options) <= 12 and len(every) <= 600:
         return f"choose one of {every}"
-    few = ", ".join(shorten_text(option, LONGEST_LIST // 6) for option in options[:4])
+    few = ", ".join(shorten_text(option, 100) for option in options[:4])
     return f"choose one of the {len(options)} known names, such as {few}"
 
 
 def require_known_name(name: object, options: Collection[str], what: str, where: str = "") -> str:
-    """Return a name that is one of the options; raises ModelError with the nearest for another."""
+    """Return the name if it is one of the options; else raise ModelError with a suggestion."""
     if not isinstance(name, str) or name not in options:
         raise ModelError(
             f"unknown {what} {name!r}", where=where, fix=suggest_name(str(name), options)
@@ -188,19 +196,21 @@ def require_known_name(name: object, options: Collection[str], what: str, where:
 
 
 def no_option(name: str, known: Iterable[str], where: str) -> ModelError:
-    """Return the error to raise for an option that a function does not have."""
+    """Return the error for an option that a function does not have."""
     options = list(known)
     fix = suggest_name(name, options)
+    # Two mistakes are so common that they get advice of their own.
     if name in ("gamma", "γ", "discount"):
         fix = "it is the model's: mdp.with_(discount=0.9), MDP.from_gymnasium(env, discount=0.9)"
-        fix = "say discount=" if "discount" in options else fix
+        if "discount" in options:
+            fix = "say discount="
     if name == "kind" and "policy" in options:
         fix = 'say it with the array: policy=Policy.of(model, array, kind="policy")'
     return ModelError(f"there is no option {name}=", where=where, fix=fix)
 
 
 def named_options(function: F) -> F:
-    """Let a function refuse an option that it does not have as it refuses any bad input."""
+    """Turn an unexpected keyword into a ModelError that suggests the right name."""
 
     @wraps(function)
     def call_with_known_options(*given: Any, **options: Any) -> Any:
@@ -210,7 +220,7 @@ def named_options(function: F) -> F:
             for name in options:
                 if f"unexpected keyword argument '{name}'" in str(error):
                     known = signature(function).parameters
-                    place = function.__qualname__.partition(".")[0]  # of a method, its class
+                    place = function.__qualname__.partition(".")[0]  # the class of a method
                     raise no_option(name, known, place) from error
             raise
 
@@ -220,30 +230,30 @@ def named_options(function: F) -> F:
 def check_names(
     names: Iterable[str], what: str, *, where: str = "names", longest: int = LONGEST
 ) -> None:
-    r"""Raise ModelError for a name that is unsafe, too long, no text, or that of two things."""
+    r"""Raise ModelError for a name that is unsafe, too long, used twice, or not a string."""
     listed: list[Any] = list(names)
     for name in listed:
         require_type(name, str, where, f"give the {what} a text as its name")
     if len(set(listed)) < len(listed):
         twice = Counter(listed).most_common(1)[0][0]
-        said = f"two {what}s have the same name, {twice[:SHOWN]!r}"
+        said = f"two {what}s have the same name, {twice[:40]!r}"
         raise ModelError(said, where=where, fix="give each its own name")
-    # One search through all of them: a million states may have a name each.
+    # All names are searched at once: a model may have a million of them.
     if not UNSAFE.search("".join(listed)) and max(map(len, listed), default=0) <= longest:
         return
     for name in listed:
         if len(name) > longest:
-            said = f"{what} {name[:SHOWN]!r} has {len(name):,} characters"
+            said = f"{what} {name[:40]!r} has {len(name):,} characters"
             raise ModelError(said, where=where, fix=f"shorten it to {longest:,}")
         if unsafe := UNSAFE.search(name):
-            said = f"{what} {name[:SHOWN]!r} holds the character U+{ord(unsafe[0]):04X}"
+            said = f"{what} {name[:40]!r} contains the character U+{ord(unsafe[0]):04X}"
             fix = "remove it; names are plain text on one line"
             raise ModelError(said, where=where, fix=fix)
 
 
 @contextmanager
 def require_extra(name: str) -> Iterator[None]:
-    """Name the extra that brings a package which an import inside does not find."""
+    """Turn a failed import inside into a ModelError that names the extra to install."""
     try:
         yield
     except ModuleNotFoundError as error:

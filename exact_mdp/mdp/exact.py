@@ -1,16 +1,16 @@
-"""What a model is exactly, in integers: its Bellman equations, and a hash of its content.
+"""The exact model in integers: its Bellman equations, and a hash of its content.
 
 For every pair l of state s, with the discount already in the weights,
 
     scale(s) · Q(l) = constant(l) + Σ_i weight(i) · V(next(i))
 
 where all numbers are integers, scale(s) > 0 and weight(i) > 0. Outcomes that lead to the same state
-are added up. All pairs of a state share the state's scale, so that their right sides are compared
-as they are. Numbers are 64-bit integers where they fit and Python integers where they do not.
+are added up. All pairs of a state share the state's scale, so their right sides can be compared
+directly. Numbers are 64-bit integers if they fit, else Python integers.
 
-The hash is SHA-256 of a text of lines. The first one is `exact-mdp model 2`, the sense, and where
-there is a goal what a run that misses it is worth and the list of its states. The others are
-integers in hexadecimal, such as 0x1f, with a blank between them:
+The hash is SHA-256 of a text of lines. The first line is `exact-mdp model 2` and the sense; with a
+goal, also the value of a run that misses it, and the list of its states. The other lines are
+integers in hexadecimal, such as 0x1f, with a space between them:
 
     number of states, numerator and denominator of the discount
     state, numerator and denominator of the probability, for each state of the start
@@ -57,9 +57,10 @@ if TYPE_CHECKING:
 class BellmanRows:
     """Integer Bellman equations of a model with S states, L pairs and M transitions.
 
-    `scale` (S,) is what the equations of a state are multiplied by, `constant` (L,) the expected
-    reward times that; transitions of pair l are offsets[l] … offsets[l+1]-1, with `next` states and
-    `weight` (M,), the discounted probability times the scale. `terminal` states are worth 0.
+    The equations of a state are multiplied by its `scale` (S,). `constant` (L,) is the expected
+    reward times the scale. The transitions of pair l are offsets[l] … offsets[l+1]-1, with `next`
+    states and `weight` (M,), the discounted probability times the scale. `terminal` states have the
+    value 0.
     """
 
     pair_offsets: Integers
@@ -81,7 +82,7 @@ class BellmanRows:
         return np.repeat(np.arange(len(self.constant)), np.diff(self.offsets))
 
     def of_pairs(self, pairs: Integers) -> BellmanRows:
-        """Return the equations with some pairs alone, as those of a policy, one of each state."""
+        """Return the equations of some pairs only, such as the pairs that a policy takes."""
         first, last = self.offsets[pairs], self.offsets[pairs + 1]
         entries = concatenate_ranges(first, last)
         return replace(
@@ -96,16 +97,19 @@ class BellmanRows:
 
 @cache_on_model
 def bellman_rows(model: MDP) -> BellmanRows:
-    """Return the Bellman equations of a model in integers, made once and read-only."""
+    """Return the Bellman equations of a model in integers, computed once and read-only."""
     table, pair_offsets, pair_state = model.table, model.pair_offsets, model.pair_state
     offsets, following, weight, denominator = merge_outcomes(table)
     gain, gain_denominator = reduce_fractions(*table.expected_gain_exact())
     over, under = model.discount_exact.numerator, model.discount_exact.denominator
+    # The scale of a pair is lcm(row denominator · discount denominator, reward denominator).
     bottom = multiply(denominator, to_integer_array([under]))
     scale = multiply(bottom // np.gcd(bottom, gain_denominator), gain_denominator)
+    # The scale of a state is a common multiple over its pairs.
     state_scale = lcm_by_group(scale, pair_offsets)
     scale = state_scale[pair_state]
     factor = multiply(scale // bottom, to_integer_array([over]))
+    # With discount 0 no next state counts.
     lengths = np.diff(offsets)
     if over == 0:
         offsets, following, weight = np.zeros_like(offsets), following[:0], weight[:0]
@@ -126,10 +130,10 @@ def bellman_rows(model: MDP) -> BellmanRows:
 
 
 def lcm_by_group(values: Numbers, offsets: Integers) -> Numbers:
-    """Return the least common multiples of groups of positive integers, none of them empty."""
+    """Return the least common multiple of each group of positive integers; no group is empty."""
     multiples = np.asarray(np.lcm.reduceat(values, offsets[:-1]))
     if values.dtype != object:
-        # a 64-bit product that overflowed is not a multiple of all its factors, or is one by chance
+        # If a 64-bit product overflows, it is hardly ever a multiple of all factors: check.
         safe = bool((multiples > 0).all())
         if not safe or (np.repeat(multiples, np.diff(offsets)) % values).any():
             return lcm_by_group(values.astype(object), offsets)
@@ -158,12 +162,16 @@ def fingerprint(model: MDP) -> str:
     >>> fingerprint(one) == fingerprint(other)
     True
     """
+    # Rows in lowest terms, so that equal distributions have equal numbers.
     offsets, following, weight, _ = merge_outcomes(model.table)
     weight = weight // np.repeat(np.gcd.reduceat(weight, offsets[:-1]), np.diff(offsets))
     rate, start = model.discount_exact, sorted((s, p) for s, p in model.start if p)
+    start_numbers: list[int] = []
+    for state, probability in start:
+        start_numbers += [state, probability.numerator, probability.denominator]
     columns = (
         np.array([model.n_states, rate.numerator, rate.denominator], dtype=object),
-        np.array([n for s, p in start for n in (s, p.numerator, p.denominator)], dtype=object),
+        np.array(start_numbers, dtype=object),
         *(
             model.pair_state,
             model.pair_action,
@@ -174,6 +182,7 @@ def fingerprint(model: MDP) -> str:
     head = f"exact-mdp model 2 {model.sense}"
     if model.goal is not None:
         head += f" {model.unreached} {np.flatnonzero(model.goal).tolist()}"
+    # Hash the first line, then one line for each column.
     digest = sha256(head.encode())
     for column in columns:
         digest.update(("\n" + " ".join(map(hex, column.tolist()))).encode())

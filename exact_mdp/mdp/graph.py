@@ -1,9 +1,10 @@
-"""The graph of a model: who reaches whom, in what order, and a proof that every policy ends.
+"""The graph of a model: reachability, order of states, and a proof that every policy ends.
 
-Every policy ends, that is reaches a terminal state with probability 1 from everywhere, exactly
-where no set of other states can be stayed in for ever. The greatest such set is what remains when a
-state is peeled off as soon as each of its pairs has a successor outside. The round of that is its
-rank:
+Every policy ends, that is, reaches a terminal state with probability 1 from every state, if and
+only if there is no set of other states in which some policy can stay forever. To find the greatest
+such set, remove a state as soon as each of its pairs has a successor that was removed before, and
+begin with the terminal states. The states that are never removed are this set, and the round in
+which a state is removed is its rank:
 
     terminal states have rank 0; EVERY pair of another state reaches a smaller rank in one step
 
@@ -29,15 +30,14 @@ from exact_mdp.mdp.model import MDP, cache_on_model
 from exact_mdp.mdp.table import COMPILED, Integers, Numbers
 
 Mask = NDArray[np.bool_]
-SHOWN = 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Termination:
-    """A proof that every policy ends, or a policy that need not.
+    """A proof that every policy ends, or a policy that does not.
 
-    `rank` (S,) is the proof, -1 in states that can be stayed in for ever; `policy` (S,) the action
-    numbers of a policy that stays among the `trapped` states (K,) once there.
+    `rank` (S,) is the proof; it is -1 in states in which a policy can stay forever. `policy` (S,)
+    has the action numbers of a policy that never leaves the `trapped` states (K,).
     """
 
     proven: bool
@@ -49,19 +49,21 @@ class Termination:
 def find_reachable_states(
     mdp: MDP, states: ArrayLike | None = None, pairs: ArrayLike | None = None
 ) -> Mask:
-    """Return (S,) True for states that can be reached, the first ones included.
+    """Return (S,) True for states that can be reached from `states` (K,), these included.
 
-    These are `states` (K,), by default the start; `pairs`, numbers or truth values, are the only
-    ones to go along.
+    By default they are the start. `pairs`, numbers or truth values, restricts the search to some
+    pairs.
     """
-    first = [state for state, weight in mdp.start if weight] if states is None else states
+    first = states
+    if first is None:
+        first = [state for state, weight in mdp.start if weight]
     begin = np.zeros(mdp.n_states, dtype=bool)
     begin[np.asarray(first, dtype=np.int64)] = True
     return find_reachable_nodes(_build_edges(mdp, pairs), begin)
 
 
 def label_components(mdp: MDP) -> tuple[int, Integers]:
-    """Return the number of strongly connected components, and each state's (S,)."""
+    """Return the number of strongly connected components, and the component (S,) of each state."""
     labels = strong_components(_build_edges(mdp))
     return int(labels.max()) + 1, labels
 
@@ -75,8 +77,11 @@ def strong_components(graph: sp.csr_array) -> Integers:
 
 
 def components_in_order(graph: sp.csr_array) -> Integers:
-    """Return the component (K,) of each node of a graph (K, K); no edge leads to a higher one."""
-    # From 1.18 on SciPy reads memory as it lies, and a model's columns may be a strided view.
+    """Return the component (K,) of each node of a graph (K, K); no edge leads to a higher number.
+
+    So components in rising order are a reverse topological order.
+    """
+    # SciPy 1.18 and later need contiguous arrays, and a model's columns may be a strided view.
     columns, rows = map(np.ascontiguousarray, (graph.indices, graph.indptr))
     packed = sp.csr_array((graph.data, columns, rows), graph.shape)
     _, label = csgraph.connected_components(packed, directed=True, connection="strong")
@@ -86,15 +91,17 @@ def components_in_order(graph: sp.csr_array) -> Integers:
 
 
 def longest_ways(graph: sp.csr_array) -> tuple[Integers, Integers]:
-    """Return the component (K,) of each node, and the most edges on a way from it (K,).
+    """Return the component (K,) of each node, and the length (K,) of the longest path from it.
 
-    Nodes on a common cycle, which make a component, count as one.
+    All nodes of a strongly connected component count as one.
     """
+    # Contract each component to a node; the edges between components have no cycle.
     label = components_in_order(graph)
     here, there = (label[each] for each in graph.tocoo().coords)
     count, apart = int(label.max(initial=-1)) + 1, here != there
     edges = sp.csr_array((np.ones(apart.sum()), (here[apart], there[apart])), (count, count))
     edges.sum_duplicates()
+    # A component is ranked when all of its successors are: one more than the last of them.
     waiting = np.diff(edges.indptr)
     owner, every = np.repeat(np.arange(count), waiting), np.ones(edges.nnz, dtype=bool)
     backward = Backward.of(np.arange(edges.nnz + 1), edges.indices, owner, count)
@@ -102,8 +109,8 @@ def longest_ways(graph: sp.csr_array) -> tuple[Integers, Integers]:
 
 
 def find_reachable_nodes(graph: sp.csr_array, first: Mask) -> Mask:
-    """Return (K,) True for nodes that can be reached from `first` (K,) along a graph's rows."""
-    # One more node leads to all the first ones, so that a single search serves.
+    """Return (K,) True for nodes that can be reached from the nodes in `first` (K,)."""
+    # An extra node with edges to all first nodes makes this a single search.
     indices, size = np.concatenate([graph.indices, np.flatnonzero(first)]), len(first) + 1
     offsets = np.append(graph.indptr, len(indices))
     more = sp.csr_array((np.ones(len(indices)), indices, offsets), (size, size))
@@ -114,44 +121,49 @@ def find_reachable_nodes(graph: sp.csr_array, first: Mask) -> Mask:
 
 @cache_on_model
 def numbered_in_order(mdp: MDP) -> bool:
-    """Return whether every transition leads to a higher number, terminal states apart."""
-    first = int(mdp.transition.indices[0])  # most others show it at once
+    """Return whether every transition from a nonterminal state leads to a higher number."""
+    first = int(mdp.transition.indices[0])  # most models without this order show it here
     if (first <= 0 and not mdp.terminal[0]) or not mdp.terminal[-1]:
         return False
     return bool((_least_successor(mdp) > np.arange(mdp.n_states)).all())
 
 
 def is_acyclic(mdp: MDP) -> bool:
-    """Return whether no state can come back to itself, terminal states apart."""
+    """Return whether no nonterminal state can come back to itself."""
     return numbered_in_order(mdp) or topological_levels(mdp) is not None
 
 
 @cache_on_model
 def topological_levels(mdp: MDP) -> Integers | None:
-    """Return (S,) the greatest number of steps to a terminal state; None where there is a cycle."""
+    """Return (S,) the greatest number of steps to a terminal state; None if there is a cycle."""
     if not mdp.terminal.any():
         return None
     edges = _build_edges(mdp)
-    # Without cycles, some state leads to terminal states alone; most other models show at once
-    # that they have none.
+    # Without cycles, some state leads to terminal states only. Most models with cycles have no such
+    # state, which is quickly seen.
     last = np.logical_and.reduceat(mdp.terminal[edges.indices], edges.indptr[:-1]) & ~mdp.terminal
     if not last.any() and not mdp.terminal.all():
         return None
+    # Rank states backward, each when all of its successors are ranked.
     edges = edges.copy()
     edges.sum_duplicates()
     steps, each = np.diff(edges.indptr), np.arange(len(edges.indices) + 1)
     owner = np.repeat(np.arange(mdp.n_states), steps)
     backward = Backward.of(each, edges.indices, owner, mdp.n_states)
     level, _ = backward.rank_states(mdp.terminal, ~mdp.terminal[owner], steps)
-    return None if (level < 0).any() else level
+    if (level < 0).any():
+        return None
+    return level
 
 
 @cache_on_model
 def prove_termination(mdp: MDP) -> Termination:
-    """Return a proof that every policy ends, or a policy that never does from some states."""
+    """Return a proof that every policy ends, or a policy that never ends from some states."""
+    # If all transitions go up, the numbers in reverse are ranks.
     if numbered_in_order(mdp):
         rank = np.where(mdp.terminal, 0, np.arange(mdp.n_states)[::-1])
         return Termination(proven=True, rank=rank, policy=None, trapped=rank[:0])
+    # Otherwise remove states backward from the terminal ones, each when all its pairs can leave.
     matrix = mdp.transition
     backward = Backward.of(matrix.indptr, matrix.indices, mdp.pair_state, mdp.n_states)
     every = np.ones(mdp.n_pairs, dtype=bool)
@@ -159,6 +171,7 @@ def prove_termination(mdp: MDP) -> Termination:
     trapped = np.flatnonzero(rank < 0)
     if not len(trapped):
         return Termination(proven=True, rank=rank, policy=None, trapped=trapped)
+    # The counterexample takes in each trapped state its first pair that stays among them.
     chosen = mdp.pair_offsets[:-1].copy()
     first = np.where(staying, np.arange(mdp.n_pairs), mdp.n_pairs)
     chosen[trapped] = np.minimum.reduceat(first, mdp.pair_offsets[:-1])[trapped]
@@ -166,16 +179,16 @@ def prove_termination(mdp: MDP) -> Termination:
 
 
 def has_improper_policy(mdp: MDP) -> bool:
-    """Return whether the discount is 1 and some policy never ends, or ends beside a goal."""
+    """Return whether the discount is 1 and some policy never ends, or ends beside the goal."""
     if mdp.discount_exact != 1:
         return False
     return bool(beside_goal(mdp).any()) or not prove_termination(mdp).proven
 
 
 def beside_goal(mdp: MDP) -> Mask:
-    """Return (S,) True for terminal states that are not the goal of a model that has one.
+    """Return (S,) True for terminal states beside the goal; all False without a goal.
 
-    A run that ends there has missed the goal, and is worth `unreached` instead of 0.
+    A run that ends there has missed the goal: its value is `unreached` instead of 0.
     """
     if mdp.goal is None:
         return np.zeros(mdp.n_states, dtype=bool)
@@ -184,7 +197,10 @@ def beside_goal(mdp: MDP) -> Mask:
 
 @dataclass(frozen=True, eq=False)
 class Backward:
-    """Pairs (L,) by where they may lead: to s those in into[before[s]:before[s+1]]."""
+    """The graph of pairs in reverse: into[before[s]:before[s+1]] are the pairs that may lead to s.
+
+    `owner` (L,) is the state of each pair.
+    """
 
     before: Numbers
     into: Numbers
@@ -192,16 +208,18 @@ class Backward:
 
     @classmethod
     def of(cls, offsets: Numbers, following: Numbers, owner: Integers, states: int) -> Backward:
-        """Turn pairs round, from the offsets (L+1,) of what follows each."""
+        """Reverse the edges: pair l leads to following[offsets[l]:offsets[l+1]]."""
         ones, shape = np.ones(len(following), dtype=np.int8), (len(offsets) - 1, states)
         reverse = sp.csr_array((ones, following, offsets), shape).tocsc()
         return cls(reverse.indptr, reverse.indices, owner)
 
     def rank_states(self, first: Mask, pairs: Mask, waiting: Integers) -> tuple[Integers, Mask]:
-        """Return (S,) the round in which each joins the `first` ones, or -1; and (L,) pairs left.
+        """Return the rank (S,) of each state, or -1, and (L,) True for `pairs` that remain.
 
-        It joins once `waiting` (S,) of its `pairs` (L,) may lead to those before.
+        The `first` states have rank 0. Another state gets its rank as soon as `waiting` (S,) of its
+        `pairs` (L,) may lead to ranked states: one more than the last of these ranks.
         """
+        # Breadth-first search from the first states, against the direction of the edges.
         rank, left, waiting = np.where(first, 0, -1), pairs.copy(), waiting.copy()
         queue, start = np.empty_like(rank), np.flatnonzero(first)
         queue[: len(start)] = start
@@ -209,6 +227,7 @@ class Backward:
         if len(self.into) >= COMPILED:
             _compile_peeling()(*parts, len(start))
             return rank, left
+        # Python loops over lists much faster than over arrays.
         lists: list[Any] = [*(part.tolist() for part in parts), len(start)]
         peel_states(*lists)
         return np.array(lists[5], dtype=np.int64), np.array(lists[3], dtype=bool)
@@ -217,9 +236,9 @@ class Backward:
 def peel_states(
     before: Any, into: Any, owner: Any, left: Any, waiting: Any, rank: Any, queue: Any, filled: int
 ) -> None:
-    """Write into `rank` when each state joins those in the queue, one round after the other.
+    """Rank the states by a breadth-first search; see `Backward.rank_states`.
 
-    Lists are faster where there are few pairs; for many this is compiled.
+    The queue begins with `filled` states. For large models this function is compiled.
     """
     head = 0
     while head < filled:
@@ -227,6 +246,7 @@ def peel_states(
         head += 1
         for i in range(before[state], before[state + 1]):
             pair = into[i]
+            # A pair counts once, for the first of its successors that is ranked.
             if left[pair]:
                 left[pair] = False
                 own = owner[pair]
@@ -239,51 +259,59 @@ def peel_states(
 
 @cache
 def _compile_peeling() -> Any:
-    """Return `peel_states` for arrays."""
+    """Return `peel_states` compiled for arrays."""
     from exact_mdp.mdp.forms import compiling
 
     return compiling.compile_loop(peel_states)
 
 
 def where_endless(mdp: MDP) -> str:
-    """Return where a policy of an endless model stays for ever, or ends beside the goal."""
+    """Return in words where a policy can stay forever, or end beside the goal."""
     ending = prove_termination(mdp)
+    labels = mdp.space.labels
     if ending.policy is None:
-        goal = np.zeros(mdp.n_states, dtype=bool) if mdp.goal is None else mdp.goal
-        states, before = np.flatnonzero(mdp.terminal & ~goal), "it ends beside the goal in "
-        named = [f"({mdp.space.label(state)})" for state in states[:SHOWN].tolist()]
+        states = np.flatnonzero(mdp.terminal)
+        if mdp.goal is not None:
+            states = np.flatnonzero(beside_goal(mdp))
+        before = "it ends beside the goal in "
+        named = [f"({label})" for label in labels(states[:4])]
     else:
-        states, before = ending.trapped, "it stays for ever in "
-        named = [
-            f"({mdp.space.label(state)}) with action {mdp.actions[ending.policy[state]]}"
-            for state in states[:SHOWN].tolist()
-        ]
+        states, before = ending.trapped, "it stays forever in "
+        named = []
+        for state, label in zip(states[:4], labels(states[:4]), strict=True):
+            named.append(f"({label}) with action {mdp.actions[ending.policy[state]]}")
+    text = before + ", ".join(named)
     more = len(states) - len(named)
-    return before + ", ".join(named) + (f" and {more} more" if more else "")
+    if more:
+        text += f" and {more} more"
+    return text
 
 
 def ways_out(mdp: MDP, *others: str) -> str:
-    """Return what can be done, and `others`, where a total is infinite or has no limit.
+    """Return advice, with `others` at the end, for a total that is infinite or has no limit.
 
-    A run that misses a goal is worth infinity after N steps, too.
+    In a model with a goal a horizon is no remedy: a run that misses it has an infinite value then,
+    too.
     """
     steps = mdp.time_limit or "N"
     ways = ["choose a discount below 1 (--discount 0.95, mdp.with_(discount=0.95))"]
     if mdp.goal is None:
         ways.append(f"stop after {steps} steps (--horizon {steps}, mdp.within({steps}))")
-    *ways, last = [*ways, *others]
-    return f"{', '.join(ways)}, or {last}" if ways else last
+    ways += others
+    if len(ways) == 1:
+        return ways[0]
+    return f"{', '.join(ways[:-1])}, or {ways[-1]}"
 
 
 def other_question(mdp: MDP) -> str:
-    """Return what can be asked instead of a total; a run to a goal has no reward per step."""
+    """Return advice to ask for something else than a total; a goal has no reward per step."""
     if mdp.goal is None:
         return 'ask for the reward per step (--criterion average, criterion="average")'
     return "ask for the chance of getting there (--reach LABEL, mdp.reaching(label))"
 
 
 def require_termination(mdp: MDP) -> None:
-    """Raise ModelError unless γ < 1, or every policy ends and none of them beside a goal."""
+    """Raise ModelError unless γ < 1 or every policy ends, in the goal if there is one."""
     if not has_improper_policy(mdp):
         return
     ways = ["for the optimum of all policies use solve(mdp) or certify(mdp)"]
@@ -296,29 +324,41 @@ def require_termination(mdp: MDP) -> None:
 
 
 def _build_edges(mdp: MDP, pairs: ArrayLike | None = None) -> sp.csr_array:
-    """Return the (S, S) edges from each state to its successors, pair after pair."""
+    """Return the (S, S) edges from each state to its successors, under some pairs or all.
+
+    `pairs` are numbers, or truth values (L,).
+    """
     matrix, offsets = mdp.transition, mdp.pair_offsets
-    chosen: Numbers = np.ones(mdp.n_pairs, dtype=bool) if pairs is None else np.asarray(pairs)
-    mask = chosen.dtype == bool
-    if not (mask and chosen.all()):
-        chosen = np.flatnonzero(chosen) if mask else np.unique(chosen.astype(np.int64))
-        counts = np.bincount(mdp.pair_state[chosen], minlength=mdp.n_states)
-        matrix, offsets = matrix[chosen], np.concatenate([[0], np.cumsum(counts)])
+    if pairs is not None:
+        chosen: Numbers = np.asarray(pairs)
+        if chosen.dtype == bool:
+            chosen = np.flatnonzero(chosen)
+        else:
+            chosen = np.unique(chosen.astype(np.int64))
+        # Without all pairs, the edges of a state are the rows of its chosen pairs.
+        if len(chosen) < mdp.n_pairs:
+            counts = np.bincount(mdp.pair_state[chosen], minlength=mdp.n_states)
+            matrix, offsets = matrix[chosen], np.concatenate([[0], np.cumsum(counts)])
+    # The rows of a state's pairs are adjacent, so together they are the row of the state.
     ones, shape = np.ones(len(matrix.indices), dtype=np.int8), (mdp.n_states, mdp.n_states)
     return sp.csr_array((ones, matrix.indices, matrix.indptr[offsets]), shape)
 
 
 def _least_successor(mdp: MDP) -> Numbers:
-    """Return (S,) the lowest successor of each state; S where the state is terminal."""
+    """Return (S,) the lowest successor of each state, or S if the state is terminal."""
     matrix = mdp.transition
-    # The successors of a pair are sorted: the first one is its lowest.
+    # The successors of a pair are sorted, so the first one is the lowest.
     lowest = np.minimum.reduceat(matrix.indices[matrix.indptr[:-1]], mdp.pair_offsets[:-1])
     return np.where(mdp.terminal, mdp.n_states, lowest)
 
 
 @cache_on_model
 def runs_in_order(mdp: MDP) -> Integers:
-    """Return where runs of states begin that do not lead to each other; the last entry is S."""
+    """Return the first states of runs whose states do not lead to each other; S comes last.
+
+    Backward induction can update all states of a run at once.
+    """
+    # Go backward, and cut as soon as a state leads into the run that would contain it.
     least, ends = _least_successor(mdp).tolist(), mdp.terminal.tolist()
     cuts = [mdp.n_states]
     for state in range(mdp.n_states - 1, 0, -1):

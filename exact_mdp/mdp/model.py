@@ -57,12 +57,13 @@ SHOWN = (
     *("n_states", "n_actions", "n_pairs", "space", "actions", "discount", "start", "sense"),
     *("labels", "name", "table", "transition", "reward", "components", "counts", "P", "R"),
 )
-"""What is listed of a model, and completed: what is asked of it from outside."""
+"""Attributes shown by `dir()` and tab completion."""
 COMMUTING = {
     *("discount_exact", "start", "episodes", "sense", "name", "labels", "goal", "target"),
     *("time_limit", "actions", "action_objects"),
 }
-"""What can be changed in the model that answers a question, and at other parameters alike."""
+"""Parts of the model of a question that can be changed without changing what its parameters mean:
+the change made for one value of a parameter is the change made for every other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,41 +81,41 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
     pair_state, pair_action : (L,) int64
         State and action of each pair, sorted by state, then action, without duplicates.
     space : StateSpace
-        What the state numbers mean.
+        The meaning of the state numbers.
     actions : tuple of str
-        Action names, A of them.
+        Names of the A actions.
     discount_exact : Fraction
         The discount γ in [0, 1].
     start : tuple of (state, probability)
-        Initial distribution, by the numbers of states; state 0 unless said otherwise.
+        Initial distribution, by state number; state 0 by default.
     component_names : tuple of str
-        Names of the C components of the reward. `components` has the expected reward by component
-        (L, C), whose row sums are `reward`.
+        Names of the C components of the reward. `components` (L, C) is the expected reward by
+        component; its row sums are `reward`.
     events : tuple of str
         Names of the bits of `table.event`.
     time_limit : int, optional
-        The number of steps after which the environment that the model was made from stops. No
-        transition knows of it: `within` makes the model of episodes that stop.
+        The number of steps after which the environment of the model stops. It is not part of the
+        transitions; `within` makes the model of episodes that stop.
     sense : "max" or "min"
-        Whether rewards are to be maximised, or are costs to be minimised. All numbers of the model
-        and of what is found for it are as given; no sign changes.
+        "max" if rewards are maximised, "min" if they are costs to be minimised. All numbers of the
+        model and of its solutions keep the sign in which they were given.
     labels : {str: (S,) bool}
         Named sets of states; `reaching` and `until` ask about them.
     goal : (S,) bool, optional
-        Of a model that `until` made, at discount 1: a run that never reaches one of these states is
-        worth `unreached`, which is infinity.
+        Set by `until` at discount 1: a run that never reaches one of these states has the value
+        `unreached`, which is infinite.
     target : (S,) bool, optional
-        The states in which `until` ends every run, at any discount: at discount 1 they are the
-        goal, also where `with_` changes the discount.
+        The states in which `until` ends every run, at any discount. At discount 1 they are the
+        goal, even if `with_` sets that discount later.
     action_objects : tuple
-        What the actions were made of, where these were objects other than 0 … A-1.
+        The objects that the actions were made from, unless these were 0 … A-1.
     observations : (L,) int64, optional
-        How often each pair was observed, where the model comes from data; 0 for pairs that nobody
-        observed and that are certain.
+        How often each pair was observed, if the model was estimated from data; 0 for pairs that
+        were never observed and lead to one state for sure.
     episodes : int, optional
-        How many recorded episodes `start` was counted from; None where the start is known.
+        The number of recorded episodes from which `start` was estimated; None if it is known.
     float_probabilities, float_rewards : bool
-        Whether some were given as floats, which stand for what they were rounded from.
+        Whether some of them were given as floats, which stand for the numbers rounded to them.
 
     Raises
     ------
@@ -124,7 +125,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
 
     Notes
     -----
-    Models are equal whose content is, by `fingerprint`: names and labels do not count.
+    Models are equal if their fingerprints are equal; names and labels do not count.
 
     Examples
     --------
@@ -140,10 +141,12 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
     pair_offsets: Integers = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        fill = object.__setattr__
+        fill = object.__setattr__  # the dataclass is frozen
+        # Normalize the rows and check all parts before anything is derived from them.
         if isinstance(self.table, OutcomeTable):
             fill(self, "table", self.table.with_normalized_rows())
         check_model(self)
+        # Bring the optional parts into their canonical forms.
         for name, numbers in (("probabilities", self.table.weight), ("rewards", self.table.gain)):
             if numbers.dtype == np.float64:
                 fill(self, f"float_{name}", True)
@@ -157,12 +160,14 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
             fill(self, "goal", as_flags(self.goal, self.space, "goal"))
             if self.discount_exact != 1:
                 raise ModelError(
-                    "a goal is that of a total at discount 1",
+                    f"a goal needs discount 1, and the discount is {self._rate}",
                     where="goal",
                     fix='ask mdp.with_(discount=1).until("LABEL"), or leave goal out',
                 )
-        target = self.target if self.goal is None else self.goal
-        fill(self, "target", None if target is None else as_flags(target, self.space, "target"))
+            fill(self, "target", self.goal)
+        if self.target is not None:
+            fill(self, "target", as_flags(self.target, self.space, "target"))
+        # Derive the arrays of the float model; each number is rounded once.
         offsets = np.zeros(self.n_states + 1, dtype=np.int64)
         np.cumsum(np.bincount(self.pair_state, minlength=self.n_states), out=offsets[1:])
         fill(self, "pair_offsets", offsets)
@@ -172,9 +177,10 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
             raise ModelError("an expected reward is too large for a float", fix="scale the rewards")
         _check_components(self)
         self._lock_arrays()
+        # `terminal` is computed from the derived arrays, so this check comes last.
         if self.goal is not None and not self.terminal[self.goal].all():
             raise ModelError(
-                "a run goes on, or earns, in a state of the goal",
+                "a run continues, or earns a reward, in a state of the goal",
                 where="goal",
                 fix="use until, which ends every run there",
             )
@@ -187,8 +193,10 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
                     value.setflags(write=False)
 
     def __getstate__(self) -> dict[str, Any]:
-        kept = {"origin": vars(self)["origin"]} if "origin" in vars(self) else {}
-        return super().__getstate__() | kept
+        state = super().__getstate__()
+        if "origin" in vars(self):
+            state["origin"] = vars(self)["origin"]
+        return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(state)
@@ -209,12 +217,14 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         return SHOWN
 
     def __repr__(self) -> str:
-        asked = questions.describe_sense(self)
-        return (
+        text = (
             f"MDP({self.name or 'unnamed'}: {self.n_states} states, {self.n_actions} actions, "
             f"{self.n_pairs} pairs, {self.n_transitions} transitions, discount {self._rate}"
-            f"{asked and f', {asked}'})"
         )
+        sense = questions.describe_sense(self)
+        if sense:
+            text += f", {sense}"
+        return text + ")"
 
     def frame(self, states: object = None) -> DataFrame:
         """Return the outcomes as a table, with exact numbers.
@@ -222,7 +232,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         Parameters
         ----------
         states : state, or iterable of states, optional
-            Those whose outcomes are wanted, by number or by name; all by default.
+            The states to show, by number or by name; all by default.
 
         Returns
         -------
@@ -232,7 +242,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         Raises
         ------
         ModelError
-            For a state that there is not.
+            For an unknown state.
 
         Examples
         --------
@@ -242,16 +252,20 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         state 0,0,state 0,1/3,5
         state 0,0,state 1,2/3,5
         """
-        chosen = range(self.n_states) if states is None else self.space.numbers(states)
-        return self._frame_outcomes(pair for state in chosen for pair in self.pairs_of(state))
+        if states is None:
+            return self._frame_outcomes(range(self.n_pairs))
+        pairs: list[int] = []
+        for state in self.space.numbers(states):
+            pairs += self.pairs_of(state)
+        return self._frame_outcomes(pairs)
 
     def _frame_outcomes(self, pairs: Iterable[int]) -> DataFrame:
         label = self.space.label
-        rows = [
-            (label(self.pair_state[pair]), self.actions[self.pair_action[pair]], label(after), p, r)
-            for pair in pairs
-            for p, after, r in self.table.row(pair)
-        ]
+        rows = []
+        for pair in pairs:
+            state, action = label(self.pair_state[pair]), self.actions[self.pair_action[pair]]
+            for probability, after, reward in self.table.row(pair):
+                rows.append((state, action, label(after), probability, reward))
         earned = "cost" if self.sense == "min" else "reward"
         names = ["state", "action", "next state", "probability", earned]
         return data_frame(rows, columns=names)
@@ -262,9 +276,10 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
 
     @property
     def _rate(self) -> str:
-        """The discount in print: exact where that is short."""
-        short = self.discount_exact.denominator < 10**9
-        return str(self.discount_exact) if short else f"{self.discount:.12g}"
+        """The discount in print: exact if that is short, else with twelve digits."""
+        if self.discount_exact.denominator < 10**9:
+            return str(self.discount_exact)
+        return f"{self.discount:.12g}"
 
     # ---- sizes -------------------------------------------------------------------------------
 
@@ -291,10 +306,10 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
 
     @cached_property
     def counts(self) -> sp.csr_array | None:
-        """(L, S) how often each pair was seen to lead to each state; None without data.
+        """(L, S) how often each pair was observed to lead to each state; None without data.
 
-        Rows of pairs that nobody observed, such as those of the states in which all is over, are
-        empty. `observations` (L,) holds the row sums.
+        Rows of pairs that were never observed, such as the pairs of terminal states, are empty.
+        `observations` (L,) holds the row sums.
         """
         if self.observations is None:
             return None
@@ -329,15 +344,16 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
 
     @cached_property
     def terminal(self) -> NDArray[np.bool_]:
-        """(S,) True where every action stays put for ever and earns nothing: it is worth 0.
+        """(S,) True where every action stays in the state forever and earns 0: its value is 0.
 
-        What is counted beside the reward may differ there; see `over`.
+        Components or events may still be counted there; see `over`.
         """
+        # A pair stays if its only next state is its own state.
         indptr = self.transition.indptr
         stays = np.diff(indptr) == 1
         alone = np.flatnonzero(stays)
         stays[alone] = self.transition.indices[indptr[alone]] == self.pair_state[alone]
-        # Of a pair that only stays, every outcome stays; others need not be looked at.
+        # Rewards matter only for these pairs, and these are few in most models.
         alone = np.flatnonzero(stays)
         if len(alone):
             stays[alone] = ~self.table.of_pairs(alone).any_outcome("gain")
@@ -345,7 +361,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
 
     @cached_property
     def over(self) -> NDArray[np.bool_]:
-        """(S,) True where all is over: terminal, without any component or event to be counted."""
+        """(S,) True where an episode is over: terminal, with no component or event to count."""
         counted = np.zeros(self.n_pairs, dtype=bool)
         if self.table.components is not None:
             counted |= self.table.any_outcome("components")
@@ -355,9 +371,9 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
 
     @cached_property
     def asked(self) -> NDArray[np.bool_]:
-        """(S,) True where a policy has to say what is done: it has a choice, and not all is over.
+        """(S,) True where a policy must choose: several actions, and the episode is not over.
 
-        Elsewhere a policy may say anything, or nothing.
+        In other states a policy may name any action, or none.
         """
         return ~self.forced & ~self.over
 
@@ -373,19 +389,24 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
                 where="by_action",
                 fix="give one number for each pair",
             )
-        kind = array.dtype if array.dtype.kind in "bO" else np.result_type(array, np.float64)
-        fill = False if array.dtype.kind == "b" else missing
+        # NaN needs a float array; truth values and exact numbers keep their type.
+        kind = np.result_type(array, np.float64)
+        if array.dtype.kind in "bO":
+            kind = array.dtype
+        fill: Any = missing
+        if array.dtype.kind == "b":
+            fill = False
         table = np.full((self.n_states, self.n_actions), fill, dtype=kind)
         table[self.pair_state, self.pair_action] = array
         return table
 
     @property
     def R(self) -> Floats:
-        """(S, A) expected rewards; -inf (of costs inf) where an action is not offered."""
-        return self.by_action(self.reward, np.inf if self.sense == "min" else -np.inf)
+        """(S, A) expected rewards; -inf (inf for costs) where an action is not available."""
+        return self.by_action(self.reward, -self.sign * np.inf)
 
     def P(self, action: object) -> sp.csr_array:
-        """Return the (S, S) transitions of an action; rows are empty where it is not offered.
+        """Return the (S, S) transitions of an action; rows are empty where it is not available.
 
         Examples
         --------
@@ -403,10 +424,12 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
     @cached_property
     def indifferent(self) -> NDArray[np.bool_]:
         """(S,) True where all actions have the same outcomes and amounts, number for number."""
+        # Compare each pair with the first pair of its state, at first by the number of outcomes.
         table, first = self.table, self.pair_offsets[self.pair_state]
         lengths = np.diff(table.offsets)
         same = lengths == lengths[first]
         rows = np.flatnonzero(same)
+        # Then compare pairs with as many outcomes in each array of the table.
         ours, theirs = table.of_pairs(rows), table.of_pairs(first[rows])
         for name in [part.name for part in fields(table)[1:-1]]:  # all but the offsets, and a flag
             here, there = getattr(ours, name), getattr(theirs, name)
@@ -415,6 +438,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
             equal = np.asarray(here == there, dtype=bool)
             if equal.ndim == 2:
                 equal = np.asarray(equal.all(axis=1))
+            # Arrays by outcome agree if they do in every outcome of the pair.
             if len(equal) == len(ours.next):
                 equal = np.asarray(np.logical_and.reduceat(equal, ours.offsets[:-1]))
             same[rows] &= equal
@@ -425,9 +449,9 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         return range(int(self.pair_offsets[state]), int(self.pair_offsets[state + 1]))
 
     def pair(self, state: object, action: object) -> int:
-        """Return the number of a pair; `mdp.forms.names` says how state and action are given.
+        """Return the number of a pair; see `mdp.forms.names` for ways to name state and action.
 
-        Raises ModelError where the state lacks the action.
+        Raises ModelError if the action is not available in the state.
         """
         with locate_errors("states"):
             place = self.space.number(state)
@@ -443,21 +467,21 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         )
 
     def action(self, name: object) -> int:
-        """Return the number of an action; `mdp.forms.names` says how it is given."""
+        """Return the number of an action; see `mdp.forms.names` for ways to name it."""
         with locate_errors("actions"):
             return self.action_names.find_number(name)
 
     @cached_property
     def action_names(self) -> Names:
-        """Which action is meant by a name, a number, or the object that it was made of."""
+        """The numbers of the actions by name, number, or the object that each was made from."""
         words = {word: number for number, word in enumerate(self.actions)}
-        made = enumerate(self.action_objects)
+        objects = enumerate(self.action_objects)
         return Names(
             what="action",
             size=self.n_actions,
             words=words,
             label=lambda number: f"action {self.actions[number]}",
-            objects={thing: number for number, thing in made},
+            objects={thing: number for number, thing in objects},
             otherwise=lambda thing: words.get(text_of(thing).removeprefix("action ")),
         )
 
@@ -477,8 +501,8 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         discount : number or "p/q", optional
         start : state, {state: probability} or (S,) probabilities, optional
         **parts
-            Any other attribute of the constructor, such as `name` or `actions`; `states`, a name
-            for each; `components`, as in `from_arrays`, for each pair (L,).
+            Any other attribute of the constructor, such as `name` or `actions`; `states`, their
+            names; `components`, as in `from_arrays`, for each pair (L,).
 
         Returns
         -------
@@ -497,13 +521,17 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         check_options(parts, {})
         origin = questions.origin_of(self)
         if discount is not None and origin is not None and origin.paid:
-            # What states are worth at the horizon is discounted: it is asked once more.
-            asked = replace(origin, model=origin.model.with_(discount=discount)).rebuild_model()
+            # Terminal values are discounted: ask the question of the model with the new discount.
+            rebuilt: Self = replace(
+                origin, model=origin.model.with_(discount=discount)
+            ).rebuild_model()
             if start is not None or parts:
-                asked = asked.with_(start=start, **parts)
-            whole: Self = asked
-            return whole
-        given = {**parts} if start is None else {**parts, "start": start}
+                rebuilt = rebuilt.with_(start=start, **parts)
+            return rebuilt
+        # The changes as given are kept with the origin, to be made at other parameters as well.
+        given = dict(parts)
+        if start is not None:
+            given["start"] = start
         if "states" in parts:
             parts["space"] = StateSpace.plain(self.n_states, parts.pop("states"))
         if "actions" in parts:
@@ -511,13 +539,17 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
             parts = {"action_objects": ()} | parts
         if discount is not None:
             parts["discount_exact"] = as_discount(discount)
+        # The target of `until` is a goal at discount 1 only.
         if "goal" in parts:
             parts.setdefault("target", parts["goal"])
         elif self.target is not None and "discount_exact" in parts:
-            parts["goal"] = self.target if parts["discount_exact"] == 1 else None
+            parts["goal"] = None
+            if parts["discount_exact"] == 1:
+                parts["goal"] = self.target
         if start is not None:
             parts["start"] = as_start(start, parts.get("space", self.space))
             parts.setdefault("episodes", None)
+        # Data and components describe the old table; a new one starts without them.
         if "table" in parts:
             table = require_type(parts["table"], OutcomeTable, "table", "give an OutcomeTable")
             parts = questions.NO_DATA | parts
@@ -542,22 +574,28 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
 
     @cached_property
     def undiscounted(self) -> MDP:
-        """The model itself, or the same in which all steps count alike: discount 1."""
-        return self if self.discount_exact == 1 else self.with_(discount=1, goal=None)
+        """The model with discount 1 and no goal; itself if it has discount 1."""
+        if self.discount_exact == 1:
+            return self
+        return self.with_(discount=1, goal=None)
 
     @property
     def sign(self) -> int:
-        """1 where the greatest value is best, -1 where rewards are costs."""
-        return 1 if self.sense == "max" else -1
+        """1 if rewards are maximised, -1 if they are costs."""
+        return {"max": 1, "min": -1}[self.sense]
 
     def negated(self) -> MDP:
-        """Return the model of the other sense, whose rewards are those times -1."""
+        """Return the same problem with the opposite sense: all rewards times -1."""
+        # Only `until` gives `unreached` a meaning. A model without its target keeps +∞, the value
+        # that a later `until` needs.
+        unreached = self.unreached
+        if self.target is not None:
+            unreached = -unreached
         negated = replace(
             self,
             table=self.table.negate_rewards(),
-            sense="max" if self.sense == "min" else "min",
-            # Without a question nothing is missed, and to miss that of a later `until` is worth +∞.
-            unreached=self.unreached if self.target is None else -self.unreached,
+            sense={"max": "min", "min": "max"}[self.sense],
+            unreached=unreached,
         )
         if questions.origin_of(self) is not None:
             questions.keep_origin(negated, self, "negated")
@@ -565,8 +603,10 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
 
     @property
     def maximised(self) -> MDP:
-        """The model itself, or its negation where rewards are costs."""
-        return self if self.sense == "max" else _negate_model(self)
+        """The same problem with rewards to maximise: itself, or its negation."""
+        if self.sense == "max":
+            return self
+        return _negate_model(self)
 
     @classmethod
     @named_options
@@ -578,19 +618,20 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         start: object | None = None,
         constants: Mapping[str, object] | None = None,
     ) -> MDP:
-        """Read a model from a file that `save` wrote, or another program.
+        """Read a model from a file written by `save` or by another program.
 
         Parameters
         ----------
         path : str or path
-            `.npz`, `.umb` or another that `mdp.io.load` names; a scenario's `.toml` is compiled.
+            A file in a format that `mdp.io.load` lists, such as `.npz` or `.umb`; the `.toml` of a
+            scenario is compiled.
         discount : number or "p/q", optional
-            Instead of the file's own.
+            The discount to use instead of the one in the file.
         start : state, {state: probability} or (S,) probabilities, optional
-            Likewise.
+            The initial distribution to use instead of the one in the file.
         constants : {name: number}, optional
-            Values of what a `.prism` or `.jani` file leaves open; a float is the decimal
-            that it prints as.
+            Values of the constants that a `.prism` or `.jani` file leaves open; a float is the
+            decimal that it prints as.
 
         Returns
         -------
@@ -599,7 +640,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         Raises
         ------
         ModelError
-            Where the file cannot be read, or holds no model.
+            If the file cannot be read, or does not hold a model.
 
         Examples
         --------
@@ -614,9 +655,10 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         return exact_mdp.load(path, discount=discount, start=start, constants=constants)
 
     def save(self, path: str | Path) -> None:
-        """Write all of the model as `.npz`, or as `.umb` for model checkers; whole or not at all.
+        """Write the model as `.npz`, or as `.umb` for model checkers.
 
-        Raises ModelError for another ending, and where the path cannot be written to.
+        The file is written completely or not at all. Raises ModelError for another file name
+        extension, and if the path cannot be written to.
         """
         import exact_mdp
 
@@ -624,12 +666,14 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
 
 
 def _build_transition_matrix(table: OutcomeTable, states: int) -> sp.csr_array:
-    """Return the (L, S) matrix: outcomes with the same next state added up, rounded once."""
+    """Return the (L, S) transition matrix, each probability rounded once."""
+    # Outcomes with the same next state become one entry, the sum of their weights.
     data, indices, indptr = table.weight, table.next, table.offsets
     if not table.rising:
         first, indptr = find_outcome_runs(table)
         data, indices = np.asarray(np.add.reduceat(data, first)), indices[first]
     data = divide(data, table.denominator, np.diff(indptr))
+    # SciPy wants both index arrays in one type; 32 bits are enough for all but huge matrices.
     if len(data) < 2**31 - 1:
         indptr = indptr.astype(indices.dtype)
     matrix = sp.csr_array((data, indices, indptr), shape=(table.pairs, states), copy=False)
@@ -638,6 +682,7 @@ def _build_transition_matrix(table: OutcomeTable, states: int) -> sp.csr_array:
 
 
 def _check_components(mdp: MDP) -> None:
+    """Raise ModelError unless the components have the right shape and add up to the reward."""
     amounts, below = mdp.table.components, mdp.table.component_denominator
     if amounts is None and len(mdp.component_names) == 1:
         return
@@ -654,7 +699,7 @@ def _check_components(mdp: MDP) -> None:
         raise ModelError(
             "a denominator of the components is not positive",
             where="reward components",
-            fix="make it > 0",
+            fix="make it positive",
         )
     wrong = wrong_rows(mdp.table, mdp.reward)
     if wrong.any():
@@ -662,12 +707,12 @@ def _check_components(mdp: MDP) -> None:
         raise ModelError(
             f"components sum to {mdp.components[pair].sum():g}, the reward is {mdp.reward[pair]:g}",
             where=mdp.where(pair),
-            fix="make the components add up to the expected reward",
+            fix="change a component so that their sum is the expected reward",
         )
 
 
 def cache_on_model(find: Callable[[MDP], Found]) -> Callable[[MDP], Found]:
-    """Return a function that finds something once for each model, and keeps it as long as that."""
+    """Cache a function's result on the model, so that it is computed once for each model."""
     key = f"once {find.__module__}.{find.__name__}"
 
     @wraps(find)

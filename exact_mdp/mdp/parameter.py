@@ -19,11 +19,11 @@ class Parameter:
     name : str
         Such as `base.anger` or `reward.task-complete`.
     value : Fraction
-        Given as a number or "p/q", and kept as the exact number that this is.
+        Given as a number or "p/q", and kept exactly.
     low, high : Fraction or None
-        The range that the number may take; None where it is open.
+        The range of allowed values; None for an end without a limit.
     unit : str, optional
-        What the number is measured in, for tables and axes.
+        The unit of the number, for tables and axes.
 
     Examples
     --------
@@ -43,7 +43,7 @@ class Parameter:
     high: Fraction | None = None
     unit: str | None = None
 
-    if TYPE_CHECKING:  # what is taken: any number
+    if TYPE_CHECKING:  # the constructor accepts any number
 
         def __init__(
             self,
@@ -61,6 +61,7 @@ class Parameter:
             raise ModelError("a parameter has no name", where="parameters", fix="give it one")
         if self.unit is not None:
             check_names((self.unit,), "unit", where=f"parameter {self.name}")
+        # Convert the numbers; the ends of the range may be left open.
         for part in ("value", "low", "high"):
             number = getattr(self, part)
             if part == "value" or number is not None:
@@ -80,9 +81,14 @@ class Parameter:
         below = self.low is not None and value < self.low
         above = self.high is not None and value > self.high
         if below or above:
-            low = "-∞" if self.low is None else format_rational(self.low)
-            high = "∞" if self.high is None else format_rational(self.high)
-            ends = [end for end in (self.low, self.high) if end is not None]
+            low, high = "-∞", "∞"
+            ends = []
+            if self.low is not None:
+                low = format_rational(self.low)
+                ends.append(self.low)
+            if self.high is not None:
+                high = format_rational(self.high)
+                ends.append(self.high)
             raise ModelError(
                 f"{self.name} is {format_beside_limits(value, *ends)}, outside [{low}, {high}]",
                 where=f"parameter {self.name}",

@@ -1,16 +1,16 @@
 """Questions about a model, as models whose optimal value is the answer.
 
 The probability of reaching a set T through a set C is a total reward at discount 1: the step into T
-earns 1 and ends, as does the first step from T; runs outside C ∪ T end with 0. The reward until T
-is that of the model in which T is absorbing; a run that never reaches T is worth +∞, as PRISM and
-Storm define R[F T]. Episodes of N steps have the time in their states, which makes a model without
-cycles:
+earns 1 and ends, as does the first step from T; runs that leave C ∪ T end with 0. The reward until
+T is the reward of the model in which T is absorbing; a run that never reaches T has the value +∞,
+as PRISM and Storm define R[F T]. Episodes of N steps have the time in their states, which makes a
+model without cycles:
 
     V_N(s) = 0,    V_t(s) = max over pairs l of s of  r(l) + γ Σ_s' P(l, s') V_{t+1}(s')
 
-With terminal values v the last step earns γ v(s') beside its reward; a state in which all is over
-goes on until time N where its v is not 0. States of `reaching` and `until` keep their numbers and
-pairs, so that policies for the model are policies here.
+With terminal values v the last step earns γ v(s') in addition to its reward; a terminal state with
+v ≠ 0 continues until time N. The models of `reaching` and `until` keep the numbers of states and
+pairs, so policies of the original model are policies of these models as well.
 
 Sources: Baier and Katoen, Principles of Model Checking, MIT Press 2008, sections 10.1 and 10.6;
 https://www.prismmodelchecker.org/manual/PropertySpecification/Reward-basedProperties;
@@ -45,31 +45,31 @@ from exact_mdp.mdp.table import (
 from exact_mdp.mdp.validate import Flags, Parts, numbers_by_state, require_count
 
 REACHED, TERMINAL_VALUE = "reached", "terminal value"
+# Bytes of memory that an audit takes for each outcome, pair and state, beside the table: measured.
 FLOATS, OF_PAIR, OF_STATE = 20, 250, 560
-"""Bytes beside the table for each outcome, pair and state that an audit takes, as measured."""
 ONE_COMPONENT = {"component_names": ("reward",)}
-# Other rows than those that were observed; a pair has no number of them for each time either.
+# A question changes the rows, so counts of the original rows no longer describe them.
 NO_DATA: dict[str, Any] = {"observations": None, "episodes": None}
 
 
 @dataclass(frozen=True)
 class Question:
-    """A question about a model: a method of `MDP` that makes another model, and its options."""
+    """A question about a model: a method of `MDP` that returns another model, and its options."""
 
     method: str
     options: Mapping[str, Any]
 
     def __call__(self, model: Any) -> Any:
-        """Return the model that answers the question about another one."""
+        """Return the model that answers the question about `model`."""
         return getattr(model, self.method)(**self.options)
 
 
 @dataclass(frozen=True)
 class Origin:
-    """The model that a question was asked about, and the questions, the first one first.
+    """The model that questions were asked about, and the questions in order.
 
-    The parameters of a question are those of this model: a row of it may be many rows of the model
-    that answers, such as one for each time.
+    A question has the parameters of its origin: one row of the origin may be many rows of the model
+    of the question, such as one for each time.
     """
 
     model: Any
@@ -77,55 +77,58 @@ class Origin:
 
     @property
     def paid(self) -> bool:
-        """Whether states are worth something at a horizon; a probability pays nothing."""
+        """Whether there are terminal values that count; they do not count in a probability."""
         if any(each.method == "reaching" for each in self.questions):
             return False
         return any(each.options.get("terminal_value") is not None for each in self.questions)
 
     def without_terminal_value(self) -> Origin:
-        """Return the same questions, where states are worth nothing at a horizon."""
-        asked = (
-            replace(each, options={**each.options, "terminal_value": None})
-            if "terminal_value" in each.options
-            else each
-            for each in self.questions
-        )
+        """Return the same questions without terminal values."""
+        asked = []
+        for question in self.questions:
+            options = dict(question.options)
+            if "terminal_value" in options:
+                options["terminal_value"] = None
+            asked.append(replace(question, options=options))
         return replace(self, questions=tuple(asked))
 
     def rebuild_model(self) -> Any:
-        """Return the model that answers."""
+        """Return the model that answers all questions, one after the other."""
         return reduce(lambda model, ask: ask(model), self.questions, self.model)
 
 
 def origin_of(model: Any) -> Origin | None:
-    """Return the origin of a model that answers a question; None where there is none."""
+    """Return the origin of the model of a question; None for any other model."""
     found: Origin | None = vars(model).get("origin")
     return found
 
 
 def repeats_in_time(model: Any) -> bool:
-    """Return whether a model without origin looks like one that `within` made.
+    """Return whether a model without origin looks like the result of `within`.
 
-    Its first column is the time, every step leads to the next one, and the rows of time 0 are those
-    of time 1.
+    Its first column is the time, every step leads to the next time, and time 0 and time 1 have the
+    same rows.
     """
     space, table = model.space, model.table
     if not space.columns or space.names[0] != TIME or space.columns[0].size < 3:
         return False
+    # Take the pairs of times 0 and 1; `own` is the number of states of one time.
     own = space.regular // space.columns[0].size
     first, second = (np.flatnonzero(model.pair_state // own == time) for time in (0, 1))
     here, there = table.of_pairs(first), table.of_pairs(second)
+    # Compare the numbers of outcomes and the actions, before rows are compared number by number.
     same = np.array_equal(np.diff(here.offsets), np.diff(there.offsets))
     same = same and np.array_equal(model.pair_action[first], model.pair_action[second])
     if not same:
         return False
+    # The next states of time 1 are the next states of time 0, one layer further on.
     later = np.where(here.next < space.regular, here.next + own, here.next)
     rows = (here.weight, there.weight), (here.denominator, there.denominator)
     return np.array_equal(later, there.next) and all(np.array_equal(*each) for each in rows)
 
 
 def keep_origin(answer: Any, asked_of: Any, method: str, **options: Any) -> Any:
-    """Return a model that answers a question, which knows from now on what it was asked of."""
+    """Record in `answer` the model and the question that it answers; return it."""
     before = origin_of(asked_of) or Origin(asked_of, ())
     question = Question(method, options)
     vars(answer)["origin"] = Origin(before.model, (*before.questions, question))
@@ -135,10 +138,10 @@ def keep_origin(answer: Any, asked_of: Any, method: str, **options: Any) -> Any:
 def keep_origin_changed(
     answer: Any, asked_of: Any, discount: object | None, changes: Mapping[str, Any]
 ) -> None:
-    """Let a copy with other parts know its origin, as `keep_origin` does.
+    """Record the origin of a copy with other parts, as `keep_origin` does.
 
-    Another discount is one of the origin's model, whose parameter it is. Where that would answer
-    something else, as of a probability that counts no discount, the copy has no origin.
+    The discount is a parameter of the original model, so a new discount is set there. The model of
+    a probability has no discount; a copy with one answers another question and has no origin.
     """
     before = origin_of(asked_of)
     assert before is not None
@@ -155,21 +158,22 @@ def keep_origin_changed(
 
 
 class Questions(Parts):
-    """What can be asked of a model: other models."""
+    """The questions of a model: methods that return the model of the answer."""
 
     def reaching(self, label: str, allowed: str | None = None) -> Self:
         """Return the model whose value is the probability of reaching a labelled state.
 
-        One more state, `reached`, takes the place of those of the label, which keep the value 1.
-        The optimum is the greatest probability; the least one where the sense is "min". There is no
-        discount. With `within(N)`, before or after, it is the probability within N steps.
+        Steps into a labelled state lead to a new state `reached` instead; the labelled states keep
+        the value 1. The optimum is the greatest probability, or the least if the sense is "min".
+        There is no discount. With `within(N)`, before or after, it is the probability of reaching
+        a labelled state within N steps.
 
         Parameters
         ----------
         label : str
             One of `labels`.
         allowed : str, optional
-            The label of the states that may be passed through; all unless given.
+            The label of the states that a run may pass through; all by default.
 
         Returns
         -------
@@ -178,7 +182,7 @@ class Questions(Parts):
         Raises
         ------
         ModelError
-            Where a label is unknown, or a start is not allowed.
+            If a label is unknown, or a start state is not allowed.
 
         Examples
         --------
@@ -190,9 +194,9 @@ class Questions(Parts):
         Fraction(1, 3)
         """
         target, size, space = find_labelled_states(self, label), self.n_states, self.space
-        outside = (
-            np.zeros(size, dtype=bool) if allowed is None else ~find_labelled_states(self, allowed)
-        )
+        outside = np.zeros(size, dtype=bool)
+        if allowed is not None:
+            outside = ~find_labelled_states(self, allowed)
         for state, chance in self.start:
             if chance > 0 and outside[state] and not target[state]:
                 raise ModelError(
@@ -200,21 +204,23 @@ class Questions(Parts):
                     where=f"allowed {allowed!r}",
                     fix="allow it, or start elsewhere",
                 )
+        # Labelled states lead to `reached`, the new state S, at once; forbidden ones stay put.
         states, pairs = np.append(self.pair_state, size), self.n_pairs
         table = _redirect_pairs(
             self.table.with_reward(np.zeros(pairs, np.int64), make_ones(pairs)),
             np.append((target | outside)[self.pair_state], True),
             np.where(np.append(target, False)[states], size, states),
         )
+        # Outcomes that arrive lead to `reached`. It has the greatest number, so they come last in
+        # their row, which stays sorted.
         arrives = np.append(target, True)[table.next]
-        order = np.argsort(
-            2 * table.pair + arrives, kind="stable"
-        )  # the new state has the last number
+        order = np.argsort(2 * table.pair + arrives, kind="stable")
         arrives = arrives[order]
         table = replace(
             table.map_numbers(lambda _, values: values, lambda _, values: values[order]),
             next=np.where(arrives, table.next.dtype.type(size), table.next[order]),
         )
+        # An arrival earns 1, but the step from `reached` to itself earns 0.
         parts = {
             "table": replace(table, gain=(arrives & (table.pair < pairs)).astype(np.int64)),
             "pair_state": states,
@@ -235,16 +241,16 @@ class Questions(Parts):
     def until(self, label: str, reward: str | None = None) -> Self:
         """Return the model whose value is the expected reward until a labelled state is reached.
 
-        At discount 1 a run that never gets there is worth +∞. The optimum is infinite where such a
-        run has a chance under some policy; where costs are minimised, under all. With `within(N)`,
-        before or after, these are the runs that do not get there within N steps.
+        At discount 1 a run that never reaches one has the value +∞. The optimum is infinite if such
+        runs have a positive probability under some policy; for costs, under every policy. With
+        `within(N)`, before or after, these are the runs that reach no labelled state in N steps.
 
         Parameters
         ----------
         label : str
             One of `labels`.
         reward : str, optional
-            The reward component that counts; their sum unless given.
+            The reward component that counts; the whole reward by default.
 
         Returns
         -------
@@ -253,7 +259,7 @@ class Questions(Parts):
         Raises
         ------
         ModelError
-            Where the label or the component is unknown.
+            If the label or the component is unknown.
 
         Examples
         --------
@@ -265,8 +271,13 @@ class Questions(Parts):
         [Fraction(3, 2), Fraction(0, 1)]
         """
         target = find_labelled_states(self, label)
-        model = self if reward is None else _with_component_reward(self, reward)
-        goal = target if self.discount_exact == 1 else None
+        model = self
+        if reward is not None:
+            model = _with_component_reward(self, reward)
+        # Below discount 1 a run that misses the target has a finite value: there is no goal.
+        goal = None
+        if self.discount_exact == 1:
+            goal = target
         _refuse_paid_goal(model, label)
         until: Self = make_terminal(model, target, goal=goal, target=target)
         asked: Self = keep_origin(until, model, "until", label=label)
@@ -275,19 +286,19 @@ class Questions(Parts):
     def within(self, steps: int, *, terminal_value: object = None) -> Self:
         """Return the model of episodes that stop after N steps.
 
-        A column `time` comes before the model's own: states are those of time 0, of time 1, and so
-        on to time N, where all is over; extra states, such as an end, keep no time. Everything
-        that takes a model takes this one. Policies over the model's own states or columns are
-        policies of this one, too, the same at every time.
+        The new model has a column `time` before the model's own columns: first all states at time
+        0, then at time 1, and so on to time N, when every episode is over. Extra states, such as an
+        end, have no time. A policy over the model's own states or columns is also a policy of the
+        new model, the same at every time.
 
         Parameters
         ----------
         steps : int
             N, 1 or more.
         terminal_value : (S,) numbers or {state: number}, optional
-            What each state is worth at time N, where no reward follows unless it is given; a state
-            that is not named is worth 0. The last step earns it, discounted once, so that values at
-            time N itself are 0. With components, it is one more: "terminal value".
+            The value of each state at time N; 0 by default, and for states that are not named. The
+            last step earns it, discounted once, so the values of the states at time N themselves
+            are 0. In a model with components it is a component of its own, "terminal value".
 
         Returns
         -------
@@ -296,8 +307,8 @@ class Questions(Parts):
         Raises
         ------
         ModelError
-            Where `steps` is not a positive whole number, the model would not fit in memory, or it
-            has a column `time` already; for a terminal value that is not finite.
+            If `steps` is not a positive whole number, a terminal value is not finite, the new model
+            would not fit in memory, or the model already has a column `time`.
 
         Examples
         --------
@@ -309,13 +320,17 @@ class Questions(Parts):
         >>> mdp.table.row(mdp.pair(2, 0))
         [(Fraction(1, 2), 4, Fraction(1, 1)), (Fraction(1, 2), 5, Fraction(1, 1))]
         """
-        mdp: Any = self  # which is whole
+        mdp: Any = self  # an MDP, which has more attributes than its parts
         offsets, over = mdp.pair_offsets, mdp.over
-        values = [] if terminal_value is None else _read_terminal_values(terminal_value, self.space)
+        # Read the terminal values. A run that has reached its target is over and earns none.
+        values = []
+        if terminal_value is not None:
+            values = _read_terminal_values(terminal_value, self.space)
         if self.target is not None:
             for state in np.flatnonzero(self.target).tolist():
                 if values and values[state]:
                     raise _paid_goal(self.space.place(state))
+        # A terminal state with a terminal value has to wait for the horizon to earn it.
         if any(values):
             over = over & np.array([value == 0 for value in values])
         count, space = require_count(steps, "horizon"), _in_columns(self, over)
@@ -323,7 +338,7 @@ class Questions(Parts):
         origin = origin_of(self)
         if origin is not None and any(each.method == "within" for each in origin.questions):
             raise ModelError(
-                "the model stops after a number of steps already",
+                "the model already stops after a number of steps",
                 where="horizon",
                 fix="leave out the horizon, or ask the model that it was made from",
             )
@@ -338,12 +353,13 @@ class Questions(Parts):
         _check_size(table, own, count)
 
         def repeat_layers(values: Numbers, last: Numbers) -> Numbers:
-            """Return what each of the times 0 … N-1 has, and what the last one has."""
+            """Return `values` N times, once for each of the times 0 … N-1, and then `last`."""
             return np.concatenate([np.tile(values, (count, *[1] * (values.ndim - 1))), last])
 
         def append_end(name: str, values: Numbers) -> Numbers:
             return repeat_layers(values, _fill_certain(name, values, states))
 
+        # The rows of one time, N times over, and one certain outcome for each state at time N.
         lengths = repeat_layers(np.diff(table.offsets), np.ones(states, np.int64))
         layered = replace(
             table.map_numbers(append_end, append_end),
@@ -355,10 +371,17 @@ class Questions(Parts):
         def repeat_flags(flags: Flags) -> Flags:
             return np.append(np.tile(flags[:own], count + 1), flags[own:])
 
+        # The last step earns the terminal values.
         names = self.component_names
         if any(values):
             later = [self.discount_exact * values[state] for state in table.next]
             names, layered = _add_terminal_values(layered, len(rows) * (count - 1), later, names)
+        # Extra states stand behind the states of all times, so their numbers move up.
+        start = []
+        for state, weight in self.start:
+            if state >= own:
+                state += own * count
+            start.append((state, weight))
         parts = {
             "table": layered,
             "component_names": names,
@@ -367,39 +390,42 @@ class Questions(Parts):
             "space": StateSpace(
                 columns=(Column(name=TIME, size=count + 1), *space.columns), extra=space.extra
             ),
-            "start": tuple((s if s < own else s + own * count, weight) for s, weight in self.start),
+            "start": tuple(start),
             "time_limit": None,
             "labels": {name: repeat_flags(flags) for name, flags in self.labels.items()},
-            "goal": None if self.goal is None else repeat_flags(self.goal),
-            "target": None if self.target is None else repeat_flags(self.target),
             **NO_DATA,
         }
+        for name, flags in (("goal", self.goal), ("target", self.target)):
+            if flags is not None:
+                parts[name] = repeat_flags(flags)
         options = {"steps": count, "terminal_value": terminal_value}
         stopped: Self = keep_origin(replace(self, **parts), self, "within", **options)
         return stopped
 
 
 def _refuse_paid_goal(model: Any, label: str) -> None:
-    """Raise ModelError where a state of a label is worth something at the horizon of a model."""
+    """Raise ModelError if a labelled state has a terminal value."""
     origin = origin_of(model)
     if origin is None or not origin.paid:
         return
     own, inside = origin.model.space, origin.model.labels.get(label, [])
     for question in origin.questions:
         given = question.options.get("terminal_value")
-        values = [] if given is None else _read_terminal_values(given, own)
+        if given is None:
+            continue
+        values = _read_terminal_values(given, own)
         for state in np.flatnonzero(inside).tolist():
-            if values and values[state]:
+            if values[state]:
                 raise _paid_goal(own.place(state))
 
 
 def _paid_goal(where: str) -> ModelError:
-    """Return the error of a goal whose states are worth something at a horizon."""
+    """Return the error for a goal state with a terminal value."""
     return ModelError(
-        "a run that has reached the goal is over, and is paid no terminal value at the horizon",
+        "a run that has reached the goal is over, and earns no terminal value at the horizon",
         where=f"terminal_value, {where}",
-        fix="leave the states of the goal out of terminal_value, and pay what an arrival is worth "
-        "as a reward of the step that arrives",
+        fix="leave the states of the goal out of terminal_value, and reward an arrival in the step "
+        "that arrives",
     )
 
 
@@ -412,7 +438,7 @@ def _with_component_reward(model: Any, name: str) -> Any:
         raise ModelError(f"no reward component {name!r}", where="reward components", fix=fix)
     origin = origin_of(model)
     if origin is not None and name in origin.model.component_names:
-        # What states are worth at a horizon is a component of its own, which does not count.
+        # Terminal values are a component of their own, so they do not count.
         unpaid = origin.without_terminal_value()
         return replace(unpaid, model=_with_component_reward(origin.model, name)).rebuild_model()
     table = model.table.with_component_reward(model.component_names.index(name))
@@ -420,34 +446,42 @@ def _with_component_reward(model: Any, name: str) -> Any:
 
 
 def describe_time_limit(model: Parts, within: str) -> list[str]:
-    """Return the note that an answer leaves out the environment's limit; `within` keeps it."""
+    """Return a note that the answer ignores the environment's time limit; [] without a limit.
+
+    `within` is advice on how to keep the limit, with {} for the number of steps.
+    """
     if model.time_limit is None:
         return []
-    also = f": {within.format(model.time_limit)}" if within else ""
-    return [
+    note = (
         f"the environment stops after {model.time_limit:,} steps; this answer is for episodes "
-        f"without a limit{also}"
-    ]
+        "without a limit"
+    )
+    if within:
+        note += f": {within.format(model.time_limit)}"
+    return [note]
 
 
 def describe_sense(model: Parts) -> str:
-    """Return in words what is least or greatest; nothing where rewards are maximised."""
+    """Return in words what the value of a model measures; "" for rewards to maximise."""
     if REACHED in model.space.extra:
-        best = "least" if model.sense == "min" else "greatest"
+        best = {"max": "greatest", "min": "least"}[model.sense]
         return f"{best} probability of reaching"
-    return "costs to minimise" if model.sense == "min" else ""
+    if model.sense == "min":
+        return "costs to minimise"
+    return ""
 
 
 def find_labelled_states(model: Parts, label: str) -> Flags:
-    """Return the states (S,) of a label, if any; raises ModelError where the label is unknown.
+    """Return the states (S,) of a label; raise ModelError if the label is unknown.
 
-    So it does in the model of another question, where runs are over that the label may be asked of.
+    Also raised if the model already answers a question: its runs have been cut off.
     """
     if model.target is not None or REACHED in model.space.extra:
         raise ModelError(
-            "this is the model of a question already, which ends runs",
+            "this model already answers a question, and its runs end there",
             where=f"label {label!r}",
-            fix="ask the model that it was made from, or give a label to the states that both mean",
+            fix="ask the model that it was made from, or give one label to the states of both "
+            "questions",
         )
     if not model.labels:
         raise ModelError(
@@ -459,33 +493,35 @@ def find_labelled_states(model: Parts, label: str) -> Flags:
 
 
 def _redirect_pairs(table: OutcomeTable, ends: Flags, follows: Numbers) -> OutcomeTable:
-    """Return the table whose marked pairs lead for sure to the states that follow, and earn 0.
+    """Return a table in which the pairs in `ends` (L,) lead surely to `follows` (L,), earning 0.
 
-    `ends` and `follows` may say this of one more pair, which is appended.
+    Both arrays may have one entry more, for a new pair at the end.
     """
 
     def append_certain_pair(name: str, values: Numbers) -> Numbers:
         return np.concatenate([values, _fill_certain(name, values, 1)])
 
+    # Append one certain outcome; every redirected pair then becomes a copy of it.
     ending = replace(
         table.map_numbers(append_certain_pair, append_certain_pair),
         offsets=np.append(table.offsets, table.offsets[-1] + 1),
         next=np.append(table.next, table.next.dtype.type(0)),
     )
     ended = ending.of_pairs(np.where(ends, table.pairs, np.arange(len(ends))))
+    # Each copy leads to a state of its own.
     lengths = np.diff(ended.offsets)
     moved = np.repeat(np.asarray(follows), lengths).astype(ended.next.dtype)
     return replace(ended, next=np.where(np.repeat(ends, lengths), moved, ended.next))
 
 
 def make_terminal(model: Any, states: Flags, **changes: Any) -> Any:
-    """Return the model with some states (S,) made terminal, and with other changes."""
+    """Return the model with the given states (S,) made terminal, and with other changes."""
     table = _redirect_pairs(model.table, states[model.pair_state], model.pair_state)
     return replace(model, table=table, **NO_DATA, **changes)
 
 
 def _fill_certain(name: str, values: Numbers, count: int) -> Numbers:
-    """Return the numbers of a name for outcomes that are certain, and earn 0."""
+    """Return entries of the array `name` for `count` outcomes that are certain and earn 0."""
     one = name == "weight" or name.endswith("denominator")
     return np.full((count, *values.shape[1:]), int(one), dtype=values.dtype)
 
@@ -494,7 +530,8 @@ def _fill_certain(name: str, values: Numbers, count: int) -> Numbers:
 
 
 def split_by_time(model: Any, weights: Numbers, steps: int) -> Numbers:
-    """Return (N, L) what pairs of `model.within(N)` have, by time and pair of the model itself."""
+    """Return the weights of the pairs of `model.within(N)` by time and pair of `model` (N, L)."""
+    # Terminal states have a single pair at each time; it takes all the weight.
     rows = _select_active_pairs(model, model.pair_offsets, model.over)
     by_step = np.zeros((steps, model.n_pairs))
     by_step[:, model.pair_offsets[:-1][model.over]] = 1.0
@@ -503,19 +540,21 @@ def split_by_time(model: Any, weights: Numbers, steps: int) -> Numbers:
 
 
 def _select_active_pairs(model: Parts, offsets: Integers, over: Flags) -> Integers:
-    """Return the pairs that each time but the last has: a single one where all is over."""
+    """Return the pairs of every time but the last; a state whose episode is over has one."""
     inside = ~over[model.pair_state]
     inside[offsets[:-1][over]] = True
     return np.flatnonzero(inside[: offsets[_in_columns(model, over).regular]])
 
 
 def _read_terminal_values(numbers: object, space: StateSpace) -> list[Fraction]:
-    """Return a number for each state: from a vector, or from {state: number}, 0 for the others."""
+    """Return one number for each state, from a vector or {state: number} (0 for the others)."""
+    if isinstance(numbers, tuple):  # a tuple could also be read as a state
+        numbers = list(numbers)
     with locate_errors("terminal_value"):
-        values = numbers_by_state(list(numbers) if isinstance(numbers, tuple) else numbers, space)
+        values = numbers_by_state(numbers, space)
         if values is None:
             raise ModelError(
-                f"a {type(numbers).__name__} does not say what each state is worth",
+                f"a {type(numbers).__name__} does not give a value for each state",
                 fix="give one number for each state, or {state: number}",
             )
         return [exact(values.get(state, 0)) for state in range(space.size)]
@@ -524,26 +563,29 @@ def _read_terminal_values(numbers: object, space: StateSpace) -> list[Fraction]:
 def _add_terminal_values(
     table: OutcomeTable, first: int, more: Sequence[Fraction], names: tuple[str, ...]
 ) -> tuple[tuple[str, ...], OutcomeTable]:
-    """Return a table whose outcomes from pair `first` on earn so much more; and its components."""
+    """Return component names and table after `more` is added to the outcomes from `first` on."""
+    # Exact rewards by outcome: two outcomes of a pair may now earn different amounts.
     gain, below = table.integer_gains()
-    gain = (gain[table.pair] if len(gain) == table.pairs else gain).astype(object)
-    below = below.astype(object)
+    if len(gain) == table.pairs:
+        gain = gain[table.pair]
+    gain, below = gain.astype(object), below.astype(object)
+    # Add the terminal values to the outcomes of the last step, begin … begin + len(more) - 1.
     begin = int(table.offsets[first])
     here = slice(begin, begin + len(more))
     pair = table.pair[here]
     last = slice(first, int(pair[-1]) + 1)
-    earned = [
-        Fraction(own, bottom) + later
-        for own, bottom, later in zip(gain[here], below[pair], more, strict=True)
-    ]
+    earned = []
+    for own, bottom, later in zip(gain[here], below[pair], more, strict=True):
+        earned.append(Fraction(own, bottom) + later)
     gain[here], below[last] = over_groups(earned, table.offsets[first : last.stop + 1] - begin)
     paid = table.with_reward(to_integer_array(gain.tolist()), to_integer_array(below.tolist()))
     if table.components is None:
         return names, replace(paid, averaged=table.averaged)
-    parts = table.components if table.parted_by_outcome else None
-    amounts, bottoms = table.expected_components_exact()
-    if parts is not None:
-        amounts, bottoms = parts, table.component_denominator
+    # The terminal value becomes a component of its own, under a name that is still free.
+    if table.parted_by_outcome:
+        amounts, bottoms = table.components, table.component_denominator
+    else:
+        amounts, bottoms = table.expected_components_exact()
     columns = [(column, bottoms) for column in amounts.T]
     name = TERMINAL_VALUE
     while name in names:
@@ -553,14 +595,14 @@ def _add_terminal_values(
 
 
 def _of_last(table: OutcomeTable, begin: int, more: Sequence[Fraction]) -> tuple[Numbers, Numbers]:
-    """Return amounts (N,) over denominators (L,) that are 0 but for some, from an outcome on."""
+    """Return amounts (N,) over denominators (L,): 0, but `more` from outcome `begin` on."""
     values = [Fraction(0)] * len(table.next)
     values[begin : begin + len(more)] = more
     return over_groups(values, table.offsets)
 
 
 def _in_columns(model: Parts, over: Flags) -> StateSpace:
-    """Return the states, in one plain column where the process goes on in an extra state."""
+    """Return the state space; without columns if the process continues in an extra state."""
     space = model.space
     if over[space.regular :].all() and space.columns:
         return space
@@ -568,9 +610,11 @@ def _in_columns(model: Parts, over: Flags) -> StateSpace:
 
 
 def _check_size(table: OutcomeTable, own: int, count: int) -> None:
-    """Raise ModelError where the table of one step is too large to be repeated so often."""
-    wide = object in (table.weight.dtype, table.gain.dtype, table.denominator.dtype)
-    each, states = FLOATS + (WIDE if wide else NARROW), own * (count + 1)
+    """Raise ModelError if the table of one step, repeated `count` times, is too large."""
+    each = FLOATS + NARROW
+    if object in (table.weight.dtype, table.gain.dtype, table.denominator.dtype):
+        each = FLOATS + WIDE
+    states = own * (count + 1)
     outcomes, pairs = len(table.next) * count + states, table.pairs * count + states
     size = each * outcomes + OF_PAIR * pairs + OF_STATE * states
     if size > MOST_BYTES:
@@ -578,18 +622,22 @@ def _check_size(table: OutcomeTable, own: int, count: int) -> None:
             f"{count:,} steps of this model make {states:,} states and {outcomes:,} outcomes: "
             f"{size / 1e9:,.0f} GB of memory, more than {MOST_BYTES / 1e9:g} GB",
             where="horizon",
-            fix="choose fewer steps, or none where the process ends by itself or the discount "
-            "leaves late steps no weight",
+            fix="choose fewer steps; or no horizon, if the process ends by itself or late steps "
+            "hardly count",
         )
 
 
 def _list_next_states(
     model: Parts, own: int, over: Flags, rows: Integers, table: OutcomeTable, count: int
 ) -> Numbers:
-    """Return the next states: a step later, but where all is over and at time N."""
+    """Return the next states of all times: one time later, unless the episode is over."""
     lengths = np.diff(table.offsets)
+    # From time t, a state of the product moves to layer t + 1, a finished one stays in its layer,
+    # and an extra state keeps its place behind all layers.
     after, time = table.next.astype(np.int64), np.arange(count)
     later = np.repeat(~over[model.pair_state[rows]], lengths).astype(np.int64)
     shift = np.where(after < own, own * (time[:, None] + later), own * count)
     following = np.concatenate([(after + shift).ravel(), np.arange(model.n_states) + own * count])
-    return following.astype(np.int32) if own * (count + 1) + model.n_states < 2**31 else following
+    if own * (count + 1) + model.n_states < 2**31:
+        return following.astype(np.int32)
+    return following

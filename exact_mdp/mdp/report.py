@@ -1,4 +1,4 @@
-"""What a result says of itself, once: text, JSON, Markdown and HTML are made from it.
+"""Reports: the content of a result, from which text, JSON, Markdown and HTML are made.
 
     type                in JSON                                  for people
     Certified, Bounded  {"value": x, "error_bound": e}           117.07 (bounded, within 2e-12)
@@ -10,7 +10,7 @@
     bool                true, false                              yes, no
     dataclass           an object of its fields                  the same
 
-The types of numbers are known by their `claim`, and by `error` or `standard_error`.
+The types of numbers are recognised by their attributes `claim` and `error` or `standard_error`.
 """
 
 from __future__ import annotations
@@ -31,17 +31,16 @@ import numpy as np
 from exact_mdp.mdp.errors import shown_text
 from exact_mdp.mdp.table import format_rational
 
-FORMAT = 2  # of the JSON: another number where a key changes its meaning or goes
-DIGITS = 10  # significant digits of a number in a table
-SHORT = 12  # letters of an exact number; of a longer one, its digits
-SHOWN = 40  # rows of a table
-ON_A_LINE = 6  # entries of a mapping that is a fact, not a table
+FORMAT = 2  # version of the JSON: it changes if a key changes its meaning or is removed
+# Significant digits of a number in a table: more would show rounding errors, which differ between
+# machines; fewer would hide differences between policies that are nearly as good.
+DIGITS = 10
 TEMPLATE = Path(__file__).with_suffix(".html.j2")
 
 
 @dataclass(frozen=True)
 class Shown:
-    """A value of the JSON, and what people see instead: nothing unless `text` is given."""
+    """A value of the JSON, and the text shown to people instead; by default it is not shown."""
 
     value: Any
     text: Any = None
@@ -49,32 +48,34 @@ class Shown:
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """How people see rows: of a table or of mappings; None for those of the fact of the same key.
+    """A table as people see it: its title, its columns and the number of rows to show.
 
-    `columns` are {heading: "key" or "key:format"}, with a format as Python's `format` takes it
-    (".4g", ".1%") and possibly a sign before it ("± .2g"). The `first` rows are shown, and the
-    title says where there are more; `note` is a line below the title.
+    `rows` are a data frame or a list of mappings; None takes the rows of the fact with the same
+    key. `columns` are {heading: "key" or "key:format"}, with a format for Python's `format`
+    (".4g", ".1%") and possibly a sign before it ("± .2g"). Only the `first` rows are shown; the
+    title says if there are more. `note` is a line below the title.
     """
 
     title: str
     columns: Mapping[str, str]
     rows: Any = None
-    first: int = SHOWN
+    first: int = 40
     note: str = ""
-    count: int = 0  # rows that there are, where `rows` are only the first
+    count: int = 0  # the number of all rows, if `rows` has only the first of them
 
     def heading(self) -> str:
-        """Return the title, with the number of rows where not all are shown."""
-        more = f" (the first {self.first:,} of {len(self.rows):,}; --json prints all)"
-        return self.title + (more if len(self.rows) > self.first else "")
+        """Return the title, with the number of rows if not all are shown."""
+        if len(self.rows) <= self.first:
+            return self.title
+        return f"{self.title} (the first {self.first:,} of {len(self.rows):,}; --json prints all)"
 
     def values(self) -> list[list[Any]]:
         """Return the values of the rows that are shown."""
         rows = self.rows[: self.first]
-        rows = rows.to_dict("records") if hasattr(rows, "to_dict") else rows
+        if hasattr(rows, "to_dict"):  # a data frame
+            rows = rows.to_dict("records")
         keys = [column.partition(":")[0] for column in self.columns.values()]
-        each = [[row.get(key) for key in keys] for row in rows]
-        return [[x.item() if isinstance(x, np.generic) else x for x in row] for row in each]
+        return [[_unwrap_numpy(row.get(key)) for key in keys] for row in rows]
 
     def cells(self) -> list[list[str]]:
         """Return the texts of the rows that are shown."""
@@ -82,23 +83,37 @@ class Table:
         return [[*map(format_cell, row, forms)] for row in self.values()]
 
     def numeric(self) -> list[bool]:
-        """Return which columns hold numbers alone."""
-        return [
-            all(value is None or isinstance(value, int | float | Fraction) or _has_claim(value)
-                for value in column)
-            and any(value is not None and not isinstance(value, bool) for value in column)
-            for column in zip(*self.values(), strict=True)
-        ] or [False] * len(self.columns)  # fmt: skip
+        """Return for each column whether it holds numbers only."""
+        values = self.values()
+        if not values:
+            return [False] * len(self.columns)
+        return [_is_numeric(column) for column in zip(*values, strict=True)]
+
+
+def _unwrap_numpy(value: Any) -> Any:
+    """Return a NumPy number as a Python number, and any other value as it is."""
+    if isinstance(value, np.generic):
+        return value.item()
+    return value
+
+
+def _is_numeric(column: Sequence[Any]) -> bool:
+    """Return whether all values of a column are numbers or missing, and one is a real number."""
+    for value in column:
+        number = isinstance(value, int | float | Fraction) or _has_claim(value)
+        if value is not None and not number:
+            return False
+    return any(value is not None and not isinstance(value, bool) for value in column)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """What a result says: a title of one line, facts, and notes beside them.
+    """The content of a result: a title of one line, facts, tables and notes.
 
-    `facts` are the JSON object. People read each as a line, with blanks for the key's underscores;
-    a mapping, or a list of mappings, as a table; None and what is empty not at all. `tables` say
-    how rows are shown that deserve better; those of a key that is no fact are for people alone.
-    Where `passed` is False, the exit status is 1.
+    `facts` are the JSON object. In text output each fact is a line, with spaces for the key's
+    underscores; a mapping, or a list of mappings, is a table; None and empty facts are omitted.
+    `tables` give the layout of a fact's table; those with a key that is not a fact are not in the
+    JSON. If `passed` is False, the exit status is 1.
     """
 
     title: str
@@ -108,60 +123,80 @@ class Report:
     passed: bool | None = None
 
     def json(self, **more: Any) -> str:
-        """Return strict JSON, which names its format first."""
+        """Return strict JSON, with its format first."""
         content = {"format": FORMAT, **self.facts, **more}
         return json.dumps(to_json_values(content), indent=2, allow_nan=False)
 
     def lines(self) -> dict[str, str]:
-        """Return the facts that are lines, for people."""
-        return {
-            key.replace("_", " "): format_fact(value)
-            for key, value in self._seen()
-            if key not in self.tables and not _is_table(value)
-        }
+        """Return the facts that are shown as lines, {name: text}."""
+        lines = {}
+        for key, value in self._seen():
+            if key not in self.tables and not _is_table(value):
+                lines[key.replace("_", " ")] = format_fact(value)
+        return lines
 
     def shown_tables(self) -> list[Table]:
         """Return the tables that have rows."""
         tables = []
+        # Facts without a layout of their own.
         for key, value in self._seen():
             if key not in self.tables and _is_table(value):
                 tables.append(_build_table(key.replace("_", " "), value))
+        # Tables with a layout; their rows may be those of a fact.
         for key, table in self.tables.items():
-            rows = self.facts.get(key) if table.rows is None else table.rows
-            rows = rows.value if isinstance(rows, Shown) else rows
-            if rows is not None and len(rows):
-                rows = _list_rows(rows) if isinstance(rows, Mapping) else rows
-                tables.append(replace(table, rows=rows))
+            rows = table.rows
+            if rows is None:
+                rows = self.facts.get(key)
+            if isinstance(rows, Shown):
+                rows = rows.value
+            if rows is None or not len(rows):
+                continue
+            if isinstance(rows, Mapping):
+                rows = _list_rows(rows)
+            tables.append(replace(table, rows=rows))
         return tables
 
     def html(self, first: int) -> str:
-        """Return what a notebook shows: title, notes, lines, and the first rows of tables."""
+        """Return the HTML for a notebook: title, notes, lines, and the first rows of tables."""
         return str(load_template(TEMPLATE).module.notebook(self, first))
 
     def _seen(self) -> Iterator[tuple[str, Any]]:
+        """Yield the keys and values of the facts that people see."""
         for key, value in self.facts.items():
-            value = value.text if isinstance(value, Shown) else value
-            if value is not None and not (hasattr(value, "__len__") and not len(value)):
+            if isinstance(value, Shown):
+                value = value.text
+            empty = hasattr(value, "__len__") and not len(value)
+            if value is not None and not empty:
                 yield key, value
 
 
 def _is_table(value: Any) -> bool:
+    """Return whether a fact is shown as a table: a long or nested mapping, or a list of them."""
     if isinstance(value, Mapping):
-        return len(value) > ON_A_LINE or any(isinstance(v, Mapping) for v in value.values())
+        return len(value) > 6 or any(isinstance(v, Mapping) for v in value.values())
     return isinstance(value, list | tuple) and bool(value) and isinstance(value[0], Mapping)
 
 
 def _list_rows(named: Mapping[Any, Any]) -> list[dict[str, Any]]:
-    return [
-        {"": str(name), **(value if isinstance(value, Mapping) else {"value": value})}
-        for name, value in named.items()
-    ]
+    """Return the rows of a mapping: its keys in a first column without a heading."""
+    rows = []
+    for name, value in named.items():
+        if not isinstance(value, Mapping):
+            value = {"value": value}
+        rows.append({"": str(name), **value})
+    return rows
 
 
 def _build_table(title: str, value: Any) -> Table:
     """Return the table of a mapping or of a list of mappings: the columns without nested values."""
-    rows = _list_rows(value) if isinstance(value, Mapping) else list(value)
-    keys = [*dict.fromkeys(key for row in rows for key in row)]
+    if isinstance(value, Mapping):
+        rows = _list_rows(value)
+    else:
+        rows = list(value)
+    # All keys, in the order in which they first occur.
+    keys: dict[str, None] = {}
+    for row in rows:
+        keys |= dict.fromkeys(row)
 
     def is_flat(value: Any) -> bool:
         return not isinstance(value, Mapping) and (_has_claim(value) or not is_dataclass(value))
@@ -172,18 +207,24 @@ def _build_table(title: str, value: Any) -> Table:
 
 @cache
 def load_template(path: Path) -> Any:
-    r"""Return a template of HTML, which may import that of reports; an undefined name is an error.
+    r"""Return an HTML template, which may import the template of reports.
 
-    Names stay text: jinja2 escapes what stands in elements and attributes, `tojson` what a script
-    reads, and characters that steer a terminal or turn text around are written as `\x1b`.
+    An undefined name is an error. Names stay text: jinja2 escapes the content of elements and
+    attributes, `tojson` escapes data for scripts, and characters that steer a terminal or change
+    the direction of text are written as `\x1b`.
     """
     import jinja2
+
+    def escape_unsafe(value: Any) -> Any:
+        if type(value) is str:
+            return shown_text(value, lines=True)
+        return value
 
     return jinja2.Environment(
         loader=jinja2.FileSystemLoader([path.parent, TEMPLATE.parent]),
         undefined=jinja2.StrictUndefined,
         autoescape=True,
-        finalize=lambda value: shown_text(value, lines=True) if type(value) is str else value,
+        finalize=escape_unsafe,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
@@ -191,26 +232,30 @@ def load_template(path: Path) -> Any:
 
 
 def list_claim_facts(key: str, number: Any) -> dict[str, Any]:
-    """Return a number that a result rests on: value, error bound and claim, one key each."""
-    error = {} if hasattr(number, "standard_error") else {"error_bound": Shown(error_of(number))}
-    return {key: Shown(float(number.value), number), **error, "claim": Shown(number.claim)}
+    """Return the facts of a result's main number: value, error bound and claim."""
+    facts = {key: Shown(float(number.value), number)}
+    if not hasattr(number, "standard_error"):
+        facts["error_bound"] = Shown(error_of(number))
+    return facts | {"claim": Shown(number.claim)}
 
 
 # ---- one value -----------------------------------------------------------------------------------
 
 
 def _has_claim(value: Any) -> bool:
+    """Return whether a value is a number with a claim: certified, bounded, estimated."""
     return hasattr(value, "claim") and hasattr(value, "value")
 
 
 def to_json_values(value: Any) -> Any:
-    """Return the same made of what JSON has; NumPy arrays and numbers have `tolist`."""
+    """Return a value made of JSON types only."""
     if isinstance(value, Shown):
         return to_json_values(value.value)
     if isinstance(value, Mapping):
         return {str(key): to_json_values(below) for key, below in value.items()}
     if isinstance(value, list | tuple):
         return [to_json_values(below) for below in value]
+    # Numbers with a claim.
     if _has_claim(value) and hasattr(value, "standard_error"):
         error = value.standard_error
         return to_json_values(
@@ -220,10 +265,14 @@ def to_json_values(value: Any) -> Any:
         return to_json_values({"value": float(value.value), "error_bound": error_of(value)})
     if is_dataclass(value):
         return {each.name: to_json_values(getattr(value, each.name)) for each in fields(value)}
+    # Numbers that JSON lacks: rationals, NaN and infinity.
     if isinstance(value, Fraction):
         return format_ratio(value)
-    if isinstance(value, float) and not math.isfinite(value):
-        return None if math.isnan(value) else f"{value:g}"
+    if isinstance(value, float) and math.isnan(value):
+        return None
+    if isinstance(value, float) and math.isinf(value):
+        return f"{value:g}"
+    # NumPy arrays and numbers.
     if not isinstance(value, str) and hasattr(value, "tolist"):
         return to_json_values(value.tolist())
     return value
@@ -233,23 +282,30 @@ def format_cell(value: Any, form: str = "") -> str:
     """Return a value as a table shows it."""
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return "-"
+    # A column with a format of its own, perhaps after a sign: "± .2g".
     if form and not isinstance(value, str):
         sign, _, form = form.rpartition(" ")
         text = format(float(getattr(value, "value", value)), form)
-        return f"{sign} {text}" if sign else text
+        if sign:
+            text = f"{sign} {text}"
+        return text
+    # Otherwise the type decides.
     if isinstance(value, bool):
-        return "yes" if value else "no"
+        return {True: "yes", False: "no"}[value]
     if isinstance(value, int):
         return f"{value:,}"
     if isinstance(value, float):
         return format_number(value)
     if isinstance(value, Fraction):
         text = format_ratio(value)
-        return text if len(text) <= SHORT else format_rational(value, DIGITS)
+        if len(text) > 12:  # too wide for a column
+            return format_rational(value, DIGITS)
+        return text
     if _has_claim(value) and hasattr(value, "standard_error"):
         error = value.standard_error
-        off = f" ± {format_number(float(f'{error:.1g}'))}" if math.isfinite(error) else ""
-        return f"{format_number(value.value, error if off else 0.0)}{off}"
+        if not math.isfinite(error):
+            return format_number(value.value)
+        return f"{format_number(value.value, error)} ± {format_number(float(f'{error:.1g}'))}"
     if _has_claim(value):
         return format_number(float(value.value), error_of(value))
     if isinstance(value, Mapping):
@@ -260,41 +316,50 @@ def format_cell(value: Any, form: str = "") -> str:
 
 
 def format_fact(value: Any) -> str:
-    """Return a value as a fact shows it: a number says what it claims."""
+    """Return a value as the line of a fact shows it: a number with its claim and error."""
     if not _has_claim(value):
         return format_cell(value)
     if math.isnan(value.value):
         return "unknown: double precision cannot bound it"
+    # Estimates have a standard error, and perhaps a bound for the steps that were cut off.
     if hasattr(value, "standard_error"):
         error = value.standard_error
         if not math.isfinite(error):
             return f"{format_number(value.value)} ({value.claim}, of one draw)"
-        cut = f", cut off within {format_error_bound(value.cut_off)}" if value.cut_off else ""
-        said = f"{value.claim}, standard error {error:.2g}{cut}"
-        return f"{format_number(value.value, error / 10)} ({said})"
-    within = f", within {format_error_bound(value.error)}" if hasattr(value, "error") else ""
-    return f"{format_cell(value)} ({value.claim}{within})"
+        claim = f"{value.claim}, standard error {error:.2g}"
+        if value.cut_off:
+            claim += f", cut off within {format_error_bound(value.cut_off)}"
+        return f"{format_number(value.value, error / 10)} ({claim})"
+    # Bounded numbers have an error bound; certified ones are exact.
+    claim = str(value.claim)
+    if hasattr(value, "error"):
+        claim += f", within {format_error_bound(value.error)}"
+    return f"{format_cell(value)} ({claim})"
 
 
 def format_interval(low: float, high: float, error: float = 0.0) -> str:
-    """Return both ends of an interval, with the digits that an error leaves."""
+    """Return both ends of an interval, with as many digits as the error justifies."""
     return f"{format_number(low, error)} to {format_number(high, error)}"
 
 
 def error_of(claimed: Any) -> float:
-    """Return how far the float of a number may be off, rounded up; 0 where it is exact."""
+    """Return a bound of the error of a number as a float, rounded up; 0 if it is exact."""
     if hasattr(claimed, "error"):
         return float(claimed.error)
-    if isinstance(claimed.value, float):
-        return 0.0  # infinite, and that is exact
+    if isinstance(claimed.value, float):  # infinity, which is exact
+        return 0.0
+    # The error of an exact rational is the rounding to a float.
     lost = abs(claimed.value - Fraction(float(claimed.value)))
-    return math.nextafter(float(lost), math.inf) if lost else 0.0
+    if not lost:
+        return 0.0
+    return math.nextafter(float(lost), math.inf)
 
 
 def format_number(value: float | None, error: float = 0.0) -> str:
-    """Return a number with the digits that its error leaves, ten at most; "-" for none."""
+    """Return a number with at most ten digits, fewer if its error is large; "-" for none."""
     if value is None or math.isnan(value):
         return "-"
+    # The last digit shown is that of the leading digit of the error.
     digits = DIGITS
     if 0 < error < math.inf and 0 < abs(value) < math.inf:
         places = math.floor(math.log10(abs(value))) - math.floor(math.log10(error)) + 1
@@ -312,18 +377,21 @@ def format_error_bound(error: float) -> str:
 
 
 def format_ratio(value: Fraction | float) -> str:
-    """Return "p/q", or "p" for an integer, however many digits there are; "inf" or "-inf"."""
+    """Return "p/q", or "p" for an integer, with all digits; "inf" or "-inf" for infinity."""
     if isinstance(value, float):
         return f"{value:g}"
     top = digits_of(value.numerator)
-    return top if value.denominator == 1 else f"{top}/{digits_of(value.denominator)}"
+    if value.denominator == 1:
+        return top
+    return f"{top}/{digits_of(value.denominator)}"
 
 
 def format_decimal(value: Fraction | float) -> str:
-    """Return the exact decimal where there is one, otherwise "p/q"; "inf" and "-inf" too."""
+    """Return the exact decimal of a number if it is finite, else "p/q"; "inf" for infinity."""
     if not isinstance(value, Fraction):
         return str(value)
     top, bottom = value.numerator, value.denominator
+    # A finite decimal has at most as many digits as numerator and denominator have bits.
     with localcontext(prec=top.bit_length() + bottom.bit_length() + 1) as context:
         context.traps[Inexact] = True
         try:
@@ -333,5 +401,5 @@ def format_decimal(value: Fraction | float) -> str:
 
 
 def digits_of(whole: int) -> str:
-    """Return an integer's decimal digits: Python itself refuses over 4,300."""
+    """Return the decimal digits of an integer; Python itself refuses more than 4,300."""
     return str(flint.fmpz(whole))

@@ -1,7 +1,7 @@
-"""What every result offers: `frame()`, a table; `plot()`, where there is a picture; a short text.
+"""Base classes of results: `frame()`, a table; `plot()`, a picture if there is one; a short text.
 
-A result says what it found in `value`, with its claim, and how far it may be off in `error`; it has
-a `policy` where there is one. A notebook shows its report.
+A result has its number in `value`, the kind of this number in `claim`, a bound of its error in
+`error`, and the policy, if there is one, in `policy`. A notebook shows its report.
 """
 
 from __future__ import annotations
@@ -18,18 +18,19 @@ from exact_mdp.mdp.report import Report, Table
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from pandas import DataFrame as DataFrame
-else:  # loaded where a table is asked for
+else:  # pandas is loaded by the first function that makes a table
     DataFrame = Any
 
-ROWS_SHOWN = 20
+ROWS_SHOWN = 20  # in a notebook
 
+# The text of a result shows the first entries of its parts only.
 _SHORT = Repr()
 _SHORT.maxlevel, _SHORT.maxtuple, _SHORT.maxdict, _SHORT.maxlist = 2, 3, 3, 3
 _SHORT.maxother = _SHORT.maxstring = 120
 
 
 class Brief:
-    """A dataclass whose arrays are read-only; its text says their shapes: give it `repr=False`."""
+    """A dataclass with read-only arrays, and a text with only their shapes (use `repr=False`)."""
 
     def __post_init__(self) -> None:
         for part in vars(self).values():
@@ -43,7 +44,7 @@ class Brief:
 
 
 class ByFields:
-    """A dataclass whose copies and pickles hold the fields alone, their arrays read-only."""
+    """A dataclass that is copied and pickled by its fields only; arrays stay read-only."""
 
     def __getstate__(self) -> dict[str, Any]:
         parts: Any = self
@@ -57,14 +58,14 @@ class ByFields:
 
 
 class Result(Brief, ABC):
-    """A dataclass that can be shown."""
+    """A result: a dataclass with a table and a report."""
 
     @abstractmethod
     def frame(self) -> DataFrame:
         """Return the result as a table, one row for each thing found."""
 
     def report(self) -> Report:
-        """Return what the result says: its text with its claim, and its table."""
+        """Return the report of the result: its text with its claim, and its table."""
         return plain_report(self, self.frame())
 
     def _repr_html_(self) -> str:
@@ -72,18 +73,18 @@ class Result(Brief, ABC):
 
 
 class Pictured(Result):
-    """A result of which there is a picture."""
+    """A result with a picture."""
 
     def plot(self, ax: Axes | None = None, **settings: Any) -> Axes:
-        """Draw the result on axes, or on those of a new figure.
+        """Draw the result on the given axes, or in a new figure.
 
         Parameters
         ----------
         ax : Axes, optional
         **settings
-            As the function takes them that draws it, such as `most` and `output` ("optimal",
-            "fixed", "regret") of a tornado, or a `wtp` to mark in acceptability curves; an unknown
-            one is refused with a list of those that there are.
+            Settings of the plotting function, such as `most` and `output` ("optimal", "fixed",
+            "regret") of a tornado, or a `wtp` to mark in acceptability curves; for an unknown
+            setting, the error lists the known ones.
 
         Returns
         -------
@@ -92,7 +93,7 @@ class Pictured(Result):
         Raises
         ------
         ModelError
-            For an unknown setting, and where matplotlib is not installed.
+            For an unknown setting, and if matplotlib is not installed.
         """
         import exact_mdp
 
@@ -101,26 +102,36 @@ class Pictured(Result):
 
 
 def data_frame(*content: Any, **settings: Any) -> DataFrame:
-    """Return a table of pandas, which is loaded here."""
+    """Return a pandas data frame."""
     import pandas
 
     return pandas.DataFrame(*content, **settings)
 
 
 def plain_report(thing: object, frame: DataFrame, count: int = 0) -> Report:
-    """Return a report of something's text and table, as `frame_to_table` takes it."""
-    said, claim = repr(thing), str(getattr(thing, "claim", ""))
-    title = said if claim in said else f"{said} ({claim})"
+    """Return a report with the text of `thing` as its title, and one table.
+
+    `count` is the number of all rows, if the frame has only the first of them.
+    """
+    title, claim = repr(thing), str(getattr(thing, "claim", ""))
+    if claim not in title:
+        title = f"{title} ({claim})"
     return Report(title=title, facts={}, tables={"rows": frame_to_table(frame, count=count)})
 
 
 def frame_to_table(frame: DataFrame, title: str = "", count: int = 0) -> Table:
-    """Return a table of a frame; of so many rows where these are only the first."""
-    frame = frame.reset_index() if frame.index.name else frame
+    """Return the table of a data frame; `count` is the number of all rows, if it has fewer."""
+    if frame.index.name:
+        frame = frame.reset_index()
     columns: dict[str, str] = {}
     for key, (name, kind) in enumerate(frame.dtypes.items()):
-        again = " " * (name in columns)  # a parameter may have the name of another column
-        columns[f"{name}{again}"] = f"{key}:.6g" if kind.kind == "f" else f"{key}"
+        heading, column = str(name), str(key)
+        if name in columns:  # a parameter may have the name of another column
+            heading += " "
+        if kind.kind == "f":
+            column += ":.6g"
+        columns[heading] = column
+    # The columns are found by number, since names need not be unique.
     rows = frame.set_axis([*map(str, range(len(columns)))], axis=1)
     return Table(title=title, columns=columns, rows=rows, count=count)
 

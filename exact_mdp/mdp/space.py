@@ -1,8 +1,8 @@
-"""The state space as named integer columns, with labels made on demand.
+"""The state space: named integer columns, with labels computed on demand.
 
-A state is a number. A `StateSpace` says what it means: the product of its columns in row-major
-order (the last column moves fastest), followed by a few named states outside the product, such as
-an end. Nothing is stored per state, so a million states cost nothing.
+A state is a number. A `StateSpace` gives its meaning: the product of the columns in row-major order
+(the last column moves fastest), followed by a few named states outside the product, such as an end.
+Nothing is stored per state, so a million states take no memory.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ TIME = "time"
 class Column:
     """One named coordinate of a state: values 0 … size-1, printed as numbers, bits or words.
 
-    `objects` are what the words are the names of, where a model was made of such; files lack them.
+    `objects` are the Python objects that the words name, if the model was made from objects; they
+    are not saved to files.
 
     Examples
     --------
@@ -49,12 +50,14 @@ class Column:
 
     def __post_init__(self) -> None:
         check_names((self.name,), "column", where="state space")
-        what = "state" if self.name == "state" else "value"
+        what = "value"
+        if self.name == "state":
+            what = "state"
         check_names(self.words, what, where=f"column {self.name}")
 
     @cached_property
     def lookup(self) -> Names:
-        """Which value is meant by a name, a number, or the object that it was made of."""
+        """The values of the column by name, number, or the object that each was made from."""
         return Names(
             what=self.name,
             size=self.size,
@@ -67,15 +70,22 @@ class Column:
         """Return the printed form of one value."""
         if self.words:
             return self.words[value]
-        return format(value, f"0{self.bits}b") if self.bits else str(value)
+        if self.bits:
+            return format(value, f"0{self.bits}b")
+        return str(value)
 
     def thing(self, value: int) -> Hashable:
-        """Return what a value stands for: its object, else its word, else the value itself."""
-        return self.objects[value] if self.objects else self.words[value] if self.words else value
+        """Return the object of a value; without objects its word; without words the value."""
+        if self.objects:
+            return self.objects[value]
+        if self.words:
+            return self.words[value]
+        return value
 
     def number(self, value: object) -> int:
-        """Return the value that a text or a number is: see `mdp.forms.names`."""
+        """Return the value that a text, number or object names; see `mdp.forms.names`."""
         with locate_errors(f"column {self.name}"):
+            # Of a column of bits, a text is the binary digits.
             if not self.bits or not isinstance(value, str):
                 return self.lookup.find_number(value)
             text = value.strip()
@@ -111,8 +121,10 @@ class StateSpace:
     extra: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        alone = self.columns[0].words if len(self.columns) == 1 else ()
-        check_names((*alone, *self.extra), "state", where="states")
+        names = list(self.extra)
+        if len(self.columns) == 1:  # its words are the names of the states
+            names += self.columns[0].words
+        check_names(names, "state", where="states")
 
     @cached_property
     def regular(self) -> int:
@@ -131,7 +143,7 @@ class StateSpace:
 
     @property
     def untimed(self) -> StateSpace | None:
-        """The space without its first column where that is the time; None where it is not.
+        """The space without its first column if that is the time; else None.
 
         Examples
         --------
@@ -139,30 +151,34 @@ class StateSpace:
         >>> StateSpace(columns=columns).untimed.names
         ('state',)
         """
-        timed = len(self.columns) > 1 and self.columns[0].name == TIME
-        return StateSpace(columns=self.columns[1:], extra=self.extra) if timed else None
+        if len(self.columns) > 1 and self.columns[0].name == TIME:
+            return StateSpace(columns=self.columns[1:], extra=self.extra)
+        return None
 
     def column(self, name: str) -> Column:
-        """Return the column called `name`; raises ModelError where there is none."""
+        """Return the column called `name`; raise ModelError if there is none."""
         require_known_name(name, self.names, "state column", "state space")
         return self.columns[self.names.index(name)]
 
     def values(self, name: str, states: Integers | None = None) -> Integers:
-        """Return the (S,) values of one column, or those of `states`; -1 for extra states."""
+        """Return the values of one column for all states (S,) or some; -1 for extra states."""
         column = self.column(name)
+        index = np.arange(self.size)
+        if states is not None:
+            index = np.asarray(states, dtype=np.int64)
+        # Row-major order: the column's value changes every `stride` states.
         stride = prod(c.size for c in self.columns[self.columns.index(column) + 1 :])
-        index = np.arange(self.size) if states is None else np.asarray(states, dtype=np.int64)
         return np.where(index < self.regular, index // stride % column.size, -1)
 
     def rows(self, columns: Sequence[Column]) -> Integers:
-        """Return (S,) the row that each state reads of a table over columns; 0 for extra ones."""
+        """Return the row (S,) of each state in a table over some columns; 0 for extra states."""
         row = np.zeros(self.size, dtype=np.int64)
         for column in columns:
             row = row * column.size + np.maximum(self.values(column.name), 0)
         return row
 
     def index(self, **values: int) -> int:
-        """Return the number of the state with these column values (0 where one is left out)."""
+        """Return the number of the state with these column values; 0 is the default of each."""
         for name in values:
             self.column(name)
         number = 0
@@ -180,24 +196,30 @@ class StateSpace:
 
     @cached_property
     def lookup(self) -> Names:
-        """Which state is meant by a name, a number, an object or column values."""
-        alone = self.columns[0].lookup if len(self.columns) == 1 else None
-        extra = {name: self.regular + place for place, name in enumerate(self.extra)}
+        """The numbers of the states by name, number, object or column values."""
+        words = {name: self.regular + place for place, name in enumerate(self.extra)}
+        objects: Mapping[Hashable, int] = {}
+        # The words and objects of a single column name the states themselves.
+        if len(self.columns) == 1:
+            words |= self.columns[0].lookup.words
+            objects = self.columns[0].lookup.objects
         return Names(
             what="state",
             size=self.size,
-            words=extra | {**(alone.words if alone else {})},
+            words=words,
             label=self.label,
-            objects=alone.objects if alone else {},
+            objects=objects,
             otherwise=self._in_columns,
         )
 
     def _in_columns(self, state: object) -> int | None:
-        """Return the state of a printed form, or of a tuple of values by column."""
-        if len(self.columns) == 1 and self.columns[0].words:  # without a list of all states
+        """Return the state with a printed form, or with a tuple of column values; else None."""
+        # "state low" is the state with the word "low"; the words spare a list of all states.
+        if len(self.columns) == 1 and self.columns[0].words:
             name = f"{self.columns[0].name} "
-            printed = isinstance(state, str) and state.startswith(name)
-            return self.lookup.words.get(str(state).removeprefix(name)) if printed else None
+            if isinstance(state, str) and state.startswith(name):
+                return self.lookup.words.get(state.removeprefix(name))
+            return None
         if isinstance(state, str):
             return self._number.get(state)
         if not isinstance(state, tuple) or len(state) != len(self.columns):
@@ -206,9 +228,9 @@ class StateSpace:
         return self.index(**{column.name: column.number(value) for column, value in cells})
 
     def number(self, state: object) -> int:
-        """Return the number of a state, given as that, as an object, by name or by column values.
+        """Return the number of a state, given by number, object, name or column values.
 
-        `mdp.forms.names` has the rule; raises ModelError for what is no state, or may be two.
+        `mdp.forms.names` states the rules; raises ModelError for an unknown or ambiguous state.
 
         Examples
         --------
@@ -222,11 +244,11 @@ class StateSpace:
         return self.lookup.find_number(state)
 
     def numbers(self, states: object) -> list[int]:
-        """Return the numbers of some states, as `number` does of one."""
+        """Return the numbers of some states, each given as in `number`."""
         return self.lookup.find_numbers(states)
 
     def _list_cells(self, state: int) -> Iterator[tuple[str, str]]:
-        """Yield the name and the printed value of each column, from the last one on."""
+        """Yield the name and the printed value of each column, the last column first."""
         for column in reversed(self.columns):
             state, value = divmod(state, column.size)
             yield column.name, column.label(value)
@@ -240,9 +262,11 @@ class StateSpace:
         return ", ".join([f"{name} {value}" for name, value in self._list_cells(state)][::-1])
 
     def place(self, state: int) -> str:
-        """Return where a message says that one state is: "state A", "state (row 0, column 3)"."""
+        """Return a state as messages name it: "state A", "state (row 0, column 3)"."""
         label = self.label(state)
-        return label if label.startswith("state ") else f"state ({label})"
+        if label.startswith("state "):
+            return label
+        return f"state ({label})"
 
     def labels(self, states: Iterable[int]) -> list[str]:
         """Return the printed forms of some states."""
@@ -261,9 +285,9 @@ class StateSpace:
         Parameters
         ----------
         size : int
-            How many states there are.
+            The number of states.
         labels : iterable of str
-            A word for each state; numbers unless given.
+            A word for each state; without labels, states are numbered.
 
         Returns
         -------
@@ -272,7 +296,7 @@ class StateSpace:
         Raises
         ------
         ModelError
-            Where there are labels, and not one for each state.
+            If there are labels, but not one for each state.
 
         Examples
         --------

@@ -1,11 +1,11 @@
-"""Exact outcomes: what can happen after each state-action pair, as integers over a denominator.
+"""Exact outcomes of each state-action pair: integers over a denominator.
 
 Outcome i of pair l, one of offsets[l] … offsets[l+1]-1, has probability weight[i] / denominator[l],
-leads to state next[i] and earns gain[i] / gain_denominator[l]. Weights are 64-bit integers where
-they fit, Python integers (dtype object) where they do not, or the floats next to what their row
-means (`mdp.forms.rows`); every row of a model sums to 1 exactly. Rewards that are floats are the
-dyadic rationals that they are. The float model is derived from this table, every number rounded
-once.
+leads to state next[i] and earns gain[i] / gain_denominator[l]. Weights are 64-bit integers if they
+fit, else Python integers (dtype object); or floats, each the nearest one to the exact probability
+for which it stands (`mdp.forms.rows`). Every row of a model sums to 1 exactly. Float rewards are
+taken as the dyadic rationals that they are. The float model is derived from this table, every
+number rounded once.
 """
 
 from __future__ import annotations
@@ -39,21 +39,23 @@ from exact_mdp.mdp.forms.rows import Numbers as Numbers
 from exact_mdp.mdp.forms.rows import to_dyadic_integers as to_dyadic_integers
 from exact_mdp.mdp.forms.threads import block_ends, run_blocks
 
+# From this number of transitions on, loops are compiled. Loading the compiler takes a third of a
+# second, and NumPy is faster than that on smaller models: measured.
 COMPILED = 20_000
-"""Transitions from which compiled loops are used. Below, NumPy takes less time than it takes to
-load the compiler, a third of a second."""
-EXACT_IN_FLOAT = 2**53  # whole numbers up to this one are floats
-EXACT_IN_INT64 = 2**62  # the sum of two whole numbers below this one is one of 64 bits
-FLOAT_RANGE = (Fraction(1, 10**300), Fraction(10**300))  # where floats keep all their digits
+EXACT_IN_FLOAT = 2**53  # every whole number up to this one is a float
+EXACT_IN_INT64 = 2**62  # the sum of two whole numbers below this one fits in 64 bits
+FLOAT_RANGE = (Fraction(1, 10**300), Fraction(10**300))  # floats in it keep all their digits
 LARGEST = Fraction(2**1024 - 2**971)  # the largest float
-MOST_BYTES = 10 * 10**9  # of the outcomes of one table
-MOST_DIGITS = 4000  # of a number that is given as text: Python itself stops at 4,300
-NARROW, WIDE = 45, 230  # bytes for each outcome, 64-bit integers or Python's
+# Memory of one table, in bytes. A larger one is refused with a message before it is built, rather
+# than left to fill the memory; on a large machine this also refuses some tables that would fit.
+MOST_BYTES = 10 * 10**9
+MOST_DIGITS = 4000  # digits of a number given as text: Python itself stops at 4,300
+NARROW, WIDE = 45, 230  # bytes for each outcome, with 64-bit or with Python integers
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OutcomeTable:
-    """The joint law of next state and reward after each of L pairs, N outcomes in all.
+    """The joint distribution of next state and reward for each of L pairs, with N outcomes in all.
 
     Attributes
     ----------
@@ -61,15 +63,15 @@ class OutcomeTable:
         Outcomes of pair l are offsets[l] … offsets[l+1]-1, sorted by next state.
     next : (N,) int32 or int64
     weight, denominator : (N,), (L,)
-    gain, gain_denominator : (N,), or (L,) where the pair alone decides it; (L,)
+    gain, gain_denominator : (N,), or (L,) if all outcomes of a pair earn the same; (L,)
     event : (N,) uint8, optional
-        Bit b is set on outcomes where the model's event number b happens.
-    components, component_denominator : (N, C), or (L, C) where the pair alone decides; (L,)
-        The reward by component, optional; without them the reward is the only one.
+        Bit b is set on outcomes in which the model's event number b happens.
+    components, component_denominator : (N, C), or (L, C) if all outcomes have the same; (L,)
+        The reward by component, optional; without them the reward is the only component.
     averaged : bool
-        Whether components (L, C) are means of amounts that differ between outcomes; of a table
-        without components, whether its reward is such a mean. Then means are right, and what rests
-        on single outcomes is not known: the spread, quantiles, other rows.
+        Whether components (L, C) are means of amounts that differ between outcomes; in a table
+        without components, whether its reward is such a mean. Expectations are then exact, but
+        results that need single outcomes, such as variances and quantiles, are unknown.
     """
 
     offsets: Integers
@@ -90,36 +92,38 @@ class OutcomeTable:
 
     @property
     def pair(self) -> Integers:
-        """(N,) the pair that each outcome belongs to."""
+        """(N,) the pair of each outcome."""
         return np.repeat(np.arange(self.pairs), np.diff(self.offsets))
 
     @property
     def joint(self) -> bool:
-        """True where the reward differs between outcomes of a pair."""
+        """True if rewards are stored by outcome, not by pair."""
         return len(self.gain) == len(self.next) and self.pairs != len(self.next)
 
     @cached_property
     def rising(self) -> bool:
-        """True where the next states of every pair rise strictly: sorted, none of them twice."""
+        """True if the next states of every pair rise strictly: sorted, and none of them twice."""
         offsets = self.offsets
         if len(self.next) < 2**31 and self.next.dtype == np.int32:
             offsets = offsets.astype(np.int32)
-        # A matrix of any numbers with these rows: what is asked does not depend on the numbers.
+        # SciPy tests this property of a matrix; the data of the matrix play no role.
         shape = (self.pairs, int(self.next.max(initial=0)) + 1)
         return bool(sp.csr_array((self.next, self.next, offsets), shape).has_canonical_format)
 
     def with_normalized_rows(self) -> OutcomeTable:
-        """Return the table with the floats next to what its rows mean (`mdp.forms.rows`)."""
+        """Return the table with float rows normalized, as `mdp.forms.rows` defines it."""
         if self.weight.dtype != np.float64 or "is_settled" in vars(self):
             return self
         weight = self.weight.copy()
         normalize_rows(weight, self.offsets)
-        table = self if np.array_equal(weight, self.weight) else replace(self, weight=weight)
-        vars(table)["is_settled"] = True
+        table = self
+        if not np.array_equal(weight, self.weight):
+            table = replace(self, weight=weight)
+        vars(table)["is_settled"] = True  # do it once
         return table
 
     def of_pairs(self, pairs: Integers) -> OutcomeTable:
-        """Return the table of some pairs (K,), in the order given."""
+        """Return the table of the given pairs (K,), in their order."""
         chosen = concatenate_ranges(self.offsets[pairs], self.offsets[pairs + 1])
         return replace(
             self.map_numbers(lambda _, values: values[pairs], lambda _, values: values[chosen]),
@@ -128,40 +132,49 @@ class OutcomeTable:
         )
 
     def any_outcome(self, name: str) -> NDArray[np.bool_]:
-        """Return (L,) True where a number of this name is not 0 in some outcome of the pair."""
+        """Return (L,) True where the array `name` is not 0 for some outcome of the pair."""
         some = np.asarray(getattr(self, name) != 0, dtype=bool)
         if some.ndim == 2:
             some = np.asarray(some.any(axis=1))
-        of_pair = len(some) == self.pairs
-        return some if of_pair else np.logical_or.reduceat(some, self.offsets[:-1])
+        if len(some) == self.pairs:
+            return some
+        return np.logical_or.reduceat(some, self.offsets[:-1])
 
     def map_numbers(
         self, of_pair: Callable[[str, Numbers], Numbers], of_outcome: Callable[[str, Numbers], Any]
     ) -> OutcomeTable:
-        """Return a table whose numbers, by name, are what functions make of (L,) and (N,) ones."""
-        by_pair = len(self.gain) == self.pairs
-        parts = {
+        """Apply `of_pair` to each array by pair and `of_outcome` to each array by outcome.
+
+        Both take the name of the array and the array; offsets and next states stay as they are.
+        """
+        functions = {
             "weight": of_outcome,
             "denominator": of_pair,
-            "gain": of_pair if by_pair else of_outcome,
+            "gain": of_outcome,
             "gain_denominator": of_pair,
             "event": of_outcome,
-            "components": of_outcome if self.parted_by_outcome else of_pair,
+            "components": of_pair,
             "component_denominator": of_pair,
         }
-        known = {name: getattr(self, name) for name in parts}
-        changed: dict[str, Any] = {
-            name: parts[name](name, array) for name, array in known.items() if array is not None
-        }
+        # Rewards and components are stored in either way.
+        if len(self.gain) == self.pairs:
+            functions["gain"] = of_pair
+        if self.parted_by_outcome:
+            functions["components"] = of_outcome
+        changed: dict[str, Any] = {}
+        for name, function in functions.items():
+            array = getattr(self, name)
+            if array is not None:
+                changed[name] = function(name, array)
         return replace(self, **changed)
 
     def with_reward(self, gain: Numbers, below: Numbers) -> OutcomeTable:
-        """Return the table of another reward, which has no components."""
+        """Return the same transitions with another reward, without components."""
         parts: dict[str, Any] = {"components": None, "component_denominator": None}
         return replace(self, gain=gain, gain_denominator=below, averaged=False, **parts)
 
     def with_component_reward(self, number: int) -> OutcomeTable:
-        """Return the table whose reward is a component alone."""
+        """Return the same transitions with one component as the reward."""
         if self.components is None:
             return self
         gain = np.ascontiguousarray(self.components[:, number])
@@ -169,16 +182,17 @@ class OutcomeTable:
 
     @property
     def parted_by_outcome(self) -> bool:
-        """Whether amounts of components are known by outcome: (N, C), not (L, C)."""
+        """Whether components are stored by outcome (N, C), not by pair (L, C)."""
         parts = self.components
         return parts is not None and len(parts) == len(self.next) and len(parts) != self.pairs
 
     def negate_rewards(self) -> OutcomeTable:
-        """Return the table of the rewards times -1."""
+        """Return the table with all rewards and components times -1."""
         parts: dict[str, Any] = {"gain": self.gain, "components": self.components}
         for name, array in parts.items():
             if array is None:
                 continue
+            # -2^63 is the one 64-bit integer without a negative.
             if array.dtype == np.int64 and array.min(initial=0) == np.iinfo(np.int64).min:
                 array = array.astype(object)
             parts[name] = -array
@@ -191,16 +205,18 @@ class OutcomeTable:
     def compute_gains(self) -> Floats:
         """Return the (N,) outcome rewards, each rounded once."""
         gains = self.shared_gains()
-        return np.repeat(gains, np.diff(self.offsets)) if len(self.gain) == self.pairs else gains
+        if len(self.gain) == self.pairs:
+            return np.repeat(gains, np.diff(self.offsets))
+        return gains
 
     def shared_gains(self) -> Floats:
-        """Return the outcome rewards: (L,) where those of a pair are alike, else (N,)."""
+        """Return the rewards as floats: (L,) if they are stored by pair, else (N,)."""
         if len(self.gain) == self.pairs:
             return divide(self.gain, self.gain_denominator)
         return divide(self.gain, self.gain_denominator, np.diff(self.offsets))
 
     def expected_gain(self) -> Floats:
-        """Return the (L,) expected rewards, each rounded once where the table is rational."""
+        """Return the (L,) expected rewards, each rounded once if all numbers are integers."""
         if len(self.gain) == self.pairs:
             return self.shared_gains()
         if self.weight.dtype == np.float64 or self.gain.dtype == np.float64:
@@ -209,9 +225,10 @@ class OutcomeTable:
         return divide(*self.expected_gain_exact())
 
     def expected_gain_exact(self) -> tuple[Numbers, Numbers]:
-        """Return integers (L,), (L,): the exact expected reward of pair l is their ratio."""
+        """Return integers (L,), (L,) whose ratios are the exact expected rewards."""
         if len(self.gain) == self.pairs:
             return self.integer_gains()
+        # Outcomes without a reward add nothing; in many models most are of this kind.
         earning = np.asarray(self.gain != 0, dtype=bool)
         offsets = np.concatenate([[0], np.cumsum(earning)])[self.offsets]
         weight, below = self.integer_weights()
@@ -222,9 +239,9 @@ class OutcomeTable:
         return total, multiply(below, gain_below)
 
     def expected_components(self) -> Floats:
-        """Return (L, C) the expected reward by component, each number rounded once.
+        """Return the (L, C) expected reward by component, each number rounded once.
 
-        Amounts by outcome that are floats are rounded as those of `expected_gain` are.
+        Float amounts by outcome are rounded as in `expected_gain`.
         """
         if self.components is None:
             return self.expected_gain()[:, None]
@@ -235,31 +252,33 @@ class OutcomeTable:
 
     def expected_components_exact(self) -> tuple[Numbers, Numbers]:
         """Return the expected reward by component as integers (L, C) over integers (L,)."""
+        # Without components, the reward is the only one.
         if self.components is None:
             gain, below = self.expected_gain_exact()
             return gain[:, None], below
         if self.parted_by_outcome:
+            # Take the expectation of each component, then bring all to one denominator per pair.
             each = [part.expected_gain_exact() for part in self._each_component()]
-            tops, belows = zip(*each, strict=True)
-            common = np.lcm.reduce([below.astype(object) for below in belows])
-            whole = [
-                multiply(top, to_integer_array((common // below).tolist())).astype(object)
-                for top, below in zip(tops, belows, strict=True)
-            ]
+            common = np.lcm.reduce([below.astype(object) for _, below in each])
+            whole = []
+            for top, below in each:
+                factor = to_integer_array((common // below).tolist())
+                whole.append(multiply(top, factor).astype(object))
             amounts = to_integer_array(np.stack(whole, axis=1).reshape(-1).tolist())
             return amounts.reshape(self.pairs, -1), to_integer_array(common.tolist())
         if self.components.dtype != np.float64:
             return self.components, self.component_denominator
+        # Floats are dyadic rationals: their common denominator is a power of 2.
         pairs, parts = self.components.shape
         top, below = to_dyadic_integers(self.components.reshape(-1), np.arange(pairs + 1) * parts)
         return top.reshape(pairs, parts), below
 
     def _each_component(self) -> list[OutcomeTable]:
-        """Return the tables that earn one component each."""
+        """Return one table for each component, with that component as the reward."""
         return [self.with_component_reward(number) for number in range(self.components.shape[1])]
 
     def integer_weights(self) -> tuple[Numbers, Numbers]:
-        """Return (N,), (L,) integers: what each row means, over a denominator of its own."""
+        """Return the exact rows as integers: (N,) weights over (L,) denominators."""
         if self.weight.dtype != np.float64:
             return self.weight, self.denominator
         return rows_to_integers(self.weight, self.offsets)
@@ -268,8 +287,10 @@ class OutcomeTable:
         """Return the rewards as integers: (N,) or (L,), over (L,) denominators."""
         if self.gain.dtype != np.float64:
             return self.gain, self.gain_denominator
-        each = np.arange(self.pairs + 1) if len(self.gain) == self.pairs else self.offsets
-        return to_dyadic_integers(self.gain, each)
+        offsets = self.offsets
+        if len(self.gain) == self.pairs:
+            offsets = np.arange(self.pairs + 1)
+        return to_dyadic_integers(self.gain, offsets)
 
     def row(self, pair: int) -> list[tuple[Fraction, int, Fraction]]:
         """Return the exact outcomes of one pair: probability, next state, reward.
@@ -283,17 +304,22 @@ class OutcomeTable:
         """
         here = slice(int(self.offsets[pair]), int(self.offsets[pair + 1]))
         weight, below = self.weight[here].tolist(), int(self.denominator[pair])
-        floats = self.weight.dtype == np.float64
-        chances = rationalize_row(weight) if floats else [Fraction(top, below) for top in weight]
-        of_pair = len(self.gain) == self.pairs
+        # Probabilities: floats stand for rational numbers, integers are numerators.
+        if self.weight.dtype == np.float64:
+            chances = [exact(number) for number in rationalize_row(weight)]
+        else:
+            chances = [Fraction(top, below) for top in weight]
+        # Rewards: one for each outcome, or one for the pair.
+        gains = self.gain[here]
+        if len(self.gain) == self.pairs:
+            gains = np.repeat(self.gain[pair : pair + 1], len(chances))
         under = int(self.gain_denominator[pair])
-        gains = [exact(top) / under for top in self.gain[[pair] if of_pair else here].tolist()]
-        gains *= len(chances) if of_pair else 1
-        return list(zip(map(exact, chances), self.next[here].tolist(), gains, strict=True))
+        rewards = [exact(top) / under for top in gains.tolist()]
+        return list(zip(chances, self.next[here].tolist(), rewards, strict=True))
 
 
 def row_sums(values: Numbers, offsets: Integers) -> Numbers:
-    """Return (L,) exact sums of integers over the rows that `offsets` delimits, empty ones too."""
+    """Return the exact sums (L,) of integers over the rows given by `offsets` (0 if empty)."""
     lengths = np.diff(offsets)
     if find_magnitude(values) * int(lengths.max(initial=0)) >= EXACT_IN_INT64:
         values = values.astype(object)
@@ -305,10 +331,11 @@ def row_sums(values: Numbers, offsets: Integers) -> Numbers:
 
 
 def normalize_rows(weight: Floats, offsets: Integers) -> bool:
-    """Settle rows; return whether all are distributions of positive numbers."""
+    """Normalize float rows in place; return whether all are distributions of positive numbers."""
+    # Arrays that do not fit together are left alone: validation refuses them with a message.
     fits = len(offsets) > 1 and offsets[0] == 0 and offsets[-1] == len(weight) == weight.size
     if not (fits and np.diff(offsets).min() > 0):
-        return False  # it is refused for that
+        return False
     longest = int(np.diff(offsets).max())
     if len(weight) < COMPILED or longest >= LONG:
         with np.errstate(all="ignore"):
@@ -321,7 +348,7 @@ def normalize_rows(weight: Floats, offsets: Integers) -> bool:
 
 
 def all_rows(look: Callable[..., bool], offsets: Integers, *given: Any) -> bool:
-    """Return whether a compiled look at rows first … last-1 is content with all blocks of them."""
+    """Return whether a compiled check of rows first … last-1 is True for all blocks of rows."""
     ends = block_ends(offsets)
     sound = [False] * (len(ends) - 1)
 
@@ -338,16 +365,18 @@ def merge_outcomes(table: OutcomeTable) -> tuple[Integers, Numbers, Numbers, Num
     These are offsets (L+1,), next states and weights (M,), and denominators (L,).
     """
     weight, denominator = table.integer_weights()
+    # Add up the weights of outcomes with the same next state.
     first, offsets = find_outcome_runs(table)
     following = table.next
     if len(first) < len(following):
         weight, following = np.asarray(np.add.reduceat(weight, first)), following[first]
+    # Cancel the greatest common divisor of each row and its denominator.
     shared = np.gcd(np.gcd.reduceat(weight, offsets[:-1]), denominator)
     return offsets, following, weight // np.repeat(shared, np.diff(offsets)), denominator // shared
 
 
 def find_outcome_runs(table: OutcomeTable) -> tuple[Integers, Integers]:
-    """Return where runs of outcomes to the same next state begin, and each pair's first run."""
+    """Return the first outcome of each run with the same next state, and each pair's first run."""
     fresh = np.empty(len(table.next), dtype=bool)
     fresh[1:] = table.next[1:] != table.next[:-1]
     fresh[table.offsets[:-1]] = True
@@ -362,7 +391,7 @@ def reduce_fractions(top: Numbers, bottom: Numbers) -> tuple[Numbers, Numbers]:
 
 
 def exact(number: object, where: str = "") -> Fraction:
-    """Return the rational that a number, "p/q" or decimal is; ModelError for anything else."""
+    """Return a number, "p/q" or decimal as a Fraction; raise ModelError for anything else."""
     if isinstance(number, Fraction):
         return number
     if isinstance(number, np.longdouble) and np.isfinite(number):
@@ -383,7 +412,7 @@ def exact(number: object, where: str = "") -> Fraction:
 
 
 def _check_length(text: str, where: str) -> None:
-    """Raise ModelError for a number whose digits, written out, are too many to work with."""
+    """Raise ModelError for a number with too many digits, or too large an exponent."""
     if len(text) > MOST_DIGITS:
         what = f"a number of over {MOST_DIGITS:,} characters"
         raise ModelError(what, where=where, fix="round it")
@@ -394,7 +423,7 @@ def _check_length(text: str, where: str) -> None:
 
 
 def format_rational(number: Fraction, digits: int = 6) -> str:
-    """Return a rational in decimals for a message, however large it is."""
+    """Return a rational as a decimal for a message, however large it is."""
     if number == 0 or FLOAT_RANGE[0] < abs(number) < FLOAT_RANGE[1]:
         return f"{float(number):.{digits}g}"
     context = Context(prec=digits, Emax=MAX_EMAX, Emin=MIN_EMIN)
@@ -403,23 +432,25 @@ def format_rational(number: Fraction, digits: int = 6) -> str:
 
 
 def format_beside_limits(number: Fraction, *limits: Fraction) -> str:
-    """Return a rational in decimals that is on the same side of every limit as the number is."""
+    """Return a rational as a decimal that is on the same side of each limit as the number."""
     text = format_rational(number)
     rounded = Fraction(text)
     for limit in limits:
-        if (rounded > limit) - (rounded < limit) != (number > limit) - (number < limit):
-            sign = "+" if number > limit else "-"
-            return f"{format_rational(limit)} {sign} {format_rational(abs(number - limit))}"
+        # Rounding may have moved the number to the limit or across: show the distance instead.
+        if number > limit and not rounded > limit:
+            return f"{format_rational(limit)} + {format_rational(number - limit)}"
+        if number < limit and not rounded < limit:
+            return f"{format_rational(limit)} - {format_rational(limit - number)}"
     return text
 
 
 def float_of(number: object, where: str) -> float:
-    """Return the float that is nearest to what `exact` takes; raises ModelError as it does."""
+    """Return the nearest float to a number that `exact` accepts; raises ModelError as it does."""
     return as_float(exact(number, where), where)
 
 
 def as_float(number: Fraction | float, where: str = "") -> float:
-    """Return a number as a float; raises ModelError where it is too large for one."""
+    """Return a number as a float; raise ModelError if it is too large."""
     try:
         return float(number)
     except OverflowError as error:
@@ -427,27 +458,28 @@ def as_float(number: Fraction | float, where: str = "") -> float:
 
 
 def _overflow_error(where: str = "") -> ModelError:
-    return ModelError("a number too large for a float", where=where, fix="choose smaller units")
+    return ModelError("a number is too large for a float", where=where, fix="choose smaller units")
 
 
 def to_common_denominator(numbers: Sequence[Fraction]) -> tuple[list[int], int]:
-    """Return integers over one common denominator."""
-    bottom = lcm(*(number.denominator for number in numbers)) if numbers else 1
+    """Return the numbers as integers over one common denominator."""
+    bottom = lcm(*(number.denominator for number in numbers))  # 1 if there are none
     return [number.numerator * (bottom // number.denominator) for number in numbers], bottom
 
 
 def over_groups(values: Sequence[Fraction], offsets: Integers) -> tuple[Numbers, Numbers]:
-    """Return rationals (N,) as integers over one denominator for each group of them."""
-    groups = [
-        to_common_denominator(values[first:last]) for first, last in pairwise(offsets.tolist())
-    ]
-    return to_integer_array(top for tops, _ in groups for top in tops), to_integer_array(
-        b for _, b in groups
-    )
+    """Return rationals (N,) as integers (N,), with one common denominator for each group."""
+    tops: list[int] = []
+    bottoms: list[int] = []
+    for first, last in pairwise(offsets.tolist()):
+        whole, bottom = to_common_denominator(values[first:last])
+        tops += whole
+        bottoms.append(bottom)
+    return to_integer_array(tops), to_integer_array(bottoms)
 
 
 def to_integer_array(values: Iterable[int]) -> Numbers:
-    """Return an array of 64-bit integers where they fit, of Python integers where not."""
+    """Return an array of 64-bit integers if they all fit, else of Python integers."""
     listed = list(values)
     if not listed or (min(listed) > -EXACT_IN_INT64 and max(listed) < EXACT_IN_INT64):
         return np.array(listed, dtype=np.int64)
@@ -457,7 +489,7 @@ def to_integer_array(values: Iterable[int]) -> Numbers:
 
 
 def in_proportion(numbers: Sequence[Fraction]) -> list[int]:
-    """Return whole numbers in proportion to rationals of at least 0, as small as they can be."""
+    """Return the smallest whole numbers in proportion to nonnegative rationals."""
     whole, _ = to_common_denominator(numbers)
     divisor = gcd(*whole) or 1
     return [number // divisor for number in whole]
@@ -465,17 +497,19 @@ def in_proportion(numbers: Sequence[Fraction]) -> list[int]:
 
 @lru_cache(maxsize=16)
 def make_ones(length: int) -> Numbers:
-    """Return (length,) ones that take no memory: the denominators of integers and floats."""
+    """Return (length,) ones that take no memory, as denominators of integers and floats."""
     return np.broadcast_to(np.int64(1), (length,))
 
 
 def find_magnitude(array: Numbers) -> int:
-    """Return the largest absolute value as a Python integer."""
-    return max(abs(int(array.max())), abs(int(array.min()))) if array.size else 0
+    """Return the largest absolute value as a Python integer; 0 for an empty array."""
+    if not array.size:
+        return 0
+    return max(abs(int(array.max())), abs(int(array.min())))
 
 
 def multiply(left: Numbers, right: Numbers, *, terms: int = 1) -> Numbers:
-    """Return the exact product of integer arrays, wide enough to add up `terms` of them."""
+    """Return the exact products of integer arrays, wide enough for a sum of `terms` of them."""
     narrow = left.dtype != object and right.dtype != object
     if narrow and find_magnitude(left) * find_magnitude(right) * terms < EXACT_IN_INT64:
         return np.asarray(left * right)
@@ -483,11 +517,13 @@ def multiply(left: Numbers, right: Numbers, *, terms: int = 1) -> Numbers:
 
 
 def divide(top: Numbers, bottom: Numbers, counts: Integers | None = None) -> Floats:
-    """Return top / bottom as floats, rounded once; a bottom may be that of `counts` numbers."""
+    """Return top / bottom as floats, rounded once; bottom l serves `counts[l]` numbers."""
+    # Floats are their own numerators: they come with denominators of 1.
     if top.dtype == np.float64:
         return np.asarray(top, dtype=np.float64)
     if counts is not None:
         bottom = np.repeat(bottom, counts)
+    # If both are floats exactly, IEEE division rounds once; else Python's integers do.
     small = top.dtype != object and bottom.dtype != object
     if small and max(find_magnitude(top), find_magnitude(bottom)) <= EXACT_IN_FLOAT:
         return np.asarray(top.astype(np.float64) / bottom, dtype=np.float64)
@@ -500,8 +536,9 @@ def divide(top: Numbers, bottom: Numbers, counts: Integers | None = None) -> Flo
 
 def concatenate_ranges(first: Numbers, last: Numbers) -> Integers:
     """Return the numbers first[0] … last[0]-1, first[1] … last[1]-1, and so on, in one array."""
+    # In its range, a number is its place in the result plus a shift that the range shares.
     lengths = last - first
     ends = np.cumsum(lengths, dtype=np.int64)
-    total = int(ends[-1]) if len(ends) else 0
+    total = int(lengths.sum())
     steps: Integers = np.arange(total) + np.repeat(first - (ends - lengths), lengths)
     return steps

@@ -1,4 +1,4 @@
-"""What must hold of a model before anything is computed from it; every row is checked."""
+"""Validation: every part of a model, and every row, is checked before use."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ from exact_mdp.mdp.table import (
 
 Flags = NDArray[np.bool_]
 SENSES = ("max", "min")
-LEFT = (
-    FLOAT_ROW_TOLERANCE / 2
-)  # rows that `mdp.forms.rows` settled miss 1 by rounding, others by more
+# Rows of floats that `mdp.forms.rows` has normalized sum to 1 up to rounding; rows that it left
+# alone miss 1 by the whole tolerance. Half of it separates the two.
+LEFT = FLOAT_ROW_TOLERANCE / 2
 
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """The parts of a model, as they are given and before they are checked; see `MDP`."""
+    """The parts of a model before they are checked; see `MDP`."""
 
     table: OutcomeTable
     pair_state: Integers
@@ -91,19 +91,19 @@ class Parts:
         return len(self.pair_state)
 
     def where(self, pair: int) -> str:
-        """Return the printed state and action of a pair, for messages."""
+        """Return the state and action of a pair, in words for messages."""
         state = self.space.place(int(self.pair_state[pair]))
         return f"{state}, action {self.actions[self.pair_action[pair]]}"
 
 
 OPTIONS = ("discount", "start", "states", "actions", "components", "labels", "sense", "name")
-"""What constructors are given by name; they take every other part of a model as well."""
+"""Common options of the constructors, named in advice; every other part of a model is one too."""
 KNOWN = {*OPTIONS, *(part.name for part in fields(Parts))}
 COUNTED = {"observations": "make the model with MDP.from_transitions, which counts them"}
 
 
 def check_options(names: Iterable[str], never: Mapping[str, str]) -> None:
-    """Raise ModelError for a name that is none of a model's parts, or one of others, with a fix."""
+    """Raise ModelError for an option that no model has, or that is in `never` {name: advice}."""
     for name in names:
         if name in never:
             raise ModelError(f"there is no option {name}=", where="MDP", fix=never[name])
@@ -128,6 +128,7 @@ KINDS: dict[str, Any] = {
 
 def check_model(model: Parts) -> None:
     """Raise ModelError, naming the place and the remedy, unless `model` is a finite MDP."""
+    # Types and names come first: all later checks, and their messages, rely on them.
     for name, kind in KINDS.items():
         wanted = str(getattr(kind, "__name__", kind)).rpartition(".")[2]
         require_type(getattr(model, name), kind, name, f"give a {wanted}")
@@ -140,7 +141,8 @@ def check_model(model: Parts) -> None:
     _check_sense(model)
     _check_pairs(model)
     _check_table(model)
-    if not vars(model.table).get("sound", False):  # else each row was looked at when it was settled
+    # The constructors mark a table as sound if its rows were checked when they were normalized.
+    if not vars(model.table).get("sound", False):
         _check_rows(model)
     _check_observations(model)
     _check_start(model)
@@ -157,7 +159,7 @@ def _check_sense(model: Parts) -> None:
         )
     if model.unreached not in (inf, -inf):
         raise ModelError(
-            f"a run that misses the goal is worth {model.unreached}",
+            f"the value of a run that misses the goal is {model.unreached}",
             where="unreached",
             fix="give math.inf or -math.inf",
         )
@@ -173,7 +175,7 @@ def _check_observations(model: Parts) -> None:
             where="observations",
             fix="give the number of observations of each pair, whole numbers from 0 up",
         )
-    # A row that was counted has its counts over their sum.
+    # An observed row is its counts over their sum.
     off = (seen > 0) & (seen != model.table.denominator)
     if model.table.weight.dtype != np.int64 or off.any():
         raise ModelError(
@@ -184,7 +186,7 @@ def _check_observations(model: Parts) -> None:
 
 
 def as_labels(labels: object, space: StateSpace) -> dict[str, Flags]:
-    """Return labels as read-only arrays (S,) of truth values by name."""
+    """Return the labels as read-only arrays (S,) of truth values, by name."""
     if not isinstance(labels, Mapping):
         raise ModelError(
             f"labels are a {type(labels).__name__}",
@@ -196,8 +198,9 @@ def as_labels(labels: object, space: StateSpace) -> dict[str, Flags]:
 
 
 def as_flags(values: object, space: StateSpace, where: str) -> Flags:
-    """Return one truth value for each state (S,), read-only; states may be named instead."""
+    """Return a read-only array (S,) of truth values, from such an array or a list of states."""
     array, size = np.asarray(values), space.size
+    # Anything but truth values is a list of states, which are True.
     if array.dtype != bool and not isinstance(values, Mapping):
         with locate_errors(where):
             array = np.isin(np.arange(size), _find_states(values, array, space))
@@ -214,10 +217,12 @@ def as_flags(values: object, space: StateSpace, where: str) -> Flags:
 
 
 def _find_states(values: object, array: NDArray[Any], space: StateSpace) -> Integers | list[int]:
-    """Return the numbers of states that are named; an array, and only that, goes by numbers."""
+    """Return the numbers of the states in a list; an array of integers holds state numbers."""
+    # Zeros and ones, one for each state, could mean either: the user must say.
     if array.shape == (space.size,) and array.dtype.kind in "iuf" and np.isin(array, (0, 1)).all():
         raise ModelError(
-            f"noughts and ones for {space.size} states may be truth values, or numbers of states",
+            f"an array of 0s and 1s for {space.size} states is ambiguous: truth values, or state "
+            "numbers?",
             fix="give one truth value, True or False, for each state; or a set of states: {0, 1}",
         )
     if isinstance(values, np.ndarray) and array.dtype.kind in "iu":
@@ -225,12 +230,14 @@ def _find_states(values: object, array: NDArray[Any], space: StateSpace) -> Inte
         if len(outside):
             raise no_such("state", outside[0], space.size)
         return array
-    alone = isinstance(values, tuple) and space.lookup.has_name(values)
-    return [space.number(values)] if alone else space.numbers(values)
+    # A tuple may itself be the name of one state.
+    if isinstance(values, tuple) and space.lookup.has_name(values):
+        return [space.number(values)]
+    return space.numbers(values)
 
 
 def require_count(number: object, where: str, least: int = 1) -> int:
-    """Return a whole number as an int; raise ModelError for anything else and below the least."""
+    """Return a whole number as an int; raise ModelError for anything else or below `least`."""
     if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < least:
         fix = f"give a whole number, {least} or more"
         raise ModelError(f"{where} is {number!r}", where=where, fix=fix)
@@ -241,9 +248,9 @@ def as_discount(discount: object) -> Fraction:
     """Return a discount as an exact number in [0, 1]."""
     if discount is None:
         raise ModelError(
-            "no discount is given, but None: not a number",
+            "the discount is None, which is not a number",
             where="discount",
-            fix='give discount=0.95, or discount="19/20"; it is 1 where it is left out',
+            fix='give discount=0.95, or discount="19/20"; the default is 1',
         )
     if type(discount) is float and 0 <= discount <= 1:
         return Fraction(discount)
@@ -262,14 +269,19 @@ def _check_discount(value: Fraction) -> None:
 
 
 def as_start(start: object, space: StateSpace) -> ByNumber:
-    """Return an initial distribution from a state, {state: probability}, or a vector."""
+    """Return the initial distribution for a state, {state: probability}, or a vector."""
     if start is None:
         return ByNumber([(0, Fraction(1))])
     start = convert_tensors(start)
     with locate_errors("start"):
-        weights = dict(start) if isinstance(start, ByNumber) else numbers_by_state(start, space)
-        if weights is None:
+        weights: dict[int, Any] | None
+        if isinstance(start, ByNumber):
+            weights = dict(start)
+        else:
+            weights = numbers_by_state(start, space)
+        if weights is None:  # a single state
             weights = {space.number(start): 1}
+        # The probabilities are a row like any other: floats stand for rational numbers.
         given = np.empty(len(weights), dtype=object)
         given[:] = [as_given(weight) for weight in weights.values()]
         chances = map(exact, rationalize_row(put_right(given, np.array([0, len(given)])).tolist()))
@@ -278,24 +290,25 @@ def as_start(start: object, space: StateSpace) -> ByNumber:
 
 
 def numbers_by_state(numbers: Any, space: StateSpace) -> dict[int, Any] | None:
-    """Return numbers by state from {state: number} or from a vector; None for anything else."""
+    """Return {state number: number} for a mapping or a vector; None for anything else."""
     refuse_masked(numbers)
     if is_pandas_table(numbers) and numbers.ndim == 1:
         if numbers.index.nlevels > 1:
             raise ModelError(
-                "a table has several levels of labels, whose order may be another one",
+                "the table has several levels of labels, and their order may differ from the "
+                "model's",
                 fix="give {state: number}",
             )
         numbers = dict(zip(numbers.index, numbers, strict=True))
     if isinstance(numbers, Mapping):
         return _by_number(numbers, numbers.values(), space)
-    if (isinstance(numbers, np.ndarray) and numbers.ndim == 1) or (
-        isinstance(numbers, list | tuple) and not _is_state(numbers, space)
-    ):
+    vector = isinstance(numbers, np.ndarray) and numbers.ndim == 1
+    listed = isinstance(numbers, list | tuple) and not _is_state(numbers, space)
+    if vector or listed:
         if len(numbers) != space.size:
             raise ShapeError(
                 f"{len(numbers)} entries for {space.size} states",
-                fix="give one for each state, or name states: {state: number}",
+                fix="give one number for each state, or {state: number}",
             )
         return dict(enumerate(numbers))
     return None
@@ -306,14 +319,16 @@ def _by_number(states: object, numbers: Iterable[object], space: StateSpace) -> 
 
 
 def _is_state(given: object, space: StateSpace) -> bool:
-    """Return whether a tuple is a state: column values, or the object that a state is."""
+    """Return whether `given` is a tuple that names a state: column values, or an object."""
     if not isinstance(given, tuple):
         return False
-    many = len(space.columns) > 1 and len(given) == len(space.columns)
-    return many or any(each.objects for each in space.columns) or space.lookup.has_name(given)
+    if len(given) == len(space.columns) > 1:
+        return True
+    return any(each.objects for each in space.columns) or space.lookup.has_name(given)
 
 
 def _check_pairs(model: Parts) -> None:
+    """Raise ModelError unless pairs are in range, sorted, unique, and one at least per state."""
     state, action = model.pair_state, model.pair_action
     if state.shape != action.shape or state.ndim != 1:
         raise ShapeError(
@@ -322,12 +337,13 @@ def _check_pairs(model: Parts) -> None:
             fix="give one state and one action for each pair",
         )
     if not len(state):
-        raise ModelError("a model without state-action pairs", where="pairs", fix="add a state")
+        raise ModelError("the model has no state-action pair", where="pairs", fix="add a state")
     _in_range(state, model.n_states, "state", "pairs")
     _in_range(action, model.n_actions, "action", "pairs")
-    ahead, level = state[1:] > state[:-1], state[1:] == state[:-1]
-    if not (ahead | (level & (action[1:] > action[:-1]))).all():
-        same = np.flatnonzero(level & (action[1:] == action[:-1]))
+    # Compare each pair with the one before: a later state, or the same state and a later action.
+    next_state, same_state = state[1:] > state[:-1], state[1:] == state[:-1]
+    if not (next_state | (same_state & (action[1:] > action[:-1]))).all():
+        same = np.flatnonzero(same_state & (action[1:] == action[:-1]))
         if len(same):
             raise ModelError(
                 "a state-action pair appears twice",
@@ -339,12 +355,14 @@ def _check_pairs(model: Parts) -> None:
             where="pairs",
             fix="use MDP.from_pairs, which sorts them",
         )
-    # Sorted as they are, the states that have a pair show the first that has none; nothing is
-    # counted by state, whose number may be a typing error beyond all memory.
-    if np.count_nonzero(ahead) + 1 != model.n_states:
+    # The pairs are sorted, so a jump in their states shows a state without a pair. No array of
+    # length S is made: S may be a typing error that no memory could hold.
+    if np.count_nonzero(next_state) + 1 != model.n_states:
         present = state[np.flatnonzero(np.diff(state, prepend=-1))]
         gaps = np.flatnonzero(present != np.arange(len(present)))
-        missing = int(gaps[0]) if len(gaps) else len(present)
+        missing = len(present)
+        if len(gaps):
+            missing = int(gaps[0])
         raise ModelError(
             "a state without action",
             where=model.space.place(missing),
@@ -353,7 +371,7 @@ def _check_pairs(model: Parts) -> None:
 
 
 def _check_table(model: Parts) -> None:
-    """Raise ModelError unless the arrays of the table fit together, and hold finite numbers."""
+    """Raise ModelError unless the arrays of the table fit together and hold finite numbers."""
     table = model.table
     misfit = _describe_misfit(table, model.n_pairs)
     if misfit:
@@ -365,11 +383,12 @@ def _check_table(model: Parts) -> None:
     _in_range(table.next, model.n_states, "next state", "transitions")
     for name, what in (("weight", "probability"), ("gain", "reward")):
         array = getattr(table, name)
-        # NaN is its own least and greatest number.
+        # NaN and infinity show in the minimum or the maximum, without another array.
         ends = [array.min(initial=0), array.max(initial=0)]
         if array.dtype == np.float64 and not np.isfinite(ends).all():
             place = int(np.flatnonzero(~np.isfinite(array))[0])
-            raise (DistributionError if name == "weight" else ModelError)(
+            kind = {"weight": DistributionError, "gain": ModelError}[name]
+            raise kind(
                 f"a {what} is {array[place]}",
                 where=model.where(_pair_of(table, place, len(array))),
                 fix="give a finite number",
@@ -377,7 +396,8 @@ def _check_table(model: Parts) -> None:
 
 
 def _describe_misfit(table: OutcomeTable, pairs: int) -> str:
-    """Return what is wrong with the form of a table's arrays, or nothing."""
+    """Return a message that says how the arrays of a table do not fit together, or ""."""
+    # Each array has the length N of the outcomes or the length L of the pairs.
     outcomes, offsets = len(table.next), table.offsets
     lengths = {
         "offsets": {pairs + 1},
@@ -393,6 +413,7 @@ def _describe_misfit(table: OutcomeTable, pairs: int) -> str:
             return f"{name} has shape {array.shape}, not ({min(allowed)},)"
     if offsets[0] != 0 or offsets[-1] != outcomes or (offsets[1:] < offsets[:-1]).any():
         return "offsets do not run from 0 to the number of outcomes"
+    # Numbers are 64-bit integers, Python integers of any size, or floats.
     for name in ("weight", "gain", "denominator", "gain_denominator"):
         array = getattr(table, name)
         whole = array.dtype == object and {*map(type, array.tolist())} == {int}
@@ -400,6 +421,7 @@ def _describe_misfit(table: OutcomeTable, pairs: int) -> str:
             return f"{name} holds numbers that are neither 64-bit or Python integers nor floats"
     if not min(table.denominator.min(), table.gain_denominator.min()) > 0:
         return "a denominator is not positive"
+    # Strictly rising next states are sorted; otherwise equal neighbours are allowed, falls are not.
     if not table.rising:
         falls, pair = table.next[1:] < table.next[:-1], table.pair
         if (falls & (pair[1:] == pair[:-1])).any():
@@ -408,6 +430,7 @@ def _describe_misfit(table: OutcomeTable, pairs: int) -> str:
 
 
 def _check_rows(model: Parts) -> None:
+    """Raise an error unless each row has positive probabilities that sum to 1."""
     table = model.table
     steps = np.diff(table.offsets)
     if steps.min() == 0:
@@ -424,8 +447,9 @@ def _check_rows(model: Parts) -> None:
         raise NegativeError(
             f"a probability is {format_rational(weight, 12)}",
             where=model.where(pair),
-            fix="probabilities are positive; leave out those that are 0",
+            fix="probabilities are positive; leave out outcomes with probability 0",
         )
+    # Integers must sum to the denominator exactly; floats may miss it by rounding.
     if table.weight.dtype == np.float64:
         with np.errstate(over="ignore"):  # infinity is not 1 either
             sums = np.add.reduceat(table.weight, table.offsets[:-1])
@@ -436,19 +460,27 @@ def _check_rows(model: Parts) -> None:
     if wrong.any():
         pair = int(np.flatnonzero(wrong)[0])
         total = exact(sums[pair]) / exact(table.denominator[pair])
-        off = total - 1
-        near = f"1 {'+' if off > 0 else '-'} {format_rational(abs(off), 3)}"
         raise DistributionError(
-            "transition probabilities sum to "
-            f"{near if abs(off) < 1e-9 else format_rational(total, 12)}, "
-            "not 1",
+            f"transition probabilities sum to {_format_sum(total)}, not 1",
             where=model.where(pair),
             fix="add the missing outcome, or correct a probability in this row; divide rows of a "
             "short type, such as float16, by their sums in float64",
         )
 
 
+def _format_sum(total: Fraction) -> str:
+    """Return a sum other than 1 in words; a sum that would print as 1 by its distance from 1."""
+    off = total - 1
+    if abs(off) >= 1e-9:
+        return format_rational(total, 12)
+    if off > 0:
+        return f"1 + {format_rational(off, 3)}"
+    return f"1 - {format_rational(-off, 3)}"
+
+
 def _check_start(model: Parts) -> None:
+    """Raise an error unless the start is a distribution over states, each named once."""
+    # Most models start in one state.
     if len(model.start) == 1:
         ((state, weight),) = model.start
         if 0 <= state < model.n_states and weight == 1:
@@ -472,6 +504,7 @@ def _check_start(model: Parts) -> None:
 
 
 def _check_episodes(model: Parts) -> None:
+    """Raise ModelError unless each start probability is a count over the number of episodes."""
     number = model.episodes
     if number is None:
         return
@@ -481,34 +514,36 @@ def _check_episodes(model: Parts) -> None:
         )
     if any((weight * number).denominator > 1 for _, weight in model.start):
         raise ModelError(
-            f"the start probabilities are no shares of {number:,} episodes",
+            f"the start probabilities are not counts over {number:,} episodes",
             where="episodes",
-            fix="give episodes=None where the start was not counted",
+            fix="give episodes=None if the start was not counted from episodes",
         )
 
 
 def _in_range(values: Integers, size: int, what: str, where: str) -> None:
+    """Raise ModelError for the first value outside 0 … size-1."""
     if len(values) and not 0 <= values.min() <= values.max() < size:
         bad = (values < 0) | (values >= size)
         raise no_such(what, values[np.flatnonzero(bad)[0]], size, where=where)
 
 
 def _pair_of(table: OutcomeTable, index: int, length: int) -> int:
+    """Return the pair of entry `index` of an array with one entry per pair or per outcome."""
     if length == table.pairs != len(table.next):
         return index
     return int(np.searchsorted(table.offsets, index, side="right")) - 1
 
 
-# ---- random numbers: always a seed or a generator that the caller gives -------------------------
+# ---- random numbers: the caller always gives a seed or a generator -------------------------------
 
 RNG: TypeAlias = int | np.random.Generator
 
 
 def seed_of(rng: RNG) -> int:
-    """Return the whole number that a run starts from: the given one, or a draw of the generator.
+    """Return the seed of a run: the given whole number, or a number drawn from the generator.
 
-    Runs, draws and workers get streams of their own from it by `SeedSequence.spawn`: results do
-    not depend on the number of workers.
+    Runs, draws and workers get streams of their own from it by `SeedSequence.spawn`, so results
+    do not depend on the number of workers.
     """
     if isinstance(rng, np.random.Generator):
         return int(rng.integers(2**63))

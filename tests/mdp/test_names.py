@@ -98,7 +98,7 @@ def test_files_made_elsewhere_are_no_way_around_the_rule(tmp_path: Path) -> None
     for key, value in spoiled.items():
         text = json.dumps(header | {key: value}).encode()
         np.savez(tmp_path / "bad.npz", **{**arrays, "header": np.frombuffer(text, np.uint8)})
-        with pytest.raises(ModelError, match="holds the character U"):
+        with pytest.raises(ModelError, match="contains the character U"):
             load(tmp_path / "bad.npz")
     save(mdp, tmp_path / "m.umb")
     content = read_by_umbi(tmp_path / "m.umb")

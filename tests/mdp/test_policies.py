@@ -241,7 +241,7 @@ def test_only_actions_offered_count_where_a_value_is_minus_infinity(unoffered: f
     for own, best in (([-np.inf, 2.0], 2), ([2.0, -np.inf], 0), ([-1e300, -np.inf], 0)):
         table = np.array([[own[0], unoffered, own[1]], [0, 0, 0]])
         assert Policy.of(mdp, table, kind="q").choices(mdp)[0] == best
-    with pytest.raises(ModelError, match="every action offered has the value -inf"):
+    with pytest.raises(ModelError, match="every available action has the value -inf"):
         Policy.of(mdp, np.array([[-np.inf, unoffered, -np.inf], [0, 0, 0]]), kind="q")
 
 
@@ -397,7 +397,7 @@ GAP = MDP.from_outcomes([(s, a, [(1, s, a)]) for s in range(4) for a in range(2)
 
 def test_rows_of_states_whose_numbers_have_a_gap(tmp_path: Path) -> None:
     np.save(tmp_path / "q.npy", np.eye(4)[:, :2] * 2)
-    said = "row 3 of 4 may be that of state 3, or that of cut off"
+    said = "row 3 of 4 may be for state 3, or for cut off"
     for form in (np.eye(4)[:, :2] * 2, [0, 1, 0, 1], tmp_path / "q.npy"):
         refused(lambda form=form: Policy.of(GAP, form), said, "", "{state: row}")
     rows = {"0": [0, 2], "2": [2, 0], "3": [0, 2], "cut off": [0, 3]}
@@ -508,7 +508,7 @@ def test_writing_is_whole_or_not_at_all(tmp_path: Path) -> None:
     for mdp, form, name, words in (
         (CARE, policy, "nowhere/p.csv", "cannot write"),
         (CARE, policy, "p.json", "name it .csv"),
-        (plain, "always:none", "always.csv", "reads no column"),
+        (plain, "always:none", "always.csv", "the same in all states"),
     ):
         with pytest.raises(ModelError, match=words):
             Policy.of(mdp, form).write(tmp_path / name)

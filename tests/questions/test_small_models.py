@@ -120,7 +120,7 @@ def test_a_curve_by_the_discount_does_not_pass_over_the_goal_at_1() -> None:
 
 
 def test_a_goal_belongs_to_discount_1() -> None:
-    with pytest.raises(ModelError, match="a goal is that of a total at discount 1"):
+    with pytest.raises(ModelError, match="a goal needs discount 1"):
         beside_the_goal().with_(discount="1/2", goal=[False, True, False])
 
 
@@ -393,7 +393,7 @@ def test_a_goal_is_paid_nothing_at_the_horizon() -> None:
         lambda: two_steps().until("goal").within(2, terminal_value={1: 8}),
         lambda: solve(two_steps().until("goal"), horizon=2, terminal_value={1: 8}),
     ):
-        with pytest.raises(ModelError, match="is paid no terminal value"):
+        with pytest.raises(ModelError, match="earns no terminal value"):
             ask()
     orders = [
         two_steps().within(2, terminal_value={2: 8}).until("goal"),
@@ -443,7 +443,7 @@ def test_model_json_keeps_what_runs_end_for_below_discount_1(tmp_path: Path) -> 
     below.save(tmp_path / "model.json")
     read = MDP.load(tmp_path / "model.json")
     assert read.with_(discount=1) == beside_the_goal().until("goal")
-    with pytest.raises(ModelError, match="of a question already"):
+    with pytest.raises(ModelError, match="already answers a question"):
         read.until("goal")
     by_outcome().until("end", reward="x").save(tmp_path / "model.json")
     assert MDP.load(tmp_path / "model.json").component_names == ("x",)

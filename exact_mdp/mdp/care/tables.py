@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from exact_mdp.mdp.errors import LONGEST_TEXT, ModelError, check_names, require_known_name
+from exact_mdp.mdp.errors import ModelError, check_names, require_known_name
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.result import ROWS_SHOWN, plain_report
 from exact_mdp.mdp.table import Integers, exact
@@ -276,7 +276,7 @@ def check_scenario(scenario: ScenarioTables) -> None:
     check_names(scenario.weights.values(), "weight", where="status_weight")
     for key in ("title", "source"):
         text = getattr(scenario, key).replace("\n", "").replace("\t", "")
-        check_names([text], key, where=key, longest=LONGEST_TEXT)
+        check_names([text], key, where=key, longest=20_000)
     for key, convert in SETTINGS.items():
         convert(getattr(scenario, AS_READINGS.get(key, key)))
     for name in READINGS:

@@ -1,1 +1,1 @@
-"""Other ways to write a model: functions, dictionaries and lists."""
+"""Forms of input: functions, dictionaries, lists and arrays, from which models are built."""

@@ -1,8 +1,8 @@
-"""The one way from columns to a table: outcomes grouped by pair, sorted, joined and checked.
+"""From columns to a table of outcomes: grouped by pair, sorted, merged and checked.
 
-However a model is given, it comes down to next state, probability and reward of each outcome, pair
-after pair. What rows of floats mean is read here (`mdp.forms.rows`); large tables of floats are
-copied, sorted and looked at in one compiled pass.
+Every form of input is reduced to next state, probability and reward of each outcome, pair after
+pair. Here rows of floats are replaced by the exact distributions that they stand for
+(`mdp.forms.rows`); large tables of floats are copied, sorted and checked in one compiled pass.
 """
 
 from __future__ import annotations
@@ -36,14 +36,21 @@ def table_of(
     by_pair: bool,
     own: bool,
 ) -> OutcomeTable:
-    """Return the table of outcomes (N,), those of pair l from offsets[l] on; note what was floats.
+    """Return the table of outcomes (N,); the outcomes of pair l begin at offsets[l].
 
-    Rewards may be those of pairs (L,). Next states and probabilities are copied unless they are
-    `own`. Outcomes with other `amounts` of components (N,) are not joined; their arrays are
-    replaced by those of the outcomes of the table.
+    Rewards are `by_pair` (L,) or by outcome. Next states and probabilities are copied unless they
+    are `own`. Outcomes to the same next state are merged if their rewards and their `amounts`
+    {component: (N,)} agree; `amounts` is changed to the outcomes of the table. `names` gets the
+    entries `float_probabilities` and `float_rewards`.
     """
-    parts = {} if amounts is None else amounts
-    taken = _copy_sorted_rows(offsets, following, chance, size, own=own) if by_pair else None
+    parts = amounts
+    if parts is None:
+        parts = {}
+    # Large tables of floats go through one compiled pass, if nothing is wrong with them.
+    taken = None
+    if by_pair:
+        taken = _copy_sorted_rows(offsets, following, chance, size, own=own)
+    # All others: correct rounding errors, and drop outcomes of probability 0.
     if taken is not None:
         following, chance = taken
     else:
@@ -51,43 +58,56 @@ def table_of(
         positive = np.asarray(chance != 0, dtype=bool)
         if not (own and positive.all()):
             following, chance = following[positive], chance[positive]
-            gain = gain if by_pair else gain[positive]
+            if not by_pair:
+                gain = gain[positive]
             parts |= {name: values[positive] for name, values in parts.items()}
             offsets = np.concatenate([[0], np.cumsum(positive)])[offsets]
     floats = has_floats(chance), has_floats(gain)
     for name, of_floats in zip(("float_probabilities", "float_rewards"), floats, strict=True):
         names[name] = names.get(name, False) or of_floats
+    # Sort the outcomes of each pair by next state, and merge equal ones.
     rising = taken is not None or _is_sorted(offsets, following)
     if not rising:
-        keys = None if by_pair else _rank_rows([gain, *parts.values()])
+        keys = None
+        if not by_pair:
+            keys = _rank_rows([gain, *parts.values()])
         offsets, following, chance, first = merge_entries(
             offsets, following, chance, keys, chances=True
         )
-        gain = gain if by_pair else gain[first]
+        if not by_pair:
+            gain = gain[first]
         parts |= {name: values[first] for name, values in parts.items()}
+    # Rewards that are equal in all outcomes of a pair are stored by pair.
     if not by_pair and len(gain) and np.diff(offsets).all():
         of_pair = gain[offsets[:-1]]
         if np.asarray(gain == np.repeat(of_pair, np.diff(offsets)), dtype=bool).all():
             gain, by_pair = of_pair, True
+    # Bring rows and rewards into the form of a table.
     weight, below = rationalize_rows(chance, offsets)
-    earned = group_numbers(np.array(gain), np.arange(len(offsets)) if by_pair else offsets)
+    groups = offsets
+    if by_pair:
+        groups = np.arange(len(offsets))
+    earned = group_numbers(np.array(gain), groups)
     sound = taken is not None or (weight.dtype == np.float64 and normalize_rows(weight, offsets))
+    if size >= 2**31:
+        following = following.astype(np.int64)
     table = OutcomeTable(
         offsets=offsets,
-        next=following if size < 2**31 else following.astype(np.int64),
+        next=following,
         weight=weight,
         denominator=below,
         gain=earned[0],
         gain_denominator=earned[1],
     )
-    vars(table).update(is_settled=True, sound=sound)  # what was made so need not be asked again
+    # These facts are known now, and need not be computed again.
+    vars(table).update(is_settled=True, sound=sound)
     if by_pair:
         vars(table)["rising"] = True
     return table
 
 
 def _rank_rows(columns: list[Any]) -> Any:
-    """Return numbers (N,) that are equal where all columns (N,) are, and in their order."""
+    """Return numbers (N,) that order rows as the columns (N,) do; equal rows have equal numbers."""
     if len(columns) == 1:
         return columns[0]
     ranks = [np.unique(np.asarray(column), return_inverse=True)[1] for column in columns]
@@ -104,14 +124,17 @@ def _is_sorted(offsets: Integers, following: Numbers) -> bool:
 def _copy_sorted_rows(
     offsets: Integers, following: Numbers, chance: Numbers, size: int, *, own: bool
 ) -> tuple[Numbers, Floats] | None:
-    """Return next states in rising order and settled probabilities (N,), copied in one pass.
+    """Return sorted next states and normalized probabilities (N,), copied in one pass.
 
-    None where there are too few for compiled loops, and where rows are not sound as they are.
+    Return None if there are too few for compiled loops, or a row is not a distribution.
     """
     if len(chance) < COMPILED or chance.dtype != np.float64 or size >= 2**31:
         return None
+    # Rows that may be changed in place need no copy; they are sorted already.
     if own:
-        return (following, chance) if normalize_rows(chance, offsets) else None
+        if normalize_rows(chance, offsets):
+            return following, chance
+        return None
     from exact_mdp.mdp.forms import loops
 
     columns, weights = np.empty_like(following), np.empty_like(chance)
@@ -119,5 +142,6 @@ def _copy_sorted_rows(
     if longest >= LONG:
         return None
     made = columns, weights, weights.view(np.int64), fine_unit(longest)
-    sound = all_rows(loops.copy_block, offsets, size, following, chance, *made)
-    return (columns, weights) if sound else None
+    if all_rows(loops.copy_block, offsets, size, following, chance, *made):
+        return columns, weights
+    return None

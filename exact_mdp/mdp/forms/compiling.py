@@ -1,4 +1,4 @@
-"""How the loops are compiled."""
+"""Compilation of loops with Numba."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 
 _njit: Any = numba.njit
 
-# Arrays are made by the callers: without reference counts the loops run twice as fast.
+# Callers allocate all arrays, so Numba's reference counts are off: loops run twice as fast.
 OPTIONS = {"nogil": True, "error_model": "numpy", "_nrt": False}
 
 
 def compile_loop(function: Callable[..., Any], **options: Any) -> Any:
-    """Compile when first called; keep the machine code where there is a place to keep it."""
+    """Compile a function at its first call, and cache the machine code if a folder is writable."""
     try:
         return _njit(cache=True, **OPTIONS, **options)(function)
     except RuntimeError:  # numba found no folder that it may write to
@@ -23,22 +23,22 @@ def compile_loop(function: Callable[..., Any], **options: Any) -> Any:
 
 
 def inline_loop(function: Callable[..., Any], **options: Any) -> Any:
-    """Compile as a part of whatever calls it."""
+    """Compile a function as a part of its callers."""
     return _njit(forceinline=True, **OPTIONS, **options)(function)
 
 
-# Python's indices may be negative, and each look-up asks; of unsigned numbers it need not, which
-# halves the time of a loop over transitions. They do not mix with signed ones: nothing is to be
-# added to them.
+# Python allows negative indices, and Numba tests the sign at each access. With unsigned indices it
+# does not, which halves the time of a loop over transitions. Do not add signed numbers to unsigned
+# indices: the sum would be a float.
 
 
 @inline_loop
 def unsigned_range(first: int, last: int) -> range:
-    """Return range(first, last), for numbers that are not negative."""
+    """Return range(first, last) of unsigned numbers."""
     return range(np.uint64(first), np.uint64(last))
 
 
 @inline_loop
 def unsigned_index(place: int) -> Any:
-    """Return a place in an array, which is not negative."""
+    """Return an index as an unsigned number."""
     return np.uint64(place)

@@ -1,8 +1,9 @@
-"""A model from three things that one knows of it: where it starts, what can be done, what follows.
+"""Build a model by exploring from its start, given functions for actions and outcomes.
 
-Breadth first from the start, each state and action asked once; the model is that of the states that
-can be reached, whatever is done. States are any hashable objects, numbered as they are found. A
-reward may be a dictionary of amounts, whose sum it is: these are the components of the reward.
+The search is breadth first, and calls each function once for each state and action. The model has
+all states that some sequence of actions can reach. States are any hashable objects, numbered as
+they are found. A reward may be a dictionary of amounts, the components of the reward: the reward is
+their sum.
 """
 
 from __future__ import annotations
@@ -21,7 +22,6 @@ from exact_mdp.mdp.forms.numbers import as_given
 from exact_mdp.mdp.table import exact
 from exact_mdp.mdp.validate import COUNTED, check_options, require_count
 
-MOST_STATES = 1_000_000  # that a function may lead to, unless its user allows more
 OUTCOMES = "give a list of (probability, next state, reward)"
 
 
@@ -36,32 +36,34 @@ class FromFunction(FromArrays):
         outcomes: Callable[[Any, Any], Iterable[tuple[Any, Hashable, Any]]],
         discount: object = 1,
         *,
-        max_states: int = MOST_STATES,
+        max_states: int = 1_000_000,
         impossible: bool = False,
         labels: Mapping[str, Any] | None = None,
         **names: Any,
     ) -> Self:
-        """Build by exploring: from the start to all that can follow.
+        """Build by exploring all states that can be reached from the start.
 
         Parameters
         ----------
         start : state, or {state: probability}
-            States are any hashable objects; `mdp.space.number(state)` is the number of one. Those
-            that are tuples of one length are drawn as a map of their parts, which a
-            `namedtuple("Place", "row column")` names.
+            States are any hashable objects; `mdp.space.number(state)` is the number of one. States
+            that are tuples of one length are drawn as a map of their parts, named by a
+            `namedtuple("Place", "row column")`.
         actions : function of a state
-            Its actions, any hashable objects. A state without any is an end.
+            Returns the actions of the state, any hashable objects. A state without actions is an
+            end.
         outcomes : function of a state and an action
-            A list of (probability, next state, reward), each number exact or a float. In place of a
-            reward there may be {component: amount}: the reward is their sum.
+            Returns a list of (probability, next state, reward), each number exact or a float.
+            Instead of a reward, an outcome may have {component: amount}; the reward is their sum.
         discount : number or "p/q"
         max_states : int
-            Give up when more states than this have been found.
+            Stop with an error if more states than this are found.
         impossible : bool
-            Explore outcomes of probability 0, too. Models of one function at different parameters
-            then have the same states, as a `Family` needs, where some parameter may be 0.
+            Also explore outcomes of probability 0. Models of one function at different parameters
+            then have the same states, as a `Family` needs, even if a probability becomes 0.
         labels : {name: function of a state}, optional
-            Which states a name is of; (S,) truth values are taken as well.
+            For each label, a function that returns whether a state has it; (S,) truth values are
+            accepted as well.
         **names
             As in `from_arrays`.
 
@@ -72,8 +74,8 @@ class FromFunction(FromArrays):
         Raises
         ------
         ModelError
-            Where there are too many states; for states that cannot be keys, or outcomes of another
-            form; and as the constructor does.
+            If there are too many states, states cannot be keys, or outcomes have another form; and
+            as the constructor does.
 
         Examples
         --------
@@ -97,15 +99,18 @@ class FromFunction(FromArrays):
         states, rows = Numbering(), list[Row]()
         if isinstance(start, ByNumber):
             raise ModelError(
-                "the start of a model goes by numbers, and a function knows states as objects",
+                "the start of another model has numbers of states, but a function needs objects",
                 where="start",
                 fix="give a state, or {state: probability}",
             )
-        begins = [*start.items()] if isinstance(start, Mapping) else [(start, 1)]
+        begins: list[tuple[Any, Any]] = [(start, 1)]
+        if isinstance(start, Mapping):
+            begins = [*start.items()]
         for state, _ in begins:
             states.add_thing(state, "a state", "start")
         if not begins:
             raise ModelError("no state to start in", where="start", fix="give a state")
+        # Breadth-first search; every new state is appended to the queue.
         waiting = deque(states.number)
         while waiting:
             state = waiting.popleft()
@@ -118,7 +123,9 @@ class FromFunction(FromArrays):
                     every = [*map(_parse_outcome, answer)]
                     possible = [each for each in every if exact(each[0])]
                 rows.append((state, action, possible))
-                for _, following, _ in every if impossible else possible:
+                if not impossible:
+                    every = possible
+                for _, following, _ in every:
                     known = len(states.number)
                     if states.add_thing(following, "a next state", where) == known:
                         waiting.append(following)
@@ -128,8 +135,10 @@ class FromFunction(FromArrays):
                         where=where,
                         fix="raise max_states, or describe states by less",
                     )
+        # States without a row are ends; list them in the order in which they were found.
         ends = states.number.keys() - {state for state, _, _ in rows}
         listed, parts = number_rows(rows, states, filter(ends.__contains__, [*states.number]))
+        # Ask the functions of labels for all states.
         flags = dict(labels or {})
         for name, holds in flags.items():
             if callable(holds):
@@ -150,8 +159,8 @@ class FromFunction(FromArrays):
 
 
 def _call_user_function(ask: Callable[..., Any], *of: Any, where: str, fix: str) -> list[Any]:
-    """Return what a function of the user lists; of actions, None is an empty list."""
-    with annotate_errors(where):  # a generator runs only in a list
+    """Call a user's function and return its answer as a list; None for actions is an empty list."""
+    with annotate_errors(where):  # the code of a generator runs when it is listed
         answer = ask(*of)
         if isinstance(answer, Iterable):
             return list(answer)
@@ -161,10 +170,15 @@ def _call_user_function(ask: Callable[..., Any], *of: Any, where: str, fix: str)
 
 
 def _parse_outcome(given: Any) -> tuple[Any, Hashable, Any]:
+    """Return an outcome as (probability, next state, reward); raise ModelError for another form."""
     try:
         probability, following, reward = given
     except (TypeError, ValueError) as error:
         raise ModelError(f"an outcome is {given!r}", fix=OUTCOMES) from error
-    for amount in reward.values() if isinstance(reward, Mapping) else (reward,):
-        as_given(amount)  # refused here, where the state and the action are known
+    amounts = [reward]
+    if isinstance(reward, Mapping):
+        amounts = [*reward.values()]
+    # A bad number is refused here, so that the message can name the state and the action.
+    for amount in amounts:
+        as_given(amount)
     return probability, following, reward

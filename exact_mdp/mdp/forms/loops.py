@@ -1,9 +1,9 @@
-"""Compiled loops over rows: those of a sparse matrix taken over, floats settled.
+"""Compiled loops over rows of floats: copy the rows of a sparse matrix, sort and normalize them.
 
-While a row is in the cache its numbers are looked at, added up exactly, settled and copied; where
-its columns are in no order, each entry goes to the place that the number of smaller ones says,
-which needs no decision that the processor would have to guess. Longer rows out of order, and rows
-of which anything is wrong, are left to `mdp.build`.
+While a row is in the cache, its numbers are checked, added up exactly, normalized as
+`mdp.forms.rows` defines it, and copied. If its columns are not sorted, the place of each entry is
+the number of smaller columns, which a processor counts without branches. Long unsorted rows, and
+rows with an error, are left to `mdp.forms.columns`.
 """
 
 from __future__ import annotations
@@ -23,28 +23,31 @@ from exact_mdp.mdp.forms.rows import (
     Numbers,
 )
 
-COMPARED = 128  # entries of a row at most that are compared each with each
-TWO = int(np.float64(2).view(np.int64))
+# Longest row that is sorted by counting: the work is quadratic in the length, so that a general
+# sort is faster for long rows.
+COMPARED = 128
+TWO = int(np.float64(2).view(np.int64))  # the bits of 2.0
 
 
 @inline_loop
 def split_into_units(share: float, scale: float) -> tuple[Any, Any]:
-    """Return a number from 0 to 2 in multiples of `COARSE`, the rest in those of 1 / `scale`."""
+    """Return a number in [0, 2) as multiples of `COARSE`, and its rest in multiples of 1/scale."""
     coarse = np.rint(share / COARSE)
     return np.int64(coarse), np.int64(np.rint((share - coarse * COARSE) * scale))
 
 
 @inline_loop
 def float_from_bits(bits: Any) -> Any:
-    """Return the float of these bits."""
+    """Return the float with the given bits."""
     return np.int64(bits).view(np.float64)
 
 
 @compile_loop
 def normalize_in_passes(begin: int, end: int, weight: Floats, fine: float) -> bool:
-    """Do for one row what `mdp.forms.rows` does; return whether it is a distribution."""
+    """Normalize one row as `mdp.forms.rows` defines it; return whether it is a distribution."""
     scale = 1 / fine
     while True:
+        # One pass: check the numbers, add them up in integers, count the largest ones.
         sound, most, count, whole, rest = True, 0.0, 0, np.int64(0), np.int64(0)
         for i in unsigned_range(begin, end):
             share = weight[i]
@@ -56,6 +59,7 @@ def normalize_in_passes(begin: int, end: int, weight: Floats, fine: float) -> bo
         excess = (whole - 2**40) * COARSE + rest * fine
         if not (sound and abs(excess) <= FLOAT_ROW_TOLERANCE):
             return False
+        # Rule 1: are all numbers near fractions n / WHOLE that sum to 1?
         written, total = True, 0.0
         for i in range(begin, end):
             top = np.rint(weight[unsigned_index(i)] * WHOLE)
@@ -67,6 +71,7 @@ def normalize_in_passes(begin: int, end: int, weight: Floats, fine: float) -> bo
             for i in unsigned_range(begin, end):
                 weight[i] = np.rint(weight[i] * WHOLE) / WHOLE
             return True
+        # Rule 2: the largest numbers share the excess. Then another one may be the largest: again.
         given = most - excess / count
         if given == most:
             return True
@@ -77,9 +82,10 @@ def normalize_in_passes(begin: int, end: int, weight: Floats, fine: float) -> bo
 
 @inline_loop
 def normalize_row(begin: int, end: int, weight: Floats, bits: Integers, fine: float) -> bool:
-    """Do as `normalize_in_passes`, in one pass if a row's smallest number is not a short fraction.
+    """Normalize one row like `normalize_in_passes`, in one pass if rule 1 cannot apply.
 
-    Such a row means its floats, but for the largest. Positive floats have the order of their bits.
+    Rule 1 cannot apply if the smallest number of the row is not near a fraction n / WHOLE. Positive
+    floats are compared by their bits, which have the same order.
     """
     scale, low, high = 1 / fine, np.int64(TWO), np.int64(0)
     whole, rest = np.int64(0), np.int64(0)
@@ -90,6 +96,7 @@ def normalize_row(begin: int, end: int, weight: Floats, bits: Integers, fine: fl
     if not (low > 0 and high < TWO):
         return False
     least, most = float_from_bits(low), float_from_bits(high)
+    # If rule 1 may apply, or all numbers are equal, the general loop decides.
     near = abs(np.rint(least * WHOLE) / WHOLE - least) <= NEXT * least
     if near or low == high:
         return bool(normalize_in_passes(begin, end, weight, fine))
@@ -99,6 +106,8 @@ def normalize_row(begin: int, end: int, weight: Floats, bits: Integers, fine: fl
         return False
     if most - excess == most:
         return True
+    # Rule 2: change the `count` largest numbers until their float no longer changes, or they fall
+    # to the second largest. The sum is updated by the change alone, without another pass.
     count, second = np.int64(0), np.int64(0)
     for i in unsigned_range(begin, end):
         count += np.int64(bits[i] == high)
@@ -121,7 +130,7 @@ def normalize_row(begin: int, end: int, weight: Floats, bits: Integers, fine: fl
 def normalize_block(
     first: int, last: int, offsets: Integers, weight: Floats, bits: Integers, fine: float
 ) -> bool:
-    """Settle rows first … last-1; return whether all are distributions of positive numbers."""
+    """Normalize rows first … last-1; return whether all are positive distributions."""
     sound = True
     for row in range(first, last):
         sound &= normalize_row(offsets[row], offsets[row + 1], weight, bits, fine)
@@ -141,11 +150,12 @@ def copy_block(
     bits: Integers,
     fine: float,
 ) -> bool:
-    """Copy rows first … last-1 into `columns` and `weight` (N,), columns rising, and settle them.
+    """Copy rows first … last-1 into `columns` and `weight` (N,), sorted, and normalize them.
 
-    Return whether each is a distribution over different states, in order or short.
+    Return whether each is a distribution over different states, and sorted or short.
     """
     for row in range(first, last):
+        # Copy the row, and check its columns.
         begin, end = offsets[row], offsets[row + 1]
         sound, falls = begin < end, np.int64(0)
         for i in unsigned_range(begin, end):
@@ -155,6 +165,7 @@ def copy_block(
             sound &= (indices[i] >= 0) & (indices[i] < states)
         if not sound:
             return False
+        # Sort the row by counting, if some column is not above the one before.
         for i in range(begin + 1, end):
             falls += np.int64(indices[unsigned_index(i)] <= indices[unsigned_index(i - 1)])
         if falls > 0:
@@ -170,7 +181,8 @@ def copy_block(
                     weight[unsigned_index(begin + smaller)],
                 ) = column, data[i]
                 places += smaller
-            if 2 * places < (end - begin) * (end - begin - 1):  # two entries have one place
+            # The places 0 … n-1 sum to n (n - 1) / 2, unless two entries have the same column.
+            if 2 * places < (end - begin) * (end - begin - 1):
                 return False
         if not normalize_row(begin, end, weight, bits, fine):
             return False

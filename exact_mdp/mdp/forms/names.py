@@ -1,17 +1,18 @@
-"""Which state or action is meant: by the object that it is, by its name, or by its number.
+"""How to refer to a state or an action: by object, name or number.
 
-The one rule, for states and actions, in constructors, policies, tables, files and commands:
+The same rule holds for states and actions in constructors, policies, tables, files and commands:
 
-    an object    is the state or action that was made of it (`MDP.from_function`), or of what equals
-                 it; else the one whose name is the object's text, as after a model is saved
-    text         is a name, or else the printed form: state 7, or row 0, column 3; or else digits,
-                 where no name is a whole number
-    a number     counts from 0 in the model's order, unless names are whole numbers: then it is the
-                 one of that name, and refused where it may be the number of another
-    an array     goes by the model's order; of a policy, it is refused if names are whole numbers
-                 with a gap, and it has a row for each of these numbers
+    an object    is the state or action made from it (`MDP.from_function`) or from an equal object;
+                 else the one whose name is the object's text, as after a model is saved
+    text         is a name; else the printed form, such as "state 7" or "row 0, column 3"; else
+                 digits, if no name is a whole number
+    a number     counts from 0 in the model's order. If names are whole numbers, it is the state or
+                 action of that name, and refused if it could also count another one
+    an array     follows the model's order. An array of a policy is refused if names are whole
+                 numbers with a gap and it has a row for each of these numbers
 
-So of states named 3, 1, 2, 0 the text "3" is the first, and the number 3 is refused.
+For example, if the states are named 3, 1, 2, 0, the text "3" is the first state, and the number 3
+is refused.
 """
 
 from __future__ import annotations
@@ -29,30 +30,34 @@ import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, no_such, suggest_name
 
+# Names that look like whole numbers. Up to 18 digits, they fit in 64 bits.
 WHOLE = re.compile(r"-?\d{1,18}(\.0)?|True|False")
-SHOWN = 1000  # of names, where the nearest to a wrong one is looked for
-DIGITS = 18  # of a number at most
 
 
 class ByNumber(tuple[tuple[int, Any], ...]):
-    """Pairs of a state's number in the model's order and its probability, as a model says them."""
+    """Pairs (state number, probability), as in the `start` of a model."""
 
     __slots__ = ()
 
 
 def text_of(thing: object) -> str:
-    """Return the text of an object, in a tuple of NumPy's numbers that of plain ones."""
-    return str(_to_python_objects(thing) if type(thing) is tuple else thing)
+    """Return the text of an object; NumPy numbers in a tuple are written as Python numbers."""
+    if type(thing) is tuple:
+        thing = _to_python_objects(thing)
+    return str(thing)
 
 
 def _to_python_objects(thing: Any) -> Any:
+    """Return a NumPy number, also inside tuples, as a Python number; other objects as they are."""
     if type(thing) is tuple:
         return tuple(map(_to_python_objects, thing))
-    return thing.item() if isinstance(thing, np.generic) else thing
+    if isinstance(thing, np.generic):
+        return thing.item()
+    return thing
 
 
 def name_things(things: Sequence[Any], what: str) -> tuple[str, ...]:
-    """Return a name for each thing: its text, or its `repr` where two things have the same text."""
+    """Return a name for each thing: its text, or its `repr` if two things have the same text."""
     for form in (text_of, repr):
         names = tuple(map(form, things))
         if len(set(names)) == len(names):
@@ -64,22 +69,30 @@ def name_things(things: Sequence[Any], what: str) -> tuple[str, ...]:
 
 
 def is_number(thing: object) -> bool:
-    """Return whether a thing is a finite number; True and False are none."""
+    """Return whether a thing is a finite number; True and False are not."""
     number = isinstance(thing, int | float | Fraction | np.number) and not isinstance(thing, bool)
     return number and (not isinstance(thing, float | np.floating) or isfinite(thing))
 
 
 def integer_of(thing: Any) -> int | None:
-    """Return the whole number that a number is, or that the digits of a text are."""
+    """Return a whole number, or a text of at most 18 digits, as an int; else None."""
     if is_number(thing):
-        return int(thing) if thing == int(thing) else None
-    text = thing.strip() if isinstance(thing, str) else ""
-    return int(text) if text.isascii() and text.isdigit() and len(text) <= DIGITS else None
+        if thing == int(thing):
+            return int(thing)
+        return None
+    if isinstance(thing, str):
+        text = thing.strip()
+        if text.isascii() and text.isdigit() and len(text) <= 18:
+            return int(text)
+    return None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Names:
-    """The names of `size` things, the objects that some are, and what else names one."""
+    """The ways to refer to `size` things: `words`, `objects`, and the function `otherwise`.
+
+    `what` is "state", "action" or the name of a column; `label` prints a number.
+    """
 
     what: str
     size: int
@@ -89,19 +102,32 @@ class Names:
     otherwise: Callable[[Any], int | None] | None = None
 
     def find_number(self, thing: object) -> int:
-        """Return the number of one thing; raises ModelError where it is none, or may be two."""
+        """Return the number of a thing; raise ModelError if it is unknown or ambiguous."""
         try:
             made = self.objects.get(thing)
-        except TypeError:  # no key
+        except TypeError:  # it cannot be a key
             raise self._unknown_error(thing) from None
+        # The candidates: by object (made), by name (named), by position (place).
         text, whole = text_of(thing), integer_of(thing)
-        place = whole if whole is not None and 0 <= whole < self.size else None
-        short = text.strip() if isinstance(thing, str) else str(whole if is_number(thing) else text)
+        place = None
+        if whole is not None and 0 <= whole < self.size:
+            place = whole
+        short = text
+        if isinstance(thing, str):
+            short = text.strip()
+        elif is_number(thing):
+            short = str(whole)
         named = self.words.get(text, self.words.get(short))
         if is_number(thing):
-            fits = {made} - {None} or (set() if named is None else {named, place})
+            # An object comes first. A number that is a name may also be meant as a position.
+            fits = {made} - {None}
+            if not fits and named is not None:
+                fits = {named, place}
         else:
-            fits = {made, named} - {None} or {self.otherwise and self.otherwise(thing)}
+            fits = {made, named} - {None}
+            if not fits and self.otherwise:
+                fits = {self.otherwise(thing)}
+        # Positions count only if whole numbers are not names.
         if not fits - {None} and not self.numbered:
             fits = {place}
         known = [number for number in fits if number is not None]
@@ -119,37 +145,45 @@ class Names:
         return known[0]
 
     def find_numbers(self, things: Any) -> list[int]:
-        """Return the numbers of some things, or of one alone."""
-        many = isinstance(things, Iterable) and not isinstance(things, str)
-        return [self.find_number(thing) for thing in (things if many else [things])]
+        """Return the numbers of several things, or of a single one."""
+        if isinstance(things, str) or not isinstance(things, Iterable):
+            things = [things]
+        return [self.find_number(thing) for thing in things]
 
     @cached_property
     def numbered(self) -> bool:
-        """Whether whole numbers are names or objects, so that they count nothing."""
+        """Whether some names or objects are whole numbers, so that numbers are not positions."""
         return any(WHOLE.fullmatch(text_of(thing)) for thing in (*self.words, *self.objects))
 
     def has_name(self, thing: object) -> bool:
-        """Return whether something other than a number is an object, or has the text of a name."""
+        """Return whether a thing is one of the objects, or has the text of a name."""
         try:
             return thing in self.objects or text_of(thing) in self.words
         except TypeError:
             return False
 
     def can_find(self, thing: object) -> bool:
-        """Return whether something is one of these, given in any way."""
+        """Return whether `find_number` finds the thing."""
         try:
             return self.find_number(thing) >= 0
         except ModelError:
             return False
 
     def _unknown_error(self, thing: object) -> ModelError:
-        digits = (
-            thing.strip().isdigit() if isinstance(thing, str) else integer_of(thing) is not None
-        )
+        """Return the error for a thing that is not found, with advice."""
+        if isinstance(thing, str):
+            digits = thing.strip().isdigit()
+        else:
+            digits = integer_of(thing) is not None
+        # A number was a position outside the range.
         if digits and not self.numbered:
             return no_such(self.what, thing, self.size)
-        known = [*self.words] or [self.label(number) for number in range(min(self.size, SHOWN))]
-        said = f"unknown {self.what} {thing!r}"
-        if not isinstance(thing, str):
-            said = f"{thing!r} is not a{'n' * (self.what[0] in 'aeio')} {self.what}"
+        # Among many labels, the search for a similar one stops after a thousand: it takes long.
+        known = [*self.words] or [self.label(number) for number in range(min(self.size, 1000))]
+        if isinstance(thing, str):
+            said = f"unknown {self.what} {thing!r}"
+        elif self.what[0] in "aeio":
+            said = f"{thing!r} is not an {self.what}"
+        else:
+            said = f"{thing!r} is not a {self.what}"
         return ModelError(said, fix=suggest_name(str(thing), known))

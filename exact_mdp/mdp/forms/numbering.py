@@ -1,14 +1,15 @@
-"""Numbers for states and actions that are given as objects, and the names that these go by.
+"""Numbers and names for states and actions that are given as objects.
 
-Things are numbered in the order in which they come; whole numbers 0 … n-1 keep themselves, also as
-NumPy's integers, floats and fractions, and so do False and True, which Python counts as 0 and 1.
-Text is kept as what it is, "0" too. A state without actions is an end: it stays put and earns
-nothing; or it earns a stated number once, and leads to one that is added for it.
+Things are numbered in the order in which they first occur. If they are the whole numbers 0 … n-1,
+each is its own number, also as a NumPy integer, float or fraction; False and True count as 0 and 1,
+as in Python. Text stays text, also "0". A state without actions is an end: it stays put with
+reward 0; or it earns a given reward once, and leads to an additional state.
 """
 
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
@@ -23,13 +24,13 @@ Row = tuple[Hashable, Hashable, Sequence[tuple[Any, Hashable, Any]]]
 
 
 class Numbering:
-    """Numbers for things, in the order in which they come."""
+    """Numbers for things, in the order in which they first occur."""
 
     def __init__(self) -> None:
         self.number: dict[Hashable, int] = {}
 
     def add_thing(self, thing: Any, what: str, where: str) -> int:
-        """Return the number of a thing, a new one where it is new; raise ModelError for others."""
+        """Return the number of a thing, a new one if needed; ModelError if it is not hashable."""
         try:
             return self.number.setdefault(thing, len(self.number))
         except TypeError as error:
@@ -40,9 +41,13 @@ class Numbering:
             ) from error
 
     def list_in_order(self) -> list[Any]:
-        """Return the things by number; whole numbers from 0 on are their own."""
+        """Return the things in the order of their numbers; 0 … n-1 are renumbered as themselves."""
         things: list[Any] = list(self.number)
-        whole = [int(thing) if _is_whole(thing) else thing for thing in things]
+        whole = []
+        for thing in things:
+            if _is_whole(thing):
+                thing = int(thing)
+            whole.append(thing)
         if not all(isinstance(thing, int | np.bool_) for thing in whole):
             return things
         if {*whole} == {*range(len(whole))}:
@@ -66,10 +71,12 @@ def number_rows(
     ends: Iterable[Hashable],
     paid: Mapping[Hashable, Any] = MappingProxyType({}),
 ) -> tuple[list[Any], dict[str, Any]]:
-    """Return rows of numbers for `MDP.from_outcomes`, and the names of states and actions.
+    """Return rows for `MDP.from_outcomes`, with numbers for things, and the names of the things.
 
-    The ends that are `paid` earn a number once and lead to another one, which is added for them.
+    `ends` are the states without actions. Those in `paid` {end: reward} earn the reward once and
+    lead to an additional state.
     """
+    # Number all states and actions as they occur.
     actions, listed = Numbering(), list(rows)
     for state, action, outcomes in listed:
         actions.add_thing(action, "an action", f"state {state}")
@@ -78,33 +85,37 @@ def number_rows(
             states.add_thing(following, "a next state", f"state {state}, action {action}")
     things, doing = states.list_in_order(), actions.list_in_order() or ["stay"]
     number, act = states.number, actions.number
-    chosen: list[Any] = [
-        (number[state], act[action], [(p, number[then], r) for p, then, r in outcomes])
-        for state, action, outcomes in listed
-    ]
+    # Write the rows in numbers.
+    chosen: list[Any] = []
+    for state, action, outcomes in listed:
+        numbered = [(p, number[then], r) for p, then, r in outcomes]
+        chosen.append((number[state], act[action], numbered))
+    # Ends stay put, or earn their reward and lead to the additional state, which has number S.
     last = len(things)
     for end in ends:
-        after = (1, last, paid[end]) if end in paid else (1, number[end], 0)
-        chosen.append((number[end], 0, [after]))
-    extra = "end"
-    while extra in map(text_of, things):
-        extra += "'"
+        outcome = (1, number[end], 0)
+        if end in paid:
+            outcome = (1, last, paid[end])
+        chosen.append((number[end], 0, [outcome]))
     if paid:
         chosen.append((last, 0, [(1, last, 0)]))
-    plain = _count_from_zero(things)
-    column = Column(
-        name="state",
-        size=len(things),
-        words=() if plain else name_things(things, "state"),
-        objects=() if plain else tuple(things),
-    )
-    space = StateSpace(columns=(column,), extra=(extra,) if paid else ())
+    # Its name must differ from the names of all other states.
+    name = "end"
+    while name in map(text_of, things):
+        name += "'"
+    extra: tuple[str, ...] = ()
+    if paid:
+        extra = (name,)
+    column = Column(name="state", size=len(things))
+    if not _count_from_zero(things):
+        column = replace(column, words=name_things(things, "state"), objects=tuple(things))
+    space = StateSpace(columns=(column,), extra=extra)
     return chosen, {"space": space, **action_names(doing)}
 
 
 def action_names(things: Sequence[Any]) -> dict[str, Any]:
-    """Return what `MDP` takes of things that are its actions: their names, and the things."""
-    return {
-        "actions": name_things(things, "action"),
-        "action_objects": () if _count_from_zero(things) else tuple(things),
-    }
+    """Return the parts of `MDP` for actions given as things: `actions` and `action_objects`."""
+    objects: tuple[Any, ...] = ()
+    if not _count_from_zero(things):
+        objects = tuple(things)
+    return {"actions": name_things(things, "action"), "action_objects": objects}

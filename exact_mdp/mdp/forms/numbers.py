@@ -1,8 +1,8 @@
-"""Numbers as they are given: arrays, lists, sparse matrices, each number with its exact value.
+"""Reading numbers from arrays, lists and sparse matrices, each with its exact value.
 
-An array is of one kind, 64-bit integers or floats, where all its numbers are; else of objects, each
+An array holds 64-bit integers or floats if all of its numbers are of that kind; else objects, each
 a `Fraction` or a float. A table of outcomes has integers over one denominator for each row, or
-floats with 1 below: `group_numbers` makes these of numbers of any kind.
+floats over 1: `group_numbers` converts numbers of any kind to this form.
 """
 
 from __future__ import annotations
@@ -36,20 +36,24 @@ from exact_mdp.mdp.table import (
 
 
 def array_of(values: object, where: str) -> Any:
-    """Return a sparse matrix as a CSR array, others as an array of one kind or of objects."""
+    """Return a sparse matrix as a CSR array, and other values as an array of numbers or objects."""
     with locate_errors(where):
         values = convert_tensors(values)
         refuse_labels(values)
-        return _to_sparse_rows(values) if sp.issparse(values) else _to_array(values)
+        if sp.issparse(values):
+            return _to_sparse_rows(values)
+        return _to_array(values)
 
 
 def convert_tensors(value: Any) -> Any:
-    """Return a tensor, as of torch, as the array that it holds, in lists too; others as they are.
+    """Return a tensor, such as PyTorch's, as an array, also in lists; other values as they are.
 
-    One of a type that NumPy does not have, bfloat16, is widened, which loses nothing.
+    NumPy does not have bfloat16: such a tensor becomes float32, which is exact.
     """
     if isinstance(value, list | tuple):
-        return type(value)(map(convert_tensors, value)) if any(map(_is_tensor, value)) else value
+        if any(map(_is_tensor, value)):
+            return type(value)(map(convert_tensors, value))
+        return value
     if not _is_tensor(value):
         return value
     value = value.detach().cpu()
@@ -64,58 +68,65 @@ def _is_tensor(value: Any) -> bool:
 
 
 def float_array(values: object, where: str) -> Floats:
-    """Return an array of floats, each the nearest to the number that is given."""
+    """Return an array of floats, each the nearest to the given number."""
     array = array_of(values, where)
     with locate_errors(where):
         if array.dtype == object:
             numbers = [as_float(number) for number in array.flat]
             return np.array(numbers, dtype=np.float64).reshape(array.shape)
-        return np.array(array.toarray() if sp.issparse(array) else array, dtype=np.float64)
+        return np.array(to_dense(array), dtype=np.float64)
 
 
 def as_given(value: object) -> Fraction | float:
-    """Return an exact number, or the double itself where one was given."""
-    # isinstance would ask an abstract class, for each number
+    """Return a number as a float if it was given as one, else as a Fraction."""
+    # The exact type is compared first: isinstance is slow for abstract classes, and this function
+    # is called for each number.
     if type(value) is float or type(value) is Fraction:
         return value
     if isinstance(value, np.floating) and float(value) == value:
         return float(value)
-    return float(value) if isinstance(value, float) else exact(value)
+    if isinstance(value, float):
+        return float(value)
+    return exact(value)
 
 
 def refuse_masked(values: object, where: str = "") -> None:
-    """Raise ModelError for an array with masked entries: what lies under a mask was not given."""
+    """Raise ModelError for an array with masked entries, which have no value."""
     if np.ma.is_masked(values):
         raise ModelError(
             "entries of the array are masked",
             where=where,
             fix="fill them, as array.filled(0) does; the reward, or the value, of an action that "
-            "is not offered is -inf (of costs inf)",
+            "is not available is -inf (inf for costs)",
         )
 
 
 def is_pandas_table(value: object) -> bool:
-    """Return whether a value is a table of pandas."""
-    pandas = sys.modules.get("pandas")  # who has a table has imported it
+    """Return whether a value is a pandas DataFrame or Series."""
+    pandas = sys.modules.get("pandas")  # a user who has one has imported pandas
     return pandas is not None and isinstance(value, pandas.DataFrame | pandas.Series)
 
 
 def refuse_labels(values: Any) -> None:
-    """Raise ModelError for a table of pandas, alone or in a list, whose labels order it anew."""
-    for table in values if isinstance(values, list | tuple) else [values]:
-        for labels in table.axes if is_pandas_table(table) else []:
-            if list(labels) != list(range(len(labels))):
-                raise ModelError(
-                    f"a table has the labels {', '.join(map(str, labels[:4]))}"
-                    + " …" * (len(labels) > 4)
-                    + ", and arrays of a model go by position",
-                    fix="put rows and columns in the order of states and actions, and give "
-                    "table.to_numpy(); or give dictionaries, which go by name",
-                )
+    """Raise ModelError for a pandas table, or a list with one, unless its labels count from 0."""
+    if not isinstance(values, list | tuple):
+        values = [values]
+    for table in filter(is_pandas_table, values):
+        for labels in table.axes:
+            if list(labels) == list(range(len(labels))):
+                continue
+            few = ", ".join(map(str, labels[:4]))
+            if len(labels) > 4:
+                few += " …"
+            raise ModelError(
+                f"a table has the labels {few}, and arrays of a model go by position",
+                fix="put rows and columns in the order of states and actions, and give "
+                "table.to_numpy(); or give dictionaries, which go by name",
+            )
 
 
 def whole_numbers(values: ArrayLike, what: str) -> Integers:
-    """Return a list of whole numbers (L,)."""
+    """Return whole numbers as an array (L,); raise ModelError for anything else."""
     refuse_masked(values, what)
     array = np.asarray(values)
     if array.ndim != 1 or (array.size and array.dtype.kind not in "iu"):
@@ -126,7 +137,7 @@ def whole_numbers(values: ArrayLike, what: str) -> Integers:
 
 
 def _to_sparse_rows(values: Any) -> sp.csr_array:
-    """Return a sparse matrix as a CSR array; places that come twice still do."""
+    """Return a sparse matrix as a CSR array; repeated entries stay separate."""
     if values.dtype.kind not in "fiub":
         raise ModelError(f"a sparse matrix of type {values.dtype}", fix="give real numbers")
     if values.ndim != 2:
@@ -136,37 +147,45 @@ def _to_sparse_rows(values: Any) -> sp.csr_array:
         )
     if values.format in ("csr", "csc", "coo"):
         _check_places(values)
-    matrix = values if type(values) is sp.csr_array else sp.csr_array(values)
-    if len(matrix.indices) > (count := int(matrix.indptr[-1])):  # room that SciPy leaves, too
+    matrix = values
+    if type(values) is not sp.csr_array:
+        matrix = sp.csr_array(values)
+    # SciPy may leave unused room behind the entries.
+    count = int(matrix.indptr[-1])
+    if len(matrix.indices) > count:
         parts = (matrix.data[:count], matrix.indices[:count], matrix.indptr)
         matrix = sp.csr_array(parts, shape=matrix.shape)
     if values.format == "coo" and matrix.nnz != values.nnz:
-        # SciPy added up what comes twice, in floats: here it stays.
+        # SciPy added up repeated entries in floats; keep them apart, to be added exactly.
         order = np.lexsort((values.col, values.row))
         counts = np.bincount(values.row, minlength=values.shape[0])
         indptr = np.concatenate([[0], np.cumsum(counts)]).astype(values.col.dtype)
         parts = (values.data[order], values.col[order], indptr)
         matrix = sp.csr_array(parts, shape=values.shape)
-    whole = matrix.dtype.kind in "iub" and matrix.dtype != np.uint64
-    return matrix.astype(np.int64) if whole else matrix
+    if matrix.dtype.kind in "iub" and matrix.dtype != np.uint64:
+        return matrix.astype(np.int64)
+    return matrix
 
 
 def _check_places(matrix: Any) -> None:
-    """Raise ModelError where a sparse matrix names a row or column that it does not have."""
+    """Raise ModelError if an entry of a sparse matrix is outside its shape."""
     sizes = dict(zip(("row", "column"), matrix.shape, strict=True))
     if matrix.format == "coo":
         named = {"row": matrix.row, "column": matrix.col}
     else:
         ends = matrix.indptr
-        named = {"column" if matrix.format == "csr" else "row": matrix.indices[: max(ends[-1], 0)]}
+        axis = {"csr": "column", "csc": "row"}[matrix.format]
+        named = {axis: matrix.indices[: max(ends[-1], 0)]}
         if ends[0] != 0 or ends[-1] > len(matrix.indices) or (ends[1:] < ends[:-1]).any():
             raise ModelError(
-                "a sparse matrix whose indptr does not rise from 0 to its number of entries",
-                fix="build it anew, from coordinates for example",
+                "the indptr of a sparse matrix does not rise from 0 to its number of entries",
+                fix="build the matrix again, from coordinates for example",
             )
     for what, numbers in named.items():
         if len(numbers) and not 0 <= numbers.min() <= numbers.max() < sizes[what]:
-            worst = numbers.min() if numbers.min() < 0 else numbers.max()
+            worst = numbers.max()
+            if numbers.min() < 0:
+                worst = numbers.min()
             raise ModelError(
                 f"a sparse matrix of shape {matrix.shape} has an entry in {what} {worst}",
                 fix=f"number its {what}s from 0 to {sizes[what] - 1}",
@@ -174,9 +193,11 @@ def _check_places(matrix: Any) -> None:
 
 
 def _to_array(values: Any) -> Any:
+    """Return an array or nested lists as an array of integers, floats, or exact numbers."""
     objects = isinstance(values, np.ndarray) and values.dtype == object
     if objects and any(isinstance(value, np.ndarray) for value in values.flat):
         values = values.tolist()  # an array of matrices is a list of them
+    # NumPy reads numbers of one type; from several types it would make floats.
     kinds = _find_types(values)
     try:
         if len(kinds) == 1 or kinds <= {float, np.float64} or kinds <= {int, bool}:
@@ -187,19 +208,25 @@ def _to_array(values: Any) -> Any:
                 raise ValueError
     except ValueError as error:
         raise ModelError("rows of different lengths", fix="make the array rectangular") from error
+    # Integers and floats are exact as they are.
     if array.dtype.kind in "iub" and array.dtype != np.uint64:
         return array.astype(np.int64)
     if array.dtype.kind == "f" and int not in kinds:
         return array
     if array.dtype.kind not in "OUSuf":
         raise ModelError(f"an array of type {array.dtype}", fix="give real numbers")
+    # All others are read one by one. Most numbers are 0, and share one object.
     if array.dtype != object:
         array = np.array(_to_nested_lists(values), dtype=object)
+    zero = Fraction(0)
+    numbers: list[Fraction | float] = []
+    for value in array.flat:
+        if type(value) is int and not value:
+            numbers.append(zero)
+        else:
+            numbers.append(as_given(value))
     flat = np.empty(array.size, dtype=object)
-    zero = Fraction(0)  # one for all: rows are mostly zeros
-    flat[:] = [
-        zero if type(value) is int and not value else as_given(value) for value in array.flat
-    ]
+    flat[:] = numbers
     return flat.reshape(array.shape)
 
 
@@ -217,7 +244,7 @@ def _find_types(values: Any) -> set[Any]:
 
 
 def _to_nested_lists(values: Any) -> Any:
-    """Return lists of lists of the numbers as they were given, each of its own type."""
+    """Return nested lists of the given numbers, each with its own type."""
     if isinstance(values, list | tuple) or (isinstance(values, np.ndarray) and values.ndim):
         return [_to_nested_lists(value) for value in values]
     return values
@@ -227,14 +254,16 @@ def exact_sum(left: Fraction | float, right: Fraction | float) -> Fraction | flo
     """Return the exact sum of two numbers."""
     for value in (left, right):
         if isinstance(value, float) and not isfinite(value):
-            return value  # no model: it is refused by its place
+            return value  # validation refuses it, with its place
     return exact(left) + exact(right)
 
 
 def chance_sum(left: Fraction | float, right: Fraction | float) -> Fraction | float:
-    """Return the sum of two probabilities; a negative one stays, so that it is refused."""
+    """Return the sum of two probabilities, or a negative one, which is refused later."""
     least = min(left, right)
-    return least if least < 0 else exact_sum(left, right)
+    if least < 0:
+        return least
+    return exact_sum(left, right)
 
 
 def merge_entries(
@@ -245,12 +274,14 @@ def merge_entries(
     *,
     chances: bool = False,
 ) -> tuple[Integers, Numbers, Numbers, Integers]:
-    """Return rows with rising columns, places of one column and key joined, and the first of each.
+    """Sort the columns of each row, and add up the values of entries with equal column and key.
 
-    Rows of `rationalize_rows` mean what they do before that (`mdp.forms.rows`).
+    Return offsets, columns, values, and the first of the entries that became each one. If the
+    values are probabilities (`chances`), a row of floats that has equal entries is first replaced
+    by the exact row that it stands for (`mdp.forms.rows`).
     """
     row = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
-    # One key for row and column sorts twenty times as fast as the two do.
+    # Row and column in one number sort twenty times as fast as two numbers.
     column = columns.astype(np.int64)
     if len(row) and not 0 <= column.min() <= column.max() < 2**31:
         column = np.unique(columns, return_inverse=True)[1]
@@ -263,34 +294,39 @@ def merge_entries(
         order = np.lexsort((rank, place))
         parted = [place[order], rank[order]]
     columns, values = columns[order], values[order]
+    # An entry is fresh if it differs from the one before in row, column or key.
     fresh = np.ones(len(row), dtype=bool)
     fresh[1:] = np.logical_or.reduce([part[1:] != part[:-1] for part in parted])
     first = np.flatnonzero(fresh)
     if len(first) < len(row):
         parts = [as_given(value) for value in values]
-        twice = np.unique(row[~fresh]).tolist()
-        for begin, end in ((offsets[k], offsets[k + 1]) for k in twice if chances):
-            parts[begin:end] = rationalize_row(parts[begin:end])
-        add, ends = chance_sum if chances else exact_sum, [*first[1:].tolist(), len(parts)]
+        add = exact_sum
+        if chances:
+            add = chance_sum
+            for k in np.unique(row[~fresh]).tolist():
+                begin, end = offsets[k], offsets[k + 1]
+                parts[begin:end] = rationalize_row(parts[begin:end])
+        # Each fresh entry begins a run of equal ones, which become their sum.
         values = np.empty(len(first), dtype=object)
-        values[:] = [
-            reduce(add, parts[begin:end]) for begin, end in zip(first.tolist(), ends, strict=True)
-        ]
+        for number, (begin, end) in enumerate(pairwise([*first.tolist(), len(parts)])):
+            values[number] = reduce(add, parts[begin:end])
         offsets = np.searchsorted(first, offsets)
     return offsets, columns[first], values, order[first]
 
 
 def to_dense(values: Any) -> Any:
-    """Return a sparse array as a dense one; others as they are."""
-    return values.toarray() if sp.issparse(values) else values
+    """Return a sparse array as a dense one, and other values as they are."""
+    if sp.issparse(values):
+        return values.toarray()
+    return values
 
 
 def one_kind(values: Sequence[Any]) -> Numbers:
-    """Return numbers as an array of floats or of 64-bit integers where all are such, or objects."""
+    """Return an array of floats or 64-bit integers if all numbers are of that kind, or objects."""
     kinds = set(map(type, values))
-    if kinds == {float} or (
-        kinds == {int} and find_magnitude(to_integer_array(values)) < EXACT_IN_INT64
-    ):
+    if kinds == {float}:
+        return np.array(values)
+    if kinds == {int} and find_magnitude(to_integer_array(values)) < EXACT_IN_INT64:
         return np.array(values)
     numbers = np.empty(len(values), dtype=object)
     numbers[:] = [as_given(value) for value in values]
@@ -305,14 +341,14 @@ def has_floats(values: Numbers) -> bool:
 
 
 def group_numbers(values: Any, offsets: Integers) -> tuple[Numbers, Numbers]:
-    """Return numbers as the arrays of a table: tops over one bottom for each group of them."""
+    """Return numbers in the form of a table: numerators, and one denominator for each group."""
     below = make_ones(len(offsets) - 1)
     if isinstance(values, np.ndarray) and values.dtype in (np.float64, np.int64):
         return np.ascontiguousarray(values), below
     flat = [as_given(value) for value in values]
     floats = [value for value in flat if isinstance(value, float)]
     if not all(map(isfinite, floats)):
-        # The model is refused, by the place of the number.
+        # Validation refuses the model, with the place of the number.
         return np.array([as_float(value) for value in flat]), below
     if floats and all(isinstance(value, float) or _is_double(value) for value in flat):
         return np.array([float(value) for value in flat]), below
@@ -320,7 +356,7 @@ def group_numbers(values: Any, offsets: Integers) -> tuple[Numbers, Numbers]:
 
 
 def rationalize_rows(values: Numbers, offsets: Integers) -> tuple[Numbers, Numbers]:
-    """Return what rows of probabilities mean: in floats where all are floats, or might be."""
+    """Return exact rows in the form of a table; as floats if the rows stand for the same then."""
     if values.dtype.kind == "f":
         values = values.astype(np.float64, copy=False)
     if values.dtype != object:
@@ -331,23 +367,25 @@ def rationalize_rows(values: Numbers, offsets: Integers) -> tuple[Numbers, Numbe
         return group_numbers(flat, offsets)
     if all(_in_floats(row) for row in rows):
         return np.array([float(value) for value in flat]), make_ones(len(rows))
-    exactly = [value for row in rows for value in rationalize_row(row)]
+    exactly: list[Fraction | float] = []
+    for row in rows:
+        exactly += rationalize_row(row)
     if any(isinstance(value, float) and not isfinite(value) for value in exactly):
         return group_numbers(exactly, offsets)
     return over_groups(list(map(exact, exactly)), offsets)
 
 
 def _in_floats(row: list[Fraction | float]) -> bool:
-    """Return whether floats alone mean what a row of floats and exact numbers means."""
+    """Return whether a row of floats and exact numbers stands for the same if all are floats."""
     if all(isinstance(value, float) for value in row) or row == [1]:
         return True
-    return all(map(_is_double, row)) and rationalize_row(row) == rationalize_row(
-        [float(value) for value in row]
-    )
+    if not all(map(_is_double, row)):
+        return False
+    return rationalize_row(row) == rationalize_row([float(value) for value in row])
 
 
 def _is_double(value: Fraction | float) -> bool:
-    """Return whether a double has exactly this value."""
+    """Return whether a float has exactly this value."""
     try:
         return float(value) == value
     except OverflowError:

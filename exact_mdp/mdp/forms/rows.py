@@ -1,28 +1,31 @@
-"""What a row of floats means: in a model every row sums to 1 exactly.
+"""The exact distribution that a row of floats stands for: in a model every row sums to 1 exactly.
 
-Floats may miss 1 by 1e-9. A row of them means (1) the fractions n / WHOLE that sum to 1, where each
-float is next to its fraction or a neighbour of that float: 1/3, 1/3, 1/3 or 1/10, 1/5, 7/10 are
-what somebody wrote down; else (2) the binary fractions that the floats are, except that the largest
-is what the others leave of 1; several largest ones share it equally. The model keeps the floats
-next to these numbers, and the rule holds of them as they are. Exact numbers beside floats in a row
-stay.
+The sum of a row of floats may miss 1 by 1e-9. Such a row stands for
 
-Two things are put right first. A float from -1e-9 to 0 is 0: rounding leaves such numbers, and the
-rest of the row has to sum to 1 within 1e-9 all the same. A row of numbers that are all float32
-values is divided by its sum if that misses 1 by no more than single precision rounds n numbers that
-were divided by their sum, (n + 1) 2^-24 / (1 - (n + 1) 2^-24).
+1. the fractions n / WHOLE that sum to 1, if each float is the nearest float to its fraction, or a
+   neighbour of it: 1/3, 1/3, 1/3 and 1/10, 1/5, 7/10 are numbers that somebody wrote down; else
+2. the binary fractions that the floats are, except the largest, which is 1 less the others. If
+   several are the largest, each is an equal share.
 
-The values alone decide, neither places nor order, so that symmetric actions stay tied; and exact
-numbers do not grow, as all denominators are divisors of WHOLE or powers of two, times the number of
-the largest. Dividing each row by its sum makes 895 digits of the value of FrozenLake 8 x 8 at
-discount 99/100 and 8,037 of 60 layers of 10 states, this rule 89 and 1,154. WHOLE has the
-denominators that people write, decimals of six places among them; any up to 10,000 would let the
-common multiples of rows grow.
+The model stores the floats nearest to these numbers, and the rule gives the same numbers for them
+again. Exact numbers in a row with floats are kept.
+
+Two errors are corrected before. A float from -1e-9 to 0 becomes 0: rounding leaves such numbers,
+and the remaining row still has to sum to 1 within 1e-9. A row in which all numbers are float32
+values is divided by its sum, if the sum misses 1 by at most the error of n numbers that were
+divided by their sum in single precision, (n + 1) 2^-24 / (1 - (n + 1) 2^-24).
+
+The result depends on the values only, not on places or order, so symmetric actions remain tied. And
+exact numbers stay short, since all denominators are divisors of WHOLE or powers of two, times the
+number of largest floats: with rows divided by their sums instead, the value of FrozenLake 8 x 8 at
+discount 99/100 has 895 digits instead of 89, and the value of a model with 60 layers of 10 states
+8,037 instead of 1,154. WHOLE has the denominators that people write, including decimals of six
+places; if it had all up to 10,000, the common multiples of rows would grow.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from itertools import pairwise
 from math import fsum, isfinite
@@ -35,15 +38,17 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Numbers = NDArray[Any]
 
-WHOLE = 2**6 * 3**2 * 5**6 * 7
-FLOAT_ROW_TOLERANCE = 1e-9  # how far from 1 floats of a row may sum: LONG roundings are 5e-10
-NEXT = 2.0**-52  # of a number: no farther from it are its neighbours among the floats
-SINGLE = 2.0**-24  # what single precision may round away of a number, in proportion
-COARSE, FINEST, LONG = 2.0**-40, -93, 2**22  # of sums: their units, and the most terms of a row
+WHOLE = 2**6 * 3**2 * 5**6 * 7  # the common denominator of fractions that people write
+FLOAT_ROW_TOLERANCE = 1e-9  # a row of LONG floats may miss 1 by 2^22 roundings, which are 5e-10
+NEXT = 2.0**-52  # the neighbours of a float x are at most NEXT * x away
+SINGLE = 2.0**-24  # single precision rounds x by at most SINGLE * x
+# Sums of rows are exact in integers: multiples of COARSE, and of a finer unit, 2^FINEST or more.
+# Longer rows than LONG are added up by `math.fsum`.
+COARSE, FINEST, LONG = 2.0**-40, -93, 2**22
 
 
 def rationalize_row(row: Sequence[Fraction | float]) -> list[Fraction | float]:
-    """Return the exact numbers that a row means; a row that is no distribution stays as it is.
+    """Return the exact distribution that a row stands for; any other row is returned unchanged.
 
     Examples
     --------
@@ -52,32 +57,45 @@ def rationalize_row(row: Sequence[Fraction | float]) -> list[Fraction | float]:
     >>> rationalize_row([Fraction(1, 3), 1 / 6, 0.5])
     [Fraction(1, 3), Fraction(1, 6), Fraction(1, 2)]
     """
+    # The floats must sum, within the tolerance, to what the exact numbers leave of 1.
     floats = [number for number in row if isinstance(number, float)]
     if not floats or not all(isfinite(number) and number >= 0 for number in floats):
         return list(row)
     left = 1 - sum((number for number in row if isinstance(number, Fraction)), Fraction(0))
     if abs(sum(map(Fraction, floats)) - left) > Fraction(FLOAT_ROW_TOLERANCE):
         return list(row)
+    # Rule 1: fractions n / WHOLE.
     tops = {number: round(number * WHOLE) for number in floats}
     near = all(abs(top / WHOLE - number) <= NEXT * number for number, top in tops.items())
     if near and sum(tops[number] for number in floats) == left * WHOLE:
-        return [Fraction(tops[x], WHOLE) if isinstance(x, float) else x for x in row]
+        return _replace_floats(row, {number: Fraction(top, WHOLE) for number, top in tops.items()})
+    # Rule 2: the largest is 1 less the others.
     largest = max(floats)
     others = sum(Fraction(number) for number in floats if number != largest)
     share = (left - others) / floats.count(largest)
     if share <= 0:
         return list(row)
+    # If its float changes by this, another one may be the largest: apply the rule again.
     rounded = float(share)
-    if rounded != largest:  # another one may be the largest then
-        return rationalize_row(
-            [rounded if isinstance(x, float) and x == largest else x for x in row]
-        )
-    exact = {number: Fraction(number) for number in floats} | {largest: share}
-    return [exact[x] if isinstance(x, float) else x for x in row]
+    if rounded != largest:
+        return rationalize_row(_replace_floats(row, {largest: rounded}))
+    return _replace_floats(row, {number: Fraction(number) for number in floats} | {largest: share})
+
+
+def _replace_floats(
+    row: Sequence[Fraction | float], values: Mapping[float, Fraction | float]
+) -> list[Fraction | float]:
+    """Return a row with the floats in `values` replaced by their values."""
+    replaced = []
+    for number in row:
+        if isinstance(number, float):
+            number = values.get(number, number)
+        replaced.append(number)
+    return replaced
 
 
 def put_right(weight: Numbers, offsets: Integers) -> Numbers:
-    """Return numbers (N,) without negative ones of rounding, and rows of float32 that sum to 1.
+    """Return probabilities (N,) with the two rounding errors of the module's header corrected.
 
     Examples
     --------
@@ -86,8 +104,12 @@ def put_right(weight: Numbers, offsets: Integers) -> Numbers:
     >>> put_right(np.float32([0.1, 0.2, 0.7]), np.array([0, 3])).sum().item()
     1.0
     """
+    # Exact numbers are NaN here, so that no comparison holds of them.
     if weight.dtype == object:
-        floats = [number if isinstance(number, float) else np.nan for number in weight]
+        floats = [np.nan] * len(weight)
+        for place, number in enumerate(weight):
+            if isinstance(number, float):
+                floats[place] = number
         numbers = np.array(floats, dtype=np.float64)
     elif weight.dtype.kind == "f":
         numbers = weight.astype(np.float64)
@@ -95,32 +117,39 @@ def put_right(weight: Numbers, offsets: Integers) -> Numbers:
         return weight
     lengths = np.diff(offsets)
     row = np.repeat(np.arange(len(lengths)), lengths)
+    # Negative numbers that rounding has left become 0.
     right = np.where((numbers < 0) & (numbers >= -FLOAT_ROW_TOLERANCE), 0.0, numbers)
     with np.errstate(over="ignore", invalid="ignore"):
-        total = np.bincount(row, right, len(lengths))  # NaN where a number is exact
+        # Rows that miss 1 by more than double precision would, but not more than single precision.
+        total = np.bincount(row, right, len(lengths))  # NaN if a number is exact
         rounding = np.minimum((lengths + 1) * SINGLE, 0.5)
         off = np.abs(total - 1)
         single = (off > FLOAT_ROW_TOLERANCE) & (off <= rounding / (1 - rounding))
         if single.any():
+            # Divide by the sum if all numbers of the row are float32 values.
             others = (right != right.astype(np.float32)) | (right < 0)
             single &= np.bincount(row, others, len(lengths)) == 0
             right = np.where(single[row], right / total[row], right)
     changed = right != numbers
-    changed &= right == right
+    changed &= right == right  # not where NaN stands for an exact number
     if not changed.any():
         return weight
     return np.where(changed, right, weight)
 
 
 def normalize_rows_in_numpy(weight: Floats, offsets: Integers) -> bool:
-    """Write the floats next to what rows mean in their place; what is no distribution stays.
+    """Normalize rows in place: write the nearest floats to the exact distribution of each.
 
-    Return whether all rows are distributions of positive numbers.
+    Rows that are not distributions stay as they are. Return whether all rows are distributions of
+    positive numbers.
     """
     lengths, begins = np.diff(offsets), offsets[:-1]
-    bits = weight.view(np.int64)  # which have the order of positive floats, and are compared faster
+    # The bits of positive floats, as integers, have the same order and are compared faster.
+    bits = weight.view(np.int64)
+    # Rule 2 changes the largest number of a row. Another one may be the largest afterwards, so the
+    # rule is applied until no row changes.
     changed = True
-    while changed:  # another one may be the largest then
+    while changed:
         least, most = (each.reduceat(bits, begins) for each in (np.minimum, np.maximum))
         largest = bits == np.repeat(most, lengths)
         least, most = least.view(np.float64), most.view(np.float64)
@@ -132,7 +161,8 @@ def normalize_rows_in_numpy(weight: Floats, offsets: Integers) -> bool:
         share = most - excess / count
         moved = sound & (share != most)
         changed = False
-        # A least number that is no fraction, and not changed for being the largest, says no.
+        # Rule 1 needs a pass over all numbers. It can be skipped if the least number of each row is
+        # not near a fraction n / WHOLE, unless the least is also the largest, which rule 2 changes.
         near = np.abs(np.rint(least * WHOLE) / WHOLE - least) <= NEXT * least
         if (sound & (near | (least == most)) & (least != 1)).any():
             top, read = _match_fractions(weight, offsets)
@@ -140,6 +170,7 @@ def normalize_rows_in_numpy(weight: Floats, offsets: Integers) -> bool:
             written = np.where(np.repeat(read & sound, lengths), top / WHOLE, weight)
             changed = bool((written.view(np.int64) != bits).any())  # a NaN is not itself
             weight[:] = written
+        # Rule 2.
         if moved.any():
             np.copyto(weight, np.repeat(share, lengths), where=largest & np.repeat(moved, lengths))
             changed = True
@@ -147,7 +178,7 @@ def normalize_rows_in_numpy(weight: Floats, offsets: Integers) -> bool:
 
 
 def rows_to_integers(weight: Floats, offsets: Integers) -> tuple[Numbers, Numbers]:
-    """Return what settled rows mean: integers (N,), over a denominator for each row (L,).
+    """Return the exact distributions of normalized rows: integers (N,) over denominators (L,).
 
     Examples
     --------
@@ -155,12 +186,15 @@ def rows_to_integers(weight: Floats, offsets: Integers) -> tuple[Numbers, Number
     >>> top.tolist(), bottom.tolist()
     ([1, 2, 7, 1, 1], [10, 2])
     """
+    # All rows as binary fractions, which sum to bottom - missing over bottom.
     lengths, begins = np.diff(offsets), offsets[:-1]
     top, bottom = to_dyadic_integers(weight, offsets)
     written, read = _match_fractions(weight, offsets)
     missing = np.asarray(bottom - np.add.reduceat(top, begins))
     rows = np.flatnonzero(~read & np.asarray(missing != 0, dtype=bool))
     if len(rows):
+        # Rule 2: the `count` largest numbers of a row share the missing amount. If `count` does not
+        # divide it, all numerators and the denominator are multiplied first.
         largest = weight == np.repeat(np.maximum.reduceat(weight, begins), lengths)
         count = np.add.reduceat(largest, begins, dtype=np.int64)
         times = np.ones(len(lengths), dtype=missing.dtype)
@@ -173,6 +207,7 @@ def rows_to_integers(weight: Floats, offsets: Integers) -> tuple[Numbers, Number
         bottom = bottom * times
         top = top * np.repeat(times, lengths) + largest * np.repeat(more, lengths)
     if read.any():
+        # Rule 1: fractions n / WHOLE, in lowest terms for each row.
         whole = written[np.repeat(read, lengths)].astype(np.int64)
         begins = np.cumsum(lengths[read]) - lengths[read]
         shared = np.gcd(np.gcd.reduceat(whole, begins), WHOLE)
@@ -182,7 +217,7 @@ def rows_to_integers(weight: Floats, offsets: Integers) -> tuple[Numbers, Number
 
 
 def _match_fractions(weight: Floats, offsets: Integers) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the tops (N,) of fractions n / WHOLE, and which rows (L,) mean these."""
+    """Return numerators n (N,) of fractions n / WHOLE, and the rows (L,) that stand for them."""
     top = np.rint(weight * WHOLE)
     near = np.abs(top / WHOLE - weight) <= NEXT * weight
     read = np.logical_and.reduceat(near, offsets[:-1])
@@ -190,11 +225,13 @@ def _match_fractions(weight: Floats, offsets: Integers) -> tuple[Floats, NDArray
 
 
 def _compute_excess(weight: Floats, offsets: Integers) -> Floats:
-    """Return Σ p - 1 of each row (L,), rounded once, as the compiled loops do."""
+    """Return Σ p - 1 of each row (L,), rounded once; the compiled loops give the same numbers."""
     longest = int(np.diff(offsets).max())
     if longest >= LONG:
         rows = [weight[first:last].tolist() for first, last in pairwise(offsets.tolist())]
         return np.array([fsum([-1.0, *row]) for row in rows])
+    # Split each float into a multiple of COARSE and a multiple of a finer unit, and add up both in
+    # integers; 2^40 multiples of COARSE are 1.
     fine, begins = fine_unit(longest), offsets[:-1]
     scaled = np.rint(weight / COARSE)
     left = np.rint((weight - scaled * COARSE) / fine)
@@ -204,16 +241,17 @@ def _compute_excess(weight: Floats, offsets: Integers) -> Floats:
 
 
 def fine_unit(longest: int) -> float:
-    """Return the unit in which to add up what multiples of `COARSE` leave of a row's floats.
+    """Return the unit for the sum of the remainders of floats after multiples of `COARSE`.
 
-    These are at most 2^-41 each, so that the sum of so many stays below 2^62, and is exact but for
-    half a unit for each term. Turning the sum into a float costs no more.
+    A remainder is at most 2^-41, so the sum of `longest` remainders is below 2^62 units, and each
+    adds an error of at most half a unit. Rounding the sum to a float does not add a larger error.
     """
     return float(2.0 ** max(FINEST, longest.bit_length() - 103))
 
 
 def to_dyadic_integers(values: Numbers, offsets: Integers) -> tuple[Numbers, Numbers]:
-    """Return finite floats as integers over one power of two for each row."""
+    """Return finite floats (N,) as integers (N,) over a power of two for each row (L,)."""
+    # A float is an odd integer `whole` times 2^power; 0 is 0 times 1.
     mantissa, exponent = np.frexp(np.asarray(values, dtype=np.float64))
     whole = np.ldexp(mantissa, 53).astype(np.int64)
     zeros = np.where(whole == 0, 1, whole)
@@ -224,8 +262,10 @@ def to_dyadic_integers(values: Numbers, offsets: Integers) -> tuple[Numbers, Num
     lowest = np.zeros(len(lengths), dtype=np.int64)
     filled = lengths > 0
     lowest[filled] = np.minimum.reduceat(power, offsets[:-1][filled])
+    # The denominator of a row is 2^-lowest, for the lowest power in it.
     lowest = np.minimum(lowest, 0)
     shift = power - np.repeat(lowest, lengths)
+    # Shifted to this denominator, the numbers may need more than 64 bits.
     size = np.frexp(np.abs(whole).astype(np.float64))[1] + shift
     if values.size and int(size.max()) <= 62 and int(-lowest.min()) <= 62:
         return whole << shift, np.left_shift(np.int64(1), -lowest)

@@ -1,6 +1,6 @@
-"""Work in blocks, on as many threads as there are cores.
+"""Work in blocks, on several threads.
 
-It pays for loops that let go of Python's lock: compiled ones, and those of NumPy over long arrays.
+Threads help with loops that release Python's lock: compiled loops, and NumPy's over long arrays.
 """
 
 from __future__ import annotations
@@ -15,13 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-SMALLEST = 500_000  # transitions for which another thread pays: each is begun anew for a pass
-PER_THREAD = 3  # blocks of rows: with several, threads end at nearly the same time
-IN_CACHE = 2**16  # entries of a few arrays that a core's cache holds, amply
+# Transitions for which another thread saves more time than its start takes; every pass over a model
+# starts its threads again.
+SMALLEST = 500_000
+IN_CACHE = 2**16  # entries of each array in a block, so that a few arrays fit in a core's cache
 
 
 def count_cores() -> int:
-    """Return how many cores this process may use, two at most: memory is too slow for more."""
+    """Return the number of cores to use: at most two, since memory is too slow for more."""
     if hasattr(os, "sched_getaffinity"):
         return min(2, len(os.sched_getaffinity(0)))
     return min(2, os.cpu_count() or 1)
@@ -30,17 +31,20 @@ def count_cores() -> int:
 def block_ends(
     work: NDArray[Any], threads: int | None = None, most: int | None = None
 ) -> list[int]:
-    """Return 0, …, N: where to cut N items into blocks of about the same work.
+    """Return the ends 0, …, N of blocks of N items with about the same work each.
 
-    `work` (N+1,) is that of all items before each; there are as many threads as cores, fewer for
-    little work, unless given; `most` is about the most work of a block, which a cache holds.
+    `work` (N+1,) is the cumulative work, from 0. By default there are as many threads as cores, or
+    fewer for little work. `most` is roughly the largest work of a block.
     """
     total = int(work[-1])
     if threads is None:
-        threads = min(count_cores(), total // SMALLEST) if total >= 2 * SMALLEST else 1
+        threads = min(count_cores(), max(total // SMALLEST, 1))
     if threads == 1 and (most is None or total <= most):
         return [0, len(work) - 1]
-    count = 1 if threads == 1 else PER_THREAD * threads
+    # With three blocks for each thread, all threads end at nearly the same time.
+    count = 1
+    if threads > 1:
+        count = 3 * threads
     if most is not None:
         count = max(count, total // most)
     inner = np.searchsorted(work, [total * i // count for i in range(1, count)])
@@ -50,16 +54,16 @@ def block_ends(
 def run_blocks(
     ends: Sequence[int], work: Callable[[int, int, int], None], size: int = 2 * SMALLEST
 ) -> None:
-    """Call `work(number, first, last)` for each block; on all cores if the `size` pays."""
+    """Call `work(number, first, last)` for each block; on several threads if `size` is large."""
     blocks = enumerate(pairwise(ends))
     if len(ends) == 2 or size < 2 * SMALLEST:
         for number, (first, last) in blocks:
             work(number, first, last)
         return
-    # Each with a copy of what holds here, such as which floating-point errors are ignored.
+    # Each thread gets a copy of the context, such as the floating-point errors to ignore.
     with ThreadPoolExecutor(count_cores()) as pool:
-        for done in [
-            pool.submit(copy_context().run, work, number, first, last)
-            for number, (first, last) in blocks
-        ]:
-            done.result()
+        running = []
+        for number, (first, last) in blocks:
+            running.append(pool.submit(copy_context().run, work, number, first, last))
+        for future in running:
+            future.result()  # raises the error of the block, if any

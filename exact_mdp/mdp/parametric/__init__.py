@@ -1,4 +1,4 @@
-"""Models with named parameters: families of models, and how rows move with one parameter."""
+"""Models with named parameters: families of models, and their change with one parameter."""
 
 from exact_mdp.mdp.parameter import Parameter as Parameter
 from exact_mdp.mdp.parametric.family import DISCOUNT as DISCOUNT

@@ -1,17 +1,18 @@
-"""Models with named parameters: what a sensitivity analysis needs to know of them.
+"""Models with named parameters, for sensitivity analysis.
 
-A parametric model says which numbers it has, within which ranges, and what the model is at other
-values of them. Along one parameter, the others held, every transition probability and expected
-reward is a polynomial of a known degree between known breakpoints, so that exact derivatives come
-from exact differences of a few compiled models and no second model is needed.
+A parametric model has named parameters with ranges, and gives the model at any values of them.
+Along one parameter, with the others fixed, every transition probability and expected reward is a
+polynomial of known degree between known breakpoints. Exact derivatives therefore come from exact
+differences of a few models; a second, symbolic model is not needed.
 
-When one probability of a row moves, the others make room: a scenario's rows follow from its rules;
-in any other row, outcomes that are not named keep their proportions,
+When one probability of a row changes, the others must change with it. The rows of a scenario follow
+from its rules. In any other row, the outcomes that are not named keep their proportions,
 
     p_j(θ) = p_j (1 - Σ θ) / (1 - Σ p),     sums over the named outcomes of the row.
 
-A plain MDP has its discount and its rewards as parameters, each reward that differs from 0 by its
-number (`reward.-1`), as long as there are few of them; `moving` names others, and probabilities.
+The parameters of a plain MDP are its discount and its rewards, if there are few different rewards.
+A reward other than 0 is named by its number (`reward.-1`). `moving` names others, and
+probabilities.
 """
 
 from __future__ import annotations
@@ -21,8 +22,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from functools import cached_property, reduce
-from itertools import chain
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -40,8 +40,9 @@ from exact_mdp.mdp.table import Numbers, OutcomeTable, exact, format_beside_limi
 from exact_mdp.mdp.validate import require_count
 
 DISCOUNT = "discount"
-MOST_REWARDS = 20  # of a plain MDP, that are parameters without being named
-LISTED = 100  # names of parameters in a message
+# A plain MDP with more different rewards has none of them as parameters: a sensitivity analysis of
+# more would be long to compute and to read.
+MOST_REWARDS = 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,8 +52,9 @@ class Parametric(ABC):
     Attributes
     ----------
     asks : tuple of functions
-        Questions about each model, such as `attrgetter("maximised")`, whose answers are the models.
-        The rows that a question replaces are constant, and others stay: no degree grows.
+        Functions that turn each model into another, such as `attrgetter("maximised")`: the
+        questions that are asked about it. A question replaces rows by constant rows and keeps the
+        others, so no degree grows.
     """
 
     asks: tuple[Callable[[MDP], MDP], ...] = ()
@@ -61,27 +63,32 @@ class Parametric(ABC):
 
         @property
         def name(self) -> str:
-            """What the model is called."""
+            """The name of the model."""
 
         @property
         def parameters(self) -> tuple[Parameter, ...]:
-            """Every parameter with its value and the range that it may take."""
+            """All parameters, with their values and ranges."""
 
     def at(self, values: Mapping[str, object]) -> MDP:
-        """Return the model at other values of some parameters; the others keep theirs.
+        """Return the model at other values of some parameters; the others keep their values.
 
         Raises ModelError for unknown names and values out of range.
         """
         moved = moved_from(self, values)
-        return reduce(lambda mdp, ask: ask(mdp), self.asks, self.made(moved) if moved else self.own)
+        mdp = self.own
+        if moved:
+            mdp = self.made(moved)
+        for ask in self.asks:
+            mdp = ask(mdp)
+        return mdp
 
     @abstractmethod
     def made(self, moved: Mapping[str, Fraction]) -> MDP:
-        """Return the model at values that differ from today's."""
+        """Return the model at values that differ from the present ones."""
 
     @cached_property
     def own(self) -> MDP:
-        """The model at today's values."""
+        """The model at the present values."""
         return self.made({})
 
     def posed(self, ask: Callable[[MDP], MDP]) -> Self:
@@ -94,27 +101,28 @@ class Parametric(ABC):
 
     @abstractmethod
     def breakpoints(self, name: str) -> tuple[Fraction, ...]:
-        """Return the values at which a row may pass from one polynomial to another."""
+        """Return the values at which a row may change from one polynomial to another."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Family(Parametric):
-    """A parametric model made of a function.
+    """A parametric model given by a function.
 
-    Derivatives and thresholds rest on the degrees, which nothing proves of a function. They are
-    checked at further points: a wrong one is refused, and what rests on a right one is called
-    checked. Of a model with named entries (`moving`) and of a scenario the degrees are known.
+    Derivatives and thresholds depend on the degrees, which cannot be proven for a function. They
+    are checked at further points: a degree that does not fit is refused, and results that depend on
+    a degree that fits are called checked. The degrees of a scenario, and of a model with named
+    entries (`moving`), are known.
 
     Attributes
     ----------
     parameters : tuple of Parameter
-        Or {name: value}, numbers that may be any.
+        Or {name: value}, for parameters without ranges.
     build : function
-        From {parameter name: Fraction}, all of them, to the model.
+        From {parameter name: Fraction}, with all parameters, to the model.
     degrees : {name: degree}
-        Of transition probabilities, expected rewards and the discount; 1 where left out.
+        Degrees of transition probabilities, expected rewards and the discount; 1 by default.
     breaks : {name: breakpoints}
-        None where left out.
+        Values at which the polynomials change; none by default.
     rows : {label: parameter names}
         Parameters that are probabilities of one row, which are drawn together.
 
@@ -146,13 +154,12 @@ class Family(Parametric):
         for what in ("degrees", "breaks", "rows"):
             require_type(getattr(self, what), Mapping, what, "give a dictionary by the names")
         check_names(self.rows, "row", where="rows")
+        degrees, breaks = {}, {}
         with locate_errors("degrees", instead=True):
-            degrees = {
-                n: require_count(d, f"the degree in {n}", 0) for n, d in self.degrees.items()
-            }
-        breaks = {
-            name: _parse_numbers(given, f"breaks, {name}") for name, given in self.breaks.items()
-        }
+            for name, degree in self.degrees.items():
+                degrees[name] = require_count(degree, f"the degree in {name}", 0)
+        for name, given in self.breaks.items():
+            breaks[name] = _parse_numbers(given, f"breaks, {name}")
         parts = {
             "parameters": _read_parameters(self.parameters),
             "degrees": degrees,
@@ -160,7 +167,8 @@ class Family(Parametric):
         }
         for what, part in parts.items():
             object.__setattr__(self, what, part)
-        for what, names in (("degrees", degrees), ("breaks", breaks)):
+        # Their names must be names of parameters.
+        for what, names in (("degrees", [*degrees]), ("breaks", [*breaks])):
             for name in names:
                 with locate_errors(what):
                     parameter_of(self, name)
@@ -182,7 +190,7 @@ class Family(Parametric):
 
 
 def _read_parameters(given: Any) -> tuple[Parameter, ...]:
-    """Return parameters that are given as such, or as {name: value}."""
+    """Return the parameters of a list, or of {name: value}."""
     if isinstance(given, Mapping):
         return tuple(Parameter(name=name, value=value) for name, value in given.items())
     if not isinstance(given, list | tuple) or not all(isinstance(p, Parameter) for p in given):
@@ -196,23 +204,24 @@ def _read_parameters(given: Any) -> tuple[Parameter, ...]:
 
 
 def _parse_numbers(numbers: Any, where: str) -> tuple[Fraction, ...]:
+    """Return a list of numbers exactly."""
     with locate_errors(where):
         fix = "put the numbers in brackets"
         return tuple(map(exact, require_type(numbers, list | tuple | np.ndarray, "", fix)))
 
 
 def parametric(source: Any) -> Parametric:
-    """Return what a scenario, or a plain model with its rewards and its discount, may vary.
+    """Return the parametric model of a scenario, or of a plain model with rewards and discount.
 
     Parameters
     ----------
     source : Scenario, MDP or Family
-        Or the name or file of one of the first two, as `load` takes it.
+        Or the name or file of a scenario or model, as in `load`.
 
     Returns
     -------
     Family
-        Or the family that was given.
+        A given family is returned unchanged.
 
     Examples
     --------
@@ -224,8 +233,10 @@ def parametric(source: Any) -> Parametric:
     if isinstance(source, str | Path):
         import exact_mdp
 
-        read = exact_mdp.Scenario.load if is_scenario(source) else exact_mdp.load
-        source = read(source)
+        if is_scenario(source):
+            source = exact_mdp.Scenario.load(source)
+        else:
+            source = exact_mdp.load(source)
     if not isinstance(source, MDP):
         if not hasattr(source, "parametric"):
             fix = "give an MDP, a Scenario, or a Family of models"
@@ -236,19 +247,24 @@ def parametric(source: Any) -> Parametric:
     if origin is not None:
         return pose_questions(parametric(origin.model), origin)
     rewards = _name_rewards(source.table)
-    return moving(source, {}, rewards if len(rewards) <= MOST_REWARDS else {})
+    if len(rewards) > MOST_REWARDS:
+        rewards = {}
+    return moving(source, {}, rewards)
 
 
 def pose_questions(family: Parametric, origin: Origin) -> Parametric:
-    """Return a family about each of whose models the questions of an origin are asked."""
-    return reduce(lambda asked, question: asked.posed(question), origin.questions, family)
+    """Return a family with the questions of an origin asked about each of its models."""
+    for question in origin.questions:
+        family = family.posed(question)
+    return family
 
 
 def _name_rewards(table: OutcomeTable) -> dict[str, Fraction]:
-    """Return the rewards other than 0 by name; more than `MOST_REWARDS` where there are many."""
+    """Return {name: reward} for the rewards other than 0; if there are many, only some of them."""
     bottom: Numbers = table.gain_denominator
     if len(table.gain) != len(bottom):
         bottom = np.repeat(bottom, np.diff(table.offsets))
+    # Search block by block, and stop as soon as there are too many.
     rewards: set[Fraction] = set()
     for first in range(0, len(bottom), 2**12):
         here = slice(first, first + 2**12)
@@ -257,7 +273,10 @@ def _name_rewards(table: OutcomeTable) -> dict[str, Fraction]:
         if len(rewards) > MOST_REWARDS:
             break
     names = {f"reward.{format_rational(reward)}": reward for reward in sorted(rewards)}
-    return names if len(names) == len(rewards) else {f"reward.{r}": r for r in sorted(rewards)}
+    # Rewards that differ in late digits only are named by their fractions.
+    if len(names) < len(rewards):
+        names = {f"reward.{reward}": reward for reward in sorted(rewards)}
+    return names
 
 
 def moving(
@@ -265,27 +284,27 @@ def moving(
     entries: Mapping[str, Sequence[tuple[object, object]]],
     rewards: Mapping[str, object] | None = None,
 ) -> Family:
-    """Return a model with probabilities of its rows and rewards as parameters, and its discount.
+    """Return the family of a model with some probabilities, rewards and the discount as parameters.
 
     Parameters
     ----------
     model : MDP
     entries : {parameter name: [(pair, next state), …]}
-        The entries that a parameter sets, all of the same probability now. A pair is its number, or
-        (state, action); `mdp.forms.names` says how states and actions are given.
+        The entries whose probability the parameter is; they must be equal now. A pair is its number
+        or (state, action); see `mdp.forms.names` for ways to name states and actions.
     rewards : {parameter name: number or "p/q"}, optional
-        The reward that a parameter sets wherever it is earned.
+        The reward that the parameter replaces, in all outcomes that earn it.
 
     Returns
     -------
     Family
-        Entries that are not named share what the named ones of their row leave.
+        In it, the entries of a row that are not named share the remaining probability.
 
     Raises
     ------
     ModelError
-        Where entries of one parameter differ, or a row has nothing left that could make room;
-        where no outcome earns a reward.
+        If entries of one parameter differ, all entries of a row are named, or no outcome earns a
+        reward.
 
     Examples
     --------
@@ -298,8 +317,10 @@ def moving(
     require_type(entries, Mapping, "entries", "give {name: [((state, action), next state), …]}")
     if entries:
         require_amounts(model.table, "a row that moves")
-    rewards = {} if rewards is None else rewards
+    if rewards is None:
+        rewards = {}
     require_type(rewards, Mapping, "rewards", "give {name: reward}")
+    # The parameters that are probabilities, and the named entries of each row.
     named: dict[int, dict[int, str]] = {}
     moved = []
     for name, listed in entries.items():
@@ -319,6 +340,7 @@ def moving(
                     fix="give each entry to one parameter",
                 )
         moved.append(Parameter(name=name, value=values.pop(), low=Fraction(0), high=Fraction(1)))
+    # The greatest value of each, with the others fixed: the unnamed entries of its rows become 0.
     today = {parameter.name: parameter.value for parameter in moved}
     highest = dict.fromkeys(today, Fraction(1))
     for pair, names in named.items():
@@ -335,10 +357,12 @@ def moving(
     gains = [Parameter(name=name, value=reward, unit="reward") for reward, name in earned.items()]
     rate = Parameter(name=DISCOUNT, value=model.discount_exact, low=Fraction(0), high=Fraction(1))
     origin = origin_of(model)
-    # Beside values at the horizon, which are discounted in its rewards, the discount does not move.
-    rates = [] if origin is not None and origin.paid else [rate]
+    # Terminal values are discounted in the rewards already: the discount is not a parameter then.
+    parameters = [*moved, *gains]
+    if origin is None or not origin.paid:
+        parameters.append(rate)
     return Family(
-        parameters=(*moved, *gains, *rates),
+        parameters=tuple(parameters),
         build=Moved(
             model=model, parameters=(*moved, *gains), named=named, earned=earned, highest=highest
         ),
@@ -348,24 +372,24 @@ def moving(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Moved:
-    """The builder of `moving`, whose rows are of degree 1 in each parameter.
+    """The builder of `moving`; its rows have degree 1 in each parameter.
 
-    Named entries are the parameters themselves, the others of their row share what is left in fixed
-    proportions, and a reward, or the discount, is a parameter or constant.
+    Named entries are the parameters themselves, the other entries of a row share the remaining
+    probability in fixed proportions, and a reward, or the discount, is a parameter or constant.
     """
 
     model: MDP
     parameters: tuple[Parameter, ...]  # all but the discount
     named: Mapping[int, Mapping[int, str]]  # {pair: {next state: parameter name}}
     earned: Mapping[Fraction, str]  # {reward: parameter name}
-    highest: Mapping[str, Fraction]  # that a probability may be while the others keep theirs
+    highest: Mapping[str, Fraction]  # the greatest value of a probability, with the others fixed
 
     @cached_property
     def _amounts(self) -> dict[str, list[Fraction]]:
-        """The amounts of each component of the reward, by outcome; none where only means are known.
+        """The amounts of each component of the reward by outcome; {} if only means are known.
 
-        A reward that moves is no longer the sum of its components, so that they are kept where
-        probabilities move alone.
+        They are used if only probabilities change: a reward that changes is no longer the sum of
+        its components.
         """
         table, names = self.model.table, self.model.component_names
         if table.components is None or table.averaged or not adds_up(table):
@@ -374,31 +398,34 @@ class Moved:
         if len(top) == table.pairs:
             top = top[table.pair]
         below = below[table.pair].tolist()
-        return {
-            name: [exact(a) / b for a, b in zip(column.tolist(), below, strict=True)]
-            for name, column in zip(names, top.T, strict=True)
-        }
+        amounts = {}
+        for name, column in zip(names, top.T, strict=True):
+            pairs = zip(column.tolist(), below, strict=True)
+            amounts[name] = [exact(a) / b for a, b in pairs]
+        return amounts
 
     def __call__(self, values: Mapping[str, Fraction]) -> MDP:
         """Return the model at values of all parameters."""
         model, rate = self.model, values.get(DISCOUNT, self.model.discount_exact)
         if all(values[p.name] == p.value for p in self.parameters):
             return model.with_(discount=rate)
+        # Change the rows and the rewards; an outcome of probability 0 is dropped.
         moved = {r: values[name] for r, name in self.earned.items() if values[name] != r}
-        rows = [
-            [
-                (p, to, moved.get(gain, gain), place)
-                for p, to, gain, place in self._move_row(pair, values)
-            ]
-            for pair in range(model.n_pairs)
-        ]
-        chances, following, gains, places = zip(*chain(*rows), strict=True)
-        amounts = {} if moved else self._amounts
-        parts: dict[str, Any] = {
-            name: one_kind([own[place] for place in places]) for name, own in amounts.items()
-        }
+        chances, following, gains, places, offsets = [], [], [], [], [0]
+        for pair in range(model.n_pairs):
+            for p, to, gain, place in self._move_row(pair, values):
+                chances.append(p)
+                following.append(to)
+                gains.append(moved.get(gain, gain))
+                places.append(place)
+            offsets.append(len(places))
+        # The components of the outcomes that are left, unless rewards change.
+        parts: dict[str, Any] = {}
+        if not moved:
+            for name, amounts in self._amounts.items():
+                parts[name] = one_kind([amounts[place] for place in places])
         table = table_of(
-            np.cumsum([0, *map(len, rows)]),
+            np.array(offsets, dtype=np.int64),
             np.array(following, dtype=model.table.next.dtype),
             one_kind(chances),
             one_kind(gains),
@@ -408,7 +435,7 @@ class Moved:
             by_pair=False,
             own=True,
         )
-        if model.table.components is None:  # means of rewards stay means
+        if model.table.components is None:  # mean rewards remain means
             table = replace(table, averaged=model.table.averaged)
         own: dict[str, Any] = {}
         if parts:
@@ -419,7 +446,10 @@ class Moved:
     def _move_row(
         self, pair: int, values: Mapping[str, Fraction]
     ) -> list[tuple[Fraction, int, Fraction, int]]:
-        """Return the outcomes of a pair, named ones at their values, and their numbers."""
+        """Return the outcomes of a pair: probability, next state, reward, and old number.
+
+        Named entries have their values, and the others share the remaining probability.
+        """
         first = int(self.model.table.offsets[pair])
         row = [(*outcome, first + k) for k, outcome in enumerate(self.model.table.row(pair))]
         names = self.named.get(pair, {})
@@ -433,16 +463,21 @@ class Moved:
                 where=self.model.where(pair),
                 fix="choose smaller values",
             )
+        # Several outcomes may lead to one next state; they keep their proportions as well.
         rest = sum((p for p, to, _, _ in row if to not in names), Fraction(0))
-        factor = {
-            to: values[name] / _find_probability(self.model, pair, to) for to, name in names.items()
-        }
-        outcomes = [(factor.get(to, left / rest) * p, to, gain, k) for p, to, gain, k in row]
-        return [outcome for outcome in outcomes if outcome[0]]
+        factor = {}
+        for to, name in names.items():
+            factor[to] = values[name] / _find_probability(self.model, pair, to)
+        outcomes = []
+        for p, to, gain, k in row:
+            p *= factor.get(to, left / rest)
+            if p:
+                outcomes.append((p, to, gain, k))
+        return outcomes
 
 
 def _find_entries(model: MDP, listed: Any, where: str) -> list[tuple[int, int]]:
-    """Return the numbers of entries that are given as pairs and next states."""
+    """Return the numbers of the pairs and next states of a list of entries."""
     places = []
     with locate_errors(where):
         for place in require_type(listed, Iterable, "", "give a list of (pair, next state)"):
@@ -461,11 +496,13 @@ def _find_entries(model: MDP, listed: Any, where: str) -> list[tuple[int, int]]:
 
 
 def _match_rewards(model: MDP, rewards: Mapping[str, object]) -> dict[Fraction, str]:
-    """Return the names of rewards; raises ModelError for one that no outcome earns."""
+    """Return {reward: parameter name}; raise ModelError for a reward that no outcome earns."""
     named = {exact(reward): name for name, reward in rewards.items()}
     if not named:
         return {}
-    known = {gain for pair in range(model.n_pairs) for _, _, gain in model.table.row(pair)}
+    known: set[Fraction] = set()
+    for pair in range(model.n_pairs):
+        known |= {gain for _, _, gain in model.table.row(pair)}
     for reward, name in named.items():
         if reward not in known or len(named) != len(rewards):
             raise ModelError(
@@ -477,19 +514,23 @@ def _match_rewards(model: MDP, rewards: Mapping[str, object]) -> dict[Fraction, 
 
 
 def place_of(model: Parametric) -> str:
-    """Return where an error in a model is, by its name where it has one."""
-    return "model" if model.name == "model" else f"model {model.name}"
+    """Return the place of an error in a model: "model", with its name if it has one."""
+    if model.name == "model":
+        return "model"
+    return f"model {model.name}"
 
 
 def parameter_of(model: Parametric, name: str) -> Parameter:
-    """Return a parameter by name; raises ModelError, with the nearest name, for unknown ones."""
+    """Return a parameter by name; raise ModelError, with the most similar name, if unknown."""
     for parameter in model.parameters:
         if parameter.name == name:
             return parameter
     names = [parameter.name for parameter in model.parameters]
     fix = suggest_name(name, names)
-    if fix.startswith("choose"):  # no other place lists them
-        fix = f"choose one of {', '.join(names[:LISTED])}{' …' * (len(names) > LISTED)}"
+    if fix.startswith("choose"):  # list the names: a user sees them nowhere else
+        fix = f"choose one of {', '.join(names[:100])}"
+        if len(names) > 100:
+            fix += " …"
     if not names:
         fix = "the model has no parameters"
     if isinstance(model, Family) and isinstance(model.build, Moved):
@@ -503,14 +544,15 @@ def parameter_of(model: Parametric, name: str) -> Parameter:
 
 
 def room_of(model: Parametric, name: str) -> tuple[Fraction | None, Fraction | None]:
-    """Return between which values a parameter may move while the others keep theirs."""
+    """Return the lowest and the highest value of a parameter while the others are fixed."""
     parameter, build = parameter_of(model, name), getattr(model, "build", None)
-    highest = build.highest if isinstance(build, Moved) else {}
-    return parameter.low, highest.get(name, parameter.high)
+    if isinstance(build, Moved):
+        return parameter.low, build.highest.get(name, parameter.high)
+    return parameter.low, parameter.high
 
 
 def moved_from(model: Parametric, values: Mapping[str, object]) -> dict[str, Fraction]:
-    """Return the values that differ from today's, each checked against its parameter's range."""
+    """Return the values that differ from the present ones; raise ModelError if out of range."""
     require_type(values, Mapping, "values", "give {name: value}")
     numbers = {name: exact(value, f"parameter {name}") for name, value in values.items()}
     for name, number in numbers.items():
@@ -520,4 +562,5 @@ def moved_from(model: Parametric, values: Mapping[str, object]) -> dict[str, Fra
 
 
 def _find_probability(mdp: MDP, pair: int, state: int) -> Fraction:
+    """Return the probability of a next state."""
     return sum((p for p, following, _ in mdp.table.row(pair) if following == state), Fraction(0))

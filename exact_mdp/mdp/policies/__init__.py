@@ -1,1 +1,1 @@
-"""Policies: what to do, from words, arrays and files."""
+"""Policies, and their reading from words, arrays and files."""

@@ -1,28 +1,29 @@
-"""How an array states a policy: action values (a Q-table), or probabilities of actions.
+"""Policies from arrays: action values (a Q-table), or probabilities of actions.
 
-The rule is the same for arrays and files. A row counts if a state with a choice reads it. Rows of
-states in which all is over, of states with one action and, as probabilities, of states whose
-actions differ in name only may hold anything. Without `kind`,
+The rule is the same for arrays and files. A row counts if a state with a choice reads it. Other
+rows may hold anything: those for states in which the episode is over or with one action, and, in an
+array of probabilities, those for states whose actions differ in name only. Without `kind`,
 
     some row that counts is not a distribution  the array is a Q-table
-    every such row gives 1 to a single action   the array is a policy; of costs, where the two
-                                                readings differ, it is refused
+    every such row gives 1 to a single action   the array is a policy; for costs it is refused if
+                                                the Q-table would be another policy
     otherwise                                   the array is ambiguous and refused
 
-A distribution has entries of at least 0 (floats from -1e-9 to 0 are 0, as rounding leaves such
-numbers) that sum to 1, up to 1e-9 or the rounding of a short type:
-numbers that are all float32, float16 or bfloat16 values, whatever type holds them, or that are
-printed with the digits of float32. Such rows are divided by their exact sums. A Q-table means its
-greedy policy: the greatest value (of costs, the least) among the actions offered, compared in the
+A distribution has entries of at least 0 (floats from -1e-9 to 0 count as 0, since rounding leaves
+such numbers) that sum to 1, up to 1e-9 or the rounding of a short type: numbers that are all
+float32, float16 or bfloat16 values, whatever the type of the array, or that are printed with the
+digits of float32. Such rows are divided by their exact sums. A Q-table stands for its greedy
+policy: the greatest value (for costs, the least) among the available actions, compared in the
 array's own numbers; the lowest action number wins a tie. -inf marks an action that is never taken.
-NaN, +inf, and -inf for every action offered are refused. For costs the infinities change places.
+NaN, +inf, and a row of -inf for all available actions are refused. For costs the infinities change
+places.
 
 In Python a policy may also be {state: action}, {state: {action: probability}}, or {state: row of
-numbers}; of a Q-table (kind="q") {state: {action: value}}. {(state, action): number} is a table as
-an array is, if it has every action offered; else it is {state: {action: number}}. Rows of states
-that a model of `MDP.from_function` does not reach are not read, with a warning. Tensors are the
-arrays that they hold. Where states are called 0, 2, 3 and there is one more, an array is refused:
-its row 3 may be that of state 3.
+numbers}; a Q-table (kind="q") may be {state: {action: value}}. {(state, action): number} is a table
+like an array, if it has all available actions; else it is {state: {action: number}}. Rows of states
+that a model from `MDP.from_function` does not reach are ignored, with a warning. Tensors are read
+as arrays. If states are named 0, 2, 3 and there is one more, an array is refused: its row 3 may
+belong to state 3 or to the fourth state.
 """
 
 from __future__ import annotations
@@ -44,28 +45,29 @@ from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, Numbers
 Flags = NDArray[np.bool_]
 KINDS = ("auto", "q", "policy")
 SAY = (
-    'say which, as the answers differ: Policy.of(model, array, kind="policy") or kind="q"; in '
+    'say which, since the answers differ: Policy.of(model, array, kind="policy") or kind="q"; in '
     "commands --kind policy or --kind q"
 )
 Q_TABLE, PROBABILITIES = "a Q-table: its greedy policy", "action probabilities"
 
 Parts = dict[str, Any]
-"""What `Policy` takes, by name."""
+"""The arguments of `Policy`, by name."""
 
 
 def numbers_of(given: object) -> Numbers:
-    """Return an array of real numbers as they are, none of them rounded; lists included."""
+    """Return an array or nested lists as an array of real numbers, without rounding."""
     given = convert_tensors(given)
     with locate_errors("policy"):
         refuse_masked(given)
         if is_pandas_table(given):
             raise ModelError(
-                f"a {type(given).__name__} of pandas goes by labels, and an array by position",
+                f"a pandas {type(given).__name__} goes by labels, and an array by position",
                 fix="give table.to_numpy(), in the order of the model's states and actions; or a "
                 "dictionary, which goes by names: {state: action}",
             )
     if isinstance(given, np.ndarray) and given.dtype.kind in "fiu":
-        return np.asarray(given)  # of matrices, too, whose rows have two dimensions
+        return np.asarray(given)  # np.matrix becomes an array
+    # Numbers of several types become objects, so that none is rounded.
     try:
         array: Numbers = np.array(given, dtype=object)
     except ValueError:
@@ -74,41 +76,49 @@ def numbers_of(given: object) -> Numbers:
     kinds = {type(number) for number in array.flat}
     if kinds == {float}:
         return array.astype(np.float64)
-    whole = np.asarray(given) if kinds == {int} else array
-    if whole.dtype.kind in "iu":
-        return whole
+    if kinds == {int}:
+        whole = np.asarray(given)
+        if whole.dtype.kind in "iu":  # they fit in 64 bits
+            return whole
     if not kinds <= {int, float, Fraction} or not kinds:
         raise ModelError(
-            f"{type(given).__name__} of shape {array.shape} does not hold real numbers alone",
+            f"{type(given).__name__} of shape {array.shape} does not hold real numbers only",
             where="policy",
-            fix="give action numbers, probabilities or action values; of names a dictionary, "
+            fix="give action numbers, probabilities or action values; for names, a dictionary "
             "{state: action}",
         )
     return array
 
 
 def _to_python_number(number: Any) -> Any:
-    """Return a NumPy scalar as the Python number that it is, so that comparisons are exact."""
+    """Return a NumPy number as a Python number of the same value, for exact comparisons."""
     if isinstance(number, np.longdouble) and np.isfinite(number):
         return Fraction(*number.as_integer_ratio())
-    return number.item() if isinstance(number, np.generic) else number
+    if isinstance(number, np.generic):
+        return number.item()
+    return number
 
 
 def of_given_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
-    """Return the policy of an array as `of_array` does, where its order cannot be another one.
+    """Return the policy of an array as `of_array` does, unless the order of its rows is ambiguous.
 
-    Where states are called 0, 2, 3 and there is one more, a table of four rows may go by position,
-    or by these names with a row for 1.
+    If states are named 0, 2, 3 and there is one more, a table of four rows may go by position, or
+    by these names with a row for 1.
     """
     columns = model.space.columns
-    names = [integer_of(word) for word in (columns[0].words if len(columns) == 1 else ())]
+    names: list[int | None] = []
+    if len(columns) == 1:
+        names = [integer_of(word) for word in columns[0].words]
     known = [name for name in names if name is not None]
+    # A gap: all names are whole numbers, and some is too large to be a position.
     gap = len(known) == len(names) > 0 and max(known) >= len(names)
     if gap and min(known) >= 0 and max(known) < len(array):
+        few = ", ".join(map(str, known[:4]))
+        if len(known) > 4:
+            few += " …"
         raise ModelError(
-            f"states are called {', '.join(map(str, known[:4]))}{' …' * (len(known) > 4)}, and row "
-            f"{known[-1]} of {len(array)} may be that of state {known[-1]}, or that of "
-            f"{model.space.label(known[-1])} in the model's order",
+            f"states are named {few}, and row {known[-1]} of {len(array)} may be for state "
+            f"{known[-1]}, or for {model.space.label(known[-1])} in the model's order",
             where="policy",
             fix="give a dictionary, which goes by names: {state: row}",
         )
@@ -116,11 +126,12 @@ def of_given_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
 
 
 def of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
-    """Return the policy of an array: numbers of actions, probabilities or action values.
+    """Return the policy of an array: action numbers, probabilities or action values.
 
-    Numbers are (S,), others (S, A) over all states or (2^n, A) over the status vectors. Where the
-    model stops after N steps, S may be the states without their time, and (N, S) and (N, S, A)
-    depend on time. Extra states (the end) may be left out where they offer no choice.
+    Action numbers have the shape (S,), the others (S, A) over all states or (2^n, A) over the
+    status vectors. If the model stops after N steps, S may be the states without their time, and
+    (N, S) and (N, S, A) depend on time. Extra states (the end) may be missing if they have no
+    choice.
     """
     timed = model.space.untimed is not None
     if array.ndim == 2 and array.shape[1] == 1 < model.n_actions and not timed:
@@ -137,7 +148,7 @@ def of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
                     f"an array of shape {array.shape} may be action numbers by time and state, or "
                     "a table of states and actions, which differ",
                     where="policy",
-                    fix='give probabilities (N, S, A), or say kind="q" of a Q-table: '
+                    fix='give probabilities (N, S, A), or say kind="q" for a Q-table: '
                     'Policy.of(model, array, kind="q"), in commands --kind q',
                 )
     return policy_of_array(model, array, kind)
@@ -145,10 +156,12 @@ def of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
 
 def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
     """Return the policy of a table with a row for each state, of probabilities or action values."""
-    array = flatten_times(model, array) if array.ndim == 3 else array
+    if array.ndim == 3:
+        array = flatten_times(model, array)
     over = find_table_axes(model, array.shape)
     if over is None:
         raise _no_policy(model, array, kind)
+    # The row of each state, and the actions that are available in each row.
     (space, actions), costs = over, model.sense == "min"
     row, offered = rows_read(model, space), np.full(array.shape, actions is not model.actions)
     if actions is model.actions:
@@ -156,30 +169,35 @@ def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
     names = space.label, [f", action {action}" for action in actions]
 
     def read_by(states: Flags) -> Flags:
-        """Return (K,) which rows some states (S,) read."""
+        """Return (K,) True for the rows that some states (S,) read."""
         rows = np.zeros(space.size, dtype=bool)
         rows[row[states]] = True
         return rows
 
+    # Rows that count, and rows of distributions.
     counts, choosing = read_by(model.asked), read_by(model.asked & ~model.indifferent)
     chances = array
-    if array.dtype.kind == "f":  # rounding leaves negative numbers
+    if array.dtype.kind == "f":  # rounding may leave small negative numbers
         chances = np.where((array < 0) & (array >= -FLOAT_ROW_TOLERANCE), 0, array)
     fits = are_distributions(chances, counts)
     wrong = counts & ~fits
-    if kind == "auto" and not counts.any():  # it is asked at other values of a parameter
+    # If no row counts here, some may count at other values of the parameters.
+    if kind == "auto" and not counts.any():
         wrong = ~fits & (offered.sum(axis=1) > 1)
     elif wrong.any() and (kind == "policy" or (kind == "auto" and choosing.any())):
         counts, wrong = choosing, choosing & ~fits
+    # Action values: take the greedy policy.
     if kind == "q" or (kind == "auto" and wrong.any()):
         rule = _choose_greedy(array, offered, counts, names, costs=costs)
         read = {"rule": rule, "values": array, "source": Q_TABLE}
         return {"space": space, "actions": actions, **read}
     if wrong.any():
         raise no_distribution(array[wrong][0].tolist(), space.label(int(np.flatnonzero(wrong)[0])))
+    # Probabilities. Without `kind`, rows that mix actions could also be action values.
     alone = ((chances == 1).sum(axis=1) == 1) & ((chances == 0).sum(axis=1) == array.shape[1] - 1)
     mixed: Flags = counts & ~np.asarray(alone, dtype=bool)
-    if kind == "auto" and costs and not mixed.any():  # a cost of 1 is not the least
+    # For costs the greedy action of such a row is not the action with 1.
+    if kind == "auto" and costs and not mixed.any():
         least = _choose_greedy(array, offered, counts, names, costs=True)
         mixed = choosing & np.asarray(array[np.arange(len(array)), least] != 1, dtype=bool)
     if kind == "auto" and mixed.any():
@@ -188,6 +206,7 @@ def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
             where=f"policy, {space.label(int(np.flatnonzero(mixed)[0]))}",
             fix=SAY,
         )
+    # A positive probability must not become 0 as a float.
     floats = np.where(fits[:, None], chances, 0).astype(np.float64)
     lost = fits & ((floats == 0) & np.asarray(chances != 0)).any(axis=1)
     if (lost & counts).any():
@@ -198,16 +217,16 @@ def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
 
 
 def no_distribution(row: list[Any], state: str) -> ModelError:
-    """Return the error for probabilities that are none."""
+    """Return the error for action probabilities that are not a distribution."""
     return ModelError(
         f"action probabilities are {row}, not a distribution",
         where=f"policy, {state}",
-        fix='make them at least 0, with sum 1; of a Q-table say kind="q"',
+        fix='make them at least 0, with sum 1; for a Q-table say kind="q"',
     )
 
 
 def too_small(where: str) -> ModelError:
-    """Return the error for a probability above 0 that would become 0 as a float."""
+    """Return the error for a positive probability that would be 0 as a float."""
     what = "a probability of an action is above 0, but smaller than any float"
     return ModelError(what, where=where, fix="give 0")
 
@@ -215,10 +234,12 @@ def too_small(where: str) -> ModelError:
 def find_table_axes(
     model: MDP, shape: tuple[int, ...]
 ) -> tuple[StateSpace, tuple[str, ...]] | None:
-    """Return what rows and columns of a table of some shape are over; None where none fits."""
-    space = space_of(model, shape[0]) if shape[1:] == (model.n_actions,) else None
-    if space is not None:
-        return space, model.actions
+    """Return the states of the rows and the actions of the columns of a table; None if none fit."""
+    if shape[1:] == (model.n_actions,):
+        space = space_of(model, shape[0])
+        if space is not None:
+            return space, model.actions
+    # A table over the status vectors has columns for the actions that are a choice somewhere.
     if "status" in model.space.names:
         column = model.space.column("status")
         numbers = np.unique(model.pair_action[~model.forced[model.pair_state]])
@@ -228,9 +249,8 @@ def find_table_axes(
 
 
 def _no_policy(model: MDP, array: Numbers, kind: str = "auto") -> ModelError:
-    """Return the error for an array that states no policy of this model."""
+    """Return the error for an array that is not a policy of this model, with advice."""
     shape, table = array.shape, f"({model.n_states}, {model.n_actions})"
-    turned = len(shape) == 2 and shape[0] == model.n_actions and space_of(model, shape[1])
     fix = (
         f"give {model.n_states} whole numbers of actions, or probabilities or action values in "
         f"an array {table}, a row for each state"
@@ -243,16 +263,13 @@ def _no_policy(model: MDP, array: Numbers, kind: str = "auto") -> ModelError:
         fix = "give array.astype(int), whole numbers of actions"
     elif shape[:1] > (model.n_states,) and any(column.objects for column in model.space.columns):
         fix += (
-            "; the model has the states that can be reached from its start: of more states give "
-            "{state: row}"
+            "; the model has only the states that can be reached from its start: for more states "
+            "give {state: row}"
         )
-    return ModelError(
-        f"an array of shape {shape} has a row for each action: it is the wrong way round"
-        if turned
-        else f"an array of shape {shape} and type {array.dtype} is no policy of this model",
-        where="policy",
-        fix=fix,
-    )
+    what = f"an array of shape {shape} and type {array.dtype} is not a policy of this model"
+    if len(shape) == 2 and shape[0] == model.n_actions and space_of(model, shape[1]):
+        what = f"an array of shape {shape} has a row for each action: it is the wrong way round"
+    return ModelError(what, where="policy", fix=fix)
 
 
 def _choose_greedy(
@@ -263,26 +280,30 @@ def _choose_greedy(
     *,
     costs: bool,
 ) -> Integers:
-    """Return (K,) the greedy actions of action values (K, A), -1 for rows that say nothing."""
+    """Return the greedy action of each row of action values (K, A); -1 for rows without one."""
     if values.dtype.kind in "iu":
-        values = values.astype(object)  # beside infinities, and without overflow
-    worst = "+inf" if costs else "-inf"
-    values = -values if costs else values
+        values = values.astype(object)  # as objects, they can be compared with infinity
+    given, worst = values, "-inf"
+    if costs:
+        values, worst = -values, "+inf"
+    # A row has no greedy action if a value is not a number, or if all actions are excluded.
     never: Flags = np.asarray(values == -np.inf, bool) | ~offered
     no_number = np.asarray((values != values) | (values == np.inf), bool) & offered
     silent: Flags = no_number.any(axis=1) | np.asarray(never.all(axis=1))
     if (silent & counts).any():
         row = int(np.flatnonzero(silent & counts)[0])
-        wrong = np.flatnonzero(no_number[row])[:1].tolist()
-        said = [
-            f"an action value is {'NaN' if x != x else -x if costs else x}" for x in values[row]
-        ]
-        raise ModelError(
-            said[wrong[0]] if wrong else f"every action offered has the value {worst}",
-            where=f"Q-table, {names[0](row)}{''.join(names[1][action] for action in wrong)}",
-            fix=f"give a number for every available action; {worst} for one never to be taken",
-        )
-    # Rows that do not count in this model may in another, at other values of its parameters.
+        what = f"every available action has the value {worst}"
+        where = f"Q-table, {names[0](row)}"
+        # Name the first action whose value is not a number.
+        for action in np.flatnonzero(no_number[row])[:1].tolist():
+            where += names[1][action]
+            value = given[row][action]
+            what = f"an action value is {value}"
+            if value != value:
+                what = "an action value is NaN"
+        fix = f"give a number for every available action; {worst} for one never to be taken"
+        raise ModelError(what, where=where, fix=fix)
+    # Rows that do not count here may count at other values of the parameters.
     chosen = np.argmax(np.where(offered & ~silent[:, None], values, -np.inf), axis=1)
     return np.asarray(np.where(offered[np.arange(len(chosen)), chosen] & ~silent, chosen, -1))
 
@@ -290,9 +311,9 @@ def _choose_greedy(
 def are_distributions(array: Numbers, asked: Flags) -> Flags:
     """Return (K,) True for rows that are distributions, up to the rounding of the rows `asked`.
 
-    A softmax of A numbers divides each by their sum: A - 1 additions and a division, each off by a
-    factor of 1 ± u at most. The quotients are rounded once more where they are stored or printed.
-    With n = A + 1 they sum to 1 up to n u / (1 - n u).
+    A softmax of A numbers divides each by their sum: A - 1 additions and a division, each with a
+    relative error of at most u. The quotients are rounded once more when they are stored or
+    printed. With n = A + 1, their sum is 1 up to n u / (1 - n u).
     """
     with np.errstate(invalid="ignore"):  # NaN is not a probability
         inside = np.asarray((array >= 0) & (array <= 1 + FLOAT_ROW_TOLERANCE), bool).all(axis=1)
@@ -302,64 +323,73 @@ def are_distributions(array: Numbers, asked: Flags) -> Flags:
     fits[inside] = off <= FLOAT_ROW_TOLERANCE
     if (asked & inside & ~fits).any():
         rounding = (array.shape[1] + 1) * _unit_roundoff(rows[asked[inside]])
-        fits[inside] |= off <= (rounding / (1 - rounding) if rounding < 1 else 0.0)
+        if rounding < 1:
+            fits[inside] |= off <= rounding / (1 - rounding)
     return fits
 
 
 def _unit_roundoff(numbers: Floats) -> float:
-    """Return u of the shortest type that holds all of some numbers, or prints them as they are."""
+    """Return the unit roundoff u of the shortest type that holds, or prints, all of the numbers.
+
+    It is 0 for doubles, which have no shorter type.
+    """
     single = numbers.astype(np.float32)
     if not np.array_equal(numbers, single):
-        return 2.0**-24 * np.array_equal(numbers, single.astype(str).astype(float))
+        if np.array_equal(numbers, single.astype(str).astype(float)):
+            return 2.0**-24
+        return 0.0
     if not (single.view(np.uint32) & 0xFFFF).any():  # a bfloat16 is the first half of a float32
         return 2.0**-8
-    return 2.0**-11 if np.array_equal(numbers, numbers.astype(np.float16)) else 2.0**-24
+    if np.array_equal(numbers, numbers.astype(np.float16)):
+        return 2.0**-11
+    return 2.0**-24
 
 
 def space_of(model: MDP, rows: int) -> StateSpace | None:
-    """Return the states that this many rows of a table stand for; None where no states fit.
+    """Return the states that a table with so many rows is over; None if no states fit.
 
-    All states; without some of the extra ones, where these offer no choice; or, where the first
-    column is the time, the states without it.
+    These are all states; or all without some of the extra states, if these have no choice; or the
+    states without the time, if that is the first column.
     """
     space = model.space
     if rows == space.size:
         return space
     if space.untimed is not None:
-        untimed = space.untimed
-        bare = StateSpace(columns=untimed.columns)
-        return untimed if rows == untimed.size else bare if rows == bare.size else None
+        for untimed in (space.untimed, StateSpace(columns=space.untimed.columns)):
+            if rows == untimed.size:
+                return untimed
+        return None
     if not space.regular <= rows < space.size or not model.forced[space.regular :].all():
         return None
     return StateSpace(columns=space.columns, extra=space.extra[: rows - space.regular])
 
 
 def space_over(model: MDP, names: Collection[str]) -> StateSpace:
-    """Return what some columns say of the states: the states themselves where all are named."""
+    """Return the space over some columns; the model's own space if all columns are named."""
     if set(names) >= set(model.space.names):
         return model.space
     return StateSpace(columns=tuple(map(model.space.column, names)))
 
 
 def rows_read(model: MDP, space: StateSpace) -> Integers:
-    """Return (S,) the row of a table over `space` that each state reads; 0 for extra ones."""
+    """Return (S,) the row of each state in a table over `space`; 0 for extra states."""
     if space.columns == model.space.columns and space.extra == model.space.extra:
         return np.arange(model.n_states)
     for column in space.columns:
         theirs = model.space.column(column.name)
-        if theirs != column:
-            raise ModelError(
+        if theirs == column:
+            continue
+        what = f"the values of column {column.name} have other names here than in the model"
+        if column.size != theirs.size:
+            what = (
                 f"column {column.name} has {column.size} values here and {theirs.size} in the model"
-                if column.size != theirs.size
-                else f"the values of column {column.name} have other names here than in the model",
-                where="policy",
-                fix="use a policy made for this model",
             )
+        raise ModelError(what, where="policy", fix="use a policy made for this model")
     return model.space.rows(space.columns)
 
 
 def _refuse_names(model: MDP, numbers: Numbers) -> None:
-    """Raise ModelError where action numbers may as well be names of actions, which differ."""
+    """Raise ModelError if action numbers may also be names of actions, and the two differ."""
     answers = np.unique(numbers).tolist()
     named = [model.action_names.words.get(str(number)) for number in answers]
     if None not in named and named != answers:
@@ -375,7 +405,9 @@ def _refuse_names(model: MDP, numbers: Numbers) -> None:
 def action_numbers(model: MDP, given: Numbers) -> Parts:
     """Return the policy of action numbers (S,) or (N, S), checked against the model's own."""
     numbers = flatten_times(model, np.asarray(given))
-    space = space_of(model, len(numbers)) if numbers.ndim == 1 else None
+    space = None
+    if numbers.ndim == 1:
+        space = space_of(model, len(numbers))
     if space is None or numbers.dtype.kind not in "iu":
         raise _no_policy(model, numbers)
     inside = (numbers >= 0) & (numbers < model.n_actions)
@@ -385,18 +417,20 @@ def action_numbers(model: MDP, given: Numbers) -> Parts:
 
 
 def flatten_times(model: MDP, table: Numbers) -> Numbers:
-    """Return a table (N, S) or (N, S, A) over times and states as one over all states.
+    """Return a table (N, S) or (N, S, A) over times and states as a table over all states.
 
-    Where the model's first column is not the time, or the shape is another, the table is returned
-    as it is. S are the states without their time, with or without the extra ones; time N, where
-    all is over, may be there as well or not.
+    A table of another shape, or for a model without time, is returned as it is. S are the states
+    without their time, with or without the extra states; the table may have rows for time N, when
+    every episode is over, or not.
     """
     untimed = model.space.untimed
     if untimed is None or table.ndim < 2:
         return table
     times, own = model.space.columns[0].size, untimed.regular
-    over = bool(model.forced[(times - 1) * own :].all())
-    steps = times - 1 if over else times
+    # At the last time there is usually no choice, so that the policy may leave it out.
+    steps = times
+    if model.forced[(times - 1) * own :].all():
+        steps = times - 1
     if table.shape[0] not in (steps, times) or table.shape[1] not in (own, untimed.size):
         return table
     spread = np.full((model.n_states, *table.shape[2:]), 0, dtype=table.dtype)
@@ -405,7 +439,11 @@ def flatten_times(model: MDP, table: Numbers) -> Numbers:
 
 
 def find_distinct_rows(rows: Numbers) -> tuple[Numbers, Integers]:
-    """Return the (U, K) different rows of (D, K), in order of appearance, and (D,) each row's."""
+    """Return the different rows (U, K) of an array (D, K), and the number (D,) of each row.
+
+    They are numbered in order of appearance.
+    """
+    # Only rows that differ from the row before are compared with all others.
     fresh = np.append(True, (rows[1:] != rows[:-1]).any(axis=1))[: len(rows)]
     known: dict[bytes, int] = {}
     number = [known.setdefault(row.tobytes(), len(known)) for row in rows[fresh]]

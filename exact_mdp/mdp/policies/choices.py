@@ -1,10 +1,11 @@
-"""Policies state by state: what a mapping, a function or a file says.
+"""Policies state by state: from a mapping, a function or a file.
 
 Each state has a choice: an action, {action: probability}, or a row of A numbers, which are
-probabilities or action values; of a Q-table {action: value} is a row, too. {(state, action):
-number} is a table of rows where it has every action offered, else {state: {action: number}}.
-`mdp.forms.names` says which state or action is meant; a list or an array is a row, and so is a
-tuple that is no action. In a file all is text: there the digits of a state are a number.
+probabilities or action values; in a Q-table {action: value} is a row as well. {(state, action):
+number} is a table of rows if it has all available actions, else {state: {action: number}}.
+`mdp.forms.names` states how to refer to a state or an action. A list or an array is a row, and so
+is a tuple that is not an action. Everything in a file is text: there the digits of a state are a
+number.
 """
 
 from __future__ import annotations
@@ -32,26 +33,30 @@ from exact_mdp.mdp.policies.arrays import Parts, numbers_of, policy_of_array, ro
 from exact_mdp.mdp.space import TIME, Column, StateSpace
 from exact_mdp.mdp.table import Numbers, as_float, exact
 
-PRINTED_TIME = re.compile(rf"{TIME} \d+, ")  # as printed; "time out" may be a name
+PRINTED_TIME = re.compile(rf"{TIME} \d+, ")  # in the printed form of a state
 WHOLE = re.compile(r"\s*-?(0|[1-9]\d{0,17})\s*", re.ASCII)
 Chances = dict[int, dict[int, Fraction]]
 """Probabilities of actions by the number of a combination of column values."""
 
 
 def of_mapping(model: MDP, entries: Mapping[Any, Any], kind: str = "auto") -> Parts:
-    """Return what is said of statuses, {status: action}, or of states."""
-    default = getattr(entries, "default_factory", None)  # of a defaultdict, which is not changed
+    """Return the policy of {status: choice} or {state: choice}."""
+    default = getattr(entries, "default_factory", None)  # a defaultdict has a choice for all others
     if "status" in model.space.names and not any("status " in str(key) for key in entries):
         space = StateSpace(columns=(model.space.column("status"),))
         number = _by_text(space.columns[0])
     else:
-        timed = any(PRINTED_TIME.match(str(key)) for key in entries)
-        space = model.space if timed else model.space.untimed or model.space
+        # A policy of states without a time is the same at every time.
+        space = model.space
+        if space.untimed is not None and not any(PRINTED_TIME.match(str(k)) for k in entries):
+            space = space.untimed
         number = space.number
     entries = _by_pair(model, space, number, entries) or _keep_reachable(space, entries)
     choices = once_each([(number(key), choice) for key, choice in entries.items()], space.label)
     if default is not None:
-        choices = {key: choices[key] if key in choices else default() for key in range(space.size)}
+        for key in range(space.size):
+            if key not in choices:
+                choices[key] = default()
     return _of_choices(model, space, choices, kind)
 
 
@@ -63,9 +68,9 @@ def _by_text(column: Column) -> Callable[[object], int]:
 def _by_pair(
     model: MDP, space: StateSpace, number: Callable[[object], int], entries: Mapping[Any, Any]
 ) -> dict[Any, Any]:
-    """Return {(state, action): number} as {state: {action: number}}; nothing for other entries.
+    """Return {(state, action): number} as {state: {action: number}}; {} for other entries.
 
-    Where it has every action that is offered it is a table: {state: row}, read as arrays are.
+    If it has all available actions it is a table, {state: row}, which is read like an array.
     """
     pairs = all(isinstance(key, tuple) and len(key) == 2 for key in entries)
     kinds = (int, float, Fraction, np.number)
@@ -77,10 +82,12 @@ def _by_pair(
         ]
     except ModelError:
         return {}
+    # Does every available action of a state with a choice have a number?
     rows = rows_read(model, space)[model.pair_state]
     asked = model.asked[model.pair_state]
     offered = zip(rows[asked].tolist(), model.pair_action[asked].tolist(), strict=True)
     complete = {*offered} <= {*each}
+    # The keys may themselves be states that are tuples.
     if all(map(space.lookup.can_find, entries)):
         if not complete:
             return {}  # {state: action}
@@ -91,41 +98,48 @@ def _by_pair(
                 fix="give {state: {action: number}}, or the names of actions: {state: action}",
             )
     table: dict[Any, dict[str, Any]] = {}
-    for (state, action), value in once_each(
-        zip(each, entries.values(), strict=True), lambda pair: space.label(pair[0])
-    ).items():
+    numbers = once_each(zip(each, entries.values(), strict=True), lambda pair: space.label(pair[0]))
+    for (state, action), value in numbers.items():
         table.setdefault(space.label(state), {})[model.actions[action]] = value
-    if complete:
-        return {s: [row.get(name, 0) for name in model.actions] for s, row in table.items()}
-    return table
+    if not complete:
+        return table
+    full: dict[Any, list[Any]] = {}
+    for state_label, row in table.items():
+        full[state_label] = [row.get(name, 0) for name in model.actions]
+    return full
 
 
 def _keep_reachable(space: StateSpace, entries: Mapping[Any, Any]) -> Mapping[Any, Any]:
-    """Return the entries of states; warn of those that a function's model did not reach."""
-    made = len(space.columns) == 1 and space.columns[0].objects
+    """Return the entries of known states; warn about states that the model does not reach."""
+    made = len(space.columns) == 1 and space.columns[0].objects  # the model is from functions
     others = [key for key in entries if isinstance(key, tuple) and not space.lookup.can_find(key)]
     if not made or not others or len(others) == len(entries):
         return entries
-    shown = ", ".join(map(str, others[:4])) + " …" * (len(others) > 4)
+    shown = ", ".join(map(str, others[:4]))
+    if len(others) > 4:
+        shown += " …"
     warnings.warn(
-        f"{len(others)} of {len(entries)} rows are not read, as their states are not in the model, "
-        f"which has those that can be reached from its start: {shown}",
+        f"{len(others)} of {len(entries)} rows are not read: their states are not in the model, "
+        f"which has only the states that can be reached from its start: {shown}",
         stacklevel=2,
     )
     return {key: choice for key, choice in entries.items() if key not in {*others}}
 
 
 def of_function(model: MDP, ask: Callable[[Any], Any], kind: str = "auto") -> Parts:
-    """Return what a function answers for each state with a choice.
+    """Return the policy that a function gives, called for each state with a choice.
 
-    It is given the object that the state is, where the model was made of such; else its name; else
-    its number.
+    The argument of the function is the object of the state, if the model was made from objects;
+    else the name of the state; without names its number.
     """
     space = model.space.untimed or model.space
-    column = space.columns[0] if len(space.columns) == 1 else None
     choices = {}
     for state in np.unique(rows_read(model, space)[model.asked]).tolist():
-        choices[state] = ask(column.thing(state) if column and state < column.size else state)
+        thing = state
+        if len(space.columns) == 1 and state < space.columns[0].size:
+            thing = space.columns[0].thing(state)
+        choices[state] = ask(thing)
+        # Answers of functions that forget to return, and of agents that also return their state.
         if choices[state] is None:
             raise ModelError(
                 "the function returns None",
@@ -142,38 +156,40 @@ def of_function(model: MDP, ask: Callable[[Any], Any], kind: str = "auto") -> Pa
 
 
 def _is_answer_of_agent(model: MDP, choice: Any) -> bool:
-    """Return whether an answer is a pair of an action and what an agent remembers, or None."""
-    pair = (
-        isinstance(choice, tuple) and len(choice) == 2 and not model.action_names.has_name(choice)
-    )
-    return pair and (choice[1] is None or (np.ndim(choice[0]) == 0) != (np.ndim(choice[1]) == 0))
+    """Return whether an answer is a pair: an action and the internal state of an agent, or None."""
+    if not isinstance(choice, tuple) or len(choice) != 2 or model.action_names.has_name(choice):
+        return False
+    action, memory = choice
+    return memory is None or (np.ndim(action) == 0) != (np.ndim(memory) == 0)
 
 
 def _of_choices(model: MDP, space: StateSpace, choices: Mapping[int, Any], kind: str) -> Parts:
-    """Return the policy of the choice of each state, by number."""
-    choices = {key: convert_tensors(choice) for key, choice in choices.items()}
-    for choice in choices.values():
+    """Return the policy of {row number: choice}."""
+    read: dict[int, Any] = {}
+    for key, choice in choices.items():
+        choice = convert_tensors(choice)
         refuse_masked(choice, "policy")
-    if kind == "q":
-        choices = {
-            key: _read_action_values(model, space, key, choice)
-            if isinstance(choice, Mapping)
-            else choice
-            for key, choice in choices.items()
-        }
+        if kind == "q" and isinstance(choice, Mapping):
+            choice = _read_action_values(model, space, key, choice)
+        read[key] = choice
+    choices = read
+    # Rows of numbers make a table, which is read like an array.
     if choices and all(_is_row(model, choice, kind) for choice in choices.values()):
         table = np.full((space.size, model.n_actions), np.nan, dtype=object)
         for key, row in choices.items():
             if len(row) != model.n_actions:
-                raise ShapeError(
-                    f"a row of {len(row)} numbers",
-                    where=f"policy, {space.label(key)}",
-                    fix=f"give one for each of the {model.n_actions} actions"
-                    + "; the action itself is the first entry of the row: [0]" * (len(row) == 1),
-                )
-            table[key] = [exact(x) if isinstance(x, str) else x for x in row]
+                fix = f"give one for each of the {model.n_actions} actions"
+                if len(row) == 1:
+                    fix += "; the action itself is the first entry of the row: [0]"
+                where = f"policy, {space.label(key)}"
+                raise ShapeError(f"a row of {len(row)} numbers", where=where, fix=fix)
+            for action, number in enumerate(row):
+                if isinstance(number, str):
+                    number = exact(number)
+                table[key, action] = number
         _check_complete(model, space, choices)
         return policy_of_array(model, numbers_of(table), kind)
+    # Otherwise each choice is an action, or {action: probability}.
     chances, names = Chances(), model.action_names
     for key, choice in choices.items():
         with locate_errors(space.label(key)):
@@ -192,7 +208,7 @@ def _of_choices(model: MDP, space: StateSpace, choices: Mapping[int, Any], kind:
 def _read_action_values(
     model: MDP, space: StateSpace, key: int, choice: Mapping[Any, Any]
 ) -> list[Any]:
-    """Return the row of action values that {action: value} is; NaN for actions not offered."""
+    """Return {action: value} as a row of action values; NaN for unavailable actions."""
     names = model.action_names
     with locate_errors(space.label(key)):
         values = once_each(
@@ -200,21 +216,26 @@ def _read_action_values(
         )
         states = np.flatnonzero((rows_read(model, space) == key) & model.asked)
         offered = np.unique(model.pair_action[np.isin(model.pair_state, states)])
-        if lost := [model.actions[action] for action in offered.tolist() if action not in values]:
+        lost = [model.actions[action] for action in offered.tolist() if action not in values]
+        if lost:
             raise ModelError(
-                f"there is no value of {', '.join(lost)}",
-                fix="give one for every action that is offered; -inf for one never to be taken",
+                f"there is no value for {', '.join(lost)}",
+                fix="give one for every available action; -inf for one never to be taken",
             )
     return [values.get(action, np.nan) for action in range(model.n_actions)]
 
 
 def _unwrap_action(choice: Any) -> Any:
-    """Return an action, of an array without dimensions the number in it."""
-    choice = choice.item() if isinstance(choice, np.ndarray) and not choice.ndim else choice
-    return tuple(choice) if isinstance(choice, list | np.ndarray) else choice
+    """Return an action as a number, name or tuple; it may be given as an array or a list."""
+    if isinstance(choice, np.ndarray) and not choice.ndim:
+        return choice.item()
+    if isinstance(choice, list | np.ndarray):
+        return tuple(choice)
+    return choice
 
 
 def _parse_probability(value: object) -> Fraction:
+    """Return a probability exactly; raise ModelError if it is positive, but 0 as a float."""
     number = exact(value)
     if number and not as_float(number):
         raise too_small("")
@@ -222,13 +243,20 @@ def _parse_probability(value: object) -> Fraction:
 
 
 def _is_row(model: MDP, choice: Any, kind: str) -> bool:
-    """Return whether a choice is a row of numbers: a list, or a tuple that is no action."""
+    """Return whether a choice is a row of numbers: a list, or a tuple that is not an action."""
     if not isinstance(choice, list | tuple | np.ndarray) or not np.ndim(choice):
         return False
-    row = tuple(choice.tolist() if isinstance(choice, np.ndarray) else choice)
-    # (0.0, 1.0) equals (0, 1), the action that "(0, 1)" is the text of.
-    whole = tuple(int(x) if is_number(x) and integer_of(x) is not None else x for x in row)
-    action, equal = map(model.action_names.has_name, (row, whole))
+    if isinstance(choice, np.ndarray):
+        row = tuple(choice.tolist())
+    else:
+        row = tuple(choice)
+    # (0.0, 1.0) equals (0, 1), and may be the action with the name "(0, 1)".
+    whole = []
+    for number in row:
+        if is_number(number) and integer_of(number) is not None:
+            number = int(number)
+        whole.append(number)
+    action, equal = map(model.action_names.has_name, (row, tuple(whole)))
     if isinstance(choice, tuple) and action:
         return False
     if kind == "auto" and (action or equal):
@@ -241,12 +269,14 @@ def _is_row(model: MDP, choice: Any, kind: str) -> bool:
 
 
 def _of_chances(model: MDP, space: StateSpace, chances: Chances) -> Parts:
-    """Return the policy; raises ModelError where a combination that a choice reads is missing."""
+    """Return the policy; raise ModelError if a row that a state with a choice reads is missing."""
     _check_complete(model, space, chances)
-    floats = all(float(chance) == chance for row in chances.values() for chance in row.values())
-    table: Numbers = np.full(
-        (space.size, model.n_actions), np.nan, dtype=np.float64 if floats else object
-    )
+    # Floats suffice if they hold all probabilities exactly.
+    kind: type = np.float64
+    for row in chances.values():
+        if not all(float(chance) == chance for chance in row.values()):
+            kind = object
+    table: Numbers = np.full((space.size, model.n_actions), np.nan, dtype=kind)
     for key, row in chances.items():
         table[key] = 0
         for action, chance in row.items():
@@ -255,14 +285,16 @@ def _of_chances(model: MDP, space: StateSpace, chances: Chances) -> Parts:
 
 
 def _check_complete(model: MDP, space: StateSpace, said: Iterable[int]) -> None:
-    """Raise ModelError where nothing is said of a row that a state with a choice reads."""
+    """Raise ModelError unless `said` has all rows that states with a choice read."""
     keys = rows_read(model, space)
     silent = np.ones(space.size, dtype=bool)
     silent[list(said)] = False
     missing = silent[keys] & model.asked
     if missing.any():
         lost = sorted(set(keys[missing].tolist()))
-        shown = "; ".join(space.labels(lost[:4])) + (" …" if len(lost) > 4 else "")
+        shown = "; ".join(space.labels(lost[:4]))
+        if len(lost) > 4:
+            shown += " …"
         raise ModelError(
             f"{len(lost)} of {space.size} rows are missing: {shown}", fix="add one for each"
         )
@@ -272,22 +304,27 @@ def _check_complete(model: MDP, space: StateSpace, said: Iterable[int]) -> None:
 
 
 def of_file(model: MDP, path: str | Path, kind: str = "auto") -> Parts:
-    """Return what a `.json` or `.csv` file says, or JSON in standard input; see `Policy.of`."""
+    """Return the policy in a `.json` or `.csv` file, or JSON from standard input."""
     where, suffix = str(path), Path(path).suffix.lower()
     if suffix == ".csv":
         return _of_csv(model, read_text(path))
     if suffix != ".json" and where != STANDARD_INPUT:
-        raise ModelError(
-            f"cannot read {suffix}" if suffix and isfile(path) else f"unknown policy {where!r}",
-            fix=f"did you mean always:{where}?"
-            if where in model.actions
-            else "give random, always:ACTION, or a .json, .csv, .npy or .npz file; the optimal "
-            "policy is solve(mdp).policy, on the command line optimal",
+        what = f"unknown policy {where!r}"
+        if suffix and isfile(path):
+            what = f"cannot read {suffix}"
+        fix = (
+            "give random, always:ACTION, or a .json, .csv, .npy or .npz file; the optimal policy "
+            "is solve(mdp).policy, on the command line optimal"
         )
+        if where in model.actions:
+            fix = f"did you mean always:{where}?"
+        raise ModelError(what, fix=fix)
     content = json_of(read_text(path), where, parse_float=str, parse_int=_parse_digits)
     by_status = "status" in model.space.names
     if not isinstance(content, dict):
-        first = "0000" if by_status else "0"
+        first = "0"
+        if by_status:
+            first = "0000"
         example = json.dumps({first: model.actions[0]}, ensure_ascii=False)
         raise ModelError("the file is not a JSON object", fix=f"write {example[:-1]}, …}}")
     if not by_status:
@@ -296,21 +333,30 @@ def of_file(model: MDP, path: str | Path, kind: str = "auto") -> Parts:
 
 
 def _parse_digits(text: str) -> Any:
-    """Return the number that the digits of a file are, other text as it is."""
-    return int(text) if WHOLE.fullmatch(text) else text
+    """Return a text of digits as an int, and other text as it is."""
+    if WHOLE.fullmatch(text):
+        return int(text)
+    return text
 
 
 def _of_csv(model: MDP, text: str) -> Parts:
+    """Return the policy in a CSV file: state columns, action and, optionally, probability."""
     rows = csv_of(io.StringIO(text))
     _, given = next(rows, (0, []))
     header = [name.strip() for name in given]
     columns = [name for name in header if name not in ("action", "probability")]
     by_state = columns == ["state"] and "state" not in model.space.names
-    known = [*(columns if by_state else model.space.names), "action", "probability"]
+    # The header has columns of the state, or one column `state`; and the action.
+    known = ["action", "probability", *model.space.names]
+    if by_state:
+        known = ["action", "probability", "state"]
     wrong = [name for name in header if name not in known]
     if wrong or "action" not in header or not columns or len(set(header)) != len(header):
+        what = f"the header is {','.join(header)!r}"
+        if wrong:
+            what = f"unknown column {wrong[0]!r}"
         raise ModelError(
-            f"unknown column {wrong[0]!r}" if wrong else f"the header is {','.join(header)!r}",
+            what,
             fix=f"write {','.join([*model.space.names, 'action'])}, or some of these columns; "
             'numbers alone are a Q-table: np.save("q_table.npy", q_table)',
         )
@@ -338,7 +384,7 @@ def _of_csv(model: MDP, text: str) -> Parts:
 
 
 def state_names(space: StateSpace) -> list[str]:
-    """Return a name for each state."""
+    """Return a name for each state: its word, or its printed form."""
     if len(space.columns) == 1:
         column = space.columns[0]
         return [*(column.label(value) for value in range(column.size)), *space.extra]
@@ -346,18 +392,19 @@ def state_names(space: StateSpace) -> list[str]:
 
 
 def of_every_state(mdp: MDP, said: Sequence[Any]) -> dict[str, Any]:
-    """Return what is said of every state: by status where that alone decides, else by state.
+    """Return the choices of a policy, one for each state, as a mapping for a file.
 
-    Both are policies that a file may hold.
+    The keys are statuses if the choice depends on the status only, else names of states.
     """
     if "status" in mdp.space.names:
         column = mdp.space.column("status")
         status = mdp.space.values("status")
         asked = np.flatnonzero(mdp.asked & (status >= 0)).tolist()
         each = [(column.label(int(status[state])), said[state]) for state in asked]
-        by_label = {
-            column.label(value): said[mdp.space.index(status=value)] for value in range(column.size)
-        }
+        # A status without a state with a choice gets the choice of its first state.
+        by_label = {}
+        for value in range(column.size):
+            by_label[column.label(value)] = said[mdp.space.index(status=value)]
         by_label |= dict(each)
         if all(by_label[label] == one for label, one in each):
             return by_label
@@ -372,20 +419,28 @@ def write_policy(
         raise ModelError("a policy is written as .csv", where=str(path), fix="name it .csv")
     if not space.names:
         raise ModelError(
-            "the policy reads no column of the state",
+            "the policy is the same in all states",
             where=str(path),
             fix="name it as always:ACTION instead",
         )
+    # The words of a state are its column values, or its printed form if these are ambiguous.
     labels = {key: [*space.as_dict(key).values()] for key in rows}
     if len(space.names) == 1 and space.columns[0].words:
         read = [space.lookup.can_find(_parse_digits(words[0])) for words in labels.values()]
-        if not all(read):  # a name that may be the number of another state
+        if not all(read):  # a name may also be the number of another state
             labels = {key: [space.label(key)] for key in rows}
+    # Only a mixed policy needs the column of probabilities.
     mixed = any(len(taken) > 1 for taken in rows.values())
+    header = [*space.names, "action"]
+    if mixed:
+        header.append("probability")
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow([*space.names, "action", *["probability"] * mixed])
+    writer.writerow(header)
     for key, taken in rows.items():
         for action, chance in taken.items():
-            writer.writerow([*labels[key], action, *[str(chance)] * mixed])
+            line = [*labels[key], action]
+            if mixed:
+                line.append(str(chance))
+            writer.writerow(line)
     write_atomically(path, out.getvalue())

@@ -1,8 +1,8 @@
-"""Policies: what to do, by some of the state's named columns; deterministic or mixed.
+"""Policies: an action, or probabilities of actions, for each combination of some state columns.
 
-A policy reads columns of the state (the status alone; status and trial; all of them) and gives
-each action a probability. States with a single action (*skip*, the end) are outside its say:
-that action is taken there.
+A policy reads columns of the state (only the status; status and trial; all of them) and gives each
+action a probability. In states with a single action (*skip*, the end) the policy has no effect:
+that action is taken.
 """
 
 from __future__ import annotations
@@ -59,34 +59,33 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 ReadAs = Literal["q", "policy"]
-WIDEST = 16  # bytes of a number in an array
 MODEL = "give an MDP first, then the policy; a scenario is compiled: scenario.compile()"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Policy(ByFields, NDArrayOperatorsMixin):
-    """π(a | columns): what to do for each combination of column values.
+    """A policy π(a | columns): an action, or probabilities, for each combination of column values.
 
-    A policy is an array, too, that of its `rule`: in indexing, `len`, iteration, arithmetic, in
-    functions of NumPy, and with the methods of an array. Comparison is by element.
+    A policy also works as the array `rule`: in indexing, `len`, iteration, arithmetic, NumPy
+    functions, and with the methods of an array. Comparison is by element.
 
     Attributes
     ----------
     space : StateSpace
-        The columns that the policy reads, in row-major order; its extra states are read as well
-        where the policy is one over all states.
+        The columns that the policy reads, in row-major order, with the extra states if the policy
+        is over all states.
     actions : tuple of str
     rule : (K,) int or (K, A) float
-        Action numbers of a deterministic policy, -1 where it gives none; else probabilities of
-        actions, NaN in rows that give none, which is an error only where one is needed. Exact
-        numbers (Fractions, "p/q") are rounded here and kept in `shares`.
+        Action numbers of a deterministic policy, -1 in rows without an action; else probabilities
+        of actions, NaN in rows without an action, which is an error only if the action is needed.
+        Exact numbers (Fractions, "p/q") are rounded here and kept in `shares`.
     shares : (K, A) integers, optional
-        Whole numbers in proportion to the exact probabilities of each row, 0 in rows that say
-        nothing. None where the floats of `rule` are what was given.
+        Whole numbers in proportion to the exact probabilities of each row, 0 in rows without an
+        action. None if the floats of `rule` are exact.
     values : (K, A), optional
-        The action values as they are, where the policy is the greedy one of a Q-table.
+        The action values, if the policy is the greedy policy of a Q-table.
     source : str
-        What the policy was read from, in words, where that was a two-dimensional array.
+        The meaning of the two-dimensional array from which the policy was read, if any, in words.
 
     Examples
     --------
@@ -114,7 +113,10 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         given: Numbers = np.asarray(self.rule)
         numbers = given.ndim == 1 and given.dtype.kind in "iu"
         shape = (self.space.size, len(self.actions))
-        if given.shape != (shape[:1] if numbers else shape):
+        expected: tuple[int, ...] = shape
+        if numbers:
+            expected = shape[:1]
+        if given.shape != expected:
             raise ModelError(
                 f"a policy table of shape {given.shape}, not {shape}",
                 where="policy",
@@ -132,7 +134,8 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         object.__setattr__(self, "shares", shares)
 
     def _normalize_table(self, given: Numbers) -> tuple[Numbers, Numbers | None]:
-        """Return the rule of a table, action numbers where they say it all, and its shares."""
+        """Return the rule of a table of probabilities and its shares; action numbers if it can."""
+        # Every row is a distribution, or empty (NaN).
         table = float_array(given, "policy")
         silent = np.asarray(np.isnan(table).all(axis=1))
         wrong = ~silent & ~are_distributions(given, ~silent)
@@ -140,17 +143,19 @@ class Policy(ByFields, NDArrayOperatorsMixin):
             row = int(np.flatnonzero(wrong)[0])
             raise no_distribution(table[row].tolist(), self.space.label(row))
         total = table.sum(axis=1, keepdims=True)
-        short = (np.abs(total - 1) > FLOAT_ROW_TOLERANCE).any()  # rows of a shorter type
+        # Rows of a shorter type than double are divided by their sums.
+        short = (np.abs(total - 1) > FLOAT_ROW_TOLERANCE).any()
         shares = _compute_proportions(given, table, exactly=short)
         if short:
             table /= np.where(silent[:, None], 1.0, total)
+        # A policy with one action in each row is deterministic.
         alone = (table == 1).any(axis=1) & (np.count_nonzero(table, axis=1) == 1)
         if (alone | silent).all():
             return np.where(silent, -1, (table == 1).argmax(axis=1)), None
         return table, shares
 
     def __repr__(self) -> str:
-        over = ", ".join(self.columns) or "no column"
+        over = ", ".join(self.columns) or "no column"  # a policy that is the same everywhere
         if not self.deterministic:
             return f"Policy(mixed {self.shape}, over {over})"
         return f"Policy({np.array2string(self.rule, threshold=20, edgeitems=8)}, over {over})"
@@ -161,7 +166,11 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         return np.array(self.rule, dtype=dtype, copy=copy)
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **settings: Any) -> Any:
-        plain = [given.rule if isinstance(given, Policy) else given for given in inputs]
+        plain = []
+        for given in inputs:
+            if isinstance(given, Policy):
+                given = given.rule
+            plain.append(given)
         return getattr(ufunc, method)(*plain, **settings)
 
     def __len__(self) -> int:
@@ -181,7 +190,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         return getattr(self.rule, name)
 
-    # ---- what it says ------------------------------------------------------------------------
+    # ---- actions and probabilities -----------------------------------------------------------
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -190,12 +199,12 @@ class Policy(ByFields, NDArrayOperatorsMixin):
 
     @property
     def deterministic(self) -> bool:
-        """True where every row has a single action."""
+        """True if every row has a single action."""
         return self.rule.ndim == 1
 
     @cached_property
     def table(self) -> Floats:
-        """(K, A) probabilities of actions; NaN in rows that say nothing."""
+        """(K, A) probabilities of actions; NaN in rows without an action."""
         if not self.deterministic:
             return self.rule
         table = np.zeros((len(self.rule), len(self.actions)))
@@ -207,14 +216,16 @@ class Policy(ByFields, NDArrayOperatorsMixin):
 
     @property
     def read_as(self) -> ReadAs:
-        """What was read: "q" for a Q-table, of which this is the greedy policy, or "policy"."""
-        return "q" if self.source == Q_TABLE else "policy"
+        """The kind of the input: "q" for a Q-table, with this greedy policy, or "policy"."""
+        if self.source == Q_TABLE:
+            return "q"
+        return "policy"
 
     def frame(self) -> DataFrame:
-        """Return one row for each combination of the columns that the policy reads, by label.
+        """Return the policy as a table with one row for each combination of column values.
 
-        It has the action, or the probability of each action where the policy mixes them; None and
-        NaN where it says nothing.
+        It has a column with the action, or, for a mixed policy, a column with the probability of
+        each action; None or NaN in rows without an action.
 
         Examples
         --------
@@ -229,20 +240,23 @@ class Policy(ByFields, NDArrayOperatorsMixin):
     def _frame_rows(self, first: int) -> DataFrame:
         rows = data_frame([dict(self.space.as_dict(row)) for row in range(first)]).fillna("")
         if self.deterministic:
-            chosen = self.rule[:first].tolist()
-            return rows.assign(action=[self.actions[a] if a >= 0 else None for a in chosen])
-        mixed = [
-            self._list_probabilities(row) or [np.nan] * len(self.actions) for row in range(first)
-        ]
+            names = [*self.actions, None]  # number -1 stands for no action
+            return rows.assign(action=[names[number] for number in self.rule[:first].tolist()])
+        missing = [np.nan] * len(self.actions)
+        mixed = [self._list_probabilities(row) or missing for row in range(first)]
         return rows.join(data_frame(mixed, columns=list(self.actions)))
 
     def _list_probabilities(self, row: int) -> list[Any]:
-        """Return the probability of each action in a row, exact; nothing where it says nothing."""
+        """Return the exact probability of each action in a row; [] for a row without an action."""
         if self.shares is None:
-            chances = self.table[row].tolist()
-            return [] if np.isnan(chances).all() else chances
+            chances: list[Any] = self.table[row].tolist()
+            if np.isnan(chances).all():
+                return []
+            return chances
         total = int(sum(self.shares[row]))
-        return [Fraction(int(share), total) for share in self.shares[row]] if total else []
+        if not total:
+            return []
+        return [Fraction(int(share), total) for share in self.shares[row]]
 
     def _repr_html_(self) -> str:
         few = self._frame_rows(min(len(self), ROWS_SHOWN))
@@ -254,29 +268,31 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         Raises
         ------
         ModelError
-            Where the policy gives no action for a state with a choice, or takes an action that the
-            state does not offer.
+            If the policy gives no action for a state with a choice, or takes an action that is not
+            available in the state.
         """
         return self._fill_weights(require_type(model, MDP, "model", MODEL))[0]
 
     def undecided(self, model: MDP) -> NDArray[np.bool_]:
-        """Return (S,) True for states with a choice in which the policy does not say what it does.
+        """Return (S,) True for states with a choice for which the policy gives no action.
 
-        These are states where that does not matter in this model: all is over, or all actions are
-        alike. `weights` takes the first action there.
+        In these states the action does not matter: the episode is over, or all actions have the
+        same outcomes. `weights` takes the first action there.
         """
         return np.asarray(
             self._fill_weights(require_type(model, MDP, "model", MODEL))[1] & ~model.forced
         )
 
     def _fill_weights(self, model: MDP) -> tuple[Floats, NDArray[np.bool_]]:
-        """Return weights (L,), and (S,) True where these are not the policy's own."""
+        """Return weights (L,), and (S,) True where they are filled in, since they do not matter."""
         weights, wanted = self._by_pair(model, self.rule)
         first = model.pair_offsets[:-1]
+        # Most policies are deterministic and give an available action for each state.
         if self.deterministic and self.space.extra == model.space.extra:
             taken = np.flatnonzero(weights == 1)
             if np.array_equal(model.pair_state[taken], np.arange(model.n_states)):
                 return weights, np.zeros(model.n_states, dtype=bool)
+        # In states with a single action, and in extra states, the policy has no effect.
         weights = weights.astype(np.float64)
         offered = np.add.reduceat((weights > 0).astype(np.int64), first)
         if self.space.extra != model.space.extra:
@@ -284,8 +300,8 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         weights[model.forced[model.pair_state]] = 1.0
         total = np.add.reduceat(weights, first)
         bad = ~(np.abs(total - 1) <= FLOAT_ROW_TOLERANCE)
-        bad |= (offered < wanted) & ~model.forced  # however rarely it is taken
-        # What is done where all is over does not matter: it may be left open.
+        bad |= (offered < wanted) & ~model.forced  # some action is not available
+        # Actions in states where the episode is over, or all actions are alike, may be missing.
         ended = bad & model.over
         if (bad & ~ended).any():
             ended |= bad & model.indifferent
@@ -294,10 +310,11 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         if (bad & ~ended).any():
             state = int(np.flatnonzero(bad & ~ended)[0])
             names = [model.actions[model.pair_action[pair]] for pair in model.pairs_of(state)]
+            what = "the policy takes an action that is not available"
+            if np.isnan(total[state]):
+                what = "the policy gives no action for a state with a choice"
             raise ModelError(
-                "the policy gives no action for a state with a choice"
-                if np.isnan(total[state])
-                else "the policy takes an action that is not available",
+                what,
                 where=model.space.place(state),
                 fix=f"choose one of {', '.join(names)} there",
             )
@@ -306,7 +323,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
     def weights_exact(self, model: MDP) -> Numbers | None:
         """Return (L,) whole numbers in proportion to the exact probability of each pair.
 
-        None where the floats of `weights`, divided by their exact sum, are exact.
+        None if the floats of `weights`, divided by their exact sum, are exact.
 
         Examples
         --------
@@ -318,15 +335,21 @@ class Policy(ByFields, NDArrayOperatorsMixin):
             return None
         taken = self.weights(model) > 0
         weights, _ = self._by_pair(model, self.shares)
-        # Where there is no choice, or all has ended, the policy is not asked.
+        # Where `weights` are not the policy's own, they are 1 for a single pair.
         other = np.logical_or.reduceat((weights > 0) != taken, model.pair_offsets[:-1])
-        alone = taken.astype(np.int64).astype(weights.dtype)  # whole numbers, among objects as well
+        alone = taken.astype(np.int64).astype(weights.dtype)  # integers, also if they are objects
         return np.where(other[model.pair_state], alone, weights)
 
     def _by_pair(self, model: MDP, rule: Numbers) -> tuple[Numbers, Integers]:
-        """Return (L,) what a rule gives each pair, and (S,) how many actions each state takes."""
-        keys, places = rows_read(model, self.space), {n: k for k, n in enumerate(model.actions)}
-        columns = [places[n] if n in places else model.action(n) for n in self.actions]
+        """Return the entry of `rule` for each pair (L,), and the number of actions taken (S,)."""
+        # Find the row of each state and the model's number of each action.
+        keys = rows_read(model, self.space)
+        places = {name: number for number, name in enumerate(model.actions)}
+        columns = []
+        for name in self.actions:
+            if name not in places:
+                places[name] = model.action(name)
+            columns.append(places[name])
         if rule.ndim == 1:
             chosen = np.array([*columns, -1])[rule][keys]
             weights: Numbers = (model.pair_action == chosen[model.pair_state]).astype(np.float64)
@@ -338,7 +361,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         return by_action[keys[model.pair_state], model.pair_action], wanted
 
     def silent(self, model: MDP) -> NDArray[np.bool_]:
-        """Return (S,) True where a state has a choice and the policy says nothing of it."""
+        """Return (S,) True for states with a choice for which the policy has no action."""
         said = self._by_pair(model, self.rule)[0]
         nothing = np.logical_or.reduceat(np.isnan(said), model.pair_offsets[:-1])
         if self.space.extra != model.space.extra:
@@ -346,7 +369,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         return np.asarray(nothing & ~model.forced)
 
     def choices(self, model: MDP) -> Integers:
-        """Return (S,) the likeliest action of every state, the lowest number on a tie."""
+        """Return (S,) the most likely action of each state, the lowest number on a tie."""
         weights = self.weights(model)
         best = np.maximum.reduceat(weights, model.pair_offsets[:-1])
         first = np.where(weights == best[model.pair_state], np.arange(model.n_pairs), model.n_pairs)
@@ -356,22 +379,22 @@ class Policy(ByFields, NDArrayOperatorsMixin):
 
     @classmethod
     def of(cls, model: MDP, policy: PolicyLike, *, kind: str = "auto") -> Policy:
-        """Return a policy from any form that the toolkit takes.
+        """Return a policy from any form that the toolkit accepts.
 
         Parameters
         ----------
         model : MDP
         policy : PolicyLike
-            A policy; "random", "always:ACTION" or a file; {status: action}, or {state: action},
-            {action: probability} or a row of A numbers in place of an action, or, with kind="q",
-            {action: value}; {(state, action): number}, a table; a function of a state that returns
-            one of these; (S,) action numbers; a two-dimensional array of probabilities or action
-            values; anything with a `policy`.
-            Where the model stops after N steps (`MDP.within`), S may be the states without their
-            time, and (N, S) and (N, S, A) depend on time.
+            A policy; "random", "always:ACTION" or a file; {status: action} or {state: action}, in
+            which the action may also be {action: probability}, a row of A numbers, or, with
+            kind="q", {action: value}; {(state, action): number}, a table; a function of a state
+            that returns one of these; (S,) action numbers; a two-dimensional array of probabilities
+            or action values; any object with an attribute `policy`.
+            If the model stops after N steps (`MDP.within`), S may be the states without their time,
+            and arrays (N, S) and (N, S, A) depend on time.
         kind : "auto", "q" or "policy"
-            What an array or a dictionary of numbers holds; `mdp.policies.arrays` states the rule of
-            "auto" for arrays.
+            The meaning of an array or a dictionary of numbers; `mdp.policies.arrays` states the
+            rule of "auto" for arrays.
 
         Returns
         -------
@@ -380,7 +403,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         Raises
         ------
         ModelError
-            For what does not fit the model; where an array may be either, and they differ.
+            If the policy does not fit the model, or an array is ambiguous.
 
         Examples
         --------
@@ -394,6 +417,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         """
         require_type(model, MDP, "model", MODEL)
         require_known_name(kind, KINDS, "kind of array", "kind")
+        # Agents and networks of other libraries are callable, but not functions of a state.
         if callable(getattr(policy, "predict", None)):
             raise ModelError(
                 f"{type(policy).__name__} is an agent, not a policy",
@@ -404,7 +428,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
             raise ModelError(
                 f"{type(policy).__name__} is a network, not a policy",
                 where="policy",
-                fix="give a function that makes its input of a state: lambda state: "
+                fix="give a function that makes the network's input from a state: lambda state: "
                 "net(encode(state)).argmax()",
             )
         policy_read = cls._read_policy(model, policy, kind)
@@ -419,6 +443,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
 
     @classmethod
     def _read_policy(cls, model: MDP, given: Any, kind: str) -> Policy:
+        """Return a policy from any form; see `of`, which checks the kind."""
         if isinstance(given, Policy):
             return given
         if hasattr(given, "policy"):
@@ -433,7 +458,8 @@ class Policy(ByFields, NDArrayOperatorsMixin):
                 return cls(space=StateSpace(columns=()), actions=model.actions, rule=number)
             with locate_errors(str(given)):
                 if Path(given).suffix.lower() in (".npy", ".npz"):
-                    most = max(LARGE, WIDEST * model.n_states * model.n_actions)
+                    # A number of an array takes at most 16 bytes.
+                    most = max(LARGE, 16 * model.n_states * model.n_actions)
                     array = read_array(given, called="q", most=most)
                     return cls(**of_given_array(model, array, kind))
                 return cls(**reading.of_file(model, given, kind))
@@ -442,10 +468,12 @@ class Policy(ByFields, NDArrayOperatorsMixin):
                 return cls(**reading.of_mapping(model, given, kind))
             if callable(given):
                 return cls(**reading.of_function(model, given, kind))
-            rows = given if isinstance(given, list | tuple) else ()
-            if any(isinstance(row, tuple) and model.action_names.has_name(row) for row in rows):
+            rows: list[Any] = []
+            if isinstance(given, list | tuple):
+                rows = [row for row in given if isinstance(row, tuple)]
+            if any(map(model.action_names.has_name, rows)):
                 raise ModelError(
-                    "the list may be of actions, or of rows of numbers, which differ",
+                    "the list may hold actions, or rows of numbers, which differ",
                     fix="give {state: action}, or np.array(rows)",
                 )
             return cls(**of_given_array(model, numbers_of(given), kind))
@@ -453,37 +481,45 @@ class Policy(ByFields, NDArrayOperatorsMixin):
     @classmethod
     def _read_solution(cls, model: MDP, given: Any, kind: str) -> Policy:
         """Return the policy of a solution, a certificate or a learner with its Q-table."""
+        # A learner: read its Q-table, unless that is over a space of its own.
         if hasattr(given, "q") and callable(given.policy):
             array = numbers_of(given.q)
             own, over = getattr(given, "space", None), find_table_axes(model, array.shape)
             if own is not None and (over is None or over[0] != own):
                 return cls._read_policy(model, given.policy(model), kind)
-            return cls(**of_array(model, array, "q" if kind == "auto" else kind))
+            if kind == "auto":
+                kind = "q"
+            return cls(**of_array(model, array, kind))
+        # A solution: an array of action numbers goes by the states of its own model.
         own = getattr(given, "mdp", None)
         if not isinstance(given.policy, np.ndarray):
             return cls._read_policy(model, given.policy, kind)
         if not isinstance(own, MDP) or np.shape(given.policy) != (own.n_states,):
             return cls(**action_numbers(model, numbers_of(given.policy)))
         policy = cls(space=own.space, actions=own.actions, rule=np.asarray(given.policy))
-        policy.weights(model)  # it goes by the names of its own model
+        policy.weights(model)  # raises an error unless the names of its own model fit this one
         return policy
 
     def write(self, path: str | Path) -> None:
         """Write the policy as `.csv`, atomically."""
         rows = {}
         for key in range(self.space.regular):
-            each = zip(self.actions, self._list_probabilities(key), strict=False)
-            if taken := {action: _format_probability(chance) for action, chance in each if chance}:
+            taken = {}
+            for action, chance in zip(self.actions, self._list_probabilities(key), strict=False):
+                if chance:
+                    taken[action] = _format_probability(chance)
+            if taken:
                 rows[key] = taken
         reading.write_policy(path, self.space, rows)
 
 
 def build_uniform_policy(model: MDP, among: NDArray[np.bool_]) -> Policy:
-    """Return the policy that draws each of some actions (S, A) of a state equally often."""
+    """Return the policy with equal probabilities for some actions (S, A) of each state."""
     shares = among.astype(np.int64)
     rule = shares / shares.sum(axis=1, keepdims=True)
     policy = Policy(space=model.space, actions=model.actions, rule=rule)
-    if not policy.deterministic:  # a third, which no float is
+    # Floats cannot hold probabilities such as 1/3; the shares are exact.
+    if not policy.deterministic:
         shares.setflags(write=False)
         object.__setattr__(policy, "shares", shares)
     return policy
@@ -500,21 +536,22 @@ class Solved(Protocol):
 PolicyLike: TypeAlias = (
     Policy | str | Path | Mapping[Any, Any] | Callable[[Any], Any] | ArrayLike | Solved
 )
-"""What is accepted as a policy: a Policy, its name or file, a mapping, a function, an array, a
-Solution. Arrays and lists go by numbers of states and actions; else `mdp.forms.names` says
-which state or action is meant."""
+"""The accepted forms of a policy: a Policy, its name or file, a mapping, a function, an array, a
+Solution. Arrays and lists go by the numbers of states and actions; `mdp.forms.names` states the
+rules for all other forms."""
 
 
 def _format_probability(chance: Any) -> float | str:
-    """Return a probability as a decimal or "p/q", exact."""
-    short = isinstance(chance, float) or Fraction(repr(float(chance))) == chance
-    return float(chance) if short else str(chance)
+    """Return a probability exactly: as a float if its decimal is exact, else as "p/q"."""
+    if isinstance(chance, float) or Fraction(repr(float(chance))) == chance:
+        return float(chance)
+    return str(chance)
 
 
 def _compute_proportions(given: Numbers, table: Floats, *, exactly: bool) -> Numbers | None:
-    """Return (K, A) exact shares of the numbers given; None where the floats say as much.
+    """Return the exact shares (K, A) of the given numbers; None if the floats are exact.
 
-    They do not where the rows of floats are about to be divided by their sums, `exactly`.
+    With `exactly`, shares are always returned: the rows of floats will be divided by their sums.
     """
     plain = given.dtype.kind in "biu" or (given.dtype.kind == "f" and given.dtype.itemsize <= 8)
     if plain and not exactly:
@@ -523,8 +560,12 @@ def _compute_proportions(given: Numbers, table: Floats, *, exactly: bool) -> Num
     chances = {row: [exact(number) for number in given[row]] for row in said}
     if not exactly and all(table[row].tolist() == numbers for row, numbers in chances.items()):
         return None
-    none = [0] * table.shape[1]
-    rows = [in_proportion(chances[k]) if k in chances else none for k in range(len(table))]
-    shares = to_integer_array(number for row in rows for number in row).reshape(table.shape)
+    numbers: list[int] = []
+    for row in range(len(table)):
+        if row in chances:
+            numbers += in_proportion(chances[row])
+        else:
+            numbers += [0] * table.shape[1]
+    shares = to_integer_array(numbers).reshape(table.shape)
     shares.setflags(write=False)
     return shares

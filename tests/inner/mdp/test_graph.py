@@ -84,7 +84,7 @@ def test_models_end_as_they_say_and_a_policy_that_does_not_is_named() -> None:
     mdp = MDP.from_outcomes(rows, states=["left", "right", "end"], actions=["go", "stop"])
     refused(
         lambda: require_termination(mdp), "every policy to end, and one does not",
-        "it stays for ever in (state left) with action go, (state right) with action go",
+        "it stays forever in (state left) with action go, (state right) with action go",
         "choose a discount below 1 (--discount 0.95",
     )  # fmt: skip
     require_termination(mdp.with_(discount="1/2"))

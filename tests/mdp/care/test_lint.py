@@ -219,7 +219,7 @@ def test_unsafe_names_are_problems(name: str, odd: str, tmp_path: Path) -> None:
     done = run("lint", path, "--json")
     assert done.status == 1
     problems = [each["what"] for each in done.result["problems"]]
-    assert any("holds the character" in each or "characters" in each for each in problems)
+    assert any("contains the character" in each or "characters" in each for each in problems)
     assert is_refused(text)
 
 

@@ -343,7 +343,7 @@ def test_changed_tables_have_no_observations() -> None:
     for asked in (goal.with_(discount=1).until("goal"), goal.reaching("goal")):
         assert asked.observations is asked.episodes is None
     assert negated(mdp).observations is not None
-    refused(lambda: mdp.with_(start={0: "1/2", 1: "1/2"}, episodes=3), "no shares of 3 episodes")
+    refused(lambda: mdp.with_(start={0: "1/2", 1: "1/2"}, episodes=3), "not counts over 3 episodes")
     refused(lambda: mdp.with_(episodes=0), "0 episodes")
     refused(lambda: mdp.with_(observations=np.array([2, 0])), "not counts over the observations")
     refused(lambda: mdp.with_(observations=np.array([1])), "for 2 pairs")
