@@ -258,7 +258,7 @@ def test_who_waits_is_blamed_where_the_way_out_is() -> None:
         ("state t", "wait", ("go",), 1.0)
     ]
     assert audit.visits[0] == 1
-    assert "state t: yours wait, optimal go; waits for ever and loses 1" in str(audit)
+    assert "state t: yours wait, optimal go; waits forever and loses 1" in str(audit)
 
 
 def test_resting_is_an_end_in_a_model_of_records_as_in_any_other() -> None:

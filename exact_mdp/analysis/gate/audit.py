@@ -1,4 +1,4 @@
-"""What an audit says: the regret, where it arises, and a verdict on each limit."""
+"""The result of an audit: the regret, where it arises, and a verdict on each limit."""
 
 from __future__ import annotations
 
@@ -32,38 +32,34 @@ from exact_mdp.mdp.table import Floats, format_rational
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError, in_float
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
-SHOWN = 5  # states that `message` names
-AT_A_GLANCE = 3  # of them in `print(audit)`
-IN_TABLE = 10  # and in the table for people
-LISTED_STATES = 1000  # models with more states are left to Python for the regret of each
 UNEXPLAINED = "not known: whether another policy that sees no more of the state could do better"
 UNDECIDED = (
     "which the bounds do not decide: give a limit that they keep (--max-regret,"
     " max_regret=…), or ask for exact values (--certify, exact_values=True)"
 )
 COLUMNS = (
-    "yours: what the policy does; optimal: what it should do; value lost: expected visits times "
-    "what each loses; share: of all that is lost"
+    "yours: the policy's action; optimal: the best action; value lost: expected visits times the "
+    "loss of each; share: of all that is lost"
 )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Audit(Pictured):
-    """What a policy loses against the optimum, where and why.
+    """The loss of a policy against the optimum: how much, where and why.
 
     Attributes
     ----------
     criterion : Total, Average or UnderLimits
-        What counts, of which policy and model; under limits also the policy's totals. The regret is
-        then against the optimum that keeps them, and values and gaps of states are those of the
-        reward and the priced totals.
+        The loss that is measured, with the policy and its model; under limits also the policy's
+        totals. The regret is then against the optimum that keeps the limits, and values and gaps of
+        states refer to the reward plus the priced totals.
     regret : Regret
         Values and regret, at the start (`regret.at_start`) and in every state (`.by_state`).
     max_regret, max_relative_regret : Fraction, optional
         The limits; without either, the regret has to be zero.
     interval : RegretInterval, optional
-        Where the regret lies in the process behind the records; the verdicts then rest on it, and
-        all other numbers are those of the estimated model.
+        A confidence interval for the regret in the process behind the records; the verdicts then
+        rest on it, and all other numbers refer to the estimated model.
     """
 
     criterion: Total
@@ -97,82 +93,97 @@ class Audit(Pictured):
 
     @property
     def error(self) -> float:
-        """How far the regret may be off; 0 where it is certified."""
-        return self.value.error if isinstance(self.value, Bounded) else 0.0
+        """The error bound of the regret; 0 if it is certified."""
+        if isinstance(self.value, Bounded):
+            return self.value.error
+        return 0.0
 
     @property
     def claim(self) -> Claim:
-        """What the verdict can claim: that of the regret, or of the interval it rests on."""
-        return self.value.claim if self.interval is None else self.interval.claim
+        """The claim of the verdict: the claim of the regret, or of the interval it rests on."""
+        if self.interval is not None:
+            return self.interval.claim
+        return self.value.claim
 
     @property
     def read_as(self) -> ReadAs:
-        """What the policy was taken from: "q" or "policy"."""
+        """How the policy was read: as action values ("q") or as a policy ("policy")."""
         return self.policy.read_as
 
     @property
     def forgiven(self) -> Fraction:
-        """The regret that counts as none where no limit is given; 0 in an exact model."""
+        """The rounding allowance: a regret up to it counts as zero if no limit is given.
+
+        It is 0 in an exact model.
+        """
         return self.regret.forgiven
 
     @property
     def feasible(self) -> bool:
-        """Whether some policy keeps the limits; without one there is no optimum to compare with."""
+        """Whether some policy keeps the limits; if none does, there is no optimum."""
         return self.criterion.feasible
 
     @property
     def relative_regret(self) -> float | None:
-        """Regret at the start over the absolute optimal value; None where that is, or may be, 0."""
+        """Regret at the start over the absolute optimal value; None if that is, or may be, 0."""
         lost, best = self.value.value, self.regret.optimal
         low, high = interval_of(best)
         if not isfinite(float(best)) or low <= 0 <= high:
             return None
-        return inf if lost == inf else in_float(Fraction(lost) / abs(Fraction(best.value)))
+        if lost == inf:
+            return inf
+        return in_float(Fraction(lost) / abs(Fraction(best.value)))
 
     @property
     def regret_interval(self) -> tuple[float, float] | None:
-        """The ends of the interval; None where no confidence was asked for."""
-        return None if self.interval is None else (self.interval.low, self.interval.high)
+        """The ends of the interval; None if no confidence was given."""
+        if self.interval is None:
+            return None
+        return self.interval.low, self.interval.high
 
     @property
     def begins(self) -> str:
-        """Where runs start, from where the regret is measured, in words."""
-        start, several = self.mdp.start, "states, each with its probability"
-        return self.mdp.space.label(start[0][0]) if len(start) == 1 else f"{len(start)} {several}"
+        """The start, in words."""
+        start = self.mdp.start
+        if len(start) == 1:
+            return self.mdp.space.label(start[0][0])
+        return f"{len(start)} states, each with its probability"
 
     # ---- states ------------------------------------------------------------------------------
 
     @cached_property
     def _findings(self) -> Findings:
         visits, wrong = self.criterion.find_disagreements(self.regret)
-        return visits, wrong if self.feasible else ()
+        if not self.feasible:
+            wrong = ()
+        return visits, wrong
 
     @property
     def visits(self) -> Floats:
-        """(S,) expected discounted visits from the start; NaN where floats cannot bound them."""
+        """(S,) expected discounted visits from the start; NaN if floats cannot bound them."""
         return self._findings[0]
 
     @property
     def disagreements(self) -> tuple[Disagreement, ...]:
-        """States with a choice where it does not act optimally, the costliest first."""
+        """States with a choice where the policy is not optimal, the costliest first."""
         return self._findings[1]
 
     @property
     def never_reached(self) -> int:
-        """The number of disagreements in states that the policy never reaches from the start."""
+        """Number of disagreements in states that the policy never reaches from the start."""
         return sum(each.expected_visits == 0 for each in self.disagreements)
 
     @property
     def agreement(self) -> float:
-        """Share of the states with a choice in which all that the policy does is optimal.
+        """Share of the states with a choice in which the policy takes optimal actions only.
 
-        `unclear` states count as agreement. NaN where no policy keeps the limits.
+        `unclear` states count as agreement. NaN if no policy keeps the limits.
         """
         return self._compute_agreement(np.ones(self.mdp.n_states))
 
     @property
     def agreement_by_visits(self) -> float:
-        """The same share of the policy's visits to states with a choice."""
+        """The same share, with states weighted by the policy's visits."""
         return self._compute_agreement(self.visits)
 
     def _compute_agreement(self, weight: Floats) -> float:
@@ -180,33 +191,42 @@ class Audit(Pictured):
             return nan
         total = float(weight[self.mdp.asked].sum())
         wrong = float(sum(weight[each.state] for each in self.disagreements))
-        return 1.0 if total == 0 else float(np.maximum(0.0, 1 - wrong / total))
+        if total == 0:
+            return 1.0
+        return float(np.maximum(0.0, 1 - wrong / total))
 
     @cached_property
     def unclear(self) -> int:
         """Number of states in which bounds do not decide whether the policy is optimal."""
+        # A state with a proven disagreement is decided, whatever its other pairs leave open.
         open_ = np.zeros(self.mdp.n_states, dtype=bool)
         open_[self.mdp.pair_state[self.regret.unclear & (self.chain.chosen > 0)]] = True
         open_[[each.state for each in self.disagreements]] = False
         return int((open_ & self.mdp.asked).sum())
 
     def frame(self, *, full: bool = False) -> DataFrame:
-        """Return the disagreements, by the number of the state; `full` adds expected visits."""
+        """Return the disagreements, indexed by state number; `full` adds expected visits."""
         rows = [
             row
             | {"label": row["state"], "state": row["number"]}
             | {"optimal": " or ".join(row["optimal_actions"])}
             for row in self._listed
         ]
-        names = ["state", "label", "learned", "optimal", "cost", "share", "gap", "expected_visits"]
-        return data_frame(rows, columns=names[: 8 if full else 7]).set_index("state")
+        names = ["state", "label", "learned", "optimal", "cost", "share", "gap"]
+        if full:
+            names.append("expected_visits")
+        return data_frame(rows, columns=names).set_index("state")
 
     @cached_property
     def _listed(self) -> list[dict[str, Any]]:
-        """Each disagreement with its share of all that is lost, where that is finite."""
+        """Each disagreement as a row of a table, with its share of a finite total loss."""
         lost = sum(each.cost for each in self.disagreements)
-        return [
-            {
+        rows = []
+        for each in self.disagreements:
+            share = None
+            if 0 < lost < inf:
+                share = each.cost / lost
+            row = {
                 "state": each.label,
                 "number": each.state,
                 "columns": self.mdp.space.as_dict(each.state),
@@ -216,22 +236,26 @@ class Audit(Pictured):
                 "gap": each.gap,
                 "expected_visits": each.expected_visits,
                 "cost": each.cost,
-                "share": each.cost / lost if 0 < lost < inf else None,
+                "share": share,
             }
-            for each in self.disagreements
-        ]
+            rows.append(row)
+        return rows
 
     # ---- verdicts ----------------------------------------------------------------------------
 
     @cached_property
     def verdicts(self) -> tuple[Verdict, ...]:
-        """What was checked: each limit given, or that the regret is zero."""
+        """The verdict on each limit; without one, on whether the regret is zero."""
         interval, limit = self.interval, self.max_regret
         if interval is None:
-            return tuple(self._of_model())
-        # Of records the interval decides, never the estimate; without a limit, that it is 0.
-        name = "zero" if limit is None else f"at most {format_rational(limit, 10)}"
-        decision = interval.keeps_limit(self.forgiven if limit is None else limit)
+            return tuple(self._judge_model())
+        # With records the interval decides, never the estimate.
+        if limit is None:
+            name = "zero"
+            decision = interval.keeps_limit(self.forgiven)
+        else:
+            name = f"at most {format_rational(limit, 10)}"
+            decision = interval.keeps_limit(limit)
         text = f"it is in {interval}; {format_claimed_number(self.value)} in the estimated model"
         if decision is None:
             more = "more records may decide it, or give a limit above the interval"
@@ -241,14 +265,15 @@ class Audit(Pictured):
             text += f", which leaves the limit open: {more}"
         return (Verdict("the regret", name, decision, text),)
 
-    def _of_model(self) -> Iterator[Verdict]:
-        """Yield the verdict on each limit given; without one, on whether the regret is zero."""
+    def _judge_model(self) -> Iterator[Verdict]:
+        """Yield the verdict on each limit; without one, on whether the regret is zero."""
         regret, criterion, share = self.regret, self.criterion, self.max_relative_regret
         yield from criterion.list_verdicts()
         if not criterion.feasible:
             return
         text = f"it is {format_claimed_number(regret.at_start)}{criterion.against}"
         if self.max_regret is None and share is None:
+            # Without a limit the regret must be zero, up to the rounding allowance.
             name = criterion.least
             if regret.forgiven:
                 name += " up to the rounding of the given floats"
@@ -263,12 +288,16 @@ class Audit(Pictured):
             decision: bool | None = False
             text = "it is undefined, because the optimal value is, or may be, 0"
             if ratio is not None:
+                # The optimal value may lie anywhere between its bounds, and so may the limit.
                 low, high = sorted(
                     share * abs(Fraction(end)) for end in interval_of(regret.optimal)
                 )
-                decision = regret.keeps_limit(low) or (
-                    False if regret.keeps_limit(high) is False else None
-                )
+                if regret.keeps_limit(low):
+                    decision = True
+                elif regret.keeps_limit(high) is False:
+                    decision = False
+                else:
+                    decision = None
                 text = f"it is {ratio:.6g} ({regret.claim})"
             yield _make_verdict(
                 "the relative regret", f"at most {format_rational(share, 10)}", decision, text
@@ -276,31 +305,32 @@ class Audit(Pictured):
 
     @property
     def passed(self) -> bool:
-        """Whether every limit holds; what bounds cannot decide does not pass."""
+        """Whether every limit is proven to hold; an open verdict does not pass."""
         return all(each.passed for each in self.verdicts)
 
     @property
     def undecided(self) -> bool:
-        """Whether bounds or records leave a verdict open, which then does not pass."""
+        """Whether bounds or records leave a verdict open."""
         return any(each.decision is None for each in self.verdicts)
 
     # ---- reasons -----------------------------------------------------------------------------
 
     @cached_property
     def q_error(self) -> QError | None:
-        """How wrong the Q-table is; None for a policy, and under limits."""
+        """The errors of the Q-table; None for a policy, and under limits."""
         if self.policy.values is None or not self.criterion.plain:
             return None
-        gap = self.regret.gap if self.mdp.sense == "max" else -self.regret.gap
+        # Q*(l) = V*(s) - gap(l), or plus the gap in a model of costs.
+        gap = self.mdp.sign * self.regret.gap
         optimal = self.regret.optimal_value[self.mdp.pair_state] - gap
         visited = np.where(self.chain.weights > 0, self.visits[self.mdp.pair_state], 0.0)
         return q_error(self.mdp, self.policy, optimal, visited * self.chain.weights)
 
     @cached_property
     def representation(self) -> Representation | None:
-        """What the policy's columns cannot express.
+        """The loss that is due to columns that the policy does not read.
 
-        None where it reads the whole state, under limits, and where floats cannot tell. The verdict
+        None if it reads the whole state, under limits, and if floats cannot tell. The verdict
         does not depend on it.
         """
         if not self._partial:
@@ -316,21 +346,26 @@ class Audit(Pictured):
 
     @property
     def measures(self) -> dict[str, Any]:
-        """What a test report keeps of it."""
+        """The numbers that go into a test report."""
         known = {"claim": str(self.claim), "regret": float(self.value.value)}
-        known |= {"agreement": self.agreement}
-        return known | ({"regret_interval": str(self.interval)} if self.interval else {})
+        known["agreement"] = self.agreement
+        if self.interval:
+            known["regret_interval"] = str(self.interval)
+        return known
 
     # ---- words -------------------------------------------------------------------------------
 
     @property
     def question(self) -> str:
-        """What was read, how rewards add up and from where: all that a number here depends on."""
+        """How the policy was read, how rewards add up, and the start, in words."""
         space = self.mdp.space
-        steps = "" if space.untimed is None else f", horizon {space.columns[0].size - 1}"
+        steps = ""
+        if space.untimed is not None:
+            steps = f", horizon {space.columns[0].size - 1}"
         read = self.policy.source or "a policy"
-        asked = describe_sense(self.mdp)
-        sums = self.criterion.sums + (asked and f", {asked}")
+        sums, sense = self.criterion.sums, describe_sense(self.mdp)
+        if sense:
+            sums += f", {sense}"
         return f"read as {read}, {sums}{steps}, start {self.begins}"
 
     def __repr__(self) -> str:
@@ -343,23 +378,31 @@ class Audit(Pictured):
         lost = f"regret {format_claimed_number(self.value)}"
         if self.interval is not None:
             lost = f"regret in {self.interval}; estimated {format_claimed_number(self.value)}"
-        word = "passed" if self.passed else "failed, left open" if self.undecided else "failed"
+        if self.passed:
+            word = "passed"
+        elif self.undecided:
+            word = "failed, left open"
+        else:
+            word = "failed"
         best = float(self.regret.optimal.value)
         count = len(self.disagreements)
-        return f"{word}: {lost} of {best:.6g}, {count} disagreement{'s' * (count != 1)}"
+        noun = "disagreement" if count == 1 else "disagreements"
+        return f"{word}: {lost} of {best:.6g}, {count} {noun}"
 
     def __str__(self) -> str:
-        lines = [self.question, self._outcome, *self._describe_costliest(AT_A_GLANCE)]
+        lines = [self.question, self._outcome, *self._describe_costliest(3)]
         return "\n".join([*lines, *self._unlimited])
 
     @property
     def _unlimited(self) -> list[str]:
-        return describe_time_limit(self.mdp, "horizon={}" * (self.criterion.name == "total"))
+        option = "horizon={}" if self.criterion.name == "total" else ""
+        return describe_time_limit(self.mdp, option)
 
     def message(self, *, explain: bool = True) -> str:
-        """Return in words what was found, the costly states by name.
+        """Return the findings in words, with the costliest states by name.
 
-        With `explain` also what the policy's columns cannot express, which takes a search.
+        With `explain` also the loss due to columns that the policy does not read, which takes a
+        search.
         """
         lines = [self.question, *map(str, self.verdicts)]
         best, own = (f"{float(x.value):.10g}" for x in (self.regret.optimal, self.regret.learned))
@@ -371,13 +414,13 @@ class Audit(Pictured):
         )
         if self.unclear:
             lines.append(f"in {self.unclear} more the bounds leave it open")
-        lines += self._describe_costliest(SHOWN)
+        lines += self._describe_costliest(5)
         if explain and self._partial:
             lines.append(str(self.representation or UNEXPLAINED))
         return "\n".join([*lines, *self._unlimited])
 
     def _describe_costliest(self, most: int) -> list[str]:
-        """Return a line for each of the costliest states, one for others, one for never visited."""
+        """Return a line for each of the `most` costliest states, and one for the others."""
         met = [each for each in self.disagreements if each.expected_visits != 0]
         lines = [
             f"  {each.label}: yours {each.learned}, "
@@ -385,96 +428,130 @@ class Audit(Pictured):
             for each in met[:most]
         ]
         if len(met) > most:
-            rest = sum(each.cost for each in met[most:])
-            lines.append(f"  and {len(met) - most} more, {rest:.6g} in all")
+            cost = sum(each.cost for each in met[most:])
+            lines.append(f"  and {len(met) - most} more, {cost:.6g} in all")
         if self.never_reached:
             others = "and " if lines else ""
             lines.append(f"  {others}{self.never_reached} that it never visits, which cost nothing")
         return lines
 
     def report(self, *, explain: bool = True) -> Report:
-        """Return the verdicts, what is lost, where, and why; `explain` as in `message`."""
-        mdp, lost, by_visits = self.mdp, self.regret, self.agreement_by_visits
+        """Return the verdicts, the loss, where it arises, and why; `explain` as in `message`."""
         why = self.representation if explain else None
-        labels = map(mdp.space.label, range(mdp.n_states))  # made where they are read
-        by_state = zip(labels, lost.by_state.tolist(), strict=True)
-        infinite = "infinite" if isinf(lost.optimal.value) else "0, or may be"
-        undefined = f"undefined: the optimal value is {infinite}"
-        ratio = self.relative_regret
-        share = "an unknown share" if isnan(by_visits) else f"{by_visits:.1%}"
-        agree = f"{self.agreement:.1%} of the states with a choice, {share} of the visits to them"
-        if isnan(self.agreement):
-            agree = "undefined: there is no optimum to agree with"
-        if self.never_reached:
-            agree += f"; {self.never_reached} wrong states are never reached from {self.begins}, "
-            agree += "and cost nothing: mdp.with_(start=…), or --start, begins elsewhere"
+        notes = []
+        if explain and self._partial and why is None:
+            notes.append(UNEXPLAINED)
+        if self.interval is not None:
+            notes += self.interval.report().notes
+        return Report(
+            title=f"audit: {self.question}",
+            facts=self._list_facts(why),
+            tables=self.criterion.list_tables() | self._list_tables(why),
+            notes=[*notes, *self._unlimited],
+            passed=self.passed,
+        )
 
-        def claimed(value: Certified | Bounded) -> Shown:
-            return Shown(float(value.value), value if self.feasible else None)
-
+    def _list_facts(self, why: Representation | None) -> dict[str, Any]:
+        """Return the facts of the report, in the order in which people read them."""
+        lost, by_visits = self.regret, self.agreement_by_visits
+        exact_regret = None
+        if isinstance(self.value, Certified):
+            exact_regret = self.value.value
         checks = [{"name": v.name, "passed": v.passed, "text": v.text} for v in self.verdicts]
         facts: dict[str, Any] = {
             "passed": Shown(self.passed, "yes" if self.passed else "no: FAILED"),
             "checks": Shown(checks, "; ".join(each.told for each in self.verdicts)),
-            **(self.interval.list_facts(self.max_regret) if self.interval is not None else {}),
+        }
+        if self.interval is not None:
+            facts |= self.interval.list_facts(self.max_regret)
+        facts |= {
             "claim": Shown(self.claim),
             "regret_claim": Shown(self.value.claim),
-            "regret": claimed(self.value),
-            "exact_regret": Shown(self.value.value if isinstance(self.value, Certified) else None),
+            "regret": self._show_number(self.value),
+            "exact_regret": Shown(exact_regret),
             "error_bound": Shown(self.error),
             "forgiven": Shown(float(self.forgiven)),
-            "relative_regret": Shown(
-                ratio, (undefined if ratio is None else ratio) if self.feasible else None
-            ),
-            "optimal_value": claimed(lost.optimal),
+            "relative_regret": self._show_relative_regret(),
+            "optimal_value": self._show_number(lost.optimal),
             "learned_value": Shown(float(lost.learned.value), lost.learned),
             "max_regret": Shown(self.max_regret),
             "max_relative_regret": Shown(self.max_relative_regret),
-            "agreement": Shown(self.agreement, agree),
+            "agreement": Shown(self.agreement, self._describe_agreement()),
             "agreement_by_visits": Shown(by_visits),
             "unclear": Shown(self.unclear, self.unclear or None),
             "disagreements": self._listed,
-            "regret_by_state": Shown(dict(by_state) if mdp.n_states <= LISTED_STATES else None),
+            "regret_by_state": Shown(self._list_regrets()),
             **self.criterion.list_facts(),
-            **(dict.fromkeys(("representation", "rows")) if why is None else why.list_facts()),
-            "q_error": self.q_error,
         }
+        if why is None:
+            facts |= {"representation": None, "rows": None}
+        else:
+            facts |= why.list_facts()
+        facts["q_error"] = self.q_error
+        return facts
+
+    def _show_number(self, value: Certified | Bounded) -> Shown:
+        """Return a number that people see only if there is an optimum to compare with."""
+        return Shown(float(value.value), value if self.feasible else None)
+
+    def _show_relative_regret(self) -> Shown:
+        ratio = self.relative_regret
+        if not self.feasible:
+            return Shown(ratio, None)
+        if ratio is not None:
+            return Shown(ratio, ratio)
+        infinite = "infinite" if isinf(self.regret.optimal.value) else "0, or may be"
+        return Shown(None, f"undefined: the optimal value is {infinite}")
+
+    def _describe_agreement(self) -> str:
+        by_visits = self.agreement_by_visits
+        share = "an unknown share" if isnan(by_visits) else f"{by_visits:.1%}"
+        text = f"{self.agreement:.1%} of the states with a choice, {share} of the visits to them"
+        if isnan(self.agreement):
+            text = "undefined: there is no optimum to agree with"
+        if self.never_reached:
+            text += f"; {self.never_reached} wrong states are never reached from {self.begins}, "
+            text += "and cost nothing: mdp.with_(start=…), or --start, begins elsewhere"
+        return text
+
+    def _list_regrets(self) -> dict[str, float] | None:
+        """Return the regret by state; None if a report of so many states would be too long."""
+        if self.mdp.n_states > 1000:
+            return None
+        labels = map(self.mdp.space.label, range(self.mdp.n_states))
+        return dict(zip(labels, self.regret.by_state.tolist(), strict=True))
+
+    def _list_tables(self, why: Representation | None) -> dict[str, Table]:
+        """Return the tables of disagreements, and of rows whose change alone gains."""
         columns = {"state": "state", "yours": "learned", "optimal": "either"}
         numbers = {"value lost": "cost:.6g", "visits": "expected_visits:.6g", "share": "share:.1%"}
-        met = [row for row in facts["disagreements"] if row["expected_visits"] != 0]
+        met = [row for row in self._listed if row["expected_visits"] != 0]
         wrong = Table(
             title="where it is not optimal, the costliest first",
             note=COLUMNS,
             rows=[row | {"either": format_alternatives(row["optimal_actions"])} for row in met],
             columns=columns | numbers,
-            first=IN_TABLE,
+            first=10,
         )
         changes = Table(
             title="rows of the policy, each changed alone",
             rows=why.rows if why else (),
             columns={"row": "row", "yours": "learned", "better": "best", "gain": "gain"},
         )
-        notes = [UNEXPLAINED] if explain and self._partial and why is None else []
-        if self.interval is not None:
-            notes += self.interval.report().notes
-        return Report(
-            title=f"audit: {self.question}",
-            facts=facts,
-            tables=self.criterion.list_tables()
-            | {"disagreements": wrong, "rows of the policy": changes},
-            notes=[*notes, *self._unlimited],
-            passed=self.passed,
-        )
+        return {"disagreements": wrong, "rows of the policy": changes}
 
 
 def _describe_loss(each: Disagreement) -> str:
-    """Return in words what is lost in a state."""
+    """Return the loss in a state, in words."""
     if isinf(each.expected_visits) and isfinite(each.cost):
-        return f"waits for ever and loses {each.cost:.6g}"
+        return f"waits forever and loses {each.cost:.6g}"
     if isnan(each.cost):
         return f"loses {each.gap:.6g} a visit; how often it is visited is not known"
     return f"loses {each.gap:.6g} x {each.expected_visits:.6g} visits = {each.cost:.6g}"
 
 
 def _make_verdict(subject: str, limit: str, decision: bool | None, text: str) -> Verdict:
-    return Verdict(subject, limit, decision, text + f", {UNDECIDED}" * (decision is None))
+    """Return a verdict; one that bounds leave open says how to decide it."""
+    if decision is None:
+        text += f", {UNDECIDED}"
+    return Verdict(subject, limit, decision, text)

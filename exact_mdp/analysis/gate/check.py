@@ -1,10 +1,11 @@
 """The audit of a policy or Q-table from anywhere against the exact optimum.
 
-An audit is a criterion times an evidence. The criterion says what is lost: of the total reward, of
-the reward per step, or of the total under limits (`analysis.gate.criteria`). The evidence says of
-what: of the model, exactly or within bounds, or of the process that its records are from
-(`analysis.gate.data`), within an interval. A policy passes only by proof: where bounds or an
-interval leave a limit open, it does not. An action as good as the best is optimal.
+An audit combines a criterion with evidence. The criterion is the loss that is measured: of total
+reward, of reward per step, or of total reward under limits (`analysis.gate.criteria`). The evidence
+is either the model, which gives the loss exactly or within bounds, or the records from which the
+model was estimated (`analysis.gate.data`), which give a confidence interval. A policy passes only
+by proof: if bounds or an interval leave a limit open, it fails. An action as good as the best is
+optimal.
 """
 
 from __future__ import annotations
@@ -49,37 +50,39 @@ def check(
     confidence: object | None = None,
     by: str | Evidence = "robust",
 ) -> Audit:
-    """Return how much a policy or Q-table loses against the optimum, where and why.
+    """Compare a policy or Q-table with the optimum: how much it loses, where and why.
 
     Parameters
     ----------
     model : MDP or Scenario
     policy : PolicyLike
         "optimal", "random", "always:ACTION", a mapping, an array, a Policy, a Solution, a training
-        run or a path. Of a Q-table the greedy policy counts, the lowest action number on a tie.
+        run or a path. A Q-table stands for its greedy policy; ties go to the lowest action number.
     max_regret, max_relative_regret : number or "p/q", optional
-        Limits for the regret at the start and for its ratio to the absolute optimal value, which
-        does not pass where that is 0. Without either the regret has to be zero: in a model of
-        floats, at most what their rounding can move (`Audit.forgiven`). 0 forgives nothing.
+        Limits for the regret at the start and for its ratio to the absolute optimal value; the
+        ratio fails if that value is 0. Without either limit the regret has to be zero, or in a
+        model of floats at most the rounding allowance (`Audit.forgiven`). A limit of 0 has no
+        allowance.
     exact_values : bool, optional
-        Rational arithmetic or bounds in floats. Unless given, bounds that leave a verdict open are
-        followed by rational arithmetic in models of up to 100,000 transitions without cycles of
-        over 500 states.
+        True for rational arithmetic, False for bounds in floats. By default, bounds that leave a
+        verdict open are followed by rational arithmetic in models of up to 100,000 transitions
+        without cycles of over 500 states.
     kind : "auto", "q" or "policy"
-        What a two-dimensional array or a file of one holds; `Audit.read_as` says what was taken.
+        How to read a two-dimensional array or a file with one: as action values or as a policy.
+        `Audit.read_as` says how it was read.
     horizon : int, optional
-        Stop after this many steps, as `mdp.within(horizon)` does. What is learned over states is
-        the same at every time there; tables (N, S, A) depend on time.
+        Stop after this many steps, as `mdp.within(horizon)` does. A policy over states does the
+        same at every time; tables (N, S, A) depend on time.
     criterion : "total" or "average"
         The total reward, discounted as the model says, or the reward per step in the long run.
     subject_to : {name: ">= p/q" or "<= p/q"}, optional
         Limits on expected totals that the policy has to keep, as `solve` takes them. The regret is
-        then against the optimum under these limits, exactly, and nothing is forgiven.
+        then against the optimum under these limits, exactly, without a rounding allowance.
     confidence : number, optional
-        Of a model estimated from records: the verdict rests on an interval, at this confidence, for
-        the regret in the process behind them, `Audit.interval`.
+        For a model estimated from records: the verdict rests on an interval, at this confidence,
+        for the regret in the process behind them, `Audit.interval`.
     by : "robust", "posterior" or "off-policy", or one of these with settings
-        What makes the interval: `Robust`, `Posterior` or `OffPolicy(records=…)`.
+        The method of the interval: `Robust`, `Posterior` or `OffPolicy(records=…)`.
 
     Returns
     -------
@@ -88,10 +91,10 @@ def check(
     Raises
     ------
     ModelError
-        For a policy that does not fit or may be read in two ways, and options that do not go
-        together; where a total swings for ever at discount 1; for a confidence without counts.
+        If the policy does not fit or may be read in two ways, if options exclude one another, if a
+        total oscillates forever at discount 1, or if a confidence is given without counts.
     SolverError
-        Where floats cannot bound the answer in a model too large for rational arithmetic.
+        If floats cannot bound the answer in a model too large for rational arithmetic.
 
     Examples
     --------
@@ -101,53 +104,67 @@ def check(
     >>> audit.passed, round(float(audit.regret.at_start.value), 3), round(audit.agreement, 3)
     (False, 63.062, 0.333)
     """
-    evidence = None if confidence is None else _resolve_interval_method(by)
+    # 1. Refuse options that exclude one another.
     average, limited = is_average(criterion), subject_to is not None
-    if evidence is None and by != "robust":
+    if confidence is None and by != "robust":
         fix = "give confidence=0.95"
         raise ModelError("no confidence is given for the interval", where="by", fix=fix)
-    others = {"max_relative_regret": max_relative_regret is not None, "subject_to": limited}
-    others["criterion"] = average
-    if evidence is not None and any(others.values()):
+    if confidence is not None:
+        evidence = _resolve_interval_method(by)
+        others = {
+            "max_relative_regret": max_relative_regret is not None,
+            "subject_to": limited,
+            "criterion": average,
+        }
         without = " and ".join(name for name, given in others.items() if given)
-        fix = f"leave out {without}, or confidence; to limit what is lost, give max_regret"
-        raise ModelError("records bound the total regret alone", where="confidence", fix=fix)
+        if without:
+            fix = f"leave out {without}, or confidence; to limit the loss, give max_regret"
+            raise ModelError("records bound the total regret alone", where="confidence", fix=fix)
     if average and limited:
-        what = "limits hold of total rewards, not of an average"
+        what = "limits apply to total rewards, not to an average"
         raise ModelError(what, where="subject_to", fix="leave criterion out")
     if average:
         require_no_horizon(horizon)
-    recorded = mdp_of(model)
-    mdp = recorded if horizon is None else recorded.within(horizon)
+
+    # 2. The criterion: the loss to measure, with the policy and the model of the question.
+    recorded = mdp = mdp_of(model)
+    if horizon is not None:
+        mdp = recorded.within(horizon)
     limits = {"max_regret": max_regret, "max_relative_regret": max_relative_regret}
     most: Any = {name: limit_of(name, x) for name, x in limits.items() if x is not None}
     chain = PolicyChain.of(mdp, policy_of(mdp, policy, kind=kind, criterion=criterion))
-    about = Average(chain=chain) if average else Total(chain=chain)
+    about = Total(chain=chain)
+    if average:
+        about = Average(chain=chain)
     if subject_to is not None:
         about = UnderLimits.of(chain, subject_to)
 
     def make_audit(exactly: bool | None) -> Audit:
         return Audit(criterion=about, regret=about.compute_regret(exactly), **most)
 
+    # 3. Bounds first; rational arithmetic if they fail or leave the verdict open.
     last = exact_values is None and is_cheap_to_certify(mdp, LAST_CYCLE)
     try:
         result = make_audit(exact_values)
-    except SolverError:  # floats cannot bound the answer, which rational arithmetic may give
+    except SolverError:  # floats cannot bound the answer, but rational arithmetic may find it
         if not last:
             raise
         result = make_audit(True)
     if last and result.undecided:
         with suppress(ModelError):  # a cycle that is too ill-conditioned leaves it undecided
             result = make_audit(True)
-    if evidence is None:
+    if confidence is None:
         return result
+
+    # 4. With records, the verdict rests on an interval for the process behind the model.
     level, own = confidence_of(confidence), chain.weights
-    own = own if horizon is None else split_by_time(recorded, own, horizon)
+    if horizon is not None:
+        own = split_by_time(recorded, own, horizon)
     return replace(result, interval=evidence.interval(recorded, own, level))
 
 
 def _resolve_interval_method(by: object) -> Evidence:
-    """Return what an interval is made by."""
+    """Return the method of an interval, from its name or as an object."""
     if isinstance(by, str):
         return EVIDENCE[require_known_name(by, EVIDENCE, "kind of interval", "by")]()
     if not isinstance(by, Evidence):
@@ -180,9 +197,10 @@ def assert_policy_optimal(
     Raises
     ------
     AssertionError
-        Where a limit does not hold.
+        If a limit does not hold.
     ModelError
-        As `check` does.
+        As `check` raises it.
+
 
     Examples
     --------

@@ -1,12 +1,12 @@
-"""The best policy that reads some columns of the state only, with a proof that it is the best.
+"""The best policy that reads only some columns of the state, with a proof that it is the best.
 
 All states in which these columns agree form a *row*, in which a policy takes one action; to find
 the best is NP-hard (Littman, Memoryless policies, From Animals to Animats 3, 1994). A relaxation
-allows a set of actions in each row, and every state chooses among them knowing the full state. Its
-value is at most V + c w, where r + γ P V - V ≤ c m for every allowed pair, with the weights w and
-margins m of `solvers.bounds.bounds`, rounding included; it bounds mixed policies, too. Branch and
-bound (Land and Doig, Econometrica 28, 1960) splits the relaxation of the greatest bound at the row
-in which any single action costs most.
+allows a set of actions in each row, and every state chooses among them with knowledge of the full
+state. Its value is at most V + c w, where r + γ P V - V ≤ c m for every allowed pair, with the
+weights w and margins m of `solvers.bounds.bounds`, rounding included; it also bounds mixed
+policies. Branch and bound (Land and Doig, Econometrica 28, 1960) splits the relaxation with the
+greatest bound, at the row in which any single action costs most.
 """
 
 from __future__ import annotations
@@ -35,25 +35,26 @@ from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.layers import NUMBERS, find_taken_pairs, layers_of
 
-WORK = 2**25  # transitions times relaxations, unless a limit is given
-ITERATIONS = 1000  # of policies; a bound counts what is left to gain wherever they end
+# Policy iterations in one relaxation. The bound is sound wherever they end, as it adds the
+# remaining Bellman residual; the number only guards against a cycle caused by rounding.
+ITERATIONS = 1000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class BestPolicy(Result):
-    """The best policy found that reads some columns, and how good any other can be."""
+    """The best policy found that reads some columns, with an upper bound on all others."""
 
     columns: tuple[str, ...]
     policy: Policy
     value: Bounded  # at the start
-    upper_bound: float  # of any deterministic policy that reads them; of costs, a lower one
-    mixed_upper_bound: float  # the same of any policy that reads them, mixed or not
-    proven: bool  # whether the search ended: rounding alone is between value and `upper_bound`
+    upper_bound: float  # on deterministic policies that read them; a lower bound for costs
+    mixed_upper_bound: float  # the same on all policies that read them, mixed or not
+    proven: bool  # whether the search ended: value and `upper_bound` differ by rounding alone
     nodes: int  # relaxations solved
 
     @property
     def error(self) -> float:
-        """How far the value may be off."""
+        """The error bound of the value."""
         return self.value.error
 
     @property
@@ -71,7 +72,7 @@ class BestPolicy(Result):
         return f"BestPolicy({read}: value {self.value}; bound on others {self.upper_bound:.6g})"
 
     def frame(self) -> DataFrame:
-        """Return the policy, one row for each combination of values of the columns."""
+        """Return the policy as a table, one row for each combination of the columns' values."""
         return data_frame([*self.actions.items()], columns=["row", "action"])
 
 
@@ -82,17 +83,17 @@ def best_policy(
     start: Policy | None = None,
     node_limit: int | None = None,
 ) -> BestPolicy:
-    """Return the best deterministic policy that reads `columns`, and an upper bound on all.
+    """Find the best deterministic policy that reads `columns`, with an upper bound on all.
 
     Parameters
     ----------
     model : MDP or Scenario
     columns : names of columns of the model's states; none for one action throughout
     start : Policy, optional
-        A policy that reads these columns, to begin from as well.
+        A policy that reads these columns, as an additional starting point.
     node_limit : int, optional
-        Relaxations to solve at most; 100 to 5,000, by the model's size, unless given. The upper
-        bound is sound wherever the search ends.
+        Greatest number of relaxations to solve; by default 100 to 5,000, by the model's size. The
+        upper bound is sound wherever the search ends.
 
     Returns
     -------
@@ -101,8 +102,8 @@ def best_policy(
     Raises
     ------
     ModelError
-        For an unknown column, where states that look alike have no action in common, and at
-        discount 1 where not every policy ends.
+        If a column is unknown, if states that look alike have no action in common, or at discount 1
+        if some policy never ends.
 
     Examples
     --------
@@ -113,7 +114,8 @@ def best_policy(
     """
     mdp = mdp_of(model)
     if node_limit is None:
-        node_limit = max(100, min(5000, WORK // mdp.n_transitions))
+        # Transitions times relaxations: the limit keeps the default search to a constant effort.
+        node_limit = max(100, min(5000, 2**25 // mdp.n_transitions))
     limit = require_count(node_limit, "node_limit")
     rows = PolicyRows(mdp.maximised, require_list(columns, "columns"))
     search = _BranchAndBound(rows)
@@ -122,10 +124,12 @@ def best_policy(
     search.split_nodes(limit)
     value = Bounded(value=search.value, error=search.error)
     upper = max(search.upper, value.interval[0])
+    if mdp.sense == "min":  # the search maximises: costs are negated
+        value = -value
     return BestPolicy(
         columns=rows.space.names,
         policy=rows.to_policy(search.choice),
-        value=value if mdp.sense == "max" else -value,
+        value=value,
         upper_bound=0.0 + mdp.sign * upper,
         mixed_upper_bound=0.0 + mdp.sign * search.mixed,
         proven=search.ended,
@@ -134,21 +138,22 @@ def best_policy(
 
 
 class PolicyRows:
-    """The K rows that some columns make of a model's states, and relaxations over its A actions.
+    """The K rows into which some columns group a model's states, with relaxations over A actions.
 
-    Of a row, `asked` (K,) says whether a state with a choice can be reached, and `available` (K, A)
-    which actions all its states with a choice offer; `key` (S,) is the row of each state. A choice
-    counts where it matters: not where all is over, nor where all actions are alike.
+    For each row, `asked` (K,) says whether a state with a choice can be reached, and `available`
+    (K, A) which actions are offered by all its states with a choice; `key` (S,) is the row of each
+    state. Choices in terminal states, and among actions that are all alike, do not count.
     """
 
     def __init__(self, mdp: MDP, columns: Sequence[str]) -> None:
         space = space_over(mdp, columns)
         row = rows_read(mdp, space)
-        # Where all is over, or all actions are alike, a policy may say anything.
+        # In terminal states, and if all actions are alike, the policy has no effect.
         free, met = mdp.asked & ~mdp.indifferent, find_reachable_states(mdp)
         entry, size = row[mdp.pair_state] * mdp.n_actions + mdp.pair_action, space.size
         offers = np.bincount(entry[free[mdp.pair_state]], minlength=size * mdp.n_actions)
         states = np.bincount(row[free], minlength=size)[:, None]
+        # An action is available in a row if every state of the row with a choice offers it.
         self.available = (offers.reshape(size, -1) == states) & (states > 0)
         without = (states[:, 0] > 0) & ~self.available.any(axis=1)
         if without.any():
@@ -159,26 +164,28 @@ class PolicyRows:
             )
         self.mdp, self.space, self.key, self.free = mdp, space, row, free
         self.asked = np.bincount(row[free & met], minlength=size) > 0
-        # Pairs of states that have no choice, or are never reached, are always allowed.
+        # Pairs of states without a choice, and of states never reached, are always allowed: they
+        # have an entry of their own after all rows.
         choosing = (free & met & ~mdp.terminal)[mdp.pair_state]
         self._entry = np.where(choosing, entry, offers.size)
         used = np.flatnonzero(choosing)
         shape = (offers.size, mdp.n_pairs)
         self._sums = sp.csr_array((np.ones(len(used)), (entry[used], used)), shape)
         self._passes = Cycles(mdp) if topological_levels(mdp) is None else layers_of(mdp)
+        # A residual of at most e changes the start value by at most e w(start) / min m.
         weights = margin_weights(mdp)
         self._reach = float(mdp.start_distribution @ weights.value) * SLACK / weights.smallest
         self._gain = float(np.abs(mdp.table.compute_gains()).max())
         self._terms = int(np.diff(mdp.table.offsets).max())
 
     def to_policy(self, choice: Integers) -> Policy:
-        """Return the policy of one action number (K,) a row, silent where there is no choice."""
+        """Return the policy that takes one action number (K,) in each row with a choice."""
         table = np.eye(self.mdp.n_actions)[choice]
         table[~self.available.any(axis=1)] = np.nan
         return Policy(space=self.space, actions=self.mdp.actions, rule=table)
 
     def choices_of(self, policy: Policy) -> Integers:
-        """Return the likeliest action numbers (K,) of a policy that reads nothing else."""
+        """Return the likeliest action numbers (K,) of a policy that reads these columns alone."""
         taken: Integers = self.available.argmax(axis=1)
         free = np.flatnonzero(self.free)
         taken[self.key[free]] = policy.choices(self.mdp)[free]
@@ -187,49 +194,56 @@ class PolicyRows:
     def bound_relaxations(self, allowed: Flags) -> tuple[Floats, Integers, Floats]:
         """Return upper bounds (N,) of relaxations (N, K, A), and a policy for each, (N, K).
 
-        Its action in a row is the one that loses least at the visits of the relaxation's own
-        policy; how much that is comes third, (N, K).
+        The policy takes in each row the action that loses least at the visits of the relaxation's
+        own policy; that loss is the third result, (N, K).
         """
+        # Solve all relaxations at once: allowed pairs (L, N) give values (S, N) and Q (L, N).
         mdp, flat = self.mdp, allowed.reshape(len(allowed), -1)
         pairs = np.concatenate([flat, np.ones((len(flat), 1), dtype=bool)], axis=1).T[self._entry]
         value, q, apart = self._passes.solve_allowed(pairs)
         upper, error = self._at_start(value, apart)
+
+        # The relaxation's policy: in each state the first of its best allowed pairs.
         offsets, state = mdp.pair_offsets[:-1], mdp.pair_state
         q = np.where(pairs, q, -np.inf)
         best = np.maximum.reduceat(q, offsets)[state]
         number = np.where(q >= best, np.arange(mdp.n_pairs)[:, None], mdp.n_pairs)
         visits = self._passes.compute_visits(number == np.minimum.reduceat(number, offsets)[state])
+
+        # The loss of one action for a whole row: visits times suboptimality gaps, over its states.
         lost = visits[state] * np.where(pairs, value[state] - q, 0.0)
         lost = np.asarray((self._sums @ lost).T).reshape(allowed.shape)
-        # What rounding leaves is not a loss: of equal actions, the lowest number is taken.
+        # Losses within rounding are ties, which go to the lowest action number.
         lost[lost <= self._bound_rounding(value)[:, None, None]] = 0.0
         lost[~allowed] = np.inf
         return upper + error, lost.argmin(axis=2), lost.min(axis=2)
 
     def evaluate_choices(self, choices: Integers) -> FixedPoint:
         """Return the start values (N,) of policies (N, K)."""
-        parts = np.array_split(choices, -(-len(choices) * self.mdp.n_states // NUMBERS))
-        each = (
-            self._passes.evaluate_pairs(find_taken_pairs(self.mdp, self.key, part))
-            for part in parts
-        )
-        value, error = zip(*(self._at_start(*solved) for solved in each), strict=True)
-        return FixedPoint(value=np.concatenate(value), error=np.concatenate(error))
+        # Blocks of policies limit the memory for values (S, N).
+        n_parts = -(-len(choices) * self.mdp.n_states // NUMBERS)
+        values, errors = [], []
+        for part in np.array_split(choices, n_parts):
+            taken = find_taken_pairs(self.mdp, self.key, part)
+            value, error = self._at_start(*self._passes.evaluate_pairs(taken))
+            values.append(value)
+            errors.append(error)
+        return FixedPoint(value=np.concatenate(values), error=np.concatenate(errors))
 
     def _at_start(self, value: Floats, apart: Floats) -> tuple[Floats, Floats]:
-        """Return start values (N,) and their errors, of values (S, N) so far from a fixed point."""
+        """Return start values (N,) and error bounds, for values (S, N) with residuals (N,)."""
         off = (apart + self._bound_rounding(value)) * self._reach
         summing = gamma(len(self.mdp.start) + 2) * np.abs(value).max(axis=0)
         return self.mdp.start_distribution @ value, (off + summing) * SLACK
 
     def _bound_rounding(self, value: Floats) -> Floats:
-        """Return (N,) how far a computed r + γPV - V may be from the exact one."""
+        """Return error bounds (N,) of a computed residual r + γPV - V."""
         size = np.abs(value).max(axis=0)
         return np.asarray(gamma(self._terms + 8) * (self._gain + 2 * size))
 
 
 class Cycles:
-    """What `Layers` is for models without cycles, of any model: one column after the other."""
+    """The counterpart of `Layers` for models with cycles; it solves one column after the other."""
 
     def __init__(self, mdp: MDP) -> None:
         self.mdp = mdp
@@ -240,13 +254,14 @@ class Cycles:
         values, actions = np.empty((mdp.n_states, allowed.shape[1])), np.empty(allowed.shape)
         apart, pairs = np.empty(allowed.shape[1]), first
         for column, mask in enumerate(allowed.T):
-            pairs = np.where(mask[pairs], pairs, first_of(mdp, mask))  # the one before is near
+            # Policy iteration, from the policy of the column before, which is often near.
+            pairs = np.where(mask[pairs], pairs, first_of(mdp, mask))
             for _ in range(ITERATIONS):
                 chain, reward = policy_chain(mdp, pairs)
                 value = LinearSystem(chain, mdp.discount).approximate(reward)
                 q = mdp.reward + mdp.discount * (mdp.transition @ value)
                 best = np.maximum.reduceat(np.where(mask, q, -np.inf), first)
-                # More than rounding; `apart` counts what is not gained for it.
+                # Improve by more than rounding only; `apart` includes the gain left out.
                 noise = 2.0**-44 * (np.abs(mdp.reward).max() + np.abs(value).max())
                 better = best > q[pairs] + noise
                 if not better.any():
@@ -265,57 +280,72 @@ class Cycles:
 
     def compute_visits(self, taken: Flags) -> Floats:
         """Return (S, N) discounted visits from the start where the pairs (L, N) are taken."""
-        chains = (policy_chain(self.mdp, first_of(self.mdp, mask))[0] for mask in taken.T)
-        systems = (LinearSystem(chain.T.tocsr(), self.mdp.discount) for chain in chains)
-        start = self.mdp.start_distribution
-        return np.stack([system.approximate(start) for system in systems], axis=1)
+        start, visits = self.mdp.start_distribution, []
+        for mask in taken.T:
+            # d = start + γ P' d, with the transposed chain.
+            chain, _ = policy_chain(self.mdp, first_of(self.mdp, mask))
+            system = LinearSystem(chain.T.tocsr(), self.mdp.discount)
+            visits.append(system.approximate(start))
+        return np.stack(visits, axis=1)
 
 
 class _BranchAndBound:
-    """Branch and bound over the rows: `choice` (K,) is best so far, no policy is above `upper`."""
+    """Branch and bound over the rows.
+
+    `choice` (K,) is the best policy so far, and no policy is better than `upper`. A node is a set
+    of allowed actions in each row (K, A); the heap holds nodes by their bound, greatest first, each
+    with the row at which to split it.
+    """
 
     def __init__(self, rows: PolicyRows) -> None:
         self.rows, self.nodes = rows, 0
         self.heap: list[tuple[float, int, Flags, int]] = []
         self.value, self.error = -np.inf, 0.0
         self.choice: Integers = rows.available.argmax(axis=1)
+        # The root allows every available action, and a fixed one in rows without a choice.
         asked, alone = rows.asked[:, None], np.eye(rows.mdp.n_actions, dtype=bool)
         self._expand_nodes(np.where(asked, rows.available, alone[self.choice])[None])
+        # Its bound holds for mixed policies, too.
         self.mixed = self.upper = -self.heap[0][0]
 
     @property
     def ended(self) -> bool:
-        """Whether no node is left whose bound is above the best value by more than rounding."""
+        """Whether every bound that is left is within rounding of the best value."""
         return not self.heap or -self.heap[0][0] <= self.value + 4 * self.error
 
     def split_nodes(self, limit: int) -> None:
-        """Split the nodes that may hold a better policy, until `limit` relaxations are solved."""
-        alone = -np.inf  # the greatest bound of a node of one policy
+        """Split nodes that may hold a better policy, until `limit` relaxations are solved."""
+        alone = -np.inf  # the greatest bound of nodes that hold a single policy
         words = {"desc": "policies", "unit": " nodes", "delay": 1, "disable": None, "leave": False}
         with tqdm.tqdm(**words) as bar:
             while not self.ended and self.nodes < limit:
                 bound, _, node, row = heappop(self.heap)
                 if node[row].sum() == 1:
+                    # One action is left in each row: the node cannot be split.
                     alone = max(alone, -bound)
                     continue
+                # One child for each action that the node allows in the row.
                 actions = np.flatnonzero(node[row])
                 children = np.repeat(node[None], len(actions), axis=0)
                 children[:, row] = np.eye(node.shape[1], dtype=bool)[actions]
                 self._expand_nodes(children)
                 bar.update(len(children))
-        self.upper = min(self.upper, max(alone, *(-node[0] for node in self.heap[:1]), -np.inf))
+        if self.heap:
+            alone = max(alone, -self.heap[0][0])
+        self.upper = min(self.upper, alone)
 
     def _expand_nodes(self, nodes: Flags) -> None:
-        """Bound some nodes (N, K, A), keep each with the row that costs most, offer policies."""
+        """Bound nodes (N, K, A), try their policies, and put them on the heap."""
         upper, choice, lost = self.rows.bound_relaxations(nodes)
         self.offer_policies(choice)
+        # Split where a single action costs most, among rows with several.
         rows = np.where(nodes.sum(axis=2) > 1, lost, -1.0).argmax(axis=1)
         for bound, node, row in zip(upper.tolist(), nodes, rows.tolist(), strict=True):
             self.nodes += 1
             heappush(self.heap, (-bound, self.nodes, node, row))
 
     def offer_policies(self, choices: Integers) -> None:
-        """Take the best of some policies (N, K) if it beats the best so far beyond rounding."""
+        """Keep the best of some policies (N, K) if it beats the best so far beyond rounding."""
         own = self.rows.evaluate_choices(choices)
         best = int(own.value.argmax())
         value, error = float(own.value[best]), float(own.error[best])

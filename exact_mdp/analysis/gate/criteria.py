@@ -1,17 +1,18 @@
-"""What an audit is about: the total reward, the reward per step, or the total under limits.
+"""The criteria of an audit: the total reward, the reward per step, and the total under limits.
 
-The reward per step is lost where less can be earned later, and where a policy stays and earns less:
+A policy loses reward per step in transient states that lead to a smaller gain, and in recurrent
+states in which it earns less:
 
     g* - g = Σ d(s) (g*(s) - E g*(s')) + Σ μ(s) (g*(s) - r + h*(s) - E h*(s'))
 
-with d its visits to states that it leaves for good, and μ the share of time in the others. Under
-limits c_k ≥ b_k, with prices λ_k (`solvers.objectives.limits`), every policy π has
+with d the expected visits to transient states and μ the stationary distribution of the others.
+Under limits c_k ≥ b_k, with shadow prices λ_k (`solvers.objectives.limits`), every policy π has
 
     r* - r(π) = Σ_l x_π(l) gap(l) + λ (c(π) - b)
 
-with its visits x_π and what pairs fall short of the optimum V where r + λ c is earned (Altman,
-Constrained Markov Decision Processes, 1999, chapter 3): an audit of the priced model names the
-states; the last term is the value of the room left under the limits.
+with its occupancy measure x_π and the suboptimality gaps of the model whose reward is r + λ c
+(Altman, Constrained Markov Decision Processes, 1999, chapter 3). An audit of this priced model
+names the states; the last term is the value of the slack that the policy leaves in the limits.
 """
 
 from __future__ import annotations
@@ -50,35 +51,36 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain, flow_of
 
 @dataclass(frozen=True)
 class Verdict:
-    """One thing that was checked, such as "the regret" "at most 1/2", and what was found."""
+    """The outcome of one check, such as "the regret" is "at most 1/2"."""
 
     subject: str
     limit: str
-    decision: bool | None  # None where bounds or records leave it open, which does not pass
+    decision: bool | None  # None if bounds or records leave it open; it then fails
     text: str
 
     @property
     def name(self) -> str:
-        """What was checked."""
+        """The condition that was checked."""
         return f"{self.subject} is {self.limit}"
 
     @property
     def passed(self) -> bool:
-        """Whether it holds."""
+        """Whether the condition is proven to hold."""
         return self.decision is True
 
     @property
     def told(self) -> str:
-        """What was found, as a sentence: the name of a check that fails is not what was found."""
+        """The outcome as a sentence, such as "the regret is not zero: it is 2"."""
         holds = {True: "is", False: "is not", None: "is not known to be"}[self.decision]
         return f"{self.subject} {holds} {self.limit}: {self.text}"
 
     def __str__(self) -> str:
-        return f"{'passed' if self.passed else 'failed'}: {self.told}"
+        word = "passed" if self.passed else "failed"
+        return f"{word}: {self.told}"
 
 
 def format_claimed_number(value: Certified | Bounded) -> str:
-    """Return a number with its claim; an exact one may have thousands of digits, and is rounded."""
+    """Return a number with its claim, rounded to ten digits if it is exact."""
     if isinstance(value, Certified):
         return f"{float(value.value):.10g} ({value.claim})"
     return str(value)
@@ -91,9 +93,9 @@ class Total:
     chain: PolicyChain
 
     name: ClassVar[str] = "total"
-    least: ClassVar[str] = "zero"  # what the regret has to be where no limit of it is given
+    least: ClassVar[str] = "zero"  # the condition on the regret if no limit is given
     against: ClassVar[str] = ""
-    plain: ClassVar[bool] = True  # whether values are totals of the reward, and nothing else
+    plain: ClassVar[bool] = True  # whether values are plain totals of the reward
 
     @property
     def sums(self) -> str:
@@ -106,11 +108,11 @@ class Total:
         return True
 
     def compute_regret(self, exact: bool | None) -> Regret:
-        """Return what the policy loses against the optimum: exactly, or in bounds."""
+        """Return the regret of the policy: exactly, or within bounds."""
         return policy_regret(self.chain, exact=exact)
 
     def find_disagreements(self, lost: Regret) -> Findings:
-        """Return where the policy loses what it loses."""
+        """Return the visits and the states in which the regret arises."""
         return find_policy_disagreements(self.chain, lost)
 
     def list_verdicts(self) -> Iterator[Verdict]:
@@ -118,7 +120,7 @@ class Total:
         return iter(())
 
     def list_facts(self) -> dict[str, Any]:
-        """Return what a report says of limits; null without them."""
+        """Return the facts about limits for a report; None for each without limits."""
         names = ("feasible", "limits", "kept", "totals", "prices", "closest", "room")
         return dict.fromkeys(names)
 
@@ -140,7 +142,7 @@ class Average(Total):
 
     @cached_property
     def own(self) -> AverageEvaluation:
-        """What the policy earns per step; raises SolverError where floats cannot tell."""
+        """The policy's average reward; raises SolverError if floats cannot bound it."""
         return evaluate_average(self._undiscounted)
 
     @cached_property
@@ -148,24 +150,31 @@ class Average(Total):
         return replace(self.chain, mdp=self.chain.mdp.maximised.undiscounted)
 
     def compute_regret(self, exact: bool | None) -> Regret:
-        """Return what the policy loses per step: exactly unless that takes long."""
+        """Return the regret per step: exactly unless that takes long."""
         mdp = self.chain.mdp
-        exact = is_cheap_to_certify(mdp, LAST_CYCLE) if exact is None else exact
-        return (self._certify_regret() if exact else self._bound_regret()).of_sense(mdp.sense)
+        if exact is None:
+            exact = is_cheap_to_certify(mdp, LAST_CYCLE)
+        if exact:
+            return self._certify_regret().of_sense(mdp.sense)
+        return self._bound_regret().of_sense(mdp.sense)
 
     def find_disagreements(self, lost: Regret) -> Findings:
-        """Return where the policy loses what it loses; bounds do not tell."""
+        """Return the visits and the states in which the regret arises; none if it is bounded."""
         chain = self._undiscounted
-        certified = isinstance(lost.at_start, Certified)
-        visits = _compute_long_run_visits(chain) if certified else self.own.visits
+        if isinstance(lost.at_start, Certified):
+            visits = _compute_long_run_visits(chain)
+        else:
+            visits = self.own.visits
         return list_disagreements(chain, lost, visits, np.full(chain.mdp.n_states, -1))
 
     def _certify_regret(self) -> Regret:
-        """Return the exact regret, of rewards.
+        """Return the exact regret of a model of rewards.
 
-        One use of a pair can move the gain by what was rounded in its own row, and on the way to
-        where the policy stays by what that moves of g*: the means of both are forgiven.
+        The rounding of a row moves the gain once for each use of its pair: through the bias in
+        recurrent states, through g* in transient ones. The rounding allowance is the sum of both
+        over the visits of the optimum and of the policy.
         """
+        # A pair loses gain, and in recurrent states also bias.
         chain = self._undiscounted
         step, best = chain.mdp, certify_and_check(self.chain.mdp.maximised, "average")
         mine, (lost, short) = certify_and_check(chain.model, "average"), best.losses
@@ -174,12 +183,11 @@ class Average(Total):
         gap, whole = gap.astype(np.float64), best.start_value - mine.start_value
         movable: Callable[[], Fraction] = Fraction
         if step.floats:
-            # The rounding of a row, and of the best one, can cause the whole gap.
+            # A pair is a near tie if rounding in its row and in the best row may cause its gap.
             most = _per_use(chain, best)
             near = gap * SLACK <= most + most[best.pairs][step.pair_state]
-            moved = _compute_gain_allowance(
-                chain_of_pairs(step, best.pairs), best
-            ) + _compute_gain_allowance(chain, mine)
+            ideal = chain_of_pairs(step, best.pairs)
+            moved = _compute_gain_allowance(ideal, best) + _compute_gain_allowance(chain, mine)
             movable = partial(Fraction, moved * SLACK)
             optimal = include_near_ties(chain, optimal, near, whole, movable)
         both = (best.start, best.value_float), (mine.start, mine.value_float)
@@ -189,6 +197,7 @@ class Average(Total):
     def _bound_regret(self) -> Regret:
         mdp, own = self.chain.mdp.maximised, self.own
         best, gap = solve(mdp, criterion="average"), np.zeros(mdp.n_pairs)
+        # Bounds prove no gap of a pair: all are taken as optimal, those the optimum skips as open.
         other = np.bincount(best.pairs, minlength=mdp.n_pairs) == 0
         both = (best.start, best.value), (own.start, own.value)
         apart = np.maximum(best.value - own.value, 0.0)
@@ -196,29 +205,32 @@ class Average(Total):
 
 
 def _compute_long_run_visits(chain: PolicyChain) -> Floats:
-    """Return (S,) the share of time; in transient states the expected visits from the start."""
+    """Return (S,) the stationary distribution; for transient states, the expected visits."""
     share, met = chain.exactly.compute_limit_distribution(chain.mdp.start)
     return np.where(chain.exactly.classes.recurrent, share, met).astype(np.float64)
 
 
 def _per_use(chain: PolicyChain, proof: Certificate) -> Floats:
-    """Return (L,) what the rounding of a row moves of the bias; on the way, of the gain."""
-    step, stays = chain.mdp, chain.exactly.classes.recurrent[chain.mdp.pair_state]
-    on_the_way = per_use(step, round_finite_values(proof.value), rewards=False)
-    return np.where(stays, per_use(step, round_finite_values(proof.bias)), on_the_way)
+    """Return (L,) how far rounding in each row can move the gain, per use of the pair.
+
+    It acts through the bias in recurrent states, and through the gain of next states in others.
+    """
+    step, recurrent = chain.mdp, chain.exactly.classes.recurrent[chain.mdp.pair_state]
+    transient = per_use(step, round_finite_values(proof.value), rewards=False)
+    return np.where(recurrent, per_use(step, round_finite_values(proof.bias)), transient)
 
 
 def _compute_gain_allowance(chain: PolicyChain, proof: Certificate) -> float:
-    """Return what the rounding of floats can move of a policy's gain at the start."""
+    """Return how far the rounding of floats can move a policy's gain at the start."""
     uses = _compute_long_run_visits(chain)[chain.mdp.pair_state] * chain.weights
     return float(uses @ _per_use(chain, proof))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class UnderLimits(Total):
-    """The total reward of a policy that has to keep limits on other totals, exactly."""
+    """The total reward of a policy that has to keep limits on other totals; always exact."""
 
-    best: ConstrainedSolution  # the optimum, proven
+    best: ConstrainedSolution  # the certified optimum under the limits
 
     least = "at most 0"
     against = ", against the best policy that keeps the limits"
@@ -226,7 +238,7 @@ class UnderLimits(Total):
 
     @classmethod
     def of(cls, chain: PolicyChain, subject_to: Mapping[str, Any]) -> UnderLimits:
-        """Return the criterion of limits, as `solve` takes them."""
+        """Return the criterion for limits as `solve` takes them."""
         return cls(chain=chain, best=require_sound_proof(solve_under(chain.mdp, subject_to)))
 
     @property
@@ -236,25 +248,28 @@ class UnderLimits(Total):
 
     @cached_property
     def _attained(self) -> list[Fraction]:
+        """The policy's expected totals: of the reward, then of each limited component."""
         of = self.best.of
         assert self.chain.policy is not None
         return [of.sign * total for total in flow_of(of, self.chain.policy).compute_totals(of)]
 
     @property
     def earned(self) -> Fraction:
-        """The return of the policy."""
+        """The expected return of the policy."""
         return self._attained[0]
 
     @property
     def totals(self) -> dict[str, Fraction]:
-        """The policy's totals of what is limited."""
+        """The policy's total of each limited component."""
         return dict(zip(self.best.of.names[1:], self._attained[1:], strict=True))
 
     @property
     def room(self) -> Fraction:
-        """What the room that the policy leaves under the limits is worth: λ (c(π) - b)."""
-        left = (limit.sign * (self.totals[limit.name] - limit.bound) for limit in self.best.limits)
-        return sum((p * room for p, room in zip(self.best.price, left, strict=True)), Fraction(0))
+        """The value of the slack that the policy leaves in the limits: λ (c(π) - b)."""
+        value = Fraction(0)
+        for price, limit in zip(self.best.price, self.best.limits, strict=True):
+            value += price * limit.sign * (self.totals[limit.name] - limit.bound)
+        return value
 
     def keeps_limit(self, limit: Limit) -> bool:
         """Return whether the policy keeps a limit."""
@@ -262,10 +277,11 @@ class UnderLimits(Total):
 
     @cached_property
     def _total(self) -> Total:
-        """The audit of the model that earns r + λ c; of itself where no policy keeps the limits."""
+        """The criterion of the model with reward r + λ c; without prices if none are feasible."""
         of, best = self.best.of, self.best
         if not best.feasible:
             return Total(chain=replace(self.chain, mdp=of.mdp))
+        # Exact integers over common denominators: of the weights (1, λ), and of each pair's row.
         whole, below = to_common_denominator(best.weights)
         scale = of.rows.scale[of.mdp.pair_state].astype(object)
         table = replace(
@@ -277,14 +293,14 @@ class UnderLimits(Total):
         return Total(chain=replace(self.chain, mdp=priced))
 
     def compute_regret(self, exact: bool | None) -> Regret:
-        """Return the regret against the optimum under limits; NaN where no policy keeps them."""
+        """Return the regret against the optimum under limits; NaN if no policy keeps them."""
         best = self.best.start or Certified(value=nan)
         lost = replace(
             self._total.compute_regret(True),
             optimal=best,
             learned=Certified(value=self.earned),
             at_start=Certified(value=self.best.of.sign * (best.value - self.earned)),
-            movable=Fraction,  # nothing is forgiven
+            movable=Fraction,  # no rounding allowance
         )
         if not self.feasible:
             none = np.full_like(lost.by_state, nan)
@@ -292,7 +308,7 @@ class UnderLimits(Total):
         return lost
 
     def find_disagreements(self, lost: Regret) -> Findings:
-        """Return where the policy loses what it loses, of the priced model."""
+        """Return the visits and the states in which the regret arises, in the priced model."""
         return self._total.find_disagreements(lost)
 
     def list_verdicts(self) -> Iterator[Verdict]:
@@ -307,20 +323,24 @@ class UnderLimits(Total):
             yield Verdict("there", "a policy that keeps all limits", False, text)
 
     def list_facts(self) -> dict[str, Any]:
-        """Return what a report says of the limits."""
-        best = self.best
-        room = f"{format_cell(self.room)}: the value of the room left under the limits"
+        """Return the facts about limits for a report."""
+        best, prices, room = self.best, None, None
+        if best.feasible:
+            prices = best.prices
+            text = f"{format_cell(self.room)}: the value of the room left under the limits"
+            room = Shown(self.room, text)
         return {
             "feasible": best.feasible,
             "limits": [str(limit) for limit in best.limits],
             "kept": Shown([self.keeps_limit(limit) for limit in best.limits]),
             "totals": Shown(self.totals),
-            "prices": Shown(best.prices if best.feasible else None),
+            "prices": Shown(prices),
             "closest": Shown(best.closest),
-            "room": Shown(self.room, room) if best.feasible else None,
+            "room": room,
         }
 
     def list_tables(self) -> dict[str, Table]:
-        """Return each limit with the policy's total, and its price or the closest to be kept."""
+        """Return each limit with the policy's total, and its price or the closest feasible one."""
         answers = ["yes" if self.keeps_limit(limit) else "NO" for limit in self.best.limits]
+
         return {"limits of the policy": self.best.table(self.totals, answers)}

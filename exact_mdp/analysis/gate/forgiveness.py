@@ -1,15 +1,16 @@
-"""How far the rounding of given floats can move a regret: all that a verdict on zero forgives.
+"""The rounding allowance: how far the rounding of given floats can move a regret.
 
-A float stands for whatever it was rounded from, half a unit in its last place to either side. To
+A float stands for any number that rounds to it, half a unit in its last place to either side. To
 first order that moves the difference of two policies' values at the start by at most
 
     Σ_l |v(l) - u(l)| ρ(l) + M_l(x),    x_i = v(l) (r_i + γ V^*(s_i)) - u(l) (r_i + γ V^π(s_i))
     M_l(x) = min_c Σ_i ω_i |x_i - c|,   c the median, as errors of a row sum to 0
 
-with u and v the expected uses of pair l, ρ and ω_i half a unit of its expected reward and of the
-probability of outcome i. A pair ties with the best action where its gap is at most e(l) + γ Σ P(l,
-s') F(s') + F(s), with e(l) = ρ(l) + M_l(r + γ V) and F what the optimum collects of that. All is
-bounded from above; exact numbers, 0 and a probability of 1 are forgiven nothing.
+with u and v the expected uses of pair l by the policy and by the optimum, and ρ and ω_i half a unit
+of its expected reward and of the probability of outcome i. A pair ties with the best action if its
+gap is at most e(l) + γ Σ P(l, s') F(s') + F(s), with e(l) = ρ(l) + M_l(r + γ V) and F the total of
+e under the optimum. All terms are bounded from above; exact numbers, 0 and a probability of 1 have
+an allowance of zero.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
 def _rounded_rewards(mdp: MDP) -> Floats:
-    """Return ρ (L,)."""
+    """Return ρ (L,), half a unit in the last place of each pair's expected reward."""
     table, gain = mdp.table, mdp.table.compute_gains()
     if not mdp.float_rewards:
         return np.zeros(mdp.n_pairs)
@@ -36,12 +37,14 @@ def _rounded_rewards(mdp: MDP) -> Floats:
 
 
 def _moved_by_rows(mdp: MDP, x: Floats, error: Floats) -> Floats:
-    """Return M (L,) of numbers (N,) known up to an error."""
+    """Return M (L,) for numbers x (N,), each known up to an error (N,)."""
     table, first, pair = mdp.table, mdp.table.offsets[:-1], mdp.table.pair
     if not mdp.float_probabilities:
         return np.zeros(mdp.n_pairs)
     chance = table.compute_probabilities()
     half = np.where(chance < 1, np.spacing(chance) / 2, 0.0)
+    # The median of x in each row, weighted by `half`: in the order of x, the first outcome up to
+    # which half of the row's weight lies.
     order = np.lexsort((x, pair))
     ahead = np.cumsum(half[order])
     middle = (ahead[first] - half[order[first]] + ahead[table.offsets[1:] - 1]) / 2
@@ -51,7 +54,7 @@ def _moved_by_rows(mdp: MDP, x: Floats, error: Floats) -> Floats:
 
 
 def round_finite_values(exact: Numbers) -> FixedPoint:
-    """Return exact values as floats, with the error of that; 0 where they are infinite."""
+    """Return exact values as floats with error bounds; infinite values become 0."""
     value = np.nan_to_num(exact.astype(np.float64), posinf=0.0, neginf=0.0)
     return FixedPoint(value=value, error=UNIT * np.abs(value) + TINY)
 
@@ -59,22 +62,22 @@ def round_finite_values(exact: Numbers) -> FixedPoint:
 def _compute_outcome_values(
     mdp: MDP, known: FixedPoint, rewards: bool = True
 ) -> tuple[Floats, Floats]:
-    """Return r + γ V of outcomes (N,) and its error, for values (S,) known up to an error."""
+    """Return r + γ V of outcomes (N,) and error bounds, for values (S,) with error bounds."""
     gain, there, rate = mdp.table.compute_gains() * rewards, mdp.table.next, mdp.discount
     x = gain + rate * known.value[there]
     return x, rate * known.error[there] + 3 * UNIT * (np.abs(gain) + np.abs(x))
 
 
 def per_use(mdp: MDP, known: FixedPoint, *, rewards: bool = True) -> Floats:
-    """Return e (L,) for values (S,) known up to an error; without `rewards`, with r = 0."""
+    """Return e (L,) for values (S,) with error bounds; without `rewards`, with r = 0."""
     moved = _moved_by_rows(mdp, *_compute_outcome_values(mdp, known, rewards))
     return (_rounded_rewards(mdp) * rewards + moved) * SLACK + TINY
 
 
 def bound_per_use(mdp: MDP, known: FixedPoint) -> float:
-    """Return what no e is above, from the greatest numbers alone.
+    """Return an upper bound of all e(l), from the greatest numbers alone.
 
-    Half a unit in the last place of p is at most UNIT p, and the middle of all x may stand for c.
+    Half a unit in the last place of p is at most UNIT p, and c may be the middle of all x.
     """
     gain, value = mdp.table.shared_gains(), known.value
     spread = float(np.ptp(gain)) + mdp.discount * float(np.ptp(value) + 2 * known.error.max())
@@ -86,12 +89,13 @@ def bound_per_use(mdp: MDP, known: FixedPoint) -> float:
 def compute_rounding_allowance(
     mdp: MDP, own: tuple[PolicyChain, FixedPoint], best: tuple[PolicyChain, FixedPoint]
 ) -> Fraction:
-    """Return what can be moved at the start; 0 where floats do not suffice to say so.
+    """Return how far rounding can move the regret at the start; 0 if floats cannot bound it.
 
-    Where a policy stays for ever at discount 1, no rounding moves what it is worth there.
+    At discount 1, rounding does not move the value of a recurrent class.
     """
     if not mdp.floats:
         return Fraction(0)
+    # v - u and its error (L,); x and its error (N,): the optimum is added, the policy subtracted.
     apart, unsure = np.zeros((2, mdp.n_pairs))
     x, off = np.zeros((2, len(mdp.table.next)))
     with np.errstate(over="ignore", invalid="ignore"):
@@ -102,9 +106,11 @@ def compute_rounding_allowance(
                 met = chain.discounted.visits
             except SolverError:
                 return Fraction(0)
+            # Expected uses of pairs, with error bounds: visits times the policy's probabilities.
             live = (chain.reached & ~chain.mdp.terminal)[mdp.pair_state] * chain.weights
             uses, loose = live * met.value[mdp.pair_state], live * met.error[mdp.pair_state]
             loose += 4 * UNIT * np.abs(uses)
+            # Their products with r + γ V, which enter x.
             value, error = _compute_outcome_values(mdp, known)
             each, more = uses[mdp.table.pair], loose[mdp.table.pair]
             x += sign * each * value
@@ -112,13 +118,21 @@ def compute_rounding_allowance(
             apart, unsure = apart + sign * uses, unsure + loose
         most = _rounded_rewards(mdp) * (np.abs(apart) + unsure) + _moved_by_rows(mdp, x, off)
     bound = float(most.sum()) * SLACK
-    return Fraction(bound) if np.isfinite(bound) else Fraction(0)
+    if not np.isfinite(bound):
+        return Fraction(0)
+    return Fraction(bound)
 
 
 def compute_tie_gaps(best: PolicyChain, known: FixedPoint) -> Floats:
-    """Return (L,) the gap up to which a pair ties with the best action; SolverError."""
+    """Return (L,) the gap up to which a pair ties with the best action.
+
+    Raises SolverError if floats cannot bound it.
+    """
     mdp, each = best.mdp, per_use(best.mdp, known)
-    counted = ~mdp.terminal & (best.ends if mdp.discount_exact == 1 else True)
+    # F collects e along the optimum; at discount 1 only in states from which it ends.
+    counted = ~mdp.terminal
+    if mdp.discount_exact == 1:
+        counted &= best.ends
     taken = np.add.reduceat(best.weights * each, mdp.pair_offsets[:-1])
     moved = best.discounted.solve(np.where(counted, taken, 0.0))
     later = np.maximum(moved.value, 0.0) + moved.error

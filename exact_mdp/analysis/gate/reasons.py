@@ -1,13 +1,13 @@
-"""Where a policy does not act optimally, what each such state costs, and why.
+"""The states in which a policy does not act optimally, the cost of each, and the reason.
 
     cost(s) = d(s) gap(s, π(s)),    d the policy's discounted visits from the start
     V*(start) - V^π(start) = [V*(start) - best] + [best - V^π(start)]
     error(s, a) = Q(row(s), a) - Q*(s, a)
 
-Costs sum to the regret of the policy π; where it waits for ever, see `analysis.gate.waiting`. The
-first bracket is what no policy that reads the same columns can avoid (`analysis.gate.columns`), the
-second what was learned wrongly on top. Errors of a Q-table are those of all states with a choice
-that any policy can reach, infinities left out; a greedy policy can be optimal under large ones.
+Costs sum to the regret of the policy π; if it waits forever, see `analysis.gate.waiting`. The first
+bracket is the loss of every policy that reads the same columns (`analysis.gate.columns`), the
+second the learning error on top. Errors of a Q-table are taken over all reachable states with a
+choice, infinite ones excepted; a greedy policy can be optimal although its errors are large.
 """
 
 from __future__ import annotations
@@ -32,7 +32,6 @@ from exact_mdp.solvers.solution import Bounded, Certified, SolverError, in_float
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 LISTED = 4  # actions that a text names in one state
-CLOSE = 2.0**-40  # errors of visits, as parts of the most, that leave ten digits right
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,36 +40,40 @@ class Disagreement:
 
     state: int
     label: str
-    learned: str  # the action taken, or those drawn from with their probabilities
+    learned: str  # the policy's action, or its actions with their probabilities
     optimal: tuple[str, ...]  # all optimal actions
-    gap: float  # what doing this once loses; where it waits for ever, what waiting loses
+    gap: float  # the loss of one use; if the policy waits forever, the loss of waiting
     expected_visits: float  # discounted, from the start
-    cost: float  # expected_visits · gap, and what is lost by waiting; these sum to the regret
+    cost: float  # expected_visits · gap, plus the loss of waiting; costs sum to the regret
 
 
-Findings = tuple[Floats, tuple[Disagreement, ...]]  # visits (S,), and where it is not optimal
+Findings = tuple[Floats, tuple[Disagreement, ...]]  # visits (S,), and the disagreements
 
 
 def find_policy_disagreements(chain: PolicyChain, regret: Regret) -> Findings:
     """Return the visits of the policy of `chain`, and the states that make up its regret.
 
-    Visits are infinite where the policy stays for ever at discount 1, the end left out; and NaN
-    where floats cannot bound them and rational arithmetic would be slow.
+    At discount 1 visits are infinite in recurrent states that are not terminal. They are NaN if
+    floats cannot bound them and rational arithmetic would be slow.
     """
     mdp = chain.mdp
     label = np.full(mdp.n_states, -1)
     if mdp.discount_exact == 1 and not chain.ends_from_start:
         label = np.where(chain.reached, final_class(chain), -1)
-    leaving = chain.make_terminal(label >= 0) if (label >= 0).any() else chain
+    # Recurrent classes become terminal, so that their visits are the finite arrivals.
+    leaving = chain
+    if (label >= 0).any():
+        leaving = chain.make_terminal(label >= 0)
     came = _compute_state_visits(leaving, exactly=isinstance(regret.at_start, Certified))
     return list_disagreements(chain, regret, np.where(chain.reached, came, 0.0), label)
 
 
 def _compute_state_visits(chain: PolicyChain, *, exactly: bool) -> Floats:
-    """Return (S,) expected visits; `exactly` where the digits of floats are not all right."""
+    """Return (S,) expected visits; `exactly` asks for exact ones if floats lose digits."""
     try:
         visits = chain.discounted.visits
-        if not exactly or visits.error.max() <= CLOSE * visits.value.max():
+        # An error of 2^-40 of the largest number leaves more digits right than a report shows.
+        if not exactly or visits.error.max() <= 2.0**-40 * visits.value.max():
             return visits.value
     except SolverError:
         if not exactly:
@@ -83,16 +86,21 @@ def list_disagreements(
 ) -> Findings:
     """Return visits (S,) and the states that make up the regret, the costliest first.
 
-    `came` (S,) are visits, in the classes of `label`, which are never left, arrivals.
+    `label` (S,) numbers the recurrent classes, -1 elsewhere; `came` (S,) are visits, or arrivals
+    in these classes.
     """
     mdp, weights, first = chain.mdp, chain.weights, chain.mdp.pair_offsets[:-1]
     visits = np.where(label >= 0, np.inf, came)
+    # The mean gap of a state's actions; a state is wrong if it takes any pair that is not optimal.
     gap = np.add.reduceat(weights * np.where(weights > 0, regret.gap, 0.0), first)
     wrong = np.add.reduceat(weights * ~regret.optimal_pairs, first) > 0
+    # Cost is visits times gap, without the undefined products of 0 and infinity.
     cost = np.where(gap > 0, visits, 0.0) * np.where(visits > 0, gap, 0.0)
+    # A recurrent class may lose without any gap, by waiting: that is charged to its wrong states.
     waits = charge_class_losses(label, came, regret.by_state, gap, wrong)
     gap, cost = np.where(waits > 0, regret.by_state, gap), cost + waits
     states, disagreements = np.flatnonzero(wrong & ~mdp.terminal), []
+    # The costliest first, then the largest gap, then the smallest number.
     for state in states[np.lexsort((states, -gap[states], -cost[states]))].tolist():
         right = [pair for pair in mdp.pairs_of(state) if regret.optimal_pairs[pair]]
         if isinstance(regret.optimum, Certificate):
@@ -112,13 +120,14 @@ def list_disagreements(
 
 
 def action_of(chain: PolicyChain, state: int) -> str:
-    """Return the action that a policy takes in a state, or what it draws from."""
+    """Return the action that a policy takes in a state, or its actions with probabilities."""
     mdp, weights = chain.mdp, chain.weights
     taken = [pair for pair in mdp.pairs_of(state) if weights[pair] > 0]
     names = {pair: str(mdp.actions[mdp.pair_action[pair]]) for pair in taken}
     if len(taken) == 1:
         return names[taken[0]]
     if len(taken) > LISTED:
+        # Many actions: say so if all are equally likely, else name the likeliest.
         if len({f"{weights[pair]:.4g}" for pair in taken}) == 1:
             return f"any of {len(taken)}"
         taken.sort(key=lambda pair: -weights[pair])
@@ -126,13 +135,16 @@ def action_of(chain: PolicyChain, state: int) -> str:
 
 
 def format_alternatives(names: Sequence[str]) -> str:
-    """Return actions that are all optimal, in words."""
+    """Return optimal actions as alternatives, in words."""
     return _join_few(names, " or ")
 
 
 def _join_few(texts: Sequence[str], between: str) -> str:
-    more = 0 if len(texts) <= LISTED else len(texts) - LISTED + 1
-    return between.join([*texts[: len(texts) - more], *[f"{more} others"] * bool(more)])
+    """Return some texts joined; of more than `LISTED`, the first few and a count of the others."""
+    if len(texts) <= LISTED:
+        return between.join(texts)
+    named = texts[: LISTED - 1]
+    return between.join([*named, f"{len(texts) - len(named)} others"])
 
 
 # ---- why -----------------------------------------------------------------------------------------
@@ -140,38 +152,41 @@ def _join_few(texts: Sequence[str], between: str) -> str:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Representation:
-    """What the columns that a policy reads allow, and what was learned wrongly on top.
+    """A regret split into the loss due to the columns that a policy reads, and a learning error.
 
-    Where the search for the best policy did not end, the loss may be smaller by `uncertainty`, and
-    the learning error larger. That is below 0 where the policy mixes and gains by it.
+    If the search for the best policy did not end, the loss may be smaller by `uncertainty`, and the
+    learning error larger. The learning error is negative if the policy gains by mixing actions.
     """
 
     best: BestPolicy  # of the columns that the policy reads
     loss: Certified | Bounded  # the first bracket
     learning_error: Certified | Bounded  # the second
-    rows: tuple[dict[str, Any], ...]  # of a deterministic policy, whose change alone gains
+    rows: tuple[dict[str, Any], ...]  # rows of a deterministic policy whose change alone gains
     unseen: str  # the columns that it does not read
 
     @classmethod
     def of(cls, mdp: MDP, policy: Policy, lost: Regret) -> Representation:
-        """Return how much of a policy's regret `lost` its columns explain."""
+        """Return the split of the regret `lost` of a policy."""
         read = tuple(name for name in mdp.space.names if name in policy.columns)
         best = best_policy(mdp, read, start=policy)
         loss = policy_regret(PolicyChain.of(mdp, best.policy)).at_start
+        rows: tuple[dict[str, Any], ...] = ()
+        if policy.deterministic:
+            rows = _find_row_changes(PolicyRows(mdp.maximised, read), policy)
         return cls(
             best=best,
             loss=loss,
             learning_error=subtract_numbers(lost.at_start, loss),
-            rows=_find_row_changes(PolicyRows(mdp.maximised, read), policy)
-            if policy.deterministic
-            else (),
+            rows=rows,
             unseen=", ".join(name for name in mdp.space.names if name not in read),
         )
 
     @property
     def uncertainty(self) -> float:
-        """How much more than the best policy found another one may be worth."""
-        return 0.0 if self.best.proven else abs(self.best.upper_bound - self.best.value.value)
+        """How much better than the best policy found another one may be."""
+        if self.best.proven:
+            return 0.0
+        return abs(self.best.upper_bound - self.best.value.value)
 
     def __str__(self) -> str:
         best = self.best
@@ -184,7 +199,7 @@ class Representation:
         )
 
     def list_facts(self) -> dict[str, Any]:
-        """Return what a report says of it."""
+        """Return the facts for a report."""
         best = self.best
         details = {
             "columns": best.columns,
@@ -202,7 +217,8 @@ class Representation:
 
 
 def _find_row_changes(rows: PolicyRows, policy: Policy) -> tuple[dict[str, Any], ...]:
-    """Return the rows of a deterministic policy whose change alone gains, the most first."""
+    """Return the rows of a deterministic policy whose change alone gains, greatest gain first."""
+    # One policy for each row and other action, and the policy itself in the last place.
     own, names = rows.choices_of(policy), rows.mdp.actions
     other = rows.available & rows.asked[:, None] & (own[:, None] != np.arange(len(names)))
     row, action = np.nonzero(other)
@@ -210,7 +226,8 @@ def _find_row_changes(rows: PolicyRows, policy: Policy) -> tuple[dict[str, Any],
     choices[np.arange(len(row)), row] = action
     values = rows.evaluate_choices(choices)
     gain, changes = values.value[:-1] - values.value[-1], dict[str, dict[str, Any]]()
-    for k in np.lexsort((action, -gain)).tolist():  # the best of each row first
+    # In order of gain, the first change of a row is its best; gains within rounding are left out.
+    for k in np.lexsort((action, -gain)).tolist():
         label = rows.space.label(int(row[k])) or "all states"
         if gain[k] > 2 * values.error.max() and label not in changes:
             taken = {"learned": names[own[row[k]]], "best": names[action[k]]}
@@ -224,10 +241,10 @@ class QError:
 
     largest: float  # of |error|
     where: str  # state and action of that error
-    mean: float  # above 0 where the table promises too much
+    mean: float  # positive if the table promises too much
     root_mean_square: float
-    visited: float  # the same of the actions taken, each weighted by the policy's visits
-    promised: float  # max_a Q at the start; of costs, min_a Q
+    visited: float  # the same over the actions taken, weighted by the policy's visits
+    promised: float  # max_a Q at the start; min_a Q for costs
 
     def __str__(self) -> str:
         return (
@@ -240,11 +257,12 @@ class QError:
 
 
 def q_error(mdp: MDP, policy: Policy, optimal: Floats, used: Floats) -> QError | None:
-    """Return the errors of the table that a policy is greedy in; None where nothing is asked.
+    """Return the errors of a policy's Q-table; None if no reachable state has a choice.
 
-    By optimal action values (L,), and the expected uses of pairs (L,): where some are used for
-    ever, only these have a weight, each the same.
+    `optimal` (L,) are the optimal action values and `used` (L,) the expected uses of pairs; if some
+    are used infinitely often, these alone have a weight, each the same.
     """
+    # The table's value of each pair, NaN for actions that the table does not have.
     assert policy.values is not None
     keys = rows_read(mdp, policy.space)[mdp.pair_state]
     named = [policy.actions.index(name) if name in policy.actions else -1 for name in mdp.actions]
@@ -252,15 +270,25 @@ def q_error(mdp: MDP, policy: Policy, optimal: Floats, used: Floats) -> QError |
     said, known = np.full(mdp.n_pairs, np.nan), column >= 0
     values = policy.values[keys[known], column[known]]
     with np.errstate(over="ignore"):
-        exact = values.dtype == object
-        said[known] = [in_float(x) for x in values] if exact else values.astype(np.float64)
+        if values.dtype == object:  # fractions
+            said[known] = [in_float(x) for x in values]
+        else:
+            said[known] = values.astype(np.float64)
     asked = (find_reachable_states(mdp) & ~mdp.forced & ~mdp.terminal)[mdp.pair_state]
     asked &= np.isfinite(said) & np.isfinite(optimal)
     if not asked.any():
         return None
     error = np.where(asked, said, 0.0) - np.where(asked, optimal, 0.0)
-    weight = np.where(asked, np.isinf(used) if np.isinf(used).any() else used, 0.0)
+    # Weights by visits; infinite visits outweigh all finite ones.
+    infinite = np.isinf(used)
+    if infinite.any():
+        used = infinite.astype(np.float64)
+    weight = np.where(asked, used, 0.0)
     total = float(weight.sum())
+    visited = 0.0
+    if total > 0:
+        visited = float(np.sqrt(weight @ error**2 / total))
+    # The value that the table promises at the start.
     better = np.fmax if mdp.sense == "max" else np.fmin
     best = better.reduceat(said, mdp.pair_offsets[:-1])
     start = mdp.start_distribution > 0
@@ -269,6 +297,6 @@ def q_error(mdp: MDP, policy: Policy, optimal: Floats, used: Floats) -> QError |
         where=mdp.where(int(np.argmax(np.abs(error)))),
         mean=float(error[asked].mean()),
         root_mean_square=float(np.sqrt((error[asked] ** 2).mean())),
-        visited=float(np.sqrt(weight @ error**2 / total)) if total > 0 else 0.0,
+        visited=visited,
         promised=float(mdp.start_distribution[start] @ best[start]),
     )

@@ -1,11 +1,11 @@
-"""How much a policy loses against the optimum: exactly where that is cheap, else within bounds.
+"""The regret of a policy: exact if that is cheap, otherwise within bounds.
 
     regret(s) = V*(s) - V^π(s) = Σ_s' d_s(s') gap(s', π(s')),    gap(s, a) = V*(s) - Q*(s, a)
 
-with d_s the discounted visits of π that begins in s. Large models and long cycles are bounded in
-floating point; even there a regret of 0 is certified where every action that a policy takes is
-proven to be optimal. With floats among the given numbers, an action ties with the best where its
-gap is at most what their rounding can move (`analysis.gate.forgiveness`).
+with d_s the discounted visits of π from s. In large models and long cycles the regret is bounded in
+floating point; even there a regret of 0 is certified if every action that a policy takes is proven
+to be optimal. In a model of floats, an action ties with the best if their rounding may explain its
+gap (`analysis.gate.forgiveness`).
 """
 
 from __future__ import annotations
@@ -67,39 +67,39 @@ def certify_and_check(mdp: MDP, criterion: str = "total") -> Certificate:
     return require_sound_proof(certify(mdp, criterion=criterion))
 
 
-# Up to these numbers a regret is certified, in a few seconds; beyond, its bounds are proven.
-EXACT_TRANSITIONS = 100_000
-EXACT_IN_TIME = 250_000  # of a model of episodes that stop: no cycle, a stage for each time
-EXACT_CYCLE = 200  # states of the largest cycle
-LAST_CYCLE = 500  # states of the largest cycle, where bounds leave a verdict open: about a second
-CLOSE = 2.0**-36  # of the largest value: wider bounds, of a solver that stops at 1e-9, are redone
+# The most transitions for which a regret is certified at once: a few seconds of rational
+# arithmetic. A model with a horizon has no cycles, which allows more.
+EXACT_TRANSITIONS, EXACT_IN_TIME = 100_000, 250_000
+# The largest cycle, in states, for which a verdict that bounds leave open is certified: rational
+# arithmetic grows with the cube of a cycle, and takes about a second at this size.
+LAST_CYCLE = 500
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Regret(Brief):
-    """What the optimum and a policy are worth, and the difference.
+    """The values of the optimum and of a policy, and their difference.
 
-    Optimal pairs are all and only these where certified; where bounded, all that the bounds do not
-    prove to lose more than rounding can move.
+    If certified, `optimal_pairs` are exactly the optimal ones; if bounded, they are all pairs that
+    are not proven to lose more than rounding can explain.
     """
 
     optimal: Certified | Bounded  # at the start, as the next two
     learned: Certified | Bounded
     at_start: Certified | Bounded
-    optimal_value: Floats  # (S,), as the next two; NaN where a policy that need not end never comes
+    optimal_value: Floats  # (S,), as the next two; NaN in states that an improper policy never sees
     learned_value: Floats
     by_state: Floats
     optimal_pairs: Flags  # (L,)
-    gap: Floats  # (L,) what a pair falls short of the optimum, 0 for optimal pairs
-    unclear: Flags | bool = False  # (L,) which optimal ones the bounds do not prove to be
-    optimum: Certificate | Bounds | None = None  # of a total, what vouches for the values
-    movable: Callable[[], Fraction] = Fraction  # works out `compute_rounding_allowance`
+    gap: Floats  # (L,) suboptimality gaps, 0 for optimal pairs
+    unclear: Flags | bool = False  # (L,) the `optimal_pairs` that are not proven to be optimal
+    optimum: Certificate | Bounds | None = None  # the proof of the values of a total reward
+    movable: Callable[[], Fraction] = Fraction  # computes the rounding allowance
 
     @classmethod
     def from_values(
         cls, best: tuple[Number, Floats], own: tuple[Number, Floats], optimal: Flags, **parts: Any
     ) -> Regret:
-        """Return the regret, by what both are worth at the start and in every state (S,)."""
+        """Return the regret, given both values at the start and in every state (S,)."""
         parts["gap"] = np.where(optimal, 0.0, parts["gap"])
         return cls(
             optimal=best[0],
@@ -117,9 +117,9 @@ class Regret(Brief):
         return f"Regret({lost}: optimal {optimal:.6g}, learned {learned:.6g})"
 
     def of_sense(self, sense: str) -> Regret:
-        """Return the same of costs where the sense is "min", and this is of their negative.
+        """Return the regret of a model of costs, if the sense is "min", from the negated model's.
 
-        What is lost stays as it is, and `optimum` that of the rewards.
+        Losses stay the same, and `optimum` remains the proof for the negated model.
         """
         if sense == "max":
             return self
@@ -138,7 +138,7 @@ class Regret(Brief):
 
     @cached_property
     def forgiven(self) -> Fraction:
-        """The regret that counts as none: what the rounding of the given floats can move."""
+        """The rounding allowance: a regret that rounding of the given floats may explain."""
         return self.movable()
 
     def keeps_limit(self, limit: Fraction) -> bool | None:
@@ -147,56 +147,68 @@ class Regret(Brief):
 
 
 def interval_of(number: Certified | Bounded) -> tuple[Fraction | float, Fraction | float]:
-    """Return between what a number lies: exactly where it is certified."""
-    return (number.value, number.value) if isinstance(number, Certified) else number.interval
+    """Return the two ends between which a number lies; both are the number if it is certified."""
+    if isinstance(number, Certified):
+        return number.value, number.value
+    return number.interval
 
 
 def is_at_most(within: tuple[Fraction | float, Fraction | float], limit: Fraction) -> bool | None:
-    """Return whether a number between two ends is at most `limit`; None where it may be."""
+    """Return whether a number between two ends is at most `limit`; None if that is open."""
     low, high = within
     if high <= limit:
         return True
-    return False if low > limit else None
+    if low > limit:
+        return False
+    return None
 
 
-proven_optimum = cache_on_model(certify_and_check)  # of the total reward, found once for each model
+proven_optimum = cache_on_model(certify_and_check)  # for the total reward, found once per model
 
 
 def policy_regret(chain: PolicyChain, *, exact: bool | None = None) -> Regret:
-    """Return what a policy is worth against the optimum of its model.
+    """Return the regret of a policy against the optimum of its model.
 
-    `exact` asks for rational arithmetic, or for bounds; unless given, the model's size decides.
+    `exact` is True for rational arithmetic and False for bounds; by default the model's size
+    decides.
     """
     mdp = chain.mdp
     if mdp.sense == "min":
         negated = replace(chain, mdp=mdp.maximised)
         return policy_regret(negated, exact=exact).of_sense(mdp.sense)
-    exact = is_cheap_to_certify(mdp) if exact is None else exact
-    if exact or has_improper_policy(mdp):  # bounds are of models in which every policy ends
+    if exact is None:
+        exact = is_cheap_to_certify(mdp)
+    if exact or has_improper_policy(mdp):  # bounds need every policy to be proper
         return _certify_regret(mdp, chain, proven_optimum(mdp))
     return _bound_regret(mdp, chain, bounded_optimum(mdp))
 
 
 def limit_of(name: str, limit: object) -> Fraction:
-    """Return a limit of the regret, checked."""
+    """Return a limit of the regret as an exact number; raise ModelError if it cannot be one."""
     value = exact_number(limit, name)
-    if not 0 <= value <= LARGEST:
-        large = value > 0
-        beyond, fix = (", beyond the floats", "choose less") if large else ("", "choose 0 or more")
-        raise ModelError(f"{name} is {format_rational(value)}{beyond}", where=name, fix=fix)
+    said = f"{name} is {format_rational(value)}"
+    if value < 0:
+        raise ModelError(said, where=name, fix="choose 0 or more")
+    if value > LARGEST:
+        raise ModelError(f"{said}, beyond the floats", where=name, fix="choose less")
     return value
 
 
-def is_cheap_to_certify(mdp: MDP, cycle: int = EXACT_CYCLE) -> bool:
-    """Return whether rational arithmetic is quick: few transitions, cycles of few states."""
+def is_cheap_to_certify(mdp: MDP, cycle: int = 200) -> bool:
+    """Return whether rational arithmetic takes a few seconds at most.
+
+    That is so with few transitions, if no cycle has more than `cycle` states.
+    """
     most = EXACT_TRANSITIONS if mdp.space.untimed is None else EXACT_IN_TIME
     return mdp.n_transitions <= most and _longest_cycle(mdp) <= cycle
 
 
 @cache_on_model
 def _longest_cycle(mdp: MDP) -> int:
-    """Return the greatest number of states that lead to one another."""
-    return 1 if is_acyclic(mdp) else int(np.bincount(label_components(mdp)[1]).max())
+    """Return the number of states in the largest strongly connected component."""
+    if is_acyclic(mdp):
+        return 1
+    return int(np.bincount(label_components(mdp)[1]).max())
 
 
 # ---- rational arithmetic -----------------------------------------------------------------------
@@ -205,13 +217,16 @@ def _longest_cycle(mdp: MDP) -> int:
 def _certify_regret(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
     """Return the exact regret.
 
-    At discount 1 where some policy never ends, a pair that keeps the value of a state need not
-    attain it, so that the policy is judged by its own model, in which it is the only one.
+    If some policy is improper, a pair that keeps the value of a state need not attain it. The
+    policy is then evaluated by the certificate of its own model, in which it is the only policy.
     """
-    unending = has_improper_policy(mdp)
-    own = certify_and_check(chain.model) if unending else best
+    # 1. The policy's value, in every state and at the start.
+    improper = has_improper_policy(mdp)
+    own = best
+    if improper:
+        own = certify_and_check(chain.model)
     value, mine, learned, level = best.value_float, own.value_float, own.start_value, own.h
-    if not unending and not best.optimal_pairs[chain.pairs].all():
+    if not improper and not best.optimal_pairs[chain.pairs].all():
         level = chain.exact_value
         mine, learned = level.to_floats(), level.compute_mean(mdp.start)
     if isinstance(learned, float) and learned == best.start_value:
@@ -221,29 +236,37 @@ def _certify_regret(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
             fix=ways_out(mdp, other_question(mdp)),
         )
     lost = best.start_value - learned
-    ideal = chain_of_pairs(mdp, best.pairs if unending else first_of(mdp, best.optimal_pairs))
-    known = (chain, round_finite_values(mine)), (ideal, round_finite_values(value))
-    movable = (
-        partial(compute_rounding_allowance, mdp, *known) if isinstance(lost, Fraction) else Fraction
-    )
-    # The exact differences, each rounded once.
+
+    # 2. The rounding allowance, computed only if a verdict needs it.
+    best_pairs = best.pairs if improper else first_of(mdp, best.optimal_pairs)
+    ideal = chain_of_pairs(mdp, best_pairs)
+    movable: Callable[[], Fraction] = Fraction
+    if isinstance(lost, Fraction):
+        known = (chain, round_finite_values(mine)), (ideal, round_finite_values(value))
+        movable = partial(compute_rounding_allowance, mdp, *known)
+
+    # 3. The regret of each state: the exact differences a/b - c/d, each rounded once.
     parts = zip(best.h.top, best.h.each_below, level.top, level.each_below, strict=True)
     by_state = np.array([(a * d - c * b) / (b * d) for a, b, c, d in parts])
+
+    # 4. The gap of each pair, and which are optimal.
     optimal, gap = np.array(best.optimal_pairs), np.array(in_decimals(best.losses[-1]))
-    if unending:
+    if improper:
         with np.errstate(invalid="ignore"):
             apart = np.where(value == mine, 0.0, value - mine)
         by_state = np.where(np.isfinite(value) & np.isfinite(mine), by_state, apart)
-        # A pair that is in a state of infinite value, or may lead to one, is optimal or loses all.
+        # In and before states of infinite value, a pair is optimal or loses an infinite amount.
         beyond = ~np.isfinite(value)
         gap[(mdp.transition @ beyond > 0) | beyond[mdp.pair_state]] = inf
         gap[optimal] = 0.0
-        # What keeps a value without attaining it is found where the policy stays for ever.
+        # Pairs that keep a value without attaining it, in classes where the policy waits.
         blamed = to_blame(chain, best, by_state)
         optimal[blamed] = False
-        # Who passes through gives an infinite value up here; who stays loses it by waiting.
+        # In a transient state such a pair gives an infinite value up; in a recurrent class the loss
+        # is counted as waiting.
         gap[blamed & (np.isposinf(by_state) & (final_class(chain) < 0))[mdp.pair_state]] = inf
-        if lost and lost <= movable():  # what all of it loses is rounding: so each part
+        # If rounding may explain the whole regret, it may explain each part.
+        if lost and lost <= movable():
             optimal |= (chain.chosen > 0) & chain.reached[mdp.pair_state]
     elif mdp.floats:
         with suppress(SolverError):
@@ -262,12 +285,15 @@ def include_near_ties(
     lost: Fraction | float,
     movable: Callable[[], Fraction],
 ) -> Flags:
-    """Return the optimal pairs (L,), with those whose gap the rounding of floats may have caused.
+    """Return the optimal pairs (L,) together with the near ties, whose gap rounding may explain.
 
-    Without these where each pair of the policy loses that little, and all of them too much.
+    Near ties are left out if the policy takes nothing else and yet loses more than rounding can
+    explain: its regret must be due to some pairs.
     """
     both = optimal | near
-    return optimal if both[chain.pairs].all() and lost > movable() else both
+    if both[chain.pairs].all() and lost > movable():
+        return optimal
+    return both
 
 
 # ---- bounds --------------------------------------------------------------------------------------
@@ -278,6 +304,7 @@ def _bound_regret(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
     if not np.array_equal(chain.pairs, optimum.pairs):
         evaluation = evaluate(mdp, chain)
         own = FixedPoint(value=evaluation.value, error=evaluation.error)
+    # Pairs that are not proven to lose count as optimal; some of them are open.
     near, ideal = ActionBounds(mdp, optimum), chain_of_pairs(mdp, optimum.pairs)
     loses = _find_losing_pairs(ideal, known, near.least_gap)
     lost = Regret.from_values(
@@ -290,15 +317,17 @@ def _bound_regret(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
         optimum=optimum,
         movable=partial(compute_rounding_allowance, mdp, (chain, own), (ideal, known)),
     )
-    certain = near.all_best(chain)
-    return replace(lost, at_start=Certified(value=Fraction(0))) if certain else lost
+    if near.all_best(chain):
+        return replace(lost, at_start=Certified(value=Fraction(0)))
+    return lost
 
 
 def _find_losing_pairs(ideal: PolicyChain, known: FixedPoint, least_gap: Floats) -> Flags:
-    """Return the pairs (L,) that lose more than rounding can move."""
+    """Return the pairs (L,) that lose more than rounding can explain."""
     mdp, loses = ideal.mdp, least_gap > 0
     if mdp.floats:
-        # Few pairs are so near to the best that it could: F ≤ E w / m, as w - γ P w ≥ m > 0.
+        # A cheap test first: w - γ P w ≥ m > 0, so that F ≤ E w / m for E the largest e. Few pairs
+        # are near enough to the best to need the gaps up to which they tie.
         weights = margin_weights(mdp)
         uses = float(weights.value.max() / weights.smallest)
         open_ = loses & (least_gap <= bound_per_use(mdp, known) * (1 + 2 * uses) * SLACK)
@@ -313,17 +342,20 @@ def bounded_optimum(mdp: MDP) -> Bounds:
     """Return bounds around the optimal values, as narrow as double precision allows."""
     solved = solve(mdp)
     bounds = bound_optimal_values(mdp, solved.value)
-    if bounds.error <= CLOSE * float(np.abs(bounds.value).max()):
+    # 2^-36 of the largest value is about 1e-11: wider bounds come from a solver that stopped at its
+    # tolerance of 1e-9, while the values of a policy are exact up to rounding.
+    if bounds.error <= 2.0**-36 * float(np.abs(bounds.value).max()):
         return bounds
-    # A solver may stop at its tolerance; the values of a policy have no error but rounding.
     better = bound_optimal_values(mdp, PolicyIteration(start=solved).solve(mdp).value)
-    return better if better.error <= bounds.error else bounds
+    if better.error <= bounds.error:
+        return better
+    return bounds
 
 
 class ActionBounds:
-    """What bounds on V* say of each pair: `low` and `high` of Q*(l) - V(s), and the gap.
+    """Bounds of each pair, from bounds on V*: `low` and `high` of Q*(l) - V(s), and of the gap.
 
-    `least_gap` bounds the gap from below; `open` is where another pair of the state may be better.
+    `least_gap` bounds the gap from below; `open` marks pairs that another of the state may beat.
     """
 
     def __init__(self, mdp: MDP, optimum: Bounds) -> None:
@@ -333,22 +365,30 @@ class ActionBounds:
         off = (added.error + 8 * UNIT * np.abs(value)) * SLACK + TINY
         off += (SLACK - 1) * max(abs(optimum.low), abs(optimum.high)) * flow
         self.low, self.high = value - off + optimum.low * flow, value + off + optimum.high * flow
+
+        # The gap is at least the best lower bound of the state, less the pair's upper bound.
         first, state = mdp.pair_offsets[:-1], mdp.pair_state
         best = np.maximum.reduceat(self.low, first)[state]
         self.gap = np.maximum.reduceat(value, first)[state] - value
         self.least_gap = np.nextafter(best - self.high, -inf)
+
+        # The greatest upper bound among the other pairs of the state: the second greatest for the
+        # pair that has the greatest.
         order, last = np.lexsort((self.high, state)), mdp.pair_offsets[1:] - 1
-        other = self.high[order[last]][state]  # the greatest of the other pairs
+        other = self.high[order[last]][state]
         other[order[last]] = self.high[order[last - 1]]
         self.open = (other > self.low) & ~mdp.forced[state]
 
     def all_best(self, chain: PolicyChain) -> bool:
-        """Return whether all that a policy does where it comes is proven to be optimal."""
+        """Return whether all actions that a policy takes are proven to be optimal."""
         mdp = self.mdp
         live = (chain.reached & ~mdp.terminal)[mdp.pair_state]
-        return all(  # all other pairs are worse, or have the same outcomes
-            compute_exact_row(mdp, other) == compute_exact_row(mdp, pair)
-            for pair in np.flatnonzero(live & (chain.chosen > 0) & self.open).tolist()
-            for other in mdp.pairs_of(int(mdp.pair_state[pair]))
-            if other != pair and self.high[other] > self.low[pair]
-        )
+        for pair in np.flatnonzero(live & (chain.chosen > 0) & self.open).tolist():
+            for other in mdp.pairs_of(int(mdp.pair_state[pair])):
+                # Another pair that may be better must be a twin, with the same row and reward.
+                may_be_better = other != pair and self.high[other] > self.low[pair]
+                if may_be_better and (
+                    compute_exact_row(mdp, other) != compute_exact_row(mdp, pair)
+                ):
+                    return False
+        return True

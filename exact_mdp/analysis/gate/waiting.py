@@ -1,15 +1,15 @@
-"""Waiting for ever: at discount 1 an action may keep the optimal value and never attain it.
+"""Waiting forever: at discount 1 an action may keep the optimal value and never attain it.
 
 Such an action belongs to an optimal policy exactly if other optimal actions lead from its next
-states to where the optimum may stay, without coming back. What a policy loses by waiting is lost in
-a class of states that it never leaves, by the state s at which it comes in with probability e(s):
+states to states in which the optimum may stay, without coming back. A policy that waits loses in a
+recurrent class, which it enters at state s with probability e(s):
 
     regret = Σ_s d(s) gap(s) + Σ_s e(s) (V*(s) - V^π(s))
 
-To blame are the states of the class in which an optimal action may lead out of it; else those in
-which the policy departs from the optimal one of the certificate, first where V + w > P w with the w
-of the proof (`solvers.exact.checker`): no optimal policy can use such an action for ever. Where
-there are several states, each has an equal share.
+The blame goes to the states of the class from which an optimal action can leave it; if there are
+none, to the states in which the policy departs from the optimal policy of the certificate, first to
+those with V + w > P w for the w of the proof (`solvers.exact.checker`), as no optimal policy can
+use such an action forever. Several states share the blame equally.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
 def final_class(chain: PolicyChain) -> Integers:
-    """Return (S,) the number of the class that a state is in and a policy never leaves, or -1."""
+    """Return (S,) the number of each state's recurrent class; -1 for transient and terminal."""
     return np.where(chain.mdp.terminal, -1, chain.classes.label)
 
 
 def compute_exact_row(mdp: MDP, pair: int) -> tuple[Fraction, frozenset[tuple[int, Fraction]]]:
-    """Return the exact expected reward and the exact row of a pair, which its twins share."""
+    """Return the exact expected reward and the exact row of a pair; twins have the same."""
     reward, row = Fraction(0), dict[int, Fraction]()
     for chance, following, gain in mdp.table.row(pair):
         reward += chance * gain
@@ -44,45 +44,54 @@ def compute_exact_row(mdp: MDP, pair: int) -> tuple[Fraction, frozenset[tuple[in
 
 
 def to_blame(chain: PolicyChain, best: Certificate, lost: Floats) -> Flags:
-    """Return (L,) pairs of a policy that are to blame for what is lost (S,) in its classes."""
+    """Return the pairs (L,) of a policy to blame for the losses (S,) in its recurrent classes."""
     mdp, table, label = chain.mdp, chain.mdp.table, final_class(chain)
     of, taken, optimal = mdp.pair_state, chain.chosen > 0, best.optimal_pairs
     departs = taken & (mdp.pair_action != best.policy[of])
+    # The policy's pairs in states from which an optimal action can leave the class.
     moves = label[table.next] != label[of[table.pair]]
     out = np.logical_or.reduceat(moves, table.offsets[:-1]) & optimal
     leaves = taken & np.logical_or.reduceat(out, mdp.pair_offsets[:-1])[of]
     at_fault, named = taken & ~optimal, np.zeros(mdp.n_states, dtype=bool)
+    # Four reasons, the strongest first; each applies to classes for which none was found yet.
     for pairs in (at_fault, leaves, None, departs):
         open_ = ((label >= 0) & (lost > 0) & ~named[label])[of]
-        some = (
-            _find_third_order_losses(mdp, best, departs & open_) if pairs is None else pairs & open_
-        )
+        if pairs is None:
+            some = _find_third_order_losses(mdp, best, departs & open_)
+        else:
+            some = pairs & open_
         at_fault = at_fault | some
         named[label[of[some]]] = True
     at_fault = at_fault | _giving_up(chain, best, lost, at_fault)
-    near = np.flatnonzero(np.isin(of, of[at_fault])).tolist()  # twins are to blame, too
+    # Twins, pairs of the same state with the same row and reward, are to blame, too.
+    near = np.flatnonzero(np.isin(of, of[at_fault])).tolist()
     kinds = {(of[pair], compute_exact_row(mdp, pair)) for pair in near if at_fault[pair]}
     at_fault[near] = [(of[pair], compute_exact_row(mdp, pair)) in kinds for pair in near]
     return at_fault
 
 
 def _giving_up(chain: PolicyChain, best: Certificate, lost: Floats, known: Flags) -> Flags:
-    """Return the pairs (L,) with which a policy gives up an infinite value, if none is known.
+    """Return the pairs (L,) by which a policy gives up an infinite value, if none is known yet.
 
-    Each may keep that value where an optimal policy follows; this one uses it until it has left.
+    Each of them alone may keep that value if an optimal policy follows; this policy goes on until
+    it has left the states of infinite value.
     """
     mdp, of = chain.mdp, chain.mdp.pair_state
     given_up = (best.infinite_sign > 0) & np.isposinf(lost)
-    taken = (chain.chosen > 0) & given_up[of]
+    taken: Flags = (chain.chosen > 0) & given_up[of]
     if not given_up.any() or (known & taken & chain.reached[of]).any():
         return np.zeros(len(of), dtype=bool)
     leaves = taken & (mdp.transition @ (best.infinite_sign <= 0) > 0)
     departs = taken & (mdp.pair_action != best.policy[of])
-    return next((pairs for pairs in (leaves & departs, departs, leaves) if pairs.any()), taken)
+    # The most specific reason that applies to any pair.
+    for reason in (leaves & departs, departs, leaves):
+        if reason.any():
+            return np.asarray(reason)
+    return taken
 
 
 def _find_third_order_losses(mdp: MDP, best: Certificate, pairs: Flags) -> Flags:
-    """Return those pairs (L,) of finite states for which V + w > P w."""
+    """Return which of some pairs (L,), in states of finite value, have V + w > P w."""
     falling = np.zeros(len(pairs), dtype=bool)
     if best.g is not None and best.w is not None:
         some = np.flatnonzero(pairs & (best.infinite_sign == 0)[mdp.pair_state])
@@ -94,33 +103,37 @@ def _find_third_order_losses(mdp: MDP, best: Certificate, pairs: Flags) -> Flags
 def charge_class_losses(
     label: Integers, came: Floats, by_state: Floats, gap: Floats, wrong: Flags
 ) -> Floats:
-    """Return (S,) what is lost by waiting, charged to the states (S,) that are `wrong`.
+    """Return (S,) the losses of waiting, charged to the states that are `wrong` (S,).
 
-    `came` (S,) are arrivals in the classes of `label`, 0 where the policy never comes. Where the
-    gap (S,) of a state is not 0, that is what is lost there.
+    `came` (S,) are arrivals in the classes of `label`, 0 in states that the policy never reaches. A
+    class in which some state has a gap (S,) loses by that gap, not by waiting.
     """
+    # The loss of a class: arrivals times regret, over the states by which it is entered.
     inside = label >= 0
     lost = np.where(inside & (came > 0), came * np.where(came > 0, by_state, 0.0), 0.0)
     whole = np.bincount(label[inside], weights=lost[inside], minlength=len(label))
     whole[label[inside & (gap > 0)]] = 0.0
+    # Equal parts for the wrong states of each class.
     blamed = inside & wrong & (whole[label] > 0)
     number = np.bincount(label[blamed], minlength=len(label))
     return np.where(blamed, whole[label] / np.maximum(number[label], 1), 0.0)
 
 
 def chain_of_pairs(mdp: MDP, pairs: Integers) -> PolicyChain:
-    """Return the chain of a policy that takes these pairs (S,)."""
+    """Return the chain of the deterministic policy that takes these pairs (S,)."""
     return PolicyChain(mdp=mdp, chosen=np.bincount(pairs, minlength=mdp.n_pairs).astype(float))
 
 
 def find_attaining_pairs(mdp: MDP, best: Certificate, optimal: Flags, state: int) -> list[int]:
     """Return the optimal pairs (L,) of a state that belong to some optimal policy."""
     pairs = [pair for pair in mdp.pairs_of(state) if optimal[pair]]
+    # Every optimal pair attains the value if all policies end.
     if not has_improper_policy(mdp) or len(pairs) < 2:
         return pairs
     sign, stays = best.infinite_sign, chain_of_pairs(mdp, best.pairs).classes.recurrent
     if stays[state] or sign[state] < 0:
         return pairs
+    # States from which optimal pairs of other states lead to where the optimum may stay.
     used = np.flatnonzero(optimal & (mdp.pair_state != state))
     shape = (mdp.n_states, mdp.n_pairs)
     choice = sp.csr_array((np.ones(len(used)), (mdp.pair_state[used], used)), shape)
@@ -130,13 +143,16 @@ def find_attaining_pairs(mdp: MDP, best: Certificate, optimal: Flags, state: int
         (choice @ mdp.transition).T.tocsr(), stays & (sign == sign[state])
     )
     arrives[state] = False
-    return [
-        pair for pair in pairs if rests[pair] or arrives[mdp.transition[[pair]].indices].any()
-    ] or pairs
+    attaining = []
+    for pair in pairs:
+        if rests[pair] or arrives[mdp.transition[[pair]].indices].any():
+            attaining.append(pair)
+    return attaining or pairs
 
 
 def find_zero_reward_pairs(mdp: MDP, best: Certificate, optimal: Flags) -> Flags:
-    """Return the optimal pairs (L,) of states worth 0 with which a policy can earn 0 for ever."""
+    """Return the optimal pairs (L,) of states of value 0 by which a policy earns 0 forever."""
+    # Start from all states of value 0, and drop those that cannot stay among the others.
     worth = np.array([value == 0 for value in best.value], dtype=bool)
     earned = np.array([gain == 0 for gain in mdp.table.expected_gain_exact()[0]], dtype=bool)
     left = worth

@@ -72,7 +72,7 @@ def test_a_page_holds_verdict_table_picture_and_how_to_rerun(nasty: Path) -> Non
     assert sum(each["share"] for each in content["disagreements"]) == pytest.approx(1)
     text = checked().out
     assert re.search(r"state +yours +optimal +value lost +visits +share", text)
-    assert "yours: what the policy does" in text
+    assert "yours: the policy's action" in text
     for each in content["disagreements"]:
         said = f"{each['state']}: yours {each['learned']}, optimal {each['optimal']}; "
         assert [title for title in wrong if str(title).startswith(said)]

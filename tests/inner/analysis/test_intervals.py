@@ -253,7 +253,7 @@ def test_drawn_models_whose_policies_do_not_settle_are_refused(
     own = np.array([1.0, 0.0, 1.0, 0.0])  # the first policy that is tried, and two are better
     assert (drawn_regrets(models, own) > 0).all()
     monkeypatch.setattr(batch, "POLICIES", 1)
-    with pytest.raises(ModelError, match="drawn from the posterior is not solved"):
+    with pytest.raises(ModelError, match="drawn from the posterior has no solution"):
         drawn_regrets(models, own)
 
 

@@ -1,10 +1,10 @@
-"""What a policy is worth by the trajectories themselves, which another policy made.
+"""Off-policy evaluation: the value of a policy from trajectories of another policy.
 
 An episode of the behaviour b with return G = Σ γ^t r_t has the weight w = Π π(a_t | s_t) / b(a_t |
 s_t), so that E_b[w G] = V^π, which Σ w G / Σ w estimates with an effective sample size of (Σ w)² /
 Σ w² (Precup, Sutton and Singh, ICML 2000). V^π is bounded at half the doubt by the means of
-w (G - least return) ≥ 0 and w (greatest return - G) ≥ 0 (`mean_at_least`), where an episode that
-was cut off may go on with any return; V* at the other half as in `analysis.gate.data.robust`.
+w (G - least return) ≥ 0 and w (greatest return - G) ≥ 0 (`mean_at_least`); an episode that was cut
+off may go on with any return. V* is bounded at the other half as in `analysis.gate.data.robust`.
 """
 
 from __future__ import annotations
@@ -37,20 +37,20 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 @dataclass(frozen=True, kw_only=True)
 class OffPolicy:
-    """An interval from the trajectories, reweighted to the policy.
+    """A confidence interval from the trajectories, reweighted to the policy.
 
     Attributes
     ----------
     records : DataFrame, path or iterable of DataFrames
         The trajectories, as `MDP.from_transitions` takes them.
     columns : mapping, optional
-        The names that the table has for its columns.
+        The names of the table's columns, as `MDP.from_transitions` takes them.
     behaviour : PolicyLike, optional
-        The policy that chose the recorded actions; an array, or the file of one, holds its
-        probabilities, never action values. Unless given it is estimated from the model's counts,
-        which the interval then takes for true.
+        The policy that chose the recorded actions; an array, or a file with one, holds its
+        probabilities, never action values. By default it is estimated from the model's counts, and
+        the interval assumes the estimate to be true.
     rewards, returns
-        As in `Robust`; rewards have to be stated here, too, for the optimum.
+        As in `Robust`; the optimum needs `rewards` here, too.
 
     Examples
     --------
@@ -74,45 +74,56 @@ class OffPolicy:
     by: ClassVar[str] = "off-policy"
 
     def interval(self, mdp: MDP, own: Floats, confidence: Fraction) -> RegretInterval:
-        """Return the interval; raises ModelError without records, or where they do not fit."""
+        """Return the interval; raise ModelError without records, or if they do not fit."""
         if self.records is None:
             raise ModelError(
-                "no trajectories, and the model's counts do not keep them",
+                "no trajectories are given, and the model keeps only their counts",
                 where="records",
                 fix="name the records (--evidence records=FILE, by=OffPolicy(records=…))",
             )
         if mdp.episodes is None and len(mdp.start) > 1:
             raise ModelError(
-                "the start is given, and the records begin as they began: what they earn is worth "
-                "nothing for another start",
+                "the model has a start of its own, for which the returns of the recorded episodes "
+                "say nothing",
                 where="start",
                 fix="make the model without start=, or audit by robust sets or the posterior",
             )
+        # Half the doubt is for V*, bounded from the counts.
         doubt = float(1 - confidence)
         robust = Robust(rewards=self.rewards, returns=self.returns)
         bounds = robust.bounds(mdp, own, doubt / 2)
+        # The probabilities of the behaviour: given, or as shares of the counts.
         seen = observations_of(mdp).astype(np.float64)
         if self.behaviour is not None:
             behaviour = PolicyChain.of(mdp, self.behaviour, kind="policy").weights
         else:
             total = np.add.reduceat(seen, mdp.pair_offsets[:-1])[mdp.pair_state]
             behaviour = np.divide(seen, total, out=np.ones_like(seen), where=total > 0)
-        horizon, own = len(own) if own.ndim > 1 else None, np.atleast_2d(own)
-        if (never := ((own > 0) & (behaviour <= 0)).any(axis=0)).any():
+        horizon = None
+        if own.ndim > 1:
+            horizon = len(own)
+        own = np.atleast_2d(own)
+
+        # The ratios π / b, which exist only if the behaviour takes all that the policy takes.
+        never = ((own > 0) & (behaviour <= 0)).any(axis=0)
+        if never.any():
             raise ModelError(
-                "the behaviour never does what the policy does, so that its trajectories tell "
-                f"nothing of it (and in {int(never.sum()) - 1} more pairs)",
+                "the behaviour never takes an action that the policy takes, so that its "
+                f"trajectories say nothing about it (and {int(never.sum()) - 1} more pairs)",
                 where=mdp.where(int(never.argmax())),
                 fix="audit by robust sets or the posterior, or give the behaviour's true "
                 "probabilities",
             )
         ratio = np.divide(own, behaviour, out=np.zeros_like(own), where=behaviour > 0)
-        if (refuted := (behaviour <= 0) & (seen > 0)).any():
+        refuted = (behaviour <= 0) & (seen > 0)
+        if refuted.any():
             raise ModelError(
-                "the behaviour never does what was recorded",
+                "the behaviour never takes an action that was recorded",
                 where=mdp.where(int(refuted.argmax())),
                 fix="state the policy that chose the recorded actions, or leave it to be estimated",
             )
+
+        # Weight and return of each episode; returns must lie in the range that was stated.
         record = transitions.TransitionRecord(self.records, self.columns)
         w, returns, steps, cut, ended = _read_trajectories(mdp, ratio, record, horizon)
         lowest, highest = bounds.range
@@ -124,6 +135,8 @@ class OffPolicy:
                 where="returns",
                 fix="state a range that holds them",
             )
+
+        # Bounds of V^π from means of nonnegative terms, with any return after a cut.
         left = np.where(cut, mdp.discount**steps, 0.0)
         above = np.clip(returns + left * lowest, lowest, highest) - lowest
         below = highest - np.clip(returns + left * highest, lowest, highest)
@@ -131,6 +144,13 @@ class OffPolicy:
         high = max(highest - mean_at_least(w * below, doubt / 4), lowest)
         best = bounds.at_start(mdp.maximised, bounds.best)
         terms, whole = w * returns, float(w.sum())
+        weighted, effective = float("nan"), 0.0
+        if whole > 0:
+            weighted = mdp.sign * float(terms.sum()) / whole
+            effective = whole**2 / float(w @ w)
+        known = "the behaviour is as estimated from the counts: the confidence is approximate"
+        if self.behaviour is not None:
+            known = "the behaviour is as stated"
         return RegretInterval(
             low=max(best[0] - high, 0.0),
             high=max(best[1] - low, 0.0),
@@ -139,17 +159,15 @@ class OffPolicy:
             assumptions=(
                 *robust.assumptions(mdp, bounds.sets),
                 "episodes are independent, and the policy was not learned from them",
-                "the behaviour is as stated"
-                if self.behaviour is not None
-                else "the behaviour is as estimated from the counts: the confidence is approximate",
+                known,
             ),
             found={
                 "optimal_value": bounds.at_start(mdp, bounds.best),
                 "learned_value": of_sense(mdp, (low, high)),
-                "weighted": mdp.sign * float(terms.sum()) / whole if whole > 0 else float("nan"),
+                "weighted": weighted,
                 "ordinary": mdp.sign * float(terms.mean()),
                 "standard_error": mean_of(terms).standard_error,
-                "effective_sample_size": whole**2 / float(w @ w) if whole > 0 else 0.0,
+                "effective_sample_size": effective,
                 "episodes": len(w),
                 "cut_off": int(cut.sum()),
                 "taken_for_ended": ended,
@@ -162,9 +180,10 @@ def _read_trajectories(
 ) -> tuple[Floats, Floats, Integers, Flags, int]:
     """Return weight, return and length (E,) of each episode, and whether it was cut off.
 
-    Last comes how many stop in a state that is taken for an end. `ratio` is (1, L), or (N, L) by
-    time.
+    The last result is the number of episodes that stop in a state taken as terminal. `ratio` is
+    (1, L), or (N, L) by time.
     """
+    # The pair of each recorded step.
     parts = list(record.read_chunks())
     if not parts:
         raise ModelError("no transitions", where=record.where, fix="give at least one row")
@@ -182,22 +201,26 @@ def _read_trajectories(
             where=record.where,
             fix="give the records that the model was made from",
         )
+
+    # Each episode is a run of rows, from `first` on.
     first = np.flatnonzero(np.diff(episode, prepend=-1))
     new = states[keys[first, 0]]
-    if (never := mdp.start_distribution[new] <= 0).any():
+    never = mdp.start_distribution[new] <= 0
+    if never.any():
         raise ModelError(
-            "an episode begins where the model never does, so that the episodes are not the "
-            "model's",
+            "an episode begins in a state in which the model never starts",
             where=mdp.space.label(int(new[never][0])),
             fix="make the model without start=, or audit by robust sets or the posterior",
         )
     steps = np.diff(first, append=len(episode))
     times = np.arange(len(episode)) - np.repeat(first, steps)
-    most = len(episode) + 1 if horizon is None else horizon
+    most = len(episode) + 1
+    if horizon is not None:
+        most = horizon
     within = times < most
     factor = np.where(within, ratio[np.minimum(times, len(ratio) - 1), pair], 1.0)
     reward = mdp.sign * np.array([float(value) for value in record.values])[keys[:, 3]]
-    # The last two states: cut off, or over, without a next state.
+    # The last state of each episode: -2 if it was cut off, -1 if it ended without a next state.
     last = np.append(states, [-2, -1])[keys[first + steps - 1, 2]]
     end = np.append(mdp.terminal & ~cut_off(mdp), [False, True])[last]
     regular = last < mdp.n_states - len(mdp.space.extra)

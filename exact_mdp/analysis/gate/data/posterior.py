@@ -1,13 +1,13 @@
-"""The posterior distribution of a policy's regret, given what was recorded.
+"""The posterior distribution of a policy's regret, given the records.
 
-Rows of different pairs, and a start that was not given, are independent and Dirichlet: before the
-records with the same parameter for every state, `prior` in all; after them the counts are added. A
-reward is one of those seen with that next state, with Dirichlet weights of their own counts (Rubin,
-The Bayesian bootstrap, Annals of Statistics 9, 1981). Every draw is a model that is solved.
+Rows of different pairs, and a start that was not given, are independent and Dirichlet: the prior
+has the same parameter for every state, `prior` in all, and the posterior adds the counts. A reward
+is drawn among the recorded rewards of the same next state, with Dirichlet weights from their counts
+(Rubin, The Bayesian bootstrap, Annals of Statistics 9, 1981). Every draw is a model that is solved.
 
 The interval goes from 0 to an order statistic that is at least the posterior's quantile in 97.5 %
-of samples. It has no lower end above 0: the regret is a maximum, so that noise adds to it in every
-draw, and where actions tie nearly every draw shows a loss. A posterior therefore proves no loss.
+of samples. Its lower end is 0: the regret is a maximum, so that noise adds to it in every draw, and
+if actions tie, nearly every draw shows a loss. A posterior therefore proves no loss.
 """
 
 from __future__ import annotations
@@ -37,10 +37,8 @@ from exact_mdp.solvers.bounds.gains import SLACK, gamma
 from exact_mdp.solvers.parallel import Arrays, join_blocks, run_pieces, seed_blocks
 from exact_mdp.solvers.solution import compute_regrets
 
-DRAWS = 2000
-BLOCK = 250  # draws in a piece of work, each with its own seed
-ROOM = 2**22  # numbers that are worked on at once
-MOST_ROOM = 10**8  # of one draw: a gigabyte
+ROOM = 2**22  # numbers (draws x pairs x states) that are worked on at once, of 8 bytes each
+MOST_ROOM = 10**8  # numbers of one draw, which take about a gigabyte
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,12 +50,13 @@ class Posterior:
     Attributes
     ----------
     prior : number
-        Observations that each row begins with, spread evenly over all states.
+        Observations with which each row begins, spread evenly over all states.
     n : int
-        Draws; few do not show a high quantile, and are refused.
+        Number of draws; too few for a high quantile are refused.
     rng : int or Generator
     n_jobs, progress
-        Where the work is done, as `solvers.parallel.run_pieces` takes it; results do not change.
+        Number of workers and progress bar, as in `solvers.parallel.run_pieces`; results do not
+        depend on them.
 
     Examples
     --------
@@ -73,19 +72,19 @@ class Posterior:
     """
 
     prior: object = 1
-    n: int = DRAWS
+    n: int = 2000
     rng: RNG = 0
     n_jobs: int | None = 1
     progress: bool = False
     by: ClassVar[str] = "posterior"
 
     def interval(self, mdp: MDP, own: Floats, confidence: Fraction) -> RegretInterval:
-        """Return the interval; raises ModelError without counts, for a bad prior or few draws."""
-        if (unknown := cut_off(mdp)).any():
+        """Return the interval; raise ModelError without counts, for a bad prior or few draws."""
+        unknown = cut_off(mdp)
+        if unknown.any():
             raise ModelError(
                 f"episodes were cut off in {format_states(mdp, unknown)}, "
-                "which no record leaves: no prior "
-                "says what follows there",
+                "which no record leaves: no prior says what follows there",
                 where="posterior",
                 fix="ask for a robust interval, or record what follows",
             )
@@ -104,7 +103,7 @@ class Posterior:
         require_draws(n, level)
         blocks = run_pieces(
             partial(_sample_regrets, mdp.maximised, observations_of(mdp) > 0, own, prior),
-            seed_blocks(seed, n, BLOCK),
+            seed_blocks(seed, n, 250),  # draws with a seed of their own
             key={},
             n_jobs=self.n_jobs,
             progress=self.progress,
@@ -119,13 +118,13 @@ class Posterior:
             by=self.by,
             assumptions=(
                 *of_process(mdp),
-                f"before the records, rows are Dirichlet, each worth {prior:g} observations that "
-                "are spread evenly over all states",
+                f"the prior of each row is Dirichlet, with the weight of {prior:g} observations "
+                "spread evenly over all states",
                 "rewards are among those that were seen",
-                "of the draws the upper end is one that is at least the posterior's quantile in "
-                "97.5 % of samples",
-                "the confidence is a probability by the posterior, no share of data sets; no lower "
-                "end above 0 is stated, as draws of a maximum do not tell a small loss from none",
+                "the upper end is a draw that is at least the posterior's quantile in 97.5 % of "
+                "samples",
+                "the confidence is a posterior probability, not a share of data sets; the lower "
+                "end is 0, as draws of a maximum do not tell a small loss from none",
             ),
             found={
                 "mean": float(draws.mean()),
@@ -141,17 +140,22 @@ class Posterior:
 def sample_models(
     mdp: MDP, known: np.ndarray, prior: float, rng: np.random.Generator, count: int
 ) -> Batch:
-    """Return models of the posterior, whose pairs are drawn where they were counted (L,)."""
+    """Return models drawn from the posterior; rows of pairs without counts stay as they are.
+
+    `known` (L,) marks the pairs with counts.
+    """
     table, shape, part = mdp.table, mdp.transition.shape, prior / mdp.n_states
     seen = known[table.pair]
     pair, following, gain = table.pair[seen], table.next[seen], table.compute_gains()[seen]
-    # A next state that was seen with several rewards has their share of the prior each.
+    # A next state that was seen with several rewards spreads its part of the prior over them.
     _, place, rewards = np.unique(
         pair * shape[1] + following, return_inverse=True, return_counts=True
     )
     never = np.tile(known[:, None], shape[1])
     never[pair, following] = False
     pairs, states = np.nonzero(never)
+
+    # A Dirichlet row is a row of gamma variates over their sum.
     weight = rng.gamma(table.weight[seen] + part / rewards[place], size=(count, len(pair)))
     rows, earned = np.zeros((count, *shape)), np.zeros((count, shape[0]))
     draw = np.arange(count)[:, None]
@@ -161,13 +165,17 @@ def sample_models(
     total = np.where(known, rows.sum(axis=2), 1.0)
     rows /= total[:, :, None]
     rows[:, ~known] = mdp.transition[~known].toarray()
+
+    # The start, if it was estimated from episodes.
     begun = np.tile(mdp.start_distribution, (count, 1))
     if mdp.episodes is not None:
         begun = rng.gamma(begun * mdp.episodes + part)
         begun /= begun.sum(axis=1, keepdims=True)
-    over = mdp.terminal & ~np.logical_or.reduceat(known, mdp.pair_offsets[:-1])
+
+    # At discount 1 terminal states without counts stay terminal.
+    ended = mdp.terminal & ~np.logical_or.reduceat(known, mdp.pair_offsets[:-1])
     lost = float(1 - mdp.discount_exact)
-    live = ~over | (lost > 0)
+    live = ~ended | (lost > 0)
     return Batch(
         rows=rows,
         reward=mdp.reward + earned / total,
@@ -183,21 +191,22 @@ def sample_models(
 
 
 def drawn_regrets(models: Batch, own: Floats) -> Floats:
-    """Return (D,) what a policy (L,) loses at the start of each model; 0 where rounding may.
+    """Return the regrets (D,) of a policy (L,) in some models; 0 if rounding may explain them.
 
-    A policy (N, L) by time is that of episodes of N steps, solved by backward induction.
+    A policy (N, L) by time is for episodes of N steps, which backward induction solves.
     """
     if own.ndim == 1:
         optimum = models.solve_models()
         if optimum is None:
             raise ModelError(
-                "a model drawn from the posterior is not solved: an episode may never end",
+                "a model drawn from the posterior has no solution: an episode may never end",
                 where="posterior",
                 fix="choose a discount below 1, or a larger prior",
             )
         best, error = models.at_start(*optimum[:2])
         value, off = models.of_policy(own)
         return compute_regrets(best, value, error + off)
+    # Backward induction with two values for each state: of the optimum, and of the policy.
     value = np.zeros((len(models.rows), len(models.first), 2))
     for taken in own[::-1]:
         ahead = models.rate[0] * np.einsum("dls,dsv->dlv", models.rows, value)
@@ -205,7 +214,7 @@ def drawn_regrets(models: Batch, own: Floats) -> Floats:
         best = np.maximum.reduceat(q[:, :, 0], models.first, axis=1)
         value = np.stack([best, np.add.reduceat(q[:, :, 1] * taken, models.first, axis=1)], axis=2)
     best, mine = np.einsum("dsv,ds->vd", value, models.start)
-    # Each value is a sum over N steps, of at most L + S + 4 roundings each.
+    # Each value is a sum over N steps, with at most L + S + 4 roundings in each.
     size = len(own) * np.abs(models.reward).max(axis=1)
     noise = 2 * gamma(len(own) * (sum(models.rows.shape[1:]) + 4)) * size * SLACK
     return compute_regrets(best, mine, noise)
@@ -214,8 +223,11 @@ def drawn_regrets(models: Batch, own: Floats) -> Floats:
 def _sample_regrets(
     mdp: MDP, known: np.ndarray, own: Floats, prior: float, piece: tuple[SeedSequence, int]
 ) -> Arrays:
+    """Draw and solve one piece of the models, as many at once as memory allows."""
     sequence, count = piece
     rng, size = np.random.default_rng(sequence), max(1, ROOM // mdp.n_pairs // mdp.n_states)
-    parts = [min(size, count - done) for done in range(0, count, size)]
-    regrets = [drawn_regrets(sample_models(mdp, known, prior, rng, part), own) for part in parts]
+    regrets = []
+    for done in range(0, count, size):
+        models = sample_models(mdp, known, prior, rng, min(size, count - done))
+        regrets.append(drawn_regrets(models, own))
     return {"regret": np.concatenate(regrets)}

@@ -1,17 +1,18 @@
-"""Regret bounded for every model that the records allow, distribution-free.
+"""Bounds of the regret for every model that the records allow, distribution-free.
 
 The sets of `analysis.gate.data.sets` hold all rows at once with the stated confidence, and so do
 bounds for every model P within them (robust solves: Iyengar, Mathematics of Operations Research 30,
-2005): L^π ≤ V^π ≤ U^π and L* ≤ V* ≤ U*, hence V* - V^π ≤ U* - L^π. That lets nature choose two
-models. Under one P the regret D is the optimum of a model of advantages (Kakade and Langford, ICML
-2002): D(s) = max over pairs l of s of A_P(l) + γ P_l D, A_P(l) = Q^π(l) - V^π(s). With c between
-L^π and U^π, h half their distance and π(l) the probability of l,
+2005): L^π ≤ V^π ≤ U^π and L* ≤ V* ≤ U*, hence V* - V^π ≤ U* - L^π. That allows a different model on
+each side. Under one P the regret D is the optimum of a model of advantages (Kakade and Langford,
+ICML 2002): D(s) = max over pairs l of s of A_P(l) + γ P_l D, A_P(l) = Q^π(l) - V^π(s). With c
+between L^π and U^π, h half their distance and π(l) the probability of l,
 
     A_P(l) = (1 - π(l)) (r_l + γ P_l c) - Σ_{k ≠ l} π(k) (r_k + γ P_k c) + γ (P_l - P_π) (V^π - c),
 
-its last term at most γ Σ |P_l - P_π| h: h at the shares seen, and the largest h times what a row
-may move by, √(2 KL) (Pinsker). Every bound is that of a monotone operator T: v + e / (1 - γ) is one
-from above if T v ≤ v + e. At discount 1 T keeps a range that the user states valid however often.
+whose last term is at most γ Σ |P_l - P_π| h: h weighted by the recorded shares, and the largest h
+times √(2 KL), by which a row may move (Pinsker). Every bound comes from a monotone operator T: v +
+e / (1 - γ) is an upper bound of its fixed point if T v ≤ v + e. At discount 1 T maps a valid bound
+to a valid bound, so that a range that the user states can be narrowed step by step.
 """
 
 from __future__ import annotations
@@ -44,23 +45,23 @@ from exact_mdp.solvers.bounds.gains import SLACK, UNIT, first_of
 from exact_mdp.solvers.bounds.linear import LinearSystem
 from exact_mdp.solvers.solution import Claim
 
-# Bounds hold wherever the search ends, and are wider where it ends early.
-IMPROVEMENTS, SWEEPS = 50, 1000  # below discount 1, and at it
-SMALL = 1e-10  # of the range: steps not worth another one
+# Steps of the search, below discount 1 and at it. Bounds hold wherever it ends, and are wider if it
+# ends early: below discount 1 a step solves a linear system, at discount 1 it is a single sweep.
+IMPROVEMENTS, SWEEPS = 50, 1000
 Sides = Floats  # (2, S) bounds from below and from above
 
 
 @dataclass(frozen=True, kw_only=True)
 class Robust:
-    """An interval that assumes no distribution: it holds for every model that fits the records.
+    """A distribution-free interval: it holds for every model that fits the records.
 
     Attributes
     ----------
     rewards : "known", or (low, high)
-        Rewards that state, action and next state decide, and which are as seen; or a range in which
-        rewards lie. It has to be stated: those that were seen do not prove that no other comes.
+        "known" if state, action and next state determine the reward, so that it is as recorded;
+        otherwise a range in which rewards lie, as recorded rewards do not rule out others.
     returns : (low, high), optional
-        Where the total reward from any state lies; needed at discount 1.
+        A range for the total reward from any state; needed at discount 1.
 
     Examples
     --------
@@ -79,7 +80,7 @@ class Robust:
     by: ClassVar[str] = "robust"
 
     def interval(self, mdp: MDP, own: Floats, confidence: Fraction) -> RegretInterval:
-        """Return the interval; raises ModelError without counts or a range that is needed."""
+        """Return the interval; raise ModelError without counts or a range that is needed."""
         bounds = self.bounds(mdp, own, float(1 - confidence))
         low, high = bounds.regret
         return RegretInterval(
@@ -96,25 +97,25 @@ class Robust:
         )
 
     def bounds(self, mdp: MDP, own: Floats, doubt: float) -> RobustBounds:
-        """Return the bounds within sets of rows that some are outside of with this probability."""
+        """Return bounds that hold unless some row lies outside its set, of probability `doubt`."""
         sets, returns = RowSets.of(mdp, doubt, self.rewards), parse_range(self.returns, "returns")
         if returns is None:
             return robust_bounds(sets, own)
         if own.ndim > 1:
-            what = "with a horizon rewards bound what totals can be"
+            what = "with a horizon the rewards already bound the total"
             fix = "leave it out (--evidence returns=, returns=)"
             raise ModelError(what, where="returns", fix=fix)
         _require_seen(mdp, returns)
         return robust_bounds(sets, own, of_sense(mdp, returns))
 
     def assumptions(self, mdp: MDP, sets: RowSets) -> tuple[str, ...]:
-        """Return what the sets rest on besides the records."""
+        """Return the assumptions of the sets besides the records."""
         low, high = of_sense(mdp, sets.rewards)
         said = list(of_process(mdp))
         if sets.known:
             said.append(
-                "rewards are those seen for state, action and next state; where a next state was "
-                f"never seen they lie from {low:g} to {high:g}, as all that were seen"
+                "rewards are as recorded for state, action and next state; for a next state that "
+                f"was never seen they lie from {low:g} to {high:g}, as all recorded rewards do"
             )
         else:
             said.append(f"rewards lie from {low:g} to {high:g}, as stated")
@@ -122,16 +123,16 @@ class Robust:
             said.append(f"total rewards lie from {self.returns[0]} to {self.returns[1]}, as stated")
         if sets.unknown.any():
             said.append(
-                "what follows where episodes were cut off and no record leaves, "
-                f"{format_states(mdp, sets.unknown)}, is worth whatever rewards allow"
+                "states in which episodes were cut off and which no record leaves, "
+                f"{format_states(mdp, sets.unknown)}, have any value that rewards allow"
             )
         if (sets.counted[~mdp.terminal[mdp.pair_state]] == 0).any():
-            said.append("actions that nobody took are worth what the model says")
+            said.append("actions that nobody took are as the model says")
         return tuple(said)
 
 
 def _require_seen(mdp: MDP, returns: Ends) -> None:
-    """Raise ModelError where a recorded transition cannot have a total in the range stated."""
+    """Raise ModelError if a recorded transition excludes every total in the range stated."""
     table = mdp.table
     seen, ended = observations_of(mdp)[table.pair] > 0, mdp.terminal & ~cut_off(mdp)
     gain, after = table.compute_gains(), np.where(ended[table.next], 0.0, mdp.discount)
@@ -150,10 +151,10 @@ def _require_seen(mdp: MDP, returns: Ends) -> None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobustBounds:
-    """Values and regret of a policy, from below and above, for every model within sets of rows."""
+    """Bounds of the values and the regret of a policy, for every model within sets of rows."""
 
     sets: RowSets
-    range: Ends  # where the values of all states lie
+    range: Ends  # of the values of all states
     own: Sides  # of V^π
     best: Sides  # of V*
     lost: Sides  # of V* - V^π
@@ -173,11 +174,13 @@ class RobustBounds:
 def robust_bounds(sets: RowSets, own: Floats, returns: Ends | None = None) -> RobustBounds:
     """Return the bounds for a policy (L,), with total rewards within `returns`.
 
-    With a policy (N, L) by time, of episodes of N steps; nature may choose other rows at each time.
+    A policy (N, L) by time is for episodes of N steps; nature may choose other rows at each time.
     """
     if own.ndim == 1:
-        ends = _bound_totals(sets) if returns is None else returns
-        return Operators(sets=sets, own=own, ends=ends).bound_values()
+        if returns is None:
+            returns = _bound_totals(sets)
+        return Operators(sets=sets, own=own, ends=returns).bound_values()
+    # Backward induction: the bounds with one more step to go, from those of the steps after it.
     none = np.zeros((2, sets.mdp.n_states))
     bounds = RobustBounds(sets=sets, range=(0.0, 0.0), own=none, best=none, lost=none)
     for steps in tqdm.trange(1, len(own) + 1, desc="stages", disable=None, delay=2):
@@ -187,7 +190,7 @@ def robust_bounds(sets: RowSets, own: Floats, returns: Ends | None = None) -> Ro
 
 
 def _bound_totals(sets: RowSets, steps: int | None = None) -> Ends:
-    """Return where the total of some steps lies, or of all, in every model of the sets."""
+    """Return a range for the total of some steps, or of all, in every model of the sets."""
     (low, high), rest = sets.of_a_step, 1 - sets.mdp.discount_exact
     if steps is None and not rest:
         raise ModelError(
@@ -204,26 +207,33 @@ def _bound_totals(sets: RowSets, steps: int | None = None) -> Ends:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Operators:
-    """The operators of V^π, V* and D."""
+    """The operators whose fixed points are V^π, V* and D."""
 
     sets: RowSets
     own: Floats  # (L,) the policy's probabilities of pairs
-    ends: Ends  # what a state may be worth of which nobody knows what follows
+    ends: Ends  # the range of values, for states in which episodes were cut off
 
     @cached_property
     def mixing(self) -> sp.csr_array:
-        """(S, L) the policy."""
+        """(S, L) the policy as a matrix that maps pairs to states."""
         offsets = self.sets.mdp.pair_offsets
         return sp.csr_array((self.own, np.arange(len(self.own)), offsets))
 
     def bound_values(self, later: RobustBounds | None = None) -> RobustBounds:
-        """Return the bounds before a step that `later` follows; unless given, it comes for ever."""
-        then = dict.fromkeys(("own", "best", "lost")) if later is None else vars(later)
+        """Return the bounds before a step that `later` follows; without it, of endless steps."""
+        then: dict[str, Any] = dict.fromkeys(("own", "best", "lost"))
+        if later is not None:
+            then = vars(later)
+        # V^π and V*, each from below (0) and from above (1).
         own, best = (
             np.array([self.bound_fixed_point(most, then[whose], mixing=mixing) for most in (0, 1)])
             for whose, mixing in (("own", self.mixing), ("best", None))
         )
-        after, lost = {"own": own, "best": best} if later is None else vars(later), []
+        after: dict[str, Any] = {"own": own, "best": best}
+        if later is not None:
+            after = vars(later)
+        # D, which is at most the difference of the bounds of V* and V^π.
+        lost = []
         for most, advantage in enumerate(self.bound_advantages(*after["own"])):
             ahead = self.sets.solve_inner_problem(after["best"][most], most=bool(most)).bound
             apart = ahead - own[1 - most][self.sets.mdp.pair_state]
@@ -242,11 +252,13 @@ class Operators:
         mixing: sp.csr_array | None = None,
         losing: tuple[Floats, Floats] | None = None,
     ) -> Step:
-        """Return what V^π, with its `mixing`, or V* is before a step; from below or above.
+        """Apply the operator of V^π (with its `mixing`), of V*, or of D (with `losing`) once.
 
-        Of D, no action gains more than its advantage (L,) and what it keeps of D, nor than with a
-        model for each side: what the best may be worth less what the policy is (L,).
+        The result bounds from above if `most`, else from below. For D, `losing` has two bounds (L,)
+        of a pair: its advantage, to which the next D is added; and the difference of the bounds of
+        V* and V^π, with a model for each side. The tighter one counts.
         """
+        # Nature chooses the row of each pair, for or against.
         mdp, unknown = self.sets.mdp, self.sets.unknown
         nature = self.sets.solve_inner_problem(value, most=bool(most), rewards=losing is None)
         pairs, gain, off = nature.bound, self.ends[most], 0.0
@@ -255,13 +267,16 @@ class Operators:
             joint = advantage + nature.bound
             pairs = (np.minimum if most else np.maximum)(joint, apart)
             alone, gain = joint == pairs, (self.ends[1] - self.ends[0]) * most
+        # Then V* and D take the best pair of each state, V^π a mixture.
         if mixing is None:
             best = np.maximum.reduceat(pairs, mdp.pair_offsets[:-1])
             taken = first_of(mdp, pairs == best[mdp.pair_state])
             each = np.ones(len(taken)), taken, np.arange(len(taken) + 1)
             mixing = sp.csr_array(each, (len(taken), len(pairs)))
-        else:  # a policy's mixture is a sum of products, each of them rounded, as is the sum
-            off = (4 if most else -4) * UNIT * mdp.n_actions
+        else:
+            # A mixture is a sum of products, in which each product and the sum are rounded.
+            sign = 1 if most else -1
+            off = sign * 4 * UNIT * mdp.n_actions
         bound = mixing @ pairs + off * (mixing @ np.abs(pairs))
 
         def compute_piece() -> tuple[sp.csr_array, Floats]:
@@ -277,20 +292,24 @@ class Operators:
         return Step(np.where(unknown, gain, bound), compute_piece)
 
     def bound_advantages(self, low: Floats, high: Floats) -> tuple[Floats, Floats]:
-        """Return bounds (L,) of A_P(l) in every model P, with V^π that follows within bounds."""
+        """Return bounds (L,) of A_P(l) in every model P, for V^π between `low` and `high`."""
+        # c is the middle of the bounds of V^π, h half their distance.
         mdp, own, mixing = self.sets.mdp, self.own, self.mixing
         middle = (low + high) / 2
         half = np.maximum(high - middle, middle - low)
         least, most = (
             self.sets.solve_inner_problem(middle, most=side).bound for side in (False, True)
         )
+        # γ Σ |P_l - P_π| h: at the recorded shares, and by what the rows may move from there.
         moved = np.minimum(np.sqrt(2 * self.sets.radius) * SLACK, 2.0) * float(half.max())
         state = mdp.pair_state
         apart = abs(mdp.transition - (mixing @ mdp.transition)[state]) @ half
         others = (mixing @ moved)[state] - own * moved
         coupled = mdp.discount * (apart + (1 - own) * moved + others) * SLACK
+        # Rounding errors of the sums over actions.
         size = np.maximum(np.abs(least), np.abs(most))
         coupled += 8 * UNIT * (mdp.n_actions + 4) * ((mixing @ size)[state] + size)
+        # From below, the pair itself at its least and the others of the state at their most.
         advantages = []
         for mine, theirs, sign in ((least, most, -1), (most, least, 1)):
             rest = (mixing @ theirs)[state] - own * theirs
@@ -300,26 +319,40 @@ class Operators:
     def bound_fixed_point(
         self, most: int, then: Sides | None, first: Floats | None = None, **of: Any
     ) -> Floats:
-        """Return (S,) bounds of the fixed point of a step, or of one step: from below or above.
+        """Return bounds (S,) of an operator's fixed point, from above if `most`, else from below.
 
-        `first` (S,) are such bounds, unless given the ends of the range, and 0 where all is over;
-        `then` are those of what follows the step.
+        With `then`, bounds of the values after one step, return the bounds before it. `first` (S,)
+        are bounds that are known already; by default the ends of the range, and 0 in ends.
         """
-        mdp, (sign, take) = self.sets.mdp, (1, np.minimum) if most else (-1, np.maximum)
+        mdp = self.sets.mdp
+        sign: int
+        take: np.ufunc
+        if most:
+            sign, take = 1, np.minimum
+        else:
+            sign, take = -1, np.maximum
         if then is not None:
             value = self.apply_operator(then[most], most=most, **of).bound
-            return value if first is None else take(value, first)
-        known = np.where(find_recorded_ends(mdp), 0.0, self.ends[most]) if first is None else first
-        left, scale = float(1 - mdp.discount_exact), SMALL * (self.ends[1] - self.ends[0])
-        value = known
+            if first is not None:
+                value = take(value, first)
+            return value
+        if first is None:
+            first = np.where(find_recorded_ends(mdp), 0.0, self.ends[most])
+        value = known = first
+        left = float(1 - mdp.discount_exact)
+        # Stop once a step moves less than 1e-10 of the range: the bounds stay sound.
+        scale = 1e-10 * (self.ends[1] - self.ends[0])
         for _ in range(IMPROVEMENTS if left else SWEEPS):
             after = self.apply_operator(value, most=most, **of)
             if left:
+                # v + e / (1 - γ) is a bound if T v ≤ v + e. The next v solves the linear piece of
+                # T at v, as in policy iteration.
                 beyond = max(float((sign * (after.bound - value)).max()), 0.0) / left * SLACK
                 known = take(known, value + sign * (beyond + 4 * UNIT * (np.abs(value) + beyond)))
                 chain, constant = after.piece()
                 target = LinearSystem(chain, mdp.discount).approximate(constant)
             else:
+                # T applied to a bound is a bound.
                 target = known = take(known, after.bound)
             if np.abs(target - value).max() <= scale:
                 break

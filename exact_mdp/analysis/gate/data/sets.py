@@ -1,4 +1,4 @@
-"""Which rows the records allow: a set around each counted row, all of them right at once.
+"""Sets of rows that the records allow: one around each counted row, all of them right at once.
 
 A pair seen n times, with shares p of m states that followed, has an unknown row q. The likelihood
 ratio of a Dirichlet mixture against q has mean 1 at every n, so that it ever exceeds 1/δ with
@@ -40,15 +40,14 @@ from exact_mdp.solvers.robust.likelihood import Likelihood
 from exact_mdp.solvers.robust.sets import RowBlock, list_entries, side_by_side, solve_inner_problem
 
 KNOWN = "known"
-HALVINGS = 60  # of [0, 1]: fewer leave a bound sound, but wider
 Given = Literal["known"] | tuple[object, object] | None
 
 
 class Step(NamedTuple):
-    """An operator at some values: a bound of each state's or pair's, rounding included."""
+    """The result of an operator at some values, and the linear piece of it at these values."""
 
-    bound: Floats
-    piece: Callable[[], tuple[sp.csr_array, Floats]]  # works out the linear piece it is of
+    bound: Floats  # for each state or pair, rounding included
+    piece: Callable[[], tuple[sp.csr_array, Floats]]  # computes the matrix and the constant
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,31 +57,33 @@ class RowSets:
     mdp: MDP  # of rewards, not costs
     counted: Floats  # (L,) observations; 0 for rows that are as certain as the model says
     doubt: float  # the probability that some row is outside of its set
-    known: bool  # whether state, action and next state decide the reward
-    rewards: Ends  # where they lie
-    episodes: float | None  # how many the start was counted from; None where it is known
+    known: bool  # whether state, action and next state determine the reward
+    rewards: Ends  # their range
+    episodes: float | None  # number of episodes from which the start was counted; None if known
 
     @classmethod
     def of(cls, mdp: MDP, doubt: float, rewards: Given = None) -> RowSets:
-        """Return the sets of a model's counts; `rewards` as `Robust` has them."""
+        """Return the sets for a model's counts; `rewards` as in `Robust`."""
         seen = observations_of(mdp).astype(np.float64)
         table = mdp.table
         gains = table.compute_gains()[(seen > 0)[table.pair]]
         ends = (float(gains.min()), float(gains.max()))
         if rewards is None:
             raise ModelError(
-                f"nothing says where rewards lie: those seen, from {ends[0]:g} to {ends[1]:g}, do "
-                "not prove that no other comes",
+                f"no range of rewards is given: the recorded ones, from {ends[0]:g} to "
+                f"{ends[1]:g}, do not rule out others",
                 where="rewards",
                 fix="state it in the evidence: rewards=(low, high), --evidence rewards=LOW,HIGH; "
-                "or rewards='known', --evidence rewards=known, where state, action and next state "
-                "decide the reward",
+                "or rewards='known', --evidence rewards=known, if state, action and next state "
+                "determine the reward",
             )
         known = isinstance(rewards, str)
         if known and rewards != KNOWN:
             fix = "give 'known', or (low, high)"
             raise ModelError(f"rewards are {rewards!r}", where="rewards", fix=fix)
-        low, high = ends if known else parse_range(rewards, "rewards") or ends
+        low, high = ends
+        if not known:
+            low, high = parse_range(rewards, "rewards") or ends
         if not low <= ends[0] <= ends[1] <= high:
             what = f"rewards from {ends[0]:g} to {ends[1]:g} were seen"
             raise ModelError(what, where="rewards", fix="state a range that holds them")
@@ -97,12 +98,12 @@ class RowSets:
 
     @property
     def unknown(self) -> Flags:
-        """(S,) states of which nobody knows what follows: episodes were cut off there."""
+        """(S,) states in which episodes were cut off, so that no record says what follows."""
         return cut_off(self.mdp)
 
     @property
     def of_a_step(self) -> Ends:
-        """What one step may earn at least and at most, in every state, ends among them."""
+        """The least and the greatest reward of one step, in any state, ends included."""
         certain = self.mdp.reward[self.counted == 0]
         return min(0.0, self.rewards[0], *certain), max(0.0, self.rewards[1], *certain)
 
@@ -113,44 +114,56 @@ class RowSets:
 
     @cached_property
     def share(self) -> float:
-        """The doubt that is left to each pair."""
+        """The doubt of each pair: an equal part of the whole."""
         states = np.unique(self.mdp.pair_state[self.pairs])
         return self.doubt / (len(states) * self.mdp.n_actions + (self.episodes is not None))
 
     @cached_property
     def radius(self) -> Floats:
-        """(L,) how far a row may be, by KL divergence from the shares that were seen; in nats."""
+        """(L,) the radius of each set, a KL divergence from the recorded shares, in nats."""
         counts, n = self.counts, self.counted[self.pairs]
         row = np.repeat(np.arange(len(n)), np.diff(counts.indptr))
         p = counts.data / np.bincount(row, counts.data)[row]
         radius = np.zeros(self.mdp.n_pairs)
-        doubt = self.share if self.known else self.share / 2
+        doubt = self.share
+        if not self.known:  # the other half is for the mean reward
+            doubt /= 2
         radius[self.pairs] = _compute_radii(p, row, n, self.mdp.n_states, doubt)
         return radius
 
     def at_start(self, value: Floats, *, most: bool) -> float:
-        """Return a bound, rounding included, of values (S,) at the start: of all that it may be."""
+        """Return a bound of the mean of values (S,) over every start that the records allow."""
         weights = self.mdp.start_distribution
         if self.episodes is None:
+            # The start is known: only the sum is rounded.
             size = 2 * UNIT * float(weights @ np.abs(value))
             rounding = (np.count_nonzero(weights) + 2) * size
-            return float(weights @ value + (rounding if most else -rounding))
+            if not most:
+                rounding = -rounding
+            return float(weights @ value + rounding)
+        # The start is one more counted row, with a set of its own.
         begun, one = sp.csr_array(weights[None] / weights.sum()), np.array([0])
         n = np.array([self.episodes])
         radius = _compute_radii(begun.data, 0 * begun.indices, n, self.mdp.n_states, self.share)
         blocks = _with_unseen(one, begun, np.zeros(begun.nnz), 0.0)
-        values = np.append(value, value.max() if most else value.min())
+        unseen = value.max() if most else value.min()
         worst = solve_inner_problem(
-            Likelihood(radius=radius), blocks, values, discount=1.0, against=not most
+            Likelihood(radius=radius),
+            blocks,
+            np.append(value, unseen),
+            discount=1.0,
+            against=not most,
         )
-        return float(worst.high[0] if most else worst.low[0])
+        ends = worst.high if most else worst.low
+        return float(ends[0])
 
     @cached_property
     def reward(self) -> tuple[Floats, Floats]:
-        """(L,) and (L,) bounds of each pair's expected reward; unless rewards are known."""
+        """(L,) and (L,) bounds of each pair's expected reward; not used if rewards are known."""
         low, high = self.mdp.reward.copy(), self.mdp.reward.copy()
         least, most = self.rewards
         if most > least:
+            # The mean of n rewards, scaled to [0, 1], obeys n kl(mean seen, μ) ≤ log((n + 1) / δ).
             n = self.counted[self.pairs]
             mean = np.clip((low[self.pairs] - least) / (most - least), 0.0, 1.0)
             edge = np.log((n + 1) / (self.share / 2)) / n * SLACK
@@ -160,20 +173,21 @@ class RowSets:
 
     @cached_property
     def counts(self) -> sp.csr_array:
-        """(U, S) how often each counted pair was seen to lead to each state."""
+        """(U, S) the counts of each counted pair's next states."""
         counts = self.mdp.counts
         assert counts is not None
         return counts[self.pairs]
 
     @cached_property
     def gains(self) -> Floats:
-        """The reward of each entry of `counts`, where rewards are known."""
+        """The reward of each entry of `counts`, if rewards are known."""
         mdp, table = self.mdp, self.mdp.table
         seen = (self.counted > 0)[table.pair]
         row, gain = table.pair[seen], table.compute_gains()[seen]
         entry = row.astype(np.int64) * mdp.n_states + table.next[seen]
         _, first, place = np.unique(entry, return_index=True, return_inverse=True)
-        if (unlike := gain != gain[first][place]).any():
+        unlike = gain != gain[first][place]
+        if unlike.any():
             raise ModelError(
                 "two rewards were seen for the same next state, so that rewards are not known",
                 where=mdp.where(int(row[unlike][0])),
@@ -183,23 +197,27 @@ class RowSets:
 
     @cached_property
     def blocks(self) -> list[list[RowBlock]]:
-        """The counted rows; with the least reward where nobody saw one, and with the most."""
-        seen = self.gains if self.known else np.zeros(self.counts.nnz)
+        """The counted rows, with the least and with the most reward for unseen next states."""
+        seen = np.zeros(self.counts.nnz)
+        if self.known:
+            seen = self.gains
         never = (gain * self.known for gain in self.rewards)
         return [_with_unseen(self.pairs, self.counts, seen, gain) for gain in never]
 
     @cached_property
     def laws(self) -> Likelihood:
-        """What rows may be."""
+        """The sets of rows, as the solvers of robust models take them."""
         return Likelihood(radius=self.radius)
 
     def solve_inner_problem(self, value: Floats, *, most: bool, rewards: bool = True) -> Step:
-        """Return what nature makes of every pair at values (S,): as much or as little as it can.
+        """Return the greatest (`most`) or the least r + γ P V of every pair, for values V (S,).
 
-        The piece has the laws (L, S) that it chose, and the rewards (L,) under them.
+        The piece consists of the rows (L, S) that attain it, and the rewards (L,) under them.
         """
+        # A next state that nobody saw may be any: the best or the worst one for the pair.
         mdp, pairs = self.mdp, self.pairs
-        far = int(value.argmax() if most else value.argmin())
+        extreme = value.argmax() if most else value.argmin()
+        far = int(extreme)
         blocks = self.blocks[most]
         values = solve_inner_problem(
             self.laws,
@@ -210,10 +228,13 @@ class RowSets:
             rewards=rewards and self.known,
         )
         sign = 1 if most else -1
-        bound = mdp.discount * (mdp.transition @ value)  # of rows that are certain
-        reward = self.reward[most] if rewards and not self.known else np.zeros(mdp.n_pairs)
+        bound = mdp.discount * (mdp.transition @ value)  # for rows that are certain
+        # Known rewards of counted pairs are part of the inner problem.
+        reward = np.zeros(mdp.n_pairs)
         if rewards and self.known:
             reward = np.where(self.counted > 0, 0.0, mdp.reward)
+        elif rewards:
+            reward = self.reward[most]
         bound[pairs] = values.high if most else values.low
         size = np.abs(value).max() + rewards * (np.abs(reward) + np.abs(self.rewards).max())
         length = np.diff(mdp.transition.indptr) + 8
@@ -236,7 +257,7 @@ class RowSets:
 def _with_unseen(
     pairs: Integers, counts: sp.csr_array, gains: Floats, gain: float
 ) -> list[RowBlock]:
-    """Return rows of counts (U, S) with one more outcome that nobody saw, its state number S."""
+    """Return rows of counts (U, S) with one more outcome that nobody saw, to a state number S."""
     ends = counts.indptr
     following = np.insert(counts.indices, ends[1:], counts.shape[1]).astype(np.int64)
     rows = ends[:-1] + np.arange(len(pairs)), np.diff(ends) + 1
@@ -245,22 +266,25 @@ def _with_unseen(
 
 
 def _compute_radii(p: Floats, row: Integers, n: Floats, states: int, doubt: float) -> Floats:
-    """Return (U,) the radii of rows, each seen n (U,) times with shares `p` at their `row` (N,)."""
+    """Return the radii (U,) of rows seen n (U,) times, with shares `p` (N,) in rows `row` (N,)."""
     if states == 1:
         return np.zeros(len(n))
+    # The formula of the module's head, with the sums over the outcomes of each row.
     part, c = 1 / states, p * n[row]
     seen, mixed, alone = c * np.log(p), special.gammaln(c + part), special.gammaln(part)
     ends = special.gammaln(n + 1) + log(1 / doubt)
     total = np.bincount(row, seen - mixed + alone) + ends
-    # A sum of numbers that SciPy leaves a few units off, and that are rounded as often as they add.
+    # Rounding: SciPy's terms are a few units off, and their sum is rounded at each addition.
     size = np.bincount(row, np.abs(seen) + np.abs(mixed) + alone) + ends
     return np.asarray((total + (np.bincount(row) + 64) * UNIT * size) / n)
 
 
 def _bound_mean_above(mean: Floats, edge: Floats) -> Floats:
-    """Return (U,) no less than the greatest μ with kl(mean, μ) ≤ edge, kl that of two coins."""
+    """Return upper bounds (U,) of μ with kl(mean, μ) ≤ edge, for Bernoulli variables."""
+    # Bisection of [mean, 1]: the upper end is a bound after any number of halvings, and 60 reach
+    # the resolution of doubles.
     low, high = mean.copy(), np.ones_like(mean)
-    for _ in range(HALVINGS):
+    for _ in range(60):
         middle = (low + high) / 2
         apart = special.rel_entr(mean, middle) + special.rel_entr(1 - mean, 1 - middle)
         beyond = apart > edge + 16 * UNIT * (1 + edge)  # by more than its rounding errors

@@ -42,7 +42,7 @@ def test_options_that_do_not_go_together_are_refused() -> None:
         ({"confidence": 0.9, "subject_to": {"cost": "<= 1"}}, "leave out subject_to, or"),
         ({"confidence": 0.9, "criterion": "average"}, "leave out criterion, or"),
         ({"confidence": 0.9, "max_relative_regret": 1}, "leave out max_relative_regret, or"),
-        ({"criterion": "average", "subject_to": {"cost": "<= 1"}}, "limits hold of total"),
+        ({"criterion": "average", "subject_to": {"cost": "<= 1"}}, "limits apply to total"),
         ({"criterion": "average", "horizon": 3}, "horizon"),
         ({"confidence": 0.9, "by": "magic"}, "magic"),
         ({"confidence": 0.9, "by": 3}, "not a kind of interval"),

@@ -64,8 +64,8 @@ def test_actions_that_nobody_took() -> None:
     assert {(s, a) for s, a in never_taken(mdp).tolist()} == wanted
     (s, a) = wanted.pop()
     said = of_process(mdp)
-    assert any(f"not to be had: ({mdp.space.label(s)}: {mdp.actions[a]})" in each for each in said)
-    assert any("taken for ends" in each for each in said)
+    assert any(f"not available: ({mdp.space.label(s)}: {mdp.actions[a]})" in each for each in said)
+    assert any("count as terminal" in each for each in said)
     assert "episodes begin as the model says" in of_process(mdp.with_(start=0))
     assert "episodes begin as the model says" not in said
     single = MDP.from_transitions(pd.DataFrame(ROWS[:2], columns=[*NAMES, "truncated"]), "1/2")
@@ -124,7 +124,7 @@ def test_an_interval_keeps_breaks_or_leaves_open_a_limit() -> None:
     assert str(interval()) == "[0.25, 0.5] at 95 % confidence, robust"
     draws = np.array([0.0, 0.25, 0.5, 1.0])
     for limit, share in ((0, 0.25), (F(1, 4), 0.5), (F(1, 5), 0.25), (2, 1.0)):
-        assert interval(draws=draws).estimate_probability(F(limit)).value == share
+        assert interval(draws=draws).within(F(limit)).value == share
     facts = interval(draws=draws).list_facts(F(1, 4))
     assert facts["interval"]["probability_within"].value == 0.5
     assert facts["interval"]["a"] == 1

@@ -125,11 +125,15 @@ def test_records_that_do_not_fit_are_refused() -> None:
                 model, policy, F(1, 2)
             )
 
-    refused("no trajectories", records=None)
-    refused("the start is given", mdp.with_(start={0: "1/2", 1: "1/2"}))
-    refused("begins where the model never does", mdp.with_(start=2))
-    refused("never does what the policy does", behaviour="always:1")
-    refused("never does what was recorded", policy=own_of(mdp, [1, 1, 1, 0]), behaviour="always:1")
+    refused("no trajectories are given", records=None)
+    refused("has a start of its own", mdp.with_(start={0: "1/2", 1: "1/2"}))
+    refused("begins in a state in which the model never starts", mdp.with_(start=2))
+    refused("never takes an action that the policy takes", behaviour="always:1")
+    refused(
+        "never takes an action that was recorded",
+        policy=own_of(mdp, [1, 1, 1, 0]),
+        behaviour="always:1",
+    )
     refused("no transitions", records=frame.iloc[:0])
     rows: Any = [(0, "a", "x", 0, None), (1, "a", "y", 0, None), (2, "b", "x", 0, None)]
     less = MDP.from_transitions(pd.DataFrame(rows, columns=NAMES), discount="1/2")

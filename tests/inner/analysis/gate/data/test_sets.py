@@ -218,7 +218,7 @@ def test_what_one_step_may_earn() -> None:
 
 def test_rewards_that_do_not_fit_are_refused() -> None:
     mdp = model(0)
-    with pytest.raises(ModelError, match="nothing says where rewards lie"):
+    with pytest.raises(ModelError, match="no range of rewards is given"):
         RowSets.of(mdp, 0.05)
     for wrong in ("all", (0.5, 1), (0, 0.5)):
         with pytest.raises(ModelError):
