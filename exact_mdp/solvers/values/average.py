@@ -1,7 +1,7 @@
-"""What a policy earns per step in the long run, in floats or, where these cannot bound it, exactly.
+"""The average reward of a policy: gain, bias and shares of time, in floats or exactly.
 
-The gain is the same from all states of a recurrent class, the bias what a start is worth beyond it
-(`solvers.endless.chain`).
+The gain is the same from all states of a recurrent class; the bias is what a start in a state is
+worth beyond it (`solvers.endless.chain`). Rationals are used if floats cannot bound the errors.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from exact_mdp.solvers.values.policy_chain import (
     round_fractions,
 )
 
-LISTED = 1000  # states in a report
+LISTED = 1000  # states up to which a report lists each; `frame` has them all
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class AverageEvaluation(OfPolicy, Result):
-    """What a policy earns per step in the long run, and what a start is worth beyond it."""
+    """The gain of a policy (its average reward per step), the bias and the shares of time."""
 
     chain: PolicyChain  # at discount 1
     classes: Classes
@@ -39,8 +39,8 @@ class AverageEvaluation(OfPolicy, Result):
     error: Floats
     bias: Floats  # (S,)
     bias_error: Floats
-    share: FixedPoint  # (S,) of time spent in each state in the long run, from the start
-    arrivals: FixedPoint  # (S,) expected visits from the start until a base of the classes
+    share: FixedPoint  # (S,) share of time in each state in the long run, from the start
+    arrivals: FixedPoint  # (S,) expected visits from the start until a class's base is reached
 
     claim: ClassVar[Claim] = Claim.BOUNDED
 
@@ -52,7 +52,7 @@ class AverageEvaluation(OfPolicy, Result):
 
     @cached_property
     def components(self) -> dict[str, Bounded]:
-        """What each reward component adds to the gain from the start."""
+        """Each reward component's contribution to the gain from the start."""
         mdp, weights, shares = self.mdp, self.chain.weights, (self.share.value, self.share.error)
         total, error = self._sum_components(*(x[mdp.pair_state] * weights for x in shares))
         each = zip(mdp.component_names, total, error, strict=True)
@@ -61,14 +61,16 @@ class AverageEvaluation(OfPolicy, Result):
     def report(self) -> Report:
         """Return gain and components, and gain, bias and share of time of each state."""
         frame, parts = self.frame(), self.components
-        few = self.mdp.n_states <= LISTED
+        by_state = None
+        if self.mdp.n_states <= LISTED:
+            by_state = frame.set_index("state").to_dict("index")
         facts = {
             "claim": Shown(self.claim),
             "mean": Shown(self.mean, self.start),
             "error_bound": Shown(self.start.error),
             "recurrent_classes": len(self.classes.base),
             "components": Shown({name: each.value for name, each in parts.items()}, parts),
-            "by_state": Shown(frame.set_index("state").to_dict("index") if few else None),
+            "by_state": Shown(by_state),
         }
         columns = {name: name for name in ("state", "gain", "bias", "share")}
         table = Table(title="gain, bias and share of time", rows=frame, columns=columns)
@@ -94,17 +96,17 @@ class AverageEvaluation(OfPolicy, Result):
 def evaluate_average(chain: PolicyChain) -> AverageEvaluation:
     """Return the average reward of a policy: in rationals if floats cannot bound it.
 
-    Raises SolverError where that would take too long.
+    Raises SolverError if rationals would take too long.
     """
+    # The gain does not depend on a discount.
     mdp = chain.mdp.undiscounted
     chain = replace(chain, mdp=mdp)
     classes, exact = chain.classes, True
     with floats_first(mdp):
-        (gain, bias), (share, arrivals) = (
-            chain.going_on.evaluate_chain(),
-            chain.going_on.compute_limit_distribution(),
-        )
-        if chain.probability.min() < np.finfo(np.float64).tiny:  # below this, errors are absolute
+        gain, bias = chain.going_on.evaluate_chain()
+        share, arrivals = chain.going_on.compute_limit_distribution()
+        # Subnormal floats have fewer digits, and the error bounds do not count that.
+        if chain.probability.min() < np.finfo(np.float64).tiny:
             raise SolverError(Status.NO_BOUND, "probabilities are below the range of floats")
         exact = (
             is_too_inaccurate(share, mdp)
@@ -112,11 +114,11 @@ def evaluate_average(chain: PolicyChain) -> AverageEvaluation:
             or not np.isfinite(share.error).all()
         )
     if exact:
+        # The first two terms of the Laurent expansion are gain and bias.
         own = chain.exactly
         classes, levels = own.classes, compute_laurent_expansion(own, own.reward)[:2]
-        gain, bias, share, arrivals = map(
-            round_fractions, (*levels, *own.compute_limit_distribution(mdp.start))
-        )
+        gain, bias = map(round_fractions, levels)
+        share, arrivals = map(round_fractions, own.compute_limit_distribution(mdp.start))
     return AverageEvaluation(
         chain=chain,
         classes=classes,

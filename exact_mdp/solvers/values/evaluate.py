@@ -6,11 +6,12 @@
     τ(s)   = 1 + Σ_s' P(s, s') τ(s')                     expected steps until a terminal state
     h(s)   = Σ p + Σ' p h(s')                            probability that an event ever happens
 
-Expectations run over the joint law of reward and next state, which a table of expected rewards does
-not hold. The second equation adds up squares and so loses no digits to cancellation (Sobel, Journal
-of Applied Probability 19, 1982). In the last one the first sum runs over the outcomes with the
-event, the second over the others (Puterman, Markov Decision Processes, 1994, section 6.9; Kemeny
-and Snell, Finite Markov Chains, 1960, chapter 3). A component is a sum of visits times rewards.
+Expectations run over the joint distribution of reward and next state, which a table of expected
+rewards does not hold. The second equation adds up squares and so loses no digits to cancellation
+(Sobel, Journal of Applied Probability 19, 1982). In the last one the first sum runs over the
+outcomes with the event, the second over the others (Puterman, Markov Decision Processes, 1994,
+section 6.9; Kemeny and Snell, Finite Markov Chains, 1960, chapter 3). The total of a component is
+the sum of visits times rewards.
 Every number comes with a bound on its error that is sound in floating point.
 """
 
@@ -71,7 +72,7 @@ UNKNOWN = Bounded(value=nan, error=inf)
 
 
 def _or_unknown(number: Callable[..., Bounded]) -> Callable[..., Bounded]:
-    """Have a number be unknown where double precision cannot bound it."""
+    """Return UNKNOWN instead of raising SolverError."""
 
     @wraps(number)
     def call_or_unknown(*given: object) -> Bounded:
@@ -91,13 +92,13 @@ class Evaluation(OfPolicy, Pictured):
     chain : PolicyChain
         The model under the policy.
     value, error : (S,)
-        Mean return from every state, which may be infinite, and how far it may be from the exact
-        one. NaN and infinity where it is unknown: at discount 1 in states that no episode comes to,
-        if the policy may go on forever in some of them.
+        Mean return from every state, which may be infinite, and a bound on its error. NaN and
+        infinity if the mean is unknown: at discount 1 in states that no episode visits, if the
+        policy may go on forever in some of them.
     given : PolicyChain
-        The same without the ends that states of rest stand for; else the chain itself.
+        The chain before classes of states without rewards were made terminal.
     settled : bool
-        False if an episode may go on forever and earn: then only the mean is known.
+        False if an episode may go on forever and earn rewards: then only the mean is known.
 
     Examples
     --------
@@ -119,14 +120,14 @@ class Evaluation(OfPolicy, Pictured):
 
     @property
     def ends(self) -> bool:
-        """True where every episode ends with probability 1."""
+        """True if every episode ends with probability 1."""
         return self.given.ends_from_start
 
     @property
     def numbers(self) -> dict[str, Bounded]:
         """Every number from the start with its error bound, by name.
 
-        One that double precision cannot bound is NaN, with an infinite error; the others stand.
+        A number that double precision cannot bound is NaN, with an infinite error.
         """
         numbers = {"mean": self.start, "sd": self._sd, "variance": self._start_variance}
         numbers["steps"] = self._steps
@@ -194,14 +195,17 @@ class Evaluation(OfPolicy, Pictured):
             discounted = self._discounted
         except SolverError:
             return dict.fromkeys(mdp.component_names, UNKNOWN)
+        # A total is the sum, over all pairs, of expected visits times the component's amount.
         used, doubt = (_pair_visits(chain, x) for x in (discounted.value, discounted.error))
         with np.errstate(over="ignore", invalid="ignore"):
             total, error = self._sum_components(used, doubt)
-        numbers = {
-            name: Bounded(value=float(value), error=float(bound)) if bound < inf else UNKNOWN
-            for name, value, bound in zip(mdp.component_names, total, error, strict=True)
-        }
-        if mdp.discount_exact == 1:  # an event of an endless stay is counted forever
+        numbers = {}
+        for name, value, bound in zip(mdp.component_names, total, error, strict=True):
+            numbers[name] = UNKNOWN
+            if bound < inf:
+                numbers[name] = Bounded(value=float(value), error=float(bound))
+        if mdp.discount_exact == 1:
+            # Visits say nothing of terminal states, and a component may be earned there forever.
             given = self.given
             stays = (mdp.terminal & given.reached)[mdp.pair_state] & (given.weights > 0)
             over = stays & given.mdp.terminal[mdp.pair_state]
@@ -209,6 +213,7 @@ class Evaluation(OfPolicy, Pictured):
                 numbers, *(given.mdp.components[each].T for each in (stays, over)), strict=True
             ):
                 if often.any():
+                    # Amounts of both signs in different ends: the total has no limit.
                     apart = ends.min(initial=0) < 0 < ends.max(initial=0)
                     if apart:
                         numbers[name] = UNKNOWN
@@ -219,8 +224,10 @@ class Evaluation(OfPolicy, Pictured):
     def _evaluate_component(self, name: str) -> Bounded:
         """Return the total of a component under a policy that goes on forever."""
         mdp, given = self.given.mdp, self.given
-        if mdp.goal is not None:  # a run that misses it is infinite in all, not in its parts
+        # A run that misses the goal has an infinite return, which no component accounts for.
+        if mdp.goal is not None:
             return UNKNOWN
+        # Solve the model of this reward alone, in which the policy's actions are the only ones.
         table = mdp.table.with_reward(*mdp.component(name))
         alone = mdp.with_(table=table, component_names=(name,))
         chain = PolicyChain(mdp=alone, chosen=given.chosen, policy=given.policy)
@@ -233,7 +240,7 @@ class Evaluation(OfPolicy, Pictured):
 
     @property
     def only_means(self) -> bool:
-        """Whether rewards are known as means over outcomes only, so that no spread is."""
+        """Whether rewards are known only as means over outcomes, which leaves the spread open."""
         table = self.given.mdp.table
         return table.averaged and table.components is None
 
@@ -244,11 +251,11 @@ class Evaluation(OfPolicy, Pictured):
 
     @property
     def variance(self) -> Floats:
-        """(S,) variance of the return from every state; NaN where `value` is not finite.
+        """(S,) variance of the return from every state, without error bounds.
 
-        And where only means of the rewards of outcomes are known. As floats compute it, without a
-        bound: near discount 1 few digits may be right. `numbers` has the variance from the start,
-        with its bound.
+        NaN where `value` is not finite, and everywhere if only means of rewards over outcomes are
+        known. Near discount 1 only a few digits may be right. `numbers` has the variance from the
+        start, with its error bound.
         """
         if not self.settled or self.only_means:
             return np.full(len(self.value), np.nan)
@@ -262,20 +269,25 @@ class Evaluation(OfPolicy, Pictured):
             return FixedPoint(value=np.zeros(len(live)), error=np.zeros(len(live)))
         value, error = np.where(live, self.value, 0.0), np.where(live, self.error, 0.0)
         here, there = value[chain.source], value[chain.table.next]
-        with np.errstate(over="ignore", invalid="ignore"):  # refused where it is solved for
+        # An overflow here is refused when the equations are solved.
+        with np.errstate(over="ignore", invalid="ignore"):
+            # The surprise of an outcome: how far r + γ V(s') is from V(s).
             surprise = chain.gain + rate * there - here
+            # Its error: the three operations round, and V itself has an error.
             off = TINY + 5 * UNIT * (np.abs(chain.gain) + rate * np.abs(there) + np.abs(here))
             off += rate * error[chain.table.next] + error[chain.source]
+            # The constant is the mean square of surprises. |(x + e)² - x²| <= (2 |x| + |e|) |e|.
             constant = chain.sum_by_state(chain.probability * surprise**2)
             doubt = chain.sum_by_state(chain.probability * (2 * np.abs(surprise) + off) * off)
             doubt += gamma(chain.outcomes + chain.roundings + 5) * constant + TINY
+        # Variances are discounted by γ².
         rate_exact = self.mdp.discount_exact
         if rate_exact == 1:
             equations = chain.discounted
         else:
             equations = chain.build_equations(rate_exact**2)
         point = equations.solve(np.where(live, constant, 0.0), np.where(live, doubt, 0.0) * SLACK)
-        # No variance is negative: a negative rounding error is nearer to the truth as 0.
+        # A variance cannot be negative; clip rounding errors at 0.
         return FixedPoint(value=np.maximum(point.value, 0.0), error=point.error)
 
     @cached_property
@@ -283,6 +295,8 @@ class Evaluation(OfPolicy, Pictured):
     def _start_variance(self) -> Bounded:
         if not self.settled or self.only_means:
             return UNKNOWN
+        # The law of total variance: the mean variance within start states, and the variance of
+        # their means.
         within = at_start(self.mdp, self._variance)
         if np.count_nonzero(self.mdp.start_distribution) == 1:
             return within
@@ -303,6 +317,7 @@ class Evaluation(OfPolicy, Pictured):
         variance = self._start_variance
         if not np.isfinite(variance.error):
             return variance
+        # The root is concave: the error is greatest at one of the ends of the interval.
         sd, least = sqrt(variance.value), sqrt(max(variance.value - variance.error, 0.0))
         most = sqrt(variance.value + variance.error)
         return Bounded(value=sd, error=max(sd - least, most - sd) + 4 * UNIT * most)
@@ -311,7 +326,7 @@ class Evaluation(OfPolicy, Pictured):
     def quantiles(self) -> dict[float, float] | None:
         """The 5, 25, 50, 75 and 95 % quantiles of the return, by probability.
 
-        None where the distribution of the return is not a list: `quantiles_missing` says why.
+        None if the distribution of the return cannot be listed: `quantiles_missing` says why.
         """
         if isinstance(self._quantiles, dict):
             return self._quantiles
@@ -336,9 +351,9 @@ class Evaluation(OfPolicy, Pictured):
 
     @property
     def steps(self) -> float:
-        """Expected number of timesteps until a terminal state; infinite where it may not come.
+        """Expected number of timesteps until a terminal state; infinite if it may never come.
 
-        NaN where the end comes, but so late that this is beyond the range of floats.
+        NaN if the end comes, but so late that the number is beyond the range of floats.
         """
         return self._steps.value
 
@@ -352,20 +367,20 @@ class Evaluation(OfPolicy, Pictured):
 
     @property
     def occupancy(self) -> Floats:
-        """(L,) expected discounted number of uses of each pair; at discount 1 none at an end."""
+        """(L,) expected discounted number of uses of each pair; at discount 1 zero at an end."""
         return _pair_visits(self.chain, self._discounted.value)
 
     @property
     def occupancy_table(self) -> Floats:
-        """(S, A) the same by state and action; NaN where an action is not offered."""
+        """(S, A) occupancy by state and action; NaN where an action is not available."""
         return self.mdp.by_action(self.occupancy)
 
     @property
     def visits(self) -> Floats:
         """(S,) expected number of visits to each state, from the start.
 
-        Undiscounted where every episode ends; arriving at a terminal state counts as one visit, so
-        that its entry is the probability of ending there. Discounted where an episode may not end.
+        Undiscounted if every episode ends; arriving at a terminal state counts as one visit, so
+        that its entry is the probability of ending there. Discounted if an episode may not end.
         """
         if self.ends and self.mdp.discount_exact != 1:
             return self.chain.undiscounted.visits.value
@@ -390,7 +405,7 @@ class Evaluation(OfPolicy, Pictured):
 
     @property
     def skip_probability(self) -> float | None:
-        """Probability that a subtask is skipped; None where the model has no event `skip`."""
+        """Probability that a subtask is skipped; None if the model has no event `skip`."""
         return self.event_probability.get("skip")
 
     @cached_property
@@ -398,26 +413,29 @@ class Evaluation(OfPolicy, Pictured):
         bits = self.chain.table.event
         if bits is None:
             return {}
-        happened = (bits >> k & 1 == 1 for k in range(len(self.mdp.events)))
-        return dict(
-            zip(self.mdp.events, map(self._compute_event_probability, happened), strict=True)
-        )
+        numbers = {}
+        for bit, name in enumerate(self.mdp.events):
+            numbers[name] = self._compute_event_probability(bits >> bit & 1 == 1)
+        return numbers
 
     @_or_unknown
     def _compute_event_probability(self, happens: Mask) -> Bounded:
         """Return the probability that one of the marked outcomes (N,) ever happens."""
         chain, states = self.chain, self.mdp.n_states
         source, following = chain.source, chain.table.next
-        live = ~self.mdp.terminal[source]  # nothing happens in an end
+        live = ~self.mdp.terminal[source]
+        # The probability that the event happens at once.
         chance = chain.sum_by_state(np.where(happens & live, chain.probability, 0.0))
         # Elsewhere the probability is 0; among these states the equation has a single solution.
         possible = find_reachable_nodes(chain.graph.T.tocsr(), chance > 0)
+        # An outcome without the event leads on; its row sums to less than 1.
         on = ~happens & possible[source] & possible[following] & live
         entries = (chain.probability[on], (source[on], following[on]))
         matrix = sp.csr_array(entries, (states, states))
         roundings = chain.roundings + int(chain.outcomes.max())
         system = LinearSystem(matrix, 1.0, order=chain.order, roundings=roundings)
 
+        # The same equations in integers, needed only if floats cannot bound the solution.
         def rows() -> BellmanRows:
             weight, below = chain.odds
             return BellmanRows(
@@ -438,8 +456,9 @@ class Evaluation(OfPolicy, Pictured):
 
 
 def _pair_visits(chain: PolicyChain, visits: Floats) -> Floats:
-    """Return (L,) the expected discounted uses of each pair; at discount 1 none where all ended."""
+    """Return (L,) expected discounted uses of each pair; at discount 1 zero at an end."""
     mdp = chain.mdp
+    # Visits count one arrival at a terminal state, where a policy stays for 1 / (1 - γ) steps.
     if mdp.discount_exact == 1:
         stay = 0.0
     else:
@@ -480,12 +499,12 @@ def evaluate(
     kind : "auto", "q" or "policy"
         What a two-dimensional array holds; see `mdp.policies.arrays`.
     horizon : int, optional
-        Stop after this many steps, without a further reward: the evaluation of
-        `mdp.within(horizon)`. Policies over states are the same at every time there; those of
+        Stop after this many steps, without a further reward: evaluate the policy in
+        `mdp.within(horizon)`. A policy over states is the same at every time there; solutions of
         `solve(mdp, horizon=…)` and tables (N, S, A) depend on time.
     criterion : "total" or "average"
         "average" gives the average reward per step in the long run, whatever the discount, the bias
-        of each state, and the share of time spent there. "optimal" is then best in that.
+        of each state, and the share of time spent there. "optimal" then has the best average.
 
     Returns
     -------
@@ -494,9 +513,9 @@ def evaluate(
     Raises
     ------
     ModelError
-        At discount 1 where one state of the start is worth +∞ and another -∞.
+        At discount 1 if one state of the start has value +∞ and another -∞.
     SolverError
-        Where double precision cannot bound the error, and rational arithmetic would take too long
+        If double precision cannot bound the error, and rational arithmetic would take too long
         (over 4,000 states) or finds a value beyond the range of floats.
 
     Examples
@@ -518,9 +537,11 @@ def evaluate(
         mdp = mdp.within(horizon)
     chain = PolicyChain.of(mdp, policy, kind=kind)
     mdp, given = chain.mdp, chain
+    # At discount 1, make classes without rewards terminal. If a run may earn forever, there is
+    # nothing to add up: the mean is the optimum of the model that has no other actions.
     if mdp.discount_exact == 1 and not has_sure_end(chain):
         lost: object = True
-        with suppress(ModelError):  # the return has no limit, but the mean return has one
+        with suppress(ModelError):  # the return may have no limit while the mean return has one
             chain, lost = split_infinite_returns(given)
         if lost:
             alone = solve(given.model)
@@ -528,6 +549,7 @@ def evaluate(
                 chain=given, given=given, value=alone.value, error=alone.state_error, settled=False
             )
         mdp = chain.mdp
+    # V = r + γ P V has one solution in states that end surely, and everywhere below discount 1.
     if mdp.discount_exact == 1:
         known = chain.arriving
     else:
@@ -538,6 +560,7 @@ def evaluate(
         chain, np.where(live, reward, 0.0), np.where(live, error, 0.0) * SLACK
     )
     value, bound = np.where(known, point.value, np.nan), np.where(known, point.error, np.inf)
+    # The other states lie off the policy's way from the start; a solver may know their values.
     if not known.all():
         with suppress(ModelError, SolverError):
             alone = solve(given.model)
@@ -547,8 +570,9 @@ def evaluate(
 
 
 def _evaluate_closely(chain: PolicyChain, reward: Floats, error: Floats) -> FixedPoint:
-    """Return a policy's values by its equations, next to discount 1 by improving them in rounds."""
+    """Return a policy's values by its equations, or next to discount 1 by iteration."""
     mdp = chain.mdp
+    # Next to 1 the equations are ill-conditioned; modified policy iteration has closer bounds.
     near = mdp.discount > NEARLY_ONE and mdp.discount_exact != 1
     if near and (chain.pure or mdp.n_transitions < COMPILED):
         with suppress(ModelError, SolverError), warnings.catch_warnings():

@@ -1,17 +1,17 @@
-"""The Markov chain that a policy makes of a model: who follows whom, at what reward.
+"""The Markov chain of a policy: its transitions, rewards, graph and equations.
 
     P_π(s, s') = Σ_l π(l | s) P(l, s'),     l over the pairs of s that π takes,
 
-together with the outcomes behind it, as the spread of a return depends on the joint law of next
-state and reward. Probabilities of actions are the exact numbers given (a float is the number that
-it is), divided by their exact sum. A state *ends* where a terminal state is reached with
-probability 1, which is where no state is reached from which the terminal ones cannot be (Puterman,
-Markov Decision Processes, 1994, A.2); other policies of the model need not end.
+together with the outcomes behind it, as the spread of a return depends on the joint distribution
+of next state and reward. Probabilities of actions are the exact numbers given (a float stands for
+its own value), divided by their exact sum. A state *ends* if a terminal state is reached from it
+with probability 1: if no state can be reached that has no way to a terminal state (Puterman, Markov
+Decision Processes, 1994, A.2). Other policies of the model need not end.
 
-A policy has come to rest in classes of states that it never leaves, without a reward or an event.
-These count as ends for its return; only its steps have no end. If it goes round forever and
-earns something else than 0 a step on average, its return is +∞ or -∞; so it is where a run misses
-its goal. What any policy is worth is the optimum of the model in which there is nothing else to do.
+A recurrent class without rewards or events counts as an end for the return; only the number of
+steps is then infinite. In a class with an average reward other than 0 the return is +∞ or -∞; a
+run that misses its goal also has an infinite return. The value of any policy is the optimum of the
+model in which the policy's actions are the only ones.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ from exact_mdp.solvers.objectives.totals import OccupancyMeasure
 from exact_mdp.solvers.solution import SolverError, Status, Valued
 from exact_mdp.solvers.solver import Criterion, solve
 
-HALF = 2.0**-26  # a float has 53 binary digits
+HALF = 2.0**-26  # the relative error of a float that has half of its 53 binary digits right
 
 
 def policy_of(
@@ -87,19 +87,18 @@ def policy_of(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PolicyChain:
-    """A model under one policy; its parts are worked out when first asked for."""
+    """A model under one policy; its parts are computed on first use."""
 
     mdp: MDP
     chosen: Floats  # (L,) probabilities of pairs; in each state they sum to 1, up to rounding
-    policy: Policy | None = None  # where `chosen` is from, which knows the exact probabilities
+    policy: Policy | None = None  # the source of `chosen`, with the exact probabilities
 
     @classmethod
     def of(cls, mdp: MDP, policy: PolicyLike | PolicyChain, *, kind: str = "auto") -> PolicyChain:
         """Return the chain of a policy in any form that `evaluate` takes.
 
-        Beside all that `Policy.of` takes, these are "optimal", for which the model is solved; a
-        solution or a certificate, for its policy; a chain of this model; and (L,) probabilities
-        of pairs.
+        Beside the forms of `Policy.of`, these are "optimal" (the model is solved), a solution or a
+        certificate (its policy is taken), a chain of this model, and (L,) probabilities of pairs.
         """
         if isinstance(policy, PolicyChain):
             if policy.mdp is not mdp:
@@ -117,10 +116,10 @@ class PolicyChain:
 
     @classmethod
     def held_fixed(cls, mdp: MDP, policy: PolicyLike) -> tuple[PolicyChain, Mask]:
-        """Return the chain of a policy that is held in models of other numbers, too.
+        """Return the chain of a policy that is kept in other models, and its undecided states.
 
-        And (S,) True for states with a choice that the policy leaves open, as the choice does
-        not matter in this model. An optimum says nothing of states in which all is over.
+        These (S,) have a choice that the policy leaves open because it does not matter in this
+        model. An optimum does not decide in states without any further reward.
         """
         chain = cls.of(mdp, policy)
         open_ = np.zeros(mdp.n_states, dtype=bool)
@@ -155,7 +154,7 @@ class PolicyChain:
 
     @cached_property
     def _shares(self) -> Numbers:
-        """(L,) whole numbers in proportion to the exact probabilities, or floats that are."""
+        """(L,) integers or floats in exact proportion to the probabilities."""
         if self.policy is None:
             exactly = None
         else:
@@ -178,14 +177,15 @@ class PolicyChain:
 
     @cached_property
     def roundings(self) -> int:
-        """How often a probability was rounded on its way from the exact number, at most."""
+        """The most roundings between an exact probability and its float."""
+        # The rows of n pairs are added up, and so is the total that weights are divided by: n each.
         if self.pure:
             return 1
         return 2 * int(np.bincount(self.mdp.pair_state[self.pairs]).max()) + 2
 
     @property
     def read_as(self) -> ReadAs:
-        """What an array was taken for: "q" or "policy"."""
+        """How an array was read: as "q" or as "policy"."""
         if self.policy is None:
             return "policy"
         return self.policy.read_as
@@ -227,15 +227,17 @@ class PolicyChain:
 
     @cached_property
     def reward(self) -> tuple[Floats, Floats]:
-        """(S,) the expected reward of each state, and how far that may be from the exact one."""
+        """(S,) the expected reward of each state, and a bound on its error."""
         mdp = self.mdp
+        # A reward that belongs to its pair is a single rounded number.
         if self.pure and len(mdp.table.gain) == mdp.n_pairs:
             earned = mdp.reward[self.pairs]
             return earned, UNIT * np.abs(earned) + TINY * (mdp.table.gain[self.pairs] != 0)
         with np.errstate(over="ignore"):  # overflow is refused when the equations are solved
             earned = np.add.reduceat(self.weights * mdp.reward, mdp.pair_offsets[:-1])
+        # A sum of n products: γ(n + k) times the sum of absolute values. A 0 is exact.
         error = self.sum_by_state(self.probability * np.abs(self.gain))
-        earning = self.sum_by_state(self.gain != 0)  # nothing that is 0 is rounded
+        earning = self.sum_by_state(self.gain != 0)
         return earned, gamma(self.outcomes + self.roundings + 4) * error + TINY * earning
 
     # ---- graph -------------------------------------------------------------------------------
@@ -246,6 +248,7 @@ class PolicyChain:
         mdp, live = self.mdp, ~self.mdp.terminal
         if self.pure:
             return select_rows(mdp.transition, self.pairs, live)
+        # P_π = Π P, where row s of Π has the probabilities of the pairs of s.
         used = self.pairs[live[mdp.pair_state[self.pairs]]]
         shape = (mdp.n_states, mdp.n_pairs)
         mixing = sp.csr_array((self.weights[used], (mdp.pair_state[used], used)), shape)
@@ -256,8 +259,9 @@ class PolicyChain:
     @cached_property
     def graph(self) -> sp.csr_array:
         """(S, S) entries where a transition is possible, however rare."""
-        if self.probability.min() > 0:  # else entries below the range of floats are missing
+        if self.probability.min() > 0:
             return self.transition
+        # Some probabilities underflow to 0 in floats: take the edges from the outcomes.
         moves = np.where(self.mdp.terminal, 0, self.outcomes)
         following = self.table.next[~self.mdp.terminal[self.source]]
         parts = np.ones(len(following)), following, np.append(0, np.cumsum(moves))
@@ -267,14 +271,14 @@ class PolicyChain:
 
     @cached_property
     def order(self) -> Integers | None:
-        """(S,) numbers that fall along every transition; None where the model has cycles."""
+        """(S,) numbers that fall along every transition; None if the model has cycles."""
         if self.mdp.terminal.any():
             return topological_levels(self.mdp)
         return None
 
     @cached_property
     def reached(self) -> Mask:
-        """(S,) True for states that the policy can come to from the start, this included."""
+        """(S,) True for states that the policy can visit, the start included."""
         first = np.zeros(self.mdp.n_states, dtype=bool)
         first[[state for state, weight in self.mdp.start if weight]] = True
         return find_reachable_nodes(self.graph, first)
@@ -295,7 +299,7 @@ class PolicyChain:
 
     @cached_property
     def arriving(self) -> Mask:
-        """(S,) True where the policy ends with probability 1, and not beside a goal."""
+        """(S,) True where the policy ends with probability 1 and never misses a goal."""
         beside = beside_goal(self.mdp)
         if not beside.any():
             return self.ends
@@ -318,6 +322,7 @@ class PolicyChain:
         busy = self.gain != 0
         if self.table.event is not None:
             busy = busy | (self.table.event != 0)
+        # A class is active if one of its states is; what terminal states say does not count.
         acts = np.bincount(self.source[busy], minlength=self.mdp.n_states) > 0
         inside, own = self.classes.recurrent, self.classes.own
         active = np.bincount(own, acts & inside & ~self.mdp.terminal) > 0
@@ -325,7 +330,7 @@ class PolicyChain:
 
     @property
     def ends_from_start(self) -> bool:
-        """True where every episode ends with probability 1."""
+        """True if every episode ends with probability 1."""
         return not (self.stuck.all() or (self.reached & self.stuck).any())
 
     def require_end(self) -> None:
@@ -341,7 +346,8 @@ class PolicyChain:
     # ---- equations ---------------------------------------------------------------------------
 
     def build_equations(self, rate: Fraction) -> PolicyEquations:
-        """Return x = c + rate · P_π x, at rate 1 in states that end; x is 0 where all has ended."""
+        """Return x = c + rate · P_π x, at rate 1 in states that end; x = 0 in other states."""
+        # At rate 1 the equations have a single solution only among states that end.
         if rate == 1:
             live = self.ends & ~self.mdp.terminal
         else:
@@ -367,10 +373,11 @@ class PolicyChain:
 
     @cached_property
     def odds(self) -> tuple[Numbers, Numbers]:
-        """(N,), (S,) integers: the exact probability of each outcome, over one for its state."""
+        """(N,), (S,) integers: numerators of outcomes, and one denominator for each state."""
         share, (weight, below) = self._shares[self.pairs], self.table.integer_weights()
         if share.dtype == np.float64:
             share, _ = to_dyadic_integers(share, self._first)
+        # Bring the pairs of a state over a common denominator; then divide by the sum of shares.
         unit, each = self._over_common(below)
         outcomes = multiply(weight, multiply(share, each)[self.table.pair])
         return outcomes, multiply(unit, row_sums(share, self._first))
@@ -393,6 +400,7 @@ class PolicyChain:
             mdp = self.model
         if rate not in (None, mdp.discount_exact):
             mdp = mdp.with_(discount=rate)
+        # The rows of a model are cached: a pure policy selects among them.
         if self.pure:
             return bellman_rows(mdp).of_pairs(self.pairs)
         return bellman_rows(mdp)
@@ -403,10 +411,12 @@ class PolicyChain:
         mdp, table = self.mdp, self.table
         if self.pure:
             return of_pairs(mdp, self.pairs)
+        # Each state has one pair, whose outcomes are the outcomes of all pairs taken there.
         (weight, below), states = self.odds, np.arange(mdp.n_states)
         gain, under = table.gain, make_ones(mdp.n_states)
         if len(gain) == table.pairs:
             gain = gain[table.pair]
+        # Exact rewards need a common denominator; floats need none.
         if gain.dtype != np.float64:
             under, each = self._over_common(table.gain_denominator)
             gain = multiply(gain, each[table.pair])
@@ -424,10 +434,10 @@ class PolicyChain:
 
     @cached_property
     def exact_value(self) -> Level:
-        """The exact values, where the equations are known to have one solution.
+        """The exact values, if the equations are known to have one solution.
 
-        They have where the optimum is proven: a rank that falls along every pair, or w > γ P w,
-        holds for mixtures of rows, too. 0 stands for states that need not end at discount 1.
+        They have one if the optimum is proven: a rank that falls along every pair, or w > γ P w,
+        holds for mixtures of rows, too. States that need not end at discount 1 have value 0.
         """
         rows = self.build_bellman_rows()
         if self.mdp.discount_exact == 1:
@@ -454,23 +464,23 @@ class PolicyChain:
 
 
 class OfPolicy(Valued):
-    """What a policy is worth, and the `chain` that it makes."""
+    """Base class of evaluations: the values of a policy together with its `chain`."""
 
     chain: PolicyChain
 
     @property
     def mdp(self) -> MDP:
-        """The model; of an average reward at discount 1."""
+        """The model; at discount 1 for an average reward."""
         return self.chain.mdp
 
     @property
     def policy(self) -> Policy | None:
-        """The policy; None where it was given as probabilities of pairs."""
+        """The policy; None if it was given as probabilities of pairs."""
         return self.chain.policy
 
     @property
     def read_as(self) -> ReadAs:
-        """What an array was taken for: "q" or "policy"."""
+        """How an array was read: as "q" or as "policy"."""
         return self.chain.read_as
 
     @property
@@ -480,6 +490,7 @@ class OfPolicy(Valued):
 
     def _sum_components(self, used: Floats, doubt: Floats) -> tuple[Floats, Floats]:
         """Return the total of each component for given visits of pairs (L,), with error bounds."""
+        # Three errors: of the visits, of the sum of products, and of the rounded amounts.
         rounding = gamma(len(self.chain.pairs) + self.chain.roundings + 6)
         amounts = self.mdp.components
         size = np.abs(amounts)
@@ -488,21 +499,22 @@ class OfPolicy(Valued):
 
 
 def flow_of(of: Objectives, policy: PolicyLike) -> OccupancyMeasure:
-    """Return the expected visits of pairs under any policy, of which totals are made."""
+    """Return the exact occupancy measure of a policy, from which totals are computed."""
     chain = replace(PolicyChain.of(of.mdp, policy), mdp=of.ending)
     visits = chain.exact_visits.to_fractions()
-    states = np.flatnonzero(chain.reached & ~of.ending.terminal).tolist()
-    uses = ((visits[s], chain.exact_weights(s).items()) for s in states if visits[s])
-    return OccupancyMeasure.of(
-        {pair: share * number for number, shares in uses for pair, share in shares}
-    )
+    uses = {}
+    for state in np.flatnonzero(chain.reached & ~of.ending.terminal).tolist():
+        if visits[state]:
+            for pair, share in chain.exact_weights(state).items():
+                uses[pair] = share * visits[state]
+    return OccupancyMeasure.of(uses)
 
 
 @dataclass(frozen=True, eq=False)
 class PolicyEquations:
-    """x = c + rate · P x in some states of a chain, the `live` ones (S,); x = c = 0 in others.
+    """x = c + rate · P x in the `live` states (S,) of a chain; x = c = 0 in the others.
 
-    Where floats cannot bound x, as the chain mixes or ends too slowly, x is found in rationals.
+    If the chain mixes or ends so slowly that floats cannot bound x, x is solved for in rationals.
     """
 
     chain: PolicyChain
@@ -516,7 +528,9 @@ class PolicyEquations:
         chain, live, start = self.chain, self.live, self.chain.mdp.start_distribution
         rate, exact = self.system.discount, True
         with floats_first(chain.mdp):
+            # Visits of live states solve the transposed equations, d = μ + γ Pᵀ d.
             point = transpose_system(self.system).solve(start, UNIT * start)
+            # One more step forward gives the arrivals at the other states, with its rounding.
             onward = select_rows(chain.transition, np.arange(len(live)), live).T.tocsr()
             came, size, off = (
                 rate * (onward @ each) for each in (point.value, np.abs(point.value), point.error)
@@ -529,14 +543,14 @@ class PolicyEquations:
         if exact:
             (visits,) = compute_expected_visits(self.rows(), live, chain.mdp.start)
             point = round_fractions(visits.to_fractions())
-        # Nothing is visited less than never: a negative rounding error is nearer to the truth as 0.
+        # Visits cannot be negative; clip rounding errors at 0.
         return FixedPoint(value=np.maximum(point.value, 0.0), error=point.error)
 
     def solve(self, constant: Floats, error: Floats | float = 0.0) -> FixedPoint:
-        """Return x (S,) and its error, for a constant that may be off by `error`.
+        """Return x (S,) and its error bound, for a constant with an error of at most `error`.
 
-        Raises SolverError where floats cannot bound it and rationals would take too long, or where
-        x is beyond the range of floats.
+        Raises SolverError if floats cannot bound x and rationals would take too long, or if x is
+        beyond the range of floats.
         """
         exact = True
         with floats_first(self.chain.mdp):
@@ -546,24 +560,26 @@ class PolicyEquations:
         doubt = np.broadcast_to(error, constant.shape)
         if not np.isfinite([constant, doubt]).all():
             raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
+        # x is linear in c and the inverse is not negative: the error of c gives an x of its own.
         rows = self.rows()
         matrix = build_equations(rows, self.live)
-        sides = ([*map(Fraction, side.tolist())] for side in (constant, doubt))
-        value, off = (
-            round_fractions(solve_policy_equations(matrix, rows, side).to_fractions())
-            for side in sides
-        )
+
+        def solve_exactly(side: Floats) -> FixedPoint:
+            exact_side = [*map(Fraction, side.tolist())]
+            return round_fractions(solve_policy_equations(matrix, rows, exact_side).to_fractions())
+
+        value, off = solve_exactly(constant), solve_exactly(doubt)
         return FixedPoint(value=value.value, error=value.error + off.value * SLACK)
 
 
 def is_too_inaccurate(point: FixedPoint, mdp: MDP) -> bool:
-    """Return whether floats gave less than half of their digits, and rationals soon give all."""
+    """Return whether fewer than half of the digits are sure, in a model small enough for more."""
     return mdp.n_states <= FEW and point.error.max() > HALF * np.abs(point.value).max()
 
 
 @contextmanager
 def floats_first(mdp: MDP) -> Iterator[None]:
-    """Go on where floats bound nothing, and rationals would not take too long."""
+    """Suppress SolverError from a computation in floats, unless rationals would take too long."""
     try:
         yield
     except SolverError as error:
@@ -574,7 +590,7 @@ def floats_first(mdp: MDP) -> Iterator[None]:
 
 
 def round_fractions(numbers: Iterable[Fraction]) -> FixedPoint:
-    """Return (S,) exact numbers, each rounded once."""
+    """Return (S,) exact numbers as floats, each rounded once."""
     exactly = [*numbers]
     try:
         value = np.array([float(number) for number in exactly])
@@ -586,7 +602,7 @@ def round_fractions(numbers: Iterable[Fraction]) -> FixedPoint:
 
 
 def _require_weights(mdp: MDP, weights: Floats) -> Floats:
-    """Return (L,) pair weights, or raise ModelError where they are not a policy."""
+    """Return (L,) pair weights, or raise ModelError if they are not a policy."""
     total = np.add.reduceat(weights, mdp.pair_offsets[:-1])
     lowest = np.minimum.reduceat(weights, mdp.pair_offsets[:-1])
     wrong = ~((np.abs(total - 1) <= FLOAT_ROW_TOLERANCE) & (lowest >= 0))
@@ -604,31 +620,35 @@ def _require_weights(mdp: MDP, weights: Floats) -> Floats:
 
 
 def has_sure_end(chain: PolicyChain) -> bool:
-    """Return whether every episode ends, and not beside a goal."""
+    """Return whether every episode ends and none misses a goal."""
     beside = bool((chain.reached & beside_goal(chain.mdp)).any())
     return chain.ends_from_start and not beside
 
 
 def split_infinite_returns(chain: PolicyChain) -> tuple[PolicyChain, dict[float, Mask]]:
-    """Return a chain whose every run ends, and the ends (S,) for returns of inf and -inf, if any.
+    """Return a chain whose every run ends, and its ends (S,) for returns of inf and -inf, if any.
 
-    These stand for states in which a run gains or loses forever, or misses its goal; others for
-    states of rest. Raises ModelError if rewards cancel forever, so that a return has no limit.
+    Recurrent classes become ends: with an infinite return if a run gains or loses there forever,
+    or has missed its goal; else for runs that earn no more. Raises ModelError if rewards cancel
+    forever, so that a return has no limit.
     """
     mdp = chain.mdp
     if mdp.discount_exact != 1 or has_sure_end(chain):
         return chain, {}
+    # A goal is missed where no terminal state can be reached, or a wrong one has been.
     if mdp.goal is not None:
         rest = (chain.stuck | mdp.terminal) & ~mdp.goal
         lost = {mdp.unreached: rest}
     else:
+        # In a class with rewards the sign of the gain decides; a gain of 0 means that they cancel.
         rest = chain.resting
         busy = chain.reached & chain.classes.recurrent & ~rest & ~mdp.terminal
         if busy.any():
             gain = _find_gain_signs(chain, busy)
         else:
             gain = np.zeros(mdp.n_states)
-        if (flat := busy & (gain == 0)).any():
+        flat = busy & (gain == 0)
+        if flat.any():
             raise ModelError(
                 "rewards cancel forever, and the return has no limit",
                 where=f"policy, {mdp.space.place(int(np.flatnonzero(flat)[0]))}",
@@ -640,7 +660,8 @@ def split_infinite_returns(chain: PolicyChain) -> tuple[PolicyChain, dict[float,
 
 
 def _find_gain_signs(chain: PolicyChain, busy: Mask) -> Numbers:
-    """Return (S,) the gains or their signs, sure in some states (S,)."""
+    """Return (S,) gains or their signs, with sure signs in the `busy` states (S,)."""
+    # Floats decide if every gain is further from 0 than its error; else rationals do.
     with floats_first(chain.mdp):
         gain, _ = chain.going_on.evaluate_chain()
         if not (busy & (np.abs(gain.value) <= gain.error)).any():

@@ -2,9 +2,9 @@
 
     m(s', x + r) += p · m(s, x)        for each outcome (p, s', r) of s
 
-The states that an episode may visit fall into blocks: those of the same greatest distance from the
-start once states that lead back to each other count as one. Every transition leads to a later
-block, or back into its own. So a block is complete when its turn comes, and can be forgotten.
+States that lead back to each other count as one. The states that an episode may visit then fall
+into blocks of the same greatest distance from the start. Every transition leads to a later block or
+stays in its own, so that a block is complete when its turn comes, and can be forgotten after it.
 """
 
 from __future__ import annotations
@@ -27,24 +27,26 @@ from exact_mdp.mdp.table import Integers, Numbers, concatenate_ranges
 from exact_mdp.solvers.bounds.gains import TINY
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
-# What is left out is counted, whatever these are: what cycles have left, at most REMAINING, and
-# masses below the part SLOW_EDGE of that, or a slow cycle would drag long tails along.
+# Omitted mass is counted in the error, whatever these numbers are. At most REMAINING is left in
+# cycles. Masses below SLOW_EDGE of it are dropped too: a slow cycle would carry long tails along.
 REMAINING, SLOW_EDGE = 1e-12, 1e-12
-EDGE = 1e-290  # masses below are left out: above 2⁻¹⁰²² / UNIT, where underflow costs no digit
-# More is refused. 10⁹ masses times outcomes take half a minute; 2²⁵ at once, a gigabyte.
+EDGE = 1e-290  # smaller masses are dropped; from 2⁻¹⁰²² / UNIT on underflow costs no digit
+# More work is refused. 10⁹ products of a mass and an outcome take half a minute; 2²⁵ at once take a
+# gigabyte.
 STEPS, CELLS, SWEEPS = 10**9, 2**25, 1_000_000
-FEW = 200  # states of a block of which a power of the matrix tells at once whether it is left
-DENSE, MERGED = 8, 64  # numbers of an array for each mass in it; sweeps kept apart; for speed
+FEW = 200  # states in a block for which a power of the matrix is cheap enough to estimate the rest
+# For speed: arrays hold at most DENSE numbers per mass; MERGED sweeps are added up at a time.
+DENSE, MERGED = 8, 64
 
 
 Mass = tuple[Integers, Numbers, Numbers]  # states, multiples and masses (K,)
 
 
 class MassFlow:
-    """The outcomes that an episode can meet, among states numbered by block, with their returns.
+    """The outcomes that an episode can meet, with states numbered by block.
 
-    The ends are a block of their own, the last: all finite ones together, and those for a return of
-    -∞ and of ∞. Their numbers follow the numbers of the states.
+    The last block has three ends: one for all finite returns, one for -∞ and one for ∞. Their
+    numbers follow the numbers of the states.
     """
 
     def __init__(
@@ -54,17 +56,20 @@ class MassFlow:
         mdp = chain.mdp
         inside = chain.reached & ~mdp.terminal
         members = np.flatnonzero(inside)
+        # The block of a state is its greatest distance from the start; number states by block.
         _, level = longest_ways(chain.graph[members][:, members].T.tocsr())
         order = np.argsort(level, kind="stable")
         place = np.full(mdp.n_states, len(members))
         for number, sign in enumerate((-inf, inf), 1):
             place[lost.get(sign, [])] += number
         place[members[order]] = np.arange(len(members))
+        # The outcomes of these states, between the new numbers.
         used = np.flatnonzero(inside[chain.source])
         source, target = place[chain.source[used]], place[chain.table.next[used]]
         self.block = np.append(level[order], [level.max(initial=-1) + 1] * 3)  # of each state
         self.last = int(self.block[-1])
         self.first = np.searchsorted(self.block, np.arange(self.last + 2))  # states of the blocks
+        # A block is cyclic if a transition stays in it.
         inner = self.block[source] == self.block[target]
         self.cyclic = np.bincount(self.block[source[inner]], minlength=self.last + 1) > 0
         if exact and self.cyclic.any():
@@ -73,8 +78,10 @@ class MassFlow:
                 where="policy",
                 fix="leave out exact=True: all but 10^-12 of the probability is then found",
             )
-        entering = np.bincount(target, minlength=len(self.block))  # outcomes that lead to a state
+        # A mass adds up as many products as outcomes enter its state, which bounds its rounding.
+        entering = np.bincount(target, minlength=len(self.block))
         self.entering, self.chain = np.maximum.reduceat(entering, self.first[:-1]), chain
+        # Probabilities at the start and of outcomes: integers if exact, else floats.
         self.start = defaultdict[int, Any](Fraction)
         for state, weight in mdp.start:
             if weight:
@@ -84,7 +91,7 @@ class MassFlow:
             shares = self._to_integer_shares(used, source, target)
         else:
             self.start |= {state: float(weight) for state, weight in self.start.items()}
-        # Several actions may do the same: their outcomes become one.
+        # Outcomes with the same states and the same reward become one.
         count = len(self.block)
         pair, self.gain, self.share = _sum_masses([(source * count + target, gain[used], shares)])
         self.source, self.target = np.divmod(pair, count)
@@ -95,17 +102,20 @@ class MassFlow:
     def _to_integer_shares(self, used: Integers, source: Integers, target: Integers) -> Numbers:
         """Return the shares (M,) of outcomes as integers; make the masses at the start integers.
 
-        A mass of block b is over start · common[0] ⋯ common[b-1]: the share of a transition that
-        skips blocks is multiplied by every denominator between. `total` is the one at the end.
+        A mass of block b has the denominator start · common[0] ⋯ common[b-1]: the share of a
+        transition that skips blocks is multiplied by every denominator between. `total` is the
+        denominator at the end.
         """
         (weight, below), block = self.chain.odds, self.block.tolist()
         unders = below[self.chain.source[used]].tolist()
         chances = [*map(Fraction, weight[used].tolist(), unders)]
         ways = list(zip(chances, self.block[source], self.block[target], strict=True))
+        # One denominator for all outcomes of a block.
         common = [1] * self.last
         for chance, here, _ in ways:
             common[here] = lcm(common[here], chance.denominator)
         product = [*accumulate(common, mul, initial=1)]
+        # A transition from block i to block j takes the factors of the blocks i + 1 … j - 1 along.
         shares = np.empty(len(ways), dtype=object)
         shares[:] = [int(p * common[i]) * (product[j] // product[i + 1]) for p, i, j in ways]
         bottom = lcm(*(weight.denominator for weight in self.start.values()))
@@ -114,20 +124,25 @@ class MassFlow:
         return shares
 
     def carry_mass(self) -> tuple[Numbers, Numbers, Any, int]:
-        """Return multiples and masses at the ends, the mass that is not in them, its roundings."""
+        """Return multiples and masses at the ends, the mass that is lost, and the roundings."""
         waiting, roundings = defaultdict[int, list[Mass]](list), 0
-        tolerance = REMAINING / max(int(self.cyclic.sum()), 1)  # left in each cyclic block
+        # All cyclic blocks together may lose REMAINING.
+        tolerance = REMAINING / max(int(self.cyclic.sum()), 1)
+        # Start with a return of 0 in the block of each start state.
         for state, weight in self.start.items():
             begin = np.zeros(1, dtype=self.gain.dtype), np.array([weight], self.share.dtype)
             waiting[int(self.block[state])].append((np.array([state]), *begin))
         blocks = range(self.last)
         for block in tqdm.tqdm(blocks, desc="returns", unit="block", delay=2, disable=None):
-            if block not in waiting:  # what led here was too small to speak of
+            # All mass that led to this block may have been negligible.
+            if block not in waiting:
                 continue
+            # All of its mass has arrived: earlier blocks are finished.
             moving = _sum_masses(waiting.pop(block))
             visits, sweep = [moving], 0
             own = np.arange(*np.searchsorted(self.source, self.first[block : block + 2]))
             inner = self.inner[own]
+            # Refuse a block that is left too slowly before sweeping it a million times.
             if (
                 self.cyclic[block]
                 and self._estimate_remaining(block, moving, own[inner]) > 2 * tolerance
@@ -138,6 +153,8 @@ class MassFlow:
                     where="policy",
                     fix="evaluate() gives mean and sd, simulate(…, horizon=1000) samples returns",
                 )
+            # Sweep: move all mass one step inside the block, until almost all of it has left.
+            # Every visit counts, as mass leaves the block from each.
             while self.cyclic[block]:
                 moving = self._drop_small(
                     _sum_masses([self._handed_on(moving, own[inner])]), tolerance
@@ -158,14 +175,17 @@ class MassFlow:
                     visits = [_sum_masses(visits)]
             met = self._drop_small(_sum_masses(visits), 0.0)
             roundings += (int(self.entering[block]) + self.chain.roundings + 7) * (sweep + 1)
+            # Hand the mass of all visits on to later blocks, where it waits for their turn.
             following = self._handed_on(met, own[~inner])
             leads = self.block[following[0]]
             for there in np.flatnonzero(np.bincount(leads)).tolist():
                 to, multiple, mass = (part[leads == there] for part in following)
                 waiting[there].append((to, multiple, mass))
+        # In the last block are the returns themselves, sorted by end and then by multiple.
         end, multiples, masses = self._drop_small(_sum_masses(waiting[self.last]), 0.0)
         if masses.dtype == object:
             masses = np.array([Fraction(mass, self.total) for mass in masses.tolist()], object)
+        # An infinite return is one entry, below or above all finite ones.
         finite, above = np.searchsorted(end, len(self.block) - np.array([2, 1]))
         listed, chances = multiples[:finite], masses[:finite]
         for sign, some in ((-inf, masses[finite:above]), (inf, masses[above:])):
@@ -180,10 +200,11 @@ class MassFlow:
         return listed, chances, self.lost, roundings
 
     def _estimate_remaining(self, block: int, moving: Mass, inner: Integers) -> float:
-        """Return about the mass that is still in a cyclic block after all sweeps; 0 if unknown."""
+        """Estimate the mass that is still in a cyclic block after all sweeps; 0 if unknown."""
         first, last = self.first[block : block + 2]
         if last - first > FEW:
             return 0.0
+        # The mass after n sweeps is m Qⁿ; repeated squaring finds Qⁿ in 20 products.
         matrix = np.zeros((last - first, last - first))
         places = self.source[inner] - first, self.target[inner] - first
         np.add.at(matrix, places, self.share[inner].astype(np.float64))
@@ -193,9 +214,10 @@ class MassFlow:
     def _handed_on(self, moving: Mass, outcomes: Integers) -> Mass:
         """Propagate a probability mass along some outcomes, in the order of their sources."""
         state, multiple, mass = moving
-        first, after = (
-            np.searchsorted(self.source[outcomes], state, side) for side in ("left", "right")
-        )
+        # The outcomes of each mass lie side by side, as outcomes are sorted by their source.
+        sources = self.source[outcomes]
+        first = np.searchsorted(sources, state, "left")
+        after = np.searchsorted(sources, state, "right")
         count = int((after - first).sum())
         self.work += count
         if self.work > STEPS or count > CELLS:
@@ -205,20 +227,22 @@ class MassFlow:
                 fix="round the rewards to a coarser grid; evaluate() gives mean and sd, "
                 "simulate() samples",
             )
-        if (products := self._in_products(moving, outcomes)) is not None:
-            if mass.min() * self.share[outcomes].min() < EDGE:  # underflow takes some away
+        products = self._in_products(moving, outcomes)
+        if products is not None:
+            # A product that may underflow counts as lost.
+            if mass.min() * self.share[outcomes].min() < EDGE:
                 self.lost += TINY * count
             return products
-        by, each = (
-            outcomes[concatenate_ranges(first, after)],
-            np.repeat(np.arange(len(state)), after - first),
-        )
+        # Pair each mass with each outcome of its state: m(s', x + r) += p m(s, x).
+        by = outcomes[concatenate_ranges(first, after)]
+        each = np.repeat(np.arange(len(state)), after - first)
         onward = mass[each] * self.share[by]
-        self.lost += TINY * (len(onward) - np.count_nonzero(onward))  # underflow takes some away
+        # No mass is 0, so that a product of 0 has underflowed.
+        self.lost += TINY * (len(onward) - np.count_nonzero(onward))
         return self.target[by], multiple[each] + self.gain[by], onward
 
     def _in_products(self, moving: Mass, outcomes: Integers) -> Mass | None:
-        """Return the same in products of matrices, where few numbers of an array are 0."""
+        """Propagate by products of matrices, if few entries of the arrays are 0; else None."""
         state, multiple, mass = moving
         if (
             multiple.dtype != np.int64
@@ -226,6 +250,7 @@ class MassFlow:
             or not min(len(mass), len(outcomes))
         ):
             return None
+        # An array over states and returns: with few zeros it is faster than a list of masses.
         gains, kind = np.unique(self.gain[outcomes], return_inverse=True)
         to, row = np.unique(self.target[outcomes], return_inverse=True)
         low, least = int(multiple.min()), int(state.min())
@@ -235,6 +260,7 @@ class MassFlow:
             return None
         own, there = np.zeros((rows, width)), np.zeros((len(to), width + spread))
         own[state - least, multiple - low] = mass
+        # All outcomes of one reward shift the returns alike: one sparse product for each reward.
         for number, first in enumerate((gains - gains[0]).tolist()):
             some = outcomes[kind == number]
             begins = np.searchsorted(self.source[some], np.arange(least, least + rows + 1))
@@ -245,7 +271,7 @@ class MassFlow:
         return to[place], low + int(gains[0]) + further, there[place, further]
 
     def _drop_small(self, moving: Mass, tolerance: float) -> Mass:
-        """Return a mass without its negligible parts, and count these as lost."""
+        """Return a mass without its negligible parts, which count as lost."""
         if moving[2].dtype == object:
             return moving
         small = moving[2] < max(EDGE, tolerance * SLOW_EDGE)
@@ -255,8 +281,9 @@ class MassFlow:
 
 
 def _sum_masses(parts: list[Mass]) -> Mass:
-    """Return masses in the order of states and multiples; equal places are added up."""
+    """Return masses sorted by state and multiple; masses with the same of both are added up."""
     state, multiple, mass = (np.concatenate(each) for each in zip(*parts, strict=True))
+    # Count in an array over all states and multiples, if it is not much longer than the list.
     if multiple.dtype == np.int64 and mass.dtype == np.float64 and len(mass):
         low, least = int(multiple.min()), int(state.min())
         width, count = int(multiple.max()) - low + 1, int(state.max()) - least + 1
@@ -265,6 +292,7 @@ def _sum_masses(parts: list[Mass]) -> Mass:
             place = np.flatnonzero(total)
             row, column = np.divmod(place, width)
             return least + row, low + column, total[place]
+    # Otherwise sort by a key, and add up the runs of equal keys.
     different, place = np.unique(multiple, return_inverse=True)
     key = state * len(different) + place
     order = np.argsort(key, kind="stable")

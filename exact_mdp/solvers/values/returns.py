@@ -5,9 +5,9 @@ of every pair (state, reward so far) is carried along the policy's chain, from t
 
     m(s', x + r) += p · m(s, x)        for each outcome (p, s', r) of s,
 
-state after state in an order in which no transition leads back. Only terms that are at least 0 are
-ever added, so every probability keeps a small *relative* error, however small it is. States that
-lead back to each other are swept until at most 10⁻¹² of the mass is left among them; the rest
+state after state in an order in which no transition leads back. All terms of these sums are at
+least 0, so every probability keeps a small *relative* error, however small it is. States that lead
+back to each other are swept until at most 10⁻¹² of the mass is left among them; the remaining mass
 is reported. Runs that gain or lose forever, or miss a goal, end with an infinite return (forward
 dynamic programming; for the distribution of the return see Sobel, Journal of Applied Probability
 19, 1982, section 2, and Chung and Sobel, Discounted MDP's: distribution functions and exponential
@@ -41,8 +41,8 @@ from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain, split_infinite_returns
 from exact_mdp.solvers.values.return_mass import MassFlow
 
-WIDE = 2**31  # of multiples: a return adds up fewer than 2³² of them, which 64 bits hold
-LISTED = 1000  # returns that people see
+WIDE = 2**31  # a return adds up fewer than 2³² smaller multiples, so that 64 bits hold it
+LISTED = 1000  # returns shown in a report; more can be read in `frame`
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -53,16 +53,16 @@ class ReturnDistribution(Pictured):
     ----------
     multiples : (K,) ints
         Returns, as multiples of `unit`; inf or -inf for runs that gain or lose forever, or miss a
-        goal. Runs that come to rest, where nothing is earned any more, have a return as any other.
+        goal. Runs that stay forever in states without rewards have a finite return.
     unit : Fraction
     probabilities : (K,)
     relative_error : float
-        Each probability is off by at most this part of itself, and by `remaining` more.
+        The error of each probability is at most this part of it, plus `remaining`.
     remaining : float
         A bound on the probability of all other returns: the mass that was still moving when the
-        sweeps stopped, and parts below 10⁻²⁹⁰. 0 where all are listed.
+        sweeps stopped, and parts below 10⁻²⁹⁰. 0 if all returns are listed.
     exact : tuple of Fraction, optional
-        The probabilities as exact rationals, where these were asked for.
+        The probabilities as exact rationals, if `exact=True` was given.
 
     Examples
     --------
@@ -103,27 +103,27 @@ class ReturnDistribution(Pictured):
 
     @property
     def never_ends(self) -> float:
-        """Probability of an infinite return: that a run never ends, nor comes to rest."""
+        """Probability of an infinite return."""
         return sum((p for value, p in self.as_dict().items() if isinf(value)), 0.0)
 
     @property
     def mean(self) -> float:
         """Mean of the listed returns; `evaluate` bounds the mean of all, rare ones included.
 
-        Infinite where one is; NaN where some are +∞ and others -∞.
+        Infinite if one is infinite; NaN if some are +∞ and others -∞.
         """
         with np.errstate(over="ignore", invalid="ignore"):
             return float(self.probabilities @ self._floats)
 
     @property
     def sd(self) -> float:
-        """Standard deviation of those listed; NaN where one is infinite."""
+        """Standard deviation of the listed returns; NaN if one is infinite."""
         with np.errstate(over="ignore", invalid="ignore"):
             return sqrt(float(self.probabilities @ (self._floats - self.mean) ** 2))
 
     @cached_property
     def _sums(self) -> Any:
-        """The cdf at each return: exact where the probabilities are."""
+        """The cdf at each return: exact if the probabilities are exact."""
         if self.exact is None:
             return np.cumsum(self.probabilities)
         return [*accumulate(self.exact)]
@@ -139,13 +139,17 @@ class ReturnDistribution(Pictured):
     def quantile(self, share: object) -> Fraction | float:
         """Return the least return whose cdf is at least `share`; it may be infinite.
 
-        A share is a number or "p/q", from 0 to 1; raises ModelError for another.
+        A share is a number or "p/q", from 0 to 1; raises ModelError for any other value.
 
         A cdf that misses `share` by no more than its error bound counts as reaching it, so that
-        the median of a fair coin is tails, whatever the roundings. Exact probabilities have none.
+        the median of a fair coin is tails, whatever the roundings. Exact probabilities need no
+        such allowance.
         """
-        wanted = exact(str(share) if isinstance(share, float) else share, "quantile")
-        if not 0 <= wanted <= 1:  # of a float, its decimal
+        # A float means the decimal that is written for it: 0.1 is 1/10.
+        if isinstance(share, float):
+            share = str(share)
+        wanted = exact(share, "quantile")
+        if not 0 <= wanted <= 1:
             raise ModelError(
                 f"no quantile is at {format_rational(wanted)}",
                 where="quantile",
@@ -164,18 +168,18 @@ class ReturnDistribution(Pictured):
         share : number or "p/q"
             Above 0, at most 1, which gives the mean of all.
         highest : bool
-            Take the highest returns, the worst where they are costs.
+            Take the highest returns, which are the worst if they are costs.
 
         Returns
         -------
         Fraction or float
-            Exact where the probabilities are; else as good as these are, returns that are not
-            listed (`remaining`) left out. Infinite where such returns are among them.
+            Exact if the probabilities are exact; else as accurate as they are, without the returns
+            that are not listed (`remaining`). Infinite if one of these returns is infinite.
 
         Raises
         ------
         ModelError
-            For another share, and where no listed return need be among the share.
+            For any other share, and if returns that are not listed may make up all of it.
 
         Examples
         --------
@@ -203,7 +207,7 @@ class ReturnDistribution(Pictured):
         return data_frame(columns, index=[*self.values]).rename_axis("return")
 
     def report(self) -> Report:
-        """Return the law of the return."""
+        """Return the distribution of the return."""
         law = {format_decimal(value): chance for value, chance in self.as_dict().items()}
         error = float(self.error.max())
         facts: dict[str, Any] = {
@@ -238,7 +242,7 @@ class ReturnDistribution(Pictured):
 
 
 def parse_tail_share(level: object) -> Fraction:
-    """Return the share of the worst episodes that counts."""
+    """Return the share of the worst episodes over which the conditional value at risk averages."""
     share = exact(level, "conditional value at risk")
     if not 0 < share <= 1:
         raise ModelError(
@@ -255,7 +259,10 @@ def tail_mean(law: Mapping[Any, Any], level: Fraction, *, highest: bool = False)
     total: Any = Fraction(0)
     for value in sorted(law, reverse=highest):
         part = min(left, law[value])
-        total, left = total + (part * value if part else 0), left - part
+        # 0 times an infinite return would be NaN.
+        if part:
+            total += part * value
+        left -= part
     return total / level
 
 
@@ -287,9 +294,8 @@ def return_distribution(
     Raises
     ------
     ModelError
-        Below discount 1; where rewards cancel forever, so that a return has no limit; where there
-        are too many different returns; where states that lead back to each other are left too
-        slowly.
+        Below discount 1; if rewards cancel forever, so that a return has no limit; if there are
+        too many different returns; if states that lead back to each other are left too slowly.
 
     Examples
     --------
@@ -312,15 +318,18 @@ def return_distribution(
     chain, lost = split_infinite_returns(PolicyChain.of(mdp, policy, kind=kind))
     gain, unit = _find_lattice(chain)
     multiples, masses, left, roundings = MassFlow(chain, gain, lost, exact=exact).carry_mass()
+    shares = None
+    relative_error = float(gamma(roundings)) * SLACK
     if exact:
+        # Exact probabilities are rounded once, to floats.
         shares = tuple(masses)
-    else:
-        shares = None
+        masses = np.array([float(share) for share in shares])
+        relative_error = UNIT
     return ReturnDistribution(
         multiples=multiples,
         unit=unit,
-        probabilities=masses if shares is None else np.array([float(share) for share in shares]),
-        relative_error=UNIT if exact else float(gamma(roundings)) * SLACK,
+        probabilities=masses,
+        relative_error=relative_error,
         remaining=float(left) * SLACK,
         exact=shares,
     )
@@ -328,6 +337,7 @@ def return_distribution(
 
 def _find_lattice(chain: PolicyChain) -> tuple[Numbers, Fraction]:
     """Return the rewards (N,) as multiples of their greatest common unit, and that unit."""
+    # Bring all rewards over one denominator.
     table = chain.table
     top, bottom = table.integer_gains()
     lengths = np.diff(table.offsets)
@@ -336,9 +346,11 @@ def _find_lattice(chain: PolicyChain) -> tuple[Numbers, Fraction]:
     whole = lcm(*np.unique(bottom).tolist())
     factor = np.repeat(to_integer_array(whole // int(number) for number in bottom), lengths)
     scaled = multiply(top, factor)
+    # Divide by the common divisor of the rewards that an episode can earn.
     used = chain.reached[chain.source] & ~chain.mdp.terminal[chain.source]
     step = max(int(np.gcd.reduce(scaled[used])), 1)
     multiples = scaled // step
-    if np.abs(multiples).max() >= WIDE:  # sums of many may be beyond 64 bits
+    # Sums of wide multiples may exceed 64 bits: Python's integers do not overflow.
+    if np.abs(multiples).max() >= WIDE:
         multiples = multiples.astype(object)
     return multiples, Fraction(step, whole)

@@ -30,8 +30,8 @@ from exact_mdp.solvers.solution import Claim, Estimated
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain, split_infinite_returns
 
-MOST_STEPS = 10**8  # of an episode that need not end, minutes of work
-NEGLIGIBLE = 1e-12  # of the greatest return: what follows counts in the error, however small
+MOST_STEPS = 10**8  # of an episode that need not end: minutes of work
+NEGLIGIBLE = 1e-12  # part of the greatest return after which an episode is cut off
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -43,18 +43,17 @@ class Simulation(Pictured):
     returns : (E,)
         Discounted total reward of each episode.
     steps : (E,) ints
-        Timesteps of each episode, up to its end, or to where it was cut off or is known never to
-        end.
+        Timesteps of each episode, until it ended, was cut off or was known never to end.
     events : {name: share}
         Share of the episodes in which each event of the model happened.
     truncated : int
         Episodes cut off before a terminal state: below discount 1, or by a horizon.
     truncation_error : float
-        How much a cut may have changed a return, at most: γ^t max|r| / (1 - γ), rounding included.
-        `value` and its interval include it. A horizon is not an error: its returns belong to
-        episodes that stop there.
+        The most that a cut can have changed a return: γ^t max|r| / (1 - γ), rounding included.
+        `value` and its interval include it. A horizon is not an error: episodes stop there by
+        definition.
     endless : int
-        Episodes that never end: they gain or lose forever, or stay where rewards are 0.
+        Episodes that never end: they gain or lose forever, or stay in states without rewards.
 
     Examples
     --------
@@ -79,7 +78,7 @@ class Simulation(Pictured):
 
     @property
     def value(self) -> Estimated:
-        """The mean return with its standard error and a bound for the ends that were cut off."""
+        """The mean return with its standard error, and a bound on the rewards that were cut off."""
         return Estimated(
             value=self.mean, standard_error=self.standard_error, cut_off=self.truncation_error
         )
@@ -91,13 +90,13 @@ class Simulation(Pictured):
 
     @property
     def mean(self) -> float:
-        """Mean return; infinite where a return is, NaN where some are +∞ and others -∞."""
+        """Mean return; infinite if a return is infinite, NaN if some are +∞ and others -∞."""
         with np.errstate(over="ignore", invalid="ignore"):
             return float(self.returns.mean())
 
     @property
     def sd(self) -> float:
-        """Standard deviation of the returns; NaN where one is infinite, ∞ for one episode."""
+        """Standard deviation of the returns; NaN if one is infinite, ∞ for a single episode."""
         if self.never_ends:
             return nan
         with np.errstate(over="ignore", invalid="ignore"):
@@ -107,38 +106,40 @@ class Simulation(Pictured):
 
     @property
     def standard_error(self) -> float:
-        """Standard error of `mean`: of the draws alone."""
+        """Standard error of `mean`, which comes from the draws alone."""
         return self.sd / sqrt(self.episodes)
 
     @property
     def mean_steps(self) -> float:
-        """Mean number of timesteps; infinite where an episode never ends."""
+        """Mean number of timesteps; infinite if an episode never ends."""
         if self.endless:
             return inf
         return float(self.steps.mean())
 
     def report(self) -> Report:
         """Return the estimate, the number of episodes, and their settings."""
-        finite = isfinite(self.mean)
-        low, high = self.value.interval
-        ends = format_interval(low, high, self.standard_error / 10)
+        # As people read them; an infinite mean has neither an interval nor a deviation.
+        mean: object = self.value
+        interval: object = None
+        sd = "undefined: the mean is infinite"
+        if isfinite(self.mean):
+            low, high = self.value.interval
+            interval = f"{format_interval(low, high, self.standard_error / 10)} (95 %)"
+            sd = format_number(self.sd, self.standard_error / 10)
+        else:
+            mean = f"{self.mean} ({self.claim})"
+        steps: object = self.mean_steps
+        if self.endless:
+            steps = f"{self.mean_steps}: some never end"
         return Report(
             title="simulation",
             facts={
                 "claim": Shown(self.claim),
-                "mean": Shown(self.mean, self.value if finite else f"{self.mean} ({self.claim})"),
+                "mean": Shown(self.mean, mean),
                 "standard_error": Shown(self.standard_error),
-                "interval": Shown(self.value.interval, f"{ends} (95 %)" if finite else None),
-                "sd": Shown(
-                    self.sd,
-                    format_number(self.sd, self.standard_error / 10)
-                    if finite
-                    else "undefined: the mean is infinite",
-                ),
-                "steps": Shown(
-                    self.mean_steps,
-                    f"{self.mean_steps}: some never end" if self.endless else self.mean_steps,
-                ),
+                "interval": Shown(self.value.interval, interval),
+                "sd": Shown(self.sd, sd),
+                "steps": Shown(self.mean_steps, steps),
                 "event_probability": self.events,
                 "episodes": self.episodes,
                 "never_ends": Shown(self.never_ends, self.never_ends or None),
@@ -174,11 +175,11 @@ def simulate(
     n : int
         Number of episodes.
     rng : int or numpy.random.Generator
-        The same whole number gives the same returns, byte for byte; 0 is one like any other.
+        The same integer gives the same returns, byte for byte; 0 is as good as any other.
     horizon : int, optional
-        Stop every episode after this many steps, without a further reward, as the environments of a
-        time limit do; see `evaluate`. Below discount 1 an episode is cut off, unless it is given,
-        where nothing above 10⁻¹² of the greatest return can follow.
+        Stop every episode after this many steps, without a further reward, as an environment with a
+        time limit does; see `evaluate`. Without a horizon, and below discount 1, an episode is cut
+        off when its remaining rewards are at most 10⁻¹² of the greatest return.
 
     Returns
     -------
@@ -187,7 +188,7 @@ def simulate(
     Raises
     ------
     ModelError
-        For no episodes or no seed; at discount 1 if rewards cancel forever.
+        If `n` or `rng` is missing or invalid; at discount 1 if rewards cancel forever.
 
     Examples
     --------
@@ -207,13 +208,15 @@ def simulate(
         given = unstopped
     else:
         given = unstopped.within(horizon)
+    # Classes in which a run stays forever become ends, so that every episode at discount 1 ends.
     chain, infinite = split_infinite_returns(PolicyChain.of(given, policy, kind=kind))
     mdp = chain.mdp
+    # Below discount 1, find the number of steps after which an episode may be cut off.
     size = float(np.abs(chain.gain[chain.reached[chain.source]]).max(initial=0.0))
     missing = float(1 - mdp.discount_exact)
     limit = horizon
     if limit is None and missing:
-        # The greatest return is size / (1 - γ), and what follows t steps at most γ^t of it.
+        # The greatest return is size / (1 - γ); rewards after t steps add at most γ^t of it.
         if missing == 1:
             limit = 1
         else:
@@ -226,11 +229,12 @@ def simulate(
                 fix="stop them: horizon=100000, --horizon 100000; or evaluate the policy, which "
                 "takes no sample",
             )
-    # What is added up over all states loses as many digits as their number has, which no sample can
-    # tell: the chances of a state end where those of the next one begin.
+    # One cumulative sum over the outcomes of all states, for a single search among them. It loses
+    # as many digits as the number of states has, which is far below the error of any sample.
     above, last = np.cumsum(chain.probability), np.cumsum(chain.outcomes) - 1
     below = np.append(0.0, above[last])
     following, gain, event = chain.table.next, chain.gain, chain.table.event
+    # Draw the first states.
     begins = np.flatnonzero(mdp.start_distribution)
     state = np.full(n, begins[0])
     if len(begins) > 1:
@@ -239,9 +243,11 @@ def simulate(
         state = begins[drawn]
     returns, steps = np.zeros(n), np.zeros(n, dtype=np.int64)
     happened = np.zeros(n, dtype=np.uint8)
+    # Move all episodes one step at a time until each has ended; γ^t is the factor of step t.
     running, factor, step = np.flatnonzero(~mdp.terminal[state]), 1.0, 0
     with tqdm.tqdm(desc="simulating", unit="step", delay=2, disable=None) as bar:
         while len(running) and (limit is None or step < limit):
+            # Inversion: a uniform number between the cumulative sums of the state.
             here = state[running]
             drawn = below[here] + generator.random(len(here)) * (below[here + 1] - below[here])
             outcome = np.minimum(np.searchsorted(above, drawn, side="right"), last[here])
@@ -260,18 +266,21 @@ def simulate(
         )
     for sign, lost in infinite.items():
         returns[lost[state]] = sign
+    # The last layer of a model with a horizon is a copy of all states at the final time: an
+    # episode was cut off there unless its own state is terminal.
     stopped = 0
     if horizon is not None:
-        over = mdp.n_states - unstopped.n_states  # the first state of the time when all is over
+        over = mdp.n_states - unstopped.n_states
         stopped = int((~unstopped.terminal[state[state >= over] - over]).sum())
-    rest = 0.0
+    # Σ γ^k max|r| from the step of the cut on.
+    cut_off = 0.0
     if len(running) and size:
-        rest = size * factor / missing * SLACK + TINY
+        cut_off = size * factor / missing * SLACK + TINY
     return Simulation(
         returns=returns,
         steps=steps,
         events={name: float(((happened >> bit) & 1).mean()) for bit, name in enumerate(mdp.events)},
         truncated=len(running) + stopped,
-        truncation_error=rest,
+        truncation_error=cut_off,
         endless=int((mdp.terminal & ~given.terminal)[state].sum()),
     )
