@@ -48,6 +48,8 @@ from exact_mdp.paper_repro.silent_points import (
     one_change,
 )
 
+pytestmark = pytest.mark.xdist_group("claims")  # one worker computes what all of them compare
+
 EXACT = [claim for claim in CLAIMS.values() if not claim.learns]
 RESULTS = json.loads((run.HERE / "results.json").read_text("utf-8"))
 COMMITTED: dict[str, Any] = {entry["name"]: entry for entry in RESULTS["claims"]}
