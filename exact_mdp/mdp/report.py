@@ -3,7 +3,7 @@
     type                in JSON                                  for people
     Certified, Bounded  {"value": x, "error_bound": e}           117.07 (bounded, within 2e-12)
     Estimated           {"value": x, "standard_error": e, ...}   117.1 (estimated, standard error 2)
-    Fraction            "p/q"                                    p/q, where that is short
+    Fraction            "p/q"                                    p/q, if that is short
     float               as Python's repr, which is exact         ten digits at most
     NaN, None           null                                     - in a table, no fact
     infinity            "inf", "-inf"                            inf, -inf

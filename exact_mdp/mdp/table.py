@@ -42,7 +42,8 @@ from exact_mdp.mdp.forms.threads import block_ends, run_blocks
 # From this number of transitions on, loops are compiled. Loading the compiler takes a third of a
 # second, and NumPy is faster than that on smaller models: measured.
 COMPILED = 20_000
-EXACT_IN_FLOAT = 2**53  # every whole number up to this one is a float
+# Every whole number up to this one is a float; programs that read numbers as floats round others.
+EXACT_IN_FLOAT = 2**53
 EXACT_IN_INT64 = 2**62  # the sum of two whole numbers below this one fits in 64 bits
 FLOAT_RANGE = (Fraction(1, 10**300), Fraction(10**300))  # floats in it keep all their digits
 LARGEST = Fraction(2**1024 - 2**971)  # the largest float

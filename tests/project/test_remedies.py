@@ -85,7 +85,7 @@ AFTER = {"certificate", "model", "this", "wrote"}
 # Texts with a whole line of code, and the test that runs it.
 RUN_ELSEWHERE = {
     "number the episodes: frame[": "mdp/io/test_transitions.py",
-    "add what follows: frame[": "mdp/io/test_transitions.py",
+    "add the state that follows: frame[": "mdp/io/test_transitions.py",
 }
 
 CODE = re.compile(

@@ -1,7 +1,7 @@
-"""Care scenarios: what they are, how they move, and what is perceived of them.
+"""Care scenarios: their tables, rules and models, and acting on perceived statuses.
 
-A scenario is one TOML file, whose keys `template.toml` explains; in `mdp/scenarios` its name will
-do. Every number of its tables is a parameter, such as `base.STATUS`.
+A scenario is a TOML file; `template.toml` explains its keys. A scenario in `mdp/scenarios` is
+loaded by its name. Every number of its tables is a parameter, such as `base.STATUS`.
 
 >>> from exact_mdp import Scenario
 >>> scenario = Scenario.load("tea").with_(parameters={"base.anxiety": "1/5"}, tasks=[1])

@@ -1,14 +1,14 @@
 """From a scenario to its explicit transition matrix, exactly, without a loop over states.
 
 A subtask is a block of trials × (skipped flag) × status vectors. Next states are counted from the
-block's start, so that the same rows serve wherever it lies: numbers from the block's size on are
-the next subtask's first trial, or the end. Every row is made of the events of `mdp.care.rules`; a
-skip after the last failed trial is one matrix product:
+start of the block, so that the same rows serve for every place of it: numbers from the block's size
+on are the first trial of the next subtask, or the end. Rows consist of the events of
+`mdp.care.rules`; a skip after the last failed trial is a matrix product:
 
     P(z, gain g | s, a) = Σ_{s' ≠ 0, gain(s') = g} K_a(s, s') Z(s', z).
 
-All subtasks share a few blocks (inside a task, last of its task, last of all), laid down one after
-the other. Every transition leads to a state of a higher number, and the end comes last.
+All subtasks are copies of a few blocks (inside a task, last of its task, last of all), one after
+the other. Every transition leads to a state with a higher number, and the end comes last.
 Source: Yuan et al. (2025), Equation 1, Table 4 and Section 3.2.
 """
 
@@ -42,14 +42,15 @@ from exact_mdp.mdp.table import (
     to_integer_array,
 )
 
-ENTRIES = 2**20  # of a product held at once
+# Entries of a product in memory at once: fewer make more passes, more take more memory.
+ENTRIES = 2**20
 
 Rows = dict[str, NDArray[Any]]
 """Rows of a block: their lengths, and columns of an outcome table by name."""
 
 
 class Branches(NamedTuple):
-    """Outcomes of a step for next vectors of one kind: by vector, or as their skip scatters them.
+    """Outcomes of a step for some next vectors: one for each vector, or after a skip.
 
     Outcome c has the probability Σ_{s'} K(s, s') M(s', c) over the next vectors `chosen`.
     """
@@ -62,7 +63,7 @@ class Branches(NamedTuple):
 
 
 class SubtaskBlock:
-    """Works out the rows of a subtask at its place."""
+    """The rows of a subtask, by its place."""
 
     def __init__(self, laws: Laws) -> None:
         self.laws, rules = laws, laws.rules
@@ -71,13 +72,13 @@ class SubtaskBlock:
         self.step, self.bottom = step.reshape(*shape, -1), bottom.reshape(shape)
         skip, bottoms = laws.compute_distributions(rules.skip)
         self.scale = lcm(*bottoms.tolist())  # of the law of a skip (2^n, 2^n)
-        # As wide as its denominator, below which every sum of a row's weights stays.
+        # The type of the denominator holds all sums of a row's weights, which are not greater.
         shared = to_integer_array([self.scale // each for each in bottoms.tolist()])
         self.skip = multiply(skip, shared[:, None]).astype(to_integer_array([self.scale]).dtype)
         self.present, self.following = rules.now * laws.cost, rules.next * laws.cost
 
     def compute_event_gain(self, event: int, place: int, flag: int = 0) -> Any:
-        """Return what an event earns, but for the action's own reward and the statuses'."""
+        """Return the gain of an event, without the weights of the action and of the statuses."""
         return self.laws.gain[self.laws.rules.gains[event, place, flag]]
 
     def build_rows(self, place: int) -> Rows:
@@ -86,16 +87,20 @@ class SubtaskBlock:
         layer = rules.flags * rules.vectors
         first = [self._build_step(place, flag) for flag in range(rules.flags)]
         for trial in range(rules.trials - (not rules.own)):
-            for rows in first:  # the same rows, further on
+            for rows in first:  # the same rows for each trial, shifted
                 shift = np.where(rows["next"] < rules.size, trial * layer, 0)
                 parts.append(rows | {"next": rows["next"] + shift})
+        # The last trial, or a skip with a timestep of its own, after which the flag is 1.
         for flag in range(rules.flags):
-            last = 1 if rules.own else flag
+            last = flag
+            if rules.own:
+                last = 1
             parts.append(self._build_step(place, last, tries=not rules.own, skips=True))
         return _concatenate_rows(parts)
 
     def _list_outcomes(self, place: int, flag: int, *, tries: bool, skips: bool) -> list[Branches]:
-        """Return the outcomes of a step that tries, that ends in a skip if it fails, or both."""
+        """Return the outcomes of a step, with a trial (`tries`), a skip (`skips`) or both."""
+        # Without a trial every vector is followed by a skip; with one, all but 0.
         rules = self.laws.rules
         others = np.arange(int(tries), rules.vectors)
         gain = self.following[others]
@@ -108,16 +113,20 @@ class SubtaskBlock:
         if not skips:  # the next trial
             layer = (rules.flags + flag) * rules.vectors
             return [*outcomes, Branches(0, others, gain[None], layer + others)]
-        gain, ends = (
-            gain + self.compute_event_gain(SKIPPED, place, 1),
-            rules.list_next_states(1, place),
-        )
+        # A skip leads to the next subtask.
+        gain = gain + self.compute_event_gain(SKIPPED, place, 1)
+        ends = rules.list_next_states(1, place)
         if not tries and place != FINAL:
             return [Branches(1, others, gain[None], ends)]
+        # Outcomes with the same gain are joined, by a product with the distribution of the skip.
+        # After the last subtask only the end follows, so the vector does not matter.
+        scale = 1
+        if tries:
+            scale = self.scale
         for amount in sorted(set(gain.tolist())):
             chosen, there = others[gain == amount], np.array([0])
-            scatter = np.full((len(chosen), 1), self.scale if tries else 1, self.skip.dtype)
-            if place != FINAL:  # else it does not matter what a skip makes of the vector
+            scatter = np.full((len(chosen), 1), scale, self.skip.dtype)
+            if place != FINAL:
                 there = np.flatnonzero((self.skip[chosen] != 0).any(axis=0))
                 scatter = self.skip[chosen][:, there]
             gains = np.full((1, len(there)), amount, dtype=gain.dtype)
@@ -127,35 +136,40 @@ class SubtaskBlock:
     def _build_step(
         self, place: int, flag: int, *, tries: bool = True, skips: bool = False
     ) -> Rows:
-        """Return the rows of a step, outcomes sorted by next state, zeros left out.
+        """Return the rows of a step, with sorted next states and without zeros.
 
-        A row may have as many outcomes as status vectors times costs: a few present vectors at a
-        time, and of each product only the columns in which it can be positive.
+        A row may have as many outcomes as status vectors times costs. So a few present vectors are
+        computed at a time, and of each product only the columns that can be positive.
         """
+        # The distribution of the vectors after the step, over a denominator for each row.
         outcomes = self._list_outcomes(place, flag, tries=tries, skips=skips)
         laws, bottom = self.step, self.bottom
         if not tries:
             laws = self.skip[:, None]
             bottom = np.broadcast_to(to_integer_array([self.scale]), laws.shape[:2])
-        actions, scale = bottom.shape[1], to_integer_array([self.scale if tries and skips else 1])
+        actions, scale = bottom.shape[1], to_integer_array([1])
+        if tries and skips:
+            scale = to_integer_array([self.scale])
+        # The columns of all outcomes, sorted by next state.
         below, states = multiply(bottom, scale), np.concatenate([each.state for each in outcomes])
         order = np.argsort(states, kind="stable")
         kind = np.repeat([each.event for each in outcomes], [len(o.state) for o in outcomes])
         gains = [np.broadcast_to(o.gain, (actions, len(o.state))) for o in outcomes]
         gain, event = np.concatenate(gains, axis=1)[:, order], kind[order].astype(np.uint8)
         amount = self._compute_components(laws, bottom, place, flag, tries, skips)
+        # The weights, for as many present vectors at a time as memory allows.
         each = max(1, ENTRIES // (actions * len(states)))
         parts = []
         for begin in range(0, len(laws), each):
             some = slice(begin, begin + each)
-            law = laws[some]
-            weight = [
-                multiply(law[:, :, o.chosen], scale)
-                if o.scatter is None
-                else _multiply_matrices(law[:, :, o.chosen], o.scatter)
-                for o in outcomes
-            ]
-            # As wide as the row's denominator, below which sums stay.
+            weight = []
+            for outcome in outcomes:
+                law = laws[some][:, :, outcome.chosen]
+                if outcome.scatter is None:
+                    weight.append(multiply(law, scale))
+                else:
+                    weight.append(_multiply_matrices(law, outcome.scatter))
+            # The type of the row's denominator holds all sums.
             joined = np.concatenate([w.astype(below.dtype) for w in weight], axis=2)[:, :, order]
             positive, shape = np.array(joined != 0, dtype=bool), joined.shape
             parts.append(
@@ -178,16 +192,23 @@ class SubtaskBlock:
     def _compute_components(
         self, law: Numbers, bottom: Numbers, place: int, flag: int, tries: bool, skips: bool
     ) -> Numbers:
-        """Return expected reward components (V, A, C): integers, as the law is."""
+        """Return the expected reward components (V, A, C) as integers over the row denominators."""
+        # Count how often each weight is charged, times its probability: first the statuses.
         rules, reward = self.laws.rules, self.laws.reward
         counts = np.zeros((*bottom.shape, len(rules.weights)), dtype=bottom.dtype)
         for i, on in enumerate(rules.bits.T):
             counts[:, :, i] = rules.now * on[:, None] * bottom
             counts[:, :, i] += rules.next * law[:, :, on == 1].sum(axis=2)
-        failed = bottom - law[:, :, 0] if tries else bottom
-        shares = [(COMPLETE, law[:, :, 0], flag), (FAIL, failed, 0)] if tries else []
-        for event, share, of in shares + [(SKIPPED, failed, 1)] * skips:
+        # Then the events, with their probabilities and flags.
+        failed, shares = bottom, []
+        if tries:
+            failed = bottom - law[:, :, 0]
+            shares += [(COMPLETE, law[:, :, 0], flag), (FAIL, failed, 0)]
+        if skips:
+            shares.append((SKIPPED, failed, 1))
+        for event, share, of in shares:
             counts += share[:, :, None] * rules.charged[rules.gains[event, place, of]]
+        # Then the action, which is charged if the subtask is completed.
         if tries:
             own = np.eye(rules.assistive, dtype=np.int64)
             counts[:, :, -rules.assistive :] += law[:, :, 0, None] * own
@@ -195,25 +216,26 @@ class SubtaskBlock:
 
 
 def _concatenate_rows(parts: Sequence[Rows]) -> Rows:
+    """Return several groups of rows as one."""
     return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
 
 
 def _multiply_matrices(left: Numbers, right: Numbers) -> Numbers:
     """Return the exact product (…, m) @ (m, n) of integer arrays."""
     narrow = left.dtype != object and right.dtype != object
-    if (
-        narrow
-        and find_magnitude(left) * find_magnitude(right) * max(len(right), 1) < EXACT_IN_INT64
-    ):
+    largest = find_magnitude(left) * find_magnitude(right) * max(len(right), 1)
+    if narrow and largest < EXACT_IN_INT64:
         return np.asarray(left @ right)
     return np.asarray(left.astype(object) @ right.astype(object))
 
 
 def check_explicit(laws: Laws) -> None:
-    """Raise ModelError where an explicit model would be too large."""
+    """Raise ModelError if the explicit model would be too large."""
     rules = laws.rules
     outcomes, denominator = estimate_size(laws)
-    each = NARROW if denominator < EXACT_IN_INT64 else WIDE
+    each = WIDE
+    if denominator < EXACT_IN_INT64:
+        each = NARROW
     if outcomes * each > MOST_BYTES:
         states = len(rules.places) * rules.trials * rules.vectors
         raise ModelError(
@@ -225,15 +247,16 @@ def check_explicit(laws: Laws) -> None:
 
 
 def estimate_size(laws: Laws) -> tuple[int, int]:
-    """Return the most outcomes, and the greatest denominator of one before anything cancels.
+    """Return bounds of the number of outcomes and of the denominators (before cancelling).
 
-    A row of a trial has as many outcomes as there are next vectors s' of positive chance. Where a
-    failed trial ends in a skip there are at most
+    A row of a trial has as many outcomes as there are next vectors s' of positive probability. If a
+    failed trial ends in a skip, there are at most
 
         1 + Σ over gains g of  min(2^n, Σ over s' ≠ 0 of gain g of the number of z it leads to).
     """
     rules, following = laws.rules, (laws.rules.next * laws.cost).tolist()
     rows = rules.step.reshape(-1, rules.step.shape[2])
+    # A status that is neither certain nor impossible doubles the number of next vectors.
     unsure = np.asarray((laws.top > 0) & (laws.top < laws.bottom), dtype=bool)
     steps, skips = (2 ** unsure[each].sum(axis=-1) for each in (rows, rules.skip))
     failed: dict[int, int] = {}
@@ -255,19 +278,22 @@ def compile_scenario(laws: Laws) -> MDP:
     """Return the explicit model of a scenario, without a warning; see `Scenario.compile`."""
     check_explicit(laws)
     used, order = np.unique(laws.rules.places, return_inverse=True)
-    small = _compile_blocks(laws, used)  # one block of each kind is itself a model
-    return small if np.array_equal(laws.rules.places, used) else _repeat_blocks(laws, small, order)
+    # One block of each kind is itself a model; longer ones repeat its rows.
+    small = _compile_blocks(laws, used)
+    if np.array_equal(laws.rules.places, used):
+        return small
+    return _repeat_blocks(laws, small, order)
 
 
 def _compile_blocks(laws: Laws, places: Integers) -> MDP:
-    """Return the checked model of a block at each of `places` (K,), one after the other."""
+    """Return the checked model with a block for each of `places` (K,), one after the other."""
     scenario, rules, block = laws.scenario, laws.rules, SubtaskBlock(laws)
     starts = np.arange(len(places)) * rules.size
     end = len(places) * rules.size
     blocks = list(map(block.build_rows, places.tolist()))
     for rows, start in zip(blocks, starts, strict=True):
         rows["next"] = rows["next"] + start
-    # The end, which stays and earns nothing.
+    # The end stays put with reward 0.
     ones = ("lengths", "weight", "denominator", "component_denominator")
     tail = {"next": end, **dict.fromkeys(ones, 1)}
     last = {key: np.array([tail.get(key, 0)]) for key in blocks[0]}
@@ -277,7 +303,7 @@ def _compile_blocks(laws: Laws, places: Integers) -> MDP:
     table = OutcomeTable(
         offsets=np.concatenate([[0], np.cumsum(lengths)]),
         gain_denominator=_broadcast_integer(laws.scale, len(lengths)),
-        averaged=True,  # of what a status costs, which depends on the next vector
+        averaged=True,  # the cost of a status depends on the next vector; its component is a mean
         **rows
         | {
             "next": rows["next"].astype(_choose_state_type(end)),
@@ -301,26 +327,28 @@ def _compile_blocks(laws: Laws, places: Integers) -> MDP:
 
 
 def _repeat_blocks(laws: Laws, small: MDP, order: Integers) -> MDP:
-    """Return the model of the blocks of `small` in the given order (K,), each a number there.
+    """Return the model with the blocks of `small` in the given order (K,).
 
-    Its rows are those of `small`, which were checked there, at other places.
+    Its rows are copies of the rows of `small`, which are checked already, with shifted states.
     """
+    # The pairs of each block, and of the end, in `small`.
     rules, matrix, count = laws.rules, small.transition, len(order)
     starts = np.append(np.arange(order.max() + 1) * rules.size, small.n_states - 1)
     rows, numbers = small.pair_offsets[starts], np.append(order, len(starts) - 1)
     end = count * rules.size
     lasts = np.append(rows[1:], small.n_pairs)
     pairs = concatenate_ranges(rows[numbers], lasts[numbers])
-    # By how much states move, block by block, and pair by pair.
+    # The shift of the states of each block, and of each pair.
     moves = np.append(np.arange(count) * rules.size, end) - starts[numbers]
     moves = np.repeat(moves.astype(_choose_state_type(end)), (lasts - rows)[numbers])
     table = small.table.of_pairs(pairs)
     following = table.next + np.repeat(moves, np.diff(table.offsets))
     below = _broadcast_integer(laws.scale, len(pairs))
     table = replace(table, next=following, gain_denominator=below)
+    # The matrix has fewer entries if outcomes with different rewards lead to one state.
     matrix = matrix[pairs]
     columns = following
-    if len(matrix.indices) < len(following):  # outcomes that differ in what they earn are joined
+    if len(matrix.indices) < len(following):
         columns = matrix.indices + np.repeat(moves, np.diff(matrix.indptr))
     shape = len(pairs), end + 1
     transition = sp.csr_array((matrix.data, columns, matrix.indptr), shape)
@@ -337,6 +365,7 @@ def _repeat_blocks(laws: Laws, small: MDP, order: Integers) -> MDP:
         "reward": small.reward[pairs],
         "transition": transition,
     }
+    # Set the fields without the checks and derivations of the constructor.
     mdp = object.__new__(MDP)
     mdp.__setstate__(parts)
     return mdp
@@ -344,9 +373,11 @@ def _repeat_blocks(laws: Laws, small: MDP, order: Integers) -> MDP:
 
 def _choose_state_type(end: int) -> type[np.signedinteger[Any]]:
     """Return the type of state numbers up to `end`."""
-    return np.int32 if end < 2**31 - 1 else np.int64
+    if end < 2**31 - 1:
+        return np.int32
+    return np.int64
 
 
 def _broadcast_integer(value: int, count: int) -> Numbers:
-    """Return (count,) times one integer, in the memory of one."""
+    """Return an array (count,) of one integer that takes the memory of one entry."""
     return np.asarray(np.broadcast_to(to_integer_array([value]), (count,)))

@@ -1,12 +1,12 @@
-"""The numbers of a care model: chances, gains and costs by the rules, exact or of many draws.
+"""The numbers of a care model: probabilities, gains and costs by the rules, exact or for draws.
 
-With the chance p_i of each status the next vector follows the law of independent bits,
+With the probability p_i of each status, the next vector has the distribution of independent bits,
 
     K(s') = Π_i p_i^{s'_i} (1 - p_i)^{1 - s'_i}.
 
 Numbers are integers over denominators, or floats with an axis of draws in front: the explicit
-matrix and batches of drawn parameters read the same statements. A sum above 1 is not a probability:
-`warn_of_excess` names it wherever a model is made of it.
+matrix and batches of drawn parameters use the same rules. A sum above 1 is not a probability:
+`warn_of_excess` reports it when a model is built.
 Source: Yuan et al. (2025), Section 2.1.
 """
 
@@ -37,7 +37,7 @@ from exact_mdp.mdp.table import (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Laws:
-    """The rules of a scenario at its numbers, or at those of D draws, an axis in front."""
+    """The rules of a scenario with its numbers, or with D draws of them, on an axis in front."""
 
     scenario: ScenarioTables
     rules: Rules
@@ -51,18 +51,23 @@ class Laws:
     @classmethod
     def of(cls, scenario: ScenarioTables) -> Self:
         """Return the exact laws of a scenario."""
+        # Probabilities over a common denominator `one`, in 64-bit integers if their sums fit.
         rules, values = rules_of(scenario), [each.value for each in scenario.parameters]
         used = np.flatnonzero(np.bincount(rules.terms.reshape(-1))[: len(values)])
         tops, one = to_common_denominator([values[place] for place in used.tolist()])
-        small = one * (rules.terms.shape[1] + 1) < EXACT_IN_INT64
-        numbers = np.zeros(len(values) + 1, dtype=np.int64 if small else object)
+        kind: type = object
+        if one * (rules.terms.shape[1] + 1) < EXACT_IN_INT64:
+            kind = np.int64
+        numbers: Numbers = np.zeros(len(values) + 1, dtype=kind)
         numbers[used] = tops
         sums = _sum_at_positions(numbers, rules.terms)
         chances = [Fraction(min(total, one), one) for total in sums.tolist()]
         weights, scale = to_common_denominator([values[place] for place in rules.weights.tolist()])
-        # A gain adds up weights, each at most once: this is the type that holds every such sum.
-        narrow = sum(map(abs, weights)) < EXACT_IN_INT64
-        reward = np.zeros(len(values) + 1, dtype=np.int64 if narrow else object)
+        # A gain is a sum of weights, each at most once: choose a type that holds every such sum.
+        kind = object
+        if sum(map(abs, weights)) < EXACT_IN_INT64:
+            kind = np.int64
+        reward: Numbers = np.zeros(len(values) + 1, dtype=kind)
         reward[rules.weights] = weights
         return cls(
             scenario=scenario,
@@ -98,24 +103,24 @@ class Laws:
 
     @cached_property
     def assist(self) -> Numbers:
-        """(…, A) what an action adds where the subtask is completed."""
+        """(…, A) the weight of each action, charged if the subtask is completed."""
         return np.asarray(self.reward[..., self.rules.weights[-self.rules.assistive :]])
 
     @cached_property
     def cost(self) -> Numbers:
-        """(…, 2^n) the weights of the statuses in a vector."""
+        """(…, 2^n) the sum of the weights of the statuses in each vector."""
         bits, charged = self.rules.bits, self.rules.weights
         return _sum_at_positions(
             self.reward, np.where(bits, charged[: bits.shape[1]], len(self.rules.names))
         )
 
     def compute_denominators(self, which: Integers) -> list[int]:
-        """Return the denominators of rows, whose chances `which` (R, n) names."""
+        """Return the denominators of rows with the probabilities `which` (R, n)."""
         bottom = self.bottom.tolist()
         return [prod(bottom[k] for k in row) for row in which.tolist()]
 
     def compute_distributions(self, which: Integers) -> tuple[Numbers, Numbers]:
-        """Return (R, 2^n) integers over (R,): the law of the next vector in each of some rows."""
+        """Return the distributions of the next vector: integers (R, 2^n) over (R,)."""
         bottom = to_integer_array(self.compute_denominators(which))
         chances = self.top, self.bottom - self.top
         one, none = (each[which.T].astype(bottom.dtype) for each in chances)
@@ -125,7 +130,8 @@ class Laws:
 
 
 def fill_joint_distribution(one: Numbers, none: Numbers, law: Numbers) -> None:
-    """Write the law (2^n, R) of n bits that are 1 and 0 with the weights (n, R)."""
+    """Write the distribution (2^n, R) of n independent bits with weights (n, R) of 1 and 0."""
+    # Each bit splits the entries of all vectors of the bits before it in two, in place.
     law[0] = 1
     for i in range(len(one)):
         for prefix in range((1 << i) - 1, -1, -1):
@@ -134,37 +140,41 @@ def fill_joint_distribution(one: Numbers, none: Numbers, law: Numbers) -> None:
 
 
 def _sum_at_positions(numbers: Numbers, places: Integers) -> Numbers:
-    """Return (…, k) the sums of numbers (…, P+1) at the places (k, m), one after the other."""
+    """Return the sums (…, k) of numbers (…, P+1) at the places (k, m)."""
     return reduce(np.add, (np.take(numbers, column, axis=-1) for column in places.T))
 
 
 def describe_excess(laws: Laws) -> str | None:
-    """Return in one line which chances pass 1 and are cut off there, or None where none does.
+    """Return a line about the probabilities that are cut off at 1; None if there are none.
 
-    Sums are compared exactly. No chance can be negative: every term lies in [0, 1].
+    Sums are compared exactly. No probability can be negative: every term is in [0, 1].
     """
+    # The sums above 1 that some state uses; the line names the greatest.
     rules, sums = laws.rules, laws.sums
     used = np.bincount(np.append(rules.step, rules.skip), minlength=len(sums))
     over = np.flatnonzero(used * np.array(sums > laws.one, dtype=bool))
     if not len(over):
         return None
     greatest, first = max(zip(sums[over].tolist(), over.tolist(), strict=True))
-    added = " + ".join(
-        f"{rules.names[k]} {format_rational(laws.scenario.parameters[k].value)}"
-        for k in rules.terms[first].tolist()
-        if k < len(rules.names)
-    )
-    more = int(used[over].sum()) - 1
-    others = f"; so are {more} others" if more else ""
+    added = []
+    for k in rules.terms[first].tolist():
+        if k < len(rules.names):
+            added.append(f"{rules.names[k]} {format_rational(laws.scenario.parameters[k].value)}")
     chance = format_rational(Fraction(greatest, laws.one))
-    return f"a chance of {chance} is cut off at 1: {added}{others}"
+    line = f"a chance of {chance} is cut off at 1: {' + '.join(added)}"
+    more = int(used[over].sum()) - 1
+    if more:
+        line += f"; so are {more} others"
+    return line
 
 
 def warn_of_excess(laws: Laws, *, where: str = "", stacklevel: int = 2) -> None:
-    """Warn where a chance is cut off at 1.
+    """Warn if a probability is cut off at 1.
 
-    `where` is the part of an analysis; `stacklevel` as in `warnings.warn`, 2 for the caller's line.
+    `where` names the part of an analysis; `stacklevel` is as in `warnings.warn`, with 2 for the
+    line of the caller.
     """
-    if message := describe_excess(laws):
+    message = describe_excess(laws)
+    if message:
         text = f"scenario {laws.scenario.name}{where}: {message}"
         warnings.warn(text, ScenarioWarning, stacklevel=stacklevel + 1)

@@ -1,7 +1,7 @@
-"""Every problem of a scenario file at once, each with its line, by the rules of `toml.Reader`.
+"""All problems of a scenario file, each with its line, as `toml.Reader` finds them.
 
-Two things are suspicious where there is no error: a weight whose sign is unlike its meaning, and
-chances that add up to more than 1 and are cut off there. A text that is not TOML has one problem.
+Without errors there may be two kinds of warnings: a weight with an unlikely sign, and probabilities
+that add up to more than 1 and are cut off there. A text that is not TOML has one problem.
 """
 
 from __future__ import annotations
@@ -27,12 +27,14 @@ def lint_scenario(text: str, name: str) -> list[dict[str, Any]]:
         reader = Reader(toml_of(text, name), name)
     except ModelError as error:
         at = re.search(r"at line (\d+)", error.what)
-        line = int(at[1]) if at else None
+        line = None
+        if at:
+            line = int(at[1])
         return [{"line": line, "what": error.what, "fix": error.fix, "severity": "error"}]
     lines, problems = _locate_keys(text), list[dict[str, Any]]()
 
     def add_problem(key: str, what: str, fix: str, severity: str = "error") -> None:
-        while key and key not in lines:  # what is missing belongs to its table
+        while key and key not in lines:  # a missing key gets the line of its table
             key = key.rpartition(".")[0]
         problems.append({"line": lines.get(key), "what": what, "fix": fix, "severity": severity})
 
@@ -44,11 +46,17 @@ def lint_scenario(text: str, name: str) -> list[dict[str, Any]]:
             faults = [error]
     for fault in faults:
         add_problem(fault.where, fault.what, fault.fix)
-    for parameter in tables.parameters if tables else ():
+    if tables is None:
+        return _sort_by_line(problems, text)
+    # Warnings: signs of weights, and sums of probabilities above 1.
+    for parameter in tables.parameters:
         table, _, weight = parameter.name.partition(".")
-        sign = 1 if weight in BONUSES else -1
-        if table == "reward" and sign * parameter.value < 0:
-            words = "a reward is negative" if sign > 0 else "a cost is positive"
+        if table != "reward":
+            continue
+        wrong, words = parameter.value > 0, "a cost is positive"
+        if weight in BONUSES:
+            wrong, words = parameter.value < 0, "a reward is negative"
+        if wrong:
             what = f"{parameter.name} is {format_rational(parameter.value)}: {words}"
             add_problem(
                 parameter.name,
@@ -56,20 +64,31 @@ def lint_scenario(text: str, name: str) -> list[dict[str, Any]]:
                 f"did you mean {format_rational(-parameter.value)}?",
                 "warning",
             )
-    if tables and (above := describe_excess(Laws.of(tables))):
+    above = describe_excess(Laws.of(tables))
+    if above:
         first = re.findall(r"(?:base|persistence|influence|skip)\.\S+", above)[0]
         add_problem(first, above, "lower one of these numbers until they sum to 1", "warning")
+    return _sort_by_line(problems, text)
+
+
+def _sort_by_line(problems: list[dict[str, Any]], text: str) -> list[dict[str, Any]]:
+    """Return problems in the order of the text; those without a line come last."""
     return sorted(problems, key=lambda problem: problem["line"] or len(text))
 
 
 def _locate_keys(text: str) -> dict[str, int]:
     """Return the line of each key and each table of a TOML text, by its dotted name."""
     lines, above = dict[str, int](), list[str]()
+    # Strings and comments may look like keys: replace those of several lines by empty lines.
     text = TEXTS.sub(lambda part: part[0].count("\n") * "\n" or part[0], text)
     for number, line in enumerate(text.split("\n"), start=1):
-        if statement := STATEMENT.match(line):
+        statement = STATEMENT.match(line)
+        if statement:
             path = [part.strip("\"'") for part in NAME.findall(statement[0])]
-            above, path = (path, path) if statement[1] else (above, above + path)
+            if statement[1]:  # the header of a table
+                above = path
+            else:
+                path = above + path
             for count in range(len(path)):
                 lines.setdefault(".".join(path[: count + 1]), number)
     return lines

@@ -1,12 +1,12 @@
-"""Acting on a perceived status: a confusion matrix, stated or counted, and the policy it makes.
+"""Acting on a perceived status: a confusion matrix, given or counted, and the resulting policy.
 
 If the true status is s, the status z is perceived with probability C(s, z), independently at every
-timestep. A policy π that acts on what it perceives is, in the true state, the mixed policy
+timestep. A policy π that acts on the perceived status is, in the true state, the mixed policy
 
     π_C(a | s) = Σ_z C(s, z) π(a | z),
 
-which can be evaluated like any other. Files may state rationals; each number, and each probability
-π_C, is rounded to the nearest float, and exact results are exact for these.
+which can be evaluated like any other. Files may contain rationals; each number, and each
+probability π_C, is rounded to the nearest float, and exact results are exact for these floats.
 
 From N(s, z) examples of the true status s and the perceived status z, a row is estimated by its
 frequencies, C(s, z) = N(s, z) / N(s). Intervals of rates are those of Clopper and Pearson
@@ -33,17 +33,16 @@ from exact_mdp.mdp.result import DataFrame, data_frame
 from exact_mdp.mdp.space import Column
 from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, exact, format_beside_limits
 
-LEVEL = 0.95
 RATES = ("sensitivity", "specificity")
 
 
 def perceived(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> Policy:
-    """Return the policy that acts on perceived statuses, as a mixed policy of the true state.
+    """Return the policy that acts on perceived statuses, as a mixed policy over true states.
 
     Parameters
     ----------
-    model : MDP with a column `status`, the one that moves fastest
-    policy : anything that `Policy.of` takes
+    model : MDP with `status` as its last column
+    policy : any form that `Policy.of` accepts
     confusion : (Z, Z) probabilities of the perceived status (column) given the true one (row)
 
     Returns
@@ -53,7 +52,7 @@ def perceived(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> Policy:
     Raises
     ------
     ModelError
-        Where a row of the matrix is no distribution, or it does not fit the statuses.
+        If a row of the matrix is not a distribution, or the matrix does not fit the statuses.
 
     Examples
     --------
@@ -67,15 +66,16 @@ def perceived(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> Policy:
     weights, regular = Policy.of(model, policy).weights(model), model.space.regular
     by_action = model.by_action(weights, 0.0)
     placed = by_place(model, weights)
+    # A loop adds in the same order on every processor; a matrix product does not.
     mixed = np.zeros_like(placed)
-    for seen, share in enumerate(matrix.T):  # in this order on every processor, unlike a product
+    for seen, share in enumerate(matrix.T):
         mixed += share[:, None] * placed[:, seen, None, :]
     by_action[:regular] = mixed.reshape(regular, model.n_actions)
     return Policy(space=model.space, actions=model.actions, rule=by_action)
 
 
 def by_place(model: MDP, amounts: Floats) -> Floats:
-    """Return (P, Z, A) by place, status and action what `amounts` (L,) are by pair, else 0."""
+    """Return amounts by pair (L,) as an array (P, Z, A) by place, status and action."""
     by_action = model.by_action(amounts, 0.0)
     return by_action[: model.space.regular].reshape(-1, status_size(model), model.n_actions)
 
@@ -86,7 +86,7 @@ def independent(sensitivity: Sequence[float], specificity: Sequence[float]) -> F
     Parameters
     ----------
     sensitivity, specificity : (n,)
-        Probability that a status is seen where it is present, and not seen where it is absent.
+        Probabilities that a present status is perceived, and that an absent one is not.
 
     Returns
     -------
@@ -104,7 +104,7 @@ def independent(sensitivity: Sequence[float], specificity: Sequence[float]) -> F
 
 
 def require_confusion_matrix(confusion: ArrayLike, *, size: int, where: str) -> Floats:
-    """Return a (size, size) matrix whose rows are distributions; raises ModelError for another."""
+    """Return a confusion matrix (size, size); raise ModelError unless rows are distributions."""
     matrix, label = float_array(confusion, where), statuses_of(size).label
     if matrix.shape != (size, size):
         raise ModelError(
@@ -116,7 +116,7 @@ def require_confusion_matrix(confusion: ArrayLike, *, size: int, where: str) -> 
     wrong = ~((matrix >= 0).all(axis=1) & (np.abs(sums - 1) <= FLOAT_ROW_TOLERANCE))
     for true in np.flatnonzero(wrong).tolist():
         raise ModelError(
-            f"the row of status {label(true)} is no distribution: it sums to {sums[true]:.12g}, "
+            f"the row of status {label(true)} is not a distribution: it sums to {sums[true]:.12g}, "
             f"and its least number is {matrix[true].min():.12g}",
             where=f"{where}, row {true}",
             fix="give probabilities from 0 to 1 that sum to 1",
@@ -125,12 +125,12 @@ def require_confusion_matrix(confusion: ArrayLike, *, size: int, where: str) -> 
 
 
 def statuses_of(size: int) -> Column:
-    """Return the column of so many status vectors."""
+    """Return the column of `size` status vectors."""
     return Column(name="status", size=size, bits=size.bit_length() - 1)
 
 
 def status_size(model: MDP) -> int:
-    """Return the number of status vectors; raises ModelError where there are none."""
+    """Return the number of status vectors; raise ModelError if the model has no statuses."""
     if not isinstance(model, MDP) or "status" not in model.space.names[-1:]:
         raise ModelError(
             "the model has no statuses to perceive",
@@ -141,12 +141,15 @@ def status_size(model: MDP) -> int:
 
 
 def status_names(model: MDP) -> tuple[str, ...]:
-    """Return the names of the statuses, the most significant bit first; numbers where unnamed."""
+    """Return the names of the statuses, most significant bit first; "bit 0", … without names."""
     names, bits = _find_status_names(model), status_size(model).bit_length() - 1
-    return tuple(names) if len(names) == bits else tuple(f"bit {bit}" for bit in range(bits))
+    if len(names) != bits:
+        names = [f"bit {bit}" for bit in range(bits)]
+    return tuple(names)
 
 
 def _find_status_names(model: MDP) -> list[str]:
+    """Return the names of the statuses from the parameters of a scenario; [] without a scenario."""
     names = (parameter.name for parameter in model.parameters)
     return [name.removeprefix("base.") for name in names if name.startswith("base.")]
 
@@ -155,11 +158,11 @@ def _find_status_names(model: MDP) -> list[str]:
 
 
 def counted(pairs: Iterable[Sequence[object]], *, size: int) -> Integers:
-    """Return how often each true status (row) was perceived as each other (column).
+    """Return how often each true status (row) was perceived as each status (column).
 
     Parameters
     ----------
-    pairs : the true and the perceived status of each example, as numbers or strings of bits
+    pairs : true and perceived status of each example, as numbers or strings of bits
     size : number of status vectors, Z
 
     Returns
@@ -185,7 +188,7 @@ def counted(pairs: Iterable[Sequence[object]], *, size: int) -> Integers:
 
 
 def frequencies(counts: Integers) -> Floats:
-    """Return the confusion matrix of counts: their frequencies in each row.
+    """Return the confusion matrix of counts: the frequencies in each row.
 
     Parameters
     ----------
@@ -209,9 +212,11 @@ def frequencies(counts: Integers) -> Floats:
     totals = counts.sum(axis=1, keepdims=True)
     unseen = np.flatnonzero(totals == 0).tolist()
     if unseen:
-        labels = map(statuses_of(len(counts)).label, unseen[:4])
+        labels = ", ".join(map(statuses_of(len(counts)).label, unseen[:4]))
+        if len(unseen) > 4:
+            labels += " and others"
         raise ModelError(
-            f"no example was labelled {', '.join(labels)}{' and others' * (len(unseen) > 4)}",
+            f"no example was labelled {labels}",
             where="confusion matrix",
             fix="label more",
         )
@@ -219,9 +224,9 @@ def frequencies(counts: Integers) -> Floats:
 
 
 def compute_rates(counts: Integers, statuses: Sequence[str]) -> DataFrame:
-    """Return the sensitivity and specificity of each status, the first being the highest bit.
+    """Return the sensitivity and specificity of each status; the first is the highest bit.
 
-    One row for each: `right` of `total` examples, and the ends of its interval.
+    Each has a row with `right` of `total` examples, and the ends of a 95 % confidence interval.
     """
     from scipy import stats
 
@@ -230,7 +235,9 @@ def compute_rates(counts: Integers, statuses: Sequence[str]) -> DataFrame:
         present = (numbers >> shift & 1) == 1
         for name, of in (("specificity", ~present), ("sensitivity", present)):
             right, total = int(counts[of][:, of].sum()), int(counts[of].sum())
-            ends = stats.binomtest(right, total).proportion_ci(LEVEL) if total else (0.0, 1.0)
+            ends: tuple[float, ...] = (0.0, 1.0)
+            if total:
+                ends = tuple(stats.binomtest(right, total).proportion_ci(0.95))
             rows.append((status, name, right, total, *map(float, ends)))
     columns = ["status", "rate", "right", "total", "low", "high"]
     return data_frame(rows[::-1], columns=columns)
@@ -240,11 +247,11 @@ def compute_rates(counts: Integers, statuses: Sequence[str]) -> DataFrame:
 
 
 def read_confusion_matrix(path: str | Path, model: MDP) -> tuple[Floats, int | None]:
-    """Return the confusion matrix of a file, and the number of examples that it counts, if any.
+    """Return the confusion matrix of a file, and the number of examples in it, if any.
 
-    A `.csv` has the header `status,0000,…,1111` and a row for each true status. A `.toml` has the
+    A `.csv` has the header `status,0000,…,1111` and a row for each true status. A `.toml` has
     tables `[sensitivity]` and `[specificity]` with a number for each status by name. Numbers are
-    read exactly, then rounded to floats. A `.jsonl` has labelled examples, see `read_counts`.
+    read exactly, then rounded to floats. A `.jsonl` has labelled examples; see `read_counts`.
     """
     size, where, suffix = status_size(model), str(path), Path(path).suffix.lower()
     if suffix == ".jsonl":
@@ -260,6 +267,7 @@ def read_confusion_matrix(path: str | Path, model: MDP) -> tuple[Floats, int | N
         return independent(*([*tables[name].values()] for name in RATES)), None
     if suffix != ".csv":
         raise ModelError(f"unknown kind of perception {where!r}", fix="give .csv, .toml or .jsonl")
+    # CSV: a header, and one row for each status, in any order.
     lines = csv_of(StringIO(read_text(path)), where)
     labels = list(map(statuses_of(size).label, range(size)))
     header = [word.strip() for word in next(lines, (0, []))[1]]
@@ -284,24 +292,23 @@ def read_confusion_matrix(path: str | Path, model: MDP) -> tuple[Floats, int | N
 
 
 def read_counts(path: str | Path, model: MDP) -> Integers:
-    """Return the counts of a `.jsonl` of labelled examples: a recording, or a measurement.
+    """Return the counts of a `.jsonl` file of labelled examples: a recording, or a measurement.
 
-    Lines with `status` and `perceived` are examples, others are passed over, and so is a last line
-    that breaks off before its end; a header that names `statuses` must name the model's.
+    Lines with `status` and `perceived` are examples. Other lines are ignored, and so is an
+    incomplete last line. If a header names `statuses`, they must be those of the model.
     """
     counts = np.zeros((status_size(model),) * 2, dtype=np.int64)
-    column, names, lines = (
-        statuses_of(len(counts)),
-        _find_status_names(model),
-        read_text(path).split("\n"),
-    )
+    column, names = statuses_of(len(counts)), _find_status_names(model)
+    lines = read_text(path).split("\n")
     for number, line in enumerate(lines, start=1):
         with locate_errors(f"{path}, line {number}", instead=True):
+            if not line.strip():
+                continue
             try:
-                entry = json_of(line, str(path)) if line.strip() else {}
+                entry = json_of(line, str(path))
             except ModelError:
                 if number == len(lines):
-                    break  # torn: the writer was stopped before the newline that ends a line
+                    break  # the writer was stopped in the middle of the last line
                 raise
             if not isinstance(entry, dict):
                 raise ModelError("a line that is not an object", fix="correct the line")
@@ -315,6 +322,7 @@ def read_counts(path: str | Path, model: MDP) -> Integers:
 
 
 def _parse_rate(value: object) -> float:
+    """Return a probability as a float; raise ModelError for anything else."""
     if value is None:
         raise ModelError("a rate is missing", fix="state it")
     number = exact(value)

@@ -13,11 +13,11 @@ Under an action a they follow the law K_a(s, ·), on a skip Z(s, ·):
     fail       s' ≠ 0 under K_a                 leads to k, t + 1, s'
     skip       after the M-th fail, s'' by Z    leads to k + 1, flag 1, s''
 
-Where `skip_timestep` is own, a skip is a step of its own, t = M, in which *skip* is the only
-action; else it belongs to the step of the M-th fail. A new task starts with f = 0; behind the last
-subtask of all is the end. `CHARGES`, `BONUS` and `STATUS_COST` say what is charged, beside assist.a
-for a subtask completed; the vector 0 costs nothing. `Rules` is what they say of a scenario, in
-positions of its parameters; `mdp.care.laws` puts in their numbers.
+If `skip_timestep` is own, a skip is a step of its own, t = M, in which *skip* is the only action;
+else it belongs to the step of the M-th fail. A new task starts with f = 0; after the last subtask
+comes the end. `CHARGES`, `BONUS` and `STATUS_COST` state the charges, besides assist.a for a
+completed subtask; the vector 0 costs nothing. `Rules` applies them to a scenario, as positions of
+its parameters; `mdp.care.laws` inserts the numbers.
 Source: Yuan et al. (2025), Equation 1, Table 4 and Sections 2.1 and 3.2.
 """
 
@@ -38,7 +38,7 @@ INSIDE, LAST, FINAL = range(3)
 
 COMPLETE, FAIL, SKIPPED = range(3)
 
-# Event, the weight that it charges, and the reading under which it does.
+# Event, the weight that it charges, and the reading under which it is charged (None for all).
 CHARGES: tuple[tuple[int, str, tuple[str, str] | None], ...] = (
     (COMPLETE, "timestep", None),
     (COMPLETE, "subtask-complete", None),
@@ -49,31 +49,33 @@ CHARGES: tuple[tuple[int, str, tuple[str, str] | None], ...] = (
     (SKIPPED, "timestep", ("skip_timestep", "own")),
 )
 
-# After which events, with which flag, the end of a task is rewarded.
+# The events, with their flags, after which the end of a task is rewarded.
 BONUS: dict[str, tuple[tuple[int, int], ...]] = {
     "always": ((COMPLETE, 0), (COMPLETE, 1), (SKIPPED, 1)),
     "last-subtask-completed": ((COMPLETE, 0), (COMPLETE, 1)),
     "no-subtask-skipped": ((COMPLETE, 0),),
 }
 
-# Whether a step charges the statuses of its present vector, and those of its next one.
+# Whether a step charges the statuses of its present vector, and of its next vector.
 STATUS_COST = {"next": (0, 1), "current": (1, 0)}
 
 
 class Rules:
-    """The rules of all scenarios that differ in nothing but their numbers.
+    """The rules of all scenarios that differ in their numbers only.
 
-    Positions are those of parameters, and P for none. A subtask is laid out by trial, flag and
-    status vector; there are M `trials` with a choice and 2 `flags` where the bonus depends on them.
+    Positions are indices of parameters, with P for none. The states of a subtask are ordered by
+    trial, flag and status vector; there are M `trials` with a choice, and 2 `flags` if the bonus
+    depends on them.
 
-    - `terms` (U, n): the positions of the terms of each of U chances; `step` (2^n, A, n) and `skip`
-      (2^n, n) say which chance a status has under an action and on a skip.
+    - `terms` (U, n): the positions of the terms of each of U probabilities; `step` (2^n, A, n) and
+      `skip` (2^n, n) are the numbers of the probabilities of each status, under an action and on a
+      skip.
     - `weights` (C,): the positions of the `components`, statuses first, actions last.
     - `charges` (G, …): the positions of the weights that add up to each of G gains; `gains`
-      (3, 3, 2) says which one an event earns, by place of the subtask and flag: that of the state,
-      or 1 for a skip; `charged` (G, C) is 1 where a gain has a component.
+      (3, 3, 2) is the number of the gain of an event, by place of the subtask and flag (the flag of
+      the state, or 1 for a skip); `charged` (G, C) is 1 if a gain has a component.
     - `now`, `next`: whether a step charges the statuses of its present and of its next vector.
-    - `places` (K,) of the subtasks; `flag_after` (3, 2): the flag that the next one starts with.
+    - `places` (K,) of the subtasks; `flag_after` (3, 2): the flag at the start of the next one.
     """
 
     def __init__(self, scenario: ScenarioTables) -> None:
@@ -129,7 +131,7 @@ class Rules:
             return sum(map(len, terms)) - len(rows)
 
         def add_single_term(place: int) -> int:
-            """Return the number of the chance that is one parameter, or 0."""
+            """Return the number of the probability that is a single parameter, or 0."""
             return add_terms(np.array([[place, *[none] * (count - 1)]]))
 
         nothing = add_single_term(none)
@@ -143,7 +145,7 @@ class Rules:
                 free[present[:, j] & (~here | pushing), term] = position[
                     f"influence.{row}.{column}"
                 ]
-            # Where nothing is added to it, the persistence is one chance for all vectors.
+            # A persistence without influences is the same probability for all vectors.
             kinds = np.arange(self.vectors)
             kinds[here & (free[:, 1:] == none).all(axis=1)] = 1 << (count - 1 - i)
             used, which = np.unique(kinds, return_inverse=True)
@@ -181,7 +183,7 @@ class Rules:
         )
 
     def build_space(self, subtasks: int) -> StateSpace:
-        """Return what the state numbers mean; the end comes last."""
+        """Return the state space; the end comes last."""
         columns = [
             Column(name="subtask", size=subtasks),
             Column(name="trial", size=self.trials + self.own),
@@ -194,8 +196,8 @@ class Rules:
     def build_labels(self, space: StateSpace) -> dict[str, NDArray[np.bool_]]:
         """Return the named sets of states: each status, the end, and after or in a skip.
 
-        *skipped* are the states of a task in which a subtask was skipped, where the bonus depends
-        on it, and those of a skip that takes its own timestep; else no state remembers a skip.
+        *skipped* are the states of a task in which a subtask was skipped, if the bonus depends on
+        it, and the states of a skip that takes its own timestep; else no state remembers a skip.
         """
         end = np.arange(space.size) == space.regular
         on = (self.bits[space.values("status")] == 1) & ~end[:, None]
@@ -209,7 +211,7 @@ _made: dict[tuple[Any, ...], Rules] = {}
 
 
 def rules_of(scenario: ScenarioTables) -> Rules:
-    """Return the rules of a scenario, made once for all that differ in nothing but numbers."""
+    """Return the rules of a scenario, computed once for all scenarios with the same names."""
     mappings = (tuple(getattr(scenario, each).items()) for each in MAPPINGS)
     sizes = scenario.tasks, scenario.max_trial
     key = scenario.names, scenario.statuses, scenario.actions, sizes, *mappings

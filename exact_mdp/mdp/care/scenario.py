@@ -1,11 +1,11 @@
-"""Care scenarios: read from tables, compiled to an exact MDP, or taken as a parametric model.
+"""Care scenarios: read from tables, compiled to an exact MDP, or used as a parametric model.
 
-Each probability of the tables enters the chance of one status alone, which makes every row of a
-trial affine in it; a row that skips is a product of two laws, and where both have the number in
-them (reading `skip_onset = base`) it is quadratic. Expected rewards are affine in each weight. A
-chance is cut off at 1, and where that happens the polynomial changes:
+Each number of the tables is a term of the probability of one status only, so every row of a trial
+is affine in it. A row with a skip is a product of two distributions, and quadratic in a number that
+both contain (reading `skip_onset = base`). Expected rewards are affine in each weight. As
+probabilities are cut off at 1, the polynomial changes at
 
-    base_i + Σ_{j in J} influence_ij = 1     (and persistence_i, where influence adds to it)
+    base_i + Σ_{j in J} influence_ij = 1     (and persistence_i, if influence adds to it)
 
 for some set J of other statuses (Yuan et al., 2025, Section 2.1).
 """
@@ -30,7 +30,7 @@ from exact_mdp.mdp.table import format_rational
 
 
 class Scenario(ScenarioTables):
-    """A care model as its tables state it: exact numbers, tasks and readings; see `ScenarioTables`.
+    """A care model given by tables: exact numbers, tasks and readings; see `ScenarioTables`.
 
     Examples
     --------
@@ -49,7 +49,7 @@ class Scenario(ScenarioTables):
         Parameters
         ----------
         name : str or path
-            Of a shipped scenario (yuan2025, tea), or of a file.
+            The name of a shipped scenario (yuan2025, tea), or a file.
 
         Returns
         -------
@@ -58,7 +58,7 @@ class Scenario(ScenarioTables):
         Raises
         ------
         ModelError
-            For an unknown name, or a file with a number or a name that does not belong there.
+            For an unknown scenario, or a file with an invalid number or an unknown name.
 
         Examples
         --------
@@ -70,7 +70,7 @@ class Scenario(ScenarioTables):
 
     @cached_property
     def laws(self) -> Laws:
-        """Its chances and weights by the rules, exact."""
+        """The exact probabilities and weights of the scenario."""
         return Laws.of(self)
 
     def compile(self) -> MDP:
@@ -79,12 +79,12 @@ class Scenario(ScenarioTables):
         Raises
         ------
         ModelError
-            Where its outcomes would take more than 10 GB.
+            If its outcomes would take more than 10 GB.
 
         Warns
         -----
         ScenarioWarning
-            Where numbers that add up to a chance pass 1, which is then cut off at 1.
+            If numbers add up to a probability above 1, which is then cut off at 1.
         """
         mdp = compile_scenario(self.laws)
         warn_of_excess(self.laws)
@@ -122,23 +122,29 @@ class ScenarioFamily(Parametric):
             return self.base
         there = self.scenario.with_(parameters=moved)
         mdp = compile_scenario(there.laws)
-        one = "".join(f" where {name} is {format_rational(value)}" for name, value in moved.items())
-        self._warn_once(there, one if len(moved) < 2 else " at other values of its parameters")
+        where = " at other values of its parameters"
+        if not moved:
+            where = ""
+        elif len(moved) == 1:
+            ((name, value),) = moved.items()
+            where = f" where {name} is {format_rational(value)}"
+        self._warn_once(there, where)
         return mdp
 
     def warn_of_cutoffs(self, values: Mapping[str, object], *, where: str) -> None:
-        """Warn of chances that are cut off at 1 at other values of some parameters.
+        """Warn if probabilities are cut off at 1 at other values of some parameters.
 
-        A family warns once, of the first such model; a copy of it in another process does not.
-        `where` says in which part of an analysis.
+        A family warns once, about the first such model; its copies in other processes do not warn.
+        `where` names the part of an analysis.
         """
         self._warn_once(self.scenario.with_(parameters=moved_from(self, values)), where)
 
     def _warn_once(self, there: Scenario, where: str) -> None:
+        """Warn about a scenario, unless the family has warned before."""
         if self.warned or describe_excess(there.laws) is None:
             return
         self.warned.append(there.name)
-        # Today's values where they are enough, so that the words are those of `compile`.
+        # If the present values are enough for a warning, use the words of `compile`.
         if describe_excess(self.scenario.laws) is not None:
             there, where = self.scenario, ""
         warn_of_excess(there.laws, where=where, stacklevel=4)
@@ -151,10 +157,13 @@ class ScenarioFamily(Parametric):
         twice = self.scenario.readings["skip_onset"] == "base"
         twice &= self.scenario.readings["skip_timestep"] == "same"
         moves = parameter_of(self, name).name.startswith(("base.", "influence."))
-        return 2 if twice and moves else 1
+        if twice and moves:
+            return 2
+        return 1
 
     def breakpoints(self, name: str) -> tuple[Fraction, ...]:
         """See `Parametric.breakpoints`."""
+        # A sum with this term reaches 1 at 1 less its other terms.
         value, laws = parameter_of(self, name).value, self.scenario.laws
         place = laws.rules.position.get(name, -1)
         sums = laws.sums[(laws.rules.terms == place).any(axis=1)].tolist()

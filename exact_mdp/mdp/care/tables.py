@@ -1,14 +1,15 @@
-"""What a care scenario states: probability tables, weights, tasks and readings.
+"""The tables of a care scenario: probabilities, weights, tasks and readings.
 
-A person has n binary statuses. Under an action the next statuses are independent, each 1 with
+A person has n binary statuses. Under an action the next statuses are independent; status i is 1
+with the probability
 
-    p_i(s, a) = assistance.a.i.persistence or .onset        where action a names status i,
-                min(1, base_i + Σ_{j≠i, s_j=1} influence)   where it does not and s_i = 0,
-                persistence_i                               where it does not and s_i = 1.
+    p_i(s, a) = assistance.a.i.persistence or .onset        if action a has a table for status i,
+                min(1, base_i + Σ_{j≠i, s_j=1} influence)   if it does not and s_i = 0,
+                persistence_i                               if it does not and s_i = 1.
 
-A trial that ends with every status 0 completes the subtask; max_trial failed trials skip it. The
-numbers and the rules follow Yuan et al. (2025), Tables 3 and 4 and Sections 2.1 and 3.2; where
-their text can be read in more than one way, a *reading* chooses.
+A trial that ends with every status 0 completes the subtask; after max_trial failed trials it is
+skipped. The numbers and the rules follow Yuan et al. (2025), Tables 3 and 4 and Sections 2.1 and
+3.2. If their text can be read in more than one way, a *reading* chooses one.
 """
 
 from __future__ import annotations
@@ -46,19 +47,17 @@ READINGS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "task_bonus": ("always", "last-subtask-completed", "no-subtask-skipped"),
     }
 )
-"""Every reading with its options, the default first."""
+"""All readings with their options, the default first."""
 
 SKIP = "skip"
 MAPPINGS = ("readings", "others", "weights")
-MOST_STATUSES = 10  # 2^10 vectors of them at each trial, and as many may follow each
-MOST_STATES = 200_000_000  # 27 bytes for each while solving without a matrix: 5.4 GB
 SHARED_WEIGHTS = ("trial", "subtask-complete", "subtask-skip", "timestep", "task-complete")
 BONUSES = ("subtask-complete", "task-complete")  # the weights that are gains; others are costs
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScenarioTables:
-    """The numbers, tasks and readings of a care scenario; `Scenario` is made of them.
+    """The numbers, tasks and readings of a care scenario; the base class of `Scenario`.
 
     Attributes
     ----------
@@ -71,11 +70,11 @@ class ScenarioTables:
     readings : mapping
         One option for each name in `READINGS`.
     parameters : tuple of Parameter
-        Every number of the tables, by name.
+        All numbers of the tables.
     others : mapping
-        For a status whose persistence on a skip depends on another one: that other status.
+        For each status whose persistence on a skip depends on another status, that other status.
     weights : mapping
-        Name of the reward weight that each status is charged to.
+        For each status, the name of the reward weight to which it is charged.
     """
 
     name: str
@@ -113,8 +112,8 @@ class ScenarioTables:
         Returns
         -------
         DataFrame
-            One row for each parameter: its name, its value, and the range that it may take, None
-            where that is open.
+            One row for each parameter: its name, value, lowest and highest value (None without a
+            limit).
 
         Examples
         --------
@@ -144,7 +143,7 @@ class ScenarioTables:
 
     @property
     def components(self) -> tuple[str, ...]:
-        """Names of the reward weights, which are the reward's components."""
+        """Names of the reward weights; these are the components of the reward."""
         charged = tuple(self.weights[status] for status in self.statuses)
         return (*charged, *SHARED_WEIGHTS, *(f"assist.{action}" for action in self.actions))
 
@@ -154,13 +153,14 @@ class ScenarioTables:
         return tuple(parameter.name for parameter in self.parameters)
 
     def values(self) -> dict[str, Fraction]:
-        """Return every parameter's value by name."""
+        """Return the values of all parameters, {name: value}."""
         return {parameter.name: parameter.value for parameter in self.parameters}
 
     def __getitem__(self, name: str) -> Fraction:
         return self.parameters[self._find_position(name)].value
 
     def _find_position(self, name: str) -> int:
+        """Return the index of a parameter; raise ModelError if the name is unknown."""
         if name not in self.names:
             readings = (f"readings.{reading}" for reading in READINGS)
             require_known_name(
@@ -192,9 +192,10 @@ class ScenarioTables:
         Raises
         ------
         ModelError
-            For an unknown name (the nearest one is suggested) or a number out of range.
+            For an unknown name (the most similar one is suggested) or a number out of range.
         """
         chosen, numbers, parts = dict(self.readings), list(self.parameters), dict[str, Any]()
+        # All changes by name: settings, readings (`readings.NAME`) and parameters.
         given = {f"readings.{name}": option for name, option in (readings or {}).items()}
         for name, value in [*given.items(), *(parameters or {}).items(), *changes.items()]:
             reading = name.removeprefix("readings.")
@@ -209,7 +210,7 @@ class ScenarioTables:
         return replace(self, readings=chosen, parameters=tuple(numbers), **parts)
 
     def set(self, assignment: str) -> Self:
-        """Return a scenario changed by one `KEY=VALUE`, as on the command line.
+        """Return a scenario with one change `KEY=VALUE`, as on the command line.
 
         Examples
         --------
@@ -226,7 +227,7 @@ class ScenarioTables:
 
 
 def bits_of(count: int) -> Integers:
-    """Return (2^n, n) the status vectors; the first status is the most significant digit."""
+    """Return the status vectors (2^n, n); the first status is the most significant bit."""
     return (np.arange(2**count)[:, None] >> np.arange(count - 1, -1, -1)) & 1
 
 
@@ -235,7 +236,9 @@ def as_tasks(value: object) -> tuple[int, ...]:
     if isinstance(value, str):
         with suppress(ValueError, RecursionError):
             value = json.loads(value)
-    listed = [] if isinstance(value, str) or not isinstance(value, Sequence) else value
+    listed: list[Any] = []
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        listed = list(value)
     if listed and all(type(number) is int and number > 0 for number in listed):
         return tuple(listed)
     raise ModelError(
@@ -248,7 +251,7 @@ def as_tasks(value: object) -> tuple[int, ...]:
 def as_max_trial(value: object) -> int:
     """Return max_trial from a positive integer or its text."""
     if isinstance(value, str) and value.isascii() and value.isdigit():
-        value = int(value[:20])  # cut, it is too large as well
+        value = int(value[:20])  # 20 digits are too many in any case
     return require_count(value, "max_trial")
 
 
@@ -258,12 +261,12 @@ SETTINGS: dict[str, Callable[[object], Any]] = {
     "discount": as_discount,
     "evaluation_discount": as_discount,
 }
-"""Settings beside readings and parameters: the conversion of each."""
-AS_READINGS = {"evaluation_discount": "discount"}  # as the paper's readings call it
+"""Settings other than readings and parameters, with the function that converts each."""
+AS_READINGS = {"evaluation_discount": "discount"}  # the name in the paper's readings
 
 
 def check_reading(name: str, option: object) -> str:
-    """Return the option, or raise ModelError where the reading or the option is unknown."""
+    """Return the option; raise ModelError if the reading or the option is unknown."""
     require_known_name(name, READINGS, "reading", "readings")
     return require_known_name(option, READINGS[name], "option", f"reading {name}")
 
@@ -281,11 +284,12 @@ def check_scenario(scenario: ScenarioTables) -> None:
         convert(getattr(scenario, AS_READINGS.get(key, key)))
     for name in READINGS:
         check_reading(name, scenario.readings.get(name, ""))
+    # Solving without a matrix takes 27 bytes for each state: 5.4 GB for the greatest number.
     where, count = f"scenario {scenario.name}", len(scenario.statuses)
-    states = sum(scenario.tasks) * scenario.trials * 2**count
-    if states > MOST_STATES:
-        what = f"the model would have {states:,} states, more than {MOST_STATES:,}"
+    states, most = sum(scenario.tasks) * scenario.trials * 2**count, 200_000_000
+    if states > most:
+        what = f"the model would have {states:,} states, more than {most:,}"
         raise ModelError(what, where=where, fix="use fewer subtasks, trials or statuses")
-    if count > MOST_STATUSES:
-        what = f"{count} statuses, more than {MOST_STATUSES}"
-        raise ModelError(what, where=where, fix="merge statuses")
+    # Each of the 2^10 vectors of 10 statuses may be followed by each: 10^6 transitions a trial.
+    if count > 10:
+        raise ModelError(f"{count} statuses, more than 10", where=where, fix="merge statuses")

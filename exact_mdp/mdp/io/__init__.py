@@ -1,1 +1,1 @@
-"""Models from and to other formats, one module for each."""
+"""Reading and writing models, one module for each format."""

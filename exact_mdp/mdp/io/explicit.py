@@ -1,7 +1,7 @@
-"""Models as model checkers list them: choices of states, branches of choices, rewards by name.
+"""Models from lists in the form of model checkers: choices, branches of choices, named rewards.
 
-A state without choices is where the process ends, and stays put. Nothing is rounded: numbers are
-fractions, or floats.
+A state without choices is the end of the process: it stays put. Nothing is rounded: numbers are
+fractions or floats.
 """
 
 from __future__ import annotations
@@ -29,20 +29,28 @@ INITIAL, UNNAMED = "init", "unnamed"
 
 
 def name_states(valuations: Iterable[Mapping[str, Any]]) -> tuple[str, ...]:
-    """Return each state's variables as words, where whole numbers and truth values tell them apart.
+    """Return names of states such as "x=3, done=true" from the values of their variables.
 
-    Variables with other values are left out. Where the rest does not tell the states apart there
-    are no words: states have their numbers.
+    Variables with values other than whole numbers and truth values are left out. If the names are
+    not different for all states, return (): the states have numbers.
     """
     listed = list(valuations)
-    broken = {
-        name for values in listed for name, value in values.items() if not isinstance(value, int)
-    }
+    broken = set()
+    for values in listed:
+        broken |= {name for name, value in values.items() if not isinstance(value, int)}
     words = []
     for values in listed:
-        shown = {k: str(v).lower() if isinstance(v, bool) else v for k, v in values.items()}
-        words.append(", ".join(f"{k}={v}" for k, v in shown.items() if k not in broken))
-    return tuple(words) if len(set(words)) == len(words) and all(words) else ()
+        parts = []
+        for name, value in values.items():
+            text = str(value)
+            if isinstance(value, bool):
+                text = text.lower()
+            if name not in broken:
+                parts.append(f"{name}={text}")
+        words.append(", ".join(parts))
+    if len(set(words)) < len(words) or not all(words):
+        return ()
+    return tuple(words)
 
 
 def _number_actions(
@@ -50,16 +58,20 @@ def _number_actions(
 ) -> tuple[list[int], tuple[str, ...]]:
     """Return the action number of each choice, and the names of the actions.
 
-    A choice keeps its word. One without a word is called "unnamed", and the second, third, …
-    choice of a state that has the same word "word#2", "word#3", …; with "'" behind where the file
-    has that name. Names that are declared come first. Where no choice has a word, actions are
-    the places of the choices in their state.
+    A choice has its word as its name, or "unnamed" without a word. If several choices of a state
+    have the same word, the second, third, … are named "word#2", "word#3", …, with a "'" if the file
+    has that name already. Declared names come first. If no choice has a word, choices are numbered
+    in each state.
     """
     if not any(words):
-        return [place for own in choices for place, _ in enumerate(own)], ()
+        places: list[int] = []
+        for own in choices:
+            places += [place for place, _ in enumerate(own)]
+        return places, ()
     given = set(words)
 
     def own_name(name: str) -> str:
+        """Return a name that no choice of the file has."""
         while name in given:
             name += "'"
         return name
@@ -71,7 +83,9 @@ def _number_actions(
         for choice in own:
             word = words[choice] or unnamed
             seen[word] += 1
-            names.append(word if seen[word] == 1 else own_name(f"{word}#{seen[word]}"))
+            if seen[word] > 1:
+                word = own_name(f"{word}#{seen[word]}")
+            names.append(word)
     number = {name: place for place, name in enumerate(dict.fromkeys([*declared, *names]))}
     return [number[name] for name in names], tuple(number)
 
@@ -94,12 +108,12 @@ def build_explicit_model(
     discount: object,
     start: object,
 ) -> MDP:
-    """Return a model of another program, of which the caller says what the format does not.
+    """Return a model of another program; the caller adds what the format lacks, such as a discount.
 
-    The choices of state s are first_choice[s] … first_choice[s+1]-1, and so on; rewards are those
-    of "states", "choices" and "branches", which add up. `choice_words` names the action of each
-    choice, "" where it has none, and `action_names` are in the order of the file. See
-    `mdp.io.umb.load` for `reward` and `start`.
+    The choices of state s are first_choice[s] … first_choice[s+1]-1, and so are the branches of a
+    choice. Rewards of "states", "choices" and "branches" are added up. `choice_words` are the names
+    of the choices' actions, "" for none, and `action_names` the actions in the order of the file.
+    See `mdp.io.umb.read_umb` for `reward` and `start`.
     """
 
     def warn_of_file(what: str) -> None:
@@ -109,6 +123,7 @@ def build_explicit_model(
         warn_of_file(
             "a file of another program states no discount, and 1 is used; give the discount"
         )
+    # One reward model counts; several are components of the reward.
     parts: dict[str, Any] = {}
     if reward is not None or len(rewards) == 1:
         chosen = require_known_name(
@@ -120,6 +135,7 @@ def build_explicit_model(
         warn_of_file(
             f"the rewards {listed} are added up; name the one that counts (--reward, reward=)"
         )
+    # Initial states are a label; the start is the only one, or the first.
     size = len(first_choice) - 1
     space, labels = StateSpace.plain(size, words), dict(labels)
     if start is None and not initial:
@@ -129,22 +145,27 @@ def build_explicit_model(
     if len(initial) > 1 and start is None:
         first = f"the first of {len(initial)} initial states, {space.label(initial[0])}"
         warn_of_file(f"the start is {first}; --start, or start=, names another")
+    # The rows of the model, and an action that stays for each state without choices.
     choices = list(starmap(range, pairwise(first_choice)))
     actions, names = _number_actions(choices, choice_words, action_names)
     rows = list[tuple[int, int, list[tuple[Any, int, Any]]]]()
     for state, own in enumerate(choices):
         for choice in own:
-            outcomes = [
-                (chances[k], targets[k], _collect_rewards(rewards, state, choice, k))
-                for k in range(first_branch[choice], first_branch[choice + 1])
-            ]
+            outcomes = []
+            for k in range(first_branch[choice], first_branch[choice + 1]):
+                earned = _collect_rewards(rewards, state, choice, k)
+                outcomes.append((chances[k], targets[k], earned))
             rows.append((state, actions[choice], outcomes))
         if not own:
             rows.append((state, 0, [(1, state, 0)]))
+    if discount is None:
+        discount = 1
+    if start is None:
+        start = ByNumber([(initial[0], 1)])
     return MDP.from_outcomes(
         rows,
-        1 if discount is None else discount,
-        start=ByNumber([(initial[0], 1)]) if start is None else start,
+        discount,
+        start=start,
         space=space,
         actions=names,
         labels=labels,
@@ -156,15 +177,22 @@ def build_explicit_model(
 def _collect_rewards(
     rewards: Mapping[str, Mapping[str, Any]], state: int, choice: int, branch: int
 ) -> Any:
-    """Return what a branch earns: a number, or several by name."""
+    """Return the reward of a branch: a number, or {name: amount} for several reward models."""
     at, amounts = {"states": state, "choices": choice, "branches": branch}, dict[str, Any]()
     for name, values in rewards.items():
         some = [as_given(own[at[over]]) for over, own in values.items() if own[at[over]]]
-        amounts[name] = some[0] if len(some) == 1 else sum(map(exact, some), Fraction(0))
+        if len(some) == 1:
+            amounts[name] = some[0]  # a float stays a float
+        else:
+            amounts[name] = sum(map(exact, some), Fraction(0))
     if len(amounts) < 2:
         return next(iter(amounts.values()), 0)
-    if REWARD in amounts:  # of which the others are parts
-        total, rest = amounts.pop(REWARD), REST if REST not in amounts else f"{REST}'"
-        if left := exact(total) - sum(map(exact, amounts.values()), Fraction(0)):
+    # The reward model "reward" is the sum; the others are its components.
+    if REWARD in amounts:
+        total, rest = amounts.pop(REWARD), REST
+        if REST in amounts:
+            rest = f"{REST}'"
+        left = exact(total) - sum(map(exact, amounts.values()), Fraction(0))
+        if left:
             amounts[rest] = left
     return amounts

@@ -1,6 +1,6 @@
-"""The one door to files: regular files alone, no larger than allowed, and nothing half-written.
+"""All access to files: only regular files of a limited size are read, and only whole ones written.
 
-Standard output holds results alone: see `redirect_output` for what others print.
+Standard output is for results only: `redirect_output` sends the output of libraries elsewhere.
 """
 
 from __future__ import annotations
@@ -20,21 +20,19 @@ from typing import BinaryIO
 from exact_mdp.mdp.errors import ModelError
 
 STANDARD_INPUT = "-"
-PIECE = 2**20
-SMALL = 2**24
-LARGE = 2**28
-LARGEST = 2**32
-"""16 MiB for what people write (scenarios, ranges), 256 MiB for policies, recordings and the like,
-4 GiB for what this program writes of large models."""
+# Limits of size in bytes, so that a wrong file cannot fill the memory: 16 MiB for files written by
+# hand (scenarios, ranges), 256 MiB for policies and recordings, 4 GiB for files of large models.
+SMALL, LARGE, LARGEST = 2**24, 2**28, 2**32
+PIECE = 2**20  # bytes that are read at a time
 
 KINDS = {stat.S_IFREG: "", stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe"}
 
 
 @contextmanager
 def open_file(path: str | Path, *, most: int = LARGE) -> Iterator[BinaryIO]:
-    """Open a regular file of at most `most` bytes for reading; raises ModelError for another.
+    """Open a regular file of at most `most` bytes for reading; raise ModelError for any other.
 
-    A path of "-" is standard input.
+    The path "-" is standard input.
     """
     if str(path) == STANDARD_INPUT:
         pieces = iter(partial(sys.stdin.buffer.read, PIECE), b"")
@@ -43,9 +41,9 @@ def open_file(path: str | Path, *, most: int = LARGE) -> Iterator[BinaryIO]:
             raise _size_error(path, most)
         yield io.BytesIO(content)
         return
-    if kind := _describe_kind(
-        path, "read"
-    ):  # looked at first: to open a pipe is to wait for its other end
+    # Check before opening: opening a pipe waits for a program at its other end.
+    kind = _describe_kind(path, "read")
+    if kind:
         raise ModelError(
             f"cannot read the file: {kind}, not a regular file",
             where=str(path),
@@ -61,7 +59,7 @@ def open_file(path: str | Path, *, most: int = LARGE) -> Iterator[BinaryIO]:
 
 
 def _describe_kind(path: str | Path, verb: str) -> str:
-    """Return what a file is; nothing where it is a regular file."""
+    """Return the kind of a file in words; "" for a regular file."""
     try:
         return KINDS.get(stat.S_IFMT(os.stat(path).st_mode), "a device or socket")
     except (OSError, ValueError) as error:
@@ -69,13 +67,13 @@ def _describe_kind(path: str | Path, verb: str) -> str:
 
 
 def read_bytes(path: str | Path, *, most: int = LARGE) -> bytes:
-    """Return what a regular file of at most `most` bytes holds."""
+    """Return the content of a regular file of at most `most` bytes."""
     with open_file(path, most=most) as file:
         return file.read()
 
 
 def read_text(path: str | Path, *, most: int = LARGE) -> str:
-    """Return a UTF-8 file's text; raises ModelError where it cannot be read."""
+    """Return the text of a UTF-8 file with line feeds as line ends; ModelError if unreadable."""
     try:
         text = read_bytes(path, most=most).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -86,28 +84,34 @@ def read_text(path: str | Path, *, most: int = LARGE) -> str:
 
 
 def _size_error(path: str | Path, most: int) -> ModelError:
+    """Return the error for a file that is too large."""
     what = f"the file has more than the {most:,} bytes that are read"
     return ModelError(what, where=str(path), fix="check that it is the right file")
 
 
 def _access_error(path: str | Path, verb: str, error: OSError | ValueError) -> ModelError:
-    """Return the error for a path that the system refuses, or that holds a null character."""
+    """Return the error for a path that the system refuses, or that contains a null character."""
     said = getattr(error, "strerror", None) or error
-    folder = verb == "write" and isinstance(error, OSError)
-    fix = "check the folder" if folder else "check the path"
+    fix = "check the path"
+    if verb == "write" and isinstance(error, OSError):
+        fix = "check the folder"
     return ModelError(f"cannot {verb} the file: {said}", where=str(path), fix=fix)
 
 
 def write_atomically(path: str | Path, content: str | bytes) -> None:
-    """Write a whole file or none: to a temporary file beside it, then one rename.
+    """Write a file completely or not at all: a temporary file in the same folder, then a rename.
 
-    Raises ModelError where the path cannot be written to, OSError where the disk is full or the
+    Raises ModelError if the path cannot be written to, and OSError if the disk is full or the
     system fails in another way.
     """
     target = Path(path)
-    data = content.encode("utf-8") if isinstance(content, str) else content
-    if kind := os.path.exists(target) and _describe_kind(target, "write"):
-        # The rename would put a file in its place.
+    if isinstance(content, str):
+        content = content.encode("utf-8")
+    # The rename would replace a folder or a device by a file.
+    kind = ""
+    if os.path.exists(target):
+        kind = _describe_kind(target, "write")
+    if kind:
         what = f"cannot write the file: there is {kind} of this name"
         raise ModelError(what, where=str(path), fix="name another file")
     try:
@@ -116,10 +120,10 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
     except (OSError, ValueError) as error:
         raise _access_error(path, "write", error) from error
     try:
-        temporary.write_bytes(data)
+        temporary.write_bytes(content)
         temporary.replace(target)
     except BaseException as error:
-        temporary.unlink(missing_ok=True)  # a signal may come after the rename
+        temporary.unlink(missing_ok=True)  # after a signal the rename may be done already
         if isinstance(error, OSError):
             error.filename = str(path)
         raise
@@ -127,7 +131,8 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
 
 @contextmanager
 def redirect_output() -> Iterator[None]:
-    """Send what is printed, by Python or anything else, to standard error."""
+    """Send everything that is printed, by Python or any library, to standard error."""
+    # Libraries in C write to file descriptor 1, and Python to sys.stdout: redirect both.
     sys.stdout.flush()
     duplicate = os.dup(1)
     try:

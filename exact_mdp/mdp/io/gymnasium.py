@@ -1,26 +1,26 @@
 """Models from Gymnasium environments that expose their dynamics: a table `P`, or matrices.
 
 `P[state][action]` lists (probability, next state, reward, terminated). An episode is over after an
-outcome with terminated = True, whatever `P` lists for the state that it names:
+outcome with terminated = True, even if `P` has rows for its next state:
 
     Q(s, a) = Σ p (r + γ (1 - terminated) V(s')).
 
-A state that can only be entered by terminated outcomes becomes an absorbing end without reward (the
-goal of CliffWalking, where `P` goes on to list moves that no episode makes). Where an episode may
-also pass through such a state alive, or start in it (Taxi with the passenger at the destination),
-its rows stay, and terminated outcomes lead to one more state, "end", behind the others.
+A state that is entered only by terminated outcomes becomes an absorbing end without reward (such as
+the goal of CliffWalking, for which `P` lists moves that no episode makes). If an episode may also
+pass through such a state, or start in it (Taxi with the passenger at the destination), its rows
+remain, and terminated outcomes lead to an additional state "end" after the others.
 
-Without a table, `dynamics` with matrices `tx_mat` and `r_mat` (S, A, S) will do, as ICU-Sepsis has
-them (Choudhary, Gupta and Thomas, Reinforcement Learning Conference 2024).
+Instead of a table, an environment may have `dynamics` with matrices `tx_mat` and `r_mat` (S, A, S),
+like ICU-Sepsis (Choudhary, Gupta and Thomas, Reinforcement Learning Conference 2024).
 
-A wrapper, or an environment of one's own, whose step() or reset() does what `P` does not say is
-refused: see `mdp.io.gymnasium_steps`.
+A wrapper or custom environment whose step() or reset() differs from `P` is refused: see
+`mdp.io.gymnasium_steps`.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Self
 
@@ -54,7 +54,7 @@ from exact_mdp.mdp.table import Numbers
 from exact_mdp.mdp.validate import KNOWN, as_start, check_options
 
 END = "end"
-STARTS = ("initial_state_distrib", "isd")  # what environments call the initial distribution
+STARTS = ("initial_state_distrib", "isd")  # names of the initial distribution in environments
 TOY_TEXT = "gymnasium.envs.toy_text"
 GRID = (Column(name="row", size=0), Column(name="column", size=0))
 PLACES = ("Red", "Green", "Yellow", "Blue")
@@ -71,7 +71,7 @@ TOYS = {
         ),
     ),
 }
-"""Actions by number, and what the number of a state is made of."""
+"""Names of the actions, and the columns whose combinations are the states."""
 
 
 class FromGymnasium(FromArrays):
@@ -84,19 +84,19 @@ class FromGymnasium(FromArrays):
         Parameters
         ----------
         env : gymnasium.Env, str or table
-            An environment, wrapped or not; anything with an attribute `P`, or `dynamics` with
-            matrices; such a table; or a registered id, "module:ID" where a module registers it.
+            An environment, wrapped or not; an object with an attribute `P`, or `dynamics` with
+            matrices; such a table; or a registered id, or "module:ID" if a module registers it.
         discount : number or "p/q"
         **names
-            `start` instead of the environment's `initial_state_distrib`, or of state 0 where it
-            has none; `actions`, `states`,
-            `name`, `sense`, `labels`; `time_limit` instead of the environment's own. Beside an id,
-            others are the environment's: `is_slippery=False`.
+            `start` instead of the environment's `initial_state_distrib` (or of state 0, if it has
+            none); `actions`, `states`, `name`, `sense`, `labels`; `time_limit` instead of the
+            environment's own. With an id, all other names are options of the environment, such as
+            `is_slippery=False`.
 
         Notes
         -----
-        Wrappers and environments that Gymnasium does not bring are tried for some hundred steps,
-        with fixed seeds, in a copy; one that cannot be copied is itself reset and stepped.
+        Custom environments and wrappers are tried for some hundred steps, with fixed seeds, in a
+        copy; an environment that cannot be copied is itself reset and stepped.
 
         Returns
         -------
@@ -105,8 +105,8 @@ class FromGymnasium(FromArrays):
         Raises
         ------
         ModelError
-            Where the environment is unknown or exposes no `P`, `P` is not a table of distributions
-            over its own states, or step() or reset() does what `P` does not say.
+            If the environment is unknown or has no `P`, if `P` is not a table of distributions over
+            its own states, or if step() or reset() differs from `P`.
 
         Examples
         --------
@@ -127,8 +127,11 @@ class FromGymnasium(FromArrays):
         if env is None or isinstance(env, bool | int | float):
             fix = f"give an environment, an id such as FrozenLake-v1, or a table: {LISTED}"
             raise ModelError(f"{env!r} is not an environment", where="env", fix=fix)
-        bare = env if is_outcome_table(env) else getattr(env, "unwrapped", env)
+        bare = env
+        if not is_outcome_table(env):
+            bare = getattr(env, "unwrapped", env)
         check_options(names, {})
+        # A model is made from the table alone, so no wrapper may change the environment.
         layers = [*layers_of(env)]
         refuse_changes(layers)
         names.setdefault("name", _find_environment_name(env))
@@ -146,79 +149,103 @@ class FromGymnasium(FromArrays):
 def _rows_from_table(
     bare: Any, where: str, layers: Sequence[Any], names: dict[str, Any]
 ) -> list[Any]:
-    """Return the rows of a model by its table of outcomes; add what else is known to `names`."""
+    """Return the rows of the model of a table; add its start, state space and labels to `names`."""
+    # Names of actions and states: given, known from Gymnasium's environments, or numbers.
     rows, states = read_outcome_rows(bare, where)
     actions = max(action for _, action in rows) + 1
     known, columns = _find_toy_names(bare, states, actions)
     names.setdefault("actions", known)
     words = names.pop("states", ())
-    columns = StateSpace.plain(states, words).columns if words or not columns else columns
+    if words or not columns:
+        columns = StateSpace.plain(states, words).columns
+    # The start, with which reset() must agree unless the caller gives another one.
     given = names.pop("start", None)
-    start = as_start(_read_start(bare) if given is None else given, StateSpace(columns=columns))
+    begins: Collection[int] = range(states)
+    if given is None:
+        start = as_start(_read_start(bare), StateSpace(columns=columns))
+        begins = {state for state, weight in start if weight}
+    else:
+        start = as_start(given, StateSpace(columns=columns))
     if not is_outcome_table(bare):
-        # A start that the caller gives is another question, which reset() need not answer.
-        begins = {s for s, weight in start if weight} if given is None else range(states)
         compare_with_table(layers, rows, begins, given is not None or _states_start(bare))
+    # Terminated outcomes lead to ends, which stay put, or to one more state behind the others.
     ends, targets = _find_ends(rows, {state for state, _ in start})
-    listed = [
-        (s, a, [(p, n if not over or n in ends else states, r) for p, n, r, over in outcomes])
-        for (s, a), outcomes in rows.items()
-        if s not in ends
-    ]
-    more = bool(targets - ends)  # an end behind the other states
-    over = sorted(ends) + [states] * more
+    listed: list[Any] = []
+    for (state, action), outcomes in rows.items():
+        if state in ends:
+            continue
+        own = []
+        for p, following, reward, terminated in outcomes:
+            if terminated and following not in ends:
+                following = states
+            own.append((p, following, reward))
+        listed.append((state, action, own))
+    over, extra = sorted(ends), list[str]()
+    if targets - ends:
+        over.append(states)
+        extra.append(END)
     listed += [(end, 0, [(1, end, 0)]) for end in over]
-    space = StateSpace(columns=columns, extra=(END,) * more)
+    space = StateSpace(columns=columns, extra=tuple(extra))
     if "labels" not in names:
-        ending = {END: np.isin(np.arange(space.size), over)} if over else {}
-        names["labels"] = ending | _of_the_map(bare, space.size)
+        names["labels"] = _of_the_map(bare, space.size)
+        if over:
+            names["labels"] = {END: np.isin(np.arange(space.size), over)} | names["labels"]
     names |= {"start": start, "space": space}
     return listed
 
 
 def _of_the_map(env: Any, states: int) -> dict[str, Any]:
-    """Return the goals and holes of FrozenLake's map."""
+    """Return the labels of the goals and holes of FrozenLake's map; {} without a map."""
     letters = np.asarray(getattr(env, "desc", ())).ravel()
-    named = {"goal": letters == b"G", "hole": letters == b"H"} if len(letters) == states else {}
+    if len(letters) != states:
+        return {}
+    named = {"goal": letters == b"G", "hole": letters == b"H"}
     return {name: flags for name, flags in named.items() if np.any(flags)}
 
 
 def _find_toy_names(env: Any, states: int, actions: int) -> tuple[list[str], tuple[Column, ...]]:
-    """Return the names of the actions, and the columns of the states where they are known."""
-    kind = next(
-        (each.__name__ for each in type(env).__mro__ if each.__module__.startswith(TOY_TEXT)), ""
-    )
-    names, columns = TOYS.get(kind, ((), ()))
+    """Return the names of the actions, and the columns of the states, or () if unknown."""
+    kinds = [kind.__name__ for kind in type(env).__mro__ if kind.__module__.startswith(TOY_TEXT)]
+    names, columns = TOYS.get("".join(kinds[:1]), ((), ()))
+    # A map has as many rows and columns as the environment says.
     shape = getattr(env, "shape", (getattr(env, "nrow", 0), getattr(env, "ncol", 0)))
     if columns == GRID:
         columns = tuple(
             replace(each, size=int(size)) for each, size in zip(GRID, shape, strict=True)
         )
-    fits = StateSpace(columns=columns).size == states and len(names) == actions
-    return (list(names), columns) if fits else ([str(number) for number in range(actions)], ())
+    if StateSpace(columns=columns).size == states and len(names) == actions:
+        return list(names), columns
+    return [str(number) for number in range(actions)], ()
 
 
 def _find_ends(rows: Rows, begins: set[int]) -> tuple[set[int], set[int]]:
-    """Return the states that are ends, and all that terminated outcomes name.
+    """Return the states that are ends, and all next states of terminated outcomes.
 
-    The ends are the largest set of such states that no start and no outcome of a state outside
-    the set enters alive; states that stay put without reward are ends however they are entered.
+    The ends are the largest set of such states in which no episode starts, and which no outcome
+    from outside the set enters without being terminated. States that stay put without reward are
+    ends in any case.
     """
-    steps = [(s, n, r, over) for (s, _), each in rows.items() for _, n, r, over in each]
+    steps = []
+    for (s, _), outcomes in rows.items():
+        steps += [(s, n, r, over) for _, n, r, over in outcomes]
     targets = {n for _, n, _, over in steps if over}
     busy = {s for s, n, r, _ in steps if n != s or r != 0}
     ends = targets - (begins & busy) - {NOWHERE}
-    while entered := ends & busy & {n for s, n, _, over in steps if s not in ends and not over}:
+    # Remove states that are entered from outside, until there are none.
+    while True:
+        alive = {n for s, n, _, over in steps if s not in ends and not over}
+        entered = ends & busy & alive
+        if not entered:
+            return ends, targets
         ends -= entered
-    return ends, targets
 
 
 def _of_matrices(env: Any, dynamics: Mapping[str, Any], where: str) -> tuple[Numbers, Numbers]:
-    """Return P and R (S, A, S) from `tx_mat` and `r_mat`, as ICU-Sepsis has them.
+    """Return P and R (S, A, S) from the matrices `tx_mat` and `r_mat` of ICU-Sepsis.
 
-    An action that is not admissible has a row of its own there (the mean of the others), unless the
-    environment refuses such actions. An episode is over as soon as nothing is left but to go on to
-    the absorbing state, without a reward: from death and survival.
+    An inadmissible action has a row there as well (the mean of the others), unless the environment
+    refuses such actions. An episode is over in a state from which every action leads to the
+    absorbing state without a reward: death and survival.
     """
     chances = np.array(dynamics["tx_mat"], dtype=np.float64)
     gains = np.array(dynamics.get("r_mat", np.zeros(chances.shape)), dtype=np.float64)
@@ -231,14 +258,16 @@ def _of_matrices(env: Any, dynamics: Mapping[str, Any], where: str) -> tuple[Num
     strategy = getattr(env, "_inadmissible_action_strategy", "mean")
     if strategy not in ("mean", "raise_exception"):
         raise ModelError(
-            f"inadmissible actions are handled by {strategy!r}, which no matrix tells",
+            f"inadmissible actions are handled by {strategy!r}, which the matrices do not show",
             where=where,
             fix='make the environment with inadmissible_action_strategy="mean"',
         )
+    # Idle states earn nothing. They are over if they lead only to the absorbing state.
     states = np.arange(len(chances))
     idle = ~((chances > 0) & (gains != 0)).any(axis=(1, 2))
     absorbing = idle & (chances[states, :, states] == 1).all(axis=1)
     over = np.flatnonzero(idle & (chances[:, :, absorbing].max(axis=2, initial=0) == 1).all(axis=1))
+    # Such a state gets a single action, which stays put.
     chances[over], gains[over], gains[over, 1:] = 0, 0, -np.inf
     chances[over, 0, over] = 1
     if strategy != "mean":
@@ -248,14 +277,16 @@ def _of_matrices(env: Any, dynamics: Mapping[str, Any], where: str) -> tuple[Num
 
 
 def _states_start(env: Any) -> bool:
-    """Return whether an environment states where episodes start."""
+    """Return whether an environment has an initial distribution."""
     return any(hasattr(env, name) for name in STARTS)
 
 
 def _read_start(env: Any) -> Any:
-    """Return where episodes start: state 0, as everywhere, where the environment does not say."""
+    """Return the initial distribution of an environment; state 0 if it has none."""
     given = next((getattr(env, name) for name in STARTS if hasattr(env, name)), 0)
-    by_state = {int(given): 1} if is_whole_number(given) else given
+    by_state = given
+    if is_whole_number(given):
+        by_state = {int(given): 1}
     if isinstance(by_state, Mapping) and all(map(is_whole_number, by_state)):
         return ByNumber((int(state), chance) for state, chance in by_state.items())
     if isinstance(given, Sequence | np.ndarray) and not isinstance(given, str):
@@ -268,9 +299,9 @@ def _read_start(env: Any) -> Any:
 
 
 def _time_limit(layers: Sequence[Any]) -> int | None:
-    """Return after how many steps the environment stops: the lowest limit of its wrappers.
+    """Return the number of steps after which an environment stops; None without a limit.
 
-    A specification says it too, where no wrapper does; a limit of -1 is none.
+    It is the lowest limit of the wrappers, or else that of the specification; -1 means no limit.
     """
     limits: list[Any] = [getattr(each, "__dict__", {}).get("_max_episode_steps") for each in layers]
     stated: Any = getattr(getattr(layers[0], "spec", None), "max_episode_steps", None)
@@ -282,6 +313,7 @@ def _time_limit(layers: Sequence[Any]) -> int | None:
 
 
 def _find_environment_name(env: Any) -> str:
+    """Return the id of an environment, or the name of its class; "" for a table."""
     if is_outcome_table(env):
         return ""
     spec = getattr(env, "spec", None)
@@ -289,11 +321,12 @@ def _find_environment_name(env: Any) -> str:
 
 
 def _make_environment(name: str, **options: Any) -> Any:
+    """Return a registered environment; turn all errors of its code into ModelErrors."""
     with require_extra("models"):
         import gymnasium
     try:
         with warnings.catch_warnings():
-            # An outdated version is refused right after the warning of it, in the same words.
+            # After the warning about an outdated version comes an error with the same words.
             warnings.simplefilter("ignore")
             return gymnasium.make(name, **options)
     except Exception as error:  # whatever the environment's own code raises
@@ -303,11 +336,10 @@ def _make_environment(name: str, **options: Any) -> Any:
             fix = "install it, or put the folder of the module that registers the environment on "
             fix += "PYTHONPATH"
         elif isinstance(error, gymnasium.error.Error | ImportError):
-            toy = (
-                key
-                for key, spec in gymnasium.registry.items()
-                if TOY_TEXT in str(spec.entry_point) and spec.name != "Blackjack"  # it has no P
-            )
+            toy = []
+            for key, spec in gymnasium.registry.items():
+                if TOY_TEXT in str(spec.entry_point) and spec.name != "Blackjack":  # it has no P
+                    toy.append(key)
             what, fix = f"Gymnasium cannot make {name!r}: {said}", suggest_name(name, toy)
         else:
             what = f"the environment {name} raises {type(error).__name__}: {said}"

@@ -1,11 +1,11 @@
-"""What an environment does, compared with its table `P`: wrappers, step() and reset().
+"""Comparison of an environment with its table `P`: wrappers, step() and reset().
 
-A model is made of `P` alone, so an environment whose step() or reset() does more is another
-problem. Wrappers of Gymnasium that only watch, stop or draw are harmless, and toy-text environments
-do what `P` says. Anything else, a wrapper or an environment of one's own, is tried: some hundred
-steps with fixed seeds. After action a in state s each step (s', r, terminated) has to be one of the
-outcomes that P[s][a] gives a positive probability, and each start one of the states that have a
-positive initial probability. What happens seldom may be missed; frequencies are not compared.
+A model is made from `P` alone, so an environment whose step() or reset() does something else is
+another problem. Gymnasium's wrappers that only record, stop or draw are harmless, and toy-text
+environments agree with their `P`. Every custom wrapper or environment is tried for some hundred
+steps with fixed seeds. After action a in state s, each step (s', r, terminated) must be an outcome
+with a positive probability in P[s][a], and each start must be a state with a positive initial
+probability. Rare events may be missed, and frequencies are not compared.
 """
 
 from __future__ import annotations
@@ -29,31 +29,29 @@ HARMLESS = {
     *("RecordVideo", "RenderCollection", "HumanRendering", "DtypeObservation", "ArrayConversion"),
     *("NumpyToTorch", "JaxToNumpy", "JaxToTorch"),
 }
-"""Wrappers of Gymnasium that leave states, actions, rewards and ends as they are."""
-STARTS, STEPS, LONGEST_EPISODE = 8, 500, 100
-CLOSE = 1e-6  # rewards may be in single precision
+"""Wrappers of Gymnasium that do not change states, actions, rewards or ends of episodes."""
 
 
 def layers_of(env: Any) -> Iterator[Any]:
-    """Yield an environment and what it wraps, from the outside in."""
+    """Yield an environment and the environments inside its wrappers, from the outside in."""
     while env is not None:
         yield env
         env = getattr(env, "__dict__", {}).get("env")
 
 
 def refuse_changes(layers: Sequence[Any]) -> None:
-    """Raise ModelError where a wrapper changes rewards or actions, or Taxi its destination."""
+    """Raise ModelError if a wrapper changes rewards or actions, or Taxi changes destinations."""
     for env in layers[:-1]:
         kinds = {each.__name__ for each in type(env).__mro__} & {"RewardWrapper", "ActionWrapper"}
         if kinds and not (kinds == {"ActionWrapper"} and only_numbers(env)):
             raise ModelError(
-                f"{type(env).__name__} changes the environment, and P does not know of it",
+                f"{type(env).__name__} changes the environment, but not its table P",
                 where="env",
                 fix="give env.unwrapped, or describe the change: MDP.from_function(…)",
             )
     if getattr(layers[-1], "fickle_passenger", False) is True:
         raise ModelError(
-            "a fickle passenger changes the destination on the way, and P does not know of it",
+            "a fickle passenger changes the destination on the way, but P does not include that",
             where="env",
             fix="make the environment without fickle_passenger, or describe it: "
             "MDP.from_function(…)",
@@ -61,7 +59,7 @@ def refuse_changes(layers: Sequence[Any]) -> None:
 
 
 def only_numbers(env: Any) -> bool:
-    """Return whether an action wrapper numbers several choices, the last the fastest, as P does."""
+    """Return whether an action wrapper only numbers combinations of choices, in the order of P."""
     levels = getattr(env.env.action_space, "nvec", None)
     if levels is None or getattr(env.action_space, "n", None) != np.prod(levels):
         return False
@@ -70,18 +68,18 @@ def only_numbers(env: Any) -> bool:
 
 
 def refuse_untried(layers: Sequence[Any]) -> None:
-    """Raise ModelError for a wrapper that may change what matrices, not tried here, say."""
+    """Raise ModelError for a wrapper that may change the environment, which is not tried."""
     for env in layers[:-1]:
         if not (_is_harmless(env) or only_numbers(env)):
             raise ModelError(
-                f"{type(env).__name__} may change the environment, and its matrices do not know "
-                "of it",
+                f"{type(env).__name__} may change the environment, but not its matrices",
                 where="env",
                 fix="give env.unwrapped, or describe the change: MDP.from_function(…)",
             )
 
 
 def _is_harmless(env: Any) -> bool:
+    """Return whether an environment is a wrapper of Gymnasium that changes nothing."""
     kind = type(env)
     return kind.__name__ in HARMLESS and kind.__module__.startswith("gymnasium.")
 
@@ -89,12 +87,13 @@ def _is_harmless(env: Any) -> bool:
 def compare_with_table(
     layers: Sequence[Any], rows: Rows, starts: Collection[int], stated: bool
 ) -> None:
-    """Raise ModelError where an environment does what its table does not say.
+    """Raise ModelError if an environment does not agree with its table.
 
-    `starts` are the states where episodes begin, as the environment has `stated` or as was assumed.
-    What is tried is a copy of the environment where it can be copied. Warns where an environment
-    cannot be compared, because its observations or actions are no numbers.
+    `starts` are the states in which episodes begin; `stated` says whether they are known or only
+    assumed. A copy of the environment is tried, if it can be copied. Warns if the environment
+    cannot be compared, since its observations or actions are not numbers.
     """
+    # Skip harmless wrappers outside; environments of Gymnasium itself need no trial.
     inside = (k for k, each in enumerate(layers) if not _is_harmless(each))
     first = next(inside, len(layers) - 1)
     env, base = layers[first], layers[-1]
@@ -104,29 +103,30 @@ def compare_with_table(
         return
     space = getattr(env, "action_space", None)
     if space is not None and not hasattr(space, "n"):
-        return _warn_not_compared(env, "its actions are no numbers")
+        return _warn_not_compared(env, "its actions are not numbers")
     with _keep_random_state():
         _Trial(_copy_environment(env, base), env is base).run_steps(rows, starts, stated)
     return None
 
 
 def _warn_not_compared(env: Any, why: str) -> None:
+    """Warn that an environment was not compared with its table."""
     what = f"step() of {type(env).__name__} was not compared with P: {why}"
     warnings.warn(what, stacklevel=4)
 
 
 def _copy_environment(env: Any, base: Any) -> Any:
-    """Return a copy that shares the table, or the environment itself where there is none."""
+    """Return a copy that shares the table, or the environment itself if it cannot be copied."""
     table = getattr(base, "P", None)
     try:
         return copy.deepcopy(env, {id(table): table})
-    except Exception:  # locks, windows and others refuse in ways of their own
+    except Exception:  # locks, windows and other objects raise errors of their own
         return env
 
 
 @contextmanager
 def _keep_random_state() -> Iterator[None]:
-    """Leave the random numbers of the process as they were."""
+    """Restore the state of the global random number generators afterwards."""
     python, numpy = random.getstate(), np.random.get_state()  # noqa: NPY002  (others may use it)
     try:
         yield
@@ -142,17 +142,23 @@ class _Trial:
         self.env, self.name, self.own = env, type(env).__name__, own
 
     def run_steps(self, rows: Rows, starts: Collection[int], stated: bool) -> None:
+        """Run episodes with random actions; raise ModelError for a step that P does not list."""
         actions: dict[int, list[int]] = {}
         for state, action in rows:
             actions.setdefault(state, []).append(action)
+        # At least 500 steps and 8 episodes: more would find rarer differences, and take longer.
         draw, steps, seed = random.Random(0), 0, 0
-        while steps < STEPS or seed < STARTS:
+        while steps < 500 or seed < 8:
             now = self._reset_environment(seed)
             if now is None:
                 return
             self._check_start(now, starts, stated, actions)
             seed += 1
-            for _ in range(LONGEST_EPISODE if steps < STEPS else 0):
+            # After enough steps, only the starts of further episodes are compared.
+            longest = 100
+            if steps >= 500:
+                longest = 0
+            for _ in range(longest):
                 steps += 1
                 action = draw.choice(actions[now])
                 done = self._take_step(now, action)
@@ -169,7 +175,7 @@ class _Trial:
                 now = following
 
     def _reset_environment(self, seed: int) -> int | None:
-        """Return the state in which an episode begins; None where reset() tells none."""
+        """Return the state in which an episode begins; None if reset() does not return it."""
         try:
             answer = self._call_reset(seed)
         except NotImplementedError:
@@ -178,12 +184,12 @@ class _Trial:
             raise self._exception_error("reset()", error) from error
         if answer is None:
             return None  # the reset() of gymnasium.Env, which only sets a seed
-        return self._read_state_number(
-            answer[0] if type(answer) is tuple and len(answer) == 2 else answer
-        )
+        if type(answer) is tuple and len(answer) == 2:  # with `info`
+            answer = answer[0]
+        return self._read_state_number(answer)
 
     def _call_reset(self, seed: int) -> Any:
-        """Call reset(), without a seed where it takes none."""
+        """Call reset(), without a seed if it does not accept one."""
         try:
             return self.env.reset(seed=seed)
         except TypeError as error:
@@ -192,7 +198,7 @@ class _Trial:
             return self.env.reset()
 
     def _take_step(self, state: int, action: int) -> tuple[int, float, bool, bool] | None:
-        """Return next state, reward, terminated and truncated; None where there is no step()."""
+        """Return next state, reward, terminated and truncated; None if there is no step()."""
         try:
             seen, reward, over, *more = self.env.step(action)
             reward, over, cut = float(reward), bool(over), len(more) > 1 and bool(more[0])
@@ -201,10 +207,12 @@ class _Trial:
         except Exception as error:
             raise self._exception_error(f"step({action}) in state {state}", error) from error
         following = self._read_state_number(seen)
-        return None if following is None else (following, reward, over, cut)
+        if following is None:
+            return None
+        return following, reward, over, cut
 
     def _read_state_number(self, seen: Any) -> int | None:
-        """Return the number of a state that is observed; a warning, and None, where it is none."""
+        """Return the state number of an observation; warn and return None if it is not one."""
         array = np.asarray(seen)
         if array.size == 1 and array.dtype.kind in "iuf" and float(array.item()).is_integer():
             return int(array.item())
@@ -220,6 +228,7 @@ class _Trial:
     def _check_start(
         self, state: int, starts: Collection[int], stated: bool, known: Collection[int]
     ) -> None:
+        """Raise ModelError unless an episode may begin in a state."""
         if state in starts and state in known:
             return
         if state not in known:
@@ -230,38 +239,44 @@ class _Trial:
                 what, "correct initial_state_distrib; or say where: start=, --start"
             )
         raise self._mismatch_error(
-            f"reset() begins in state {state}, and the environment does not state where it begins",
+            f"reset() begins in state {state}, and the environment states no initial distribution",
             f"say where: start={state}, or --start {state}; or start={{state: probability}}",
         )
 
     def _check_step(
         self, state: int, action: int, outcomes: Sequence[Outcome], done: tuple[int, float, bool]
     ) -> None:
+        """Raise ModelError unless a step is one of the outcomes of the table."""
         following, reward, over = done
         for chance, target, gain, ends in outcomes:
-            # Nothing follows where the episode is over: tables name any state there.
+            # At the end of an episode the next state has no meaning, and tables name any.
             same = ends == over and (over or target == following)
-            near = abs(float(exact(gain)) - reward) <= CLOSE * max(1.0, abs(reward))
+            # Rewards may be in single precision.
+            near = abs(float(exact(gain)) - reward) <= 1e-6 * max(1.0, abs(reward))
             if exact(chance) > 0 and same and near:
                 return
-        said = ", ".join(
+        listed = [
             f"({target}, {float(exact(gain)):g}, {ends})" for _, target, gain, ends in outcomes[:4]
-        )
+        ]
+        if len(outcomes) > 4:
+            listed.append("…")
         raise self._mismatch_error(
             f"step({action}) in state {state} gave ({following}, {reward:g}, {over}); P lists "
-            f"(next state, reward, terminated) {said}{', …' if len(outcomes) > 4 else ''}"
+            f"(next state, reward, terminated) {', '.join(listed)}"
         )
 
     def _mismatch_error(self, what: str, fix: str = "") -> ModelError:
+        """Return the error for an environment that differs from its table."""
         if not self.own:
             fix = "give env.unwrapped, or describe the change: MDP.from_function(…)"
         elif not fix:
-            fix = "let P say what step() and reset() do; or give P alone: "
+            fix = "make P agree with step() and reset(); or give P alone: "
             fix += "MDP.from_gymnasium(env.unwrapped.P)"
-        what = f"the environment does not do what P says: {what}"
+        what = f"the environment does not agree with P: {what}"
         return ModelError(what, where=self.name, fix=fix)
 
     def _exception_error(self, call: str, error: Exception) -> ModelError:
+        """Return the error for a call that raises an exception."""
         return self._mismatch_error(
             f"{call} raises {type(error).__name__}: {shorten_text(str(error), 100)}"
         )

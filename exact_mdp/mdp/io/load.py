@@ -1,4 +1,4 @@
-"""Models by name or file, as the command line takes them.
+"""Models by name or file, as on the command line.
 
 A model is a shipped scenario (`yuan2025`), a scenario file (`.toml`), a saved model (`.npz`,
 `.json`), a model checker's file (`.umb`; `.umb#NAME` chooses among its reward models), its source
@@ -11,6 +11,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -30,7 +31,7 @@ FILES = (".toml", ".npz", ".umb", ".json", *SOURCES)
 
 @dataclass(frozen=True, kw_only=True)
 class Loaded:
-    """A model with the name it goes by, and the scenario it was compiled from, if any."""
+    """A model with its name, and the scenario from which it was compiled, if any."""
 
     name: str
     mdp: MDP
@@ -45,13 +46,16 @@ def read_model(
     start: object | None = None,
     constants: str | Mapping[str, object] | None = None,
 ) -> Loaded:
-    """Return the model that `spec` names, see `load`; raises ModelError where there is none.
+    """Return the model that `spec` names; see `load`. Raises ModelError if there is none.
 
-    A discount that is given wins over `sets`.
+    A given discount overrides `sets`.
     """
+    # FILE.umb#NAME chooses a reward model of the file.
     text = str(spec)
-    named = re.fullmatch(r"(?s)(.*\.umb)#(.*)", text, re.IGNORECASE)  # a reward model of a file
-    file, reward = named.groups() if named else (text, None)
+    file, reward = text, None
+    named = re.fullmatch(r"(?s)(.*\.umb)#(.*)", text, re.IGNORECASE)
+    if named:
+        file, reward = named.groups()
     suffix, scenario = Path(file).suffix.lower(), None
     if constants and suffix not in SOURCES:
         fix = f"give a {' or '.join(SOURCES)} file"
@@ -60,20 +64,23 @@ def read_model(
         scenario = Scenario.load(text)
         for assignment in require_type(sets, Sequence, "sets", 'give ["KEY=VALUE", …]'):
             scenario = scenario.set(require_type(assignment, str, "sets", 'give "KEY=VALUE"'))
-        scenario = scenario if discount is None else scenario.with_(discount=discount)
+        if discount is not None:
+            scenario = scenario.with_(discount=discount)
         mdp = scenario.compile()
     elif sets and (text.startswith(GYMNASIUM) or text == STANDARD_INPUT or suffix in FILES):
-        raise ModelError(
-            f"{sets[0]!r} cannot be set: the model is not a scenario",
-            where=text,
-            fix="set values on a shipped scenario or a .toml file"
-            + ("; use --discount for the discount" if "discount" in sets[0] else ""),
-        )
+        fix = "set values on a shipped scenario or a .toml file"
+        if "discount" in sets[0]:
+            fix += "; use --discount for the discount"
+        what = f"{sets[0]!r} cannot be set: the model is not a scenario"
+        raise ModelError(what, where=text, fix=fix)
     elif text.startswith(GYMNASIUM):
-        # An environment is asked where it starts, unless that is given.
-        names = {} if start is None else {"start": start}
-        name = text.removeprefix(GYMNASIUM)
-        mdp = MDP.from_gymnasium(name, 1 if discount is None else discount, **names)
+        # Without a start, the environment says where episodes begin.
+        names: dict[str, Any] = {}
+        if start is not None:
+            names["start"] = start
+        if discount is not None:
+            names["discount"] = discount
+        mdp = MDP.from_gymnasium(text.removeprefix(GYMNASIUM), **names)
     elif suffix == ".umb":
         mdp = umb.read_umb(file, discount=discount, reward=reward, start=start)
     elif suffix in SOURCES:
@@ -81,11 +88,16 @@ def read_model(
             text, constants=_format_constants(constants), discount=discount, start=start
         )
     elif suffix in (".npz", ".json") or text == STANDARD_INPUT:
-        mdp = npz.read_npz(text) if suffix == ".npz" else model_json.read_model_json(text)
-        mdp = mdp if discount is None else mdp.with_(discount=discount)
+        if suffix == ".npz":
+            mdp = npz.read_npz(text)
+        else:
+            mdp = model_json.read_model_json(text)
+        if discount is not None:
+            mdp = mdp.with_(discount=discount)
     else:
         raise _unknown_model_error(text)
-    mdp = mdp if start is None else mdp.with_(start=start)
+    if start is not None:
+        mdp = mdp.with_(start=start)
     return Loaded(name=mdp.name or Path(text).stem, mdp=mdp, scenario=scenario)
 
 
@@ -106,12 +118,12 @@ def load(
     sets : sequence of "KEY=VALUE"
         Changes to a scenario, in order.
     discount : number or "p/q", optional
-        Instead of the model's own.
+        The discount to use instead of the model's own.
     start : state, {state: probability} or (S,) vector, optional
-        Instead of the model's own.
+        The initial distribution to use instead of the model's own.
     constants : {name: number} or "N=4,p=1/3", optional
-        Values of what a `.prism` or `.jani` file leaves open; a float is the decimal that it
-        prints as.
+        Values of the constants that a `.prism` or `.jani` file leaves open; a float is the decimal
+        that it prints as.
 
     Returns
     -------
@@ -120,7 +132,7 @@ def load(
     Raises
     ------
     ModelError
-        Where there is no such model (the nearest name is suggested), or it is damaged.
+        If there is no such model (the most similar name is suggested), or its file is damaged.
 
     Examples
     --------
@@ -132,7 +144,7 @@ def load(
 
 
 def save(model: MDP, path: str | Path) -> None:
-    """Write a model as `.npz`, as `.umb` for model checkers or as `.json`, by its ending.
+    """Write a model as `.npz`, `.umb` (for model checkers) or `.json`, by the file's extension.
 
     Parameters
     ----------
@@ -142,7 +154,7 @@ def save(model: MDP, path: str | Path) -> None:
     Raises
     ------
     ModelError
-        For another ending, and where the path cannot be written to.
+        For another extension, and if the path cannot be written to.
 
     Examples
     --------
@@ -158,7 +170,7 @@ def save(model: MDP, path: str | Path) -> None:
     require_type(path, str | Path, "save", fix)
     suffix = Path(path).suffix.lower()
     if suffix not in WRITERS:
-        what = f"cannot write a model as {suffix or 'a file without ending'}"
+        what = f"cannot write a model as {suffix or 'a file without extension'}"
         raise ModelError(what, where=str(path), fix="name it .npz, .umb or .json")
     WRITERS[suffix](model, path)
 
@@ -173,13 +185,16 @@ def _format_constants(constants: str | Mapping[str, object] | None) -> str:
         for name, value in given.items():
             if isinstance(value, bool | np.bool_):
                 number = str(value).lower()
+            elif isinstance(value, float | np.floating):
+                number = str(exact(str(value)))
             else:
-                number = str(exact(str(value) if isinstance(value, float | np.floating) else value))
+                number = str(exact(value))
             assigned.append(f"{name}={number}")
     return ",".join(assigned)
 
 
 def _unknown_model_error(text: str) -> ModelError:
+    """Return the error for a name or file that is not a model, with advice."""
     known = f"{', '.join(FILES)} file, or {GYMNASIUM}ID"
     if Path(text).is_file():
         return ModelError("unknown kind of model file", where=text, fix=f"give a {known}")

@@ -1,36 +1,36 @@
-"""Models as `model.json`: exact rows in integers, to be read by any program.
+"""Models as `model.json`: exact rows in integers, for any program to read.
 
     format, version   "exact-mdp model", 2
     name              a text
     states            S
     discount          a number
-    sense             "max", or "min" where rewards are costs
-    start             {state: probability}, of the states where a run may begin
+    sense             "max", or "min" for costs
+    start             {state: probability}, for the states with a positive probability
     pairs             a list of {"state", "action", "reward", "denominator", "next", "weight"}: the
                       pair leads to next[i] with probability weight[i] / denominator, and the
                       positive integers in weight add up to the denominator; the reward is one
                       number, or a list with one for each of the next states
     float_probabilities, float_rewards
-                      whether they were given as floats, whose rounding a gate forgives
-    goal, unreached   null, or a list of states, the goal; and what a run that never reaches it is
-                      worth, "inf" or "-inf"
-    time_limit        null, or after how many steps the environment stops, which is no part of the
-                      model: results say so
+                      whether they were given as floats; audits then allow for their rounding
+    goal, unreached   null, or a list of states, the goal; and the value of a run that never reaches
+                      it, "inf" or "-inf"
+    time_limit        null, or the number of steps after which the environment stops; it is not part
+                      of the model, and results mention it
     target            a list of states in which `until` ends runs below discount 1; left out
                       without such a question
     labels            {name: list of states}
     component_names   [name] of the only component, if that is not "reward"; left out if it is
-    components        {name: list with a number for each pair}: parts of the reward; in place of a
+    components        {name: list with a number for each pair}: parts of the reward; instead of a
                       number there may be a list with one for each of the next states
     averaged          whether components, or without them rewards, are only means over the outcomes
                       of a pair; left out if not
     action_names      a list of texts, by number
-    state_names       the same of states, or null
+    state_names       a list of texts, by number, or null
 
 A number is an integer or a text: "7", "1/3", or in hexadecimal "-0x1f4/0x3". Integers of 2^53 and
-above are texts, because not all programs read them as they are. States and actions are numbers from
-0 up, and pairs are in the order of states and actions. What is not kept: columns of states,
-parameters, events, and how often pairs were observed.
+above are texts, because some programs would round them. States and actions are numbers from 0, and
+pairs are in the order of states and actions. Columns of states, parameters, events, and numbers of
+observations are not saved.
 """
 
 from __future__ import annotations
@@ -64,31 +64,40 @@ from exact_mdp.mdp.io.structured import (
 )
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Numbers, OutcomeTable, find_magnitude, over_groups, to_integer_array
+from exact_mdp.mdp.table import (
+    EXACT_IN_FLOAT,
+    Numbers,
+    OutcomeTable,
+    find_magnitude,
+    over_groups,
+    to_integer_array,
+)
 
 FORMAT, VERSION = "exact-mdp model", 2
 FLOATS = ("float_probabilities", "float_rewards")
-ONE = ("reward",)  # the name of the only component, unless it is given
+ONE = ("reward",)  # the default name of a single component
 
 
 def parse_positive(given: Any) -> int:
-    """Read an integer above 0."""
-    value = given if type(given) is int else parse_rational(given)
-    positive = value > 0 and value.denominator == 1
-    return value.numerator if positive else refuse_value(given, "a positive integer")
+    """Return a positive integer."""
+    value = parse_rational(given)
+    if value <= 0 or value.denominator != 1:
+        refuse_value(given, "a positive integer")
+    return value.numerator
 
 
-def parse_rewards(given: Any) -> Fraction | tuple[Fraction, ...]:
-    """Read one reward, or one for each next state."""
-    return (
-        require_shape(given, [parse_rational]) if isinstance(given, list) else parse_rational(given)
-    )
+def parse_amounts(given: Any) -> Fraction | tuple[Fraction, ...]:
+    """Return the reward, or component amount, of a pair; or a tuple with one per next state."""
+    if isinstance(given, list):
+        amounts: tuple[Fraction, ...] = require_shape(given, [parse_rational])
+        return amounts
+    return parse_rational(given)
 
 
 PAIR = {
     "state": parse_natural,
     "action": parse_natural,
-    "reward": parse_rewards,
+    "reward": parse_amounts,
     "denominator": parse_positive,
     "next": [parse_natural],
     "weight": [parse_positive],
@@ -104,7 +113,7 @@ HEAD = {
     "unreached": parse_unreached,
     "time_limit": or_null(parse_positive),
     "labels": {str: [parse_natural]},
-    "components": {str: [lambda given: _parse_amount(given)]},
+    "components": {str: [parse_amounts]},
     "averaged": or_null(bool),
     "target": or_null([parse_natural]),
     "component_names": or_null([str]),
@@ -114,31 +123,43 @@ HEAD = {
 }
 OTHERWISE: dict[str, Any] = {"name": "", "unreached": "inf", "labels": {}, "components": {}}
 OTHERWISE |= dict.fromkeys(FLOATS, False)
-"""What stands for a key that a file of another program leaves out."""
+"""Values of keys that the files of other programs may leave out."""
 
 
 def encode_model(mdp: MDP) -> dict[str, Any]:
-    """Return what the file of a model contains."""
+    """Return the content of the file of a model."""
+    # The columns of the pairs; lists by outcome are cut into one list for each pair.
     table, offsets = mdp.table, mdp.table.offsets
     (weight, below), (gain, under) = table.integer_weights(), table.integer_gains()
     rows = list(map(slice, offsets[:-1].tolist(), offsets[1:].tolist()))
-    following, weights = (
-        map(each.__getitem__, rows) for each in (table.next.tolist(), _encode_integers(weight))
-    )
+    all_next, all_weights = table.next.tolist(), _encode_integers(weight)
+    following, weights = [all_next[row] for row in rows], [all_weights[row] for row in rows]
     if len(gain) == table.pairs:
         rewards = list(map(_encode_ratio, gain.tolist(), under.tolist()))
     else:
         each = list(map(_encode_ratio, gain.tolist(), np.repeat(under, np.diff(offsets)).tolist()))
-        of_pairs = map(each.__getitem__, rows)
-        rewards = [own if len({*own}) > 1 else own[0] for own in of_pairs]
+        rewards = [_merge_equal(each[row]) for row in rows]
     states, actions = mdp.pair_state.tolist(), mdp.pair_action.tolist()
     columns = states, actions, rewards, _encode_integers(below), following, weights
-    named, one = mdp.space != StateSpace.plain(mdp.n_states), mdp.space.names == ("state",)
-    words = [
-        mdp.space.columns[0].label(state) if one and state < mdp.space.regular else label
-        for state, label in enumerate(mdp.space.labels(range(mdp.n_states)))
-    ]
-    parts = {} if table.components is None else dict(_list_component_amounts(mdp, rows))
+    # Names of states: words of a single column, else printed forms; null for plain numbers.
+    words = None
+    if mdp.space != StateSpace.plain(mdp.n_states):
+        words = mdp.space.labels(range(mdp.n_states))
+        if mdp.space.names == ("state",):
+            words[: mdp.space.regular] = map(mdp.space.columns[0].label, range(mdp.space.regular))
+    goal = None
+    if mdp.goal is not None:
+        goal = np.flatnonzero(mdp.goal).tolist()
+    # Keys that are written only if they differ from their default.
+    parts, optional = dict[str, list[Any]](), dict[str, Any]()
+    if table.components is not None:
+        parts = dict(_list_component_amounts(mdp, rows))
+    if table.averaged:
+        optional["averaged"] = True
+    if mdp.target is not None and mdp.goal is None:
+        optional["target"] = np.flatnonzero(mdp.target).tolist()
+    if not parts and mdp.component_names != ONE:
+        optional["component_names"] = mdp.component_names
     head = {
         "format": FORMAT,
         "version": VERSION,
@@ -148,30 +169,28 @@ def encode_model(mdp: MDP) -> dict[str, Any]:
         "sense": mdp.sense,
         **{name: getattr(mdp, name) for name in FLOATS},
         "start": {str(state): share for state, share in mdp.start if share},
-        "goal": None if mdp.goal is None else np.flatnonzero(mdp.goal).tolist(),
+        "goal": goal,
         "unreached": str(mdp.unreached),
         "time_limit": mdp.time_limit,
         "labels": {name: np.flatnonzero(each).tolist() for name, each in mdp.labels.items()},
         "components": parts,
-        **({"averaged": True} if table.averaged else {}),
-        **({"target": targeted} if (targeted := _list_targets(mdp)) is not None else {}),
-        **({} if parts or mdp.component_names == ONE else {"component_names": mdp.component_names}),
+        **optional,
         "action_names": mdp.actions,
-        "state_names": words if named else None,
+        "state_names": words,
     }
     pairs = [dict(zip(PAIR, pair, strict=True)) for pair in zip(*columns, strict=True)]
     return {**encode_rationals(head), "pairs": pairs}
 
 
-def _list_targets(mdp: MDP) -> list[int] | None:
-    """Return the states in which runs end for a question, if they are not the goal."""
-    if mdp.target is None or mdp.goal is not None:
-        return None
-    return np.flatnonzero(mdp.target).tolist()
+def _merge_equal(amounts: list[Any]) -> Any:
+    """Return the amount of a pair if all of its outcomes have the same, else the list."""
+    if len({*amounts}) > 1:
+        return amounts
+    return amounts[0]
 
 
 def _list_component_amounts(mdp: MDP, rows: Sequence[slice]) -> Iterator[tuple[str, list[Any]]]:
-    """Yield the name of each component, and its amounts by pair, or lists of them by outcome."""
+    """Yield the name of each component, and its amount for each pair, or amounts by outcome."""
     table = mdp.table
     for place, name in enumerate(mdp.component_names):
         if not table.parted_by_outcome:
@@ -179,22 +198,27 @@ def _list_component_amounts(mdp: MDP, rows: Sequence[slice]) -> Iterator[tuple[s
             continue
         gain, below = table.with_component_reward(place).integer_gains()
         each = list(map(_encode_ratio, gain.tolist(), below[table.pair].tolist()))
-        of_pairs = map(each.__getitem__, rows)
-        yield name, [own if len({*own}) > 1 else own[0] for own in of_pairs]
+        yield name, [_merge_equal(each[row]) for row in rows]
 
 
 def _encode_integers(array: Numbers) -> list[int | str]:
-    numbers = array.tolist()
-    return numbers if find_magnitude(array) < 2**53 else list(map(encode_integer, numbers))
+    """Return integers for JSON, large ones as texts."""
+    numbers: list[int | str] = array.tolist()
+    if find_magnitude(array) < EXACT_IN_FLOAT:
+        return numbers
+    return list(map(encode_integer, array.tolist()))
 
 
 @lru_cache
 def _encode_ratio(top: int, below: int) -> Any:
-    return encode_integer(top) if below == 1 else encode_rationals(Fraction(top, below))
+    """Return a ratio for JSON."""
+    if below == 1:
+        return encode_integer(top)
+    return encode_rationals(Fraction(top, below))
 
 
 def write_model_json(mdp: MDP, path: str | Path) -> None:
-    """Write a model, whole or not at all."""
+    """Write a model, completely or not at all."""
     head = encode_model(mdp)
     pairs = ",\n  ".join(json.dumps(pair) for pair in head.pop("pairs"))
     lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in head.items()]
@@ -202,12 +226,12 @@ def write_model_json(mdp: MDP, path: str | Path) -> None:
 
 
 def read_model_json(path: str | Path) -> MDP:
-    """Read a model; raises ModelError for a file that is damaged, or no valid model."""
+    """Return the model in a file; raise ModelError if it is damaged, or not a valid model."""
     with locate_errors(str(path)):
         given = json_of(read_text(path, most=LARGEST), str(path))
         if not has_format(given, FORMAT, VERSION):
             raise ModelError(
-                f"the file is no {FORMAT} of version {VERSION}",
+                f"the file is not an {FORMAT} of version {VERSION}",
                 fix="give a file that exact-mdp convert IN model.json wrote; in "
                 "verify CERTIFICATE MODEL the certificate comes first",
             )
@@ -217,12 +241,16 @@ def read_model_json(path: str | Path) -> MDP:
         if not 1 <= states <= count:
             raise ModelError(f"{states} states and {count} pairs", fix="give each state a pair")
         state, action, reward, below, following, weight, orders = map(list, zip(*rows, strict=True))
+        # Rewards by pair, or all by outcome if some are.
         ends = np.concatenate([[0], np.cumsum([len(each) for each in weight])])
         groups = np.arange(count + 1)
         if any(isinstance(each, tuple) for each in reward):
-            each_own = zip(reward, weight, strict=True)
-            reward = [*chain(*(x if isinstance(x, tuple) else [x] * len(w) for x, w in each_own))]
-            groups = ends
+            by_outcome: list[Fraction] = []
+            for own, weights in zip(reward, weight, strict=True):
+                if not isinstance(own, tuple):
+                    own = [own] * len(weights)
+                by_outcome += own
+            reward, groups = by_outcome, ends
         gain, under = over_groups(reward, groups)
         table = OutcomeTable(
             offsets=ends,
@@ -232,28 +260,31 @@ def read_model_json(path: str | Path) -> MDP:
             gain=gain,
             gain_denominator=under,
         )
-        parts, names = head["components"], head["action_names"]
+        parts = head["components"]
         if parts:
             columns = {name: _parse_component(name, parts[name], orders) for name in parts}
             table = with_outcome_amounts(table, columns)
         table = replace(table, averaged=bool(head["averaged"]))
+        # Names of actions, labels and sets of states.
+        names = head["action_names"]
+        if names is None:
+            names = tuple(map(str, range(min(max(action), MOST_UNNAMED_ACTIONS) + 1)))
         flags = {name: _parse_flags(name, each, states) for name, each in head["labels"].items()}
+        sets: dict[str, Any] = {}
+        for name in ("goal", "target"):
+            if head[name] is not None:
+                sets[name] = _parse_flags(name, head[name], states)
         return MDP(
             table,
             np.array(state, dtype=np.int64),
             np.array(action, dtype=np.int64),
             space=StateSpace.plain(states, head["state_names"] or ()),
-            actions=tuple(map(str, range(min(max(action), MOST_UNNAMED_ACTIONS) + 1)))
-            if names is None
-            else names,
+            actions=names,
             discount_exact=head["discount"],
             start=tuple((_parse_state(key), share) for key, share in head["start"].items()),
             component_names=tuple(parts) or head["component_names"] or ONE,
             labels=flags,
-            goal=None if head["goal"] is None else _parse_flags("goal", head["goal"], states),
-            target=None
-            if head["target"] is None
-            else _parse_flags("target", head["target"], states),
+            **sets,
             **{key: head[key] for key in (*FLOATS, "name", "sense", "unreached", "time_limit")},
         )
 
@@ -261,33 +292,31 @@ def read_model_json(path: str | Path) -> MDP:
 def _parse_pair(
     number: int, state: int, action: int, reward: Any, denominator: int, next: Any, weight: Any
 ) -> tuple[Any, ...]:
-    """Return the parts of a pair, its next states in order."""
-    each = [next, weight, reward] if isinstance(reward, tuple) else [next, weight]
+    """Return the parts of a pair, sorted by next state, and the order in which they stood."""
+    each = [next, weight]
+    if isinstance(reward, tuple):
+        each.append(reward)
     if not next or len({*map(len, each)}) > 1:
         with locate_errors(f"pairs, {number}"):
             refuse_value(weight, "a list with a weight, or a reward, for each next state")
     order = sorted(range(len(next)), key=lambda k: [column[k] for column in each])
     next, weight, *rewards = ([column[k] for k in order] for column in each)
-    earned = tuple(rewards[0]) if rewards else reward
-    return state, action, earned, denominator, next, weight, order
+    if rewards:
+        reward = tuple(rewards[0])
+    return state, action, reward, denominator, next, weight, order
 
 
 def _parse_state(key: str) -> int:
+    """Return the state number that a key of the start is."""
     with locate_errors("start"):
-        return parse_natural(
-            parse_rational(key).numerator if parse_rational(key).denominator == 1 else key
-        )
-
-
-def _parse_amount(given: Any) -> Any:
-    """Read the amount of a pair, or the amounts of its outcomes."""
-    return (
-        require_shape(given, [parse_rational]) if isinstance(given, list) else parse_rational(given)
-    )
+        number = parse_rational(key)
+        if number.denominator != 1:
+            refuse_value(key, "a whole number from 0 up, below 2^62")
+        return parse_natural(number.numerator)
 
 
 def _parse_component(name: str, amounts: Sequence[Any], orders: Sequence[Sequence[int]]) -> Numbers:
-    """Return the amounts (N,) of outcomes, those of each pair in the order of its outcomes."""
+    """Return the amounts (N,) of a component, with the outcomes of each pair in sorted order."""
     with locate_errors(f"components, {name}"):
         if len(amounts) != len(orders):
             refuse_value(amounts, f"a list of {len(orders)} numbers")
@@ -303,6 +332,7 @@ def _parse_component(name: str, amounts: Sequence[Any], orders: Sequence[Sequenc
 
 
 def _parse_flags(name: str, numbers: Sequence[int], states: int) -> Numbers:
+    """Return (S,) True for the listed states."""
     if max(numbers, default=0) >= states:
         with locate_errors(name):
             refuse_value(numbers, f"a list of states below {states}")

@@ -1,6 +1,6 @@
 """Models saved as NumPy archives, without loss, and read by any program that reads `.npz`.
 
-The arrays of an archive, nothing in it being a pickle:
+The arrays of an archive, none of them pickled:
 
     header        (B,) uint8     UTF-8 text of a JSON object, see below
     pair_state    (L,) int64     state of each state-action pair, sorted by state, then action
@@ -8,28 +8,28 @@ The arrays of an archive, nothing in it being a pickle:
     offsets       (L+1,) int64   outcomes of pair l are offsets[l] … offsets[l+1]-1
     next          (N,) int32 or int64   next state of each outcome
     weight        (N,) integers or float64   probability of outcome i of pair l is
-    denominator   (L,) integers              weight[i] / denominator[l]; `mdp.forms.rows` says what
-                                             a row of floats means, which the denominator 1 is of
+    denominator   (L,) integers              weight[i] / denominator[l]; the denominator of a row
+                                             of floats is 1 (see `mdp.forms.rows` for its meaning)
     gain          (N,) or (L,) integers or float64   reward of an outcome, or of a pair, is
     gain_denominator (L,) integers                   gain[i] / gain_denominator[l]
-    event         (N,) uint8     optional: bit b is set where event number b happens
+    event         (N,) uint8     optional: bit b is set if event number b happens
     components    (N, C) or (L, C) integers or float64     optional: reward of an outcome, or of a
     component_denominator (L,) integers          pair, by component, over the pair's denominator
-    labels        (K, S) uint8   optional: 1 where the label's states are, of the header's names
-    goal          (S,) uint8     optional: 1 in the states that a run has to reach
-    target        (S,) uint8     optional: 1 where `until` ended runs, if that is no goal, as the
-                                 discount is below 1
+    labels        (K, S) uint8   optional: 1 for the states of each label named in the header
+    goal          (S,) uint8     optional: 1 for the states that a run has to reach
+    target        (S,) uint8     optional: 1 for the states in which `until` ended runs, if they are
+                                 not a goal, since the discount is below 1
     observations  (L,) int64     optional: how often each pair was observed; weights are counts then
 
-Integers are int64 where they fit. Where they do not, the array is uint8 of shape (…, k): each row
-is one integer of k ≥ 8 bytes, little-endian, two's complement. The header has the keys `format`
+Integers are int64 if they fit. Otherwise the array is uint8 of shape (…, k): each row is one
+integer of k ≥ 8 bytes, little-endian, two's complement. The header has the keys `format`
 ("exact-mdp model"), `version` (1), `name`, `discount`, `start` ([[state, number], …]), `actions`,
-`columns` ([{"name", "size", "bits", "words"}, …]: a state's number is that of its column values in
-row-major order), `objects` (of a column and of the actions: what these were made of; or left out),
-`extra` (names of the states after those), `component_names`, `events`,
+`columns` ([{"name", "size", "bits", "words"}, …]: states are numbered by their column values in
+row-major order), `objects` (the objects from which a column, or the actions, were made; or left
+out), `extra` (names of the states after those), `component_names`, `events`,
 `parameters` ([{"name", "value", "low", "high"}, …], low and high may be null), `time_limit` (a
 number of steps or null), `episodes` (a number or null), `sense` ("max" or "min"), `labels` (their
-names), `unreached` ("inf" or "-inf", what a run that misses the goal is worth),
+names), `unreached` ("inf" or "-inf", the value of a run that misses the goal),
 `float_probabilities` and `float_rewards` (whether some were given as floats), `averaged` (whether
 components, or without them the reward, are only means over the outcomes of a pair; left out if not)
 and `arrays` (the names of the others). Numbers are written as in `model.json`.
@@ -71,7 +71,7 @@ FORMAT, VERSION = "exact-mdp model", 1
 
 
 def parse_object(given: Any) -> Hashable:
-    """Read the object that a state or an action is."""
+    """Return the object of a state or an action."""
     if isinstance(given, list):
         return tuple(map(parse_object, given))
     if not isinstance(given, int | float | str):
@@ -80,7 +80,7 @@ def parse_object(given: Any) -> Hashable:
 
 
 def parse_column(given: Any) -> Column:
-    """Read a column of the states."""
+    """Return a column of the states."""
     parts = require_shape(given, COLUMN)
     size, bits, words = parts["size"], parts["bits"], parts["words"]
     if not size or len(words) not in (0, size) or bits > 62 or (bits and size != 1 << bits):
@@ -151,45 +151,48 @@ ARRAYS: dict[str, tuple[str, ...]] = {
 
 TABLE = tuple(ARRAYS)[3:12]
 MAY_LACK = tuple(ARRAYS)[9:]
-WIDTH = 8
 
 
 def write_npz(model: MDP, path: str | Path) -> None:
-    """Write a model to `path`, whole or not at all."""
+    """Write a model to `path`, completely or not at all."""
     write_atomically(path, pack_model(model))
 
 
 def pack_model(model: MDP) -> bytes:
     """Return the bytes of a model's archive."""
-    labels = [*model.labels.values()]
-    parts = {
-        "pair_state": model.pair_state,
-        "pair_action": model.pair_action,
-        **{name: getattr(model.table, name) for name in TABLE},
-        "labels": np.array(labels, dtype=np.uint8) if labels else None,
-        "goal": None if model.goal is None else model.goal.astype(np.uint8),
-        "target": None
-        if model.target is None or model.goal is not None
-        else model.target.astype(np.uint8),
-        "observations": model.observations,
-    }
+    # The arrays; those that the model lacks are left out.
+    parts: dict[str, Any] = {"pair_state": model.pair_state, "pair_action": model.pair_action}
+    parts |= {name: getattr(model.table, name) for name in TABLE}
+    if model.labels:
+        parts["labels"] = np.array([*model.labels.values()], dtype=np.uint8)
+    if model.goal is not None:
+        parts["goal"] = model.goal.astype(np.uint8)
+    elif model.target is not None:
+        parts["target"] = model.target.astype(np.uint8)
+    parts["observations"] = model.observations
     arrays = {name: _as_bytes(array) for name, array in parts.items() if array is not None}
+    # The header.
+    columns = []
+    for column in model.space.columns:
+        entry = {"name": column.name, "size": int(column.size), "bits": int(column.bits)}
+        columns.append(
+            entry | {"words": column.words} | _encode_objects(column.objects, column.words)
+        )
+    averaged = {}
+    if model.table.averaged:
+        averaged = {"averaged": True}
     header = {name: getattr(model, name) for name in SAME} | {
         "format": FORMAT,
         "version": VERSION,
         "discount": model.discount_exact,
         "start": [(int(state), weight) for state, weight in model.start],
         **_encode_objects(model.action_objects, model.actions),
-        "columns": [
-            {"name": c.name, "size": int(c.size), "bits": int(c.bits), "words": c.words}
-            | _encode_objects(c.objects, c.words)
-            for c in model.space.columns
-        ],
+        "columns": columns,
         "extra": model.space.extra,
         "parameters": [{name: getattr(p, name) for name in PARAMETER} for p in model.parameters],
         "labels": [*model.labels],
         "unreached": str(model.unreached),
-        **({"averaged": True} if model.table.averaged else {}),
+        **averaged,
         "arrays": sorted(arrays),
     }
     text = np.frombuffer(json.dumps(encode_rationals(header)).encode("ascii"), dtype=np.uint8)
@@ -199,7 +202,7 @@ def pack_model(model: MDP) -> bytes:
 
 
 def read_npz(path: str | Path) -> MDP:
-    """Read a model that `write_npz` wrote; raises ModelError for a file that is damaged."""
+    """Return a model written by `write_npz`; raise ModelError for a damaged file."""
     with locate_errors(str(path)):
         return unpack_model(path)
 
@@ -214,7 +217,7 @@ def unpack_model(source: str | Path | bytes) -> MDP:
         head = require_shape(given, HEADER)
         if not has_format(given, FORMAT, VERSION):
             refuse_value(given.get("version"), f"version {VERSION} of format {FORMAT!r}")
-        # One changed byte in an archive's list can hide those of its arrays that a model may lack.
+        # A damaged list of members can hide arrays that a model may lack, so the header lists them.
         if [*head["arrays"]] != sorted(arrays.keys() - {"header"}):
             refuse_value(head["arrays"], "the list of the arrays")
         if len(head["labels"]) != len(flags):
@@ -224,8 +227,13 @@ def unpack_model(source: str | Path | bytes) -> MDP:
             what = f"the columns make {space.size:.3g} states of {len(state)} state-action pairs"
             raise ModelError(what, where="columns", fix="save the model again")
         objects = _match_objects(head["objects"], head["actions"])
+    # Python integers are stored as rows of bytes.
     parts, there = len(head["component_names"]), [name for name in TABLE if name in arrays]
     columns: dict[str, Any] = {name: _as_integers(name, arrays[name], parts) for name in there}
+    sets: dict[str, Any] = {}
+    for name in ("goal", "target"):
+        if name in arrays:
+            sets[name] = arrays[name] > 0
     return MDP(
         OutcomeTable(**columns, averaged=bool(head["averaged"])),
         state,
@@ -236,8 +244,7 @@ def unpack_model(source: str | Path | bytes) -> MDP:
         start=head["start"],
         parameters=head["parameters"],
         labels=dict(zip(head["labels"], flags, strict=True)),
-        goal=arrays["goal"] > 0 if "goal" in arrays else None,
-        target=arrays["target"] > 0 if "target" in arrays else None,
+        **sets,
         unreached=head["unreached"],
         observations=arrays.get("observations"),
         **{name: head[name] for name in SAME},
@@ -245,29 +252,31 @@ def unpack_model(source: str | Path | bytes) -> MDP:
 
 
 def _encode_objects(things: Sequence[Hashable], words: Sequence[str]) -> dict[str, Any]:
-    """Return the objects that states or actions are, if JSON gives them back; a tuple is a list."""
+    """Return {"objects": objects} if JSON can represent them (tuples as lists), else {}."""
     try:
         text = json.dumps(things, default=lambda number: number.item(), allow_nan=False)
         listed = json_of(text, "objects")
         _match_objects(tuple(map(parse_object, listed)), words)
     except (AttributeError, TypeError, ValueError):
         return {}
-    return {"objects": listed} if listed else {}
+    if not listed:
+        return {}
+    return {"objects": listed}
 
 
 def _match_objects(
     objects: Sequence[Hashable] | None, words: Sequence[str]
 ) -> tuple[Hashable, ...]:
-    """Return the objects that a header lists, if any, whose texts are the words."""
+    """Return the objects of a header; raise ModelError unless their texts are the words."""
     listed = [(text_of(each), repr(each)) for each in objects or ()]
     fits = len(listed) == len(words) and all(map(tuple.__contains__, listed, words))
     if objects is not None and not fits:
-        refuse_value(objects, "an object for each name, of that text")
+        refuse_value(objects, "a list with an object for each name, with the name as its text")
     return tuple(objects or ())
 
 
 def _check_arrays(arrays: dict[str, Numbers]) -> None:
-    """Raise ModelError unless arrays are those of a model, of types and shapes that it allows."""
+    """Raise ModelError unless the arrays are those of a model, with the right types and shapes."""
     if not ARRAYS.keys() - {*MAY_LACK} <= arrays.keys() <= ARRAYS.keys():
         raise ModelError(
             f"the archive holds {', '.join(arrays)[:200] or 'nothing'}",
@@ -275,29 +284,37 @@ def _check_arrays(arrays: dict[str, Numbers]) -> None:
         )
     for name, array in arrays.items():
         kinds, kind, shape = ARRAYS[name], str(array.dtype), array.shape
+        # Arrays of bytes have an integer of 8 or more bytes in each row.
         bytewise = kind == "uint8" and len(kinds) > 1
-        dimensions = 2 if bytewise or name in ("components", "labels") else 1
-        narrow = bytewise and shape[1:] < (WIDTH,)
+        dimensions = 1
+        if bytewise or name in ("components", "labels"):
+            dimensions = 2
+        narrow = bytewise and shape[1:] < (8,)
         if kind not in kinds or len(shape) != dimensions or min(shape) < 1 or narrow:
             fix = f"give {' or '.join(kinds)}, as the format says"
             raise ModelError(f"an array of type {kind} and shape {shape}", where=name, fix=fix)
 
 
 def _as_bytes(array: Numbers) -> Numbers:
-    """Return Python integers as rows of bytes, one for each row; other arrays as they are."""
+    """Return an array of Python integers as rows of bytes; other arrays as they are."""
     if array.dtype != object:
         return array
     values = array.reshape(-1).tolist()
-    width = max([WIDTH, *(value.bit_length() // 8 + 1 for value in values)])
+    width = max([8, *(value.bit_length() // 8 + 1 for value in values)])
     data = b"".join(value.to_bytes(width, "little", signed=True) for value in values)
     return np.frombuffer(data, dtype=np.uint8).reshape(len(array), -1)
 
 
 def _as_integers(name: str, array: Numbers, parts: int) -> Numbers:
-    """Return rows of bytes as Python integers, those of components in parts; others as they are."""
+    """Return rows of bytes as Python integers, `parts` in each row of components.
+
+    Other arrays are returned as they are.
+    """
     if array.dtype != np.uint8 or array.ndim == 1:
         return array
-    count = parts if name == "components" else 1
+    count = 1
+    if name == "components":
+        count = parts
     if count < 1 or array.shape[1] % count:
         what = f"rows of {array.shape[1]} bytes for {count} components"
         raise ModelError(what, where=name, fix="save the model again")
@@ -305,4 +322,6 @@ def _as_integers(name: str, array: Numbers, parts: int) -> Numbers:
     values = [int.from_bytes(row.tobytes(), "little", signed=True) for row in rows]
     wide = np.empty(len(values), dtype=object)
     wide[:] = values
-    return wide.reshape(-1, count) if name == "components" else wide
+    if name == "components":
+        return wide.reshape(-1, count)
+    return wide

@@ -1,17 +1,16 @@
 """PRISM programs and JANI models, built state by state by Storm in exact rationals (stormpy).
 
-Every label, reward model and action of the model that Storm builds is kept, labels that no state
-has among them, and `init` and `deadlock`. A choice without an action is called "unnamed"; the
-second choice of a state with the action `go` is `go#2`. The values of the variables are the names
-of the states. Neither language has a discount: 1 unless it is given. What Storm prints goes to
-standard error. Storm runs in a process of its own, with at most a quarter of the machine's memory,
-10 GB at most.
+All labels (also those without states, `init` and `deadlock`), reward models and actions of the
+model that Storm builds are kept. A choice without an action is called "unnamed"; the second choice
+of a state with the action `go` is `go#2`. States are named by the values of the variables. Neither
+language has a discount: it is 1 by default. The output of Storm goes to standard error. Storm runs
+in a separate process, with at most a quarter of the machine's memory and at most 10 GB.
 
 Probabilities and rewards are exact. Real numbers in a guard, an assignment or the condition of an
-expression (`p > 0.3`, `x = 1/3 ? …`) are compared as doubles by Storm: two that differ by less are
-equal there, and a proof is of the model that Storm built. Multiply out such conditions, or compare
-whole numbers. A reward that JANI gives to the destinations of one edge in different amounts is
-refused, because Storm makes one expected amount of these.
+expression (`p > 0.3`, `x = 1/3 ? …`) are compared as doubles by Storm: numbers that differ by less
+are equal there, and a proof is about the model that Storm built. Rewrite such conditions with whole
+numbers. A JANI reward with different amounts for the destinations of one edge is refused, because
+Storm replaces them by one expected amount.
 
 Sources: https://www.prismmodelchecker.org/manual/ThePRISMLanguage, https://jani-spec.org
 """
@@ -40,10 +39,10 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import MOST_BYTES, exact
 
 PROGRAM = Path(__file__).with_name("storm_build.py")
-SAID = re.compile(r"ERROR \(\w+\.cpp:\d+\): (.*)")  # a line of Storm's log
+SAID = re.compile(r"ERROR \(\w+\.cpp:\d+\): (.*)")  # an error in Storm's log
 PLACE = re.compile(r"\b(line \d+|\d+:\d+)")
 DECLARED = r"\b{}\s*:\s*(\[|bool\b|int\b)"
-LOCATION = "_loc_"  # what Storm calls the location of an automaton begins so
+LOCATION = "_loc_"  # the beginning of Storm's names for locations of automata
 SMALLER = "give smaller values to its constants, or a smaller model"
 
 
@@ -54,16 +53,21 @@ def read_program(
     discount: object | None = None,
     start: object = None,
 ) -> MDP:
-    """Return the model that a PRISM program or a JANI model describes.
+    """Return the model of a PRISM program or a JANI model.
 
-    `constants` gives values to those that are left open, such as "N=4,p=1/3". Raises ModelError
-    where Storm is missing or refuses the program, or a constant is left open.
+    `constants` gives values to open constants, such as "N=4,p=1/3". Raises ModelError if Storm is
+    missing or refuses the program, or if a constant is still open.
     """
+    if discount is None:
+        discount = 1
     with locate_errors(str(path)):
         text = read_text(path, most=LARGE)  # a regular file, and not too large
         is_jani = Path(path).suffix.lower() == ".jani"
-        declared = jani.list_variables(text, str(path)) if is_jani else []
+        declared = []
+        if is_jani:
+            declared = jani.list_variables(text, str(path))
         built = _run_storm(Path(path), constants)
+        # Variables in the order of the file; locations of automata come last.
         known: list[str] = built["variables"]
         if is_jani:
             order = [name for name in declared if name in known]
@@ -71,20 +75,20 @@ def read_program(
         else:
             order = _in_order(known, text)
         content = _convert_parts(built, order)
-        content |= {"reward": None, "discount": 1 if discount is None else discount, "start": start}
+        content |= {"reward": None, "discount": discount, "start": start}
         return build_explicit_model(shown_text(str(path)), name=Path(path).stem, **content)
 
 
-# ---- the process apart ---------------------------------------------------------------------------
+# ---- the separate process ------------------------------------------------------------------------
 
 
 def _run_storm(path: Path, constants: str) -> dict[str, Any]:
-    """Return what `storm_build.py` says of a file; raises ModelError where that is no model."""
+    """Return the model of a file as `storm_build.py` prints it; raise ModelError if it fails."""
     with require_extra("models"):
         if find_spec("stormpy") is None:
             raise ModuleNotFoundError(name="stormpy")
     most = _most_memory()
-    # A signal such as Ctrl-C ends the other process, too: `run` kills it before it raises.
+    # After a signal such as Ctrl-C, `run` kills the process before it raises.
     done = subprocess.run(
         [sys.executable, "-P", str(PROGRAM), str(path), constants, str(most)],
         stdin=subprocess.DEVNULL,
@@ -92,7 +96,10 @@ def _run_storm(path: Path, constants: str) -> dict[str, Any]:
         check=False,
     )
     printed = done.stderr.decode("utf-8", "replace")
-    built = json.loads(done.stdout) if done.returncode == 0 else None
+    built = None
+    if done.returncode == 0:
+        built = json.loads(done.stdout)
+    # Turn each kind of failure into an error of its own.
     too_little = "Cannot allocate memory" in printed or "bad_alloc" in printed
     if (built or {}).get("memory") or (built is None and too_little):
         raise ModelError(f"Storm needs more than {most / 1e9:.2g} GB of memory", fix=SMALLER)
@@ -110,28 +117,31 @@ def _run_storm(path: Path, constants: str) -> dict[str, Any]:
 
 
 def _most_memory() -> int:
-    """Return how many bytes Storm may take.
+    """Return the number of bytes that Storm may use.
 
-    What is read here from Storm's model takes as much again, and the model made of that as well, so
-    a quarter of the machine's memory is Storm's; no more than the outcomes of a table may take.
+    The parts read from Storm's model need about as much memory again, and so does the model made
+    from them. So Storm may use a quarter of the machine's memory, and no more than a table may.
     """
     whole = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     return min(MOST_BYTES, whole // 4)
 
 
 def _exit_error(status: int, printed: str) -> ModelError:
-    """Return the error to raise where Storm's process ended before it said anything."""
+    """Return the error for a process of Storm that ended without an answer."""
     if -status == signal.SIGFPE:
         fix = "correct the expression that divides by 0, or the constant that makes it do so"
         return ModelError("an expression divides by zero, which ends Storm", fix=fix)
-    name = signal.Signals(-status).name if status < 0 else f"exit status {status}"
+    name = f"exit status {status}"
+    if status < 0:
+        name = signal.Signals(-status).name
     last = " ".join(printed.split("\n")[-3:]).strip()[-200:]
     fix = "try the file in Storm itself: this is a fault of Storm, or of its installation"
-    return ModelError(f"Storm ended with {name}: {last or 'it said nothing'}", fix=fix)
+    return ModelError(f"Storm ended with {name}: {last or 'without a message'}", fix=fix)
 
 
 def _storm_error(said: str, printed: str) -> ModelError:
-    """Return the error to raise for what Storm refuses, in its own words where these say more."""
+    """Return the error for a file that Storm refuses, in Storm's words unless they are unclear."""
+    # Known messages that do not tell a user what to do.
     if "<model type>" in said:
         what = "the file does not begin with the type of the model"
         return ModelError(what, fix='write "mdp" or "dtmc" in its first line')
@@ -149,23 +159,30 @@ def _storm_error(said: str, printed: str) -> ModelError:
     if "constant definition string" in said:
         fix = "write NAME=NUMBER, separated by commas, of constants that the file leaves open"
         return ModelError(f"Storm says: {said}", where="constants", fix=fix)
-    fix = "correct that place" if PLACE.search(said) else "correct what this names in the file"
+    fix = "correct the part of the file that this names"
+    if PLACE.search(said):
+        fix = "correct that place"
     return ModelError(f"Storm says: {said}", fix=fix)
 
 
 def _left_open(path: Path, names: list[str], constants: str) -> ModelError:
-    """Return the error to raise where constants have no value, with the command that gives them."""
-    several = f"the constants {', '.join(names)} have no values"
-    given = ",".join([constants] * bool(constants) + [f"{name}=…" for name in names])
+    """Return the error for constants without values, with a command that gives them."""
+    what = f"the constant {names[0]} has no value"
+    if len(names) > 1:
+        what = f"the constants {', '.join(names)} have no values"
+    assigned = [f"{name}=…" for name in names]
+    if constants:
+        assigned.insert(0, constants)
+    given = ",".join(assigned)
     return ModelError(
-        several if len(names) > 1 else f"the constant {names[0]} has no value",
+        what,
         fix=f"make a model with values first: exact-mdp convert {shown_text(str(path))} "
         f"{shown_text(path.stem)}.npz --constants {shown_text(given)}; in Python, "
         "MDP.load(path, constants={name: number})",
     )
 
 
-# ---- what it says --------------------------------------------------------------------------------
+# ---- the answer of the process -------------------------------------------------------------------
 
 
 def _convert_parts(built: Mapping[str, Any], order: list[str]) -> dict[str, Any]:
@@ -175,10 +192,11 @@ def _convert_parts(built: Mapping[str, Any], order: list[str]) -> dict[str, Any]
     listed: dict[str, list[int]] = built["labels"]
     places = {name: place for place, name in enumerate(built["variables"])}
     shown = ({name: values[places[name]] for name in order} for values in built["values"])
-    rewards = {
-        name: {over: [numbers[place] for place in own] for over, own in each.items()}
-        for name, each in built["rewards"].items()
-    }
+    rewards: dict[str, dict[str, list[Fraction]]] = {}
+    for name, each in built["rewards"].items():
+        rewards[name] = {}
+        for over, own in each.items():
+            rewards[name][over] = [numbers[place] for place in own]
     return {
         "first_choice": built["first_choice"],
         "first_branch": built["first_branch"],
@@ -196,12 +214,14 @@ def _convert_parts(built: Mapping[str, Any], order: list[str]) -> dict[str, Any]
 def _in_order(names: list[str], program: str) -> list[str]:
     """Return the variables of a PRISM program in the order of their declarations.
 
-    Those of a renamed module have none: they stand where they are first named.
+    Variables of renamed modules have no declarations; they follow in the order of their first use.
     """
 
     def find_place(name: str) -> tuple[bool, int]:
         found = re.search(DECLARED.format(name), program)
         named = found or re.search(rf"\b{name}\b", program)
-        return found is None, named.start() if named else len(program)
+        if named is None:
+            return True, len(program)
+        return found is None, named.start()
 
     return sorted(names, key=find_place)

@@ -1,12 +1,12 @@
-"""What Storm makes of a PRISM program or a JANI model, as JSON: a program of its own.
+"""A separate program that lets Storm build a PRISM program or a JANI model, and prints JSON.
 
     python -P storm_build.py FILE CONSTANTS BYTES
 
-Storm runs in a process apart: an expression that divides by zero ends the process that computes it,
-and a model may need more memory than there is. This program imports stormpy and the standard
-library alone. Standard output is one JSON object: the model; or `open`, the constants that have no
-value; `kind`, a type of model that is none of ours; or `said`, what Storm refuses, with `memory`,
-whether it had too little.
+Storm runs in a separate process: a division by zero ends the process that computes it, and a model
+may need more memory than there is. This program imports only stormpy and the standard library.
+Standard output is one JSON object: the model; or `open`, the constants without values; or `kind`,
+an unsupported type of model; or `said`, Storm's error message, with `memory`, whether it lacked
+memory.
 """
 
 from __future__ import annotations
@@ -22,44 +22,43 @@ from pathlib import Path
 from typing import Any
 
 KINDS = ("DTMC", "MDP")
-DIES_WITH_PARENT = 1  # PR_SET_PDEATHSIG of Linux
 
 
 def main(path: str, constants: str, most: str) -> None:
-    """Print what Storm makes of a file."""
+    """Print the model that Storm builds from a file."""
     answer = os.fdopen(os.dup(1), "w", encoding="ascii")
-    os.dup2(2, 1)  # what Storm prints is no part of the answer
+    os.dup2(2, 1)  # Storm's own output goes to standard error
     _leave_with_the_parent()
     _limit_memory(int(most))
     try:
         content = _build_model(path, constants)
     except MemoryError:
         content = {"said": "", "memory": True}
-    except Exception as error:  # Storm raises several kinds, none of them for users
+    except Exception as error:  # Storm raises several kinds, none of them meant for users
         content = {"said": str(error), "memory": "bad_alloc" in str(error)}
     with answer:
         json.dump(content, answer)
 
 
 def _leave_with_the_parent() -> None:
-    """Let Ctrl-C end the process at once, and on Linux the end of the parent as well."""
+    """End the process at once after Ctrl-C, and on Linux also after the end of the parent."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Python would wait until Storm returns
     with suppress(OSError, AttributeError):
         import ctypes
 
-        ctypes.CDLL(None).prctl(DIES_WITH_PARENT, signal.SIGKILL)
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
 
 
 def _limit_memory(most: int) -> None:
-    """Let no more than `most` bytes of memory be taken, or what is allowed already."""
+    """Limit the memory of the process to `most` bytes, or to the present limit if it is lower."""
     allowed, hard = resource.getrlimit(resource.RLIMIT_AS)
     limits = [each for each in (most, allowed) if each != resource.RLIM_INFINITY]
-    with suppress(OSError, ValueError):  # a system that knows no such limit
+    with suppress(OSError, ValueError):  # some systems have no such limit
         resource.setrlimit(resource.RLIMIT_AS, (min(limits), hard))
 
 
 def _build_model(path: str, constants: str) -> dict[str, Any]:
-    """Return Storm's sparse model with all that the file names, or what is in its way."""
+    """Return the parts of Storm's sparse model, or the reason why there is none."""
     import stormpy
 
     if Path(path).suffix.lower() == ".jani":
@@ -77,13 +76,14 @@ def _build_model(path: str, constants: str) -> dict[str, Any]:
     options.set_build_all_labels()
     options.set_build_choice_labels(True)
     options.set_build_state_valuations(True)
-    options.set_exploration_checks(True)  # else a value out of its range becomes another value
+    options.set_exploration_checks(True)  # without it, values out of range become other values
     model = stormpy.build_model[stormpy.Rational](program, options=options)
     return _list_model_parts(model)
 
 
 def _list_model_parts(model: Any) -> dict[str, Any]:
-    """Return the parts of a model; numbers are places in the list `numbers` of texts "p/q"."""
+    """Return the parts of a model; numbers are indices of the list `numbers` of texts "p/q"."""
+    # Equal numbers are written once.
     numbers: dict[str, int] = {}
 
     def add_number(value: Any) -> int:
@@ -91,9 +91,12 @@ def _list_model_parts(model: Any) -> dict[str, Any]:
 
     matrix, states = model.transition_matrix, range(model.nr_states)
     choices = range(matrix.nr_rows)
-    rows = [
-        [(entry.column, add_number(entry.value)) for entry in matrix.get_row(c)] for c in choices
-    ]
+    targets, chances, lengths = [], [], []
+    for choice in choices:
+        row = list(matrix.get_row(choice))
+        targets += [entry.column for entry in row]
+        chances += [add_number(entry.value) for entry in row]
+        lengths.append(len(row))
     rewards: dict[str, dict[str, list[int]]] = {}
     for name, own in model.reward_models.items():
         rewards[name] = {}
@@ -103,26 +106,29 @@ def _list_model_parts(model: Any) -> dict[str, Any]:
             rewards[name]["choices"] = [*map(add_number, own.state_action_rewards)]
     words, labels, valuations = model.choice_labeling, model.labeling, model.state_valuations
     variables = sorted(valuations.get_all_variables(), key=lambda variable: str(variable.name))
+    values = []
+    for state in states:
+        own = [valuations.get_value(state, variable) for variable in variables]
+        values.append([*map(_integer_or_none, own)])
     return {
         "first_choice": [0, *map(matrix.get_row_group_end, states)],
-        "first_branch": [0, *accumulate(map(len, rows))],
-        "targets": [target for row in rows for target, _ in row],
-        "chances": [chance for row in rows for _, chance in row],
+        "first_branch": [0, *accumulate(lengths)],
+        "targets": targets,
+        "chances": chances,
         "choice_words": [" ".join(sorted(words.get_labels_of_choice(c))) for c in choices],
         "labels": {word: list(labels.get_states(word)) for word in labels.get_labels()},
         "rewards": rewards,
         "variables": [variable.name for variable in variables],
-        "values": [
-            [_integer_or_none(valuations.get_value(state, variable)) for variable in variables]
-            for state in states
-        ],
+        "values": values,
         "numbers": [*numbers],
     }
 
 
 def _integer_or_none(value: Any) -> int | None:
     """Return a whole number or a truth value; None for a value of another kind."""
-    return value if isinstance(value, int) else None
+    if isinstance(value, int):
+        return value
+    return None
 
 
 if __name__ == "__main__":

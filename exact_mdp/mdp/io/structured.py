@@ -1,8 +1,8 @@
-"""TOML, JSON and CSV from outside: read within limits, and against the shape that they must have.
+"""Reading TOML, JSON and CSV within limits, and checking JSON against a required shape.
 
-An integer of over 4,000 digits, tables nested more than 100 deep and what the syntax does not allow
-are refused here: Python converts no integer of over 4,300 digits to text, and ends a recursion
-after about a thousand calls.
+Integers of more than 4,000 digits, tables nested more than 100 deep and syntax errors are refused:
+Python does not convert integers of more than 4,300 digits to text, and stops a recursion after
+about a thousand calls.
 """
 
 from __future__ import annotations
@@ -14,21 +14,17 @@ import tomllib
 from collections.abc import Callable, Iterable, Iterator
 from fractions import Fraction
 from functools import partial
-from math import inf
 from typing import Any, NoReturn
 
 from exact_mdp.mdp.errors import ModelError, locate_errors, once_each, shorten_text
-from exact_mdp.mdp.table import MOST_DIGITS, exact
+from exact_mdp.mdp.table import EXACT_IN_FLOAT, MOST_DIGITS, exact
 
-DEEPEST = 100  # tables and lists within each other; the deepest file that is read has five
-TOO_LARGE = 10**MOST_DIGITS
-SAFE = 2**53  # from here on not all programs read integers as they are
 NUMBER = re.compile(r"-?(0x[0-9a-f]+|[0-9]+)(/(0x[0-9a-f]+|[0-9]+))?")
 WORDS = {dict: "an object", list: "a list", str: "a text", bool: "true or false"}
 
 
 def toml_of(text: str, where: str, *, number: Callable[[str], Any] = exact) -> dict[str, Any]:
-    r"""Return the content of a TOML text from the file `where`; decimal numbers are rationals."""
+    r"""Return the content of a TOML text from the file `where`, with exact decimals."""
     content: dict[str, Any] = _parse_text(
         partial(tomllib.loads, parse_float=number), text, "TOML", where
     )
@@ -36,26 +32,26 @@ def toml_of(text: str, where: str, *, number: Callable[[str], Any] = exact) -> d
 
 
 def json_of(text: str | bytes, where: str, **hooks: Any) -> Any:
-    """Return the content of a JSON text, each key once; `hooks` are those of `json.loads`."""
+    """Return the content of a JSON text; refuse repeated keys. `hooks` are for `json.loads`."""
     read = partial(json.loads, object_pairs_hook=once_each, **hooks)
     return _parse_text(read, text, "JSON", where)
 
 
 def _parse_text(read: Callable[[Any], Any], text: str | bytes, kind: str, where: str) -> Any:
+    """Parse a text with the function `read`; turn its errors into ModelErrors."""
     try:
         with locate_errors(where, instead=True):
             content = read(text)
-        _check_limits(content, DEEPEST)
+        _check_limits(content, 100)  # no valid file is nested more than five deep
     except ModelError:
         raise
     except RecursionError as error:
-        what = f"tables or lists are nested more than {DEEPEST} deep"
+        what = "tables or lists are nested more than 100 deep"
         raise ModelError(what, where=where, fix="use fewer levels") from error
     except ValueError as error:
-        said = "string conversion" in str(error)
-        what = (
-            f"an integer of over {MOST_DIGITS:,} digits" if said else shorten_text(str(error), 200)
-        )
+        what = shorten_text(str(error), 200)
+        if "string conversion" in str(error):
+            what = f"an integer of over {MOST_DIGITS:,} digits"
         fix = "correct that place"
         if (where, kind) == ("-", "JSON"):
             fix = "standard input (-) takes JSON, such as a model.json: name other files instead"
@@ -64,25 +60,29 @@ def _parse_text(read: Callable[[Any], Any], text: str | bytes, kind: str, where:
 
 
 def _check_limits(content: Any, levels: int) -> None:
-    """Raise RecursionError beyond so many levels, ValueError for a number of too many digits."""
-    if isinstance(content, dict | list):
+    """Raise RecursionError for more than `levels` levels, ValueError for too many digits."""
+    if isinstance(content, dict):
+        content = list(content.values())
+    if isinstance(content, list):
         if not levels:
             raise RecursionError
-        for each in content.values() if isinstance(content, dict) else content:
+        for each in content:
             _check_limits(each, levels - 1)
-    elif isinstance(content, int) and abs(content) >= TOO_LARGE:
+    elif isinstance(content, int) and abs(content) >= 10**MOST_DIGITS:
         raise ValueError("string conversion")
 
 
 def csv_of(
     lines: Iterable[str], where: str = "", *, fix: str = "correct the line"
 ) -> Iterator[tuple[int, list[str]]]:
-    """Yield the rows of a CSV text that are not blank, each with its line; the header is the first.
+    """Yield (line, values) for each row of a CSV text that is not blank; the first is the header.
 
-    Raises ModelError, with a `fix`, where a row has not as many values as the header.
+    Raises ModelError, with `fix`, if a row does not have as many values as the header.
     """
     reader, line, width = csv.reader(lines, strict=True), 0, 0
-    begin = f"{where}, " if where else ""
+    begin = ""
+    if where:
+        begin = f"{where}, "
     try:
         for row in reader:
             if row:
@@ -97,57 +97,79 @@ def csv_of(
         raise ModelError(f"broken CSV: {error}", where=place, fix="correct that line") from error
 
 
-# ---- the shape that JSON must have ---------------------------------------------------------------
+# ---- the required shape of JSON ------------------------------------------------------------------
 
 
 def require_shape(given: Any, kind: Any) -> Any:
-    """Return JSON as `kind` describes it; raises ModelError at the place that differs.
+    """Return JSON in the shape of `kind`; raise ModelError with the place that differs.
 
-    A kind is a type; a function of the value; [kind], a list of these; (kind, …), a list of that
-    length; {str: kind}, an object with any keys; or {key: kind, …}, one with these keys, of which
-    one that is missing is read as null, and others are passed over. Lists become tuples.
+    A kind is a type; a function of the value; [kind], a list; (kind, …), a list of that length;
+    {str: kind}, an object with any keys; or {key: kind, …}, an object with these keys, in which a
+    missing key is read as null and other keys are ignored. Lists become tuples.
     """
     if isinstance(kind, type):
-        return given if type(given) is kind else refuse_value(given, WORDS[kind])
+        if type(given) is not kind:
+            refuse_value(given, WORDS[kind])
+        return given
     if callable(kind):
         return kind(given)
+    # Objects.
     if isinstance(kind, dict):
         if type(given) is not dict:
             refuse_value(given, WORDS[dict])
-        kinds = dict.fromkeys(given, kind[str]) if str in kind else kind
+        kinds = kind
+        if str in kind:
+            kinds = dict.fromkeys(given, kind[str])
         return {key: _require_shape_at(key, given.get(key), each) for key, each in kinds.items()}
-    if type(given) is not list or (isinstance(kind, tuple) and len(given) != len(kind)):
-        refuse_value(given, f"a list of {len(kind)}" if isinstance(kind, tuple) else WORDS[list])
-    listed = kind if isinstance(kind, tuple) else kind * len(given)
+    # Lists, of a fixed length or of any length.
+    if isinstance(kind, tuple):
+        if type(given) is not list or len(given) != len(kind):
+            refuse_value(given, f"a list of {len(kind)}")
+        listed = list(kind)
+    else:
+        if type(given) is not list:
+            refuse_value(given, WORDS[list])
+        listed = kind * len(given)
     return tuple(map(_require_shape_at, range(len(given)), given, listed))
 
 
 def _require_shape_at(place: str | int, given: Any, kind: Any) -> Any:
+    """Return JSON in the shape of `kind`; add the place to the error otherwise."""
     try:
         return require_shape(given, kind)
     except ModelError as error:
-        where = f"{place}, {error.where}" if error.where else str(place)
+        where = str(place)
+        if error.where:
+            where = f"{place}, {error.where}"
         raise ModelError(error.what, where=where, fix=error.fix) from error
 
 
 def has_format(given: Any, name: str, version: int) -> bool:
-    """Return whether an object is of a format and a version, which 2.0 or true do not say."""
-    head = [given.get("format"), given.get("version")] if isinstance(given, dict) else []
-    return head == [name, version] and type(head[1]) is int
+    """Return whether an object states a format and a version, an integer (not 2.0 or true)."""
+    if not isinstance(given, dict):
+        return False
+    stated = given.get("version")
+    return given.get("format") == name and stated == version and type(stated) is int
 
 
 def or_null(kind: Any) -> Callable[[Any], Any]:
-    """Return the kind of what may be null, too."""
-    return lambda given: None if given is None else require_shape(given, kind)
+    """Return a kind that also allows null."""
+
+    def require_shape_or_null(given: Any) -> Any:
+        if given is None:
+            return None
+        return require_shape(given, kind)
+
+    return require_shape_or_null
 
 
 def refuse_value(given: object, wanted: str) -> NoReturn:
-    """Raise ModelError for a value that is not what is wanted."""
+    """Raise the ModelError "… is not …" for a value of another kind than wanted."""
     raise ModelError(f"{shorten_text(repr(given), 80)} is not {wanted}", fix="correct it")
 
 
 def parse_rational(given: Any) -> Fraction:
-    """Read a rational number as `encode_rationals` writes it."""
+    """Return a rational number from the form that `encode_rationals` writes."""
     if type(given) is int:
         return Fraction(given)
     if isinstance(given, str) and NUMBER.fullmatch(given):
@@ -160,20 +182,21 @@ def parse_rational(given: Any) -> Fraction:
 
 
 def parse_natural(given: Any) -> int:
-    """Read a number of a state, an action or the like."""
+    """Return the number of a state, an action or the like."""
     if type(given) is int and 0 <= given < 2**62:
         return given
     refuse_value(given, "a whole number from 0 up, below 2^62")
 
 
 def parse_unreached(given: Any) -> float:
-    """Read what a run is worth that never reaches the goal."""
-    known = {"inf": inf, "-inf": -inf}
-    return known[given] if given in [*known] else refuse_value(given, '"inf" or "-inf"')
+    """Return the value of a run that never reaches the goal, "inf" or "-inf", as a float."""
+    if isinstance(given, str) and given in ("inf", "-inf"):
+        return float(given)
+    refuse_value(given, '"inf" or "-inf"')
 
 
 def encode_rationals(value: Any) -> Any:
-    """Return a value for JSON: rationals as integers or texts, tuples as lists."""
+    """Return a value in JSON's types: rationals as integers or texts, tuples as lists."""
     if isinstance(value, dict):
         return {key: encode_rationals(each) for key, each in value.items()}
     if isinstance(value, tuple | list):
@@ -183,9 +206,13 @@ def encode_rationals(value: Any) -> Any:
     top, below = value.numerator, value.denominator
     if below == 1:
         return encode_integer(top)
-    return f"{top}/{below}" if max(abs(top), below) < SAFE else f"{hex(top)}/{hex(below)}"
+    if max(abs(top), below) < EXACT_IN_FLOAT:
+        return f"{top}/{below}"
+    return f"{hex(top)}/{hex(below)}"
 
 
 def encode_integer(value: int) -> int | str:
-    """Return an integer for JSON: as a text where not all programs would read it as it is."""
-    return value if -SAFE < value < SAFE else hex(value)
+    """Return an integer for JSON; a large one, which some programs would round, as a text."""
+    if abs(value) < EXACT_IN_FLOAT:
+        return value
+    return hex(value)

@@ -1,29 +1,29 @@
-"""A model estimated from recorded transitions, with the numbers of observations kept.
+"""A model estimated from recorded transitions, with the numbers of observations.
 
 If action a was taken n(s, a) times in state s, and k of these led to s' with reward r, then
 
     P(s', r | s, a) = k / n(s, a)          the maximum likelihood estimate, a rational number
 
-The start is estimated from where episodes begin; the model keeps their number. A state that no
-record leaves is taken for an end (`entered` lists these). Three more columns may be there:
+The start is estimated from the first states of the episodes; the model keeps their number. A state
+that no record leaves is assumed to be an end. There may be three more columns:
 
-    truncated     marks the rows after which an episode was cut off, by a time limit for instance
-    terminated    marks the rows after which it was over, whatever the next state says
-    done          the same as terminated, where there is no such column; where a row is truncated
-                  as well, it was cut off
+    truncated     marks the rows after which an episode was cut off, for example by a time limit
+    terminated    marks the rows after which it was over, whatever the next state
+    done          the same as terminated, if there is no such column; a row that is also truncated
+                  was cut off
 
-A state that is entered only by rows that were cut off is no end, and its value is unknown
-(`cut_off`). Truncated rows without a next state lead to a special state. They must not be dropped,
-since truncation depends on what would have followed. The next state of a terminated row is kept if
-no record leaves it; else it is that of a reset, and the row leads to the end. Where the records say
-which rows are terminated, an episode whose last row is not marked was cut off.
+A state that is entered only by rows that were cut off is not an end, and its value is unknown (the
+label "cut off"). Truncated rows without a next state lead to a special state. They must not be
+dropped, since truncation depends on the steps that would have followed. The next state of a
+terminated row is kept if no record leaves it; otherwise it belongs to a reset, and the row leads to
+the end. If the records mark terminated rows, an episode with an unmarked last row was cut off.
 
-An action that was never taken in a state is unavailable there; or it is as bad as the caller says,
-so that an optimum does not rely on what nobody tried (the pessimism of Jin, Yang and Wang,
-ICML 2021).
+An action that was never taken in a state is unavailable there; or it has a bad value that the
+caller chooses, so that an optimum does not depend on untried actions (the pessimism of Jin, Yang
+and Wang, ICML 2021).
 
 Rows are read in chunks and counted, so memory holds one chunk and one number for each different
-outcome (s, a, s', r). Round rewards that hardly ever repeat first.
+outcome (s, a, s', r). Rewards that hardly ever repeat should be rounded first.
 """
 
 from __future__ import annotations
@@ -64,29 +64,28 @@ if TYPE_CHECKING:
 
 COLUMNS = ("episode", "state", "action", "reward", "next_state")
 TRUNCATED, TERMINATED, DONE = "truncated", "terminated", "done"
-MARKS = (TRUNCATED, TERMINATED, DONE)  # the columns that a table may have besides
-CUT_OFF = "cut off"  # the label of states in which episodes were cut off, and which nobody left
+MARKS = (TRUNCATED, TERMINATED, DONE)  # optional columns
+CUT_OFF = "cut off"  # the label of states in which episodes were cut off, and that no row leaves
 FLAGS = {"true": True, "1": True, "1.0": True, "false": False, "0": False, "0.0": False}
-# What programs write where there is no value: no names, as pandas.read_csv has it.
+# Texts for missing values, which cannot be names; the list is that of pandas.read_csv.
 NO_NAMES = frozenset(
     ("", "#N/A", "<NA>", "N/A", "NA", "NULL", "NaN", "NaT", "None", "n/a", "nan", "null")
 )
-OVER, NOWHERE = -1, -2  # the next state of a row that has none: the end, or cut off
-ENDED = -3  # less t, the next state of a row that is terminated in state t
-ROWS = 2**13  # of a chunk, whose texts stay in the cache
-LARGEST_FILE = 2**40  # bytes: read in chunks, so that it guards against endless input alone
-LONGEST_LINE = 2**20  # characters: more is no table, and would be read whole
+# Codes of next states: no next state since the episode is over, or was cut off; and ENDED - t for a
+# row that is terminated in state t.
+OVER, NOWHERE, ENDED = -1, -2, -3
+ROWS = 2**13  # rows of a chunk, so that their texts fit in a core's cache
 NO_TABLES = frozenset(
     (".json", ".jsonl", ".gz", ".zip", ".bz2", ".xz", ".xlsx", ".pkl", ".feather")
 )
 NUMBER = re.compile(r"0|-?[1-9][0-9]{0,3999}")
-WHOLE = re.compile(r"(-?[0-9]+)\.0+")  # as pandas writes 1 in a column where a value is missing
+WHOLE = re.compile(r"(-?[0-9]+)\.0+")  # pandas writes 1 as 1.0 in a column with missing values
 END, UNSEEN = "end", "unseen"
-WITHOUT = {  # the way out where a column is missing
+WITHOUT = {  # advice for a missing column
     "episode": "number the episodes: frame['episode'] = "
     "frame['done'].astype(bool).shift(fill_value=False).cumsum(), where 'done' marks the last "
     "row of each",
-    "next_state": "add what follows: frame['next_state'] = "
+    "next_state": "add the state that follows: frame['next_state'] = "
     "frame.groupby('episode')['state'].shift(-1), where each episode is over after its last row",
 }
 UNAVAILABLE, PESSIMISTIC = "unavailable", "pessimistic"
@@ -106,31 +105,31 @@ class FromTransitions(FromArrays):
         progress: bool = False,
         **names: Any,
     ) -> Self:
-        """Estimate a model from recorded transitions; the numbers of observations are kept.
+        """Estimate a model from recorded transitions, with the numbers of observations.
 
         Parameters
         ----------
         frame : DataFrame, path of a `.csv` or `.parquet` file, or iterable of DataFrames
             One row for each transition: episode, state, action, reward and next state, in the order
-            of time, one episode after the other. Without a next state the episode is over there.
-            A whole number is the same name as 1 and as 1.0. A column truncated (true or false)
-            marks the rows after which an episode was cut off, as by a time limit. States in which
-            that happened, and that nobody left, have the label "cut off"; rows cut off without a
-            next state lead to one of that name. A column terminated, or done, marks the rows
-            after which an episode was over, whatever their next state. Other columns are not
-            used, which a warning says.
+            of time, one episode after the other. A missing next state means that the episode is
+            over. 1 and 1.0 are the same name. A column truncated (true or false) marks the rows
+            after which an episode was cut off, for example by a time limit. States in which that
+            happened, and that no row leaves, have the label "cut off"; rows cut off without a next
+            state lead to a state of that name. A column terminated, or done, marks the rows after
+            which an episode was over, whatever their next state. Other columns are ignored, with a
+            warning.
         discount : number or "p/q"
         columns : mapping, optional
-            The names that the table has for "episode", "state", "action", "reward", "next_state"
-            and, where it has them, "truncated", "terminated" and "done".
+            The table's names of the columns "episode", "state", "action", "reward", "next_state"
+            and, if it has them, "truncated", "terminated" and "done".
         unseen : "unavailable", "pessimistic", or a number
-            What is done about an action that nobody took in a state: it is left out there; or it
-            ends the episode and is worth as little as a policy can be worth, or this number.
+            The treatment of an action that was never taken in a state: it is unavailable; or it
+            ends the episode, with the lowest value that a policy could have, or with this number.
         progress : bool
-            Show a bar on standard error where that is a terminal.
+            Show a progress bar on standard error, if that is a terminal.
         **names
-            `name`, `sense`; `start`, which is then known, instead of the shares of the states that
-            episodes begin in, which are estimates.
+            `name`, `sense`; `start`, a known initial distribution instead of the estimate from the
+            first states of the episodes.
 
         Returns
         -------
@@ -140,8 +139,8 @@ class FromTransitions(FromArrays):
         Raises
         ------
         ModelError
-            For a missing column or value, and a gap in an episode, by row; and as the constructor
-            does.
+            For a missing column or value, or a gap in an episode, with the row; and as the
+            constructor does.
 
         Examples
         --------
@@ -158,7 +157,7 @@ class FromTransitions(FromArrays):
         ([0, 3], Fraction(2, 3))
         """
         known = ("states", "actions", "components")
-        check_options(names, dict.fromkeys(known, "leave it out: the records say it"))
+        check_options(names, dict.fromkeys(known, "leave it out: it follows from the records"))
         start = names.pop("start", None)
         record = count_transitions(frame, columns, progress=progress)
         if record.unused:
@@ -174,7 +173,7 @@ class FromTransitions(FromArrays):
 def count_transitions(
     frame: Any, columns: Mapping[str, str] | None, *, progress: bool = False
 ) -> TransitionRecord:
-    """Return what was counted in a table of transitions; see `MDP.from_transitions`."""
+    """Return the counts of a table of transitions; see `MDP.from_transitions`."""
     record = TransitionRecord(frame, columns)
     for _, keys in record.read_marked_chunks(progress=progress):
         record.count_rows(keys)
@@ -182,7 +181,11 @@ def count_transitions(
 
 
 class TransitionRecord:
-    """The rows of a table of transitions in numbers, and what was counted of them so far."""
+    """A reader of a table of transitions, which numbers names and counts rows.
+
+    Names of episodes, states and actions are numbered in order of appearance; so are rewards, each
+    with whether it is a float, since a model knows which of its numbers were rounded.
+    """
 
     def __init__(self, frame: Any, columns: Mapping[str, str] | None = None) -> None:
         given = dict(
@@ -192,36 +195,39 @@ class TransitionRecord:
             require_known_name(name, (*COLUMNS, *MARKS), "column", "columns")
         self.columns = dict(zip(COLUMNS, COLUMNS, strict=True)) | given
         self.frame = frame
-        self.where = str(frame) if isinstance(frame, str | Path) else "transitions"
+        self.where = "transitions"
+        if isinstance(frame, str | Path):
+            self.where = str(frame)
         self._parquet = Path(self.where).suffix.lower() == ".parquet"
         self._of_file = isinstance(frame, str | Path) and not self._parquet
-        # Names of episodes, states and actions are numbered as they come; and so are rewards, each
-        # with whether it is a float: a model knows which of its numbers were rounded.
         self.numbers: dict[str, dict[Any, int]] = {name: {} for name in COLUMNS[:4]}
         self.rows = 0
         self.unused: tuple[str, ...] = ()  # columns that are not read
-        self.starts = Counter[int]()  # episodes by state
-        self.stops = Counter[tuple[int, bool]]()  # by next state, and whether cut off there
+        self.starts = Counter[int]()  # episodes by first state
+        self.stops = Counter[tuple[int, bool]]()  # episodes by last next state, and whether cut off
         self._counts: list[tuple[Integers, Integers]] = []
-        self._places: Any = ()  # of the rows of this chunk, in messages
+        self._places: Any = ()  # line or row numbers of this chunk, for messages
         self._last = (-1, -1, False)  # episode, next state and cut of the last row
-        self.marked = False  # whether the rows say where an episode is over
+        self.marked = False  # whether rows are marked as terminated
 
     # ---- reading ---------------------------------------------------------------------------------
 
     def read_chunks(self, *, progress: bool = False) -> Iterator[tuple[Integers, Integers]]:
-        """Yield the episodes (R,) and (R, 4) state, action, next state and reward of each chunk.
+        """Yield for each chunk the episodes (R,), and state, action, next state and reward (R, 4).
 
-        All are checked, and in numbers; a next state may be `OVER` or `NOWHERE`.
+        All are checked, and are numbers of names; a next state may be `OVER` or `NOWHERE`.
         """
         for episode, keys in self.read_marked_chunks(progress=progress):
             keys[keys[:, 2] <= ENDED, 2] = OVER
             yield episode, keys
 
     def read_marked_chunks(self, *, progress: bool = False) -> Iterator[tuple[Integers, Integers]]:
-        """Yield chunks; the next state of a row that is terminated is less by `ENDED`."""
+        """Yield chunks in which the next state t of a terminated row has the code ENDED - t."""
+        disable: bool | None = True
+        if progress:
+            disable = None  # show a bar if standard error is a terminal
         with (
-            tqdm.tqdm(desc="transitions", unit=" rows", disable=None if progress else True) as bar,
+            tqdm.tqdm(desc="transitions", unit=" rows", disable=disable) as bar,
             closing(self._iterate_tables()) as chunks,
         ):
             for chunk in chunks:
@@ -233,37 +239,46 @@ class TransitionRecord:
             self._count_stop(*self._last[1:])
 
     def _iterate_tables(self) -> Generator[DataFrame]:
-        """Yield tables of rows: of a file in parts, of everything else as they come."""
+        """Yield tables of rows: a file in parts, other tables as they are."""
         import pandas
 
         if isinstance(self.frame, str | Path):
-            if (suffix := Path(self.where).suffix.lower()) in NO_TABLES:
+            suffix = Path(self.where).suffix.lower()
+            if suffix in NO_TABLES:
                 raise ModelError(
                     f"cannot read {suffix}",
                     where=self.where,
                     fix="save it as .csv or .parquet; in Python, give the DataFrame that pandas "
                     "reads from it",
                 )
-            with open_file(self.where, most=LARGEST_FILE) as file:
-                yield from (self._of_parquet if self._parquet else self._of_csv)(file)
+            # A file is read in chunks: the limit of a terabyte only stops endless input.
+            with open_file(self.where, most=2**40) as file:
+                if self._parquet:
+                    yield from self._of_parquet(file)
+                else:
+                    yield from self._of_csv(file)
             return
-        single = isinstance(self.frame, pandas.DataFrame) or not isinstance(self.frame, Iterable)
-        for table in [self.frame] if single else self.frame:
+        tables = self.frame
+        if isinstance(tables, pandas.DataFrame) or not isinstance(tables, Iterable):
+            tables = [tables]
+        for table in tables:
             fix = "give a DataFrame, several of them, or the path of a .csv or .parquet file"
             yield require_type(table, pandas.DataFrame, "transitions", fix)
 
     def _of_csv(self, file: Any) -> Generator[DataFrame]:
-        """Yield the rows of a file, all as texts: "0.1" is 1/10; the index has the lines."""
+        """Yield the rows of a CSV file as texts, so that "0.1" is 1/10; the index has the lines."""
         import pandas
 
         text = io.TextIOWrapper(file, "utf-8-sig", newline="")
-        fix = "correct the line; where an episode is over, leave next_state empty after its comma"
+        fix = "correct the line; if an episode is over, leave next_state empty after its comma"
         try:
             rows = csv_of(self._read_lines(text), self.where, fix=fix)
             _, header = next(rows, (0, []))
+            # The last table is empty; it shows the columns of a file without rows.
             more = True
             while more:
-                more = bool(listed := [*islice(rows, ROWS)])
+                listed = [*islice(rows, ROWS)]
+                more = bool(listed)
                 values = np.array([row for _, row in listed], dtype=object)
                 values = values.reshape(len(listed), len(header))
                 yield pandas.DataFrame(values, [line for line, _ in listed], header, dtype=object)
@@ -275,17 +290,19 @@ class TransitionRecord:
             text.detach()
 
     def _read_lines(self, text: io.TextIOWrapper) -> Iterator[str]:
-        """Yield the lines of a file, none of which is long enough to fill the memory."""
-        while line := text.readline(LONGEST_LINE):
-            if len(line) == LONGEST_LINE:
+        """Yield the lines of a file; refuse a line that is too long for a table of transitions."""
+        most = 2**20  # characters
+        for line in iter(lambda: text.readline(most), ""):
+            if len(line) == most:
                 raise ModelError(
-                    f"a line has more than {LONGEST_LINE:,} characters",
+                    f"a line has more than {most:,} characters",
                     where=self.where,
                     fix="check that it is the right file: a table has one line for each transition",
                 )
             yield line
 
     def _of_parquet(self, file: Any) -> Generator[DataFrame]:
+        """Yield the rows of a Parquet file in batches."""
         with require_extra("models"):
             from pyarrow import parquet
         used = {*self.columns.values(), *MARKS}
@@ -294,30 +311,38 @@ class TransitionRecord:
             names = table.schema_arrow.names
             self.unused = tuple(name for name in names if name not in used)
             for batch in table.iter_batches(ROWS, columns=[n for n in names if n in used]):
-                # The columns say it all: what pandas noted beside them may hide one as an index.
+                # The metadata of pandas could turn a column into an index: ignore it.
                 yield batch.to_pandas(ignore_metadata=True, integer_object_nulls=True)
         except Exception as error:  # Arrow raises many kinds on damaged files
-            what = f"the file is no Parquet: {str(error)[:300]}"
+            what = f"the file is not a Parquet file: {str(error)[:300]}"
             raise ModelError(what, where=self.where, fix="write it again, or give CSV") from error
 
     # ---- rows in numbers -------------------------------------------------------------------------
 
     def _refuse_rows(self, bad: Any, what: str, fix: str) -> None:
-        """Raise ModelError that names the first of the rows marked."""
-        if len(wrong := np.flatnonzero(bad)):
-            more = "" if len(wrong) == 1 else f" (and in {len(wrong) - 1:,} more rows)"
-            place = f"{'line' if self._of_file else 'row'} {self._places[int(wrong[0])]}"
-            raise ModelError(f"{what}{more}", where=f"{self.where}, {place}", fix=fix)
+        """Raise ModelError for the first of the bad rows (R,), if there are any."""
+        wrong = np.flatnonzero(bad)
+        if not len(wrong):
+            return
+        if len(wrong) > 1:
+            what += f" (and in {len(wrong) - 1:,} more rows)"
+        place = f"row {self._places[int(wrong[0])]}"
+        if self._of_file:
+            place = f"line {self._places[int(wrong[0])]}"
+        raise ModelError(what, where=f"{self.where}, {place}", fix=fix)
 
     def _number_chunk(self, chunk: DataFrame) -> tuple[Integers, Integers]:
         """Return the episodes and the numbers of the rows of a chunk; see `read_chunks`."""
-        here = range(self.rows, self.rows + len(chunk))
-        self._places = chunk.index if self._of_file else here
+        self._places = range(self.rows, self.rows + len(chunk))
+        if self._of_file:
+            self._places = chunk.index
+        # Read the marks, and number the values of the other columns.
         parts = self._parts_of(chunk)
         cut, over = self._read_marks({name: parts.pop(name) for name in MARKS if name in parts})
         codes = {name: self._number_values(name, column) for name, column in parts.items()}
         for name in COLUMNS[:4]:
             self._refuse_rows(codes[name] < 0, f"no {name}", "fill it in, or leave the row out")
+        # Code the next states; a missing one is allowed only at the end of an episode.
         episode, state, action, reward, then = (codes[name] for name in COLUMNS)
         self._refuse_rows(
             (then < 0) & ~cut & ~over & self.marked,
@@ -331,7 +356,7 @@ class TransitionRecord:
         return episode, np.stack([state, action, then, reward], axis=1)
 
     def _parts_of(self, chunk: DataFrame) -> dict[str, Series]:
-        """Return the columns that are read, by what they are."""
+        """Return the columns that are read, {"episode": column, …}."""
         there, wanted = list(chunk.columns), dict(self.columns)
         for mark in MARKS:
             if mark in there and mark not in wanted.values():
@@ -341,19 +366,25 @@ class TransitionRecord:
         for column in wanted.values():
             if there.count(column) > 1:
                 raise ModelError(
-                    f"the column {column!r} stands twice in the table",
+                    f"the column {column!r} appears twice in the table",
                     where=self.where,
                     fix="give each column a name of its own",
                 )
-        if missing := [name for name, column in wanted.items() if column not in there]:
+        missing = [name for name, column in wanted.items() if column not in there]
+        if missing:
             raise self._missing_columns_error(missing, [str(column) for column in there])
         return {name: chunk[column] for name, column in wanted.items()}
 
     def _missing_columns_error(self, missing: Sequence[str], there: Sequence[str]) -> ModelError:
         """Return the error for columns that the table does not have."""
         listed = " nor ".join(repr(self.columns[name]) for name in missing)
-        shown = ", ".join(map(repr, there[:9])) + " …" * (len(there) > 9)
-        sign = re.search("[;\t|]", there[0]) if len(there) == 1 else None
+        shown = ", ".join(map(repr, there[:9]))
+        if len(there) > 9:
+            shown += " …"
+        # A single column with another separator in its name is a file that was split wrongly.
+        sign = None
+        if len(there) == 1:
+            sign = re.search("[;\t|]", there[0])
         if sign:
             fix = f"separate values by commas, or give pandas.read_csv(path, sep={sign[0]!r})"
         else:
@@ -362,7 +393,7 @@ class TransitionRecord:
         return ModelError(what, where=self.where, fix=fix)
 
     def _suggest_column(self, name: str, there: Sequence[str]) -> str:
-        """Return what to do about a column that the table does not have."""
+        """Return advice for a column that the table does not have."""
         wanted = self.columns[name]
         near = [column for column in there if column.strip().casefold() == wanted.casefold()]
         if near and near[0] != near[0].strip():
@@ -372,12 +403,14 @@ class TransitionRecord:
             )
         if not near and name == wanted and name in WITHOUT:
             return WITHOUT[name]
-        known = near[0] if near else "…"
+        known = "…"
+        if near:
+            known = near[0]
         advice = suggest_name(wanted, there)
-        return f"{advice}, and say so: columns={{{name!r}: {known!r}}}, --column {name}={known}"
+        return f"{advice}, and name it: columns={{{name!r}: {known!r}}}, --column {name}={known}"
 
     def _read_marks(self, columns: Mapping[str, Series]) -> tuple[Flags, Flags]:
-        """Return (R,) whether an episode was cut off after a row, and whether it was over."""
+        """Return (R,) whether an episode was cut off after each row, and (R,) whether it ended."""
         marks = {name: self._read_flags(name, column) for name, column in columns.items()}
         none = np.zeros(len(self._places), dtype=bool)
         cut, over = marks.get(TRUNCATED, none), marks.get(TERMINATED, none)
@@ -393,7 +426,7 @@ class TransitionRecord:
         return cut & ~over, over
 
     def _read_flags(self, name: str, column: Series) -> Flags:
-        """Return (R,) what a column of marks says."""
+        """Return a column of marks as truth values (R,)."""
         flags = column.map({v: FLAGS.get(str(v).strip().lower()) for v in column.unique()})
         what = f"{self.columns.get(name, name)} is neither true nor false"
         self._refuse_rows(
@@ -402,13 +435,13 @@ class TransitionRecord:
         return np.asarray(flags, dtype=bool)
 
     def _number_values(self, what: str, column: Series) -> Integers:
-        """Return the number of each value of a column; -1 where there is none."""
+        """Return the number of each value of a column; -1 for a missing value."""
         import pandas
 
         named = what != "reward"
         try:
             if named and column.dtype == object and not self._of_file:
-                # Pandas takes True for 1.
+                # For pandas, True equals 1.
                 column = pandas.Series(map(_to_name, column), dtype=object, name=column.name)
             codes, values = pandas.factorize(column)
         except TypeError as error:
@@ -429,15 +462,16 @@ class TransitionRecord:
                 except ModelError as error:
                     fix = f"{error.fix}, or leave the row out"
                     self._refuse_rows(codes == code, f"the reward is {value!r}", fix)
-                rounded = isinstance(value, float)
-                name = rounded, value if rounded else number
+                name = (False, number)
+                if isinstance(value, float):
+                    name = (True, value)
             elif name in NO_NAMES or name.isspace():
                 self._refuse_rows(
                     codes == code,
-                    f"the {what.replace('_', ' ')} is {name!r}, which programs write where there "
-                    "is none",
-                    "leave it empty where there is none (next_state alone may be); where it is a "
-                    "name, write another",
+                    f"the {what.replace('_', ' ')} is {name!r}, which programs write for a missing "
+                    "value",
+                    "leave it empty if it is missing (allowed for next_state only); if it is a "
+                    "name, choose another",
                 )
             numbers.append(known.setdefault(name, len(known)))
         return np.asarray(np.array([*numbers, -1], dtype=np.int64)[codes])
@@ -445,64 +479,66 @@ class TransitionRecord:
     def _check_sequence(
         self, episode: Integers, state: Integers, then: Integers, cut: Flags
     ) -> None:
-        """Check that each row begins where the one before ended; count where episodes begin."""
+        """Check that each row begins where the one before led; count the starts and the stops."""
         before, left, over = (
             np.concatenate([[last], each[:-1]])
             for last, each in zip(self._last, (episode, then, cut), strict=True)
         )
         goes_on = episode == before
-        # New names are numbered as they come: an episode that is new has a number above the others.
+        # Episodes are numbered in order of appearance: a new one has the highest number so far.
         known = ~goes_on & (episode <= np.maximum.accumulate(before))
-        fix = "sort the rows by episode, then by time, and number episodes once"
-        self._refuse_rows(known, "an episode goes on after another one began", fix)
+        fix = "sort the rows by episode, then by time, and give each episode its own number"
+        self._refuse_rows(known, "an episode continues after another one began", fix)
         self._refuse_rows(
             goes_on & (left <= ENDED),
-            "an episode goes on after a row that says it is over",
-            "give what follows another episode number, or correct the mark",
+            "an episode continues after a row that is marked as terminated",
+            "give the rows that follow another episode number, or correct the mark",
         )
         self._refuse_rows(
             goes_on & (over | (left != state)),
-            "a gap in an episode: it goes on in another state than its row before led to, or after "
-            "it was over or cut off",
-            "add the rows that are missing, mark its last row alone as truncated, or give what "
-            "follows another episode number",
+            "a gap in an episode: a row begins in another state than the next state of the row "
+            "before, or after the episode was over or cut off",
+            "add the missing rows, mark only its last row as truncated, or give the rows that "
+            "follow another episode number",
         )
         self.starts.update(state[~goes_on].tolist())
-        stops = ~goes_on & (before >= 0)  # before the first row there is no episode
+        # An episode stops before the first row of another one; the last one when the file ends.
+        stops = ~goes_on & (before >= 0)
         for last, cut_there in zip(left[stops].tolist(), over[stops].tolist(), strict=True):
             self._count_stop(last, cut_there)
         self._last = int(episode[-1]), int(then[-1]), bool(cut[-1])
 
     def _count_stop(self, then: int, cut: bool) -> None:
-        """Count where an episode stops; without a mark, where there are some, it was cut off."""
+        """Count the end of an episode; if others are marked and this one is not, it was cut off."""
         self.stops[then, cut or (self.marked and then >= 0)] += 1
 
     # ---- counts ----------------------------------------------------------------------------------
 
     def count_rows(self, keys: Integers) -> None:
-        """Count rows by their numbers; counts are merged as often as their number doubles."""
+        """Count the different rows of a chunk; merge all counts when their number has doubled."""
         self._counts.append(_sum_counts(keys, np.ones(len(keys), dtype=np.int64)))
         sizes = [len(different) for different, _ in self._counts]
         if sum(sizes) > 2 * sizes[0]:
             self._counts = [self._merge_counts()]
 
     def _merge_counts(self) -> tuple[Integers, Integers]:
+        """Return the different rows of all chunks, and their counts."""
         keys, counts = zip(*self._counts, strict=True)
         return _sum_counts(np.concatenate(keys), np.concatenate(counts))
 
     @property
     def values(self) -> list[Any]:
-        """The rewards, each an exact number or a float, by number."""
+        """The different rewards, each an exact number or a float, by number."""
         return [number for _, number in self.numbers["reward"]]
 
     @property
     def n_cut_off(self) -> int:
-        """Number of episodes cut off: marked so, or stopped in a state that others leave."""
+        """Number of episodes cut off: marked as such, or stopped in a state that others leave."""
         left = set(self._merge_counts()[0][:, 0].tolist())
         return sum(count for (then, cut), count in self.stops.items() if cut or then in left)
 
     def _resolve_next_states(self, then: Integers, keys: Integers) -> Integers:
-        """Return next states: that of a terminated row is the end where some record leaves it."""
+        """Return next states; a terminated row leads to the end if some record leaves its state."""
         state = ENDED - then
         known = ~np.isin(state, keys[:, 0])
         return np.where(then <= ENDED, np.where(known, state, OVER), then)
@@ -514,27 +550,38 @@ class TransitionRecord:
         rate = as_discount(discount)
         if not self.rows:
             raise ModelError("no transitions", where=self.where, fix="give at least one row")
+        # Number states and actions in the order of their names; extra states follow.
         keys, count = self._merge_counts()
         keys[:, 2] = self._resolve_next_states(keys[:, 2], keys)
         place, states = _sort_names(self.numbers["state"])
         choice, actions = _sort_names(self.numbers["action"])
         worst = self._find_worst_value(unseen, rate, costs=costs)
         nowhere, ended = (bool((keys[:, 2] == code).any()) for code in (NOWHERE, OVER))
-        extra = (CUT_OFF,) * nowhere + (END,) * ended + (UNSEEN,) * (worst is not None)
+        extra = list[str]()
+        if nowhere:
+            extra.append(CUT_OFF)
+        if ended:
+            extra.append(END)
+        if worst is not None:
+            extra.append(UNSEEN)
         for name in {*extra} & {*states}:
-            what = f"a state is called {name!r}"
+            what = f"a state is named {name!r}, like an additional state of the model"
             raise ModelError(what, where=self.where, fix="give it another name")
         size = len(states) + len(extra)
-        place = np.append(place, [len(states), len(states) + nowhere])  # at `NOWHERE` and `OVER`
+        # Negative codes index the array from its end: OVER is -1, NOWHERE -2.
+        place = np.append(place, [len(states), len(states) + nowhere])
         values = [*self.values, 0, worst or 0]
         rewards = len(self.values)
         state, action, then, reward = keys.T
         observed = [place[state], choice[action], place[then], reward]
+        # States without a record are ends; untried actions of other states may get the worst value.
         taken = np.zeros((size, len(actions)), dtype=bool)
         taken[observed[0], observed[1]] = True
         over = ~taken.any(axis=1)
         ends = np.flatnonzero(over)
         untried = np.argwhere(~taken & ~over.reshape(-1, 1) & (worst is not None))
+        # Both have one certain outcome: stay with reward 0, or go to the last state with reward
+        # `worst`. They have no observations.
         certain = np.concatenate(
             [
                 np.stack([ends, 0 * ends, ends, np.full(len(ends), rewards)], axis=1),
@@ -545,6 +592,7 @@ class TransitionRecord:
             np.concatenate([np.stack(observed, axis=1), certain]),
             np.append(count, np.zeros(len(certain), dtype=np.int64)),
         )
+        # Group the outcomes by pair.
         pair = outcomes[:, :2]
         begins = np.flatnonzero(np.append(True, (pair[1:] != pair[:-1]).any(axis=1)))
         offsets = np.append(begins, len(pair)).astype(np.int64)
@@ -559,14 +607,17 @@ class TransitionRecord:
             gain=gain,
             gain_denominator=under,
         )
+        # States in which episodes were cut off, and none was over, have unknown values.
         unknown = np.zeros(size, dtype=bool)
         stops = np.array([*self.stops], dtype=np.int64).reshape(-1, 2)
         stops[:, 0] = self._resolve_next_states(stops[:, 0], keys)
         cuts, known = (stops[stops[:, 1] == cut, 0] for cut in (1, 0))
         unknown[place[cuts]] = True
-        # An episode that was not cut off there was over.
         unknown[place[known[known >= 0]]] = False
         unknown &= over
+        labels = {}
+        if unknown.any():
+            labels[CUT_OFF] = unknown
         begun = {int(place[each]): number for each, number in self.starts.items()}
         episodes = self.starts.total()
         return {
@@ -575,48 +626,54 @@ class TransitionRecord:
             "pair_state": pair[begins, 0].copy(),
             "pair_action": pair[begins, 1].copy(),
             "observations": observations,
-            "space": StateSpace(columns=(_build_column(states),), extra=extra),
+            "space": StateSpace(columns=(_build_column(states),), extra=tuple(extra)),
             "actions": actions,
             "discount_exact": rate,
             "start": tuple((s, Fraction(n, episodes)) for s, n in sorted(begun.items())),
             "episodes": episodes,
-            "labels": {CUT_OFF: unknown} if unknown.any() else {},
+            "labels": labels,
         }
 
     def _find_worst_value(
         self, unseen: object, discount: Fraction, *, costs: bool
     ) -> Fraction | None:
-        """Return what an action that nobody took is worth; None where it is not available."""
+        """Return the value of an action that was never taken; None if it is unavailable."""
         if unseen == UNAVAILABLE:
             return None
         if unseen != PESSIMISTIC:
             return exact(unseen, f"unseen, which may be {UNAVAILABLE!r} or {PESSIMISTIC!r}")
         if discount == 1:
             raise ModelError(
-                "no value is the worst at discount 1",
+                "there is no worst value at discount 1",
                 where="unseen",
-                fix="give a number: what an action that nobody took is worth",
+                fix="give a number: the value of an action that was never taken",
             )
-        worst = max if costs else min
-        return worst(Fraction(0), *map(exact, self.values)) / (1 - discount)
+        # The worst policy earns the worst reward forever: r / (1 - γ).
+        rewards = [Fraction(0), *map(exact, self.values)]
+        if costs:
+            return max(rewards) / (1 - discount)
+        return min(rewards) / (1 - discount)
 
 
 def _to_name(value: Any) -> Any:
-    """Return a value as a name: a whole number is the same, be it written 1 or 1.0."""
+    """Return a value as a name, in which 1 and 1.0 are the same, but True and 1 are not."""
     if isinstance(value, str):
         match = WHOLE.fullmatch(value)
-        return match[1] if match else value
+        if match:
+            return match[1]
+        return value
     if isinstance(value, bool | np.bool_):
-        return str(value)  # no number: True is not 1
+        return str(value)
     if isinstance(value, float | np.floating) and value.is_integer():
         return int(value)
     return value
 
 
 def _sum_counts(keys: Integers, count: Integers) -> tuple[Integers, Integers]:
-    """Return the different rows of `keys` in order, and the sum of the counts of each."""
+    """Return the different rows of `keys`, sorted, and the sum of the counts of each."""
+    # If rows can be coded as single numbers with the same order, sorting is much faster.
     sizes = (np.ptp(keys, axis=0) + 1).tolist()
-    if prod(sizes) < EXACT_IN_INT64:  # one number for each row, in their order
+    if prod(sizes) < EXACT_IN_INT64:
         order = np.argsort(np.ravel_multi_index((keys - keys.min(axis=0)).T, sizes))
     else:
         order = np.lexsort(keys.T[::-1])
@@ -626,7 +683,7 @@ def _sum_counts(keys: Integers, count: Integers) -> tuple[Integers, Integers]:
 
 
 def _sort_names(numbers: Mapping[str, int]) -> tuple[Integers, tuple[str, ...]]:
-    """Return the place of each number, and the names in order: whole numbers by size."""
+    """Return the sorted names (whole numbers by size), and the place of each number in them."""
     names = list(numbers)
     keys: Sequence[Any] = _names_to_integers(names) or names
     order = sorted(range(len(names)), key=keys.__getitem__)
@@ -634,12 +691,14 @@ def _sort_names(numbers: Mapping[str, int]) -> tuple[Integers, tuple[str, ...]]:
 
 
 def _names_to_integers(names: Sequence[str]) -> tuple[int, ...]:
-    """Return names as numbers where all of them are whole numbers as Python writes them."""
-    return tuple(map(int, names)) if all(map(NUMBER.fullmatch, names)) else ()
+    """Return names as integers if all are whole numbers in Python's notation; else ()."""
+    if not all(map(NUMBER.fullmatch, names)):
+        return ()
+    return tuple(map(int, names))
 
 
 def _build_column(names: tuple[str, ...]) -> Column:
-    """Return the column of states by their names, which are numbers where all of them are whole."""
+    """Return the column of states with the given names; whole numbers are also objects."""
     whole = _names_to_integers(names)
     if whole == tuple(range(len(names))):
         return Column(name="state", size=len(names))

@@ -34,7 +34,7 @@ FAULTS = [  # what a line of the template becomes, what is said of it, and the r
     ("frustration = 0.1", "", "the number base.frustration is missing", "state it"),
     ('= ["wait"', '= [1, "wait"', "actions is not a list of different names", "write"),
     ('"soothe"]', '"wait"]', "actions is not a list of different names", "write"),
-    ('"soothe"]', '"skip"]', "an action is called 'skip'", "another name"),
+    ('"soothe"]', '"skip"]', "an action is named 'skip'", "another name"),
     ('"frustration"]', '"frus.tration"]', "statuses is not a list of different", "without dots"),
     ("tasks = [2]", "tasks = [0]", "tasks is not a list", "[3, 1]"),
     ("tasks = [2]", "tasks = []", "tasks is not a list", "[3, 1]"),

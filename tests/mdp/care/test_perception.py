@@ -120,11 +120,11 @@ test_broken_files_are_refused = table_of_refusals(__file__, globals())
 def test_rows_that_are_no_distribution(care: MDP, tmp_path: Path) -> None:
     rows: list[list[object]] = [[0] * 16 for _ in LABELS]
     done = run("evaluate", *MODEL, "random", "--perception", as_csv(tmp_path / "a.csv", rows))
-    assert "row of status 0000 is no distribution: it sums to 0" in done.refusal()
+    assert "row of status 0000 is not a distribution: it sums to 0" in done.refusal()
     assert "a.csv, row 0" in done.refusal()
     matrix = np.eye(16)
     matrix[3, 3] = 0.9
-    said = "row of status 0011 is no distribution: it sums to 0.9", "confusion matrix, row 3"
+    said = "row of status 0011 is not a distribution: it sums to 0.9", "confusion matrix, row 3"
     refused(lambda: perceived(care, "random", matrix), *said)
     matrix[3, [3, 5]] = 1.25, -0.25
     said = ("its least number is -0.25",)

@@ -446,7 +446,11 @@ CHANGED: list[tuple[Callable[[], Any], str, str]] = [  # an environment, what it
     (lambda: Shaped(lake()), "P lists", "env.unwrapped"),
     (lambda: wrappers.TimeLimit(Shaped(lake()), 7), "P lists", "env.unwrapped"),
     (lambda: Shaped(Walk()), "step(", "env.unwrapped"),
-    (lambda: wrappers.TransformReward(lake(), lambda r: 10 * r), "P does not", "env.unwrapped"),
+    (
+        lambda: wrappers.TransformReward(lake(), lambda r: 10 * r),
+        "not its table P",
+        "env.unwrapped",
+    ),
     (lambda: wrappers.NormalizeReward(Walk()), "P lists", "env.unwrapped"),
     *[  # which Gymnasium 1.2.0 does not have
         (lambda: wrappers.RepeatAction(lake(), 2), "P lists", "env.unwrapped")
@@ -465,7 +469,7 @@ CHANGED: list[tuple[Callable[[], Any], str, str]] = [  # an environment, what it
     (Drifting, "gave (0, ", "unwrapped.P"),
     (Elsewhere, "reset() begins in state 1", "start=1"),
     (Stated, "has no initial probability", "start="),
-    (lambda: Plain(1), "P lists", "let P say"),
+    (lambda: Plain(1), "P lists", "make P agree"),
     (Broken, "raises RuntimeError: no power", "unwrapped.P"),
     (lambda: gymnasium.make(TAXI, fickle_passenger=True), "fickle", "without fickle_passenger"),
 ]

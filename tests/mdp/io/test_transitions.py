@@ -136,9 +136,9 @@ def test_what_nobody_tried_is_left_out_or_worth_what_is_said() -> None:
 GOOD = (1, "a", "x", 0, "b")
 BAD: dict[str, list[tuple[Any, ...]]] = {
     "gap in an episode": [GOOD, (1, "a", "x", 0, "b")],
-    "goes on after another": [GOOD, (2, "a", "x", 0, "b"), (1, "b", "x", 0, "b")],
+    "continues after another": [GOOD, (2, "a", "x", 0, "b"), (1, "b", "x", 0, "b")],
     "no reward": [GOOD, (2, "a", "x", np.nan, "b")],
-    "or after it was over": [GOOD, (2, "a", "x", 0, None), (2, "b", "x", 0, "a")],
+    "or after the episode was over": [GOOD, (2, "a", "x", 0, None), (2, "b", "x", 0, "a")],
     "the state is ' '": [GOOD, (2, " ", "x", 0, "b")],
     "no action": [GOOD, (2, "a", None, 0, "b")],
     "reward is inf": [GOOD, (2, "a", "x", np.inf, "b")],
@@ -252,25 +252,25 @@ def test_python_warns_of_columns_that_are_not_used() -> None:
 HEAD, ONE = "episode,state,action,reward,next_state\n", table([GOOD])
 NO_LOG: list[Any] = [  # log, columns, what is said, where, and how to put it right
     (ONE.rename(columns={"next_state": "next_stat"}), {}, "no column 'next_state'"),
-    (ONE.rename(columns={"reward": "state"}), {"reward": "x"}, "'state' stands twice"),
-    (HEAD.replace("reward", "state") + "1,a,x,0,b\n", {}, "'state' stands twice"),
+    (ONE.rename(columns={"reward": "state"}), {"reward": "x"}, "'state' appears twice"),
+    (HEAD.replace("reward", "state") + "1,a,x,0,b\n", {}, "'state' appears twice"),
     (ONE, {"sate": "s"}, "unknown column 'sate'"),
     *((other, {}, "is of type") for other in (5, [1, 2], [GOOD], {"state": [1]})),
     (table([(1, [0], "x", 0, [1])]), {}, "cannot be a name"),
     (table([]), {}, "no transitions"),
     ("", {}, "no transitions"),
-    (table([(1, "end", "x", 0, None)]), {}, "called 'end'"),
+    (table([(1, "end", "x", 0, None)]), {}, "named 'end'"),
     (f"{HEAD}1,a,x,0,b,9,9\n", {}, "7 values under 5 headings"),
     (f'{HEAD}1,"a, b",x,0,c\n1,c,x,1\n', {}, "4 values under 5 headings"),  # which is no end
     *((f"{HEAD}1,ä,x,0,b\n".encode(encoding), {}, "UTF-8") for encoding in ("utf-16", "latin-1")),
     (f'{HEAD}1,a,x,0,"b', {}, "broken CSV"),
-    (b"PAR1", {}, "no Parquet"),
-    (cut((*GOOD, True), (1, "b", "x", 0, None, False)), {}, "or after it was over or cut off"),
+    (b"PAR1", {}, "not a Parquet"),
+    (cut((*GOOD, True), (1, "b", "x", 0, None, False)), {}, "the episode was over or cut off"),
     *((cut((*GOOD, x)), {}, "truncated is neither true nor false") for x in ("maybe", None)),
     (cut((*GOOD, True)), {"truncated": "timeout"}, "no column 'timeout'"),
     (marked(GOOD, terminated=[True], done=[False]), {}, "terminated and done differ"),
     (marked(GOOD, terminated=[False], done=[True]), {}, "terminated and done differ"),
-    (marked(*RESET, terminated=[True] * 4), {}, "goes on after a row that says it is over",
+    (marked(*RESET, terminated=[True] * 4), {}, "after a row that is marked as terminated",
      "transitions, row 1"),
     (marked((1, "a", "x", 0, None), done=[False]), {}, "neither terminated nor truncated"),
     (marked(GOOD, terminated=["maybe"]), {}, "terminated is neither true nor false"),
@@ -327,7 +327,7 @@ def test_a_parquet_file_is_read_by_its_columns_alone(tmp_path: Path) -> None:
         )
     twice = pyarrow.Table.from_arrays(columns.columns + columns.columns[:1], [*NAMES, NAMES[0]])
     parquet.write_table(twice, path)
-    refused(lambda: MDP.from_transitions(path), "stands twice")
+    refused(lambda: MDP.from_transitions(path), "appears twice")
 
 
 def test_changed_tables_have_no_observations() -> None:
