@@ -1,16 +1,16 @@
-"""Many small models at once: optima and policies of models that differ in their numbers alone.
+"""Solve many small models at once: optima and policies of models that differ only in numbers.
 
     V = r_π + γ P_π V,     π(s) ← a pair l of s with the greatest d(l) = r(l) + γ P_l V - V(s)
 
-Rows are dense, (D, L, S) for D models; each step of policy iteration is one LU of all of them. What
-is found is bounded whatever it came from: with a w > 0 such that w - γ P_l w ≥ c > 0 of every pair,
+Rows are dense, (D, L, S) for D models; each step of policy iteration is one LU of all of them. The
+bounds hold whatever V is: with a w > 0 such that w - γ P_l w ≥ c > 0 for every pair l,
 
     V - w max_π (-d)⁺ / c  ≤  V_π  ≤  V*  ≤  V + w max_l d⁺ / c,
 
-because no policy keeps more of w than that. Below discount 1, w = 1 and c = 1 - γ. At discount 1, w
-is the greatest expected number of steps to the end, found by the same iteration and checked; where
-there is none, because some policy may never end, where a run may end beside a goal, or where the
-models do not have the same pairs, `Batch.of` gives None, and models are solved one by one.
+because w shrinks by at least c in each step of any policy. Below discount 1, w = 1 and c = 1 - γ.
+At discount 1, w is the greatest expected number of steps to the end, found by the same iteration
+and checked. `Batch.of` returns None, and models are solved one by one, if some policy may never
+end, if a run may miss its goal, or if the models do not have the same pairs.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ from exact_mdp.solvers.bounds.gains import (
     row_error,
 )
 
-MOST = 2**16  # numbers of the rows of one model: beyond it, sparse solvers are as fast
+MOST = 2**16  # entries of the dense rows of one model: beyond it, sparse solvers are as fast
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Batch:
-    """D models with the same L pairs and S states; rewards are those that are maximised."""
+    """D models with the same L pairs and S states; rewards are maximised."""
 
     rows: Floats  # (D, L, S)
     reward: Floats  # (D, L)
@@ -55,15 +55,16 @@ class Batch:
 
     @classmethod
     def of(cls, models: Sequence[MDP]) -> Batch | None:
-        """Return the models as one batch; None where they are too large or too different.
+        """Return the models as one batch; None if they are too large or too different.
 
-        And where some policy may never end, or end beside a goal.
+        None also if some policy may never end, or may miss a goal.
         """
         one = models[0]
-        if one.n_pairs * one.n_states > MOST or any(
-            not np.array_equal(one.pair_offsets, other.pair_offsets) for other in models[1:]
-        ):
+        if one.n_pairs * one.n_states > MOST:
             return None
+        for other in models[1:]:
+            if not np.array_equal(one.pair_offsets, other.pair_offsets):
+                return None
         if any(mdp.discount_exact == 1 and beside_goal(mdp).any() for mdp in models):
             return None
         facts = [rounding_facts(mdp) for mdp in models]
@@ -89,6 +90,7 @@ class Batch:
         """Return d(l) of values (D, S), and a bound on its rounding error, both (D, L)."""
         if reward is None:
             reward = self.reward
+        # d = r + γ Σ P (V' - V) - (1 - γ) V: its rounding depends on differences of values only.
         here = value[:, self.state]
         apart = value[:, None, :] - here[:, :, None]
         ahead, flow = (
@@ -109,10 +111,14 @@ class Batch:
         return np.asarray(np.linalg.solve(np.eye(rows.shape[1]) - rows, earned))
 
     def improve_policies(self, reward: Floats) -> tuple[Floats, Integers] | None:
-        """Return values (D, S) and pairs (D, S), that no pair improves by more than rounding."""
+        """Return values (D, S) and pairs (D, S) that no pair improves by more than rounding.
+
+        Policy iteration; None if an improper policy or an overflow makes equations unsolvable.
+        """
         draw, pairs = np.arange(len(self.rows))[:, None], np.tile(self.first, (len(self.rows), 1))
         number = np.arange(len(self.state))
         for _ in range(POLICIES):
+            # Evaluate the policies of all models: one batch of linear systems.
             try:
                 rewards = reward[draw, pairs][:, :, None]
                 value = self.solve_chains(self.rows[draw, pairs], rewards)[:, :, 0]
@@ -120,22 +126,26 @@ class Batch:
                 return None
             if not np.isfinite(value).all():
                 return None
+            # Improve: change a pair only if another beats it by more than both may round.
             gain, noise = self.compute_advantages(value, reward)
             best = np.maximum.reduceat(gain, self.first, axis=1)
             noise = 2 * np.maximum.reduceat(noise, self.first, axis=1)
             better = best - gain[draw, pairs] > noise
             if not better.any():
                 return value, pairs
+            # The first pair of each state that has the greatest advantage.
             there = np.where(gain == best[:, self.state], number, len(number))
             pairs = np.where(better, np.minimum.reduceat(there, self.first, axis=1), pairs)
         return None
 
     @cached_property
     def weights(self) -> tuple[Floats, Floats] | None:
-        """Return w (D, S) and c (D,); None where some policy may never end at discount 1."""
+        """Weights w (D, S) and margins c (D,); None if some policy may never end at discount 1."""
+        # Below discount 1 the margin of w = 1 is 1 - γ.
         least = self.leak[:, 0] * (1 - UNIT) / SLACK
         if (least > 0).all() and self.rate.max() < 1:
             return np.ones_like(self.start), least
+        # At discount 1 maximise the number of steps, and verify by how much it falls in each pair.
         alive = self.live[:, self.state]
         most = self.improve_policies(alive.astype(float))
         if most is None or not (most[0] >= 0).all():
@@ -155,9 +165,11 @@ class Batch:
         value, pairs = best
         gain, noise = self.compute_advantages(value)
         draw = np.arange(len(value))[:, None]
+        # Above V* by all pairs, below by the policy's own pairs.
         above = (gain + noise).max(axis=1)
         below = (noise - gain)[draw, pairs].max(axis=1)
         error = weight * (np.maximum(above, below) / least * SLACK)[:, None]
+        # A gap moves with the error of its own state and of the states that follow.
         ahead = np.einsum("dls,ds->dl", self.rows, error)
         return value, error, -gain, (noise + error[:, self.state] + ahead) * SLACK
 
@@ -166,6 +178,7 @@ class Batch:
         assert self.weights is not None
         weight, least = self.weights
         value = self._evaluate_amounts(chosen, self.reward[:, :, None])[:, :, 0]
+        # The residual of a policy is the mean of its pairs' advantages; it would be 0 exactly.
         gain, noise = self.compute_advantages(value)
         noise = noise + gamma(len(self.state) + 16) * np.abs(gain)
         off = np.abs(np.add.reduceat(gain * chosen, self.first, axis=1))
@@ -179,7 +192,7 @@ class Batch:
         )
 
     def _evaluate_amounts(self, chosen: Floats, amounts: Floats) -> Floats:
-        """Return (D, S, C) what a policy (L,) earns of amounts (D, L, C) from each state."""
+        """Return the expected totals (D, S, C) of amounts (D, L, C) under a policy (L,)."""
         each = (np.add.reduceat(x * chosen[:, None], self.first, 1) for x in (self.rows, amounts))
         return self.solve_chains(*each)
 
@@ -189,4 +202,6 @@ class Batch:
         mean = np.einsum("ds,ds->d", self.start, value)
         size = np.einsum("ds,ds->d", self.start, np.abs(value))
         off = np.einsum("ds,ds->d", self.start, error)
-        return mean, (off + np.where((self.start == 1).any(axis=1), 0.0, count * size)) * SLACK
+        # A single start state adds no rounding.
+        rounding = np.where((self.start == 1).any(axis=1), 0.0, count * size)
+        return mean, (off + rounding) * SLACK

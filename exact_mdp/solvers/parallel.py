@@ -1,12 +1,12 @@
-"""Many independent pieces of work: in order, resumable, here or wherever joblib takes them.
+"""Run many independent pieces of work in parallel, with resumable results in a folder.
 
-The result depends neither on where a piece is done nor on who finishes first: each piece carries
-all that it needs, its seed too. joblib does the work, by its threads or processes, or by another of
-its backends: `with joblib.parallel_config(backend="dask")` sends it to a Dask cluster.
+The result depends neither on where a piece runs nor on which one finishes first: each piece carries
+everything that it needs, including its seed. joblib runs them in threads, processes or another of
+its backends: `with joblib.parallel_config(backend="dask")` sends them to a Dask cluster.
 
-With a folder, every finished piece is written at once, whole or not at all, and is read instead of
-done again when work with the same record is called once more; the record is JSON and says all that
-the pieces depend on, so that pieces of two different works cannot be mixed.
+With a folder, every finished piece is written immediately and atomically. A later call with the
+same record reads the finished pieces instead of running them again. The record is JSON and contains
+everything that the pieces depend on, so that pieces of different work cannot be mixed.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from exact_mdp.mdp.validate import require_count
 Arrays = dict[str, Numbers]
 Work = Callable[[Any], Mapping[str, Any]]
 
-DIGEST = 32  # bytes of a digest, which stands behind the archive of a piece
+DIGEST = 32  # bytes of a SHA-256 digest, which follows the archive of a piece
 
 
 def run_pieces(
@@ -50,44 +50,43 @@ def run_pieces(
     progress: bool = False,
     what: str = "runs",
 ) -> list[Arrays]:
-    """Return `work(piece)` for every piece, in their order; raises whatever `work` raises.
+    """Return `work(piece)` for every piece, in their order; exceptions of `work` propagate.
 
-    `work` leads from what can be pickled to {name: array}, and can be sent to other processes;
-    `key` identifies the work by JSON values: model, settings, seed. `n_jobs` are processes, at
-    most one for each core and each piece; None takes all cores, or all workers of the backend that
-    `joblib.parallel_config` names. With
-    `threads` they are threads of this process, for work that needs no interpreter lock. Finished
-    pieces are kept in the `folder`, in files of these `names`, or else numbered; `what` they are
-    called is said by the bar and by messages.
+    `work` maps a piece that can be pickled to {name: array}, and can itself be pickled. `key`
+    identifies the work by JSON values: model, settings, seed. `n_jobs` is the number of processes,
+    at most one for each core and each piece; None takes all cores, or all workers of the backend
+    that `joblib.parallel_config` names. With `threads` they are threads of this process, for work
+    that releases the interpreter lock. Finished pieces are kept in the `folder`, in files with
+    these `names`, numbered by default. `what` is the word for pieces in the progress bar and in
+    messages.
     """
-    if n_jobs is None:
-        n_jobs = None
-    else:
+    if n_jobs is not None:
         n_jobs = require_count(n_jobs, "n_jobs")
     if folder is None:
         place = None
     else:
         place = _open_folder(folder_of(folder), key, what=what)
+    # Read the pieces that an earlier call has finished.
     stems = names or (f"{index:06d}" for index in range(len(pieces)))
     paths = [place and place / f"{stem}.npz" for stem in stems]
     known = ((index, _read_piece(path)) for index, path in enumerate(paths) if path)
     done = {index: arrays for index, arrays in known if arrays is not None}
     tasks = {index: piece for index, piece in enumerate(pieces) if index not in done}
-    bar = tqdm.tqdm(
-        total=len(pieces),
-        initial=len(done),
-        desc=what,
-        disable=None if progress else True,
-        delay=1,
-    )
+    # None shows the bar only on a terminal.
+    disable: bool | None = True
+    if progress:
+        disable = None
+    bar = tqdm.tqdm(total=len(pieces), initial=len(done), desc=what, disable=disable, delay=1)
+    # Keep each piece as soon as it is finished; the caller shows the note on an interruption.
     try:
         with bar, closing(_as_done(work, tasks, n_jobs, threads)) as results:
             for index, result in results:
-                if path := paths[index]:
+                path = paths[index]
+                if path:
                     _write_arrays(path, result)
                 done[index] = result
                 bar.update()
-    except KeyboardInterrupt as stop:  # whoever ends the program says this
+    except KeyboardInterrupt as stop:
         if place is not None:
             stop.add_note(
                 f"the finished part ({what}: {len(done)} of {len(pieces)}) is kept in {place}, "
@@ -98,7 +97,7 @@ def run_pieces(
 
 
 def _run_piece(work: Work, index: int, piece: Any) -> tuple[int, Mapping[str, Any]]:
-    """Do one piece, wherever this is called."""
+    """Run one piece; this is the function that is sent to workers."""
     return index, work(piece)
 
 
@@ -109,19 +108,22 @@ def _as_done(
     import joblib
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
+    # A single worker is this process itself, without joblib.
     results: Any = (_run_piece(work, *task) for task in left.items())
     n_jobs = _count_workers(n_jobs, len(left))
     if n_jobs != 1:
+        prefer: str | None = "threads"
         if not threads:
+            prefer = None
             _track_quietly()
+        # joblib's word for all workers is -1.
+        if n_jobs is None:
+            n_jobs = -1
         try:
             parallel = joblib.Parallel(
-                n_jobs=-1 if n_jobs is None else n_jobs,
-                prefer="threads" if threads else None,
-                return_as="generator_unordered",
-                batch_size=1,
+                n_jobs=n_jobs, prefer=prefer, return_as="generator_unordered", batch_size=1
             )
-        except ValueError as error:  # a backend that cannot do so
+        except ValueError as error:  # the backend cannot return results out of order
             fix = 'choose "loky", "threading" or "dask"'
             raise ModelError(str(error), where="joblib.parallel_config", fix=fix) from error
         results = parallel([joblib.delayed(_run_piece)(work, *task) for task in left.items()])
@@ -130,20 +132,21 @@ def _as_done(
             yield index, {name: np.asarray(value) for name, value in result.items()}
     except TerminatedWorkerError as error:
         raise ModelError(
-            "a worker process died, perhaps for want of memory",
+            "a worker process died, possibly out of memory",
             where="n_jobs",
-            fix="use fewer of them; finished work is kept in the folder, if there is one",
+            fix="use fewer processes; finished work is kept in the folder, if there is one",
         ) from error
     finally:
-        with warnings.catch_warnings():  # joblib warns of pieces that nobody took any more
+        # joblib would warn about results that were not consumed.
+        with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
             results.close()
 
 
 def _count_workers(wanted: int | None, pieces: int) -> int | None:
-    """Return how many workers to start; None for what a backend of the user's own has.
+    """Return the number of workers to start; None for all workers of a user's own backend.
 
-    On this machine there are never more than it has cores, or than there are pieces.
+    On this machine there are at most as many as cores and as pieces.
     """
     from joblib import cpu_count
     from joblib.parallel import get_active_backend
@@ -152,11 +155,13 @@ def _count_workers(wanted: int | None, pieces: int) -> int | None:
     if pieces and type(backend).__module__ != "joblib._parallel_backends":
         return wanted
     cores: int = cpu_count()
-    return max(1, min(cores if wanted is None else wanted, cores, pieces))
+    if wanted is None:
+        wanted = cores
+    return max(1, min(wanted, cores, pieces))
 
 
 def _track_quietly() -> None:
-    """Start the process that frees semaphores, which would warn of them after the program's end."""
+    """Start the process that frees semaphores, with its warnings at the program's end ignored."""
     from joblib.externals.loky.backend import resource_tracker as tracker
 
     before = os.environ.get("PYTHONWARNINGS")
@@ -173,12 +178,12 @@ def _track_quietly() -> None:
 
 
 def folder_of(given: object) -> Path:
-    """Return the folder in which work is kept; raises ModelError unless a path is given."""
+    """Return the folder in which work is kept; raise ModelError unless a path is given."""
     return Path(require_type(given, str | os.PathLike, "folder", "give a path"))
 
 
 def _open_folder(folder: Path, record: Mapping[str, object], *, what: str) -> Path:
-    """Return the folder, made where it is missing, after checking that it is of this record."""
+    """Return the folder, created if missing, after checking that it belongs to this record."""
     text = json.dumps(dict(record), indent=2)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -199,10 +204,13 @@ def _open_folder(folder: Path, record: Mapping[str, object], *, what: str) -> Pa
         known = {}
         if isinstance(content, dict):
             known = content
+        # Name the keys of the record that differ, if it has any.
         joined = ", ".join(key for key, value in wanted.items() if known.get(key) != value)
+        problem = f"the folder holds {what} of other work: its record differs"
+        if joined:
+            problem += f" in {joined}"
         raise ModelError(
-            f"the folder holds {what} of other work: its record differs"
-            + f" in {joined}" * bool(joined),
+            problem,
             where=str(folder),
             fix="choose another folder, or delete this one",
         )
@@ -217,7 +225,7 @@ def _write_arrays(path: Path, arrays: Mapping[str, Numbers]) -> None:
 
 
 def _read_piece(path: Path) -> Arrays | None:
-    """Return the arrays of a piece; None where it is missing, ModelError where it is damaged."""
+    """Return the arrays of a piece, or None if it is missing; ModelError if it is damaged."""
     if not path.exists():
         return None
     content = read_bytes(path, most=LARGEST)
@@ -231,7 +239,7 @@ def _read_piece(path: Path) -> Arrays | None:
 
 
 class How(TypedDict, total=False):
-    """Where the work is done, as `run_pieces` takes it; results do not change.
+    """Options of `run_pieces` for where the work runs; results do not depend on them.
 
     The workers of a care scenario are threads; for other models they are processes.
     """
@@ -248,7 +256,7 @@ def seed_blocks(seed: int, n: int, block: int) -> list[tuple[SeedSequence, int]]
 
 
 def join_blocks(blocks: Sequence[Arrays], names: Iterable[str] | None = None) -> Arrays:
-    """Return arrays of all draws, by name: all of them unless names are given."""
+    """Return arrays of all draws, by name: of all names by default."""
     if names is None:
         names = blocks[0]
     return {name: np.concatenate([block[name] for block in blocks]) for name in names}

@@ -2,13 +2,13 @@
 
 A number leaves the toolkit as one of four types, so that a table or a plot cannot confuse them:
 `Certified` (an exact rational with a proof), `Bounded` (a float and a sound bound on its error),
-`Checked` (it rests on the degree of polynomials, which was checked at points, not proven; see
+`Checked` (it depends on the degree of polynomials, which was checked at points but not proven; see
 sensitivity) and `Estimated` (a sample mean and its standard error).
 """
 
 from __future__ import annotations
 
-import sys
+import inspect
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -29,7 +29,7 @@ from exact_mdp.mdp.result import ROWS_SHOWN, DataFrame, Pictured, data_frame, pl
 from exact_mdp.mdp.table import Floats, Integers
 
 NORMAL = 1.959963984540054  # the 97.5 % quantile of the standard normal distribution
-OWN = (__name__.partition(".")[0], "numpy")  # whose decorators stand between two calls
+OWN = (__name__.partition(".")[0], "numpy")  # packages whose frames a warning skips
 
 
 class Claim(StrEnum):
@@ -79,8 +79,13 @@ def warn_of_precision(error: float) -> None:
 
 def warn_at_caller(message: str, category: type[Warning]) -> None:
     """Issue a warning at the line that called this package."""
-    frame, level = sys._getframe(1), 2
-    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in OWN:
+    # Go up to the first frame outside this package; NumPy's decorators may lie between its frames.
+    frame, level = inspect.currentframe(), 1
+    while frame and frame.f_back:
+        # Code that is executed from a string has no module name.
+        package = frame.f_globals.get("__name__", "").partition(".")[0]
+        if package not in OWN:
+            break
         frame, level = frame.f_back, level + 1
     warnings.warn(message, category, stacklevel=level)
 
@@ -102,7 +107,10 @@ class SolverError(RuntimeError):
 
     def __init__(self, status: Status, detail: str = "", solution: Solution | None = None) -> None:
         self.status, self.detail, self.solution = status, detail, solution
-        super().__init__(f"{detail}: {status}" if detail else str(status))
+        message = str(status)
+        if detail:
+            message = f"{detail}: {status}"
+        super().__init__(message)
 
     def __reduce__(self) -> tuple[object, ...]:
         return type(self), (self.status, self.detail, self.solution)
@@ -137,9 +145,12 @@ class Certified:
             top, below = (1, 1)
         else:
             top, below = self.value.as_integer_ratio()
-        # Python writes no integer of over 4,300 digits; decimals are not bound to floats' range.
-        if max(top.bit_length(), below.bit_length()) <= 80 and len(text := str(self.value)) <= 24:
-            return f"{text} ({self.claim})"
+        # Short fractions are written exactly. Others become decimals: Python does not write
+        # integers of over 4,300 digits, and floats would overflow.
+        if max(top.bit_length(), below.bit_length()) <= 80:
+            text = str(self.value)
+            if len(text) <= 24:
+                return f"{text} ({self.claim})"
         return f"≈ {Decimal(top) / Decimal(below):.12g} ({self.claim})"
 
     def __float__(self) -> float:
@@ -186,7 +197,7 @@ Number = TypeVar("Number", Bounded, Certified | Bounded)
 
 
 def subtract_numbers(one: Number, other: Number) -> Number:
-    """Return the difference of two numbers; it is exact if both are."""
+    """Return the difference of two numbers; it is exact if both numbers are."""
     if isinstance(one, Certified) and isinstance(other, Certified):
         return Certified(value=one.value - other.value)
     value = float(one) - float(other)
@@ -216,13 +227,13 @@ def compute_regrets(best: Floats, own: Floats, error: Floats, sign: float = 1) -
 
 @dataclass(frozen=True, kw_only=True)
 class Estimated:
-    """A sample mean, its standard error, and what the sample cannot show.
+    """A sample mean, its standard error, and a bound on the part that was cut off.
 
     Attributes
     ----------
     value, standard_error : float
     cut_off : float
-        The most by which the end of an episode, cut off in every sample, can move the mean; proven.
+        A proven bound on the change of the mean if episodes had not been cut off.
 
     Examples
     --------
@@ -283,8 +294,10 @@ def at_start(mdp: MDP, valued: Any) -> Bounded:
     states = np.flatnonzero(mdp.start_distribution)
     weights = mdp.start_distribution[states]
     value, error = valued.value[states], valued.error[states]
-    if not np.isfinite(value).all():  # a total reward that is infinite is so exactly
+    # An infinite total reward has no error.
+    if not np.isfinite(value).all():
         return Bounded(value=float(weights @ value), error=0.0)
+    # The sum over the start rounds; a single state of probability 1 does not.
     units = (len(states) + 3) * 2.0**-52  # twice as many as there are roundings
     rounding = units
     if weights.tolist() == [1.0]:
@@ -332,7 +345,7 @@ class Found(Valued):
         return tabulate_by_state(self.mdp, columns | taken)
 
     def report(self) -> Report:
-        """Return the text of the result and a table of its first states."""
+        """Return the facts of the result and a table of its first states."""
         return plain_report(self, self._tabulate_states(ROWS_SHOWN), self.mdp.n_states)
 
 
@@ -348,9 +361,9 @@ class Solution(Found, Pictured):
     pairs : (S,) int64
         The pair that the policy takes in each state.
     state_error : (S,)
-        |V(s) - V*(s)| and |V(s) - V^π(s)| are at most this, for the policy π given here.
+        Upper bounds of |V(s) - V*(s)| and |V(s) - V^π(s)|, for the policy π of this solution.
     regret_bound : float
-        V*(s) - V^π(s), of costs V^π(s) - V*(s), is at most this in every state.
+        An upper bound of V*(s) - V^π(s), or for costs V^π(s) - V*(s), in every state.
     status : Status
     method, solver : str
         Name of the algorithm, as in `SOLVERS`, and the solver with its settings.
@@ -375,7 +388,7 @@ class Solution(Found, Pictured):
 
     @property
     def q(self) -> Floats:
-        """(S, A) action values r + γ P V; -inf (of costs inf) where an action is not offered."""
+        """(S, A) action values r + γ P V; -inf (for costs inf) if an action is not available."""
         if self.mdp.sense == "min":
             never = np.inf
         else:
@@ -384,9 +397,10 @@ class Solution(Found, Pictured):
 
     @property
     def gap_table(self) -> Floats:
-        """(S, A) the suboptimality gap of each action; NaN if the state does not offer it."""
+        """(S, A) the suboptimality gap of each action; NaN if it is not available."""
         here, there = self.value[self.mdp.pair_state], self.mdp.backup(self.value)
-        with np.errstate(invalid="ignore"):  # two infinite values that are alike differ by nothing
+        # Equal infinite values have a gap of 0.
+        with np.errstate(invalid="ignore"):
             lost = np.where(here == there, 0.0, self.mdp.sign * (here - there))
         return self.mdp.by_action(lost)
 

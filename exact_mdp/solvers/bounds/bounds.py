@@ -1,7 +1,7 @@
 """Two-sided bounds on the optimal values around any vector V, sound in floating point.
 
-Let d(l) = r(l) + γ P_l V - V(s) be what pair l of state s would add to V(s). Let w be positive in
-all states but the terminal ones, where V and w are 0, and let every other pair leave a margin
+Let d(l) = r(l) + γ P_l V - V(s) be the advantage of pair l of state s over V. Let w be positive in
+all states but the terminal ones, where V and w are 0, and let every other pair have a margin
 
     m(l) = w(s) - γ P_l w > 0.
 
@@ -10,9 +10,9 @@ therefore U ≥ V*. If d(l) ≥ c' m(l) for the pairs of a policy π, then V + c
 and c' may have either sign. With w = 1 and γ < 1 these are the bounds of MacQueen and Porteus
 (Puterman, Markov Decision Processes, 1994, theorem 6.6.3); a positive margin also proves that T is
 a contraction in the norm weighted by w (Bertsekas and Tsitsiklis, Neuro-Dynamic Programming, 1996,
-proposition 2.2). The weights are the discounted number of steps to the end, the most there can be,
-by backward induction in acyclic models and by policy iteration at γ = 1; else 1, which will do as
-well. Margins are verified; every d and m comes with a bound on its rounding error.
+proposition 2.2). The weights are the greatest discounted number of steps to the end, found by
+backward induction in acyclic models and by policy iteration at γ = 1. In other models they are 1,
+which has the margin 1 - γ. Margins are verified; every d and m has a bound on its rounding error.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Bounds:
 
     @cached_property
     def state_error(self) -> Floats:
-        """(S,) |value - V*| and |value - V^π| are at most this."""
+        """(S,) upper bounds of |value - V*| and |value - V^π|."""
         error = np.asarray(max(abs(self.low), abs(self.high)) * self.weight * SLACK)
         error.setflags(write=False)
         return error
@@ -72,11 +72,11 @@ class Bounds:
 
     @property
     def regret(self) -> float:
-        """V* - V^π is at most this in every state."""
+        """An upper bound of V* - V^π in every state."""
         return float((self.high - self.low) * self.weight.max() * SLACK)
 
     def centre_bounds(self) -> Bounds:
-        """Return the same bounds around their middle, which is rounded three times."""
+        """Return the same bounds around their middle, widened by the rounding of that."""
         weight, centre = self.weight, self.low / 2 + self.high / 2
         middle, live = self.value + centre * weight, weight > 0
         lost = 2 * UNIT * (np.abs(middle) + 2 * abs(centre) * weight)[live] / weight[live]
@@ -93,14 +93,19 @@ class Bounds:
 def bound_optimal_values(mdp: MDP, value: Floats, *, strict: bool = False) -> Bounds:
     """Return bounds on V* and on the values of a greedy policy, around any `value` (S,).
 
-    Each state takes the first pair that no other beats by more than rounding; where `strict`, that
-    of d alone, otherwise the error of the values too, so that equally good actions show as such.
+    Each state takes the first pair that no other beats by more than rounding. With `strict` this is
+    the rounding of d alone; otherwise the rounding of values counts too, so that equally good
+    actions tie.
     """
     weights, live = margin_weights(mdp), ~mdp.terminal
     if np.any(value[~live]):
         raise ValueError("terminal states are worth 0")
     gain = compute_advantages(mdp, value)
-    pairs = choose_greedy_pairs(mdp, replace(gain, noise=gain.error) if strict else gain)
+    compared = gain
+    if strict:
+        compared = replace(gain, noise=gain.error)
+    pairs = choose_greedy_pairs(mdp, compared)
+    # High is the least c with d ≤ c m for all pairs; low the greatest with d ≥ c m for those of π.
     low, high = 0.0, 0.0
     if live.any():
         above = weights.compute_ratios(gain.value + gain.error)
@@ -114,11 +119,13 @@ def bound_optimal_values(mdp: MDP, value: Floats, *, strict: bool = False) -> Bo
 
 
 def solve_backward(mdp: MDP, reward: Floats) -> Floats:
-    """Return (S,) the optimal values of an acyclic model, for rewards (L,), from the end on."""
-    value, level = (
-        np.zeros(mdp.n_states),
-        None if numbered_in_order(mdp) else topological_levels(mdp),
-    )
+    """Return (S,) the optimal values of an acyclic model, for rewards (L,), by backward induction.
+
+    Levels of states that do not depend on each other are computed at once.
+    """
+    value, level = np.zeros(mdp.n_states), None
+    if not numbered_in_order(mdp):
+        level = topological_levels(mdp)
     matrix, first, ends, ended = mdp.transition, mdp.pair_offsets, mdp.pair_offsets, mdp.terminal
     if level is None:
         order = np.arange(mdp.n_states)
@@ -131,6 +138,7 @@ def solve_backward(mdp: MDP, reward: Floats) -> Floats:
             order[::-1], bellman.build_compiled_model(mdp, reward, np.ones(1)), value, 0.0
         )
         return value
+    # Without a compiled loop: cut the states into runs, with the pairs of a run side by side.
     if level is None:
         cuts = runs_in_order(mdp)
     else:
@@ -138,6 +146,7 @@ def solve_backward(mdp: MDP, reward: Floats) -> Floats:
         rows = concatenate_ranges(first[order], first[order + 1])
         matrix, reward = matrix[rows], reward[rows]
         ends = np.concatenate([[0], np.cumsum(np.diff(first)[order])])
+    # V(s) = max of r(l) + γ P_l V over the pairs of each state, from the last run to the first.
     for s, t in reversed([*pairwise(cuts.tolist())]):
         here, (l, m) = order[s:t], (ends[s], ends[t])
         if ended[here[0]]:
@@ -154,13 +163,14 @@ def margin_weights(mdp: MDP) -> Weights:
     """Return verified weights; computed once for each model."""
     require_termination(mdp)
     live = ~mdp.terminal
+    # The greatest number of steps to the end; below discount 1 a constant does as well.
     if is_acyclic(mdp):
         weight = solve_backward(mdp, np.ones(mdp.n_pairs))
+    elif mdp.discount < 1:
+        weight = live.astype(np.float64)
     else:
-        if mdp.discount < 1:
-            weight = live.astype(np.float64)
-        else:
-            weight = _expected_steps(mdp)
+        weight = _expected_steps(mdp)
+    # However the weights were found, they prove something only if all margins are positive.
     margin, error = _compute_margins(mdp, weight)
     weights = Weights(value=weight, margin=margin, error=error)
     if np.isfinite(weight).all() and (weight[live] > 0).all() and weights.smallest > 0:
@@ -173,7 +183,7 @@ def margin_weights(mdp: MDP) -> Weights:
 
 
 def _expected_steps(mdp: MDP) -> Floats:
-    """Return about the greatest expected number of steps to the end."""
+    """Estimate the greatest expected number of steps to the end."""
     one = np.where(mdp.terminal, 0.0, 1.0)[mdp.pair_state]
     # A pair that adds less than half a step leaves a margin of over a half.
     _, steps, gain = improve_policy(mdp, mdp.pair_offsets[:-1], one, enough=0.5)
@@ -185,11 +195,13 @@ def _expected_steps(mdp: MDP) -> Floats:
 def improve_policy(
     mdp: MDP, pairs: Integers, reward: Floats | None = None, *, enough: float = -np.inf
 ) -> tuple[Integers, Floats, Gain]:
-    """Return pairs (S,) of a policy, its values (S,), and what pairs add: by policy iteration.
+    """Return pairs (S,) of a policy, its values (S,) and advantages over it, by policy iteration.
 
-    The first one takes `pairs`; the last one is improved on by no more than rounding, or `enough`.
+    The first policy takes `pairs`; no pair has an advantage over the last one, beyond rounding or
+    `enough`.
     """
-    before = set[int]()  # policies: where rounding alone tells two apart, they would come again
+    # Rounding alone may make two policies take turns: stop at the first that comes back.
+    before = set[int]()
     for _ in range(POLICIES):
         before.add(hash(pairs.tobytes()))
         value = evaluate_pairs(mdp, pairs, reward)
@@ -202,18 +214,20 @@ def improve_policy(
 
 
 def evaluate_pairs(mdp: MDP, pairs: Integers, reward: Floats | None = None) -> Floats:
-    """Return (S,) the values of the policy that takes `pairs` (S,), up to rounding."""
+    """Return the values (S,) of the policy that takes `pairs` (S,), without error bounds."""
     chain, earned = policy_chain(mdp, pairs, reward)
     system = LinearSystem(chain, mdp.discount, order=topological_levels(mdp))
     return np.where(mdp.terminal, 0.0, system.approximate(earned))
 
 
 def _compute_margins(mdp: MDP, weight: Floats) -> tuple[Floats, float]:
-    """Return the margins w - γ P w, as `Weights` holds them, and their error."""
+    """Return the margins w - γ P w, in the form of `Weights`, and their error."""
+    # If w is 1 and no state leads to an end, all margins are 1 - γ.
     if mdp.discount < 1 and _is_closed(mdp, weight):
         facts = rounding_facts(mdp)
         error = ((FEW + UNIT) * facts.leak + TINY) * SLACK
         return np.array([facts.leak]), error
+    # Otherwise -m is the advantage over w of a model without rewards.
     open_pairs = ~mdp.terminal[mdp.pair_state]
     margin = compute_advantages(mdp, weight, reward=np.zeros(mdp.n_pairs))
     error = margin.error.max(where=open_pairs, initial=0.0)
@@ -221,7 +235,7 @@ def _compute_margins(mdp: MDP, weight: Floats) -> tuple[Floats, float]:
 
 
 def _is_closed(mdp: MDP, weight: Floats) -> bool:
-    """Return whether weights are 1 in all states but the terminal ones, and no way leads there."""
+    """Return whether weights are 1 in all states but terminal ones, and none leads to those."""
     if (weight == 1).all():
         return True
     matrix, ended = mdp.transition, mdp.terminal

@@ -3,11 +3,12 @@
     d(l) = r(l) + γ Σ_s' P(l, s') V(s') - V(s)
          = r(l) + γ Σ_s' P(l, s') (V(s') - V(s)) - (1 - γ) V(s)
 
-The second form is computed, as rows sum to 1 exactly: its rounding errors are set by how values
-differ between neighbours, not by how large they are. They count from the exact model, of which
-each float is a rounding. A sum of n products, each number rounded a few times before, is off by
+Rows sum to 1 exactly, so both forms are equal. The second is computed because its rounding errors
+depend on the differences of neighbouring values, not on their size. Errors are relative to the
+exact model, of which each float is a rounding. The error of a sum of n products, each factor of
+which was rounded a few times, is at most
 
-    γ(n + few) Σ |p| |x|  at most,   γ(n) = n u / (1 - n u),   u = 2⁻⁵³
+    γ(n + few) Σ |p| |x|,   γ(n) = n u / (1 - n u),   u = 2⁻⁵³
 
 (Higham, Accuracy and Stability of Numerical Algorithms, SIAM 2002, sections 3.1 and 3.4).
 """
@@ -27,9 +28,9 @@ from exact_mdp.mdp.table import COMPILED, Floats, Integers, OutcomeTable
 from exact_mdp.solvers.solution import SolverError, Status
 
 UNIT = 2.0**-53  # half of the distance from 1 to the next float
-TINY = 2.0**-1000  # above what underflow takes from a product, 2⁻¹⁰⁷⁵, whatever factor follows
-POLICIES = 1000  # that floats try at most to improve on one; a few dozen is what models have taken
-SLACK = 1 + 2.0**-20  # above what a bound, a sum of under 2³⁰ terms that are not negative, can lose
+TINY = 2.0**-1000  # above the underflow of a product, 2⁻¹⁰⁷⁵, times any factor that follows
+POLICIES = 1000  # the most steps of policy iteration in floats; a few dozen are usual
+SLACK = 1 + 2.0**-20  # makes up for the rounding of a bound: a sum of up to 2³⁰ positive terms
 
 
 def gamma(terms: Any) -> Any:
@@ -43,11 +44,11 @@ FEW = gamma(4)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Gain:
-    """What each pair adds to V: d(l) = r(l) + γ P_l V - V(s)."""
+    """The advantages of all pairs over V: d(l) = r(l) + γ P_l V - V(s)."""
 
-    value: Floats  # (L,) d as computed
-    error: Floats  # (L,) how far it may be from the exact one
-    noise: Floats  # (L,) what rounding V and q amounts to; gains closer than this are ties
+    value: Floats  # (L,) d in floats
+    error: Floats  # (L,) a bound on its error
+    noise: Floats  # (L,) the effect of rounding V and q; advantages closer than this are ties
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,12 +56,12 @@ class Weights:
     """Weights w with their verified margins m(l) = w(s) - γ P_l w."""
 
     value: Floats  # (S,) w
-    margin: Floats  # (L,) m, rounded; 1 for pairs of terminal states; (1,) where all are 1 - γ
-    error: float  # the greatest error of any of them
+    margin: Floats  # (L,) m, rounded; 1 for pairs of terminal states; (1,) if all are 1 - γ
+    error: float  # the greatest error of a margin
 
     @property
     def uniform(self) -> bool:
-        """Whether w is 1 and no way leads to an end: all values may rise alike by c w."""
+        """Whether w is 1 and no state leads to an end, so that all margins are 1 - γ."""
         return len(self.margin) == 1
 
     @cached_property
@@ -69,19 +70,19 @@ class Weights:
         return float(self.margin.min() - self.error)
 
     def bound_rounding(self, error: float, size: float) -> float:
-        """Return how far rounding may move a c of at most that size, where gains are off so far."""
+        """Return the error of a ratio c of at most `size`, for advantages with this `error`."""
         return (error + size * (self.error + 8 * UNIT)) / self.smallest
 
     def compute_ratios(self, gain: Floats) -> Floats:
-        """Return (L,) the least c that is sure to satisfy gain ≤ c · margin."""
+        """Return (L,) the least c for which gain ≤ c · margin is certain."""
         return np.asarray(gain / (self.margin - np.copysign(self.error, gain)))
 
 
 class RoundingFacts:
-    """What is known of a model's rounding errors before any values are."""
+    """The facts about a model on which rounding errors depend, whatever the values."""
 
     def __init__(self, mdp: MDP) -> None:
-        self.leak = float(1 - mdp.discount_exact)  # rounded once
+        self.leak = float(1 - mdp.discount_exact)  # 1 - γ, rounded once
         self.size = max(-float(mdp.reward.min()), float(mdp.reward.max()))  # the greatest |reward|
         self.most = int(count_roundings(mdp).max())  # roundings in a row
         self.most_reward_error = float(reward_errors(mdp).max())
@@ -91,35 +92,36 @@ rounding_facts = cache_on_model(RoundingFacts)
 
 
 def count_roundings(mdp: MDP) -> Integers:
-    """Return (L,) how many numbers are added up in each row, each rounded a few times before."""
+    """Return (L,) the number of terms of each row's sum, for its rounding error."""
     table = mdp.table
+    # Floats of the same next state were added up before, with as many roundings again.
     if table.weight.dtype == np.float64 and mdp.n_transitions < len(table.next):
-        return 2 * np.diff(table.offsets)  # floats of the same next state were added up
+        return 2 * np.diff(table.offsets)
     return np.asarray(np.diff(mdp.transition.indptr))
 
 
 def reward_errors(mdp: MDP) -> Floats:
-    """Return (L,) how far each reward may be from the exact one, of which most are roundings."""
+    """Return (L,) bounds on the errors of the rewards."""
     return _expectation_errors(mdp.table, mdp.reward)
 
 
 def component_errors(mdp: MDP) -> Floats:
-    """Return (L, C) how far each expected component may be from the exact one."""
-    parts = range(mdp.components.shape[1])
-    tables = (mdp.table.with_component_reward(number) for number in parts)
-    each = zip(tables, mdp.components.T, strict=True)
-    return np.stack([_expectation_errors(table, amounts) for table, amounts in each], axis=1)
+    """Return (L, C) bounds on the errors of the expected components."""
+    errors = []
+    for number, amounts in enumerate(mdp.components.T):
+        errors.append(_expectation_errors(mdp.table.with_component_reward(number), amounts))
+    return np.stack(errors, axis=1)
 
 
 def _expectation_errors(table: OutcomeTable, earned: Floats) -> Floats:
-    """Return (L,) how far the expected rewards of a table may be from the exact ones."""
+    """Return (L,) bounds on the errors of the expected rewards of a table."""
+    # A sum over outcomes in floats: γ(n) times the sum of absolute values.
     if table.joint and np.float64 in (table.weight.dtype, table.gain.dtype):
-        outcomes, paid = (
-            np.diff(table.offsets),
-            table.compute_probabilities() * np.abs(table.compute_gains()),
-        )
+        outcomes = np.diff(table.offsets)
+        paid = table.compute_probabilities() * np.abs(table.compute_gains())
         total = np.add.reduceat(paid, table.offsets[:-1])
         return np.asarray(gamma(2 * outcomes + 2) * total * SLACK + outcomes * TINY)
+    # All other rewards are exact numbers, rounded once.
     return np.asarray(UNIT * np.abs(earned) + TINY * bool(table.gain.any()))
 
 
@@ -134,9 +136,13 @@ def compute_advantages(mdp: MDP, value: Floats, *, reward: Floats | None = None)
         earned_of, unknown = mdp.reward, reward_errors(mdp)
     else:
         earned_of, unknown = reward, np.zeros(mdp.n_pairs)
-    tiny = TINY * (1 + float(np.abs(value).max())) * bool(value.any())
+    # Underflow in products; none if all values are 0.
+    tiny = 0.0
+    if value.any():
+        tiny = TINY * (1 + float(np.abs(value).max()))
 
     def compute_block(number: int, first: int, last: int) -> None:
+        # d = r + γ Σ p (V' - V) - (1 - γ) V, its error, and its noise, one column each.
         here = slice(first, last)
         _sum_differences(mdp, value, first, last, columns)
         steps, flow = mdp.discount * columns[0, here], mdp.discount * columns[1, here]
@@ -157,20 +163,17 @@ def compute_advantages(mdp: MDP, value: Floats, *, reward: Floats | None = None)
 
 
 def row_error(leak: Any, terms: Any, flow: Any, earned: Any, own: Any) -> Any:
-    """Return how far d may be off: Σ γ p |V' - V| is the `flow`, V the `own` value, 1 - γ the leak.
+    """Return a bound on the rounding error of d, without underflow and the error of the reward.
 
-    The leak is rounded once. Underflow and the error of the reward come on top. Any shapes
-    that fit together do.
+    `flow` is Σ γ p |V' - V|, `own` is V, and `leak` is 1 - γ, rounded once. Shapes broadcast.
     """
     leaked = leak * np.abs(own)
     return gamma(terms + 8) * flow + FEW * (np.abs(earned) + leaked) + UNIT * leaked
 
 
 def largest_error(mdp: MDP, low: float, high: float) -> float:
-    """Return a bound on the error of any pair's d, for values from `low` to `high`.
-
-    No row of floats sums up to 1.001.
-    """
+    """Return a bound on the error of any pair's d, for values from `low` to `high`."""
+    # The sum of a row of floats is below 1.001.
     facts, size = rounding_facts(mdp), max(abs(low), abs(high))
     flow = 1.001 * mdp.discount * (high - low)
     error = row_error(facts.leak, facts.most, flow, facts.size, size)
@@ -181,7 +184,7 @@ def largest_error(mdp: MDP, low: float, high: float) -> float:
 def choose_greedy_pairs(mdp: MDP, *levels: Gain, keep: Integers | None = None) -> Integers:
     """Return (S,) the first pair of each state that no other beats by more than rounding.
 
-    Ties of one level are settled by the next. One of `keep` (S,) stays where none beats it.
+    Each level breaks the ties of the level before. A pair of `keep` (S,) stays if none beats it.
     """
     left = np.ones(mdp.n_pairs, dtype=bool)
     for gain in levels:
@@ -215,6 +218,6 @@ def _sum_differences(mdp: MDP, value: Floats, first: int, last: int, columns: Fl
     term = value[matrix.indices[begin:end]]
     term -= value[mdp.pair_state[first:last]][row]
     term *= matrix.data[begin:end]
-    # Added one by one, as the compiled loop adds them.
+    # `bincount` adds in the order of entries, as the compiled loop does: the floats are the same.
     columns[0, first:last] = np.bincount(row, term, last - first)
     columns[1, first:last] = np.bincount(row, np.abs(term, out=term), last - first)

@@ -3,13 +3,13 @@
 The values of a policy, its second moments, its expected steps and (with P transposed) its visits
 all have this form. At discount 1 the rows of terminal states, where x is 0, have to be empty.
 
-Small chains, and those whose factors are seen to be small, are solved by elimination; others by
-sweeps, where a few lead there, else by BiCGSTAB, and where that does not converge by elimination
-after all, if there is room. Iterative refinement follows. Let k be at least |c + γ P x - x|, its
+Small chains, and chains with small factors, are solved by elimination. Others are solved by sweeps
+if a few suffice, else by BiCGSTAB, and if that does not converge by elimination after all, as long
+as the factors fit in memory. Iterative refinement follows. Let k be at least |c + γ P x - x|, its
 rounding errors included. If e ≥ 0 satisfies e - γ P e ≥ k, then |x - x*| ≤ e, because (I - γP)⁻¹ is
-nonnegative. So the error solves the same equation with the residual for a constant; that
-e - γ P e > 0 for some e > 0 also proves that the chain leaks (Berman and Plemmons, Nonnegative
-Matrices in the Mathematical Sciences, 1979, chapter 6, M35).
+nonnegative. So the error solves the same equation with the residual as its constant. An e > 0 with
+e - γ P e > 0 also proves that I - γP is invertible (Berman and Plemmons, Nonnegative Matrices in
+the Mathematical Sciences, 1979, chapter 6, M35).
 """
 
 from __future__ import annotations
@@ -32,25 +32,27 @@ from exact_mdp.mdp.table import COMPILED, Floats, Integers, Numbers, concatenate
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.solution import SolverError, Status
 
-# Where elimination takes milliseconds: states, or transitions; multiplications within a band, or a
-# band of so many times the entries of the chain.
+# Elimination takes milliseconds up to so many states, or transitions; within a band, up to so many
+# multiplications, or if the band has at most NARROW times the entries of the chain.
 FEW, SPARSE = 500, 5000
 CHEAP, NARROW = 2e7, 4
 MOST_ENTRIES = 100_000_000  # of both factors: 12 bytes each, about a gigabyte
+# Each refinement gains the digits of CORRECTION; it stops as soon as one brings little.
 REFINEMENTS = 5
 FIRST, CORRECTION = 1e-11, 1e-4  # residuals to iterate for, as parts of the constant
-SWEEPS, TRIED = 100, 6  # at most; after which to ask how fast they are
-STEPS, PATIENT = 400, 8000  # of BiCGSTAB, where elimination is possible, and where it is not
-LEAST = 1e-14  # a cosine that is nothing but rounding
-CLOSE = 1e-12  # how far a sum of floats that means 1 may be from it
-ALIKE = 2  # how much greater than need be an error bound may be that takes no equations
+SWEEPS, TRIED = 100, 6  # the most sweeps, and the number after which their speed is estimated
+# Steps of BiCGSTAB before elimination is tried instead, and if elimination is impossible.
+STEPS, PATIENT = 400, 8000
+LEAST = 1e-14  # cosines of vectors below this are nothing but rounding
+CLOSE = 1e-12  # rows of floats that sum to 1 up to this are taken to sum to 1 exactly
+ALIKE = 2  # a bound without solving equations is taken if it is at most so many times too large
 
 Solve = Callable[[Floats], Floats]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FixedPoint:
-    """A solution and how far it may be from the exact one."""
+    """A solution and a bound on its error."""
 
     value: Floats  # (S,)
     error: Floats  # (S,) |value - exact| is at most this, state by state
@@ -63,7 +65,7 @@ class LinearSystem(ByFields):
     transition: sp.csr_array  # (S, S), nonnegative
     discount: float = 1.0  # γ, itself rounded at most once
     order: Integers | None = None  # (S,) where every entry (s, t) has order[t] < order[s]
-    roundings: int = 1  # of each entry of `transition` on its way from the exact number
+    roundings: int = 1  # roundings between an exact probability and its entry in `transition`
 
     @property
     def states(self) -> int:
@@ -74,7 +76,8 @@ class LinearSystem(ByFields):
 
     @np.errstate(over="ignore", invalid="ignore")
     def solve(self, constant: Floats, constant_error: Floats | float = 0.0) -> FixedPoint:
-        """Return x (S,) and its error (S,); raises SolverError where no error can be verified."""
+        """Return x (S,) and its error (S,); raises SolverError if no error can be verified."""
+        # The constant k of the error's equation: residual, its rounding, and the error of c.
         value, residual = self._refine_solution(constant)
         rounding = self._bound_rounding(np.abs(constant), np.abs(value))
         excess = (np.abs(residual) * (1 + 4 * UNIT) + rounding + constant_error) * SLACK
@@ -91,18 +94,21 @@ class LinearSystem(ByFields):
             return np.zeros_like(excess)
         if not np.isfinite(largest):
             raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
+        # A constant e = max k / (1 - γ Σ P) always works, and is good if all quotients are alike.
         if (self._leak > 0).all():
             each = excess / self._leak
             if each.max() <= ALIKE * each.min():
                 return np.full_like(excess, float(each.max()) * SLACK)
-        # Of a scale of 1, and nowhere so small that rounding would swallow the margin.
+        # Scaled to 1, and nowhere so small that rounding would swallow the margin.
         wanted = excess / largest + 2.0**-10
         nothing = np.zeros_like(wanted)
+        # Any e with e - γ P e > 0 can be scaled to a bound: a rough solution is tried first.
         for rough in (True, False):
             if rough:
                 error = self._solve_nearly(wanted, CORRECTION)
             else:
                 error = self.approximate(wanted)
+            # A lower bound of e - γ P e.
             slack = -self._compute_residual(nothing, error) - self._bound_rounding(
                 nothing, np.abs(error)
             )
@@ -120,16 +126,18 @@ class LinearSystem(ByFields):
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def _refine_solution(self, constant: Floats) -> tuple[Floats, Floats]:
-        """Return x (S,), refined, and its residual as computed."""
+        """Return x (S,), refined, and its residual in floats."""
         value = self._solve_nearly(constant, FIRST)
         residual = self._compute_residual(constant, value)
         size = float(np.abs(residual).max())
-        # Of rows of n terms, the error bound counts n roundings whatever the residual is.
+        # The error bound counts n roundings for rows of n terms, however small the residual is:
+        # below a part of these, refinement brings nothing.
         floor = max(8.0, float(np.diff(self.transition.indptr).max()) / 4) * UNIT
         floor *= float((np.abs(constant) + np.abs(value)).max())
         for _ in range(REFINEMENTS):
             if not np.isfinite(size) or size <= floor:
                 break
+            # The correction solves the same equation with the residual as its constant.
             better = value + self._solve_nearly(residual, CORRECTION)
             after = self._compute_residual(constant, better)
             smaller = float(np.abs(after).max())
@@ -145,7 +153,8 @@ class LinearSystem(ByFields):
         return np.asarray(constant + self.discount * (self.transition @ value) - value)
 
     def _bound_rounding(self, constant: Floats, value: Floats) -> Floats:
-        """Return how far the computed residual may be from the exact one, for magnitudes."""
+        """Return a bound on the residual's rounding error, given |c| and |x|."""
+        # c + γ Σ p x is a sum of products; the difference from x rounds once more.
         terms = np.diff(self.transition.indptr)
         flow = self.discount * (self.transition @ value)
         total = gamma(terms + self.roundings + 4) * (constant + flow) + 2 * UNIT * value
@@ -155,7 +164,7 @@ class LinearSystem(ByFields):
     # ---- solving -----------------------------------------------------------------------------
 
     def solve_roughly(self, constant: Floats, *, closely: bool = False) -> Floats:
-        """Return x (S,) with a residual of about a hundredth of the constant (S,), or `closely`."""
+        """Return x (S,) with a residual of a hundredth of the constant (S,); `closely` refined."""
         if self._direct:
             return self._direct(constant)
         if closely:
@@ -163,18 +172,22 @@ class LinearSystem(ByFields):
         return self._solve_iteratively(constant, 1e-2)
 
     def solve_relatively(self, constant: Floats, leak: Floats) -> tuple[Floats, float]:
-        """Return h (S,) and k with h + k = c + γ P (h + k), h being 0 in a state often visited.
+        """Return h (S,) and k with h + k = c + γ P (h + k), where h is 0 in one frequent state.
 
-        Values may be as large as 1 / (1 - γ), h is only as large as they differ: what leads to that
-        state is left out, and k times the `leak` (S,) of each row, 1 - γ Σ P, stands in its place.
-        Leaks are given, as floats of P near 1 do not tell them; where rows leak unalike, what is
-        small beside the others has to be found closely, too.
+        Values may be as large as 1 / (1 - γ), while h is only as large as their differences.
+        Transitions to that state are left out; k times the `leak` (S,) of each row, 1 - γ Σ P,
+        takes their place. Leaks are arguments because the floats of P lose them near 1; if rows
+        have different leaks, even a small one has to be solved for closely.
         """
+        # x = h + k solves h = c + γ P h - k leak. Without transitions to the frequent state, both
+        # c and the leak have solutions that are not large; k is chosen so that h is 0 there.
         often, others = self._without_one
         leaked, value, chain = others.approximate(leak), np.zeros_like(constant), self.transition
         level = 0.0
         row = np.repeat(np.arange(len(value)), np.diff(chain.indptr))
+        # Each round solves for the residual of the rounds before.
         for _ in range(REFINEMENTS):
+            # Differences of neighbours lose no digits to the common part of the values.
             steps = chain.data * (value[chain.indices] - value[row])
             ahead = np.bincount(row, steps, len(value))
             earned = others.solve_roughly(constant + self.discount * ahead - leak * value)
@@ -185,7 +198,8 @@ class LinearSystem(ByFields):
 
     @cached_property
     def _without_one(self) -> tuple[int, LinearSystem]:
-        """A state that is often visited, and the system without what leads there."""
+        """A state that is visited often, and the system without transitions to it."""
+        # Power iteration: after some steps the largest share shows such a state.
         chain, states = self.transition, self.states
         share, back = np.full(states, 1 / states), chain.T.tocsr()
         for _ in range(STEPS):
@@ -196,15 +210,21 @@ class LinearSystem(ByFields):
         return often, LinearSystem(rows, self.discount)
 
     def _solve_nearly(self, constant: Floats, rtol: float) -> Floats:
-        """Return x (S,), where it is iterated for with a residual of that part of the constant."""
+        """Return x (S,), if by iteration then with a residual of `rtol` times the constant."""
         size = float(np.abs(constant).max())
-        if size == 0.0 or not np.isfinite(size):
-            return np.full(len(constant), 0.0 if size == 0.0 else np.nan)
+        if size == 0.0:
+            return np.zeros(len(constant))
+        if not np.isfinite(size):
+            return np.full(len(constant), np.nan)
         if self._direct:
             return self._direct(constant)
-        scaled = constant / size  # tests for convergence and breakdown are absolute
+        # Tests for convergence and breakdown are absolute: scale the constant to 1.
+        scaled = constant / size
+        # Sweeps are the cheapest, but not tried again once they were slow.
         if not self._slow:
-            fine, states = 4 * UNIT if rtol == FIRST else 0.0, np.arange(len(scaled))
+            fine, states = 0.0, np.arange(len(scaled))
+            if rtol == FIRST:
+                fine = 4 * UNIT
             chain, closed = self.transition, self._closed
             value, done = sweep_system(chain, states, self.discount, scaled, closed, rtol, fine)
             if done:
@@ -214,12 +234,12 @@ class LinearSystem(ByFields):
 
     @cached_property
     def _slow(self) -> list[bool]:
-        """Not empty where sweeps were found to be slow."""
+        """A list that is empty until sweeps were found to be slow."""
         return []
 
     @cached_property
     def _closed(self) -> bool:
-        """Whether all rows sum to 1: no way leads to an end."""
+        """Whether all rows sum to 1, so that no state leads to an end."""
         total = self.transition.sum(axis=1)
         return bool(max(total.max() - 1, 1 - total.min()) < CLOSE)
 
@@ -227,10 +247,12 @@ class LinearSystem(ByFields):
         """Return x (S,) by BiCGSTAB, or by elimination in a band, narrow or as the last resort."""
         # To look for a band takes as long as many sweeps, which are therefore tried before.
         entries = sum(self._band[1:]) * len(constant)
+        # Iterate unless elimination is cheap, or has been paid for already.
         if not self.work and "_within_band" not in vars(self):
-            value = self._solve_by_bicgstab(
-                constant, rtol, STEPS if entries <= MOST_ENTRIES else PATIENT
-            )
+            steps = STEPS
+            if entries > MOST_ENTRIES:
+                steps = PATIENT
+            value = self._solve_by_bicgstab(constant, rtol, steps)
             if value is not None and np.isfinite(value).all():
                 return value
         if entries > MOST_ENTRIES:
@@ -240,7 +262,8 @@ class LinearSystem(ByFields):
         return self._within_band(constant)
 
     def _solve_by_bicgstab(self, constant: Floats, rtol: float, steps: int) -> Floats | None:
-        """Return x (S,) by BiCGSTAB; None where `steps` do not suffice."""
+        """Return x (S,) by BiCGSTAB; None if `steps` do not suffice."""
+        # Right preconditioning M: solve (I - γP) M y = c, and x = M y.
         from exact_mdp.solvers.kernels import linear as loops
 
         chain, rate = self.transition, float(self.discount)
@@ -264,18 +287,21 @@ class LinearSystem(ByFields):
 
     @cached_property
     def _direct(self) -> Solve | None:
-        """Elimination, where it costs little."""
+        """Solve by elimination; None if that is expensive."""
         chain = self.transition
+        # A few states: LAPACK, within a band if this takes fewer operations than S³ / 3.
         if self.states <= FEW:
             lower, upper = self._reach
-            if 6 * (lower + 1) * (lower + upper + 1) < self.states**2:  # S³ / 3 for all
+            if 6 * (lower + 1) * (lower + upper + 1) < self.states**2:
                 return _factor_banded(self.discount, lower, upper, chain)
             return _factor_dense(self.discount, chain)
+        # An acyclic chain is triangular in topological order: substitution fills in nothing.
         if self.order is not None:
             order = np.argsort(self.order, kind="stable")
-            return self._factor_in_order(
-                self._factor_sparse if chain.nnz < COMPILED else self._make_substitution, order
-            )
+            if chain.nnz < COMPILED:
+                return self._factor_in_order(self._factor_sparse, order)
+            return self._factor_in_order(self._make_substitution, order)
+        # Few transitions, or states whose transitions lead near.
         if chain.nnz <= SPARSE and not self.work:
             return self._factor_sparse(chain)
         if chain.nnz <= SPARSE or self._narrow:
@@ -284,18 +310,18 @@ class LinearSystem(ByFields):
 
     @cached_property
     def _reach(self) -> tuple[int, int]:
-        """How far transitions lead down and up in number, at most."""
+        """The bandwidths below and above the diagonal, with states as numbered."""
         return _compute_bandwidths(self.transition, np.arange(self.states))
 
     @property
     def _narrow(self) -> bool:
-        """Whether a band around the diagonal, states as numbered, has few entries of its own."""
+        """Whether the band, with states as numbered, is filled well by the chain's entries."""
         chain = self.transition
         return bool(sum(self._reach) * self.states <= NARROW * chain.nnz)
 
     @cached_property
     def work(self) -> float:
-        """The multiplications of elimination within a band, where these are few; else 0."""
+        """The number of multiplications of elimination within a band, if it is small; else 0."""
         _, lower, upper = self._band
         width, states = lower + upper + 1, self.states
         work = 2.0 * states * (lower + 1) * width
@@ -309,6 +335,7 @@ class LinearSystem(ByFields):
         chain, (lower, upper) = self.transition, self._reach
         if self._narrow:
             return None, lower, upper
+        # Reverse Cuthill-McKee, on the pattern made symmetric, makes bands narrow.
         one = sp.csr_array((np.ones(chain.nnz, np.int8), chain.indices, chain.indptr), chain.shape)
         order = csgraph.reverse_cuthill_mckee((one + one.T).tocsr(), symmetric_mode=True)
         down, up = _compute_bandwidths(chain, np.argsort(order))
@@ -335,7 +362,7 @@ class LinearSystem(ByFields):
         return lambda constant: np.asarray(factors.solve(constant))
 
     def _make_substitution(self, chain: sp.csr_array) -> Solve:
-        """Return substitution, where each state leads to earlier ones alone."""
+        """Return forward substitution, for a chain whose states lead to earlier states only."""
         from exact_mdp.solvers.kernels import linear as loops
 
         chain.sort_indices()
@@ -359,26 +386,30 @@ class LinearSystem(ByFields):
 
 
 def _run_bicgstab(moves: Solve, constant: Floats, rtol: float, steps: int) -> Floats | None:
-    """Return y whose `moves` are the constant (S,), or None where `steps` do not suffice."""
+    """Return y with `moves`(y) = constant (S,), or None if `steps` do not suffice.
+
+    Van der Vorst, SIAM Journal on Scientific and Statistical Computing 13, 1992.
+    """
     from exact_mdp.solvers.kernels.linear import compute_inner_product
 
     value, fresh = np.zeros_like(constant), True
     goal = rtol * np.sqrt(compute_inner_product(constant, constant))
     for _ in range(steps):
-        if fresh:  # at first, and where the residual came to be orthogonal to its shadow
+        # (Re)start with the residual as its own shadow: at first, and after a breakdown, when the
+        # residual has become orthogonal to the shadow.
+        if fresh:
             shadow = rest = constant - moves(value)
             step = onward = np.zeros_like(rest)
             rho = alpha = omega = 1.0
             length = size = np.sqrt(compute_inner_product(rest, rest))
         if size <= goal:
             return value
+        # The biconjugate direction, and the step along it.
         before, rho = rho, compute_inner_product(shadow, rest)
         step = rest + rho / before * (alpha / omega) * (step - omega * onward)
         onward = moves(step)
-        along, far = (
-            compute_inner_product(shadow, onward),
-            np.sqrt(compute_inner_product(onward, onward)),
-        )
+        along = compute_inner_product(shadow, onward)
+        far = np.sqrt(compute_inner_product(onward, onward))
         fresh = not (abs(rho) > LEAST * length * size and abs(along) > LEAST * length * far)
         if fresh:
             continue
@@ -388,6 +419,7 @@ def _run_bicgstab(moves: Solve, constant: Floats, rtol: float, steps: int) -> Fl
         size = np.sqrt(compute_inner_product(rest, rest))
         if size <= goal:
             return value
+        # The stabilising half step: ω minimises the residual along its own image.
         turn = moves(rest)
         square = compute_inner_product(turn, turn)
         omega = compute_inner_product(turn, rest) / square
@@ -403,7 +435,8 @@ def _run_bicgstab(moves: Solve, constant: Floats, rtol: float, steps: int) -> Fl
 
 
 def _factor_dense(discount: float, chain: sp.csr_array) -> Solve:
-    """Return LAPACK's elimination of all entries, by columns and so of the transpose."""
+    """Return a solver by LAPACK's LU factors of the dense matrix."""
+    # LAPACK reads columns: it gets the transpose, and solves the transpose of that.
     matrix = -discount * chain.toarray()
     matrix.flat[:: len(matrix) + 1] += 1.0
     factors, exchanged, failed = lapack.dgetrf(matrix.T, overwrite_a=True)
@@ -413,7 +446,8 @@ def _factor_dense(discount: float, chain: sp.csr_array) -> Solve:
 
 
 def _factor_banded(discount: float, lower: int, upper: int, chain: sp.csr_array) -> Solve:
-    """Return LAPACK's elimination within a band."""
+    """Return a solver by LAPACK's LU factors of the band matrix."""
+    # Entry (i, j) lies in row lower + upper + i - j of column j; pivoting needs `lower` rows more.
     states = len(chain.indptr) - 1
     row = np.repeat(np.arange(states), np.diff(chain.indptr))
     places = np.zeros((2 * lower + upper + 1, states), order="F")
@@ -426,7 +460,7 @@ def _factor_banded(discount: float, lower: int, upper: int, chain: sp.csr_array)
 
 
 def _compute_bandwidths(chain: sp.csr_array, place: Integers) -> tuple[int, int]:
-    """Return how far transitions lead down and up in place (S,), at most."""
+    """Return the bandwidths below and above the diagonal, with states at these places (S,)."""
     ahead = place[chain.indices] - np.repeat(place, np.diff(chain.indptr))
     return int(-ahead.min(initial=0)), int(ahead.max(initial=0))
 
@@ -452,24 +486,26 @@ def sweep_system(
 
 def transpose_system(system: LinearSystem) -> LinearSystem:
     """Return the equation x = c + γ Pᵀ x, which visits satisfy."""
+    # Transposed transitions lead the other way round.
+    order = None
+    if system.order is not None:
+        order = -system.order
     return LinearSystem(
-        system.transition.T.tocsr(),
-        system.discount,
-        order=None if system.order is None else -system.order,
-        roundings=system.roundings,
+        system.transition.T.tocsr(), system.discount, order=order, roundings=system.roundings
     )
 
 
 def select_rows(
     matrix: sp.csr_array, rows: Integers, states: NDArray[np.bool_], *, inner: bool = False
 ) -> sp.csr_array:
-    """Return the rows (S, S) of some states; the rows of all other states are empty."""
+    """Return the rows (S, S) of some states; other rows, and if `inner` columns, are empty."""
     if states.all():
         return matrix[rows]
     first, last = matrix.indptr[rows], matrix.indptr[rows + 1]
     lengths, entries = last - first, concatenate_ranges(first, last)
     column, inside = matrix.indices[entries], np.repeat(states, lengths)
-    if inner:  # else the band would be as wide as a state can be from an end
+    # Entries that lead to an end would only widen the band.
+    if inner:
         inside &= states[column]
     ends = np.append(0, np.cumsum(inside))[np.append(0, np.cumsum(lengths))]
     parts = matrix.data[entries][inside], column[inside], ends.astype(matrix.indptr.dtype)
@@ -480,6 +516,10 @@ def policy_chain(
     mdp: MDP, pairs: Integers, reward: Floats | None = None
 ) -> tuple[sp.csr_array, Floats]:
     """Return transitions (S, S) between states that are not terminal, and rewards (S,)."""
-    live, earned = ~mdp.terminal, mdp.reward if reward is None else reward
+    live = ~mdp.terminal
+    if reward is None:
+        earned = mdp.reward
+    else:
+        earned = reward
     chain = select_rows(mdp.transition, pairs, live, inner=True)
     return chain, np.where(live, earned[pairs], 0.0)

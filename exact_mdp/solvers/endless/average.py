@@ -1,4 +1,4 @@
-"""The best average reward per step in floats, with bounds that hold: three methods, one bound.
+"""The best average reward per step in floats, by three methods, with verified bounds.
 
     policy iteration           take pairs that are greatest in (d(g), r - g + d(h), d(w) - h), in
                                this order, with g, h, w of the policy (`chain`) and d(x) = P x - x
@@ -8,9 +8,10 @@
                                pair; the policy is improved as in policy iteration
 
 (Puterman, Markov Decision Processes, 1994, sections 9.2.1 and 10.3, 8.5.4 and 8.5.5, 9.3). The
-policy's own gain bounds the optimum from below. From above: in an end component no policy earns
-more per step than the greatest r + P h - h of its pairs, for any h, and from elsewhere no more than
-the greatest expectation of that: a model in which every policy ends, whose values `bounds` proves.
+policy's own gain is a lower bound of the optimum. The upper bound: in an end component no policy
+earns more per step than the greatest r + P h - h of its pairs, for any h. From other states no
+policy earns more than the greatest expectation of these numbers, which is the value of a model in
+which every policy ends, with bounds by `bounds`.
 """
 
 from __future__ import annotations
@@ -42,7 +43,9 @@ from exact_mdp.solvers.endless.graph import Graph
 from exact_mdp.solvers.endless.quotient import build_derived_model
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
 
-NEARNESS = Fraction(1, 2**12)  # 1 - γ of the policy to begin with
+# 1 - γ of the discounted model whose optimal policy is the first one. The smaller, the nearer that
+# policy is to the optimum, and the longer it takes to find.
+NEARNESS = Fraction(1, 2**12)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -52,7 +55,7 @@ class AverageSolution(Solution):
     Attributes
     ----------
     bias, bias_error : (S,)
-        Bias of the policy given here, and how far it may be off; see `solvers.endless.chain`.
+        Bias of this policy and a bound on its error; see `solvers.endless.chain`.
 
     Examples
     --------
@@ -68,7 +71,7 @@ class AverageSolution(Solution):
 
     @property
     def q(self) -> Floats:
-        """(L,) r - g + P h: what a step by the pair adds, beyond the gain of its state."""
+        """(L,) r - g + P h: the value of taking the pair once, beyond the gain of its state."""
         step = self.mdp.undiscounted
         return np.asarray(step.backup(self.bias) - self.value[step.pair_state])
 
@@ -97,17 +100,22 @@ def solve_average(mdp: MDP, solver: Solver) -> AverageSolution:
         raise ModelError(
             "an average reward has no use for start=", where="solve", fix="leave start out"
         )
+    # The method finds a policy; its own gain and the upper bound give the error, whatever it did.
     step = mdp.undiscounted
     pairs, relative, iterations = method.run(step)
     gain, bias = FloatChain(step, pairs).evaluate_chain()
     above = _bound_gain_above(step, relative) - gain.value
+    if solver.name == ValueIteration.name:
+        status = Status.CONVERGED
+    else:
+        status = Status.DIRECT
     return AverageSolution(
         mdp=mdp,
         value=gain.value,
         pairs=pairs,
         state_error=np.maximum(gain.error, above * SLACK),
         regret_bound=max(0.0, float((above + gain.error).max()) * SLACK),
-        status=Status.CONVERGED if solver.name == ValueIteration.name else Status.DIRECT,
+        status=status,
         method=solver.name,
         solver=repr(solver),
         iterations=iterations,
@@ -118,7 +126,8 @@ def solve_average(mdp: MDP, solver: Solver) -> AverageSolution:
 
 
 def _bound_gain_above(step: MDP, bias: Floats) -> Floats:
-    """Return (S,) what no policy earns more than per step, for any relative values (S,)."""
+    """Return (S,) upper bounds of the gains of all policies, from any relative values (S,)."""
+    # The greatest r + P h - h in each end component, rounded up.
     graph, added = Graph(step), compute_advantages(step, bias)
     label, inside = graph.end_components(np.ones(step.n_pairs, dtype=bool))
     own, most = label[step.pair_state], added.value + added.error * SLACK
@@ -127,6 +136,7 @@ def _bound_gain_above(step: MDP, bias: Floats) -> Floats:
     np.maximum.at(top, own[inside], np.nextafter(most[inside], np.inf))
     if count == 1:
         return np.full(step.n_states, top[0])
+    # In a model of the pairs outside, each end component is one state with a rest of that value.
     passed = label < 0
     label[passed] = count + np.arange(int(passed.sum()))
     pairs = np.flatnonzero(~inside)
@@ -203,18 +213,18 @@ class AveragePolicyIteration:
 
 
 def _choose_patient_pairs(step: MDP) -> Integers:
-    """Return the pairs (S,) that are best with a discount near 1: few are left to improve."""
+    """Return the pairs (S,) that are best with a discount near 1, few of which need improving."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PrecisionWarning)
         try:
             return ModifiedPolicyIteration().solve(step.with_(discount=1 - NEARNESS)).pairs
-        except SolverError:  # any policy does to begin with
+        except SolverError:  # any policy may be the first
             return step.pair_offsets[:-1]
 
 
 @dataclass(frozen=True)
 class RelativeValueIteration:
-    """Relative value iteration, h ← h + (T h - h) / 2, until T h - h is proven to be level.
+    """Relative value iteration, h ← h + (T h - h) / 2, until T h - h is proven to be constant.
 
     Half a step makes periodic chains converge, too (White, J. Math. Anal. Appl. 6, 1963; Puterman,
     1994, section 8.5.4).
@@ -238,6 +248,7 @@ class RelativeValueIteration:
             limit = self.tol or RELATIVE_TOLERANCE * max(1.0, abs(middle))
             if width <= limit or width <= 4 * float(added.error.max()):
                 return choose_greedy_pairs(step, added), bias, iteration
+            # Half a step, and h = 0 in the first state: only differences matter.
             bias += (residual - middle) / 2
             bias -= bias[0]
         detail = f"{width:.2g} is the error bound after {self.max_iterations} iterations"
@@ -245,7 +256,7 @@ class RelativeValueIteration:
 
     @staticmethod
     def _require_one_gain(step: MDP) -> None:
-        """Raise ModelError unless all states have the same optimal gain for sure."""
+        """Raise ModelError unless all states are certain to have the same optimal gain."""
         label, _ = Graph(step).end_components(np.ones(step.n_pairs, dtype=bool))
         count = int(label.max()) + 1
         if count > 1:
@@ -273,6 +284,7 @@ class AverageLinearProgram:
         least[1], cost[0] = step.reward / scale, 1.0
         solved, steps = least_above(cost.ravel(), matrix, least.ravel(), self.optimiser)
         bias = scale * solved[step.n_states :]
+        # The program leaves biases open in transient states: policy iteration has the last word.
         first = choose_greedy_pairs(step, compute_advantages(step, bias))
         pairs, bias, iterations = AveragePolicyIteration().run(step, first)
         return pairs, bias, steps + iterations

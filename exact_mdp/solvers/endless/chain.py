@@ -1,16 +1,16 @@
-"""Gain and bias of a Markov chain with rewards, and where it spends its time.
+"""Gain and bias of a Markov chain with rewards, and its stationary distributions.
 
     g = P g,      g + (I - P) h = r,      h + (I - P) w = 0
 
-n steps earn n g + h in the mean, up to terms that vanish or average out; the long-run average of h
-is 0 (Puterman, Markov Decision Processes, 1994, theorem 8.2.6, corollary 8.2.9). One state of each
-recurrent class, an often visited one, is its base. The stationary distribution is the mean number
-of visits between two visits of the base, over the time between them (Ross, Stochastic Processes,
-1996, theorem 3.6.1). A bias is the reward on the way to a base, y = f + P y, less its mean.
+n steps earn n g + h on average, up to terms that vanish or average out; the long-run average of h
+is 0 (Puterman, Markov Decision Processes, 1994, theorem 8.2.6, corollary 8.2.9). One frequently
+visited state of each recurrent class is its base. The stationary distribution is the mean number of
+visits between two visits of the base, divided by the time between them (Ross, Stochastic Processes,
+1996, theorem 3.6.1). The bias is the reward on the way to a base, y = f + P y, less its mean.
 
 In floats, for any h' and w', min d ≤ g ≤ max d and min e ≤ mean of h' ≤ max e in each class, with
-d = r + P h' - h' and e = h' + w' - P w'. What h' is off by solves the equation of h with d - g for
-a reward: it is at most the residuals that are met on the way to a base, and the mean of h'.
+d = r + P h' - h' and e = h' + w' - P w'. The error of h' solves the equation of h with the reward
+d - g: it is at most the sum of residuals on the way to a base, plus the mean of h'.
 """
 
 from __future__ import annotations
@@ -36,25 +36,27 @@ from exact_mdp.solvers.exact.linear import (
 )
 from exact_mdp.solvers.solution import SolverError, Status
 
-STEPS = 64  # after which an often visited state shows; after 8, bounds are 20 times as wide
+STEPS = 64  # steps that find a frequent state; measured: after 8, bounds are 20 times as wide
 
 
 class Classes:
-    """The C recurrent classes of a chain: sets of states that are never left, once entered."""
+    """The C recurrent classes of a chain: sets of states that are never left once entered."""
 
     def __init__(self, graph: sp.csr_array) -> None:
-        """Take the graph (S, S) of a chain, along whose entries states are visited."""
+        """Take the graph (S, S) of a chain, with an entry for each possible transition."""
+        # A strong component is a class if no transition leaves it.
         part = strong_components(graph)
         source = np.repeat(np.arange(len(part)), np.diff(graph.indptr))
         closed = np.ones(int(part.max()) + 1, dtype=bool)
         closed[part[source[part[source] != part[graph.indices]]]] = False
         # (S,) the class of each state; -1 where it is transient
         self.label = np.where(closed, np.cumsum(closed) - 1, -1)[part]
+        # Power iteration with half a step, for periodic chains: the likeliest state is the base.
         moves, often = graph.T.tocsr() / 2, np.ones(len(part))
         for _ in range(STEPS):
             often = often / 2 + moves @ often
         order = np.lexsort((-often.astype(np.float32), self.label))
-        # (C,) a state of each: where most come to in `STEPS` steps, of which half stay put
+        # (C,) the base of each class.
         self.base = order[np.flatnonzero(np.diff(self.label[order], prepend=-1))]
 
     @property
@@ -75,7 +77,7 @@ class Classes:
         return np.maximum(self.label, 0)
 
     def normalise_in_classes(self, visits: Numbers) -> Numbers:
-        """Return (S,) the share of each state of its class in visits (S,)."""
+        """Return (S,) visits (S,) divided by their sum over the state's class; 0 if transient."""
         inside = np.where(self.recurrent, visits, visits[0] * 0)
         return np.asarray(inside / self.sum_by_class(inside)[self.own])
 
@@ -113,7 +115,7 @@ def long_run(chain: FloatChain | ExactChain, earned: Numbers) -> Numbers:
 
 
 class FloatChain:
-    """A chain in floats, of a policy that takes pairs (U,) with these probabilities, or each."""
+    """A chain in floats, of a policy that takes pairs (U,), with these probabilities or with 1."""
 
     def __init__(
         self, mdp: MDP, pairs: Integers, weights: Floats | None = None, roundings: int = 1
@@ -127,7 +129,7 @@ class FloatChain:
             chances = np.ones(len(pairs))
         self.taken = sp.csr_array((chances, pairs, offsets), (mdp.n_states, mdp.n_pairs))
         self.transition = sp.csr_array(self.taken @ mdp.transition)
-        # However rarely: entries below the range of floats are missing in the matrix.
+        # The graph has every transition: entries that underflow are missing in the matrix.
         lengths = np.diff(table.offsets)[pairs]
         following = table.next[concatenate_ranges(table.offsets[pairs], table.offsets[pairs + 1])]
         rare = np.full(len(following), np.finfo(np.float64).tiny)
@@ -146,17 +148,17 @@ class FloatChain:
 
     @cached_property
     def until_class(self) -> LinearSystem:
-        """The same with empty rows in recurrent classes."""
+        """The equation y = c + P y, with empty rows in recurrent classes."""
         return self._build_system_until(self.classes.recurrent)
 
     @cached_property
     def visits(self) -> LinearSystem:
-        """The equation x = c + x P of visits, of which arrivals at bases are the last."""
+        """The equation x = c + x P of visits, up to and including arrivals at bases."""
         return transpose_system(self.until_base)
 
     @cached_property
     def onward(self) -> Floats:
-        """(S,) what comes from the bases into each other state."""
+        """(S,) the probability of a step from a base into each other state."""
         return np.where(self.classes.at_base, 0.0, self.transition[self.classes.base].sum(axis=0))
 
     @cached_property
@@ -173,7 +175,7 @@ class FloatChain:
         return total
 
     def bounded_gain(self, step: FixedPoint) -> FixedPoint:
-        """Return the gain (S,), from what a step of the policy adds to any values (S,)."""
+        """Return the gain (S,), given the policy's advantages (S,) over any values."""
         # In a class the gain lies between the least and the greatest step of the policy.
         low, high = self.bound_by_class(step)
         middle, half = low / 2 + high / 2, (high - low) / 2
@@ -195,7 +197,7 @@ class FloatChain:
         return low, high
 
     def evaluate_chain(self) -> tuple[FixedPoint, FixedPoint]:
-        """Return gain and bias (S,); raises SolverError where floats cannot bound them."""
+        """Return gain and bias (S,); raise SolverError if floats cannot bound them."""
         mdp, classes = self.mdp, self.classes
 
         def of_policy(added: Gain) -> FixedPoint:

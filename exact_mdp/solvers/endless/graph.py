@@ -1,10 +1,10 @@
-"""What can be reached, what can be avoided, and where a policy can stay: the graph of the pairs.
+"""The graph of the pairs: reachability, avoidance and end components.
 
-An end component is a set of states with pairs that never leave it and connect all of it; whatever a
-policy does, the states and pairs that it uses forever are one, with probability 1 (de Alfaro,
+An end component is a set of states with pairs that never leave it and connect all of it. Under any
+policy, the states and pairs used forever form an end component with probability 1 (de Alfaro,
 Formal Verification of Probabilistic Systems, 1997, sections 3.1 to 3.3; Baier and Katoen,
-Principles of Model Checking, 2008, section 10.6). Maximal ones are found by splitting into strongly
-connected components, and peeling off what cannot stay, in turn.
+Principles of Model Checking, 2008, section 10.6). Maximal end components are found by alternately
+removing states that cannot stay and splitting into strongly connected components.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Graph:
         return Backward.of(self.offsets, self.next, self.pair_state, self.states)
 
     def find_pairs_within(self, states: Mask) -> Mask:
-        """Return (L,) True for pairs that lead nowhere but to some states (S,)."""
+        """Return (L,) True for pairs that lead only to some states (S,)."""
         return np.asarray(np.logical_and.reduceat(states[self.next], self.offsets[:-1]))
 
     def find_pairs_into(self, states: Mask) -> Mask:
@@ -44,29 +44,30 @@ class Graph:
         return np.bincount(self.pair_state[pairs], minlength=self.states) > 0
 
     def find_falling_pairs(self, distance: Integers) -> Mask:
-        """Return (L,) the pairs that may lead to a smaller distance (S,), where that is not -1."""
+        """Return (L,) True for pairs that may lead to a smaller distance (S,); -1 is infinite."""
         far = np.where(distance < 0, self.states, distance)
         least = np.minimum.reduceat(far[self.next], self.offsets[:-1])
         return np.asarray(least < far[self.pair_state])
 
     def compute_distance(self, target: Mask, pairs: Mask) -> Integers:
-        """Return (S,) the fewest steps along `pairs` (L,) to the target, -1 where no way leads."""
+        """Return (S,) the least number of steps along `pairs` (L,) to the target; -1 if none."""
         one = np.ones(self.states, dtype=np.int64)
         return self._backward.rank_states(target, pairs, one)[0]
 
     def compute_ranks(self, target: Mask, pairs: Mask) -> Integers:
         """Return (S,) ranks that may fall along each of `pairs` (L,) to 0 in the target; or -1.
 
-        A state without such a pair is at 0, too.
+        A state without such a pair also has rank 0.
         """
         waiting = np.bincount(self.pair_state[pairs], minlength=self.states)
         return self._backward.rank_states(target | (waiting == 0), pairs, waiting)[0]
 
     def compute_rounds(self, target: Mask, pairs: Mask) -> Integers:
-        """Return (S,) 0 where some policy of `pairs` reaches the target for sure, or a round.
+        """Return (S,) 0 where some policy of `pairs` surely reaches the target, else a round.
 
-        A round gives up states that cannot reach the target without a pair that may lead to a state
-        given up before: every pair may lead to an earlier round, or leads nowhere but to its own.
+        Each round removes the states that cannot reach the target without a pair that may lead to a
+        state removed before. Every pair of a removed state may lead to an earlier round, or leads
+        only to states of its own round.
         """
         given_up = np.zeros(self.states, dtype=np.int64)
         for number in count(1):
@@ -81,6 +82,7 @@ class Graph:
         """Return (S,) the number of each state's end component or -1, and their pairs (L,)."""
         number, inside = np.full(self.states, -1), pairs.copy()
         while True:
+            # Remove states all of whose pairs may leave, and pairs that may lead to them.
             stays = self.find_states_with(inside)
             leaving = self.compute_ranks(~stays, inside) >= 0
             inside &= ~self.find_pairs_into(leaving) & ~leaving[self.pair_state]
@@ -88,12 +90,14 @@ class Graph:
             chosen, place, size = np.flatnonzero(inside), np.cumsum(stays) - 1, int(stays.sum())
             if not size:
                 return number, inside
+            # The strongly connected components of the remaining graph.
             first, lengths = self.offsets[chosen], np.diff(self.offsets)[chosen]
             source = np.repeat(place[self.pair_state[chosen]], lengths)
             target = place[self.next[concatenate_ranges(first, first + lengths)]]
             rows = np.searchsorted(source, np.arange(size + 1))
             ones = np.ones(len(source), dtype=np.int8)
             label = strong_components(sp.csr_array((ones, target, rows), (size, size)))
+            # Remove pairs that lead from one to another; without any, these are the end components.
             crossing = label[source] != label[target]
             apart = np.logical_or.reduceat(crossing, np.cumsum(lengths) - lengths)
             if not apart.any():

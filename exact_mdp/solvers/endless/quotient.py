@@ -1,10 +1,11 @@
-"""Models made of parts of another: some of its pairs, with states merged, and an end.
+"""Build models from some pairs of another model, with states merged, and an end added.
 
     derived(mdp, pairs, label)     pair l leads from label(s) to label(s'), label -1 is the end
 
-Merged states are those of an end component that is not worth telling apart: what a policy can do in
-one of them it can do in all (the quotient of de Alfaro, Formal Verification of Probabilistic
-Systems, 1997, section 3.3). Rests are further pairs, which earn something and lead to the end.
+Merged states are the states of one end component that need not be distinguished: a policy that can
+do something in one of them can do it in all (the quotient of de Alfaro, Formal Verification of
+Probabilistic Systems, 1997, section 3.3). Rests are further pairs, which lead to the end with a
+given reward.
 """
 
 from __future__ import annotations
@@ -23,25 +24,28 @@ from exact_mdp.solvers.bounds.bounds import improve_policy
 from exact_mdp.solvers.endless.graph import Graph
 from exact_mdp.solvers.solution import SolverError, Status
 
-COARSER = 16  # from one limit of a loss to the next; 2 to 256 leave as many models unanswered
+COARSER = (
+    16  # factor between two limits of a loss; measured: 2 to 256 leave as many models unsolved
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Derived:
-    """A model of S' states and L' pairs, the last state its end, and where its pairs are from."""
+    """A derived model of S' states and L' pairs, whose last state is the end, and its origin."""
 
     mdp: MDP
-    label: Integers  # (S,) the state that each one of the other model became
-    source: Integers  # (L',) the pair that each is made of; -1 - i for rest i; L for the end
+    label: Integers  # (S,) the new state of each state of the other model
+    source: Integers  # (L',) the original pair of each pair; -1 - i for rest i; L for the end
 
     def without_losing(self) -> Derived:
-        """Return a model in which every policy ends: without pairs that lose clearly in circles.
+        """Return a model in which every policy ends, without the pairs that clearly lose in cycles.
 
-        Policy iteration in floats, from a policy that ends, tells which these are.
+        Policy iteration in floats, from a policy that ends, finds these pairs.
         """
         mdp = self.mdp
         if prove_termination(mdp).proven:
             return self
+        # A policy that always moves nearer to the end is proper; improve it.
         graph, pairs = Graph(mdp), mdp.pair_offsets[:-1].copy()
         every = np.ones(mdp.n_pairs, dtype=bool)
         choose_nearer_pairs(graph, mdp.terminal, every, pairs)
@@ -49,8 +53,9 @@ class Derived:
         _, inside = graph.end_components(~mdp.terminal[mdp.pair_state])
         losing = inside & (gain.value < -gain.noise)
         losing[pairs] = False
-        # In every component some pair loses as much as staying does on average: the fewer are left
-        # out, and the more they lose, the better the values may bear it out.
+        # In every component some pair loses as much as staying does on average. The fewer pairs
+        # are omitted, and the more these lose, the easier the omission is to verify: lower the
+        # limit of the loss step by step until every policy ends.
         least = float(gain.value.min())
         while losing.any():
             pairs = np.flatnonzero(~(losing & (gain.value <= least / COARSER)))
@@ -64,7 +69,7 @@ class Derived:
 
 
 def of_pairs(mdp: MDP, pairs: Integers) -> MDP:
-    """Return the model with some pairs alone, one of each state among them."""
+    """Return the model with only some of its pairs, at least one for each state."""
     own = {name: getattr(mdp, name)[pairs] for name in ("pair_state", "pair_action")}
     return mdp.with_(table=mdp.table.of_pairs(pairs), **own)
 
@@ -79,8 +84,8 @@ def build_derived_model(
 ) -> Derived:
     """Return the model of some pairs (K,) between the states that `label` (S,) gives.
 
-    Where these are `free`, they earn nothing; `rests` lists new states and what resting there is
-    worth, which is 0 unless the pairs are free.
+    If the pairs are `free`, they have rewards of 0. `rests` lists new states with the reward for
+    resting there, which is 0 unless the pairs are free.
     """
     size, table = int(label.max(initial=-1)) + 1, mdp.table.of_pairs(pairs)
     label = np.where(label < 0, size, label)
@@ -90,10 +95,14 @@ def build_derived_model(
         gain, below = table.expected_gain_exact()
     else:
         gain, below = table.gain, table.gain_denominator
+    # Behind the pairs come the rests, and one pair of the end itself; all lead to the end.
     extra = np.array([*(state for state, _ in rests), size])
     worths = [*(value for _, value in rests), Fraction(0)]
     more = to_integer_array(value.numerator for value in worths)
     under = to_integer_array(value.denominator for value in worths)
+    if gain.dtype == np.float64:
+        more = more.astype(gain.dtype)
+    # Outcomes of a pair are sorted by their new states.
     following = label[table.next]
     order = np.lexsort((following, table.pair))
     one = np.ones(len(extra), dtype=table.weight.dtype)
@@ -102,9 +111,10 @@ def build_derived_model(
         next=np.append(following[order], np.full(len(extra), size)),
         weight=np.append(table.weight[order], one),
         denominator=np.append(table.denominator, make_ones(len(extra))),
-        gain=np.append(gain, more.astype(gain.dtype) if gain.dtype == np.float64 else more),
+        gain=np.append(gain, more),
         gain_denominator=np.append(below, under),
     )
+    # Sort pairs by their state, and number the actions of each state from 0.
     owner = np.append(label[mdp.pair_state[pairs]], extra)
     by_state = np.argsort(owner, kind="stable")
     owner = owner[by_state]
@@ -126,9 +136,8 @@ def build_derived_model(
 def choose_nearer_pairs(graph: Graph, target: Mask, pairs: Mask, chosen: Integers) -> None:
     """Write into `chosen` (S,) one of some pairs (L,) that leads nearer to the target (S,)."""
     distance = graph.compute_distance(target, pairs)
-    choose_first_pairs(
-        graph, graph.find_falling_pairs(distance) & pairs & (distance > 0)[graph.pair_state], chosen
-    )
+    nearer = graph.find_falling_pairs(distance) & pairs & (distance > 0)[graph.pair_state]
+    choose_first_pairs(graph, nearer, chosen)
 
 
 def choose_first_pairs(graph: Graph, pairs: Mask, chosen: Integers) -> None:

@@ -1,16 +1,16 @@
-"""The total reward at discount 1 where some policy never ends: where it is infinite, and the rest.
+"""The total reward at discount 1 in models with improper policies: infinite and finite values.
 
-End components decide, each by the sign of its best mean reward g: positive is worth +∞ wherever it
-can be reached without a risk of -∞; negative is never worth staying in; where g = 0 and no reward
-is positive, the pairs without reward can be used forever. In any other model exact levels say
-what the value is (`exact.find`). With a goal nothing else can be stayed in: a run that never
-arrives is worth +∞ or -∞, and where that is -∞, costs may fall without end before it.
+The sign of the best mean reward g of each end component decides. If g > 0, the value is +∞ wherever
+the component can be reached without a risk of -∞. If g < 0, no optimal policy stays in it. If g = 0
+and no reward is positive, its pairs without reward can be used forever. In any other model exact
+levels decide (`exact.find`). With a goal, a run that never arrives has the value +∞ or -∞, so that
+staying elsewhere does not end it; if it is -∞, costs may fall without bound before the goal.
 
-For finite values, parts that can be stayed in for nothing are merged, and pairs that lose clearly
-in circles are left out (`quotient`), so that every policy ends. That these are none the better is
-verified, for values V with errors e: V(s) - e(s) ≥ r + P (V + e) (de Alfaro, Formal Verification of
-Probabilistic Systems, 1997, chapters 3 and 5; Bertsekas and Tsitsiklis, Mathematics of Operations
-Research 16, 1991).
+For finite values, components in which a policy can stay without any reward are merged, and pairs
+that clearly lose in cycles are left out (`quotient`), so that every policy ends. That the omitted
+pairs are not better is verified, for values V with errors e: V(s) - e(s) ≥ r + P (V + e) (de
+Alfaro, Formal Verification of Probabilistic Systems, 1997, chapters 3 and 5; Bertsekas and
+Tsitsiklis, Mathematics of Operations Research 16, 1991).
 """
 
 from __future__ import annotations
@@ -51,27 +51,29 @@ from exact_mdp.solvers.solution import Solution, SolverError, Status
 def solve_total(mdp: MDP, solved: Callable[[MDP], Solution]) -> Solution:
     """Return values, infinite ones included, with bounds, and a policy that attains them.
 
-    `solved` solves a model in which every policy ends.
-
-    Raises ModelError where the start mixes +∞ and -∞; SolverError where floats do not bound the
-    values.
+    `solved` solves a model in which every policy ends. Raises ModelError if the start mixes +∞ and
+    -∞, and SolverError if floats cannot bound the values.
     """
     started = perf_counter()
+    # Signs of rewards decide where values are infinite, or exact arithmetic does.
     parts = Structure(mdp)
     if not parts.decided:
         return round_exact_solution(mdp)
     one_sign(mdp, parts.sign)
+    # Solve the model of the finite values without the pairs that lose in cycles.
     whole = parts.build_finite_model()
     part = whole.without_losing()
     try:
         solution = solved(part.mdp)
     except SolverError as failed:
-        failed.solution = None  # it has other states than the model
+        failed.solution = None  # its states are not the states of the model
         raise
+    # If the omission cannot be verified with these values, try the closer ones of policy iteration.
     if not _is_reduction_sound(whole, part, solution):
         closest = PolicyIteration().solve(part.mdp)
         if not _is_reduction_sound(whole, part, closest):
             raise SolverError(Status.NO_BOUND, "staying forever loses too little a step")
+    # Back to the states of the model.
     value, error = solution.value[whole.label], solution.state_error[whole.label]
     value[parts.sign > 0], value[parts.sign < 0] = inf, -inf
     return replace(
@@ -85,17 +87,18 @@ def solve_total(mdp: MDP, solved: Callable[[MDP], Solution]) -> Solution:
 
 
 def _is_reduction_sound(whole: Derived, part: Derived, solution: Solution) -> bool:
-    """Return whether no pair that was left out is better, roundings counted."""
+    """Return whether no omitted pair is better, with rounding errors counted."""
     left_out = ~np.isin(whole.source, part.source)
     if not left_out.any():
         return True
+    # d ≤ 0 for the exact values, if the advantage over V, plus all errors, is at most 0.
     gain, error = compute_advantages(whole.mdp, np.array(solution.value)), solution.state_error
     doubt = (whole.mdp.transition @ error + error[whole.mdp.pair_state]) * SLACK + gain.error
     return bool((gain.value + doubt <= 0)[left_out].all())
 
 
 def round_exact_solution(mdp: MDP, criterion: str = "total") -> Solution:
-    """Return exact values, of an average reward gain and bias, rounded once."""
+    """Return exact values, or exact gain and bias for an average reward, each rounded once."""
     started, average = perf_counter(), criterion == "average"
     if mdp.goal is not None and not average:
         proof = prove_goal_total(mdp)
@@ -135,28 +138,35 @@ def round_exact_solution(mdp: MDP, criterion: str = "total") -> Solution:
 
 
 class Structure:
-    """What is known of a model's states before any finite value is.
+    """The signs of infinite values, and the end components behind them.
 
-    A rest is a part of an end component between whose states one moves at will and for nothing.
-    With a goal it is not allowed to stay there.
+    A rest is a part of an end component in which a policy can move to any state without any
+    reward. With a goal it must not stay there.
     """
 
     def __init__(self, mdp: MDP) -> None:
         self.mdp, self.graph, goal = mdp, Graph(mdp), mdp.goal
-        ends = self.ends = mdp.terminal if goal is None else goal  # (S,) where all is over
+        # (S,) the terminal states, or the goal.
+        if goal is None:
+            self.ends = mdp.terminal
+        else:
+            self.ends = goal
+        ends = self.ends
         graph, every = self.graph, np.ones(mdp.n_pairs, dtype=bool)
-        # (S,) the end component of each state, ends left out, or -1; (L,) the pairs of these
+        # (S,) the end component of each state, without ends, or -1; (L,) the pairs inside these.
         self.label, self.within = graph.end_components(~ends[mdp.pair_state])
         label, count = self.label, int(self.label.max(initial=-1)) + 1
-        # (S,) 1 where the value is +∞, -1 where it is -∞, else 0
+        # (S,) 1 where the value is +∞, -1 where it is -∞, else 0. If missing the goal pays +∞, a
+        # way to any end component is enough.
         self.sign = np.where(graph.compute_distance(label >= 0, every) >= 0, 1, 0)
         self.rest = np.full(mdp.n_states, -1)  # (S,) the number of each state's rest, or -1
-        self.inside = ~every  # (L,) the pairs with which one moves inside a rest
-        # The components where +∞ is earned, or a goal is missed if that is worth +∞.
+        self.inside = ~every  # (L,) the pairs inside a rest
+        # The components in which a run earns +∞, or misses a goal if that is worth +∞.
         self.core = np.arange(count)
-        self.decided = True  # False where signs do not say all
+        self.decided = True  # whether signs decide everything
         if _missing_pays(mdp):
             return
+        # Quiet components: the end components of the pairs without reward.
         rewards, owner = np.sign(mdp.table.expected_gain_exact()[0]), label[mdp.pair_state]
         quiet, still = label, self.within
         if rewards[self.within].any():
@@ -165,22 +175,29 @@ class Structure:
         def any_of(where: Mask, of: Integers) -> Mask:
             return np.bincount(of[where], minlength=count) > 0
 
+        # The sign of the best mean reward of each component. Rewards of one sign decide it, and
+        # a quiet part makes it at least 0; with both signs the best gain is computed.
         gain = any_of(self.within & (rewards > 0), owner)
         loss = any_of(self.within & (rewards < 0), owner)
         best = np.where(gain, 1, np.where(any_of(quiet >= 0, label), 0, -1))
         both = np.flatnonzero(gain & loss)
         best[both] = self._find_gain_signs(both)
         value_sign = np.append(best, -1)[label]  # the sign of each state's component
-        safe = graph.compute_rounds(ends | (value_sign >= 0) if goal is None else ends, every) == 0
-        win = safe & (
-            graph.compute_distance((value_sign > 0) & safe, graph.find_pairs_within(safe)) >= 0
-        )
+        # Safe states: some policy avoids -∞ with probability 1.
+        havens = ends
+        if goal is None:
+            havens = ends | (value_sign >= 0)
+        safe = graph.compute_rounds(havens, every) == 0
+        # The value is +∞ if a component of positive gain can be reached along safe states.
+        positive = (value_sign > 0) & safe
+        win = safe & (graph.compute_distance(positive, graph.find_pairs_within(safe)) >= 0)
         if goal is not None:
             no_falling(mdp, win)
         sign = self.sign = np.where(win, 1, np.where(safe, 0, -1))
+        # Signs do not decide if +∞ can be reached only at a risk of -∞, or if rewards may cancel.
         lost = goal is None and (graph.compute_distance(value_sign > 0, every) >= 0) & ~win
         cancels = np.isin(label, both[best[both] == 0]) & (sign == 0)
-        self.decided = not (np.any(lost) or cancels.any())  # +∞ and -∞ together, or rewards cancel
+        self.decided = not (np.any(lost) or cancels.any())
         self.rest = np.where(sign == 0, quiet, -1)
         self.inside = still & (sign == 0)[mdp.pair_state] & graph.find_pairs_within(sign == 0)
         self.core = np.unique(label[win & (value_sign > 0)])
@@ -188,9 +205,10 @@ class Structure:
     def build_finite_model(self) -> Derived:
         """Return the model of the finite values, in which the value of a state is its label's.
 
-        Rests are merged, each a state with a pair to the end where staying is allowed.
+        Each rest becomes one state, with a pair to the end if staying is allowed.
         """
         mdp, rest, finite, free = self.mdp, self.rest, self.sign == 0, self.mdp.goal is None
+        # Pairs between states of finite values, without the pairs inside a rest.
         pairs = (
             (finite & ~self.ends)[mdp.pair_state]
             & self.graph.find_pairs_within(finite)
@@ -198,7 +216,8 @@ class Structure:
         )
         count = int(rest.max(initial=-1)) + 1
         merged = np.bincount(rest[rest >= 0], minlength=count) > 0
-        if free:  # those that cannot be left are at an end
+        # Without a goal, a rest that cannot be left is an end.
+        if free:
             leaving = self.graph.find_states_with(pairs) & (rest >= 0)
             merged &= np.bincount(rest[leaving], minlength=count) > 0
         label = np.append(np.where(merged, np.cumsum(merged) - 1, -1), -1)[rest]
@@ -210,13 +229,15 @@ class Structure:
         return build_derived_model(mdp, np.flatnonzero(pairs), label, rests=rests)
 
     def lift_policy(self, label: Integers, chosen: Integers) -> Integers:
-        """Return the pairs (S,) of the model for the sources `chosen` (S',) in the finite one."""
+        """Return the policy (S,) of the model, given the finite model's source pairs (S',)."""
         graph, mdp, rest = self.graph, self.mdp, self.rest
         pairs, target = mdp.pair_offsets[:-1].copy(), self.ends & (self.sign == 0)
-        taken = chosen[label]  # of each state's merged one
+        # States that were not merged take the pair itself.
+        taken = chosen[label]
         leaves = (taken >= 0) & (taken < mdp.n_pairs)
         single = (self.sign == 0) & leaves & (rest < 0)
         pairs[single] = taken[single]
+        # In a rest that is not left, stay; in one that is left, go to the state whose pair leaves.
         staying = self.inside & ((rest >= 0) & ~leaves)[mdp.pair_state]
         choose_first_pairs(graph, staying, pairs)
         target |= graph.find_states_with(staying)
@@ -224,6 +245,7 @@ class Structure:
         pairs[mdp.pair_state[ways]] = ways
         target[mdp.pair_state[ways]] = True
         choose_nearer_pairs(graph, target, self.inside, pairs)
+        # Where the value is +∞, go safely to a component that earns it, and earn it there.
         if len(self.core):
             above = np.isin(self.label, self.core)
             if _missing_pays(mdp):
@@ -244,32 +266,33 @@ class Structure:
         return pairs
 
     def _extract_components(self, numbers: Integers) -> Derived:
-        """Return some end components as a model, whose end is far."""
+        """Return some end components as a model of their own, with an end that none reaches."""
         chosen = np.isin(self.label, numbers)
         names = np.where(chosen, np.cumsum(chosen) - 1, -1)
         pairs = np.flatnonzero(self.within & chosen[self.mdp.pair_state])
         return build_derived_model(self.mdp, pairs, names)
 
     def _find_gain_signs(self, numbers: Integers) -> Integers:
-        """Return the signs of the best mean rewards of components (C,), 0 where floats cannot."""
+        """Return the signs of the best mean rewards of components (C,), 0 if floats cannot tell."""
         signs = np.zeros(len(numbers), dtype=np.int64)
-        if (
-            len(numbers)
-            and (best := _solve_gain_in_floats(self._extract_components(numbers))) is not None
-        ):
-            own = self.label[np.isin(self.label, numbers)]  # all of a component earn alike
+        if not len(numbers):
+            return signs
+        best = _solve_gain_in_floats(self._extract_components(numbers))
+        if best is not None:
+            # All states of a component have the same gain.
+            own = self.label[np.isin(self.label, numbers)]
             above, below = (best.value > best.error)[:-1], (best.value < -best.error)[:-1]
             signs[np.searchsorted(numbers, own)] = above.astype(np.int64) - below
         return signs
 
 
 def _missing_pays(mdp: MDP) -> bool:
-    """Return whether a run that misses a goal is worth +∞."""
+    """Return whether a run that misses the goal has the value +∞."""
     return mdp.goal is not None and mdp.unreached == inf
 
 
 def _solve_gain_in_floats(own: Derived) -> Solution | None:
-    """Return the best average reward in floats; None where these do not bound it."""
+    """Return the best average reward in floats; None if floats cannot bound it."""
     try:
         return solve_average(own.mdp, PolicyIteration())
     except SolverError:

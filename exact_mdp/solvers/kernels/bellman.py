@@ -1,12 +1,12 @@
-"""Compiled passes over a model's transitions: improve, follow a policy, relax in place.
+"""Compiled passes over a model's transitions: sums of differences, improvement, relaxation.
 
-For values h the loops compute what pair l of state s would add to h(s),
+For values h the loops compute the advantage of pair l of state s,
 
     d(l) = r(l) + γ Σ_s' P(l, s') (h(s') - h(s)) - (1 - γ) h(s),
 
-see `solvers.bounds.gains` for the form, and `solvers.bounds.bounds` for the margins m. All but
-`relax_states` write to each state's own place alone, so that blocks of states may run on several
-threads and give the same bits whatever their number.
+see `solvers.bounds.gains` for this form, and `solvers.bounds.bounds` for the margins m. All but
+`relax_states` write only to the place of the state or pair at hand, so that blocks may run on
+several threads, with the same bits for any number of threads.
 """
 
 from __future__ import annotations
@@ -90,13 +90,13 @@ def improve_states(
 ) -> None:
     """Write the greatest d of states first … last-1 into `step` (S,), its pair into `pairs` (S,).
 
-    r(l) + γ P_l h is at most the ceiling (L,) and `rise`, how much γ P_l h has risen in all,
-    with `slack` for rounding. The
-    pair that a state had before, or the one that promises most where it had -1, is looked at first
-    and stays where no other is better; others are passed over where their ceiling says that they
-    are not. `extremes` (2,) are the least d / m of the pairs found, and the greatest of those
-    looked at.
+    r(l) + γ P_l h is at most the ceiling (L,) plus `rise`, the total rise of γ P_l h, plus `slack`
+    for rounding. Each state's previous pair is computed first, or if that is -1, the pair with the
+    greatest ceiling; it stays unless another is better. Pairs whose ceilings show that they are not
+    better are skipped. `extremes` (2,) are the least d / m of the greedy pairs, and the greatest of
+    all computed pairs.
     """
+    # Margins are one number for all pairs, or one for each.
     many = np.uint64(len(model.margin) > 1)
     low, high = np.inf, -np.inf
     for number in range(first, last):
@@ -105,6 +105,7 @@ def improve_states(
         if model.ended[state]:
             step[state], pairs[state] = 0.0, begin
             continue
+        # The pair to begin with, and its advantage, which becomes its new ceiling.
         own, before = value[state], pairs[state]
         if before < 0:
             before = begin
@@ -115,6 +116,7 @@ def improve_states(
         best = gain_of(before, model, value, own)
         ceilings[place] = best + (own - rise) + slack
         high, most = max(high, best / model.margin[place * many]), place
+        # A pair is skipped if it can raise neither the best d nor the greatest d / m.
         for pair in range(begin, end):
             place = unsigned_index(pair)
             ceiling = ceilings[place] + (rise - own) + slack
@@ -135,13 +137,14 @@ def improve_states(
 def relax_states(order: Integers, model: CompiledModel, value: Floats, level: float) -> None:
     """Make `value` (S,) satisfy max d = level in each state in turn, in the `order` (S,).
 
-    Gauss-Seidel: a state's gain is divided by 1 - γ P(l, s), so that staying is summed up at once.
+    Gauss-Seidel: a pair's advantage is divided by 1 - γ P(l, s), which sums up all repeated stays.
     """
     for number in order:
         state = unsigned_index(number)
         if model.ended[state]:
             continue
         own, best = value[state], -np.inf
+        # The best advantage of the state, with the values that earlier states have just got.
         for pair in unsigned_range(model.offsets[state], model.offsets[state + np.uint64(1)]):
             ahead, stay = 0.0, 0.0
             for i in unsigned_range(model.indptr[pair], model.indptr[pair + np.uint64(1)]):

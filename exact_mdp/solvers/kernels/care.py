@@ -1,9 +1,9 @@
-"""The care model without a matrix: many parameter draws solved, many policies evaluated.
+"""Compiled loops for the care model without a matrix: solve draws, evaluate policies.
 
-With the rows r = (a, s) as the inner index, and the law K(s', r) of the next status vector, a stage
-(subtask, trial) is Q(r) = K(0, r) (c + assist_a) + Σ_{s' ≠ 0} K(s', r) u(s'), where c and u hold
-what completing and failing earn and lead to. Sums run over s' in one order, so that neither blocks
-nor threads change a bit. What each event earns is worked out in `mdp.care.laws`.
+With the rows r = (a, s) as the inner index, and the distribution K(s', r) of the next status
+vector, a stage (subtask, trial) is Q(r) = K(0, r) (c + assist_a) + Σ_{s' ≠ 0} K(s', r) u(s'). Here
+c and u are the rewards of completing and failing, plus the values that follow. Sums run over s' in
+one order, so that neither blocks nor threads change a bit. `mdp.care.laws` computes the rewards.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class CareDraws(NamedTuple):
     Row a V + s belongs to action a and vector s; the rows of a skip follow.
     """
 
-    which: Numbers  # (n, (A+1)·V) which chance each status has in each row
+    which: Numbers  # (n, (A+1)·V) the number of each status's chance in each row
     gains: Numbers  # (3, 3, 2)
     places: Numbers  # (K,)
     flag_after: Numbers  # (3, 2)
@@ -33,20 +33,20 @@ class CareDraws(NamedTuple):
     chance: Floats  # (D, U)
     gain: Floats  # (D, G)
     assist: Floats  # (D, A)
-    present: Floats  # (D, V) what a step charges for its present vector
-    following: Floats  # (D, V) and for its next one
+    present: Floats  # (D, V) status costs of the present vector in a step
+    following: Floats  # (D, V) status costs of the next vector
     discount: Floats  # (D,)
 
 
 class Room(NamedTuple):
-    """Arrays to work in; every array is written before it is read."""
+    """Working memory; every array is written before it is read."""
 
-    chance: Floats  # (2, n, (A+1)·V) of 1 and of 0
-    law: Floats  # (V, (A+1)·V) of the next vector, which comes first
-    policy: Floats  # (V, V) its law under a policy
+    chance: Floats  # (2, n, (A+1)·V) the chances of 1 and of 0
+    law: Floats  # (V, (A+1)·V) the distribution of the next vector, which is the first index
+    policy: Floats  # (V, V) the same under a policy
     q: Floats  # (A·V,)
-    # (4, V) what a stage leads to from s', what the last one does, the stage's value, and what the
-    # actions' own rewards add to that.
+    # (4, V) the value of failing with s', the same in the last trial, the stage's value, and the
+    # expected reward for the actions' own successes.
     vector: Floats
     starts: Floats  # (2, flags, V) values at the start of the next subtask, and of this one
 
@@ -58,7 +58,7 @@ product = inline_loop(fill_joint_distribution)
 def write_distributions(
     which: Numbers, chance: Floats, one: Floats, none: Floats, law: Floats
 ) -> None:
-    """Write the law of every row at the chances of a draw."""
+    """Write the distribution of every row, given the chances of a draw."""
     for i in range(which.shape[0]):
         for r in range(which.shape[1]):
             one[i, r] = chance[which[i, r]]
@@ -70,20 +70,22 @@ def write_distributions(
 def write_failure_values(
     draws: CareDraws, d: int, law: Floats, ahead: Floats, at: int, mean: Floats
 ) -> None:
-    """Write what failing the last trial of a subtask with vector s' earns and leads to."""
+    """Write the value of failing the last trial of a subtask, for each next vector s'."""
     vectors, gain, discount = len(mean), draws.gain[d], draws.discount[d]
     present, following = draws.present[d], draws.following[d]
     to, skip = draws.flag_after[at, 1], law.shape[1] - vectors
     earned = gain[draws.gains[SKIPPED, at, 1]]
+    # The mean over the vectors after the skip.
     for s in range(vectors):
         mean[s] = 0.0
     for z in range(vectors):
         later = discount * ahead[to, z] + (following[z] if draws.own else 0.0)
         for s in range(vectors):
             mean[s] += law[z, skip + s] * later
+    # Failing and skipping: in one timestep, or with a timestep of its own for the skip.
     for s in range(vectors):
         value = earned + mean[s]
-        if draws.own:  # a timestep in which *skip* is the only action
+        if draws.own:
             value = discount * (present[s] + value)
         mean[s] = gain[draws.gains[FAIL, at, 0]] + following[s] + value
 
@@ -94,6 +96,7 @@ def maximise_actions(
 ) -> None:
     """Write the values Q of a stage, and the greatest of each vector."""
     vectors = len(most)
+    # Completing leads to vector 0; failing leads to all others.
     for a in range(len(assist)):
         total = done + assist[a]
         for s in range(vectors):
@@ -114,7 +117,7 @@ def maximise_actions(
 def write_policy_rows(
     assist: Floats, law: Floats, shares: Floats, policy: Floats, extra: Floats
 ) -> None:
-    """Write the law of a policy (V, A), and the mean of its own reward for completing."""
+    """Write the distribution under a policy (V, A), and its expected reward for completing."""
     vectors = len(extra)
     policy[:] = 0.0
     for s in range(vectors):
@@ -133,8 +136,8 @@ def evaluate_draws(
 ) -> None:
     """Write the start values (D, N) of policies (N, G, V, A) in all draws.
 
-    G is 1 for a policy that is the same at every stage, else K·trials·flags. Without a policy it is
-    the optimum that is written, (D, 1), with `gaps` and `actions` of `solvers.care.CareValues`.
+    G is 1 for a policy that is the same at every stage, else K·trials·flags. Without a policy, the
+    optimum (D, 1) is written, with the `gaps` and `actions` of `solvers.care.CareValues`.
     """
     vectors, number, given = draws.present.shape[1], draws.assist.shape[1], len(shares) > 0
     law, policy, q, ahead, here = room.law, room.policy, room.q, room.starts[0], room.starts[1]
@@ -146,6 +149,7 @@ def evaluate_draws(
         for n in range(value.shape[1]):
             if given:
                 write_policy_rows(assist, law, shares[n, 0], policy, extra)
+            # Backward over subtasks: `ahead` holds the values at the start of the next one.
             ahead[:] = 0.0
             for k in range(len(draws.places) - 1, -1, -1):
                 at = draws.places[k]
@@ -154,12 +158,14 @@ def evaluate_draws(
                 for f in range(draws.flags):
                     done = gain[draws.gains[COMPLETE, at, f]]
                     done += discount * ahead[draws.flag_after[at, f], 0]
+                    # Backward over trials: `u` is the value of failing, `worth` of the stage.
                     for t in range(draws.trials - 1, -1, -1):
                         for s in range(vectors):
                             if t == draws.trials - 1:
                                 u[s] = last[s]
                             else:
                                 u[s] = failed + following[s] + discount * worth[s]
+                        # The values of a policy, or the greatest Q with its first action.
                         if given:
                             if shares.shape[1] > 1:
                                 stage = (k * draws.trials + t) * draws.flags + f

@@ -1,8 +1,8 @@
-"""Episodes of a learner, and of a policy.
+"""Compiled loops over episodes of a learner, and of a policy.
 
 Random numbers are xoshiro256++ (Blackman and Vigna, ACM Transactions on Mathematical Software 47,
-2021), a double being the upper 53 bits. Nothing is reassociated or fused, so that the same seed
-gives the same bits as the same formulas do in plain Python.
+2021); a double is made of the upper 53 bits. The compiler may neither reassociate nor fuse
+operations, so that the same seed gives the same bits as the same formulas in plain Python.
 
 Outcomes are drawn from alias tables: a pair with n outcomes has n columns, each holding an outcome
 of its own and an alias; u · n picks a column, and the fraction left over decides between the two
@@ -18,26 +18,27 @@ import numpy as np
 from exact_mdp.mdp.forms.compiling import compile_loop, inline_loop, unsigned_index
 from exact_mdp.mdp.table import Floats, Numbers
 
+# In the order of METHODS and TIES in `solvers.learning.q_learning`.
 Q_LEARNING, SARSA, EXPECTED_SARSA, DOUBLE_Q = 0, 1, 2, 3
 FIRST, LAST, RANDOM = 0, 1, 2
 
-DOUBLE = 2.0**-53
+DOUBLE = 2.0**-53  # scales 53 random bits to [0, 1)
 
 
 class SamplingTables(NamedTuple):
     """A model laid out for sampling; made by `solvers.learning.sampler`.
 
-    A position is the number of a pair; behind those come the actions that terminal states are
-    given where a learner looks beyond the end. An entry is a number in a flat (K·A,) Q-table.
+    A position is the number of a pair. Further positions stand for the actions of terminal states,
+    for a learner that looks beyond the end. An entry is an index of a flat (K·A,) Q-table.
     """
 
     low: Numbers  # (S,) positions of each state's actions: low[s] … high[s]-1
     high: Numbers
     entry: Numbers  # (L+X,) entry of the Q-table that each position reads
     offsets: Numbers  # (L+1,) alias columns of pair l are offsets[l] … offsets[l+1]-1
-    cut: Floats  # (N,) where each column passes from its own outcome to its alias
+    cut: Floats  # (N,) the fraction of each column that belongs to its own outcome
     next: Numbers  # (2N,) next state of column i itself at 2i, of its alias at 2i + 1
-    gain: Floats  # (2N,) and the reward
+    gain: Floats  # (2N,) rewards, in the same order
     terminal: Numbers  # (S,) bool
     start: Numbers  # (B,) first states
     start_total: Floats  # (B,) their cumulative probabilities
@@ -56,13 +57,14 @@ def alias_tables(
 ) -> None:
     """Fill `cut` and `alias` (N,) for rows of probabilities (N,) that `offsets` (L+1,) delimit.
 
-    `small` and `large` (N,) are room to work in.
+    `small` and `large` (N,) are working memory.
     """
     for pair in range(len(offsets) - 1):
         first, last = offsets[pair], offsets[pair + 1]
         total = 0.0
         for i in range(first, last):
             total += probability[i]
+        # Scale probabilities to a mean of 1; columns below 1 are small, the others large.
         few, many = 0, 0
         for i in range(first, last):
             cut[i], alias[i] = probability[i] / total * (last - first), i
@@ -72,6 +74,7 @@ def alias_tables(
             else:
                 large[many] = i
                 many += 1
+        # Fill up each small column from a large one, which may become small by that.
         while few > 0 and many > 0:
             few -= 1
             giver = large[many - 1]
@@ -81,7 +84,7 @@ def alias_tables(
                 many -= 1
                 small[few] = giver
                 few += 1
-        # What is left over is 1 up to rounding: these columns keep their own outcome.
+        # The remaining columns are 1 up to rounding and keep their own outcome.
         for i in range(few):
             cut[small[i]] = 1.0
         for i in range(many):
@@ -90,7 +93,7 @@ def alias_tables(
 
 @inline_loop
 def sample_uniform(rng: Numbers) -> float:
-    """Return a double in [0, 1), and move the (4,) uint64 state on."""
+    """Return a double in [0, 1), and advance the (4,) uint64 state."""
     a, b, c, d = rng[0], rng[1], rng[2], rng[3]
     total = a + d
     drawn = ((total << np.uint64(23)) | (total >> np.uint64(41))) + a
@@ -105,7 +108,7 @@ def sample_uniform(rng: Numbers) -> float:
 
 @inline_loop
 def first_state(rng: Numbers, tables: SamplingTables) -> int:
-    """Return a first state; where there is only one, nothing is drawn."""
+    """Return a first state; if there is only one, no random number is drawn."""
     start, total = tables.start, tables.start_total
     if len(start) == 1:
         return int(start[0])
@@ -129,6 +132,7 @@ def sample_pair_outcome(rng: Numbers, offsets: Numbers, cut: Floats, pair: int) 
 @inline_loop
 def find_largest(q: Floats, entry: Numbers, low: int, high: int) -> tuple[float, int]:
     """Return the largest value among the positions low … high-1, and the first that has it."""
+    # Written without a branch, which compiles to faster code.
     best, where = q[unsigned_index(entry[unsigned_index(low)])], low
     for i in range(low + 1, high):
         value = q[unsigned_index(entry[unsigned_index(i)])]
@@ -146,6 +150,7 @@ def choose_greedy_position(
     best, where = find_largest(q, entry, low, high)
     if ties == FIRST:
         return where
+    # Count the ties; for a random one, draw its number and look for it.
     equal, last = 0, where
     for i in range(where, high):
         if q[unsigned_index(entry[unsigned_index(i)])] == best:
@@ -166,7 +171,7 @@ def choose_greedy_position(
 def choose_position(
     rng: Numbers, q: Floats, entry: Numbers, low: int, high: int, chance: float, ties: int
 ) -> int:
-    """Return the position that an ε-greedy actor takes; one draw decides whether and which."""
+    """Return the position that an ε-greedy actor takes; one draw decides between all and greedy."""
     drawn = sample_uniform(rng)
     if drawn < chance:
         return int(low + min(int(drawn / chance * (high - low)), high - low - 1))
@@ -179,12 +184,16 @@ def greedy_policy(
 ) -> None:
     """Write the greedy action of every row of a flat Q-table into `policy` (K,).
 
-    Ties go to the first action, or to the last where the actor takes that one.
+    Ties go to the first action, or to the last if the actor also takes the last.
     """
     entry, offsets = tables.row_entry, tables.row_offsets
+    # No random ties: writing a policy must not draw random numbers.
+    taken = FIRST
+    if ties == LAST:
+        taken = LAST
     for row in range(len(policy)):
         low, high = offsets[row], offsets[row + 1]
-        where = choose_greedy_position(rng, q, entry, low, high, LAST if ties == LAST else FIRST)
+        where = choose_greedy_position(rng, q, entry, low, high, taken)
         policy[row] = entry[where] - row * n_actions
 
 
@@ -212,22 +221,25 @@ def run_learner(
     first: int,
     budget: int,
 ) -> tuple[int, int, int]:
-    """Learn action values by acting, from episode number `first` of all epochs on.
+    """Learn action values by acting, starting with episode number `first` of all epochs.
 
-    Return the numbers of steps and of episodes cut short, and the episode to go on with: after
-    `budget` steps the loop ends with the episode, so that Python sees what interrupts it.
+    Return the numbers of steps and of episodes cut short, and the number of the next episode. The
+    loop returns at the end of the episode in which `budget` steps are exceeded, so that Python can
+    handle an interruption.
     """
     low, high, entry, terminal = tables.low, tables.high, tables.entry, tables.terminal
     offsets, cut, following, gains = tables.offsets, tables.cut, tables.next, tables.gain
     double = method == DOUBLE_Q
     steps, cut_short, count, total = 0, 0, len(epsilon) * episodes, 0.0
     if first % episodes > 0:
-        total = returns[first // episodes]  # of the episodes of this epoch that are done
+        total = returns[first // episodes]  # of the finished episodes of this epoch
     for number in range(first, count):
         epoch, episode = number // episodes, number % episodes
         chance, alpha, left = epsilon[epoch], rate[epoch], count - 1 - number
-        total = 0.0 if episode == 0 else total
+        if episode == 0:
+            total = 0.0
         state = first_state(rng, tables)
+        # SARSA has planned the next action when it learns; others choose it in the next step.
         planned, step = -1, 0
         while not terminal[unsigned_index(state)]:
             if step == max_steps:
@@ -252,7 +264,11 @@ def run_learner(
                 entry[unsigned_index(taken)],
             )
             total += gain
-            table = 1 if double and sample_uniform(rng) < 0.5 else 0
+            # Double Q-learning tosses a coin for the table that learns.
+            table = 0
+            if double and sample_uniform(rng) < 0.5:
+                table = 1
+            # U, the value of the next state as the method estimates it; 0 at the end.
             planned, ahead = -1, 0.0
             if bootstrap_end or not terminal[unsigned_index(state)]:
                 lo, hi = low[unsigned_index(state)], high[unsigned_index(state)]
@@ -269,6 +285,7 @@ def run_learner(
                 else:
                     chosen = choose_greedy_position(rng, q[table], entry, lo, hi, ties)
                     ahead = q[1 - table, entry[chosen]]
+            # Q ← Q + α (r + γ U - Q), with α n^-power in the n-th update of an entry.
             size = alpha
             if power != 0.0:
                 counts[changed] += 1
@@ -280,13 +297,17 @@ def run_learner(
             else:
                 acting[changed] += size * (target - acting[unsigned_index(changed)])
         steps += step
+        # Record greedy policies, and the mean return at the end of an epoch.
         if episode + 1 == snapshot:
             greedy_policy(rng, acting, tables, ties, n_actions, snapshots[epoch])
         if left < len(last):
             place = last[len(last) - 1 - left]
             greedy_policy(rng, acting, tables, ties, n_actions, place)
-        returns[epoch] = total / episodes if episode + 1 == episodes else total
-        if steps + number - first >= budget:  # an episode may take no step
+        returns[epoch] = total
+        if episode + 1 == episodes:
+            returns[epoch] = total / episodes
+        # Episodes count, too, as they may have no steps.
+        if steps + number - first >= budget:
             return steps, cut_short, number + 1
     return steps, cut_short, count
 
@@ -304,7 +325,8 @@ def sample_returns(
 ) -> int:
     """Write sampled returns of policies into `returns` (E, episodes); return episodes cut short.
 
-    Episodes of row e act greedily in the flat table scores[which[e]], but for a share of `chance`.
+    Episodes of row e act greedily in the flat table scores[which[e]], and at random with
+    probability `chance`.
     """
     cut_short = 0
     for row in range(len(which)):

@@ -1,12 +1,12 @@
-"""Linear systems x = c + γ P x: sweeps, and what BiCGSTAB is preconditioned by.
+"""Compiled loops for linear systems x = c + γ P x: sweeps, and a preconditioner for BiCGSTAB.
 
-That is Gauss-Seidel up and down,
+The preconditioner is symmetric Gauss-Seidel,
 
     M = (D - L) D⁻¹ (D - U),   I - γ P = D - L - U
 
 (van der Vorst, SIAM J. Sci. Stat. Comput. 13, 1992; Saad, Iterative Methods for Sparse Linear
-Systems, 2003, section 10.2). A sweep carries values along a whole chain of states numbered in
-order, either way, so that queues and grids take few steps. Columns are sorted within each row.
+Systems, 2003, section 10.2). It carries values along a whole chain of states numbered in order, in
+either direction, so that queues and grids need few steps. Columns are sorted within each row.
 """
 
 from __future__ import annotations
@@ -50,16 +50,17 @@ def sweep_states(
     value: Floats,
     room: Floats,
 ) -> bool:
-    """Improve `value` (S,) until its residual r = c + γ P x - x is `enough`, where sweeps lead so.
+    """Improve `value` (S,) until its residual r = c + γ P x - x is `enough`; return whether it is.
 
-    Each state has its `row` (S,) among the rows. Where these are `whole`, they sum to 1 and γ < 1:
-    what r is in the middle of its range is what all values still lack, times 1 - γ. The next
-    residual is γ (P r - m), m this middle, and so falls as fast as the chain mixes. Sweeps end once
-    `most` of them would not do, as they go on. Each finds r anew, so that they refine x, too: with
-    `fine` above 0 they go on to a residual of that part of the values.
+    `row` (S,) is the row of each state. If rows are `whole`, they sum to 1 and γ < 1; then all
+    values lack about m / (1 - γ), with m the middle of the range of r. The next residual is
+    γ (P r - m), which falls as fast as the chain mixes. Sweeps end as soon as `most` of them would
+    not suffice at their present rate. Each sweep computes r anew and so refines x: with `fine`
+    above 0, sweeps continue until the residual is that part of the values.
     """
     states, before = len(constant), np.inf
     for sweep in range(most):
+        # The residual of each state, and its range.
         low, high, size = np.inf, -np.inf, 0.0
         for number in unsigned_range(0, states):
             state = unsigned_index(number)
@@ -71,14 +72,20 @@ def sweep_states(
             low, high = min(low, left), max(high, left)
             if fine > 0:
                 size = max(size, abs(value[state]), abs(constant[state]))
-        middle = (low + high) / 2 if whole else 0.0
+        # Add the residual to each value, and the common shift to all of them.
+        middle, more = 0.0, 0.0
+        if whole:
+            middle = (low + high) / 2
+            more = discount * middle / (1 - discount)
         error = discount * max(high - middle, middle - low)
-        more = discount * middle / (1 - discount) if whole else 0.0
         for number in range(states):
             value[number] += room[number] + more
-        limit = fine * size if fine > 0 else enough
+        limit = enough
+        if fine > 0:
+            limit = fine * size
         if error <= limit:
             return True
+        # Give up if the remaining sweeps, each as good as the last, would not reach the limit.
         if sweep >= tried and not (
             error < before and error * (error / before) ** (most - sweep) <= max(limit, enough)
         ):
@@ -89,7 +96,7 @@ def sweep_states(
 
 @compile_loop
 def compute_inner_product(left: Floats, right: Floats) -> float:
-    """Return the inner product of two vectors (S,), from four sums, which do not wait."""
+    """Return the inner product of two vectors (S,), in four sums that a processor overlaps."""
     one, two, three, four = 0.0, 0.0, 0.0, 0.0
     whole = len(left) // 4 * 4
     for i in range(0, whole, 4):
@@ -114,6 +121,7 @@ def write_residual(rows: SparseRows, discount: float, value: Floats, out: Floats
 def apply_preconditioner(rows: SparseRows, discount: float, given: Floats, out: Floats) -> None:
     """Write y = M⁻¹ x (S,) of a `given` x (S,) into `out`."""
     (indptr, indices, data), states = rows, len(given)
+    # Forward: solve with D - L, reading each row up to its diagonal.
     for state in range(states):
         total, diagonal = 0.0, 1.0
         for i in unsigned_range(indptr[state], indptr[state + 1]):
@@ -123,6 +131,7 @@ def apply_preconditioner(rows: SparseRows, discount: float, given: Floats, out: 
                 break
             total += data[i] * out[unsigned_index(indices[i])]
         out[state] = (given[state] + discount * total) * (1.0 / diagonal)
+    # Backward: solve with D⁻¹ (D - U), reading each row from its end down to its diagonal.
     for number in range(states):
         state = states - 1 - number
         total, diagonal = 0.0, 1.0

@@ -2,17 +2,17 @@
 
     Q(k, a) ← Q(k, a) + α (r + γ U - Q(k, a)),   k, k' the rows that s and s' read,
 
-where a is ε-greedy in Q(k, ·) and U is, at the state s' that follows, 0 at the end or
+where a is ε-greedy in Q(k, ·), and U is 0 if s' is terminal, else
 
     max_b Q(k', b)                                   Q-learning (Watkins and Dayan 1992)
     Q(k', b) of the action b taken next              SARSA (Rummery and Niranjan 1994)
     (1-ε) max_b Q(k', b) + ε mean_b Q(k', b)         expected SARSA (van Seijen et al. 2009)
     Q₂(k', argmax_b Q₁(k', b)), tables by a coin     double Q-learning (van Hasselt 2010)
 
-Costs are learned as rewards, which they are times -1. Where several states share a row, a constant
-α leaves noise that never settles: give it a `rate_power`. Defaults are those of Yuan et al. (2025),
-"Learning Algorithm Design and Training": 6,000 epochs of 30 episodes, α = 0.05, γ = 0.95, ε = 0.1,
-one row for each status.
+Costs are learned as negative rewards. If several states share a row, a constant α leaves noise that
+never vanishes: set `rate_power`. Defaults are taken from Yuan et al. (2025), "Learning Algorithm
+Design and Training": 6,000 epochs of 30 episodes, α = 0.05, γ = 0.95, ε = 0.1, one row for each
+status.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, Schedule, as_sc
 
 METHODS = ("q-learning", "sarsa", "expected-sarsa", "double-q-learning")
 TIES = ("first", "last", "random")
-AT_ONCE = 2**21  # steps, some tenths of a second, after which what interrupts the run is seen
-MOST_EPOCHS = 2**25  # each has numbers of its own, some fifty bytes
-MOST_EPISODES = 2**60  # of all epochs, so that their number is one
-MOST_RECORDED = 2**28  # actions that snapshots of policies hold, 4 bytes each: a gigabyte
+AT_ONCE = 2**21  # steps between two checks for an interruption, some tenths of a second
+MOST_EPOCHS = 2**25  # each epoch takes some fifty bytes
+MOST_EPISODES = 2**60  # of all epochs, so that their number fits into 64 bits
+MOST_RECORDED = 2**28  # actions in snapshots of policies, 4 bytes each: a gigabyte
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,27 +56,27 @@ class QLearning:
     epochs, episodes : int
         Number of epochs, and of episodes in each.
     discount : number or "p/q"
-        That of the learner; the model's own discount plays no part.
+        The learner's discount, which replaces the discount of the model.
     rate, exploration : Schedule or number
         α and ε of each epoch, from 0 to 1; a number holds for all epochs.
     rate_power : float
         The n-th update of an entry uses α n^-power.
     columns : tuple of str, optional
-        Columns of the state that the Q-table reads; unless given, the status alone where there is
-        one, all columns otherwise.
+        Columns of the state that the Q-table reads; by default the status alone if there is one,
+        else all columns.
     initial : float
         First value of every entry.
     ties : str
         Which of several best actions is taken: one of `TIES`.
     bootstrap_end : bool
-        Look beyond the end as if it went on there: the end of a scenario reads the row of status
-        0000. Where columns are all read, this makes no difference at `initial` = 0.
+        Bootstrap at the end as if the episode continued: the end of a scenario reads the row of
+        status 0000. If all columns are read and `initial` is 0, this makes no difference.
     max_steps : int
         Episodes are cut short after this many timesteps; `TrainingRun.cut_short` counts them.
     snapshot_episode : int
-        The greedy policy after this episode of each epoch is kept; 0 keeps none.
+        Keep the greedy policy after this episode of each epoch; 0 keeps none.
     last : int
-        Number of last episodes after which the greedy policy is kept.
+        Keep the greedy policy after each of so many last episodes.
 
     Examples
     --------
@@ -149,25 +149,32 @@ class QLearning:
         costs, mdp = model.sense == "min", model.maximised
         read = build_q_table_rows(mdp, self.columns)
         rows = read.space.size
-        recorded = (self.epochs if self.snapshot_episode else 0) + self.last
+        kept_epochs = 0
+        if self.snapshot_episode:
+            kept_epochs = self.epochs
+        recorded = kept_epochs + self.last
         if recorded * rows > MOST_RECORDED:
             raise ModelError(
                 f"{recorded:,} greedy policies of {rows:,} rows are too many to keep",
                 where="QLearning",
                 fix="set snapshot_episode=0, or keep fewer last policies",
             )
+        # The table that acts is the sum of both tables of double Q-learning; others have only one.
         entries, double = rows * mdp.n_actions, self.method == "double-q-learning"
+        initial = float(self.initial)
         if costs:
-            initial = 0.0 - float(self.initial)
-        else:
-            initial = float(self.initial)
-        both = np.full((2, entries if double else 0), initial)
-        if not double:
-            acting = np.full(entries, initial)
-        else:
+            initial = 0.0 - initial
+        if double:
+            both = np.full((2, entries), initial)
             acting = both[0] + both[1]
-        counts = np.zeros(entries if self.rate_power else 0, dtype=np.int64)
-        snapshots = np.zeros((self.epochs if self.snapshot_episode else 0, rows), dtype=np.int32)
+        else:
+            both, acting = np.empty((2, 0)), np.full(entries, initial)
+        # Updates are counted only if rates depend on their number.
+        counted = 0
+        if self.rate_power:
+            counted = entries
+        counts = np.zeros(counted, dtype=np.int64)
+        snapshots = np.zeros((kept_epochs, rows), dtype=np.int32)
         last = np.zeros((min(self.last, self.epochs * self.episodes), rows), dtype=np.int32)
         returns = np.zeros(self.epochs)
         from exact_mdp.solvers.kernels import learning as kernels
@@ -177,6 +184,7 @@ class QLearning:
             np.array(each.values(self.epochs), dtype=float)
             for each in (self.exploration, self.rate)
         )
+        # Episodes in portions, between which Python can be interrupted.
         steps, cut_short, episode = 0, 0, 0
         while episode < self.epochs * self.episodes:
             more, also_cut, episode = kernels.run_learner(
@@ -203,10 +211,12 @@ class QLearning:
                 AT_ONCE,
             )
             steps, cut_short = steps + int(more), cut_short + int(also_cut)
+        # Keep each distinct policy once.
         policies, numbers = find_distinct_rows(np.concatenate([snapshots, last]))
         numbers = numbers.astype(np.int32)
         q = (acting / (1 + double)).reshape(rows, mdp.n_actions)
-        if costs:  # learned as rewards, returned as the costs that they are
+        # Rewards become costs again.
+        if costs:
             q, returns = 0.0 - q, 0.0 - returns
         return TrainingRun(
             space=read.space,
@@ -222,21 +232,22 @@ class QLearning:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class TrainingRun(Brief):
-    """What a learner ended with and passed through.
+    """The final Q-table of a learner, and the policies and returns on its way.
 
     Attributes
     ----------
     space : StateSpace
-        What the K rows of the Q-table stand for.
+        The meaning of the K rows of the Q-table.
     q : (K, A)
-        Action values at the end, of costs the expected costs; of double Q-learning, the mean of
-        both tables.
+        Action values at the end, or expected costs in a model of costs; for double Q-learning, the
+        mean of both tables.
     policies : (U, K) int32
-        Distinct greedy policies recorded, by action number, as they first appeared.
+        Distinct greedy policies, by action number, in the order of their first appearance.
     snapshots : (E,) int32
-        Which of them was greedy after episode `snapshot_episode` of each epoch.
+        The number of the policy that was greedy after episode `snapshot_episode` of each epoch.
     last : (H,) int32
-        Which of them was greedy after each of the last episodes, the final one last.
+        The number of the policy that was greedy after each of the last episodes, the final one
+        last.
     returns : (E,)
         Mean undiscounted return of each epoch's training episodes.
     steps, cut_short : int
@@ -258,7 +269,7 @@ class TrainingRun(Brief):
         return np.asarray(self.policies[self.last[-1]])
 
     def last_counts(self) -> dict[int, int]:
-        """Return how often each policy was greedy in the last episodes, the most frequent first."""
+        """Return the count of each policy in the last episodes, the most frequent first."""
         numbers, counts = np.unique(self.last, return_counts=True)
         order = np.argsort(-counts, kind="stable")
         return dict(zip(numbers[order].tolist(), counts[order].tolist(), strict=True))

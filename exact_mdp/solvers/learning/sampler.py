@@ -1,7 +1,7 @@
-"""A model laid out for the compiled loops, and which rows of a Q-table its states read.
+"""The arrays of a model for compiled loops, and the rows of a Q-table that its states read.
 
 A learner that reads only some of the state's columns shares one row of its Q-table among all states
-that agree in them. The end of a scenario has no columns and reads the first row: that of status
+that agree in them. The end of a scenario has no columns and reads the first row: the row of status
 0000, in which a completed subtask ends.
 """
 
@@ -35,16 +35,16 @@ class QTableRows:
 
     space: StateSpace  # the meaning of each of the K rows
     key: Integers  # (S,) the row that each state reads
-    # (K, A) actions to be compared in each row: those of its states with a choice, or, where it
-    # has none, of all its states
+    # (K, A) the actions compared in each row: the actions of its states with a choice, or of all
+    # its states if none has a choice.
     offered: NDArray[np.bool_]
 
 
 def build_q_table_rows(mdp: MDP, columns: Sequence[str] | None = None) -> QTableRows:
     """Return the rows of a Q-table that reads `columns` of the state.
 
-    Unless given, these are the status alone where the model has one and all columns otherwise.
-    States with a choice that share a row have to offer the same actions.
+    By default these are the status alone if the model has one, else all columns. States with a
+    choice that share a row must offer the same actions.
     """
     names = mdp.space.names
     if columns is None:
@@ -53,6 +53,7 @@ def build_q_table_rows(mdp: MDP, columns: Sequence[str] | None = None) -> QTable
             columns = ("status",)
     space = space_over(mdp, tuple(columns))
     key = rows_read(mdp, space)
+    # The actions of each state, and of each row: all states with a choice have to agree.
     mine = np.zeros((mdp.n_states, mdp.n_actions), dtype=bool)
     mine[mdp.pair_state, mdp.pair_action] = True
     offered = np.zeros((space.size, mdp.n_actions), dtype=bool)
@@ -65,6 +66,7 @@ def build_q_table_rows(mdp: MDP, columns: Sequence[str] | None = None) -> QTable
             where=mdp.space.place(int(np.flatnonzero(unlike)[0])),
             fix=f"read more columns: {', '.join(names)}",
         )
+    # Rows without such a state get the actions of all their states; rows that no state reads, one.
     inside = np.logical_not(offered.any(axis=1))[key]
     np.logical_or.at(offered, key[inside], mine[inside])
     offered[~offered.any(axis=1), 0] = True
@@ -79,8 +81,10 @@ def build_sampling_tables(mdp: MDP, rows: QTableRows) -> SamplingTables:
     offsets = np.ascontiguousarray(table.offsets, dtype=np.int64)
     from exact_mdp.solvers.kernels import learning as kernels
 
+    # Each column has two sides: its own outcome and its alias.
     kernels.alias_tables(offsets, table.compute_probabilities(), cut, alias, small, large)
     sides = np.stack([np.arange(len(alias)), alias], axis=1).reshape(-1)
+    # The entries that each state compares; terminal states get positions behind all pairs.
     low, high = mdp.pair_offsets[:-1].copy(), mdp.pair_offsets[1:].copy()
     row, action = np.nonzero(rows.offered)
     row_offsets = np.searchsorted(row, np.arange(len(rows.offered) + 1))
@@ -116,13 +120,13 @@ def make_random_stream(rng: Seed) -> Numbers:
 
 
 def as_sequence(rng: Seed) -> SeedSequence:
-    """Return the seed sequence of a whole number or a generator, or the sequence given."""
+    """Return the seed sequence of an integer or a generator, or the given sequence."""
     if isinstance(rng, SeedSequence):
         return rng
     return SeedSequence(seed_of(rng))
 
 
 def spawn_child_seed(rng: Seed, number: int) -> SeedSequence:
-    """Return the child `number` that `SeedSequence.spawn` would make, without counting children."""
+    """Return the child `number` of `SeedSequence.spawn`, without changing the parent's count."""
     parent = as_sequence(rng)
     return SeedSequence(parent.entropy, spawn_key=(*parent.spawn_key, number))

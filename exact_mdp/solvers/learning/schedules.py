@@ -17,7 +17,7 @@ import numpy as np
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.table import Floats, float_of
 
-Schedule: TypeAlias = Any  # `values(epochs)` are (E,) numbers, that of epoch t = 0 first
+Schedule: TypeAlias = Any  # `values(epochs)` are (E,) numbers, starting with epoch t = 0
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Exponential:
         at : float
             The epoch, above 0, at which the schedule has that value.
         minimum, maximum : float, optional
-            What the schedule falls to, and its value at epoch 0.
+            The limit of the schedule, and its value at epoch 0.
 
         Returns
         -------
@@ -103,7 +103,7 @@ PAPER_DECAYING = Exponential.through(0.8, at=300, minimum=0.03)
 
 
 def as_schedule(name: str, given: Any, epochs: int) -> Schedule:
-    """Return a schedule, a number as the constant one; ModelError where one leaves [0, 1]."""
+    """Return a schedule; a number is a constant one. Raise ModelError if values leave [0, 1]."""
     known = callable(getattr(given, "values", None)) and not isinstance(given, Mapping)
     if known:
         schedule = given

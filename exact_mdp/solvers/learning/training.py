@@ -1,10 +1,9 @@
-"""Many runs of a learner, side by side, resumable, the same whatever the number of workers.
+"""Train many runs of a learner in parallel, with the same results for any number of workers.
 
 Run i draws from the i-th child of the seed (`SeedSequence.spawn`), so that it depends neither on
-how many runs there are nor on who does them. A finished run is written to its own file at once, and
-read instead of done again when the training is called once more (`solvers.parallel.run_pieces`).
-Workers are threads, as the compiled loop needs no interpreter lock, unless joblib is given another
-backend.
+the number of runs nor on the worker. A finished run is written immediately to its own file, which a
+later call reads instead of training again (`solvers.parallel.run_pieces`). Workers are threads, as
+the compiled loop releases the interpreter lock, unless joblib is given another backend.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from exact_mdp.solvers.learning.sampler import (
 )
 from exact_mdp.solvers.parallel import run_pieces
 
-STEM = "runs-"  # of the files of runs, before their numbers
+STEM = "runs-"  # files of runs have this and a number as their name
 RECORDED = [field.name for field in fields(TrainingRun) if field.name != "space"]
 
 
@@ -51,16 +50,16 @@ def train(
     model : MDP
     settings : QLearning
     n : int
-        How many. Run i is `settings.train(model, child(rng, i))`.
+        Number of runs. Run i is `settings.train(model, child(rng, i))`.
     rng : int, numpy.random.Generator or SeedSequence
     n_jobs : int, optional
-        Threads; all cores where None, or the workers of the backend that `joblib.parallel_config`
-        names. The result does not depend on it.
+        Number of threads; None takes all cores, or the workers of the backend that
+        `joblib.parallel_config` names. The result does not depend on it.
     out : path, optional
-        Folder for finished runs. Those of an earlier call with the same model, settings and seed
-        are used again; more runs may be asked for than before.
+        Folder for finished runs. Runs of an earlier call with the same model, settings and seed
+        are read from it; `n` may be larger than before.
     progress : bool
-        Show a bar on standard error where that is a terminal.
+        Show a progress bar on standard error if that is a terminal.
 
     Returns
     -------
@@ -69,8 +68,8 @@ def train(
     Raises
     ------
     ModelError
-        Where the folder holds the training of another model, other settings or another seed, or a
-        file in it is damaged; where `n_jobs` is not a count.
+        If the folder holds the training of another model, other settings or another seed, if a
+        file in it is damaged, or if `n_jobs` is not a positive integer.
 
     Examples
     --------
@@ -104,13 +103,18 @@ def train(
         progress=progress,
         what="runs",
     )
-    read: list[dict[str, Any]] = [
-        {name: array if array.ndim else array.item() for name, array in run.items()} for run in runs
-    ]
-    return [TrainingRun(space=space, **each) for each in read]
+    trained = []
+    for run in runs:
+        # Numbers were stored as arrays without dimensions.
+        fields_of_run: dict[str, Any] = dict(run)
+        for name, array in run.items():
+            if not array.ndim:
+                fields_of_run[name] = array.item()
+        trained.append(TrainingRun(space=space, **fields_of_run))
+    return trained
 
 
 def _train_once(settings: QLearning, model: MDP, root: SeedSequence, number: int) -> dict[str, Any]:
-    """Return a run as arrays, which is what crosses between processes."""
+    """Return a run as arrays, the form in which it is sent between processes and stored."""
     run = settings.train(model, spawn_child_seed(root, number))
     return {name: getattr(run, name) for name in RECORDED}

@@ -2,15 +2,15 @@
 
     maximise  r(π)   subject to   c_k(π) ≥ b_k,  k = 1 … m,     over all policies π
 
-The totals of a policy are a mixture of the totals of deterministic policies. A linear program mixes
-those known so far; its prices p weigh the totals, and the policy that is best for r + p c joins
-them, until no policy exceeds the mixture by these weights (Dantzig and Wolfe, Operations Research
-8, 1960). Its value μ V for them is then the proof: no policy that keeps the limits earns more than
-μ V - p b. Where no policy keeps the limits, the least step t by which they are all moved takes the
-place of the return, and prices sum to 1.
+The totals of any policy are a mixture of the totals of deterministic policies. A linear program
+mixes the policies known so far; its prices p weigh the totals, and the policy that is best for
+r + p c is added, until no policy exceeds the mixture by these weights (Dantzig and Wolfe,
+Operations Research 8, 1960). The optimal value μ V for these weights is then the proof: no policy
+that keeps the limits earns more than μ V - p b. If no policy keeps the limits, the least step t by
+which all limits have to be moved is minimised in place of the return, and prices sum to 1.
 
-The visits of the mixture are the visits of one policy, which has to draw its action in no more
-states than limits bind (Altman, Constrained Markov Decision Processes, 1999, theorem 3.8).
+The visits of the mixture are the visits of one policy, which randomises in at most as many states
+as there are binding limits (Altman, Constrained Markov Decision Processes, 1999, theorem 3.8).
 """
 
 from __future__ import annotations
@@ -72,11 +72,14 @@ class Limit:
         return self.format_limit()
 
     def format_limit(self, digits: int | None = None) -> str:
-        """Return the limit, its bound in decimals where a number of digits is given."""
+        """Return the limit as text, with its bound in decimals if a number of digits is given."""
         bound = str(self.bound)
         if digits is not None:
             bound = format_rational(self.bound, digits)
-        return f"{self.name} {'>=' if self.sign > 0 else '<='} {bound}"
+        relation = "<="
+        if self.sign > 0:
+            relation = ">="
+        return f"{self.name} {relation} {bound}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -89,16 +92,17 @@ class ConstrainedSolution(TotalsProof):
         The reward, then the limited amounts.
     limits : tuple of Limit
     feasible : bool
-        Whether a policy keeps them.
-    flow : Flow
-        Expected visits of pairs under the optimal policy, or one that keeps the moved limits.
+        Whether some policy keeps all limits.
+    flow : OccupancyMeasure
+        Expected visits of pairs under the optimal policy, or a policy that keeps the moved limits.
     price : tuple of Fraction
-        Of each limit: what the optimum gains for each unit by which the limit is moved. Where it is
-        infeasible, the weights that prove it.
+        The shadow price of each limit: the optimum gains this for each unit by which the limit is
+        relaxed. If no policy keeps the limits, the weights that prove it.
     dual : Level
-        Values that no policy exceeds, of the reward where feasible and the limits by their prices.
+        Upper bounds of the values of all policies, for the limits weighted by their prices and, if
+        feasible, the reward.
     shift : Fraction
-        The least t such that limits that are all moved by t can be kept: 0 where it is feasible.
+        The least t such that a policy keeps all limits relaxed by t; 0 if feasible.
 
     Examples
     --------
@@ -134,14 +138,14 @@ class ConstrainedSolution(TotalsProof):
 
     @property
     def start_value(self) -> Fraction | None:
-        """The optimum, which the policy earns; None where no policy keeps the limits."""
+        """The optimum, which the policy attains; None if no policy keeps the limits."""
         if self.feasible:
             return self._totals[0]
         return None
 
     @property
     def start(self) -> Certified | None:
-        """The same as a claim."""
+        """The optimum as a certified number; None if no policy keeps the limits."""
         if self.start_value is None:
             return None
         return Certified(value=self.start_value)
@@ -152,7 +156,7 @@ class ConstrainedSolution(TotalsProof):
 
     @property
     def prices(self) -> dict[str, Fraction]:
-        """The price of each limit by name; of two limits on one name, both together."""
+        """The shadow price of each limit by name; two limits on one name are added up."""
         total = dict.fromkeys(self.of.names[1:], ZERO)
         for limit, price in zip(self.limits, self.price, strict=True):
             total[limit.name] += price
@@ -160,45 +164,43 @@ class ConstrainedSolution(TotalsProof):
 
     @property
     def closest(self) -> dict[str, Fraction]:
-        """The closest limits that can be kept, by name, or by limit where a name has several."""
+        """The closest limits that can be kept, by name, or by limit if a name has several."""
         return name_bounds(self.limits, self.moved)
 
     @property
     def moved(self) -> tuple[Limit, ...]:
-        """The limits, all moved by the least step that lets them be kept."""
+        """The limits, all relaxed by the least step with which a policy keeps them."""
         return tuple(replace(x, bound=x.bound - x.sign * self.shift) for x in self.limits)
 
     @property
     def weights(self) -> list[Fraction]:
-        """The weight of each objective where limits have prices."""
+        """The weight of each objective, given the prices of the limits."""
         return _weigh_objectives(self.of, self.limits, (Fraction(self.feasible), *self.price))
 
     @cached_property
     def randomises(self) -> dict[int, dict[str, Fraction]]:
         """The states in which the policy draws its action: {state: {action: probability}}."""
-        mdp, chances = self.of.mdp, self.flow.compute_action_probabilities(self.of).items()
-        drawn = {state: own.items() for state, own in chances if len(own) > 1}
-        action = mdp.pair_action
-        return {s: {mdp.actions[action[l]]: p for l, p in own} for s, own in drawn.items()}
+        mdp, drawn = self.of.mdp, {}
+        for state, own in self.flow.compute_action_probabilities(self.of).items():
+            if len(own) > 1:
+                drawn[state] = {mdp.actions[mdp.pair_action[l]]: p for l, p in own.items()}
+        return drawn
 
     @cached_property
     def rule(self) -> Numbers:
         """(S, A) Fractions, the probability of each action.
 
-        In states that are never visited, the first that is optimal for the reward and the prices.
+        In states that are never visited, the first action that is optimal for the reward and the
+        prices.
         """
         of, mdp = self.of, self.of.mdp
+        # An optimal pair has the advantage 0 over the dual values.
         rows, unit = of.rows_for(self.weights)
-        best = first_of(
-            mdp,
-            compute_surplus_signs(
-                rows, list_level_steps(rows, combine_levels([self.dual], [unit]))[0]
-            )
-            == 0,
-        )
-        chances = {
-            s: {pair: ONE} for s, pair in enumerate(best.tolist())
-        } | self.flow.compute_action_probabilities(of)
+        steps, *_ = list_level_steps(rows, combine_levels([self.dual], [unit]))
+        best = first_of(mdp, compute_surplus_signs(rows, steps) == 0)
+        # In visited states the flow decides.
+        chances = {state: {pair: ONE} for state, pair in enumerate(best.tolist())}
+        chances |= self.flow.compute_action_probabilities(of)
         rule = np.full((mdp.n_states, mdp.n_actions), ZERO, dtype=object)
         for state, own in chances.items():
             for pair, chance in own.items():
@@ -212,23 +214,26 @@ class ConstrainedSolution(TotalsProof):
         return Policy(space=mdp.space, actions=mdp.actions, rule=self.rule)
 
     def report(self) -> Report:
-        """Return a text that states the optimum, or that no policy keeps the limits."""
+        """Return the report of the optimum, or of the proof that no policy keeps the limits."""
         mdp, limits, feasible = self.of.mdp, self.limits, self.feasible
         drawn = [{mdp.actions[a]: c for a, c in enumerate(row) if c} for row in self.rule]
-        said = ["they can be kept" if feasible else "no policy keeps them all (proven)"]
-        said += [
-            f"{low} and {high} contradict each other, whatever the model"
-            for low in limits
-            for high in limits
-            if (low.name, low.sign, high.sign) == (high.name, 1, -1) and low.bound > high.bound
-        ]
+        if feasible:
+            said, error_bound = ["they can be kept"], Shown(0.0)
+        else:
+            said, error_bound = ["no policy keeps them all (proven)"], Shown(None)
+        # Name a lower limit above an upper limit on the same total.
+        for low in limits:
+            for high in limits:
+                opposed = (low.name, low.sign, high.sign) == (high.name, 1, -1)
+                if opposed and low.bound > high.bound:
+                    said.append(f"{low} and {high} contradict each other, whatever the model")
         labels = {state: mdp.space.label(state) for state in self.randomises}
         facts = {
             "method": "limits",
             "claim": Shown(self.claim),
             "feasible": Shown(feasible, "; ".join(said)),
             "start_value": Shown(self.start and float(self.start), self.start),
-            "error_bound": Shown(0.0 if feasible else None),
+            "error_bound": error_bound,
             "exact_start_value": self.start_value,
             "limits": Shown([str(limit) for limit in limits]),
             "totals": Shown(self.totals),
@@ -244,9 +249,9 @@ class ConstrainedSolution(TotalsProof):
         return Report(title="optimum under limits", facts=facts, tables=tables, passed=feasible)
 
     def table(self, totals: Mapping[str, Fraction], keeps: Sequence[str] = ()) -> Table:
-        """Return each limit with a policy's total of it, and its price or the closest to be kept.
+        """Return a table of limits, a policy's totals, and prices or the closest possible limits.
 
-        `keeps` says of each limit whether the policy keeps it.
+        `keeps` has a word for each limit that says whether the policy keeps it.
         """
         near = [limit.format_limit(10) for limit in self.moved]
         each = zip(self.limits, self.price, near, keeps or near, strict=True)
@@ -260,7 +265,9 @@ class ConstrainedSolution(TotalsProof):
             }
             for x, price, moved, word in each
         ]
-        columns = {"limit": "limit", "total": "total:.10g"} | ({"kept": "kept"} if keeps else {})
+        columns = {"limit": "limit", "total": "total:.10g"}
+        if keeps:
+            columns["kept"] = "kept"
         if self.feasible:
             note = "price: what the optimum gains for one point by which the limit is moved"
             columns |= {"price": "price:.10g"}
@@ -277,7 +284,7 @@ class ConstrainedSolution(TotalsProof):
 
 
 def name_bounds(limits: Sequence[Limit], moved: Sequence[Limit]) -> dict[str, Fraction]:
-    """Return where limits are moved to, by name, or by the limit where a name has several."""
+    """Return the bounds of moved limits, by name, or by the limit if a name has several."""
     names = [limit.name for limit in limits]
     keys = [x.name if names.count(x.name) == 1 else str(x) for x in limits]
     return {key: limit.bound for key, limit in zip(keys, moved, strict=True)}
@@ -292,8 +299,12 @@ def limits_of(subject_to: Mapping[str, Any]) -> tuple[Limit, ...]:
             fix='give {name: ">= -1/2"}, or "<= …"',
         )
     limits = []
-    for name, texts in subject_to.items():
-        for text in (texts if isinstance(texts, list | tuple) else [texts]) or [""]:
+    for name, given in subject_to.items():
+        texts = [given]
+        if isinstance(given, list | tuple):
+            texts = [*given]
+        # An empty list is refused as an empty text.
+        for text in texts or [""]:
             parts = LIMIT.match(str(text))
             if parts is None:
                 raise ModelError(
@@ -314,6 +325,7 @@ def solve_under(mdp: MDP, subject_to: Mapping[str, Any]) -> ConstrainedSolution:
     """Return the optimum under limits; see `solve`."""
     given = limits_of(subject_to)
     names = list(dict.fromkeys(limit.name for limit in given))
+    # The return needs a name that no limit has.
     title = "return"
     while title in (name.partition("=")[0].strip() for name in names):
         title += "'"
@@ -334,7 +346,7 @@ def solve_under(mdp: MDP, subject_to: Mapping[str, Any]) -> ConstrainedSolution:
 def _weigh_objectives(
     of: Objectives, limits: Sequence[Limit], price: Sequence[Fraction]
 ) -> list[Fraction]:
-    """Return the weight of each objective where the reward and the limits have prices."""
+    """Return the weight of each objective, given the prices of the reward and of the limits."""
     weights = [price[0]] + [ZERO] * (len(of.names) - 1)
     for limit, own in zip(limits, price[1:], strict=True):
         weights[of.names.index(limit.name)] += of.sign * limit.sign * own
@@ -342,7 +354,7 @@ def _weigh_objectives(
 
 
 def _orient_totals(of: Objectives, limits: Sequence[Limit], totals: Point) -> list[Fraction]:
-    """Return the limited amounts with signs that make more better."""
+    """Return the total of each limit, with the sign that makes more better."""
     return [of.sign * limit.sign * totals[of.names.index(limit.name)] for limit in limits]
 
 
@@ -353,25 +365,31 @@ def _combine_policies(
     of: Objectives, limits: Sequence[Limit]
 ) -> tuple[Shares, Fraction, tuple[Fraction, ...], Level]:
     """Return the best mixture, the step of the limits, prices of reward and limits, and values."""
+    # Phase 1 (`short`) minimises the step t; if it reaches 0, phase 2 maximises the return.
     size, short = len(limits), True
     policies = [find_extreme_policy(of, [1] + [0] * (len(of.names) - 1))]
     spare = [[ZERO, *(Fraction(-(i == k)) for i in range(size))] for k in range(size)]
     bounds = [limit.sign * limit.bound for limit in limits]
-    while True:  # a column for each policy is 1 and the room that it leaves
+    while True:
+        # The column of a policy: 1, as shares sum to 1, and its room below or above each limit.
         columns = [
             [ONE, *map(sub, _orient_totals(of, limits, own.total), bounds)] for own in policies
         ]
-        columns += spare + [[ZERO] + [ONE] * size] * short
-        earned = [ZERO if short else policy.total[0] for policy in policies] + [ZERO] * size
-        x, (most, *due) = solve_linear_program(
-            earned + [-ONE] * short, columns, [ONE] + [ZERO] * size
-        )
+        # A spare column for each limit, as room may be left; in phase 1 one for the step t.
+        columns += spare
+        if short:
+            columns.append([ZERO] + [ONE] * size)
+            earned = [ZERO] * (len(policies) + size) + [-ONE]
+        else:
+            earned = [policy.total[0] for policy in policies] + [ZERO] * size
+        x, (most, *due) = solve_linear_program(earned, columns, [ONE] + [ZERO] * size)
         shift = ZERO
         if short:
             shift = x[-1]
-        if short and not shift:
-            short = False
-            continue
+            if not shift:
+                short = False
+                continue
+        # The prices choose the next policy; if it brings no more than the mixture, that is optimal.
         price = (Fraction(not short), *(-each for each in due))
         pairs, dual = solve_weighted(of, _weigh_objectives(of, limits, price), policies[-1].pairs)
         if dual.compute_mean(of.mdp.start) == most + weigh_values(price[1:], bounds):
@@ -384,46 +402,45 @@ def _as_one(
     of: Objectives, limits: Sequence[Limit], shares: Shares, shift: Fraction
 ) -> OccupancyMeasure:
     """Return the visits of one policy that earns as much as a mixture."""
-    # It has a pair for each state, and at most as many further ones as limits bind: with more, some
-    # change of their numbers leaves what these limits are on as it is. It goes on until a pair is
-    # not taken any more, or another limit binds.
+    # A vertex of the polytope of visits has one pair for each state, and at most as many further
+    # pairs as there are binding limits. With more pairs, some direction changes the visits but not
+    # the totals of the binding limits. Move along it until a pair is no longer taken or another
+    # limit binds.
     taken = dict[int, Fraction]()
     for policy, share in shares:
         for pair, number in flow_under(of, policy.pairs).to_numbers().items():
             taken[pair] = taken.get(pair, ZERO) + share * number
     own = shares[0][0].pairs.copy()
     while True:
+        # The pair of each state that is taken most often, and some further pairs.
         most = sorted(taken, key=lambda pair: (float(taken[pair]), -pair))
         own[of.rows.pair_state[most]] = most
-        further, flow = (
-            sorted(taken.keys() - {*own.tolist()})[: len(limits) + 1],
-            OccupancyMeasure.of(taken),
-        )
+        further = sorted(taken.keys() - {*own.tolist()})[: len(limits) + 1]
+        flow = OccupancyMeasure.of(taken)
+        # The room of each limit, and how each exchange of pairs changes its total.
         totals = _orient_totals(of, limits, flow.compute_totals(of))
         room = [total - x.sign * x.bound + shift for total, x in zip(totals, limits, strict=True)]
         moves = [_exchange_pair(of, pair, own) for pair in further]
-        gains = [
-            *zip(
-                *(
-                    _orient_totals(of, limits, OccupancyMeasure.of(x).compute_totals(of))
-                    for x in moves
-                ),
-                strict=True,
-            )
-        ]
-        tight = [
-            to_common_denominator(gain)[0]
-            for gain, left in zip(gains, room, strict=False)
-            if not left
-        ]
+        changes = []
+        for move in moves:
+            total = OccupancyMeasure.of(move).compute_totals(of)
+            changes.append(_orient_totals(of, limits, total))
+        gains = [*zip(*changes, strict=True)]
+        # A direction in the null space of the binding limits; none is left at a vertex.
+        tight = []
+        for gain, left in zip(gains, room, strict=False):
+            if not left:
+                tight.append(to_common_denominator(gain)[0])
         free, count = flint.fmpz_mat([[0] * len(further), *tight]).nullspace()
         if not count:
             return flow
         times = [Fraction(int(free[i, 0])) for i in range(len(further))]
         change = {l: weigh_values(times, [x.get(l, ZERO) for x in moves]) for l in taken}
-        falling = [
-            (left, weigh_values(times, x)) for x, left in zip(gains, room, strict=True) if left
-        ]
+        # The longest step that keeps all limits and all visits at least 0.
+        falling = []
+        for gain, left in zip(gains, room, strict=True):
+            if left:
+                falling.append((left, weigh_values(times, gain)))
         falling += [(taken[pair], step) for pair, step in change.items()]
         length = min(left / -step for left, step in falling if step < 0)
         moved = {pair: left + length * change[pair] for pair, left in taken.items()}
@@ -431,7 +448,8 @@ def _as_one(
 
 
 def _exchange_pair(of: Objectives, pair: int, own: Integers) -> dict[int, Fraction]:
-    """Return how visits change where a pair is taken once in place of its state's own."""
+    """Return the change of visits if a pair is taken once in place of its state's own pair."""
+    # One visit less of the state itself, and the visits of the policy after the pair's outcomes.
     rows = of.rows
     state, part = int(rows.pair_state[pair]), slice(rows.offsets[pair], rows.offsets[pair + 1])
     unit = int(rows.scale[state])

@@ -1,12 +1,12 @@
-"""Policies by several totals at once, exactly: the best for weights, their visits, their proofs.
+"""Exact expected totals of several objectives: best policies for weights, visits, proofs.
 
     V_w(s) = max over pairs l of s of  w · c(l) + γ Σ_s' P(l, s') V_w(s')
 
-Ties are settled by further weights, one after another. Where the weights span all directions, one
-vector of totals is left: an extreme point of what policies attain (lexicographic optima: Isermann,
-OR Spektrum 4, 1982). A mixed policy is a flow, its expected visits x of pairs from the start; x(l)
-over the visits of the state is the probability of a pair (Altman, Constrained Markov Decision
-Processes, 1999, chapter 3).
+Further weights break ties, one after another. If the weights span all directions, a single vector
+of totals remains: an extreme point of the set that policies attain (lexicographic optima: Isermann,
+OR Spektrum 4, 1982). A randomised policy is represented by its occupancy measure, the expected
+visits x(l) of pairs from the start; x(l) divided by the visits of the state is the probability of
+pair l (Altman, Constrained Markov Decision Processes, 1999, chapter 3).
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ Weights = Sequence[int] | Sequence[Fraction]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OccupancyMeasure:
-    """Expected visits from the start: of pairs (K,), all above 0; none of other pairs."""
+    """Expected visits from the start of pairs (K,), all above 0; other pairs are not visited."""
 
     pairs: Integers
     visits: Level
 
     @classmethod
     def of(cls, numbers: Mapping[int, Fraction]) -> OccupancyMeasure:
-        """Return the visits of pairs as one flow."""
+        """Return the occupancy measure of given visits {pair: number}."""
         pairs = sorted(numbers)
         visits = Level.of([numbers[pair] for pair in pairs])
         return cls(pairs=np.array(pairs, dtype=np.int64), visits=visits)
@@ -62,6 +62,7 @@ class OccupancyMeasure:
     def compute_action_probabilities(self, of: Objectives) -> dict[int, dict[int, Fraction]]:
         """Return the probability of each pair {state: {pair: probability}} in states visited."""
         chances, state = dict[int, dict[int, Fraction]](), of.mdp.pair_state
+        # Pairs are sorted by state.
         for own, some in groupby(
             sorted(self.to_numbers().items()), lambda each: int(state[each[0]])
         ):
@@ -71,7 +72,7 @@ class OccupancyMeasure:
         return chances
 
     def compute_totals(self, of: Objectives) -> Point:
-        """Return each pair's amount of each objective; more is better."""
+        """Return the expected total of each objective; more is better."""
         scale = of.rows.scale[of.mdp.pair_state[self.pairs]].tolist()
 
         def sum_earnings(amount: Numbers) -> Fraction:
@@ -93,12 +94,12 @@ class Attained:
     total: Point
 
     def is_optimal(self, of: Objectives, weights: Weights) -> bool:
-        """Return whether no pair gains: then no policy exceeds the weighted values, in no state."""
+        """Return whether the policy is optimal in every state for these weights."""
+        # No pair has a positive advantage over the weighted values.
         rows, unit = of.rows_for(weights)
         value = combine_levels(self.values, [unit * weight for weight in weights])
-        return not (
-            compute_surplus_signs(rows, list_level_steps(rows, value)[0], self.pairs) > 0
-        ).any()
+        steps, *_ = list_level_steps(rows, value)
+        return not (compute_surplus_signs(rows, steps, self.pairs) > 0).any()
 
 
 def flow_under(
@@ -106,9 +107,9 @@ def flow_under(
 ) -> OccupancyMeasure:
     """Return the visits of the policy that takes one pair (S,) of each state, from any start."""
     states = ~of.rows.terminal
-    (level,) = compute_expected_visits(
-        of.rows.of_pairs(pairs), states, of.mdp.start if start is None else start
-    )
+    if start is None:
+        start = of.mdp.start
+    (level,) = compute_expected_visits(of.rows.of_pairs(pairs), states, start)
     taken = np.flatnonzero(states & (np.array(level.top, dtype=object) != 0))
     visits = Level.from_groups([level.top[s] for s in taken], level.below, level.group[taken])
     return OccupancyMeasure(pairs=pairs[taken], visits=visits)
@@ -129,7 +130,7 @@ def solve_weighted(
 ) -> tuple[Integers, Level]:
     """Return pairs (S,) that are optimal for weights of at least 0, and the weighted values.
 
-    The search begins with the pairs `first` (S,), and keeps them where none is better.
+    The search begins with the pairs `first` (S,) and changes a pair only for a better one.
     """
     rows, unit = of.rows_for(weights)
     pairs, (value,), _ = optimise_exactly(rows, first)
@@ -141,8 +142,10 @@ def find_extreme_policy(
 ) -> Attained:
     """Return a policy that is optimal for weights of at least 0, in every state.
 
-    No others dominate its totals or mix to them. The search begins with the pairs `first` (S,).
+    Its totals are an extreme point: other policies neither dominate them nor mix to them. The
+    search begins with the pairs `first` (S,).
     """
+    # Break ties by the sum of all objectives, then by each of them.
     size = len(weights)
     ties = [[1] * size, *([int(i == k) for i in range(size)] for k in range(size))]
     _, _, sign = optimise_exactly(
@@ -153,14 +156,14 @@ def find_extreme_policy(
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class TotalsProof(Proof):
-    """What is proven about totals of a model."""
+    """A proof about expected totals of a model."""
 
     objectives: tuple[str, ...]  # names, as `solvers.objectives.amounts` reads them
     rank: Integers | None  # (S,) proof that every policy ends, at discount 1
 
     @cached_property
     def of(self) -> Objectives:
-        """What is counted."""
+        """The objectives of the model, by their names."""
         return Objectives(require_model(None, self.mdp, self.kind), self.objectives)
 
     def _find_violations(self, mdp: MDP) -> list[str]:

@@ -1,14 +1,14 @@
-"""Rows that make observed frequencies likely, and what nature picks from them.
+"""Likelihood regions of rows, and nature's best choice from them.
 
 With d = x - min x, a scale s > 0, and p the nominal row or the observed frequencies:
 
     {q : Σ p log(p/q) ≤ β}   min Σ q x ≥ min x - s + e^-β Π (d_i + s)^p_i,   q_i ∝ p_i / (d_i + s)
 
-with equality for the s at which that law q lies on the set's edge: the likelihood region of Nilim
-and El Ghaoui, Operations Research 53, 2005, section 4. The scale comes from Newton's method on log
-divergence over log s. The law that is returned lies in the set, and the right side bounds from
-below what any member can do: the distance of the two is a proven tolerance, whatever the iteration
-did.
+with equality for the s at which this q lies on the boundary of the set: the likelihood region of
+Nilim and El Ghaoui, Operations Research 53, 2005, section 4. Newton's method finds the scale, from
+the logarithm of the divergence as a function of log s. The distribution that is returned lies in
+the set, and the right side is a lower bound for all members: their distance is a proven tolerance,
+however the iteration went.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import UNIT, gamma
 from exact_mdp.solvers.robust.sets import Ball, RowBlock
 
-STEPS = 200  # of Newton's method, each of which at least halves the bracket or stays inside it
-NEAR = 1e-12  # of the divergence, relative: how narrow bounds are, not whether they hold
-FARTHEST = 500.0  # |log s / max d| at most: e^500 is within the range of floats, twice over
+STEPS = 200  # of Newton's method, each of which stays inside the bracket or halves it
+NEAR = 1e-12  # relative accuracy of the divergence: sets how narrow bounds are, not their validity
+FARTHEST = 500.0  # the greatest |log s / max d|: the square of e^500 is still a float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Likelihood(Ball):
-    """Laws that make the nominal row, taken for observed frequencies, likely: KL(p‖q) ≤ radius.
+    """Distributions under which the nominal row, as observed frequencies, is likely.
 
-    With n observations of a row of k outcomes, a radius (in nats) of χ²(k - 1, level) / (2 n) makes
-    this the likelihood-ratio region of that level.
+    KL(p‖q) ≤ radius. With n observations of a row of k outcomes, a radius (in nats) of
+    χ²(k - 1, level) / (2 n) makes this the likelihood-ratio region of that level.
     """
 
     NAME = "a likelihood radius"
@@ -42,45 +42,52 @@ class Likelihood(Ball):
         """See `Ambiguity.least`."""
         p, beta = block.probability, self.list_radii(block)
         d = payoff - payoff.min(axis=1, keepdims=True)
+        # Rows in which the scale is 0 are solved in closed form.
         q, short, left = _solve_at_boundary(p, d, beta)
         span = np.where(left, 0.0, d.max(axis=1))
-        # What rounding may hide of a divergence is left out of the region. Where that leaves
-        # nothing the nominal law stands: by Pinsker's inequality others are within the root of 2 β
-        # of it, in the L1 norm.
+        # Shrink the region by the rounding error of a divergence. If nothing is left, take the
+        # nominal row: by Pinsker's inequality, others are within the root of 2 β in the L1 norm.
         inside = beta - 64 * UNIT * (payoff.shape[1] + 16) * (1 + beta)
         still = (span > 0) & (beta > 0) & (inside <= 0)
         short[still] = span[still] * np.sqrt(2 * beta[still])
         rows = np.flatnonzero((span > 0) & (inside > 0))
         if len(rows):
+            # The scale s, and the distribution that belongs to it.
             p, d, beta, s = p[rows], d[rows], beta[rows], span[rows]
             s *= np.exp(_find_scale(p, d / s[:, None], inside[rows] * (1 - 2 * NEAR)))
             u = d / s[:, None]
             law = p / (1 + u)
             law /= law.sum(axis=1, keepdims=True)
+            # The lower bound -s + e^-β Π (d_i + s)^p_i, rounded down.
             mean = (p * np.log1p(u)).sum(axis=1)
             low = s * np.expm1(mean - beta)
             low -= gamma(2 * d.shape[1] + 16) * s * (mean + beta) * np.exp(mean - beta)
-            low = np.maximum(low - 4 * UNIT * np.abs(low), 0.0)  # rounded down
+            low = np.maximum(low - 4 * UNIT * np.abs(low), 0.0)
             q[rows] = law
             short[rows] = np.maximum((law * d).sum(axis=1) - low, 0.0)
         return q, short
 
 
 def _find_scale(p: Floats, d: Floats, edge: Floats) -> Floats:
-    """Return about the least t (K,) where s = e^t has a divergence of up to `edge` (K,)."""
+    """Find the least t (K,) such that s = e^t has a divergence of at most `edge` (K,)."""
+    # The divergence falls in t; keep a bracket around the solution.
     low, high = np.full_like(edge, -FARTHEST), np.full_like(edge, FARTHEST)
     # Far out the divergence is about (variance / 2) e^-2t, and the variance is at most 1/4.
     t = np.minimum(np.log1p(0.5 / np.sqrt(edge)), FARTHEST)
     k = np.arange(len(edge))
     for _ in range(STEPS):
+        # The divergence log Σ p/(1+u) + Σ p log(1+u). Both shares add up to 1: the logarithm is
+        # taken from the smaller one, which loses fewer digits.
         u = d[k] / np.exp(t[k])[:, None]
         share = p[k] / (1 + u)
-        kept, lost = share.sum(axis=1), (share * u).sum(axis=1)  # they add up to 1
+        kept, lost = share.sum(axis=1), (share * u).sum(axis=1)
         log = np.where(lost > 0.5, np.log(kept), np.log1p(-np.minimum(lost, 0.75)))
         value = log + (p[k] * np.log1p(u)).sum(axis=1)
         slope = (share * u / (1 + u)).sum(axis=1) / kept - lost
+        # Narrow the bracket.
         above = value > edge[k]
         low[k], high[k] = np.where(above, t[k], low[k]), np.where(above, high[k], t[k])
+        # Newton's step for the logarithm of the divergence; outside the bracket, bisect instead.
         with np.errstate(divide="ignore", invalid="ignore"):
             off = np.log(value / edge[k])
             step = t[k] - off * value / slope
@@ -98,10 +105,10 @@ def _find_scale(p: Floats, d: Floats, edge: Floats) -> Floats:
 def _solve_at_boundary(
     p: Floats, d: Floats, beta: Floats
 ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Return laws (K, n), tolerances (K,), and where (K,) they hold: where s is 0."""
-    # An outcome of frequency 0 may happen, too. Where all of the least value have frequency 0, and
-    # the q_i = p_i / d_i · e^-β Π d_i^p_i of the others add up to no more than 1, what they leave
-    # of 1 goes to such an outcome.
+    """Return distributions (K, n), tolerances (K,), and the rows (K,) that these solve (s = 0)."""
+    # An outcome of frequency 0 may happen, too. Suppose that all outcomes of the least payoff have
+    # frequency 0. If the q_i = p_i / d_i · e^-β Π d_i^p_i of the others sum to at most 1, the
+    # remaining mass goes to one of these.
     q, short = p.copy(), np.zeros(len(p))
     left = ~((p > 0) & (d == 0)).any(axis=1)
     rows = np.flatnonzero(left)

@@ -1,14 +1,16 @@
-"""Robust values: the agent chooses actions, nature chooses each row's law from a set.
+"""Robust values: the agent chooses actions, nature chooses each row's distribution from a set.
 
-    V(s) = max over pairs l of s of  min over laws q in U_l of  Σ q_i (r_i + γ V(s_i))
+    V(s) = max over pairs l of s of  min over q in U_l of  Σ q_i (r_i + γ V(s_i))
 
-or with either side turned round; nature chooses for each pair on its own. The equations of the
-present policy and laws are solved in turn with choosing both anew, or where that brings the bounds
-no closer, a step of value iteration is taken (Iyengar, Mathematics of Operations Research 30, 2005;
-Kaufman and Schaefer, INFORMS Journal on Computing 25, 2013). If both go round, nature settles first
-(Hoffman and Karp, Management Science 12, 1966). With T the right side, and w > 0 but at ends,
+or with max and min exchanged on either side; nature chooses for each pair independently. The
+algorithm alternates between choosing the actions and distributions that are best for V, and solving
+the equations of these choices; if that does not bring the bounds closer, it takes a step of value
+iteration (Iyengar, Mathematics of Operations Research 30, 2005; Kaufman and Schaefer, INFORMS
+Journal on Computing 25, 2013). If the choices of both sides cycle, nature's choice is optimised
+first for fixed actions (Hoffman and Karp, Management Science 12, 1966). With T the right side, and
+w > 0 except in terminal states,
 
-    m(s) = w(s) - γ max over the pairs l of s, and the laws q of l, of Σ q w  > 0,
+    m(s) = w(s) - γ max over the pairs l of s, and q in U_l, of Σ q w  > 0,
     T V - V ≤ c m  gives  V* ≤ V + c w   (c ≥ 0),     T V - V ≥ c m  gives  V* ≥ V + c w   (c ≤ 0),
 
 as nature's optimum σ satisfies σ(V + c w) ≤ σ(V) + c γ max Σ q w for c ≥ 0. A margin m proves that
@@ -46,21 +48,23 @@ from exact_mdp.solvers.solution import Found, SolverError, Status, warn_of_preci
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 Nature = Literal["worst", "best"]
-OF_OUTCOME = 360  # bytes that the analysis of both sides takes for each outcome, as measured
-TURNS, SETTLING = 20, 100  # choices of both sides at once; of nature alone after one of the agent
+OF_OUTCOME = 360  # bytes for each outcome, measured over the analysis of both sides
+# After TURNS steps with both choices at once, nature's choice is optimised first, in at most
+# SETTLING steps. A few steps of both suffice unless their choices cycle.
+TURNS, SETTLING = 20, 100
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class RobustSolution(Found, Result):
-    """Robust values with bounds that hold in every state, and who does what to reach them.
+    """Robust values with error bounds for every state, and the choices that attain them.
 
-    |value - V*| is at most `state_error`, and so is |value - V^π| for the policy found here; where
-    one was given, `pairs` is None.
+    |value - V*| is at most `state_error`, and so is |value - V^π| for the policy found here. If a
+    policy was given, `pairs` is None.
     """
 
     nature: Nature  # "worst" is against the agent, "best" with it
-    transition: sp.csr_array  # (S, S) under that policy and laws by which nature comes to `value`
-    reward: Floats  # (S,) expected rewards there
+    transition: sp.csr_array  # (S, S) under the policy and nature's choice
+    reward: Floats  # (S,) expected rewards under both
 
     def __repr__(self) -> str:
         return (
@@ -78,7 +82,7 @@ def solve_robust(
     tol: float | None = None,
     max_iterations: int = 100_000,
 ) -> RobustSolution:
-    """Return the value of the best policy, or of a given one, where nature chooses the laws.
+    """Return the value of the best policy, or of a given one, if nature chooses distributions.
 
     Parameters
     ----------
@@ -87,11 +91,11 @@ def solve_robust(
     nature : "worst" or "best"
         Against the agent (robust), or with it (cooperative).
     policy : PolicyLike, optional
-        Hold this policy instead of choosing the best.
+        Evaluate this policy instead of choosing the best.
     tol : float, optional
-        Greatest absolute error in any state; 1e-9 · max(1, |V|) unless given.
+        Greatest absolute error in any state; 1e-9 · max(1, |V|) by default.
     max_iterations : int
-        How often nature and the agent choose anew.
+        The most steps in which nature and the agent choose again.
 
     Returns
     -------
@@ -100,15 +104,15 @@ def solve_robust(
     Raises
     ------
     ModelError
-        Where the sets do not fit the model; at discount 1, where under some policy and laws an
-        episode never ends.
+        If the sets do not fit the model; at discount 1, if an episode never ends under some policy
+        and some choice of nature.
     SolverError
-        At the iteration limit, or where double precision cannot bound the error.
+        At the iteration limit, or if double precision cannot bound the error.
 
     Examples
     --------
     >>> from exact_mdp.solvers.robust.sets import Intervals
-    >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])  # worth 1 / (1 - p)
+    >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])  # the value is 1 / (1 - p)
     >>> print(solve_robust(mdp, Intervals.relative(mdp, 0.2)).start)
     1.66666666667 ± ... (bounded)
     """
@@ -123,7 +127,8 @@ def solve_robust(
     require_room_for_rows(model)
     ambiguity.check(model)
     require_amounts(model.table, "a value under other rows")
-    if model.discount_exact == 1 and (beside := beside_goal(model)).any():
+    beside = beside_goal(model)
+    if model.discount_exact == 1 and beside.any():
         raise ModelError(
             "a run that ends beside the goal is worth infinity, and robust values are finite",
             where=model.space.place(int(beside.argmax())),
@@ -132,14 +137,14 @@ def solve_robust(
         )
     check_tolerance("robust", tol)
     check_counts("robust", max_iterations=max_iterations)
-    game = Game(
-        model.maximised,
-        ambiguity,
-        against=nature == "worst",
-        weights=None if policy is None else PolicyChain.of(model, policy).weights,
-    )
+    # Solve the model of maximised rewards; a given policy fixes the probabilities of pairs.
+    weights = None
+    if policy is not None:
+        weights = PolicyChain.of(model, policy).weights
+    game = Game(model.maximised, ambiguity, against=nature == "worst", weights=weights)
     with np.errstate(over="ignore", invalid="ignore"):
         status, value, error, asked, iterations = _iterate_values(game, tol, max_iterations)
+    # The choices of both sides at the final values.
     share, pairs = game.choose_pairs(asked.value), None
     if policy is None:
         pairs = model.pair_offsets[:-1].copy()
@@ -162,7 +167,7 @@ def solve_robust(
 
 
 def require_room_for_rows(model: MDP) -> None:
-    """Raise ModelError where the sets of all rows would not fit in memory."""
+    """Raise ModelError if the sets of all rows would not fit in memory."""
     size = OF_OUTCOME * len(model.table.next)
     if size > MOST_BYTES:
         most = MOST_BYTES // OF_OUTCOME
@@ -180,22 +185,25 @@ class Game:
     def __init__(
         self, mdp: MDP, ambiguity: Ambiguity, *, against: bool, weights: Floats | None
     ) -> None:
-        """Nature is `against` high values of rows, or for them; `weights` (L,) fix a policy."""
+        """Nature minimises if `against`, else maximises; `weights` (L,) fix a policy."""
         self.mdp, self.ambiguity, self.against, self.weights = mdp, ambiguity, against, weights
-        self.rewards = True  # whether they count
+        self.rewards = True  # whether rewards count
         self.live = np.flatnonzero(~mdp.terminal)
+        # A given policy leaves only the pairs that it takes.
         taken = ~mdp.terminal[mdp.pair_state]
-        self.pairs = np.flatnonzero(taken if weights is None else taken & (weights > 0))
+        if weights is not None:
+            taken &= weights > 0
+        self.pairs = np.flatnonzero(taken)
         state = mdp.pair_state[self.pairs]
-        self.first = np.searchsorted(state, self.live)  # (T,) of each state's pairs
-        self.row_state = np.searchsorted(self.live, state)  # (U,)
+        self.first = np.searchsorted(state, self.live)  # (T,) the first of each state's pairs
+        self.row_state = np.searchsorted(self.live, state)  # (U,) the place of each state in `live`
         table = mdp.table
         rows = table.offsets[self.pairs], np.diff(table.offsets)[self.pairs]
         outcomes = table.next, table.compute_probabilities(), table.compute_gains()
         self.blocks = side_by_side(self.pairs, rows, outcomes)
 
     def solve_inner_problem(self, value: Floats) -> Inner:
-        """Return nature's best reply to each of `pairs`, at values (S,)."""
+        """Return nature's best distribution for each of `pairs`, at values (S,)."""
         return solve_inner_problem(
             self.ambiguity,
             self.blocks,
@@ -206,10 +214,11 @@ class Game:
         )
 
     def choose_pairs(self, q: Floats) -> Floats:
-        """Return (U,) the agent's share of each pair, given their values (U,)."""
+        """Return (U,) the probability with which the agent takes each pair, given values (U,)."""
         if self.weights is not None:
             share = self.weights[self.pairs]
             return np.asarray(share / np.add.reduceat(share, self.first)[self.row_state])
+        # The first of the best pairs in each state.
         best = np.maximum.reduceat(q, self.first)
         number = np.where(q == best[self.row_state], np.arange(len(q)), len(q))
         share = np.zeros(len(q))
@@ -221,16 +230,16 @@ class Game:
         return np.asarray(np.add.reduceat(share * q, self.first))
 
     def back_up_pairs(self, q: Floats) -> Floats:
-        """Return (T,) what the agent makes of pair values (U,)."""
+        """Return (T,) the values of states, given pair values (U,)."""
         return self.average_pairs(self.choose_pairs(q), q)
 
     def solve_chain(self, asked: Inner, share: Floats, order: Integers | None) -> Floats:
-        """Return about the values (S,) under what nature chose and shares (U,)."""
+        """Solve for the values (S,) under nature's choice and the agent's shares (U,)."""
         chain, earned = self.build_chain(asked.laws, share)
         return LinearSystem(chain, self.mdp.discount, order=order).approximate(earned)
 
     def build_chain(self, laws: list[Floats], share: Floats) -> tuple[sp.csr_array, Floats]:
-        """Return transitions (S, S) and expected rewards (S,) under laws and shares (U,)."""
+        """Return transitions (S, S) and rewards (S,) under distributions and shares (U,)."""
         place, following, probability, earned = list_entries(self.blocks, laws)
         source, states = self.live[self.row_state], self.mdp.n_states
         taken = share[place] > 0
@@ -242,14 +251,18 @@ class Game:
 
 def verify_margins(game: Game) -> tuple[Floats, Floats]:
     """Return weights (S,), and verified margins (T,) of the states that are not terminal."""
-    late = copy(game)  # both sides are after steps
+    # A game in which both sides maximise the number of steps.
+    late = copy(game)
     late.against, late.rewards = False, False
-    if (order := topological_levels(game.mdp)) is not None:
+    # Weights as in `bounds.bounds`: levels of an acyclic model, else 1, else expected steps.
+    order = topological_levels(game.mdp)
+    if order is not None:
         weight = order.astype(np.float64)
     elif game.mdp.discount < 1:
         weight = (~game.mdp.terminal).astype(np.float64)
     else:
         weight = _maximise_expected_steps(late)
+    # Verified by an upper bound of γ max Σ q w.
     later = np.maximum.reduceat(late.solve_inner_problem(weight).high, game.first)
     margin = np.asarray((weight[game.live] - later) * (1 - 4 * UNIT))
     if not np.all(margin > 0):
@@ -258,16 +271,17 @@ def verify_margins(game: Game) -> tuple[Floats, Floats]:
 
 
 def _maximise_expected_steps(game: Game) -> Floats:
-    """Return about the greatest expected number of steps, by policy iteration on both choices."""
+    """Estimate the greatest expected number of steps, by policy iteration on both choices."""
     mdp, live = game.mdp, ~game.mdp.terminal
     weight = live.astype(np.float64)
     for iteration in range(POLICIES):
         asked = game.solve_inner_problem(weight)
         gain = 1 + game.back_up_pairs(asked.value) - weight[game.live]
-        # What adds less than half a step leaves a margin of over a half.
+        # If no pair adds half a step or more, all margins exceed a half.
         if iteration and gain.max() < 0.5:
             return weight
         chain, _ = game.build_chain(asked.laws, game.choose_pairs(asked.value))
+        # The expected number of steps is infinite if some state has no way to the end.
         stuck = np.flatnonzero(~find_reachable_nodes(chain.T.tocsr(), mdp.terminal.copy()))
         if len(stuck):
             named = ", ".join(f"({label})" for label in mdp.space.labels(stuck[:4]))
@@ -289,10 +303,12 @@ def _maximise_expected_steps(game: Game) -> Floats:
 def _iterate_values(
     game: Game, tol: float | None, max_iterations: int
 ) -> tuple[Status, Floats, Floats, Inner, int]:
-    """Return values and their errors (S,), what nature makes of them, and the iterations."""
+    """Return values and their errors (S,), nature's choice at them, and the iterations."""
     live, value, order = game.live, np.zeros(game.mdp.n_states), topological_levels(game.mdp)
     if not len(live):
         return Status.CONVERGED, value, value.copy(), game.solve_inner_problem(value), 0
+    # `best` is the least error so far, `trust` the one that solving the equations has to improve
+    # on, and `step` the result of value iteration to fall back on.
     weight, margin = verify_margins(game)
     most, best, trust, step = float(weight.max()), np.inf, np.inf, value
     if game.weights is None:
@@ -300,29 +316,27 @@ def _iterate_values(
     else:
         terms = np.diff(np.append(game.first, len(game.pairs))).max() + 1
     for iteration in range(1, max_iterations + 1):
+        # Both sides choose.
         asked, here = game.solve_inner_problem(value), value[live]
         share = game.choose_pairs(asked.value)
-        # What rounds here: the mean over pairs, and the difference from the value.
+        # Rounding errors of the mean over pairs and of the difference from the value.
         size = np.abs(here) + np.maximum.reduceat(np.abs(asked.value), game.first)
         doubt = 4 * UNIT * terms * size
-        # Bounds of what a step adds, to the optimum and to the policy that takes these pairs.
-        low = (
-            np.minimum(game.back_up_pairs(asked.low), game.average_pairs(share, asked.low))
-            - here
-            - doubt
-        )
-        high = (
-            np.maximum(game.back_up_pairs(asked.high), game.average_pairs(share, asked.high))
-            - here
-            + doubt
-        )
-        # NumPy's maximum is not a number where one of them is none, as beyond the range of floats.
+        # Bounds on T V - V, for the optimum and for the policy that takes these pairs.
+        least = np.minimum(game.back_up_pairs(asked.low), game.average_pairs(share, asked.low))
+        low = least - here - doubt
+        greatest = np.maximum(game.back_up_pairs(asked.high), game.average_pairs(share, asked.high))
+        high = greatest - here + doubt
+        # NumPy's maximum is NaN if one of the numbers is, as beyond the range of floats.
         error = float(np.max([0.0, (high / margin).max(), -(low / margin).min()])) * SLACK
-        if not error < trust:  # the equations led away: a step of value iteration does not
+        # The equations led away from the optimum: go back to a step of value iteration, which
+        # cannot.
+        if not error < trust:
             if trust == np.inf:
                 raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
             value, trust = step, np.inf
             continue
+        # Stop if the error is small enough, or no longer falls because all of it is rounding.
         better = game.average_pairs(share, asked.value)
         limit = tol or RELATIVE_TOLERANCE * max(1.0, float(np.abs(better).max()))
         noise = float((asked.high - asked.low).max() + doubt.max()) / float(margin.min())
@@ -335,15 +349,18 @@ def _iterate_values(
         best = min(best, error)
         step = value.copy()
         step[live] = better
+        # Solve the equations of both choices.
         value = game.solve_chain(asked, share, order)
-        # Both at once may go round, each undoing the other's choice: then nature settles first, and
-        # what the agent gains grows, whatever the bounds do on the way.
         trust = error
+        # The choices of both sides may cycle, each undoing the other's. Then optimise nature's
+        # choice for the agent's policy first: the policy improves in each round, whatever the
+        # bounds do on the way.
         if iteration > TURNS:
             trust = np.inf
-        for _ in range(SETTLING if iteration > TURNS else 0):
-            before, value = value, game.solve_chain(game.solve_inner_problem(value), share, order)
-            if not (np.abs(value - before) > 8 * UNIT * np.abs(before).max()).any():
-                break
+            for _ in range(SETTLING):
+                before = value
+                value = game.solve_chain(game.solve_inner_problem(value), share, order)
+                if not (np.abs(value - before) > 8 * UNIT * np.abs(before).max()).any():
+                    break
     detail = f"{best * most:.2g} is the error bound after {max_iterations} iterations"
     raise SolverError(Status.ITERATION_LIMIT, detail)

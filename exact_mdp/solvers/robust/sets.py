@@ -1,14 +1,14 @@
-"""Sets of laws around the rows of a model, and what nature picks from them.
+"""Sets of distributions around the rows of a model, and nature's best choice from each.
 
-A row of pair l has outcomes i with nominal probability p_i, next state s_i and reward g_i, and is
-worth Σ q_i x_i under another law q, x_i = g_i + γ V(s_i). Outcomes that a row does not have stay
-impossible. Sets of all rows are independent, and nature chooses anew whenever a pair is used: for
-the stationary policies here a nature that chooses once and for all does as well (Iyengar,
+The row of pair l has outcomes i with nominal probability p_i, next state s_i and reward g_i. Its
+value under a distribution q is Σ q_i x_i with x_i = g_i + γ V(s_i). Outcomes that a row does not
+have stay impossible. The sets of all rows are independent, and nature chooses again whenever a pair
+is used; for stationary policies, as here, a nature that chooses once does as well (Iyengar,
 Mathematics of Operations Research 30, 2005).
 
     {q : lower_i ≤ q_i ≤ upper_i, Σ q_i = 1}   Givan, Leach and Dean, Artificial Intelligence 122,
-        2000: in rising order of x, outcomes get their upper bound as long as the rest can still
-        have its lower bound
+        2000: in increasing order of x, outcomes get their upper bound as long as all others can
+        still have their lower bound
     {q : Σ |q_i - p_i| ≤ ρ}   Strehl and Littman, Journal of Computer and System Sciences 74, 2008:
         ρ/2 of the mass moves from the greatest x to the least
 """
@@ -30,20 +30,20 @@ from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, exact, fo
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.solution import SolverError, Status
 
-ROOM = 2**22  # outcomes in one block
+ROOM = 2**22  # outcomes in one block, which limits the memory of intermediate arrays
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RowBlock:
-    """K rows of n outcomes side by side, so that one call of NumPy asks nature about all of them.
+    """K rows of n outcomes in one array, so that NumPy solves all inner problems at once.
 
-    A shorter row is filled up with copies of its first outcome of probability 0.
+    A shorter row is padded with copies of its first outcome, of probability 0.
     """
 
-    place: Integers  # (K,) positions of the rows among the pairs that were asked for
+    place: Integers  # (K,) positions of the rows among the given pairs
     pair: Integers  # (K,)
     outcome: Integers  # (K, n) numbers of the outcomes in the model's table
-    filled: NDArray[np.bool_]  # (K, n) true where a copy of the first outcome stands in
+    filled: NDArray[np.bool_]  # (K, n) True for padding
     next: Integers  # (K, n)
     probability: Floats  # (K, n)
     gain: Floats  # (K, n)
@@ -51,18 +51,18 @@ class RowBlock:
 
 
 class Ambiguity(ABC):
-    """A set of laws for each row, chosen from independently: (s, a)-rectangular uncertainty."""
+    """A set of distributions for each row, independent of others: (s, a)-rectangular."""
 
     @abstractmethod
     def least(self, block: RowBlock, payoff: Floats) -> tuple[Floats, Floats]:
-        """Return laws q (K, n) and b (K,): q in the set, and no member has Σ q x below Σ q x - b.
+        """Return members q (K, n) of the sets and b (K,): no member's mean is below Σ q x - b.
 
         Both hold up to rounding, which `solve_inner_problem` accounts for.
         """
 
     @abstractmethod
     def check(self, model: MDP) -> None:
-        """Raise ModelError where this is not a set of laws for the rows of a model."""
+        """Raise ModelError if this is not a set of distributions for the rows of a model."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,7 +72,7 @@ class Intervals(Ambiguity):
     Attributes
     ----------
     lower, upper : (N,)
-        In the order of `mdp.table.next`; `relative` makes them.
+        In the order of `mdp.table.next`; `relative` computes them.
 
     Examples
     --------
@@ -93,7 +93,9 @@ class Intervals(Ambiguity):
 
     @classmethod
     def relative(cls, model: MDP, share: object) -> Intervals:
-        """Return p (1 ± share) within [0, 1]; below a share of 1 every outcome stays possible.
+        """Return the intervals p (1 ± share) within [0, 1].
+
+        With a share below 1 every outcome stays possible.
 
         Parameters
         ----------
@@ -117,7 +119,7 @@ class Intervals(Ambiguity):
         return cls(lower=np.maximum(p * (1 - part), 0.0), upper=np.minimum(p * (1 + part), 1.0))
 
     def check(self, model: MDP) -> None:
-        """Raise ModelError where a row has no law within its intervals."""
+        """Raise ModelError if a row has no distribution within its intervals."""
         shape = model.table.next.shape
         if self.lower.shape != shape or self.upper.shape != shape:
             raise ModelError(
@@ -141,6 +143,8 @@ class Intervals(Ambiguity):
 
     def least(self, block: RowBlock, payoff: Floats) -> tuple[Floats, Floats]:
         """See `Ambiguity.least`."""
+        # Every outcome gets its lower bound; the remaining mass goes to the least payoffs first,
+        # each up to its upper bound.
         lower = np.where(block.filled, 0.0, self.lower[block.outcome])
         room = np.where(block.filled, 0.0, self.upper[block.outcome]) - lower
         order = np.argsort(payoff, axis=1)
@@ -154,11 +158,11 @@ class Intervals(Ambiguity):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ball(Ambiguity):
-    """Laws within a radius of the nominal row."""
+    """Distributions within a radius of the nominal row."""
 
     NAME: ClassVar[str]
 
-    radius: Any  # one for all pairs, or (L,) one for each
+    radius: Any  # one number for all pairs, or (L,) one for each
 
     def __post_init__(self) -> None:
         radius: Any = self.radius
@@ -188,12 +192,13 @@ class Ball(Ambiguity):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class L1Ball(Ball):
-    """Laws within an L1 distance of the nominal row: Σ |q - p| ≤ radius, from 0 to 2."""
+    """Distributions within an L1 distance of the nominal row: Σ |q - p| ≤ radius, from 0 to 2."""
 
     NAME = "an L1 radius"
 
     def least(self, block: RowBlock, payoff: Floats) -> tuple[Floats, Floats]:
         """See `Ambiguity.least`."""
+        # Move mass from the greatest payoffs to the least: half the radius, as it counts twice.
         p = block.probability
         order = np.argsort(-payoff, axis=1)
         lowest = order[:, -1:]
@@ -202,7 +207,7 @@ class L1Ball(Ball):
         moved = np.minimum(self.list_radii(block) / 2, free)[:, None]
         before = np.cumsum(mass, axis=1) - mass
         taken = np.clip(moved - before, 0.0, mass)
-        # An outcome that is taken all but for rounding is taken whole: it becomes impossible.
+        # An outcome of which only rounding is left becomes impossible.
         mass = np.where(taken >= mass - 8 * UNIT, 0.0, mass - taken)
         q = np.empty_like(p)
         np.put_along_axis(q, order, mass, axis=1)
@@ -212,7 +217,7 @@ class L1Ball(Ball):
 
 
 def radius_of(given: object, what: str) -> float:
-    """Return a radius as a float; raises ModelError unless it is finite and at least 0."""
+    """Return a radius as a float; raise ModelError unless it is finite and at least 0."""
     number = exact(given, "radius")
     if not 0 <= number <= np.finfo(float).max:
         fix = "choose one from 0 up, no larger than a float can be"
@@ -225,22 +230,23 @@ def radius_of(given: object, what: str) -> float:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Inner:
-    """What nature makes of U rows: its optimum lies in [low, high], and laws give about `value`."""
+    """Nature's optimum of U rows: it lies in [low, high], and `laws` have about the `value`."""
 
     low: Floats
     high: Floats
     value: Floats
-    laws: list[Floats]  # (K, n) of each block
+    laws: list[Floats]  # (K, n) the distributions of each block
 
 
 def side_by_side(
     pairs: Integers, rows: tuple[Integers, Integers], outcomes: tuple[Integers, Floats, Floats]
 ) -> list[RowBlock]:
-    """Return rows (U,) by where they start and their length, in blocks of about the same length.
+    """Return rows (U,), given by their starts and lengths, in blocks of about the same length.
 
     Outcomes are next states, probabilities, which need not sum to 1, and rewards.
     """
     (start, length), (following, probability, gain), blocks = rows, outcomes, []
+    # Widths are powers of 2, so that at most half of a block is padding.
     width = 2 ** np.ceil(np.log2(length)).astype(np.int64)
     for n in np.unique(width).tolist():
         alike, column = np.flatnonzero(width == n), np.arange(n)
@@ -272,32 +278,41 @@ def solve_inner_problem(
     against: bool,
     rewards: bool = True,
 ) -> Inner:
-    """Return the value of each row at values (S,) once nature has chosen its law.
+    """Return the value of each row at values (S,) after nature's choice.
 
-    Nature makes the values of rows as low as it can where it is `against` the agent, and as high
-    elsewhere; without `rewards` the gains are left out.
+    Nature minimises the values of rows if it is `against` the agent, else it maximises them.
+    Without `rewards` only later values count.
     """
     count = sum(len(block.place) for block in blocks)
     low, high, middle = np.empty(count), np.empty(count), np.empty(count)
     laws = []
     for block in blocks:
+        # The payoff x of each outcome, and the size on which its rounding depends.
         later = value[block.next]
         payoff = discount * later
         size = np.abs(payoff).max(axis=1)
         if rewards:
             payoff += block.gain
             size += block.largest
-        if not np.isfinite(4 * size).all():  # payoffs are up to 2 `size` apart
+        # Differences of payoffs are up to twice their size.
+        if not np.isfinite(4 * size).all():
             raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
-        q, short = ambiguity.least(block, payoff if against else -payoff)
+        # A maximum is minus the minimum of -x; the tolerance `short` is on nature's side.
+        if against:
+            q, below = ambiguity.least(block, payoff)
+            above = np.zeros(len(q))
+        else:
+            q, above = ambiguity.least(block, -payoff)
+            below = np.zeros(len(q))
+        # Differences from the first payoff lose no digits to the common part.
         base = payoff[:, :1]
         worst = base[:, 0] + np.einsum("kn,kn->k", q, payoff - base)
         n = payoff.shape[1]
-        # A payoff is rounded four times; the mass of a law misses the set by (2 n + 6) units, over
+        # A payoff is rounded four times; the mass of q misses the set by (2 n + 6) units, over
         # payoffs that are up to twice `size` apart; the sum is rounded n times.
         error = (gamma(8 * n + 32) * size + TINY * n * (size > 0)) * SLACK
-        low[block.place] = worst - error - (short if against else 0.0)
-        high[block.place] = worst + error + (0.0 if against else short)
+        low[block.place] = worst - error - below
+        high[block.place] = worst + error + above
         middle[block.place] = worst
         laws.append(q)
     return Inner(low=low, high=high, value=middle, laws=laws)
@@ -306,7 +321,7 @@ def solve_inner_problem(
 def list_entries(
     blocks: Sequence[RowBlock], laws: Sequence[Floats]
 ) -> tuple[Integers, Integers, Floats, Floats]:
-    """Return place, next state and probability (N,) of laws, and the expected gain of rows (U,)."""
+    """Return place, next state and probability (N,) of all outcomes, and rows' rewards (U,)."""
     earned = np.zeros(sum(len(block.place) for block in blocks))
     nothing: Integers = np.zeros(0, dtype=np.int64)
     place, following, weight = [nothing], [nothing], [np.zeros(0)]
