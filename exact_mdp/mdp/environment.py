@@ -183,7 +183,10 @@ def scenario_env(
     >>> env.observation_space, env.action_space, env.action_names
     (Discrete(16), Discrete(4), ('none', 'supportive', 'non-directive', 'directive'))
     """
-    given = scenario if isinstance(scenario, Scenario) else Scenario.load(scenario)
+    if isinstance(scenario, Scenario):
+        given = scenario
+    else:
+        given = Scenario.load(scenario)
     return MDPEnv(given.with_(**changes).compile(), columns=columns, pass_forced=True)
 
 

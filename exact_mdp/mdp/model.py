@@ -266,7 +266,9 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
             state, action = label(self.pair_state[pair]), self.actions[self.pair_action[pair]]
             for probability, after, reward in self.table.row(pair):
                 rows.append((state, action, label(after), probability, reward))
-        earned = "cost" if self.sense == "min" else "reward"
+        earned = "reward"
+        if self.sense == "min":
+            earned = "cost"
         names = ["state", "action", "next state", "probability", earned]
         return data_frame(rows, columns=names)
 
