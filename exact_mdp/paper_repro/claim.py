@@ -180,6 +180,7 @@ def compare_average(
 ) -> Finding:
     """Compare an average of n experiments with its exact mean, by their exact standard error."""
     standard_error = sd / sqrt(n)
+    # The two-sided tail of the normal distribution.
     chance = erfc(abs(mean - paper) / standard_error / sqrt(2))
     number = Bounded(value=mean, error=error)
     numbers: dict[str, Any] = {"paper": paper, "number": number, "number_is": MEAN_RETURN}
@@ -203,16 +204,15 @@ def judge_by_runs(count: int, total: int, what: str, why: str, **more: Any) -> F
     if count:
         shown = f"{100 * part:.{0 if part >= 0.095 else 1}f} %"
     says = f"seen in {shown} of {total:,} {what}"
-    if count:
+    if part >= NEARLY_ALL:
+        verdict = ClaimVerdict.REPRODUCED
+    elif count:
         verdict = ClaimVerdict.SEEN
     else:
         verdict = ClaimVerdict.NOT_REPRODUCED
-    if part >= NEARLY_ALL:
-        verdict = ClaimVerdict.REPRODUCED
-    if verdict is ClaimVerdict.SEEN:
-        says = says
-    else:
+    if verdict is not ClaimVerdict.SEEN:
         says = f"{verdict}, {says}"
+    # Jeffreys' estimate of the share gives the standard error.
     smooth = (count + 0.5) / (total + 1)  # not 0 where all runs are alike
     number = Estimated(value=part, standard_error=sqrt(smooth * (1 - smooth) / total))
     details = {"count": count, "runs": total, **more.pop("details", {})}
@@ -239,10 +239,12 @@ def judge_claims(
     for each in claims:
         finding = each.find(default)
         entry = entry_of(each, finding)
+        # Claims that depend on the reading, or on training, are judged under the best one, too.
         if each.open or each.learns:
             there = each.find(best)
             entry["verdict_under_best_supported_reading"] = there.says
             if each.open:
+                # Open claims are tried under every single change.
                 tried = {other.label: each.find(other).verdict for other in others}
                 tried |= {default.label: finding.verdict, best.label: there.verdict}
                 holding = [label for label, verdict in tried.items() if verdict in HOLDS]

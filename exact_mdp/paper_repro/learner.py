@@ -110,6 +110,8 @@ def train_learner(
     """Train with this many seeds; runs that the folder holds are not done again."""
     chosen = change_settings(schedule, changes)
     if folder is not None:
+        # The folder is named after the model and the settings, so that other runs are not taken for
+        # these.
         rows = np.concatenate([mdp.transition.data, mdp.reward]).tobytes()
         mark = sha256(rows + repr(chosen).encode()).hexdigest()[:12]
         folder = folder / f"{schedule}-{mark}"

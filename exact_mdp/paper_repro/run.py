@@ -92,6 +92,7 @@ def run_reproduction(out: Path, *, quick: bool, readme: Path | None = None) -> d
     started, runs = time.perf_counter(), QUICK if quick else FULL
     require_matplotlib()
     write_file(out / "run.json", as_json({"started": True}))  # a folder that cannot be written to
+    # Find out first which readings the reported returns support.
     reading = build_default_reading(runs=runs, folder=out / "work")
     evidence = compute_support(reading, show_progress)
     changed = one_change(reading)
@@ -107,6 +108,7 @@ def run_reproduction(out: Path, *, quick: bool, readme: Path | None = None) -> d
         "readings": describe_readings(evidence, [reading, *changed]),
         "claims": claims,
     }
+    # Numbers are rounded only where they are written.
     written = round_numbers(results)
     numbers = [each for each in written["claims"] if each["exact"] is not None]
     write_file(out / "results.json", as_json(written))
@@ -121,6 +123,7 @@ def run_reproduction(out: Path, *, quick: bool, readme: Path | None = None) -> d
     if readme is not None:
         write_file(readme / "results.json", as_json(written))
         write_file(readme / "README.md", render_readme(written, code="./"))
+    # The record of the run comes last: only a complete run has one.
     record = run_record(reading.mdp, model="yuan2025", solver="auto", seed=SEED)
     scenario = reading.scenario
     record |= {

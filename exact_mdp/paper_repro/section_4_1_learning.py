@@ -99,9 +99,11 @@ def learning_curves(reading: Reading) -> Figure:
     grid = panels[0, 0].get_gridspec()
     for old in panels[0]:
         old.remove()
+    # Above: one run of each strategy, as the paper draws it.
     top = fig.add_subplot(grid[0, :])
     optimum = reading.evaluate_policy("optimal").mean
     curves = {shown: reading.train_runs(name).drawn.sampled for name, shown in SHOWN.items()}
+    # The random strategy has a seed of its own, beside those of the schedules.
     source = spawn_seed(CURVES, len(SHOWN))
     returns, _ = sample_epoch_returns(reading.mdp, QLearning().epochs, rng=source)
     curves["random"] = returns.mean(axis=1)
@@ -118,6 +120,7 @@ def learning_curves(reading: Reading) -> Figure:
         "One run of each: average of 40 experiments at each epoch\n"
         "(pale: the range within 20 epochs; heavy: the mean of 100)"
     )
+    # Below: exact values of the policies of all runs, with the band of nine runs in ten.
     for ax, (name, shown), (colour, line) in zip(panels[1], SHOWN.items(), looks, strict=False):
         values = reading.train_runs(name).values
         low, high = np.quantile(values, [0.05, 0.95], axis=0)
@@ -176,6 +179,7 @@ def unique_policies(reading: Reading, schedule: str) -> Finding:
 def learned_anger(reading: Reading, schedule: str) -> Finding:
     """The run with {means} learns supportive assistance in all eight statuses with anger."""
     final = reading.train_runs(schedule).final
+    # A run counts if all eight statuses with anger have supportive assistance.
     supportive = final[:, [int(status, 2) for status in ANGRY]] == NUMBER["supportive"]
     each = supportive.mean(axis=0)
     why = (
@@ -191,6 +195,7 @@ def learned_anger(reading: Reading, schedule: str) -> Finding:
 def learned_stated(reading: Reading, schedule: str) -> Finding:
     """The run with {means} learns the stated actions of 1100, 1000 and 0100."""
     final = [name_actions(policy) for policy in reading.train_runs(schedule).final]
+    # The text leaves open which action belongs to 1000 and which to 0100: count both orders.
     orders = {order: sum(has_stated_actions(policy, order) for policy in final) for order in ORDERS}
     whole = sum(are_as_described([policy]) for policy in final)
     shares = ", ".join(f"{order} {count / len(final):.1%}" for order, count in orders.items())
@@ -215,6 +220,7 @@ def are_as_described(policies: Iterable[dict[str, str]]) -> bool:
 def same_but_first(reading: Reading) -> Finding:
     """The policies of the two runs, one of each schedule, differ in status 0000 alone."""
     constant, decaying = (reading.train_runs(schedule).final for schedule in SHOWN)
+    # Run i of one schedule is compared with run i of the other: the pairs are independent.
     apart = constant != decaying
     rest = apart[:, 1:].sum(axis=1)
     why = (
@@ -230,6 +236,7 @@ def runs_show_everything(reading: Reading) -> Finding:
     alone, the three actions there, the agreement elsewhere, and the stated actions.
     """
     parts = told_together(reading)
+    # Statement after statement: how often it holds, and how often it holds with all before it.
     within, regrets = np.array(True), []
     for name, each in parts.items():
         within = within & each

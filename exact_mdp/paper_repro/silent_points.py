@@ -161,9 +161,11 @@ def one_change(base: Reading) -> list[Reading]:
 def log_likelihood(reading: Reading, order: str) -> float:
     """Return the logarithm of the likelihood of the reported returns, up to a constant."""
     random = reading.evaluate_policy("random").mean
+    # The random strategy is reported as "around 70", read as a normal error of `ABOUT` points.
     total = -0.5 * ((random - REPORTED["random"]) / ABOUT) ** 2
     for start, average in AVERAGES.items():
         exact = reading.evaluate_policy(start, order)
+        # A mean of 1,000 experiments is normal with the exact standard error of the policy.
         variance = exact.sd**2 / EXPERIMENTS
         total -= 0.5 * (exact.mean - average) ** 2 / variance + 0.5 * log(variance)
     return float(total)
@@ -202,6 +204,7 @@ def compute_support(base: Reading, progress: Callable[[str], None] = lambda text
     """Evaluate all 576 combinations of the eight points, with both orders of "respectively"."""
     readings, choices, logs = [], [], []
     for options in product(*POINTS.values()):
+        # The label of a combination names the points that differ from the default.
         chosen = dict(zip(POINTS, options, strict=True))
         changes = [
             POINTS[point][option]
@@ -217,6 +220,7 @@ def compute_support(base: Reading, progress: Callable[[str], None] = lambda text
             readings.append(replace(base, scenario=scenario, order=order, label=label))
             choices.append({**chosen, "respectively": order})
         progress(f"{len(readings) // 2} readings of the text")
+    # Weights are proportional to the likelihoods: every combination was as likely before.
     weights = np.exp(np.array(logs) - max(logs))
     return Support(readings=readings, choices=choices, weights=weights / weights.sum())
 
@@ -235,12 +239,14 @@ def describe_readings(evidence: Support, changed: Sequence[Reading]) -> dict[str
             "log_likelihood": log_likelihood(reading, order),
         }
 
+    # The default in both orders, then each single change in the order that fits better.
     rows = [describe_reading(each, order) for each in changed[:1] for order in ORDERS]
     for each in changed[1:]:
         if each.order == "as written":
             rows.append(
                 max((describe_reading(each, o) for o in ORDERS), key=lambda r: r["log_likelihood"])
             )
+    # Changes of other numbers than the silent points: how far their averages are at best.
     far = [row for row in rows if row["label"] in ELSEWHERE]
     chosen = evidence.choices[int(evidence.weights.argmax())].items()
     changes = [f"readings.{p}={option}" for p, option in chosen if option != next(iter(OPTIONS[p]))]
