@@ -428,6 +428,7 @@ def _rewards_of_arrays(
             fix=f"give an array ({states}, {actions}); or {{action: matrix}} beside such a P, and "
             "{state: {action: reward}} beside {state: {action: {next state: probability}}}",
         )
+    # Three indices, or a list of matrices, are rewards of transitions; fewer, of states or pairs.
     sparse = _holds_sparse(R)
     given = R
     if not sparse:

@@ -144,6 +144,7 @@ class MDPEnv(gymnasium.Env[np.int64, np.int64]):
         return min(drawn, len(totals) - 1)
 
     def _build_info(self, timesteps: int, events: int, components: Floats) -> dict[str, Any]:
+        """Return the `info` of a step."""
         return {
             "state": self.mdp.space.label(self.state),
             "timesteps": timesteps,

@@ -245,7 +245,8 @@ def check_names(
         if len(name) > longest:
             said = f"{what} {name[:40]!r} has {len(name):,} characters"
             raise ModelError(said, where=where, fix=f"shorten it to {longest:,}")
-        if unsafe := UNSAFE.search(name):
+        unsafe = UNSAFE.search(name)
+        if unsafe:
             said = f"{what} {name[:40]!r} contains the character U+{ord(unsafe[0]):04X}"
             fix = "remove it; names are plain text on one line"
             raise ModelError(said, where=where, fix=fix)

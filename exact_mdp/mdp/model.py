@@ -260,6 +260,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         return self._frame_outcomes(pairs)
 
     def _frame_outcomes(self, pairs: Iterable[int]) -> DataFrame:
+        """Return the outcomes of some pairs as a table."""
         label = self.space.label
         rows = []
         for pair in pairs:
@@ -688,6 +689,7 @@ def _check_components(mdp: MDP) -> None:
     amounts, below = mdp.table.components, mdp.table.component_denominator
     if amounts is None and len(mdp.component_names) == 1:
         return
+    # Amounts are by pair or by outcome, over one positive denominator for each pair.
     shape = (mdp.n_pairs, len(mdp.component_names))
     of_outcomes = (len(mdp.table.next), len(mdp.component_names))
     fits = amounts is not None and amounts.shape in (shape, of_outcomes)
@@ -703,6 +705,7 @@ def _check_components(mdp: MDP) -> None:
             where="reward components",
             fix="make it positive",
         )
+    # In each pair they add up to the expected reward, except for rounding.
     wrong = wrong_rows(mdp.table, mdp.reward)
     if wrong.any():
         pair = int(np.flatnonzero(wrong)[0])

@@ -151,6 +151,7 @@ def check_model(model: Parts) -> None:
 
 
 def _check_sense(model: Parts) -> None:
+    """Raise ModelError unless the sense is "max" or "min", and `unreached` infinite."""
     if model.sense not in SENSES:
         raise ModelError(
             f"the sense is {model.sense!r}",
@@ -166,6 +167,7 @@ def _check_sense(model: Parts) -> None:
 
 
 def _check_observations(model: Parts) -> None:
+    """Raise ModelError unless the rows are frequencies of the observations, if there are any."""
     seen = model.observations
     if seen is None:
         return

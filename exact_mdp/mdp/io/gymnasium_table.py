@@ -46,6 +46,7 @@ def read_outcome_rows(env: Any, where: str) -> tuple[Rows, int]:
     if isinstance(table, np.ndarray) and table.dtype != object:
         what = f"P is an array of shape {table.shape}, and not a table of outcomes"
         raise ModelError(what, where=where, fix="give it with the rewards: MDP.from_arrays(P, R)")
+    # Read the rows; states without actions are kept apart, since some of them are ends.
     rows: Rows = {}
     empty: dict[int, Any] = {}
     for state, row in _list_items(table, where, "P"):

@@ -89,6 +89,7 @@ def _list_model_parts(model: Any) -> dict[str, Any]:
     def add_number(value: Any) -> int:
         return numbers.setdefault(str(value), len(numbers))
 
+    # The rows of the transition matrix: a choice is a row, a branch an entry.
     matrix, states = model.transition_matrix, range(model.nr_states)
     choices = range(matrix.nr_rows)
     targets, chances, lengths = [], [], []
@@ -97,6 +98,7 @@ def _list_model_parts(model: Any) -> dict[str, Any]:
         targets += [entry.column for entry in row]
         chances += [add_number(entry.value) for entry in row]
         lengths.append(len(row))
+    # Reward models, by state and by choice.
     rewards: dict[str, dict[str, list[int]]] = {}
     for name, own in model.reward_models.items():
         rewards[name] = {}
@@ -104,6 +106,7 @@ def _list_model_parts(model: Any) -> dict[str, Any]:
             rewards[name]["states"] = [*map(add_number, own.state_rewards)]
         if own.has_state_action_rewards:
             rewards[name]["choices"] = [*map(add_number, own.state_action_rewards)]
+    # Names of choices, labels, and the values of the variables in each state.
     words, labels, valuations = model.choice_labeling, model.labeling, model.state_valuations
     variables = sorted(valuations.get_all_variables(), key=lambda variable: str(variable.name))
     values = []

@@ -319,6 +319,7 @@ def of_file(model: MDP, path: str | Path, kind: str = "auto") -> Parts:
         if where in model.actions:
             fix = f"did you mean always:{where}?"
         raise ModelError(what, fix=fix)
+    # JSON is an object by status or by state; digits of a state are its number.
     content = json_of(read_text(path), where, parse_float=str, parse_int=_parse_digits)
     by_status = "status" in model.space.names
     if not isinstance(content, dict):

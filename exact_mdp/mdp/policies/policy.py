@@ -238,6 +238,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         return self._frame_rows(len(self))
 
     def _frame_rows(self, first: int) -> DataFrame:
+        """Return the first rows of the table of the policy."""
         rows = data_frame([dict(self.space.as_dict(row)) for row in range(first)]).fillna("")
         if self.deterministic:
             names = [*self.actions, None]  # number -1 stands for no action
