@@ -35,8 +35,6 @@ from exact_mdp.mdp.validate import require_count
 Arrays = dict[str, Numbers]
 Work = Callable[[Any], Mapping[str, Any]]
 
-DIGEST = 32  # bytes of a SHA-256 digest, which follows the archive of a piece
-
 
 def run_pieces(
     work: Work,
@@ -229,10 +227,13 @@ def _read_piece(path: Path) -> Arrays | None:
     if not path.exists():
         return None
     content = read_bytes(path, most=LARGEST)
-    if sha256(content[:-DIGEST]).digest() != content[-DIGEST:]:
+    # The digest follows the archive.
+    size = sha256().digest_size
+    archive, digest = content[:-size], content[-size:]
+    if sha256(archive).digest() != digest:
         fix = "delete it: its runs are then done again"
         raise ModelError("the file is damaged", where=str(path), fix=fix)
-    return read_arrays(content[:-DIGEST])
+    return read_arrays(archive)
 
 
 # ---- draws in blocks ---------------------------------------------------------------------------

@@ -1,15 +1,15 @@
-"""The best policy for the mean of the worst share α of all episodes (CVaR of the return Z).
+"""The best policy for the conditional value at risk: the mean of the worst share α of episodes.
 
     CVaR_α(Z) = max over η of  η - E (η - Z)⁺ / α
 
-(Rockafellar and Uryasev, Journal of Risk 2, 2000). A policy that is best for a threshold η has to
-know the state and the remaining target, η less the reward so far (Bäuerle and Ott,
-Mathematical Methods of Operations Research 74, 2011). `Budgeted` writes this into the states,
-and what results is a model of a total reward. It has no cycles, and `Certificate` proves its values
-for all thresholds at once.
+(Rockafellar and Uryasev, Journal of Risk 2, 2000), for the return Z. The best policy for a
+threshold η depends on the state and on the remaining target, η less the reward so far (Bäuerle and
+Ott, Mathematical Methods of Operations Research 74, 2011). `Budgeted` adds this target to the
+states, which gives an acyclic model of a total reward. `Certificate` proves its values for all
+thresholds at once.
 
-Of equal values the greater mean is taken. All numbers are integers over one denominator for each
-state.
+Among policies of equal value the one with the greatest mean is taken. All numbers are integers over
+one denominator for each state.
 """
 
 from __future__ import annotations
@@ -50,9 +50,8 @@ from exact_mdp.solvers.solution import Certified, Claim
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.returns import parse_tail_share, tail_mean
 
-CELLS = 20_000_000  # outcomes times returns
+CELLS = 20_000_000  # outcomes times returns, which limits memory
 WHERE = "risk of the return"
-RULES = 20  # rows of a policy with a memory that a table shows
 
 
 class Budgeted:
@@ -62,13 +61,13 @@ class Budgeted:
 
         low(s) = min over pairs l, outcomes (p, s', k) of l:  k + low(s').
 
-    From (s, w) an outcome leads to (s', w - k). Where less than low(s') is wanted there is no
-    shortage, whatever is done: the budget is low(s'). Where more than high(s') is wanted, the
-    surplus is lacking whatever is done: it is paid at once, and the budget is high(s').
+    From (s, w) an outcome leads to (s', w - k). A target below low(s') is always reached: the
+    budget is low(s'). A target above high(s') is missed by at least the surplus: this is paid at
+    once, and the budget is high(s').
     """
 
     def __init__(self, model: MDP) -> None:
-        """Take a model."""
+        """Build the states and outcomes of the new model."""
         require_amounts(model.table, "the mean of the worst episodes")
         mdp = model.maximised
         ends, level = mdp.terminal, topological_levels(mdp)
@@ -141,8 +140,7 @@ class Budgeted:
         # Budgets count from low(s): an outcome shifts them by its reward and by low(s') - low(s).
         shift = (self.low[state] - gain - self.low[to]).astype(np.int64)
         budget = np.arange(self.high[state] - self.low[state] + 1)[:, None] + shift
-        # Below 0 nothing is lacking, whatever is done; above the greatest budget the surplus is
-        # paid.
+        # Below 0 there is no shortage; above the greatest budget the surplus is paid.
         within = np.clip(budget, 0, self.first[to + 1] - self.first[to] - 1)
         return self.first[to] + within, -np.maximum(budget - within, 0)
 
@@ -232,10 +230,10 @@ class CVaROptimum(Result):
     level: Fraction
     value: Fraction
     mean: Fraction
-    threshold: Fraction  # the return η of which the policy has the least expected shortage
+    threshold: Fraction  # η: the policy minimises the expected shortage below it
     budgeted: Budgeted
-    pairs: Integers  # of `mdp`, taken in each state of `budgeted`
-    values: Level  # of these, for rewards that are maximised
+    pairs: Integers  # the pair of `mdp` that is taken in each state of `budgeted`
+    values: Level  # the values of these states, for maximised rewards
 
     claim = Claim.CERTIFIED
 
@@ -272,7 +270,7 @@ class CVaROptimum(Result):
 
     @cached_property
     def _met(self) -> dict[int, dict[Fraction, Fraction]]:
-        """Return how likely each reward so far is in each state under the policy."""
+        """The probability of each reward so far in each state under the policy."""
         of, aim = self.budgeted, int(self.threshold / self._unit)
         met = [defaultdict[int, Any](int) for _ in range(of.mdp.n_states)]
         for state, weight in of.mdp.start:
@@ -283,28 +281,31 @@ class CVaROptimum(Result):
             for so_far, mass in met[state].items():
                 for p, to, k in row(int(self.pairs[of.find_state(state, aim - so_far)])):
                     met[to][so_far + k] += mass * p
-        return {
-            state: dict(sorted((self._unit * k, from_flint(mass)) for k, mass in own.items()))
-            for state, own in enumerate(met)
-            if own
-        }
+        known = {}
+        for state, own in enumerate(met):
+            if own:
+                masses = [(self._unit * k, from_flint(mass)) for k, mass in own.items()]
+                known[state] = dict(sorted(masses))
+        return known
 
     def rules(self) -> list[tuple[int, Fraction, Fraction, str]]:
-        """Return the policy as rows (state, from, to, action) of rewards so far that it meets."""
-        groups = (
-            (state, action, [*group])
-            for state, so_far in self._met.items()
-            if self.mdp.asked[state]
-            for action, group in groupby(so_far, partial(self.action, state))
-        )
-        return [(state, own[0], own[-1], action) for state, action, own in groups]
+        """Return the policy as rows (state, from, to, action), by rewards so far that can occur."""
+        rows = []
+        for state, so_far in self._met.items():
+            if self.mdp.asked[state]:
+                # Neighbouring rewards with the same action make one row.
+                for action, group in groupby(so_far, partial(self.action, state)):
+                    own = [*group]
+                    rows.append((state, own[0], own[-1], action))
+        return rows
 
     def distribution(self) -> dict[Fraction, Fraction]:
-        """Return the exact probability of every return under the policy, in rising order."""
+        """Return the exact probability of every return under the policy, in increasing order."""
         total = defaultdict[Fraction, Fraction](Fraction)
         for state, masses in self._met.items():
-            for value, mass in masses.items() if self.mdp.terminal[state] else ():
-                total[value] += mass
+            if self.mdp.terminal[state]:
+                for value, mass in masses.items():
+                    total[value] += mass
         return dict(sorted(total.items()))
 
     def violations(self) -> list[str]:
@@ -322,7 +323,7 @@ class CVaROptimum(Result):
         return wrong
 
     def report(self) -> Report:
-        """Return the mean of the worst episodes and of all, and what the policy does."""
+        """Return the mean of the worst episodes and of all, and the policy."""
         label = self.mdp.space.label
         facts = {
             "claim": Shown(self.claim),
@@ -340,7 +341,7 @@ class CVaROptimum(Result):
         rules = Table(
             title="best policy for the worst episodes, by state and reward so far",
             columns={"state": "state", "from": "from:.10g", "to": "to:.10g", "action": "action"},
-            first=RULES,
+            first=20,
         )
         return Report(title="mean of the worst episodes", facts=facts, tables={"policy": rules})
 
@@ -361,9 +362,9 @@ def best_cvar(model: MDP | Scenario, level: object) -> CVaROptimum:
     Parameters
     ----------
     model : MDP or Scenario
-        With discount 1 and without cycles: `mdp.within(n)` has none.
+        With discount 1 and without cycles, such as `mdp.within(n)`.
     level : number or "p/q"
-        The share of the worst episodes, above 0; at 1 that is the mean of all.
+        The share of the worst episodes, above 0; 1 gives the mean of all episodes.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""One verb for every solver: `solve`, and the list of solvers.
+"""The function `solve`, and the list of solvers.
 
 A solver is an object with a `name` and a method `solve(model)`; `solvers.dynamic` says how to add
 one.
@@ -84,8 +84,8 @@ def solve(
 ) -> Any:
     """Return optimal values and a policy, with bounds on their error.
 
-    Optimal is the greatest value; of a model whose sense is "min", the least. At discount 1 a value
-    is infinite if the reward of policies has no bound; a policy may go on forever.
+    The optimal value is the greatest, or the least if the model's sense is "min". At discount 1 a
+    value is infinite if the rewards of policies have no bound; a policy may go on forever.
 
     Parameters
     ----------
@@ -95,42 +95,41 @@ def solve(
         A solver with its settings, or a name in `SOLVERS`; "auto" takes backward induction for
         models without cycles and modified policy iteration for others.
     tol : float, optional
-        Greatest absolute error in any state, for a solver that takes one. Backward induction, where
-        "auto" takes it, is as exact as floats allow; it warns where that is not enough.
+        Greatest absolute error in any state, for a solver with this setting. Backward induction, if
+        "auto" takes it, is as exact as floats allow; it warns if that is not enough.
     horizon : int, optional
-        Stop after this many steps: the solution is that of `mdp.within(horizon)`, whose states are
-        times and states.
+        Stop after this many steps: solve `mdp.within(horizon)`, whose states are pairs of a time
+        and a state.
     terminal_value : (S,) numbers or {state: number}, optional
-        What each state is worth when the horizon is reached, 0 unless it is given; see
-        `mdp.within`.
+        The value of each state when the horizon is reached, 0 by default; see `mdp.within`.
     start : a solution, (S,) floats or PolicyLike, optional
-        Values near the optimum, or a policy, to begin with: of a similar model, say. The answer and
-        its bounds hold as without. Models without cycles are solved in one pass all the same; those
-        with a policy that never ends do not use it. It says nothing of where episodes begin, which
-        the model's own `start` does, nor of what they are worth at the end.
+        Values near the optimum, or a policy, as a warm start, for example from a similar model. It
+        changes neither the optimum nor the validity of the bounds, nor the start distribution or
+        terminal values. Models without cycles, and models with a policy that never ends, ignore it.
     criterion : "total" or "average"
-        What is best: the total reward, discounted as the model says, or the average reward per
-        step in the long run, whatever the discount. The average is found by policy iteration, by
-        value iteration on relative values, or by a linear program; of small models "auto"
-        computes in rationals what floats cannot bound.
+        The criterion of optimality: the total reward with the model's discount, or the average
+        reward per step in the long run, whatever the discount. Averages are found by policy
+        iteration, by relative value iteration or by a linear program; "auto" uses rationals for
+        small models if floats cannot bound the error.
     subject_to : {name: ">= p/q" or "<= p/q"}, optional
-        Limits on expected totals of components of the reward, of steps, events or sums of these
-        (`solvers.objectives.amounts`). The optimum under them is exact, and the policy may draw its
-        actions.
+        Limits on expected totals of reward components, steps, events or sums of these
+        (`solvers.objectives.amounts`). The optimum under limits is exact, and its policy may
+        randomise.
 
     Returns
     -------
     Solution
-        With limits a ConstrainedSolution; an AverageSolution of an average reward, whose value is
-        the gain, and which has a bias.
+        A ConstrainedSolution if there are limits; an AverageSolution, whose value is the gain and
+        which has a bias, for an average reward.
 
     Raises
     ------
     ModelError
-        For an unknown name, or a `tol` that the solver does not take; at discount 1 where no policy
-        has the best total, as `certify` says, or one state of the start is worth +∞ and another -∞.
+        For an unknown name, or a `tol` for a solver without this setting; at discount 1, if no
+        policy attains the best total (see `certify`), or if one state of the start has the value +∞
+        and another -∞.
     SolverError
-        Where a solver reaches a limit: of iterations, or of double precision.
+        If a solver reaches a limit of iterations or of double precision.
 
     Examples
     --------
@@ -151,6 +150,7 @@ def solve(
         solver = "auto"
     _check_fit(horizon, terminal_value, start, subject_to, (solver, tol, start, criterion))
     mdp = mdp_of(model)
+    # An average reward has solvers of its own.
     if is_average(criterion):
         require_no_horizon(horizon)
         require_no_target(mdp)
@@ -165,6 +165,7 @@ def solve(
                 raise
             solution = round_exact_solution(mdp, "average")
         return _check_precision(solution, tol)
+    # Reduce horizons and costs to a model of maximised rewards; improper policies are apart.
     if horizon is not None:
         mdp = mdp.within(horizon, terminal_value=terminal_value)
     if subject_to is not None:
@@ -186,7 +187,7 @@ def solve(
 def _check_fit(
     horizon: object, terminal_value: object, start: object, subject_to: object, given: object
 ) -> None:
-    """Raise ModelError for what has no use beside limits or a horizon, or without one."""
+    """Raise ModelError for options that do not go with limits or a horizon, or that need one."""
     if subject_to is not None and given != ("auto", None, None, "total"):
         raise ModelError(
             "limits on total rewards have one solver, which is exact",
@@ -209,7 +210,7 @@ def _check_fit(
 
 
 def is_average(criterion: str) -> bool:
-    """Return whether the average reward is asked for; raises ModelError for an unknown word."""
+    """Return whether the criterion is the average reward; raise ModelError for an unknown word."""
     return require_known_name(criterion, CRITERIA, "criterion", "criterion") == "average"
 
 
@@ -234,7 +235,7 @@ def require_no_horizon(horizon: object) -> None:
 
 
 def _configure_solver(solver: Any, **settings: Any) -> Solver:
-    """Return a solver, given itself or by name, with the settings that `solve` was given."""
+    """Return a solver, given as an object or by name, with the settings given to `solve`."""
     if isinstance(solver, str):
         solver = SOLVERS[require_known_name(solver, [*SOLVERS, "auto"], "solver", "solve")]()
     if isinstance(solver, type):
@@ -263,7 +264,7 @@ def _configure_solver(solver: Any, **settings: Any) -> Solver:
 
 
 def _check_precision(solution: Solution, tol: float | None) -> Solution:
-    """Return a direct solution; warns where its error bound is above the tolerance."""
+    """Return a direct solution; warn if its error bound exceeds the tolerance."""
     if tol is None or solution.error_bound <= tol:
         return solution
     warn_of_precision(solution.error_bound)

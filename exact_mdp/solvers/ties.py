@@ -1,12 +1,12 @@
-"""Near ties, decided as closely as floats allow.
+"""Break near ties between actions, as closely as floats allow.
 
-Solvers stop once the values are known well enough, and two actions whose values differ by less
-count as tied. Their difference is known far more closely than either of them, as what the rows
-have in common cancels:
+Solvers stop once the values are accurate enough, and two actions whose values differ by less count
+as tied. Their difference is known far more accurately than either value, because common terms of
+the rows cancel:
 
     q(b) - q(a) = r_b - r_a + γ Σ (P_b - P_a) V,     with an error of γ Σ |P_b - P_a| |V - V*|
 
-Actions that cannot be told apart even so differ by less than the error of the values.
+Actions that even this cannot distinguish differ by less than the error of the values.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from exact_mdp.solvers.solution import Solution
 
 
 def break_near_ties(solution: Solution) -> Solution:
-    """Return the solution with the better one of each two actions that float values can tell apart.
+    """Return the solution with each pair replaced by a rival that is certainly better.
 
-    Its values and bounds hold as before: no state takes a pair that is worse.
+    Its values and bounds stay valid: no state takes a worse pair than before.
     """
     mdp, value, error = solution.mdp, solution.value, solution.state_error
     if not np.isfinite(value).all():
@@ -39,19 +39,20 @@ def break_near_ties(solution: Solution) -> Solution:
         return solution
     pairs = solution.pairs.copy()
     turn = np.arange(len(rivals)) - np.searchsorted(state[rivals], state[rivals])
-    for number in range(int(turn.max()) + 1):  # each state's first rival, then its second, …
+    # Each state's first rival, then its second, and so on.
+    for number in range(int(turn.max()) + 1):
         rival = rivals[turn == number]
         # Compare each rival with the pair that its state takes so far.
         holder = pairs[state[rival]]
         rows, earned = matrix[holder], mdp.reward[rival] - mdp.reward[holder]
         apart = matrix[rival] - rows
         row, share = np.repeat(np.arange(len(rival)), np.diff(apart.indptr)), apart.data
-        # Both rows sum to 1: values may be counted from any other. Counted from that of the
-        # likeliest next state, the number that was rounded to make the row sum to 1 drops out.
+        # Both rows sum to 1, so that any constant may be subtracted from the values. With the value
+        # of the likeliest next state, the probability that was rounded most has the factor 0.
         most = np.repeat(np.maximum.reduceat(rows.data, rows.indptr[:-1]), np.diff(rows.indptr))
         places = np.where(rows.data == most, np.arange(rows.nnz), rows.nnz)
         likeliest = rows.indices[np.minimum.reduceat(places, rows.indptr[:-1])]
-        # The difference of both values, its rounding error, and the error that values bring in.
+        # The difference of both values, its rounding error, and the effect of the values' errors.
         step = share * (value[apart.indices] - value[likeliest][row])
         unknown = np.abs(share) * error[apart.indices]
         sums = [np.bincount(row, each, len(rival)) for each in (step, np.abs(step), unknown)]

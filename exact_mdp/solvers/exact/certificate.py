@@ -1,11 +1,11 @@
-"""Proofs of optima in exact numbers, and of bounds around them.
+"""Certificates: proofs of exact optima, and of bounds in floats.
 
     certificate = certify(mdp)                          # V, all optimal actions and gaps
     certificate = certify(mdp, criterion="average")     # gain and bias
     certificate = certify(mdp, bounded=True)            # lower ≤ V^π ≤ V ≤ upper, floats
 
-A certificate claims; `violations` checks every claim against the model, in code that shares nothing
-with the solvers (`solvers.exact.checker`, which also says what the levels g, h and w are).
+`violations` checks every claim of a certificate against the model, in code that is independent of
+the solvers (`solvers.exact.checker`, which also defines the levels g, h and w).
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from exact_mdp.solvers.solution import (
 
 
 def require_model(given: MDP | None, own: MDP | None, where: str = "violations") -> MDP:
-    """Return the model given, or else the certificate's own; raises ModelError without either."""
+    """Return the given model, or else the certificate's own; raise ModelError without either."""
     mdp = given
     if given is None:
         mdp = own
@@ -64,17 +64,19 @@ def _freeze_column(numbers: Iterable[Fraction | None]) -> Numbers:
 
 
 def exact_rows(mdp: MDP, *, average: bool = False) -> BellmanRows:
-    """Return the equations that levels are of: rewards to be maximised, rows that sum to 1."""
-    return bellman_rows(mdp.maximised.undiscounted if average else mdp.maximised)
+    """Return the exact equations of levels, for maximised rewards and rows that sum to 1."""
+    if average:
+        return bellman_rows(mdp.maximised.undiscounted)
+    return bellman_rows(mdp.maximised)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Proof(Result):
-    """A claim about a model that a checker can read: an optimum, bounds, or what totals allow."""
+    """A proof about a model that a checker can read: of an optimum, of bounds or of totals."""
 
-    kind: str  # the kind of claim, as files call it
-    model: str  # its fingerprint
-    mdp: MDP | None = None  # unless the proof was read from a file
+    kind: str  # the kind of proof, by its name in files
+    model: str  # the fingerprint of the model
+    mdp: MDP | None = None  # None if the proof was read from a file
 
     claim: ClassVar[Claim] = Claim.CERTIFIED
     kinds: ClassVar[tuple[str, ...]]
@@ -85,7 +87,7 @@ class Proof(Result):
         Parameters
         ----------
         model : MDP, optional
-            Needed where the proof was read from a file.
+            Needed if the proof was read from a file.
         """
         try:
             return self._find_violations(require_model(model, self.mdp))
@@ -107,7 +109,7 @@ class Proof(Result):
         ----------
         path : str or path
         model : MDP, optional
-            The model that it is of, for what the file alone does not say: optimal actions, gaps.
+            The model of the proof, which is needed for optimal actions and gaps.
 
         Returns
         -------
@@ -116,7 +118,7 @@ class Proof(Result):
         Raises
         ------
         ModelError
-            Where the file is none, proves something else, or is of another model.
+            If the file is not a certificate, proves something else, or belongs to another model.
 
         Examples
         --------
@@ -140,7 +142,7 @@ class Proof(Result):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Certificate(Proof, Pictured):
-    """The optimum of a total or an average reward, and what proves it.
+    """The exact optimum of a total or an average reward, with its proof.
 
     Attributes
     ----------
@@ -150,19 +152,19 @@ class Certificate(Proof, Pictured):
     policy : (S,) int64
         Action numbers of an optimal policy.
     g, h, w : Level
-        The levels, for rewards that are maximised: costs count as rewards times -1. Without g, the
-        values are h; else h is the bias of the average reward g, and w proves that.
+        The levels, for maximised rewards: costs count as negative rewards. Without g, the values
+        are h; else h is the bias for the average reward g, and w proves this.
     rank : (S,) int64, optional
-        Proof that every policy ends, or with a goal, that it is reached.
+        Proof that every policy ends, or with a goal, that the goal is reached.
     infinite : (S,) int64, optional
         With a goal: 1 where the value is +∞, -1 where it is -∞, 0 elsewhere.
     order : (S,) int64, optional
-        With a goal: proof of these.
+        With a goal: proof of the infinite values.
     start_value : Fraction, or an infinite float
         Optimal value of the start distribution.
     unique : bool
-        Whether every state that optimal actions reach from the start has only one optimal action,
-        ends aside, whose actions do not matter.
+        Whether every state that optimal actions reach from the start, except terminal ones, has
+        only one optimal action.
     model, mdp
         See `Proof`.
 
@@ -212,14 +214,14 @@ class Certificate(Proof, Pictured):
 
     @property
     def sign(self) -> int:
-        """1, or -1 where the numbers are costs."""
+        """1 for rewards, -1 for costs."""
         if self.sense == "max":
             return 1
         return -1
 
     @property
     def infinite_sign(self) -> Integers:
-        """(S,) 1 where the total is +∞ of the numbers that are maximised, -1 for -∞, else 0."""
+        """(S,) 1 where the total of maximised rewards is +∞, -1 where it is -∞, else 0."""
         if self.infinite is not None:
             return self.infinite
         if self.g is None or self.kind == "average":
@@ -228,14 +230,14 @@ class Certificate(Proof, Pictured):
 
     @cached_property
     def value(self) -> Numbers:
-        """(S,) the optimal values as Fractions, `math.inf` or `-math.inf`; of averages the gain."""
+        """(S,) the optimal values as Fractions, `math.inf` or `-math.inf`; gains for averages."""
         return self._with_infinite(self._values.to_fractions(self.sign))
 
     @cached_property
     def value_float(self) -> Floats:
-        """(S,) the same as floats, each correctly rounded.
+        """(S,) the optimal values as floats, each correctly rounded.
 
-        Raises ModelError where a finite one is beyond the floats.
+        Raises ModelError if a finite value is beyond the range of floats.
         """
         return self._with_infinite(self._values.to_floats(self.sign))
 
@@ -254,7 +256,7 @@ class Certificate(Proof, Pictured):
 
     @cached_property
     def bias(self) -> Numbers:
-        """(S,) the greatest bias of the policies with this gain, as Fractions."""
+        """(S,) the greatest bias of all policies with this gain, as Fractions."""
         if self.kind != "average":
             raise ModelError(
                 "a total reward has neither gain nor bias",
@@ -273,7 +275,7 @@ class Certificate(Proof, Pictured):
 
     @cached_property
     def _gains(self) -> list[list[tuple[int, int]]]:
-        """What each pair gains, level by level; w does not count."""
+        """The advantages of all pairs, level by level, without w."""
         mdp = require_model(None, self.mdp, "optimal_pairs")
         rows = exact_rows(mdp, average=self.kind == "average")
         if self.g is None:
@@ -283,7 +285,7 @@ class Certificate(Proof, Pictured):
 
     @cached_property
     def losses(self) -> list[Numbers]:
-        """(L,) by level: each pair's loss of gain and, if that is 0, of h."""
+        """(L,) for each level: a pair's loss of gain and, if that is 0, its loss of h."""
         each = [
             _freeze_column(make_fraction(-top, below) for top, below in gain)
             for gain in self._gains
@@ -294,24 +296,31 @@ class Certificate(Proof, Pictured):
     def optimal_pairs(self) -> Mask:
         """(L,) the pairs that attain the optimum of their state."""
         mdp = require_model(None, self.mdp, "optimal_pairs")
-        best = np.logical_and.reduce([[not top for top, _ in gain] for gain in self._gains])
+        # A pair is optimal for finite values if its advantages are 0 at all levels.
+        best = np.ones(mdp.n_pairs, dtype=bool)
+        for gain in self._gains:
+            best &= np.array([not top for top, _ in gain])
         infinite = self.infinite_sign
         if not infinite.any():
             return np.asarray(best)
         own, after, first = infinite[mdp.pair_state], infinite[mdp.table.next], mdp.table.offsets
         if self.g is None:
             least, most = (f.reduceat(after, first[:-1]) for f in (np.minimum, np.maximum))
-            best &= least == 0  # no finite state has a pair that leads to +∞ without -∞
+            # A pair that leads to +∞ but not to -∞ would make its state infinite: in a finite
+            # state, 0 as the least sign means that the pair leads to finite states only.
+            best &= least == 0
             above = (least >= 0) & (most > 0)
-        else:  # the pairs after which the mean reward still is positive
+        else:
+            # For a value of +∞, the pairs after which the mean reward is still positive.
             each = zip(self.g.to_fractions()[mdp.pair_state], self._gains[0], strict=True)
             above = np.array([g * below + top > 0 for g, (top, below) in each])
         return np.asarray(np.where(own == 0, best, (own < 0) | above), dtype=bool)
 
     @cached_property
     def gaps(self) -> Numbers:
-        """(S,) what the best action that is not optimal loses, as Fractions; None without one."""
+        """(S,) the loss of the best action that is not optimal, as Fractions; None without one."""
         mdp = require_model(None, self.mdp, "gaps")
+        # Only pairs whose loss is finite count: from finite states, to finite states.
         infinite, counts = self.infinite_sign, ~self.optimal_pairs
         counts &= (infinite == 0)[mdp.pair_state] & ~mdp.terminal[mdp.pair_state]
         if self.g is None:
@@ -319,26 +328,28 @@ class Certificate(Proof, Pictured):
             counts &= np.logical_and.reduceat(stays, mdp.table.offsets[:-1])
         else:
             counts &= np.array([not top for top, _ in self._gains[0]])
+        # The least loss of each state; fractions are compared by cross multiplication.
         least: list[tuple[int, int] | None] = [None] * mdp.n_states
         for pair in np.flatnonzero(counts).tolist():
-            best, (top, below) = least[state := int(mdp.pair_state[pair])], self._gains[-1][pair]
+            state = int(mdp.pair_state[pair])
+            best, (top, below) = least[state], self._gains[-1][pair]
             if best is None or -top * best[1] < best[0] * below:
                 least[state] = -top, below
         return _freeze_column(None if best is None else make_fraction(*best) for best in least)
 
     @property
     def optimal(self) -> Mask:
-        """(S, A) whether an action is optimal; False where it is not offered."""
+        """(S, A) whether an action is optimal; False where it is not available."""
         return np.asarray(require_model(None, self.mdp).by_action(self.optimal_pairs))
 
     def optimal_policy(self) -> Policy:
-        """Return the policy that draws one of the optimal actions of each state, all alike.
+        """Return the policy that draws each optimal action of a state with equal probability.
 
         Raises
         ------
         ModelError
-            Where some policy never ends and a state has several: each is right alone, and drawing
-            among them may go round forever.
+            If some policy never ends and a state has several optimal actions: each is optimal, but
+            a policy that draws among them may stay in a cycle forever.
 
         Examples
         --------
@@ -360,10 +371,10 @@ class Certificate(Proof, Pictured):
         return build_uniform_policy(mdp, optimal)
 
     def frame(self) -> DataFrame:
-        """Return the value of each state, its action, and what the next best action loses.
+        """Return the value of each state, its action, and the loss of the next best action.
 
-        In decimals, infinite beyond the range of floats; `exact` is the value as it is. Of an
-        average these are gain and bias.
+        Numbers are decimals, infinite beyond the range of floats; `exact` is the exact value. For
+        an average reward the columns are gain and bias.
         """
         value, action = in_decimals(self.value), {"action": self.policy}
         if self.kind == "average":
@@ -377,7 +388,7 @@ class Certificate(Proof, Pictured):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class BoundedCertificate(Proof, Pictured):
-    """Floats that are proven to enclose the optimal values and the values of a policy.
+    """Proven bounds, in floats, on the optimal values and on the values of a policy.
 
     Attributes
     ----------
@@ -388,8 +399,8 @@ class BoundedCertificate(Proof, Pictured):
     policy : (S,) int64
         Action numbers.
     low, high : Level
-        low ≤ V^π ≤ V ≤ high in every state, for the policy π given here and rewards that are
-        maximised: of costs, -upper and -lower.
+        low ≤ V^π ≤ V ≤ high in every state, for the policy π of this certificate and maximised
+        rewards; for costs, these are -upper and -lower.
     rank : (S,) int64, optional
         Proof that every policy ends, at discount 1.
 
@@ -433,18 +444,18 @@ class BoundedCertificate(Proof, Pictured):
 
     @property
     def error_bound(self) -> float:
-        """|value - V| and |value - V^π| are at most this in every state."""
+        """The greatest `error` of a state."""
         return float(self.error.max())
 
     @property
     def error(self) -> Floats:
-        """(S,) |value - V| and |value - V^π| are at most this."""
+        """(S,) upper bounds of |value - V| and |value - V^π|."""
         rounding = 4 * UNIT * float(np.abs([self.lower, self.upper]).max())
         return (self.upper - self.lower) / 2 + rounding
 
     @property
     def start(self) -> Bounded:
-        """The value of the start distribution, with its bound."""
+        """The value of the start distribution, with its error bound."""
         mdp = require_model(None, self.mdp, "start")
         middle = float(sum(weight * Fraction(float(self.value[s])) for s, weight in mdp.start))
         return Bounded(value=middle, error=self.error_bound + ulp(middle))

@@ -1,9 +1,9 @@
 """Make certificates: solve exactly and prove it, or widen a solution to proven bounds.
 
-`solvers.exact.find` finds exact values, and what proves them.
+`solvers.exact.find` finds exact values and their proofs.
 
 A bounded certificate takes the values V of a solution and the weights w of `solvers.bounds.bounds`:
-high = V + c w and low = V - c' w, with the least c and c' that floats prove to suffice.
+high = V + c w and low = V - c' w, with the least c and c' that are proven to suffice in floats.
 """
 
 from __future__ import annotations
@@ -59,16 +59,17 @@ def certify(
     Parameters
     ----------
     model : MDP or Scenario
-        Any finite model. At discount 1 the total is the limit of discounted ones: it may be
+        Any finite model. At discount 1 the total is the limit of discounted totals: it may be
         infinite, and policies may never end.
     bounded : bool
-        Prove floats that the values lie between, at once for a million states, instead of the
-        values themselves. At discount 1 every policy has to end.
+        Prove lower and upper bounds in floats, quickly for a million states, instead of the exact
+        values. At discount 1 every policy must end.
     solution : Solution, optional
-        Only with `bounded`: a solution of this model to prove bounds around; solved unless given.
+        Only with `bounded`: a solution of this model around which bounds are proven; by default the
+        model is solved.
     criterion : "total" or "average"
-        What is optimal: the total reward, discounted as the model says, or the average reward per
-        step, exactly, whatever the discount.
+        The criterion of optimality: the total reward with the model's discount, or the average
+        reward per step, whatever the discount.
 
     Returns
     -------
@@ -77,10 +78,10 @@ def certify(
     Raises
     ------
     ModelError
-        At discount 1: where one state of the start is worth +∞ and another -∞, or its costs can
-        fall without end before a goal. Where a cycle has too many states to be solved exactly.
+        At discount 1, if one state of the start has the value +∞ and another -∞, or if costs can
+        fall without bound before a goal. If a cycle has too many states to be solved exactly.
     SolverError
-        Only with `bounded`: where double precision does not suffice.
+        Only with `bounded`: if double precision does not suffice.
 
     Examples
     --------
@@ -116,10 +117,14 @@ def certify(
         raise ModelError(
             "a solution applies only to bounds", where="certify", fix="add bounded=True"
         )
-    if average or (has_improper_policy(mdp) and mdp.goal is None):
-        return prove_gain_and_bias(mdp, "average" if average else "total")
+    if average:
+        return prove_gain_and_bias(mdp, "average")
+    # Improper policies need gain and bias, or with a goal a proof of where values are infinite.
     if has_improper_policy(mdp):
+        if mdp.goal is None:
+            return prove_gain_and_bias(mdp, "total")
         return prove_goal_total(mdp)
+    # Otherwise the values alone, and at discount 1 ranks that prove that every policy ends.
     _, (value,), sign = optimise_exactly(exact_rows(mdp))
     optimal = sign == 0
     if mdp.discount_exact == 1:
@@ -131,7 +136,9 @@ def certify(
 
 # ---- bounds --------------------------------------------------------------------------------------
 
-ATTEMPTS = 3  # as values move, so do their rounding errors: the second has always been enough
+# Moving the values changes their rounding errors, so that a first step may be too small; in tests
+# the second was always large enough.
+ATTEMPTS = 3
 
 
 def _certify_bounds(mdp: MDP, solution: Solution | None) -> BoundedCertificate:
@@ -144,10 +151,11 @@ def _certify_bounds(mdp: MDP, solution: Solution | None) -> BoundedCertificate:
         return replace(proof, mdp=mdp, model=fingerprint(mdp), sense="min")
     if solution is None:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", PrecisionWarning)  # the bounds say how near it came
+            warnings.simplefilter("ignore", PrecisionWarning)  # the bounds show the precision
             solution = solve(mdp)
     elif len(solution.value) != mdp.n_states or solution.mdp.n_pairs != mdp.n_pairs:
         raise ModelError("the solution is of another model", where="certify", fix="solve this one")
+    # Weights w with their margins, rounded down, and the advantages over the solution's values.
     weight = np.where(mdp.terminal, 0.0, margin_weights(mdp).value)
     lost = compute_advantages(mdp, weight, reward=np.zeros(mdp.n_pairs))
     margin, value = -(lost.value + lost.error), np.array(solution.value)
@@ -155,9 +163,10 @@ def _certify_bounds(mdp: MDP, solution: Solution | None) -> BoundedCertificate:
     gain, first = near.value, near.error + 8 * UNIT * np.abs(value).max()
 
     def widen_values(pairs: Integers, sign: int) -> Level:
-        """Return values proven not to gain (1), or not to lose (-1), by any of the pairs."""
+        """Return values over which no pair gains (sign 1), or none of the policy loses (-1)."""
         error = first
         for _ in range(ATTEMPTS):
+            # Move the values by c w, with c from the advantages and errors, and check the result.
             surplus = sign * gain[pairs] + error[pairs]
             step = max(0.0, float((surplus / margin[pairs]).max(initial=0.0)))
             moved = value + sign * step * weight
@@ -168,6 +177,9 @@ def _certify_bounds(mdp: MDP, solution: Solution | None) -> BoundedCertificate:
         raise SolverError(Status.NO_BOUND)
 
     live = ~mdp.terminal
+    rank = None
+    if mdp.discount_exact == 1:
+        rank = prove_termination(mdp).rank
     return BoundedCertificate(
         kind="bounds",
         mdp=mdp,
@@ -176,5 +188,5 @@ def _certify_bounds(mdp: MDP, solution: Solution | None) -> BoundedCertificate:
         policy=mdp.pair_action[solution.pairs],
         low=widen_values(solution.pairs[live], -1),
         high=widen_values(np.flatnonzero(live[mdp.pair_state]), 1),
-        rank=prove_termination(mdp).rank if mdp.discount_exact == 1 else None,
+        rank=rank,
     )

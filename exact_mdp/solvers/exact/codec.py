@@ -1,17 +1,17 @@
-"""Records as JSON and back, by the types of their fields: the one form of all proofs in files.
+"""Encode records as JSON, and decode them by the types of their fields: the file format of proofs.
 
     int                  a text in hexadecimal, such as "-0x1f4", of any length
-    Fraction             a text of two, such as "0x1/0x3"; infinite floats "inf" and "-inf"
+    Fraction             a text of two such numbers, "0x1/0x3"; infinite floats "inf" and "-inf"
     str, bool            as they are
     array of integers    a list of numbers
     tuple or list        a list
     a record             an object with the keys of its fields
-    what may be None     null, or the other type
+    an optional value    null, or the other type
 
 A file has the keys `format` ("exact-mdp certificate") and `version` (2) beside the keys of its
-record, whose `kind` names the claim. Python refuses to read or write over 4,300 decimal
-digits; hexadecimal is quick, too. What is read is checked for its form; whether its claims hold is
-for `violations` to say.
+record, whose `kind` names the claim. Integers are hexadecimal because this is fast, and because
+Python refuses to read or write over 4,300 decimal digits. Reading checks only the form of a file;
+`violations` checks its claims.
 """
 
 from __future__ import annotations
@@ -42,12 +42,11 @@ INTEGER = re.compile(r"-?0x(0|[1-9a-f][0-9a-f]*)")
 
 
 def encode_record(value: Any, integer: Callable[[int], object] = hex) -> Any:
-    """Return a record, or a value of a field, as JSON has it, with integers as texts."""
+    """Encode a record, or the value of a field, as a JSON value with integers as texts."""
     inner = partial(encode_record, integer=integer)
     if is_dataclass(value):
-        return {
-            name: inner(getattr(value, name)) for name in _list_field_types(cast(Any, type(value)))
-        }
+        names = _list_field_types(cast(Any, type(value)))
+        return {name: inner(getattr(value, name)) for name in names}
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, bool | str | NoneType):
@@ -64,8 +63,9 @@ def encode_record(value: Any, integer: Callable[[int], object] = hex) -> Any:
 
 
 def decode_record(kind: Any, value: Any) -> Any:
-    """Decode a JSON value as a given type; raises ValueError if it does not fit."""
+    """Decode a JSON value as a given type; raise ValueError if it does not fit."""
     of, record = get_args(kind), is_dataclass(kind)
+    # The first member of a union that fits.
     if get_origin(kind) in (Union, UnionType):
         for each in of:
             with suppress(ValueError, TypeError, AttributeError):
@@ -106,13 +106,13 @@ def _require_fit(right: object) -> None:
 
 @cache
 def _list_field_types(kind: Any) -> dict[str, Any]:
-    """Return the types of the fields that are written: those without a default."""
+    """Return the types of the fields that files contain, which are the fields without a default."""
     hints = get_type_hints(kind)
     return {f.name: hints[f.name] for f in fields(kind) if f.default is f.default_factory}
 
 
 def rebuild_proof(proof: Any) -> Any:
-    """Return a proof made of what its file would hold; raises Unreadable for other types."""
+    """Return the proof as it would be read from its file; raise Unreadable for other types."""
     try:
         if proof.kind in type(proof).kinds:
             return decode_record(type(proof), encode_record(proof))
@@ -127,21 +127,19 @@ def build_file_content(proof: Any, integer: Callable[[int], object] = hex) -> di
 
 
 def save_proof(proof: Any, path: str | Path) -> None:
-    """Write a proof as a file, whole or not at all."""
+    """Write a proof to a file atomically."""
     each = build_file_content(proof).items()
     lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in each]
     write_atomically(path, "{" + ",\n ".join(lines) + "}\n")
 
 
 def load_proof(kinds: Mapping[str, type[T]], path: str | Path) -> T:
-    """Read a certificate of one of some kinds; raises ModelError for another file."""
+    """Read a certificate of one of the given kinds; raise ModelError for any other file."""
     text, fault = read_bytes(path, most=LARGEST), "not a certificate, which is JSON text"
     try:
         data = json.loads(text, object_pairs_hook=once)
         fault = "the file is damaged"
-        if isinstance(data, dict):
-            data = data
-        else:
+        if not isinstance(data, dict):
             data = {}
         head: dict[str, list[Any]] = {"format": [FORMAT], "version": [VERSION], "kind": [*kinds]}
         for key, known in head.items():
@@ -155,8 +153,10 @@ def load_proof(kinds: Mapping[str, type[T]], path: str | Path) -> T:
             fault = f"{part} is damaged"
             read[part] = decode_record(kind, data[part])
     except (ValueError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        if isinstance(error, Unreadable):
+            fault = str(error)
         raise ModelError(
-            str(error) if isinstance(error, Unreadable) else fault,
+            fault,
             where=str(path),
             fix="name a file that certificate.save wrote, or `exact-mdp solve MODEL --certify "
             "--certificate F.json`, of this version",

@@ -1,15 +1,15 @@
-"""Find optimal levels in rational arithmetic, with what proves them.
+"""Find optimal levels in rational arithmetic, together with their proofs.
 
-Policy iteration: every state takes the first pair that gains most on the values of a policy, or on
-(d(g), r - g + d(h), d(w) - h) in this order, until none gains. Each change makes the value at small
-interest rates greater, so that no policy comes twice; the last one satisfies all that the checker
-asks for (Puterman, Markov Decision Processes, 1994, sections 9.2.1 and 10.3; Veinott, Annals of
-Mathematical Statistics 37, 1966).
+Policy iteration: every state takes the first pair with the greatest advantage over the values of a
+policy, or over (d(g), r - g + d(h), d(w) - h) in this order, until no advantage is positive. Each
+change raises the value at small interest rates, so that no policy comes twice. The last policy
+satisfies all conditions of the checker (Puterman, Markov Decision Processes, 1994, sections 9.2.1
+and 10.3; Veinott, Annals of Mathematical Statistics 37, 1966).
 
-With a goal whose missing is worth -∞: the states from which no policy reaches it for sure are worth
-that; g of the others says where going round pays without end; and between the rest policies arrive,
-as a class of better pairs would gain (Bertsekas and Tsitsiklis, Mathematics of Operations Research
-16, 1991).
+With a goal, if missing it has the value -∞: states from which no policy reaches it with probability
+1 have this value. Among the others, g shows where a cycle earns without bound. From the remaining
+states all improved policies arrive, as a class of better pairs would have a positive gain
+(Bertsekas and Tsitsiklis, Mathematics of Operations Research 16, 1991).
 """
 
 from __future__ import annotations
@@ -52,7 +52,9 @@ from exact_mdp.solvers.exact.levels import (
 from exact_mdp.solvers.exact.linear import evaluate_exactly
 from exact_mdp.solvers.solution import SolverError
 
-NOISE = 2.0**-40  # of the numbers added up: no gain. For speed: 2⁻⁵⁰ to 2⁻³⁰ take as long
+# Advantages below this part of the numbers added up count as 0. This affects only speed; measured:
+# 2⁻⁵⁰ to 2⁻³⁰ take equally long.
+NOISE = 2.0**-40
 
 
 def build_certificate(
@@ -63,7 +65,7 @@ def build_certificate(
     kind: str = "total",
     **parts: Any,
 ) -> Certificate:
-    """Return a certificate with the start value that its levels make, and whether it is unique."""
+    """Return a certificate, with its start value and its uniqueness computed from the levels."""
     none: dict[str, Any] = dict.fromkeys(("g", "w", "rank", "infinite", "order"))
     draft = Certificate(
         mdp=mdp,
@@ -78,15 +80,20 @@ def build_certificate(
     if optimal is None:
         optimal = draft.optimal_pairs
     infinite = one_sign(mdp, draft.infinite_sign)
-    start = (draft.g if kind == "average" and draft.g else draft.h).compute_mean(mdp.start)
-    start_value = draft.sign * (inf * infinite if infinite else start)
+    # The start value: the gain of an average, else the values h, or infinity.
+    level = draft.h
+    if kind == "average" and draft.g:
+        level = draft.g
+    start_value: Fraction | float = draft.sign * level.compute_mean(mdp.start)
+    if infinite:
+        start_value = draft.sign * (inf * infinite)
     return replace(draft, start_value=start_value, unique=one_optimum(mdp, optimal))
 
 
 def one_sign(mdp: MDP, sign: Numbers) -> int:
-    """Return the sign, of those (S,) where values are infinite, that states of the start have.
+    """Return the sign of the infinite values (S,) among the start states; 0 if all are finite.
 
-    Raises ModelError where some of them have the one and some the other.
+    Raises ModelError if both signs occur.
     """
     signs = {int(sign[state]) for state, weight in mdp.start if weight} - {0}
     if len(signs) > 1:
@@ -101,12 +108,13 @@ def one_sign(mdp: MDP, sign: Numbers) -> int:
 
 
 def one_optimum(mdp: MDP, optimal: Mask) -> bool:
-    """Return whether one pair alone of each state that optimal pairs (L,) lead to is among them."""
+    """Return whether every state that optimal pairs (L,) reach has only one optimal pair."""
+    # States with several optimal pairs, except ends, which only stay put without a reward.
     other = np.add.reduceat(optimal.astype(np.int64), mdp.pair_offsets[:-1]) != 1
     rows, own = bellman_rows(mdp), mdp.pair_state
     stays = np.logical_and.reduceat(mdp.table.next == own[mdp.table.pair], mdp.table.offsets[:-1])
     stays &= np.asarray(rows.constant == 0, dtype=bool)
-    other &= ~np.logical_and.reduceat(stays, mdp.pair_offsets[:-1])  # not at an end
+    other &= ~np.logical_and.reduceat(stays, mdp.pair_offsets[:-1])
     return not (other.any() and (other & find_reachable_states(mdp, pairs=optimal)).any())
 
 
@@ -114,7 +122,7 @@ def one_optimum(mdp: MDP, optimal: Mask) -> bool:
 
 
 def prove_gain_and_bias(mdp: MDP, kind: str) -> Certificate:
-    """Return the proof of gain and bias, which also prove a total at discount 1."""
+    """Return the proof of gain and bias, which also proves a total at discount 1."""
     pairs, (g, h, w) = best_average(mdp)
     return build_certificate(mdp, pairs, g=g, h=h, w=w, kind=kind)
 
@@ -146,7 +154,8 @@ def _iterate_policies(
     """Return unbeaten pairs (S,), their levels, and the signs (L,) of all advantages."""
     while True:
         levels, sign = evaluate(pairs), np.zeros(len(rows.constant), dtype=np.int64)
-        for step in levels:  # each settles ties of those before
+        # Each level breaks the ties of the levels before.
+        for step in levels:
             sign = np.where(sign == 0, compute_surplus_signs(rows, step, pairs), sign)
         # Only pairs of live states can improve the policy.
         gaining = np.flatnonzero((sign > 0) & ~rows.terminal[rows.pair_state])
@@ -178,15 +187,15 @@ def prove_goal_total(mdp: MDP) -> Certificate:
 
 
 def _prove_missing_pays(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Mask) -> Certificate:
-    """Return the proof where a run that misses the goal is worth +∞."""
+    """Return the proof for a model in which a run that misses the goal has the value +∞."""
     every, state = np.ones(mdp.n_pairs, dtype=bool), mdp.pair_state
-    # A state from which some policy can stay in an end component beside the goal is worth +∞; its
-    # order is the distance to that component.
+    # A state has the value +∞ if some policy can reach an end component outside the goal and stay
+    # there; its order is the distance to that component.
     label, staying = graph.end_components(~goal[state])
     order = graph.compute_distance(label >= 0, every)
     finite = order < 0
     part, number = _restrict_rows(rows, finite)
-    # All policies of the other states reach the goal, so that their optimum is that of proper
+    # From the other states every policy reaches the goal: the optimum is found as for proper
     # policies.
     _, (values,), sign = optimise_exactly(part)
     optimal = np.zeros(mdp.n_pairs, dtype=bool)
@@ -204,9 +213,9 @@ def _prove_missing_pays(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Mask) -
 
 
 def _prove_missing_costs(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Mask) -> Certificate:
-    """Return the proof where a run that misses the goal is worth -∞."""
+    """Return the proof for a model in which a run that misses the goal has the value -∞."""
     every, state = np.ones(mdp.n_pairs, dtype=bool), mdp.pair_state
-    # States with an order cannot be sure to reach the goal: they are worth -∞.
+    # States with an order cannot be sure to reach the goal: their value is -∞.
     order = graph.compute_rounds(goal, every)
     arriving, every_pair = order == 0, np.arange(mdp.n_pairs)
     above, policy = np.zeros(mdp.n_states, dtype=bool), mdp.pair_offsets[:-1]
@@ -215,9 +224,9 @@ def _prove_missing_costs(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Mask) 
     _, staying = graph.end_components(
         graph.find_pairs_within(arriving & ~goal) & (arriving & ~goal)[state]
     )
-    # Where a policy can go round with a positive gain and still reach the goal later, values are
-    # +∞.
-    if (rows.constant[staying] > 0).any():  # going round may pay without end
+    # Where a policy can stay in a cycle with a positive gain, and still reach the goal later,
+    # values are +∞. This needs a positive reward in an end component.
+    if (rows.constant[staying] > 0).any():
         pairs, (gain, bias, _) = optimise_expansion(part, part.pair_offsets[:-1])
         recurrent = ExactChain(part.of_pairs(pairs)).classes.recurrent
         above, policy = arriving & [mean > 0 for mean in gain.top], number[pairs]
@@ -233,8 +242,7 @@ def _prove_missing_costs(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Mask) 
     own, (values,), _ = optimise_exactly(part, np.searchsorted(number, first_of(mdp, nearer)))
     policy = np.where(finite, number[own], policy)
     used = np.isin(every_pair, policy[finite])
-    # The level is the value of finite states, the bias where values are +∞, and 0 where they are
-    # -∞.
+    # The level: the values of finite states, the bias where values are +∞, 0 where they are -∞.
     each = zip(values.top, bias.top, finite.tolist(), above.tolist(), strict=True)
     top = [x if inside else b * infinite for x, b, inside, infinite in each]
     group = np.where(finite, values.group, len(values.below))
@@ -250,8 +258,9 @@ def _prove_missing_costs(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Mask) 
 
 
 def no_falling(mdp: MDP, states: Mask) -> None:
-    """Raise ModelError where the costs of some states (S,) have no least, and one is a start."""
-    if len(bad := np.flatnonzero(states & (mdp.start_distribution > 0))):
+    """Raise ModelError if one of these states (S,), whose costs have no minimum, is a start."""
+    bad = np.flatnonzero(states & (mdp.start_distribution > 0))
+    if len(bad):
         raise ModelError(
             "at discount 1 no policy has the best value: costs fall without end before the goal",
             where=mdp.space.place(int(bad[0])),
@@ -260,7 +269,8 @@ def no_falling(mdp: MDP, states: Mask) -> None:
 
 
 def _restrict_rows(rows: BellmanRows, states: Mask) -> tuple[BellmanRows, Integers]:
-    """Return the equations between some states (S,), the others being ends, and the pairs (K,)."""
+    """Return the equations of some states (S,), with all others terminal, and their pairs (K,)."""
+    # Pairs that stay among these states; other states keep their first pair, without its reward.
     owner, inside = rows.pair_state, np.logical_and.reduceat(states[rows.next], rows.offsets[:-1])
     stays = states[owner] & inside
     stays[rows.pair_offsets[:-1][~states]] = True
@@ -278,9 +288,9 @@ def optimise_exactly(
 ) -> tuple[Integers, list[Level], Integers]:
     """Return optimal pairs (S,), their values, and the signs (L,) of all advantages.
 
-    With several amounts (L,), one after the other settles ties of those before. The search begins
-    with the pairs `first` (S,), which end, and so do all on the way: no class of states gains
-    anything forever, as a pair takes the place of another only if it is better.
+    With several amounts (L,), each breaks the ties of the amounts before. The search begins with
+    the pairs `first` (S,), a proper policy. All later policies are proper too: a pair is replaced
+    only by a better one, and a class of states that never ends would have a positive gain.
     """
     each = amounts or [rows.constant]
     listed, ones = [own.tolist() for own in each], [1] * len(rows.constant)
@@ -297,7 +307,7 @@ def optimise_exactly(
 
 
 def improve_in_floats(rows: BellmanRows, first: Integers) -> Integers:
-    """Return pairs (S,) that floats find better than the first ones, and that end as these do."""
+    """Return a policy (S,) that floats find better than the first one, and that is also proper."""
     state, live = rows.pair_state, ~rows.terminal
     if len(state) == len(live):
         return first
@@ -306,7 +316,7 @@ def improve_in_floats(rows: BellmanRows, first: Integers) -> Integers:
     try:
         share = (rows.weight / scale[rows.pair]).astype(np.float64) * live[state][rows.pair]
         earned = (rows.constant / scale).astype(np.float64) * live[state]
-    except OverflowError:  # beyond the floats, which only suggest a policy
+    except OverflowError:  # floats only suggest a policy; the first one will do
         return first
     moves = sp.csr_array((share, rows.next, rows.offsets), shape=(len(state), len(live)))
     one, pairs = sp.eye_array(len(live), format="csc"), first

@@ -1,10 +1,10 @@
-"""Numbers of the states as exact integers, and the advantages of pairs over them.
+"""Levels: exact numbers of the states as integers, and the advantages of pairs over them.
 
 With d(x) = Σ P(l, s') x(s') - x(s) for each pair l of state s, the levels of a certificate satisfy
 
-    d(g) ≤ 0;    where d(g) = 0:  r - g + d(h) ≤ 0;    where this is 0, too:  d(w) - h ≤ 0
+    d(g) ≤ 0;    where d(g) = 0:  r - g + d(h) ≤ 0;    where this is also 0:  d(w) - h ≤ 0
 
-(`solvers.exact.checker`); where V alone does, r + γ P V - V ≤ 0.
+(`solvers.exact.checker`). A certificate with V alone satisfies r + γ P V - V ≤ 0.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from exact_mdp.mdp.table import Floats, Integers, Numbers, divide, to_common_den
 
 @dataclass(frozen=True, slots=True)
 class _LowestTerms:
-    """What `Fraction` takes over as it is, as it does every rational."""
+    """A rational in lowest terms, which `Fraction` copies without reducing it again."""
 
     numerator: int
     denominator: int
@@ -36,7 +36,8 @@ Rational.register(_LowestTerms)
 
 
 def make_fraction(top: int, bottom: int) -> Fraction:
-    """Return the Fraction top / bottom, in little more than linear time, for a positive bottom."""
+    """Return the Fraction top / bottom, for a positive bottom, in little more than linear time."""
+    # FLINT's gcd is much faster than Python's for long integers.
     numerator, denominator = flint.fmpz(top), flint.fmpz(bottom)
     shared = numerator.gcd(denominator)
     lowest = _LowestTerms(int(numerator // shared), int(denominator // shared))
@@ -47,8 +48,8 @@ def make_fraction(top: int, bottom: int) -> Fraction:
 class Level:
     """Numbers of the states, x(s) = top[s] / below[group[s]].
 
-    States share denominators in groups: where these are long, and far apart, one for all would be
-    many times as long.
+    States share denominators in groups. If these are long and differ, a single denominator for all
+    states would be many times as long.
     """
 
     top: list[int]
@@ -66,7 +67,7 @@ class Level:
 
     @classmethod
     def from_groups(cls, top: list[int], below: Sequence[int], group: Integers) -> Level:
-        """Return integers over several denominators, of which those that no number has are left."""
+        """Return integers over several denominators, without the denominators that none uses."""
         used, group = np.unique(group, return_inverse=True)
         return cls(top=top, below=[below[each] for each in used], group=group)
 
@@ -76,7 +77,7 @@ class Level:
         return [self.below[group] for group in self.group.tolist()]
 
     def to_fractions(self, sign: int = 1) -> Numbers:
-        """Return (S,) the numbers as Fractions, times a sign."""
+        """Return the numbers (S,) as Fractions, times a sign."""
         numbers = np.empty(len(self.top), dtype=object)
         numbers[:] = [
             make_fraction(sign * a, b) for a, b in zip(self.top, self.each_below, strict=True)
@@ -85,16 +86,20 @@ class Level:
         return numbers
 
     def to_floats(self, sign: int = 1) -> Floats:
-        """Return (S,) the numbers, each rounded once, times a sign."""
+        """Return the numbers (S,) as floats, each rounded once, times a sign."""
         numbers = divide(sign * np.array(self.top, object), np.array(self.each_below, object))
         numbers.setflags(write=False)
         return numbers
 
     def over_one(self, states: Sequence[int], group: Sequence[int]) -> tuple[list[int], int]:
-        """Return the numbers of some states over a common denominator; `group` is the list."""
+        """Return the numbers of some states over a common denominator.
+
+        `group` is `self.group` as a list, which the caller converts only once.
+        """
         top = self.top
         if len(self.below) == 1:
             return [top[s] for s in states], self.below[0]
+        # The same groups meet again and again: keep their common multiple and its factors.
         groups = frozenset([group[s] for s in states])
         if groups not in self._times:
             unit = lcm(*(self.below[each] for each in groups))
@@ -103,7 +108,7 @@ class Level:
         return [top[s] * times[group[s]] for s in states], unit
 
     def compute_mean(self, weights: Iterable[tuple[int, Fraction]]) -> Fraction:
-        """Return Σ weight · x(s), of pairs of a state and a weight."""
+        """Return Σ weight · x(s) over (state, weight) pairs."""
         listed = [*weights]
         values, unit = self.over_one([state for state, _ in listed], self.group.tolist())
         parts, below = to_common_denominator([weight for _, weight in listed])
@@ -127,10 +132,11 @@ Step = tuple[Level, list[int], list[int]]
 
 
 def list_level_steps(rows: BellmanRows, *levels: Level) -> list[Step]:
-    """Return the rewards beside one level V, which are r, or beside g, h and w: 0, r - g, -h."""
+    """Return each level with its rewards: r for a single V; 0, r - g and -h for g, h and w."""
     constant, ones = rows.constant.tolist(), [1] * len(rows.constant)
     if len(levels) == 1:
         return [(levels[0], constant, ones)]
+    # All rewards are multiplied by the scale of their state, and g and h have denominators.
     g, h, w = levels
     scale, state = rows.scale.tolist(), rows.pair_state.tolist()
     mean, bias = g.each_below, h.each_below
@@ -147,12 +153,16 @@ def yield_level_advantages(
 ) -> Iterator[tuple[int, int, int]]:
     """Yield the advantages of pairs, all by default, over one level: reward + γ P x - x.
 
-    As an integer, and two positive ones of whose product it is a part.
+    Each is an integer and two positive factors of its denominator.
     """
     x, tops, belows = step
     offsets, following, weight = (p.tolist() for p in (rows.offsets, rows.next, rows.weight))
     scale, state, group = rows.scale.tolist(), rows.pair_state.tolist(), x.group.tolist()
-    for pair in range(len(state)) if pairs is None else pairs.tolist():
+    numbers: Iterable[int] = range(len(state))
+    if pairs is not None:
+        numbers = pairs.tolist()
+    for pair in numbers:
+        # γ P x - x over the scale of the state and the common denominator of x; then the reward.
         own, here = state[pair], slice(offsets[pair], offsets[pair + 1])
         values, unit = x.over_one([*following[here], own], group)
         flow = sum(map(mul, weight[here], values)) - scale[own] * values[-1]
@@ -164,19 +174,22 @@ def compute_surpluses(
 ) -> list[list[tuple[int, int]]]:
     """Return the advantages of pairs, all by default, over one level V, or over g, h and w.
 
-    That is r + γ P V - V, or d(g), r - g + d(h) and d(w) - h; each an integer over another.
+    That is r + γ P V - V, or d(g), r - g + d(h) and d(w) - h, each as numerator and denominator.
     """
-    return [
-        [(top, unit * below) for top, unit, below in yield_level_advantages(rows, step, pairs)]
-        for step in list_level_steps(rows, *levels)
-    ]
+    surpluses = []
+    for step in list_level_steps(rows, *levels):
+        advantages = yield_level_advantages(rows, step, pairs)
+        surpluses.append([(top, unit * below) for top, unit, below in advantages])
+    return surpluses
 
 
 def compute_surplus_signs(rows: BellmanRows, step: Step, own: Integers | None = None) -> Integers:
     """Return the sign (L,) of each advantage; it is 0 for the policy's pairs `own`."""
-    asked = np.ones(len(rows.constant), dtype=bool)
-    asked[[] if own is None else own] = False
-    sign = np.zeros(len(asked), dtype=np.int64)
-    each = yield_level_advantages(rows, step, np.flatnonzero(asked))
-    sign[asked] = [(top > 0) - (top < 0) for top, _, _ in each]
+    # The policy's own pairs have an advantage of 0 by definition of its values.
+    others = np.ones(len(rows.constant), dtype=bool)
+    if own is not None:
+        others[own] = False
+    sign = np.zeros(len(others), dtype=np.int64)
+    each = yield_level_advantages(rows, step, np.flatnonzero(others))
+    sign[others] = [(top > 0) - (top < 0) for top, _, _ in each]
     return sign

@@ -4,11 +4,11 @@ A is factored once in floats. The digits of x to the base 2^k then come out one 
 
     d = round(A⁻¹ (2^k r + β)),    r ← 2^k r + β - A d,    β the next digit of b
 
-(Wan, Journal of Symbolic Computation 41, 2006). A digit is as good as floats make it, but r is
-exact: it stays no larger than A, and need only be known modulo 2^64. A denominator q of a number x
-of which some bits are known is the one that brings q x far closer to an integer than chance would
-(Wang, Guy and Davenport, SIGSAM Bulletin 16, 1982): (q, q x mod 1) is a lattice's shortest vector.
-The solution is checked in integers, A n = q b; where that fails, more digits are taken.
+(Wan, Journal of Symbolic Computation 41, 2006). A digit is only as accurate as floats, but r is
+exact: it is never larger than A, and is needed only modulo 2^64. If some bits of a number x are
+known, its denominator q is the number that brings q x far closer to an integer than chance would
+(Wang, Guy and Davenport, SIGSAM Bulletin 16, 1982): (q, q x mod 1) is the shortest vector of a
+lattice. The solution is checked in integers, A n = q b; if it fails, more digits are taken.
 """
 
 from __future__ import annotations
@@ -29,11 +29,16 @@ if TYPE_CHECKING:
     from flint import fmpz
 
 
-WIDTHS = (40, 32, 24)  # bits of a digit, in whole bytes; the first that floats can tell is taken
-FIRST, GROWTH = 24, 1.2  # digits before a denominator is looked for, and before the next attempt
-SPARE = 40  # bits that a fraction is closer than by chance; a wrong one, one in 2⁴⁰, is found out
-LACKING = 160  # bits beyond a known denominator, for factors that it may lack
-CHUNK = 256  # unknowns whose digits are joined at once
+# Bits of a digit, in whole bytes: wide digits need fewer solves, narrow ones less accurate floats.
+WIDTHS = (40, 32, 24)
+# Digits before the first search for a denominator, and their growth until the next: an early search
+# fails, a late one comes after needless digits.
+FIRST, GROWTH = 24, 1.2
+SPARE = (
+    40  # bits by which a fraction is closer than by chance; one wrong one in 2⁴⁰ fails the check
+)
+LACKING = 160  # bits beyond a known denominator, for factors that may be missing in it
+CHUNK = 256  # unknowns whose digits are joined at a time, which limits memory
 
 Rows = Sequence[tuple[Sequence[int], Sequence[int]]]  # columns and entries
 
@@ -42,7 +47,8 @@ class Lifting:
     """A square matrix of K rows, factored in floats, and split into limbs for digits of a width."""
 
     def __init__(self, offsets: Integers, column: Integers, entry: Numbers) -> None:
-        """Take M entries, row by row, where `offsets` (K+1,) say that the rows begin."""
+        """Take M entries, row by row; row i has the entries offsets[i] … offsets[i+1]-1."""
+        # Scale each row by a power of 2 to about 1 before it is factored in floats.
         self.size, self._entries = len(offsets) - 1, (offsets, column, entry)
         norms = row_sums(np.abs(entry), offsets).tolist()
         self.bits = np.array([int(number).bit_length() for number in norms])
@@ -61,13 +67,13 @@ class Lifting:
 
     @property
     def width(self) -> int:
-        """Bits of a digit; 0 where floats cannot tell digits of any width."""
+        """Bits of a digit; 0 if floats are too inaccurate for digits of any width."""
         if self._widths:
             return self._widths[0]
         return 0
 
     def _split_limbs(self) -> None:
-        """Split the entries into limbs; those below the last one have products within 64 bits."""
+        """Split the entries into limbs whose products with digits add up within 64 bits."""
         offsets, column, left = self._entries
         lengths = np.diff(offsets)
         self._limb = 61 - self.width - int(lengths.max()).bit_length()
@@ -89,25 +95,26 @@ class Lifting:
     def solve(
         self, side: Sequence[Any], rows: Rows, known: fmpz | None = None
     ) -> tuple[list[fmpz], fmpz] | None:
-        """Return the solution as integers over one denominator, None where floats cannot start.
+        """Return the solution as integers over one denominator; None if floats cannot start.
 
-        `rows` are the rows of the matrix, to check it; `known` is a denominator to be tried first.
+        `rows` are the rows of the matrix, for the check; `known` is a denominator to try first.
         """
         while self.width:
             solution = self._solve_by_digits(side, rows, known)
             if solution is not None:
                 return solution
-            del self._widths[0]  # floats cannot tell digits of this one
+            # Floats are too inaccurate for this width: try the next narrower one.
+            del self._widths[0]
             self._split_limbs()
         return None
 
     def _solve_by_digits(
         self, side: Sequence[Any], rows: Rows, known: fmpz | None
     ) -> tuple[list[fmpz], fmpz] | None:
-        """Return the solution from digits of the present width; None where floats fail."""
+        """Return the solution from digits of the present width; None if floats fail."""
         size, width = self.size, self.width
-        # Digits before the point, those of b and of its solution: where floats can start, that is
-        # less than 2^54 times as large as b.
+        # Digits before the point, of b and of its solution, which is less than 2^54 times as large
+        # as b whenever floats can start.
         lead = (max(int(number).bit_length() for number in side) + 54) // width + 1
 
         def count_digits(below: fmpz) -> int:
@@ -118,7 +125,9 @@ class Lifting:
         # A random combination of all unknowns has their common denominator, almost surely.
         share = np.random.default_rng(0).integers(1, max(2, 2 ** (62 - width) // size), size)
         coming, parts, mixed = self._yield_digits(side, lead), list[Integers](), list[Integers]()
-        taken, count = 0, lead + FIRST if known is None else count_digits(known)
+        taken, count = 0, lead + FIRST
+        if known is not None:
+            count = count_digits(known)
         below = known
         while True:
             with np.errstate(all="ignore"):
@@ -172,7 +181,7 @@ class Lifting:
 
 
 def _digits_of(numbers: Sequence[Any], width: int, count: int) -> Iterator[Integers]:
-    """Return an iterator over the digits (K,) of numbers, the highest first, which have a sign."""
+    """Return an iterator over the digits (K,) of signed numbers, the highest first."""
     size = width // 8
     data = b"".join(int(each).to_bytes(count * size, "little", signed=True) for each in numbers)
     # Read the bytes of all numbers at once, and order digits from the highest down.
@@ -185,8 +194,9 @@ def _digits_of(numbers: Sequence[Any], width: int, count: int) -> Iterator[Integ
 
 
 def _join_digits(digits: Integers, width: int) -> list[int]:
-    """Return the numbers whose digits (T, K) to the base 2^width are given, the highest first."""
-    low = np.empty_like(digits)  # of which the lowest bytes count, as many as a digit has
+    """Return the numbers with the given digits (T, K) to the base 2^width, the highest first."""
+    # Digits may be negative or too long: carry, and keep the lowest bytes of each.
+    low = np.empty_like(digits)
     carry = np.zeros(digits.shape[1], dtype=np.int64)
     for own, lowest in zip(digits[::-1], low, strict=True):
         np.add(own, carry, out=lowest)
@@ -225,8 +235,8 @@ def _over_one_denominator(
 
 def _find_denominator(number: fmpz, bits: int, excess: int = 0) -> fmpz | None:
     """Return q with q · number / 2^bits far closer to an integer than by chance, or None."""
-    # That distance may be `excess` bits longer than q is.
-    # A short vector of this lattice is a fraction that is closer than by chance.
+    # A short vector of this lattice is such a fraction; its distance may be `excess` bits longer
+    # than q.
     basis = flint.fmpz_mat(2, 2, [number, flint.fmpz(1) << excess, flint.fmpz(1) << bits, 0]).lll()
     rest, below = basis[0, 0], abs(basis[0, 1]) >> excess
     if below and below.bit_length() + rest.bit_length() < bits - SPARE:

@@ -2,9 +2,8 @@
 
 The strongly connected components of A are solved in order: a single unknown by its row, a few by
 FLINT, and more by numeric lifting. The denominator of one solution is tried first for the next one,
-also of the transposed system: then half as many digits are enough.
-
-Components whose matrix is singular in floats, or nearly so, are solved by FLINT, too.
+also for the transposed system; if it fits, half as many digits are enough. FLINT also solves
+components whose matrix is singular in floats, or nearly so.
 """
 
 from __future__ import annotations
@@ -39,15 +38,17 @@ if TYPE_CHECKING:
     from flint import fmpz
 
 
-FEW, MANY = 120, 4_000  # unknowns that FLINT solves faster, and those that are too many for it
-LARGEST = 20_000  # unknowns; the numbers of more would fill the memory
+FEW, MANY = 120, 4_000  # unknowns up to which FLINT is faster than lifting, and is possible at all
+LARGEST = 20_000  # unknowns of one component; the numbers of more would fill the memory
 BOUNDED = "use certify(mdp, bounded=True), which proves bounds in floating point"
-FAR = 128  # bits that a shared denominator may be longer than twice the longest one
+# Unknowns share a denominator of up to twice the length of the longest one plus so many bits: a
+# longer one would cost more than groups do.
+FAR = 128
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Matrix:
-    """A square integer matrix of K rows with M entries, and what right sides have in common."""
+    """A square integer matrix of K rows with M entries, and facts that all right sides share."""
 
     offsets: Integers  # (K+1,) where the rows begin
     column: Integers  # (M,) rising in each row
@@ -112,15 +113,15 @@ class Matrix:
 
     @cached_property
     def lifting(self) -> Lifting:
-        """The matrix as lifting needs it."""
+        """The matrix, prepared for numeric lifting."""
         return Lifting(self.offsets, self.column, self.entry)
 
 
 def solve_all(matrix: Matrix, sides: Sequence[Sequence[Any]]) -> list[Level]:
     """Return the solutions of A x = b for several integer b, in groups over the same denominators.
 
-    Raises ZeroDivisionError where A is singular, and ModelError where thousands of unknowns depend
-    on each other and floats cannot start.
+    Raises ZeroDivisionError if A is singular, and ModelError if thousands of unknowns depend on
+    each other and floats cannot start.
     """
     solution = _Solution(matrix, sides)
     group, below = np.array(solution.group, dtype=np.int64), list(map(int, solution.below))
@@ -168,7 +169,7 @@ def evaluate_exactly(
 def compute_expected_visits(
     rows: BellmanRows, states: NDArray[np.bool_], *starts: Sequence[tuple[int, Fraction]]
 ) -> list[Level]:
-    """Return how often each state is visited from each start, for rows of one pair in each state.
+    """Return the expected visits of all states from each start, for one pair in each state.
 
     x(t) = μ(t) + Σ x(s) γ P(s, t) over some states s; the others count arrivals.
     """
@@ -182,11 +183,12 @@ def compute_expected_visits(
         sides.append(side)
         units.append(unit)
     scale, levels = rows.scale.tolist(), solve_all(build_equations(rows, states).transposed, sides)
-    return [
-        # Rows are over the scales of their states, which visits are multiplied with.
-        replace(level, top=[*map(mul, level.top, scale)], below=[unit * x for x in level.below])
-        for level, unit in zip(levels, units, strict=True)
-    ]
+    visits = []
+    for level, unit in zip(levels, units, strict=True):
+        # Each row of integers is its state's scale times the true row: undo this factor.
+        top = [*map(mul, level.top, scale)]
+        visits.append(replace(level, top=top, below=[unit * below for below in level.below]))
+    return visits
 
 
 class _Solution:
@@ -227,11 +229,15 @@ class _Solution:
     def _right_sides(self, base: fmpz, states: Sequence[int]) -> list[list[fmpz]]:
         """Return the residual b - A x times `base`, for each right side."""
         ahead = {t for s in states for t in self._rows[s][0]}
-        # Bring the known unknowns to the denominator `base`.
+        # Bring the solved unknowns to the denominator `base`.
         times = {group: base // self.below[group] for group in {self.group[t] for t in ahead}}
         reduced = []
         for side, top in zip(self.sides, self.tops, strict=True):
-            known = {t: top[t] * times[self.group[t]] if top[t] else top[t] for t in ahead}
+            known = {}
+            for t in ahead:
+                known[t] = top[t]
+                if top[t]:
+                    known[t] = top[t] * times[self.group[t]]
             flow = (
                 sum(map(mul, map(known.__getitem__, x), a))
                 for x, a in map(self._rows.__getitem__, states)
@@ -248,7 +254,10 @@ class _Solution:
         # They share a denominator unless it would be far longer than their own.
         far = 2 * max(pivot.bit_length() for pivot in pivots) + FAR
         apart = _compute_common_multiple(pivots).bit_length() > far
-        for some in [[i] for i in places] if apart else [places]:
+        groups: list[Sequence[int]] = [places]
+        if apart:
+            groups = [[i] for i in places]
+        for some in groups:
             unit = _compute_common_multiple(pivots[i] for i in some)
             tops = [[side[i] * (unit // pivots[i]) for i in some] for side in sides]
             self._store_solution([states[i] for i in some], tops, base * unit)
@@ -266,7 +275,8 @@ class _Solution:
         listed, below = [n // shared for n in listed], below // shared
         # Unknowns with the same denominator share a group; zeros belong to the group of 1.
         number = self._number.setdefault(below, len(self.below))
-        self.below += [below] * (number == len(self.below))
+        if number == len(self.below):
+            self.below.append(below)
         for k, values in enumerate(self.tops):
             for s, own in zip(states, listed[k * len(states) :], strict=False):
                 values[s] = own

@@ -28,7 +28,6 @@ from exact_mdp.solvers.learning.sampler import (
 )
 from exact_mdp.solvers.parallel import run_pieces
 
-STEM = "runs-"  # files of runs have this and a number as their name
 RECORDED = [field.name for field in fields(TrainingRun) if field.name != "space"]
 
 
@@ -99,7 +98,7 @@ def train(
         n_jobs=n_jobs,
         threads=True,
         folder=out,
-        names=[f"{STEM}{number:06d}" for number in range(n)],
+        names=[f"runs-{number:06d}" for number in range(n)],
         progress=progress,
         what="runs",
     )

@@ -1,16 +1,16 @@
-"""What is counted: exact amounts of every pair, by name, and the Bellman rows that they share.
+"""Objectives: exact amounts of every pair, by name, and the Bellman rows that they share.
 
 An objective is a linear combination of named amounts, `2*help-anger`, or `name=2*help-anger`:
 
     a component of the reward     its expected amount
-    reward                        all of it, as given; reward' where a component is called so
-    steps                         1 in every state, until all is over
-    an event                      how often it happens, on average
+    reward                        the whole reward; reward' if a component has this name
+    steps                         1 in every state until the episode ends
+    an event                      its expected number
     a label that is not left      1 on the step into it, at discount 1: the probability of reaching
 
-An end stays put; there no reward, no component and no event is counted. A total at discount 1 is
-finite under every policy if every policy ends, where a state ends that stays put and in which no
-objective earns. A run that ends beside the goal of a model has no finite total.
+In a terminal state no reward, component or event is counted. A state without any amount that leads
+only to itself also counts as terminal here. A total at discount 1 is finite under every policy if
+every policy ends. A run that misses the goal of a model has no finite total.
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ class Objectives:
     """Objectives of a model with S states and L pairs; more is better in all."""
 
     def __init__(self, mdp: MDP, texts: Sequence[str]) -> None:
-        """Read objectives; raises ModelError for what cannot be counted."""
+        """Read objectives; raise ModelError for an amount that cannot be counted."""
         if not all(isinstance(text, str) for text in texts):
             raise ModelError(
-                f"{list(texts)!r} names what is counted",
+                f"{list(texts)!r} is not a list of texts",
                 where="objectives",
                 fix='give texts: a name, or a sum such as "name=2*a-b"',
             )
@@ -67,10 +67,11 @@ class Objectives:
         earning = np.any([top != 0 for top, _ in columns], axis=0).astype(np.int64)
         below = to_integer_array(np.lcm.reduce([b.astype(object) for _, b in columns]).tolist())
         table = replace(mdp.table, gain=earning, gain_denominator=below)
-        # Earns where an objective does: it says which states are terminal here.
+        # A model with a reward wherever an objective has an amount, for its terminal states.
         self.ending = mdp.with_(table=table, goal=None, sense="max")
-        rows = bellman_rows(self.ending)  # over scales that amounts are whole numbers of
-        # The equations that all share, without constants.
+        # The equations that all objectives share, without constants. Times their scale, amounts
+        # are integers.
+        rows = bellman_rows(self.ending)
         self.rows = replace(rows, constant=np.zeros(mdp.n_pairs, dtype=np.int64))
         own = rows.scale[mdp.pair_state].astype(object)
         # (L,) expected amounts times scale, negated in a model of costs
@@ -82,16 +83,16 @@ class Objectives:
 
     @property
     def sign(self) -> int:
-        """1, or -1 where rewards are costs."""
+        """1 for rewards, -1 for costs."""
         return self.mdp.sign
 
     def weigh_amounts(self, weights: Sequence[int]) -> Numbers:
-        """Return (L,) the amounts added up, with weights."""
+        """Return the weighted sum (L,) of the amounts."""
         total = sum(w * own.astype(object) for w, own in zip(weights, self.amounts, strict=True))
         return to_integer_array(np.asarray(total).tolist())
 
     def rows_for(self, weights: Sequence[int | Fraction]) -> tuple[BellmanRows, int]:
-        """Return the equations of the objectives with rational weights, times a whole number."""
+        """Return the equations of a weighted sum of objectives, times an integer, and that."""
         whole, unit = to_common_denominator([Fraction(weight) for weight in weights])
         return replace(self.rows, constant=self.weigh_amounts(whole)), unit
 
@@ -106,7 +107,7 @@ class Objectives:
         return Totals(model, self.names, amounts)
 
     def _require_finite(self) -> None:
-        """Raise ModelError where a policy need not end at discount 1, or ends beside the goal."""
+        """Raise ModelError if, at discount 1, a policy may never end or may miss the goal."""
         mdp = self.mdp
         if mdp.discount_exact < 1:
             return
@@ -133,6 +134,7 @@ Terms = list[tuple[Fraction, str]]
 
 def _parse_objective(mdp: MDP, text: str) -> tuple[str, Terms]:
     """Return the name of an objective, and its terms."""
+    # A known name, possibly after another name and "=".
     rewards = dict.fromkeys([*mdp.component_names, reward_name(mdp)])
     known = [*dict.fromkeys([*rewards, STEPS, *mdp.events, *mdp.labels])]
     name, equals, body = text.partition("=")
@@ -141,6 +143,7 @@ def _parse_objective(mdp: MDP, text: str) -> tuple[str, Terms]:
     name, body = name.strip(), body.strip()
     if name and body in known:
         return name, [(Fraction(1), body)]
+    # Otherwise a sum of known names with factors; longer names are tried first.
     terms, at = Terms(), 0
     each = "|".join(map(re.escape, sorted(known, key=len, reverse=True)))
     term = re.compile(rf"{FACTOR}({each})\s*(?=[+-]|$)")
@@ -154,7 +157,9 @@ def _parse_objective(mdp: MDP, text: str) -> tuple[str, Terms]:
                 fix=f"{suggest_name(part, known)}; a sum is written name=2*a-b",
             )
         factor = exact(match[2] or "1", f"objective {text!r}")
-        terms.append((-factor if match[1] == "-" else factor, match[3]))
+        if match[1] == "-":
+            factor = -factor
+        terms.append((factor, match[3]))
         at = match.end()
     return name, terms
 
@@ -197,7 +202,7 @@ def _read_amounts(mdp: MDP, name: str) -> Column:
 
 
 def _find_arrivals(mdp: MDP, label: str) -> Numbers:
-    """Return (N,) which outcomes step into a label whose states are not left again."""
+    """Return (N,) True for outcomes that step into a label whose states are never left."""
     inside = mdp.labels[label]
     here, there = inside[mdp.pair_state[mdp.table.pair]], inside[mdp.table.next]
     begins = any(inside[state] for state, weight in mdp.start if weight)

@@ -2,8 +2,8 @@
 
     maximise c x   subject to   A x = b,  x ≥ 0
 
-The rows are few and the columns may be many. Artificial variables, one for each row, cost more than
-any number. Bland's rule ends the search also where steps have no length (Mathematics of Operations
+There are few rows and possibly many columns. Artificial variables, one for each row, cost more than
+any number. With Bland's rule the search ends even if steps have length 0 (Mathematics of Operations
 Research 2, 1977).
 """
 
@@ -22,20 +22,27 @@ def solve_linear_program(
 ) -> tuple[list[Fraction], list[Fraction]]:
     """Return an optimal basic x, and its dual y: y A ≥ c and y b = c x.
 
-    The program, whose matrix is given by its columns, has an optimum.
+    The matrix is given by its columns. The program must have an optimum.
     """
     size, rows = len(columns), len(b)
-    units = [
-        [Fraction((i == k) * (1 if b[i] >= 0 else -1)) for i in range(rows)] for k in range(rows)
-    ]
+    # One artificial variable for each row, with the sign of b, so that x = |b| is a first vertex.
+    units = []
+    for k in range(rows):
+        unit = [Fraction(0)] * rows
+        unit[k] = Fraction(1)
+        if b[k] < 0:
+            unit[k] = Fraction(-1)
+        units.append(unit)
     turned = flint.fmpq_mat([[to_flint(x) for x in column] for column in [*columns, *units]])
     matrix, right = turned.transpose(), flint.fmpq_mat([[to_flint(value)] for value in b])
+    # Costs are pairs, compared in their order: a part that outweighs any number, and the rest.
     cost = [(flint.fmpq(0), to_flint(value)) for value in c] + [(flint.fmpq(-1),) * 2] * rows
     basis = [*range(size, size + rows)]
     while True:
         inverse = flint.fmpq_mat([[matrix[i, j] for j in basis] for i in range(rows)]).inv()
         price = flint.fmpq_mat([*map(list, zip(*(cost[j] for j in basis), strict=True))]) * inverse
         x, due = inverse * right, [*zip(*(price * matrix).tolist(), strict=True)]
+        # Bland's rule: the first column that gains enters, and the first of the tied rows leaves.
         entering = next((j for j in range(size) if cost[j] > due[j]), None)
         if entering is None:
             break
@@ -43,7 +50,7 @@ def solve_linear_program(
         falling = ((x[i, 0] / column[i, 0], basis[i], i) for i in range(rows) if column[i, 0] > 0)
         basis[min(falling)[-1]] = entering
     basic = dict(zip(basis, x.entries(), strict=True))
-    # What is enough in place of "more than any number".
+    # A number that is large enough to take the place of "more than any number".
     each = ((due[j], cost[j][1]) for j in range(size) if due[j][0] > 0)
     enough = max(((own - later) / first for (first, later), own in each), default=flint.fmpq(0))
     first, later = price.tolist()

@@ -42,7 +42,6 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain, split_infinite_re
 from exact_mdp.solvers.values.return_mass import MassFlow
 
 WIDE = 2**31  # a return adds up fewer than 2³² smaller multiples, so that 64 bits hold it
-LISTED = 1000  # returns shown in a report; more can be read in `frame`
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -229,15 +228,16 @@ class ReturnDistribution(Pictured):
             for (value, chance), most in zip(law.items(), below, strict=True)
         ]
         columns = {"return": "return", "probability": "chance", "at most that": "sum"}
-        table = Table(title="distribution", rows=rows, columns=columns, first=LISTED)
+        table = Table(title="distribution", rows=rows, columns=columns, first=1000)
         return Report(title="law of the return", facts=facts, tables={"distribution": table})
 
     def __repr__(self) -> str:
-        endless = self.never_ends
+        infinite = ""
+        if self.never_ends:
+            infinite = f", infinite with probability {self.never_ends:.6g}"
         return (
             f"ReturnDistribution({len(self.multiples)} returns, mean {self.mean:.6g}, "
-            f"sd {self.sd:.6g}, remaining {self.remaining:.1g}"
-            + (f", infinite with probability {endless:.6g})" if endless else ")")
+            f"sd {self.sd:.6g}, remaining {self.remaining:.1g}{infinite})"
         )
 
 
