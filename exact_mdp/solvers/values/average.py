@@ -1,7 +1,7 @@
 """The average reward of a policy: gain, bias and shares of time, in floats or exactly.
 
-The gain is the same from all states of a recurrent class; the bias is what a start in a state is
-worth beyond it (`solvers.endless.chain`). Rationals are used if floats cannot bound the errors.
+The gain is the same from all states of a recurrent class; the bias is the value of a state beyond
+it (`solvers.endless.chain`). Rationals are used if floats cannot bound the errors.
 """
 
 from __future__ import annotations
