@@ -26,6 +26,8 @@ from exact_mdp.solvers.values.policy_chain import (
     round_fractions,
 )
 
+LISTED = 1000  # states up to which a report lists each; `frame` has them all
+
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class AverageEvaluation(OfPolicy, Result):
@@ -59,9 +61,8 @@ class AverageEvaluation(OfPolicy, Result):
     def report(self) -> Report:
         """Return gain and components, and gain, bias and share of time of each state."""
         frame, parts = self.frame(), self.components
-        # States of large models are left to `frame`.
         by_state = None
-        if self.mdp.n_states <= 1000:
+        if self.mdp.n_states <= LISTED:
             by_state = frame.set_index("state").to_dict("index")
         facts = {
             "claim": Shown(self.claim),
