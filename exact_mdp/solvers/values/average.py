@@ -1,7 +1,7 @@
 """The average reward of a policy: gain, bias and shares of time, in floats or exactly.
 
-The gain is the same from all states of a recurrent class; the bias is what a start in a state is
-worth beyond it (`solvers.endless.chain`). Rationals are used if floats cannot bound the errors.
+The gain is the same from all states of a recurrent class; the bias is the value of a state beyond
+it (`solvers.endless.chain`). Rationals are used if floats cannot bound the errors.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ from exact_mdp.solvers.values.policy_chain import (
     is_too_inaccurate,
     round_fractions,
 )
+
+LISTED = 1000  # states up to which a report lists each; `frame` has them all
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -59,9 +61,8 @@ class AverageEvaluation(OfPolicy, Result):
     def report(self) -> Report:
         """Return gain and components, and gain, bias and share of time of each state."""
         frame, parts = self.frame(), self.components
-        # States of large models are left to `frame`.
         by_state = None
-        if self.mdp.n_states <= 1000:
+        if self.mdp.n_states <= LISTED:
             by_state = frame.set_index("state").to_dict("index")
         facts = {
             "claim": Shown(self.claim),

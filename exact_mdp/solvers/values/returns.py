@@ -42,6 +42,7 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain, split_infinite_re
 from exact_mdp.solvers.values.return_mass import MassFlow
 
 WIDE = 2**31  # a return adds up fewer than 2³² smaller multiples, so that 64 bits hold it
+LISTED = 1000  # returns shown in a report; more can be read in `frame`
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -228,7 +229,7 @@ class ReturnDistribution(Pictured):
             for (value, chance), most in zip(law.items(), below, strict=True)
         ]
         columns = {"return": "return", "probability": "chance", "at most that": "sum"}
-        table = Table(title="distribution", rows=rows, columns=columns, first=1000)
+        table = Table(title="distribution", rows=rows, columns=columns, first=LISTED)
         return Report(title="law of the return", facts=facts, tables={"distribution": table})
 
     def __repr__(self) -> str:
