@@ -39,7 +39,7 @@ def test_a_policy_that_keeps_limits_is_written_and_read(tmp_path: Path) -> None:
         (("--method", "auto"), 1, "no policy keeps them all"),
         (("--subject-to", "anger <= -1"), 1, "contradict each other"),
         (("--tol", "1e-3"), 2, "tol"),
-        (("--subject-to", "anger=1"), 2, "'anger=1' is no limit"),
+        (("--subject-to", "anger=1"), 2, "'anger=1' is not a limit"),
     ],
 )
 def test_limits_that_no_policy_keeps(more: tuple[str, ...], status: int, said: str) -> None:
