@@ -130,9 +130,10 @@ def meanings() -> dict[tuple[str, str], str]:
         for name in names:
             pinned.setdefault(name, set()).add(key)
     known = {}
+    name_function = imported("exact_mdp.analysis.cli.commands:name_function")
     for group in imported("exact_mdp.analysis.cli.commands:MADE").values():
-        for name, (target, _) in group.items():
-            own, results = explained_keys(f"analysis.cli.{target}")
+        for name, (module, _) in group.items():
+            own, results = explained_keys(f"analysis.cli.{module}:{name_function(name)}")
             attributes = {}
             for each in reversed(results):
                 attributes |= explained_attributes(classes[each])

@@ -1,10 +1,10 @@
-"""What continuous integration shows of a check: JUnit XML, and the pages of GitHub Actions.
+"""Reports of a check for continuous integration: JUnit XML, and the pages of GitHub Actions.
 
-One test case stands for each verdict, or for an error. Some systems show a failure's `message` and
-some only its text, so the text holds all of it. The elements are those that the xunit2 form of
-pytest and Jenkins has in common. A runner of GitHub takes a line that begins with `::`, or has
-`##[` anywhere, for a command ("Workflow commands for GitHub Actions" in its documentation); names
-come from models and files, so such lines are changed.
+There is one test case for each verdict, or for an error. Some systems show a failure's `message`
+and some only its text, so that the text holds the whole message. The elements are common to the
+xunit2 formats of pytest and Jenkins. A GitHub runner interprets a line that begins with `::`, or
+contains `##[`, as a command ("Workflow commands for GitHub Actions" in its documentation); as names
+come from models and files, such lines are changed.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from xml.etree import ElementTree
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import write_atomically
 
-# What XML 1.0 does not allow, in section 2.2.
+# Characters that XML 1.0 does not allow (section 2.2).
 FORBIDDEN = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-TYPES = {"failure": "regret", "error": "error"}  # elements, and the types that they state
+TYPES = {"failure": "regret", "error": "error"}  # the `type` of each kind of element
 ACTIONS, SUMMARY = "GITHUB_ACTIONS", "GITHUB_STEP_SUMMARY"
 
 
 class Case(NamedTuple):
-    """A test case: its name; "failure" or "error", or "" where it passed; a line and a text."""
+    """A test case: its name; "failure", "error" or, if it passed, ""; a line and a text."""
 
     name: str
     kind: str = ""
@@ -45,7 +45,7 @@ def write_junit(
     seconds: float,
     properties: Mapping[str, str],
 ) -> None:
-    """Write the report of one suite, the whole file or none; ModelError where that fails."""
+    """Write the report of one suite, the whole file or none; raise ModelError on failure."""
 
     def add_element(parent: ElementTree.Element, tag: str, **texts: str) -> ElementTree.Element:
         texts = {name: FORBIDDEN.sub("?", text) for name, text in texts.items()}
@@ -55,6 +55,7 @@ def write_junit(
     counts = {"tests": len(cases), "failures": kinds.count("failure")}
     counts |= {"errors": kinds.count("error"), "skipped": 0}
     shared = {name: str(count) for name, count in counts.items()} | {"time": f"{seconds:.3f}"}
+    # <testsuites> holds one <testsuite> with its properties, and a <testcase> for each case.
     root = ElementTree.Element("testsuites", {"name": "exact-mdp"} | shared)
     at = datetime.now(UTC).isoformat(timespec="seconds")
     group = add_element(root, "testsuite", name=suite, **shared, timestamp=at)
@@ -73,10 +74,11 @@ def write_junit(
 
 
 def write_error(path: str | None, suite: str, message: str) -> None:
-    """Write the report of a check that came to no verdict, where there is a file for it."""
+    """Write the report of a check without a verdict, if a file is named for it."""
     case = Case("check", "error", message.partition("\n")[0], message)
     if path is not None:
-        with suppress(ValueError, OSError):  # reported by the command, or about something worse
+        # The command reports a failure to write, unless it fails for a graver reason.
+        with suppress(ValueError, OSError):
             write_junit(path, suite, [case], seconds=0.0, properties={})
 
 
@@ -89,29 +91,31 @@ def is_github_actions() -> bool:
 
 
 def defuse_line(line: str) -> str:
-    """Return a line that no runner takes for a command; the line itself elsewhere."""
+    """Return a line that no GitHub runner takes for a command; elsewhere, the line as it is."""
     if not is_github_actions():
         return line
     line = line.replace("##[", "## [")
-    return line.replace("::", ": :", 1) if line.lstrip().startswith("::") else line
+    if line.lstrip().startswith("::"):
+        line = line.replace("::", ": :", 1)
+    return line
 
 
 def print_annotation(title: str, message: str) -> None:
-    """Print an error annotation on standard error, which the page of a run shows at its top."""
+    """Print an error annotation on standard error, which GitHub shows at the top of a run."""
     if is_github_actions():
-        print(
-            f"::error title={_escape_annotation(title, ',:')}::{_escape_annotation(message)}",
-            file=sys.stderr,
-        )
+        head, text = _escape_annotation(title, ",:"), _escape_annotation(message)
+        print(f"::error title={head}::{text}", file=sys.stderr)
 
 
 def append_summary(markdown: str) -> None:
-    """Append Markdown to the step's summary; ModelError where that cannot be written to."""
-    if not (path := os.environ.get(SUMMARY)):
+    """Append Markdown to the step's summary; raise ModelError if that cannot be written to."""
+    path = os.environ.get(SUMMARY)
+    if not path:
         return
     try:
         with open(path, "a", encoding="utf-8", errors="backslashreplace") as file:
-            file.write(f"{markdown}\n" * bool(markdown))
+            if markdown:
+                file.write(f"{markdown}\n")
     except OSError as error:
         raise ModelError(
             f"cannot write the summary of the step: {error.strerror}",
@@ -121,6 +125,7 @@ def append_summary(markdown: str) -> None:
 
 
 def _escape_annotation(text: str, more: str = "") -> str:
+    """Return a text with the characters escaped that would end an annotation or its title."""
     for character in "%\r\n" + more:
         text = text.replace(character, f"%{ord(character):02X}")
     return text

@@ -1,12 +1,11 @@
-"""How the programs end: one exit status, one sentence, no traceback.
+"""Exit statuses of the programs: each failure is one status and one sentence, without a traceback.
 
-0 done, 1 a check did not hold, 2 bad input or usage, 3 anything else that went wrong. A signal that
-asks to stop ends with 128 + its number, as in shells; and 141, without a word, where the reader of
-a pipe went away (`| head`). Failures are reported on standard error.
+0 is success, 1 a check that did not hold, 2 bad input or usage, 3 any other failure. After a signal
+to stop the status is 128 + its number, as in shells; it is 141, without a message, if the reader of
+a pipe has closed it (`| head`). Failures are reported on standard error.
 
-Only a command that comes to its end answers with 0 or 1. Code of the user's that is called on the
-way, an environment's module or a trainer, may ask for another end (`sys.exit`); then there is no
-answer, which is 3.
+Only a command that finishes returns 0 or 1. If the user's code, such as an environment or a
+trainer, calls `sys.exit` on the way, there is no answer, and the status is 3.
 """
 
 from __future__ import annotations
@@ -30,18 +29,19 @@ from exact_mdp.analysis.ci import defuse_line
 from exact_mdp.mdp.errors import ModelError, shorten_text, shown_text
 
 DONE, FAILED, REFUSED, BROKEN, PIPE_CLOSED = 0, 1, 2, 3, 141
-FORMAT = 2  # as `mdp.report` has it, which needs packages that may be what is missing
-SIGNALS = 128  # what shells add to the number of the signal that ended a program
+# The format of JSON, also in `mdp.report`, whose packages may be missing in a failure.
+FORMAT = 2
+SIGNALS = 128  # added to the number of a signal, as shells do
 TRACEBACK = "EXACT_MDP_TRACEBACK"
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 ALSO_CALLED = {"--gamma": "--discount", "--plot": "--html"}
 
 
 class NoAnswer(RuntimeError):
-    """Code that was called asked the process to end before there was an answer."""
+    """The user's code called `sys.exit` before there was an answer."""
 
 
-# Of errors, by the name of a class, as to load the modules of some takes long: what is said, a fix.
+# Message and remedy of an error, by the name of its class, as some modules take long to import.
 KINDS = {
     "UserWarning": ("{}", "correct it, or do not turn warnings into errors"),
     "SolverError": ("{kind}: {}", ""),
@@ -66,7 +66,7 @@ KINDS = {
 
 @contextmanager
 def refuse_exit() -> Iterator[None]:
-    """Raise NoAnswer where code that is called ends the process by `sys.exit`."""
+    """Raise NoAnswer if the code inside calls `sys.exit`."""
     try:
         yield
     except SystemExit as end:
@@ -75,12 +75,12 @@ def refuse_exit() -> Iterator[None]:
 
 
 class Programs(click.Group):
-    """A group of commands that is a program of its own: it ends as this module says."""
+    """A group of commands that is a program of its own, with the exit statuses of this module."""
 
     def main(
         self, args: Sequence[str] | None = None, prog_name: str | None = None, *_: Any, **__: Any
     ) -> NoReturn:
-        """Run, and end the process."""
+        """Run a command and end the process."""
         name = prog_name or str(self.name)
         if args is None:
             end_process(run_command(self, name, sys.argv[1:]))
@@ -93,11 +93,11 @@ def run_command(
     words: Sequence[str],
     on_error: Callable[[str], None] | None = None,
 ) -> int:
-    """Run a command and return its exit status; what goes wrong is reported on standard error.
+    """Run a command and return its exit status; failures are reported on standard error.
 
-    What the command returns is the status; None is 0. `program` is its name in messages, `words`
-    are those after the name; `on_error` is called with the message of a failure. With --json the
-    last line of standard error is an object with the parts of the message.
+    The command returns the status, or None for 0. `program` is its name in messages, and `words`
+    follow the name; `on_error` is called with the message of a failure. With --json the last line
+    of standard error is an object with the parts of the message.
     """
     context = None
     try:
@@ -120,8 +120,11 @@ def run_command(
         command = command.get_command(context, context.invoked_subcommand) or command
         program = f"{program} {command.name}"
     status, said = _describe_failure(error, command, program, words)
-    kind = type(error).__name__ if said.where else ""
-    message = f"{kind}: {said}" if kind else str(said)
+    # A message with a place begins with the name of the error.
+    kind, message = "", str(said)
+    if said.where:
+        kind = type(error).__name__
+        message = f"{kind}: {said}"
     print_message(message)
     if "--json" in words:
         parts = {"kind": kind, "what": said.what, "where": said.where, "fix": said.fix}
@@ -132,14 +135,15 @@ def run_command(
 
 
 def end_process(status: int) -> NoReturn:
-    """End the process; after a signal without taking the interpreter apart.
+    """End the process; after a signal, skip the interpreter's shutdown.
 
-    Work that a signal cut short may have left a library in the middle of something, compiling for
-    example, and such a library can crash when it is taken apart.
+    A signal may have interrupted a library in the middle of its work, for example in compiling, and
+    such a library can crash during shutdown.
     """
     try:
         sys.stdout.flush()
-        os.dup2(2, sys.stdout.fileno())  # what a module prints at exit is no part of the result
+        # Output that a module prints at exit is not part of the result.
+        os.dup2(2, sys.stdout.fileno())
     except (AttributeError, OSError, ValueError):
         _silence_stream(sys.stdout)
     if status > SIGNALS and status != PIPE_CLOSED:
@@ -148,7 +152,7 @@ def end_process(status: int) -> NoReturn:
 
 
 def print_message(text: str) -> None:
-    """Print on standard error, wherever that leads."""
+    """Print on standard error; if that is closed, print nothing."""
     try:
         print(*map(defuse_line, text.split("\n")), sep="\n", file=sys.stderr, flush=True)
     except OSError:
@@ -156,7 +160,7 @@ def print_message(text: str) -> None:
 
 
 def _print_warning(message: Warning | str, *_: object, told: set[str], **__: object) -> None:
-    """Say a warning in one line, each text once in a command."""
+    """Print a warning on one line, each text once in a command."""
     text = shown_text(str(message), lines=True)
     if text not in told:
         told.add(text)
@@ -166,18 +170,21 @@ def _print_warning(message: Warning | str, *_: object, told: set[str], **__: obj
 def _describe_failure(
     error: BaseException, command: click.Command, usage: str, words: Sequence[str]
 ) -> tuple[int, ModelError]:
-    """Return the status and what is said, without a place where the text says it all."""
+    """Return the exit status and the message of a failure."""
     kinds = [base.__name__ for base in type(error).__mro__]
     options = {name: each for each in command.params for name in each.opts if name[:1] == "-"}
+    # A signal.
     if isinstance(error, KeyboardInterrupt):
         number = error.args[0] if error.args else signal.SIGINT
         notes = [f"stopped by {signal.Signals(number).name}", *getattr(error, "__notes__", ())]
         return SIGNALS + number, ModelError("; ".join(notes))
+    # Bad usage or bad input; the place is the option that was given, if there is one.
     if isinstance(error, click.ClickException):
         what = shorten_text(error.format_message()).removesuffix(".")
         param = getattr(error, "param", None)
         near = ALSO_CALLED.get(getattr(error, "option_name", ""))
-        what = f"{error.message} Did you mean {near!r}?" if near in options else what
+        if near in options:
+            what = f"{error.message} Did you mean {near!r}?"
         where = param.opts[-1] if isinstance(param, click.Option) else usage
         return REFUSED, ModelError(what, where=where, fix=f"see {usage} --help")
     if isinstance(error, ModelError):
@@ -185,33 +192,37 @@ def _describe_failure(
         named = (o for o, each in options.items() if each.name == error.where and o in typed)
         where = next(named, error.where) or usage
         return REFUSED, ModelError(error.what, where=where, fix=error.fix or f"see {usage} --help")
+    # The operating system.
     if isinstance(error, OSError) and error.errno is not None:
         fix = "make room, or write elsewhere" if error.errno in FULL else "try again"
         what, where = f"the system refuses: {error.strerror}", str(error.filename or usage)
         return BROKEN, ModelError(what, where=where, fix=fix)
+    # Any other error, by the nearest class that has a message; BaseException has one.
     kind = next(kind for kind in kinds if kind in KINDS)
     what, fix = KINDS[kind]
-    if kind == "MemoryError" and "--horizon" in {word.partition("=")[0] for word in words}:
-        fix = "choose fewer steps"
     text = " ".join(str(error).split())
-    text = text or ("not enough memory" if kind == "MemoryError" else "no message")
-    said = ModelError(what.format(text, kind=kinds[0]), where=usage if fix else "", fix=fix)
+    if kind == "MemoryError":
+        text = text or "not enough memory"
+        if "--horizon" in {word.partition("=")[0] for word in words}:
+            fix = "choose fewer steps"
+    what = what.format(text or "no message", kind=kinds[0])
+    said = ModelError(what, where=usage if fix else "", fix=fix)
     return REFUSED if kind == "UserWarning" else BROKEN, said
 
 
 @contextmanager
 def _interrupt_on_signals() -> Iterator[None]:
-    """Let SIGTERM, and SIGHUP unless it is ignored, stop the work as Ctrl-C does."""
+    """Make SIGTERM, and SIGHUP unless it is ignored, stop the work as Ctrl-C does."""
 
     def raise_interrupt(number: int, _: object) -> None:
-        # `timeout` and others signal the process, then its group with the process in it.
+        # `timeout` and others signal the process, and again its group: ignore the second signal.
         signal.signal(number, signal.SIG_IGN)
         raise KeyboardInterrupt(number)
 
     with ExitStack() as restored:
         for number in (getattr(signal, name, None) for name in ("SIGTERM", "SIGHUP")):
             if number is not None and signal.getsignal(number) is signal.SIG_DFL:
-                with suppress(ValueError):  # only the main thread may say what signals do
+                with suppress(ValueError):  # only the main thread may set a handler
                     signal.signal(number, raise_interrupt)
                     restored.callback(signal.signal, number, signal.SIG_DFL)
         yield
@@ -221,15 +232,15 @@ def _interrupt_on_signals() -> Iterator[None]:
 
 
 def _open_closed_streams() -> None:
-    """Let closed streams lead nowhere; raises OSError where standard output is closed.
+    """Connect closed streams to the null device; raise OSError if standard output is closed.
 
-    A file that is opened later would take the number of a closed stream, and get its text.
+    Otherwise a file that is opened later would get the number of a closed stream, and its text.
     """
     for number in range(3):
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest free number, which is this one
     if sys.stderr is None:
         sys.stderr = os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8")
     if sys.stdout is None:
@@ -240,6 +251,6 @@ def _open_closed_streams() -> None:
 
 
 def _silence_stream(stream: TextIO) -> None:
-    """Let a stream lead nowhere: Python flushes once more when it ends."""
+    """Connect a stream to the null device, as Python flushes it once more at exit."""
     with suppress(AttributeError, OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

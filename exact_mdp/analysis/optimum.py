@@ -1,9 +1,9 @@
-"""An optimum by a solver in floating point, by exact arithmetic, or by both against each other.
+"""An optimum by a solver in floating point, by exact arithmetic, or by both, compared.
 
-Where both are asked for, |V_float(s) - V(s)| must be at most the bound that the solver states, in
-every state, and the proof must pass its checker: otherwise one of the two programs is wrong, and
-neither is believed. The optimum depends on the status alone where, for every status, one action is
-optimal in all states of that status that have a choice and are reached by some policy.
+With both, |V_float(s) - V(s)| must be at most the solver's error bound in every state, and the
+proof must pass its checker: otherwise one of the two programs is wrong, and neither is trusted. The
+optimum depends on the status alone if for every status one action is optimal in all states with
+that status that have a choice and are reached by some policy.
 """
 
 from __future__ import annotations
@@ -37,62 +37,63 @@ from exact_mdp.solvers.solution import (
 )
 from exact_mdp.solvers.solver import SOLVERS, Criterion, is_average, solve
 
-LISTED = 1000  # states whose actions are listed
-SHOWN_DIGITS = 1000  # longer exact values are left to --json
+LISTED = 1000  # states whose actions a report lists
 AnyProof = TypeVar("AnyProof", Certificate, ConstrainedSolution)
 
 
 class Contradiction(RuntimeError):
-    """A solver and a proof that do not agree, or a proof that does not hold."""
+    """A solver and a proof contradict each other, or a proof does not hold."""
 
 
 def require_sound_proof(proof: AnyProof) -> AnyProof:
-    """Return a proof that its checker has accepted."""
-    if faults := proof.violations():
+    """Return a proof if its checker accepts it; otherwise raise Contradiction."""
+    faults = proof.violations()
+    if faults:
         raise Contradiction(f"a proof does not hold: {faults[0]}")
     return proof
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Optimum:
-    """Optimal values, a policy and every optimal pair, by what vouches for them."""
+    """Optimal values, a policy and every optimal pair, with the solution or the certificate."""
 
     mdp: MDP
-    average: bool  # whether it is that of an average reward
-    solution: Solution | None  # None where the solver could not bound its error
+    average: bool  # whether the criterion is the average reward
+    solution: Solution | None  # None if the solver could not bound its error
     certificate: Certificate | None
-    value: Floats  # (S,), of the certificate where there is one
-    state_error: Floats  # (S,) bounds on its errors; rounding alone where it is certified
+    value: Floats  # (S,), from the certificate if there is one
+    state_error: Floats  # (S,) error bounds; rounding alone if the values are certified
     start: Certified | Bounded  # the value of the start distribution
-    error_bound: float  # on the error of the start value and of every state's, as floats
+    error_bound: float  # of the start value and of the value of every state, as floats
 
     @property
     def best(self) -> Any:
-        """What vouches for the values."""
+        """The certificate, or the solution if there is none."""
         return self.certificate or self.solution
 
     @cached_property
     def optimal(self) -> Flags:
-        """(L,) the optimal pairs; up to the error bound where there is no certificate."""
+        """(L,) the optimal pairs; up to the error bound if there is no certificate."""
         if self.certificate is not None:
             return self.certificate.optimal_pairs
         here, there = self.value[self.mdp.pair_state], self.mdp.backup(self.value)
-        with np.errstate(invalid="ignore"):  # two infinite values that are alike differ by nothing
+        with np.errstate(invalid="ignore"):  # equal infinite values have a difference of 0
             lost = np.where(here == there, 0.0, here - there)
         return np.asarray(self.mdp.sign * lost <= 2 * self.best.error_bound)
 
     def is_stationary(self) -> bool | None:
-        """Return whether the optimum depends on the status alone; None where bounds leave it open.
+        """Return whether the optimum depends on the status alone; None if bounds leave it open.
 
-        Bounds rule actions out: where the others have none in common, no status policy is optimal.
-        What is left is known to be optimal only where it is alone.
+        Bounds rule actions out: if the remaining ones have none in common, no policy of the status
+        is optimal. A remaining action is known to be optimal only if it is the only one.
         """
         if not _serves_each_status(self.mdp, self.optimal):
             return False
         left = np.add.reduceat(self.optimal.astype(np.int64), self.mdp.pair_offsets[:-1])
         alone = self.optimal & (left == 1)[self.mdp.pair_state]
-        known = self.certificate is not None or _serves_each_status(self.mdp, alone)
-        return True if known else None
+        if self.certificate is not None or _serves_each_status(self.mdp, alone):
+            return True
+        return None
 
     def report(self) -> Report:
         """Return the optimum: its value with its claim, and the policy."""
@@ -116,7 +117,7 @@ class Optimum:
             "error_bound": Shown(self.error_bound),
             "exact_start_value": Shown(
                 proof.start_value if proof else None,
-                exact if len(exact) <= SHOWN_DIGITS else long,
+                exact if len(exact) <= 1000 else long,
             ),
             "unique": proof.unique if proof and not self.average else None,
             "stationary": Shown(
@@ -148,9 +149,9 @@ class Optimum:
         return Report(title="optimum", facts=facts, tables={key: table}, notes=notes)
 
     def save(self, path: str) -> None:
-        """Write arrays; `q` is (S, A), NaN where an action is not available, and reads as a policy.
+        """Write arrays; `q` (S, A) is NaN for actions that are not available, and is a Q-table.
 
-        Of an average reward there is the bias instead of action values.
+        For an average reward there is the bias instead of action values.
         """
         arrays: dict[str, Any] = {
             "value": self.value,

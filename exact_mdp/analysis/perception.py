@@ -1,14 +1,14 @@
-"""What errors of perception cost a policy, and which cost most.
+"""The loss of a policy by errors of perception, and the costliest errors.
 
-A policy π reads the perceived status z, drawn from C(s, ·). With the occupancy d and the action
-values Q of the mixed policy π_C that it makes of the true status (`mdp.care.perception`),
+A policy π reads the perceived status z, drawn from C(s, ·). In terms of the true status it is a
+mixed policy π_C (`mdp.care.perception`). With the occupancy measure d and action values Q of π_C,
 
     dV / dC(s, z) = Σ_x d(x, s) Σ_a π(a | x, z) Q(x, s, a),
     V^π - V^π_C = Σ_{s, z} C(s, z) Σ_x d(x, s) Σ_a (π(a | x, s) - π(a | x, z)) Q^π(x, s, a),
 
-where Q^π are the action values of whoever reads rightly from the next step on (performance
-difference: Kakade and Langford, ICML 2002, lemma 6.1). With d within e_d and Q within e_Q of the
-exact ones, a sum is off by at most Σ d e_Q + e_d (|Q| + e_Q) and its own rounding.
+where Q^π are the action values of π with perfect perception from the next step on (performance
+difference: Kakade and Langford, ICML 2002, lemma 6.1). With errors of at most e_d in d and e_Q in
+Q, a sum is off by at most Σ d e_Q + e_d (|Q| + e_Q) and its own rounding.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from exact_mdp.solvers.values.policy_chain import policy_of
 
 
 def _check_actions(model: MDP) -> None:
-    """Raise ModelError where a place offers other actions in one of its statuses."""
+    """Raise ModelError if the available actions differ between the statuses of a place."""
     offered = by_place(model, np.ones(model.n_pairs)) > 0
     differ = np.flatnonzero((offered != offered[:, :1]).any(axis=(1, 2)))
     if len(differ):
@@ -53,67 +53,68 @@ def _check_actions(model: MDP) -> None:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ErrorCosts(Pictured):
-    """Which errors of perception cost a policy most."""
+    """The losses of a policy by errors of perception."""
 
     statuses: tuple[str, ...]  # names of the bits, the most significant first
     value: Bounded  # of the policy under the perception
-    perfect: Bounded  # where it sees the truth
+    perfect: Bounded  # of the policy under perfect perception
     derivative: Floats  # (Z, Z) dV / dC(s, z); only differences within a row have a meaning
-    loss: Floats  # (Z, Z) what reading s as z loses; the sum is what `perfect` is better by
-    # What a unit more of a status's sensitivity or specificity brings, others read as they are.
+    loss: Floats  # (Z, Z) the loss by reading s as z; the sum is the loss against `perfect`
+    # The gain per unit of a status's sensitivity and specificity, other statuses unchanged.
     rates: dict[str, tuple[float, float]]
-    error: float  # of each entry of `derivative` and `loss`, and of each rate, at most
-    sign: int = 1  # -1 where values are costs: a loss is what they are more
+    error: float  # bound for each entry of `derivative` and `loss`, and for each rate
+    sign: int = 1  # -1 if values are costs, so that a loss is a higher cost
 
     @property
     def marginal(self) -> Floats:
-        """(Z, Z) what each unit of probability moved from s read rightly to z loses."""
+        """(Z, Z) the loss per unit of probability moved from reading s correctly to reading z."""
         return self.sign * (np.diag(self.derivative)[:, None] - self.derivative)
 
     @property
     def by_status(self) -> dict[str, tuple[float, float]]:
-        """Loss by status: missed where present, and seen where absent.
+        """Loss by status: by missing it when present, and by seeing it when absent.
 
-        An error in which several statuses are misread counts for each of them in equal parts, so
-        that these, too, sum to the whole loss.
+        An error in which several statuses are misread is split equally between them, so that the
+        losses by status sum to the whole loss.
         """
+        # Bit k of s XOR z says whether status k is misread.
         number, shift = np.arange(len(self.loss)), np.arange(len(self.statuses))[::-1]
         wrong = (number[:, None] ^ number)[:, :, None] >> shift & 1
         share = wrong / np.maximum(wrong.sum(axis=2, keepdims=True), 1)
         split, present = self.loss[:, :, None] * share, number[:, None] >> shift & 1
-        sums = [
-            [float(split[present[:, bit] == there, :, bit].sum()) for there in (1, 0)]
-            for bit in range(len(shift))
-        ]
-        return {name: (lost, seen) for name, (lost, seen) in zip(self.statuses, sums, strict=True)}
+        losses = {}
+        for bit, name in enumerate(self.statuses):
+            missed = float(split[present[:, bit] == 1, :, bit].sum())
+            seen = float(split[present[:, bit] == 0, :, bit].sum())
+            losses[name] = missed, seen
+        return losses
 
     def frame(self) -> DataFrame:
-        """Return one row for each pair of statuses that is confused, the costliest first."""
-        form, loss, marginal = f"0{len(self.statuses)}b", self.loss, self.marginal
-        rows = [
-            (format(true, form), format(seen, form), loss[true, seen], marginal[true, seen])
-            for true, seen in np.ndindex(loss.shape)
-            if true != seen
-        ]
+        """Return one row for each pair of confused statuses, the costliest first."""
+        form, loss, marginal, rows = f"0{len(self.statuses)}b", self.loss, self.marginal, []
+        for true, seen in np.ndindex(loss.shape):
+            if true != seen:
+                names = format(true, form), format(seen, form)
+                rows.append((*names, loss[true, seen], marginal[true, seen]))
         unit = "reward" if self.sign > 0 else "cost"
-        names = ["true", "perceived", f"loss ({unit})", f"loss per unit of probability ({unit})"]
-        return data_frame(sorted(rows, key=lambda row: -row[2]), columns=names)
+        columns = ["true", "perceived", f"loss ({unit})", f"loss per unit of probability ({unit})"]
+        return data_frame(sorted(rows, key=lambda row: -row[2]), columns=columns)
 
     def report(self) -> Report:
-        """Return the value, what the errors of each status cost, and the costliest confusions."""
+        """Return the value, the loss by the errors of each status, and the costliest confusions."""
         names = ("missed", "seen", "by_sensitivity", "by_specificity")
         headings = ("missed", "seen wrongly", "per unit of sensitivity", "of specificity")
         each = {title: f"{name}:.4f" for title, name in zip(headings, names, strict=True)}
+        errors = {}
+        for status, lost in self.by_status.items():
+            errors[status] = dict(zip(names, (*lost, *self.rates[status]), strict=True))
         confusions = {"loss": self.loss, "marginal": self.marginal, "error_bound": self.error}
         return Report(
             title="errors of perception",
             facts={
                 "claim": Shown(self.value.claim),
                 "taken_as_true": self.value,
-                "errors": {
-                    status: dict(zip(names, (*lost, *self.rates[status]), strict=True))
-                    for status, lost in self.by_status.items()
-                },
+                "errors": errors,
                 "confusions": Shown(confusions),
             },
             tables={
@@ -130,7 +131,7 @@ class ErrorCosts(Pictured):
 
 
 def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCosts:
-    """Return which errors of perception cost a policy most, at the margin and in all.
+    """Compute the losses of a policy by errors of perception, in total and per unit.
 
     Parameters
     ----------
@@ -148,7 +149,7 @@ def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCo
     Raises
     ------
     ModelError
-        Where the model has no statuses, or the matrix does not fit them.
+        If the model has no statuses, or the matrix does not fit them.
 
     Examples
     --------
@@ -163,6 +164,8 @@ def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCo
     matrix = require_confusion_matrix(confusion, size=size, where="confusion matrix")
     matrix = matrix / matrix.sum(axis=1, keepdims=True)
     _check_actions(model)
+
+    # The policy under the perception, and with perfect perception; its action values by status.
     chosen = policy_of(model, policy)
     table = by_place(model, chosen.weights(model))  # by *perceived* status
     both = [evaluate(model, each) for each in (perceived(model, chosen, matrix), chosen)]
@@ -171,27 +174,33 @@ def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCo
         value = np.where(reached, each.value, 0.0)
         if not np.isfinite(value).all():
             raise ModelError(
-                "the policy may go on for ever, and what errors of perception cost is unknown",
+                "the policy may go on forever, so that the loss by errors of perception is unknown",
                 where=model.space.place(int(np.flatnonzero(~np.isfinite(value))[0])),
                 fix="give a discount below 1, or a number of steps",
             )
         doubt = max(doubt, float(each.error[reached].max()))
         ahead = np.abs(model.reward) + model.discount * (model.transition @ np.abs(value))
         largest = max(largest, float(ahead.max()))
-        # (P, Z, Z): what acting by z is worth in s
+        # (P, Z, Z): the value of acting on z in s, at each of P places.
         tables.append(by_place(model, model.backup(value)) @ table.transpose(0, 2, 1))
     by_seen, true_by_seen = tables
+
+    # The two formulas of the module's head.
     visits, regular = both[0].chain.discounted.visits, model.space.regular
     met, unsure = (x[:regular].reshape(-1, size) for x in (visits.value, visits.error))
     derivative = np.einsum("ps,psz->sz", met, by_seen)
     short = np.diagonal(true_by_seen, axis1=1, axis2=2)[:, :, None] - true_by_seen
-    sign = model.sign  # of costs, what is lost is what they are more
+    sign = model.sign
     loss = sign * matrix * np.einsum("ps,psz->sz", met, short)
-    # What is added to one number: outcomes, actions, places, then statuses true and perceived.
+
+    # Rounding: the terms of one number are outcomes, actions, places, and pairs of statuses.
     terms = int(np.diff(model.table.offsets).max()) + model.n_actions + len(met) + size**2 + 16
     off = doubt + float(gamma(terms)) * largest + TINY * terms
-    # Entries and their sums over a row are differences of two, each in parts that sum to 1.
+    # Entries, and their sums over a row, are differences of two weighted means.
     error = 2 * float(met.sum() * off + unsure.sum() * (largest + off)) * SLACK
+
+    # Sensitivity and specificity of one status: probability moves from each z to z with this bit
+    # flipped.
     names, number = status_names(model), np.arange(size)
     rates = {}
     for name, flip in zip(names, 1 << np.arange(len(names))[::-1], strict=True):

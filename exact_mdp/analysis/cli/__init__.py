@@ -22,7 +22,7 @@ from exact_mdp.analysis.cli.commands import HELP, Commands
 from exact_mdp.analysis.exit_status import REFUSED, end_process, print_message, run_command
 
 PROGRAM = "exact-mdp"
-COMPLETE = "_EXACT_MDP_COMPLETE"  # set by the shell's line that completes words
+COMPLETE = "_EXACT_MDP_COMPLETE"  # set by the shell when it completes words
 
 
 @click.group(
@@ -39,11 +39,13 @@ def cli() -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command, by default that of this process, and return its exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    if asked := os.environ.get(COMPLETE):
-        return shell_complete(cli, {}, PROGRAM, COMPLETE, asked)
+    completion = os.environ.get(COMPLETE)
+    if completion:
+        return shell_complete(cli, {}, PROGRAM, COMPLETE, completion)
     if words:
         status = run_command(cli, PROGRAM, words, on_error=_prepare_error_report(words))
-    else:  # a job whose command came out empty has no verdict, so this is no success
+    else:
+        # An empty command in a job has no verdict, so that it must not succeed.
         print_message(cli.get_help(click.Context(cli, info_name=PROGRAM, **cli.context_settings)))
         status = REFUSED
     if arguments is None:
@@ -52,15 +54,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _prepare_error_report(words: list[str]) -> Callable[[str], None] | None:
-    """Let the reports of a check say why it did not end: its JUnit file, GitHub's page of the run.
+    """Return a function that reports a failed check in its JUnit file and on GitHub's page.
 
-    The file says so from the start, so that no report of an earlier run stays, whatever happens to
-    this one.
+    The file states from the start that the check did not end, so that no report of an earlier run
+    remains if the process is killed.
     """
     if words[0] != "check" or not set(HELP).isdisjoint(words):
         return None
     named = re.findall("\0--junit[=\0]([^\0]+\\.xml)\0", "\0".join([*words, ""]), re.IGNORECASE)
-    junit = named[-1] if named and Path(named[-1]).parent.is_dir() else None
+    junit = None
+    if named and Path(named[-1]).parent.is_dir():
+        junit = named[-1]
     title = f"{PROGRAM} check"
     ci.write_error(
         junit, title, "the check did not end: the process was killed, or is still at work"

@@ -1,4 +1,4 @@
-"""The model that a command names, with what is asked of it: the options that commands share."""
+"""The options that commands share: the model, the question about it, and the policy."""
 
 from __future__ import annotations
 
@@ -25,36 +25,41 @@ from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.solvers.solver import Criterion, is_average, require_no_horizon
 from exact_mdp.solvers.values.policy_chain import policy_of
 
-OF_CARE = "gymnasium:icu_sepsis"  # a model of care that is no scenario
-ARRAYS = (".npy", ".npz", ".json")  # endings of files whose numbers are read as --kind says
+OF_CARE = "gymnasium:icu_sepsis"  # a model of care that is not a scenario
+ARRAYS = (".npy", ".npz", ".json")  # endings of files to which --kind applies
 QUESTION = ("reach", "until", "reward", "allowed", "minimize", "maximize", "start")
 
 
 def pose_question(mdp: MDP, *, asked: dict[str, Any]) -> MDP:
-    """Return the model whose optimal value answers what --reach, --until and others ask.
+    """Return the model whose optimal value answers the question of --reach, --until and others.
 
-    A probability is the greatest one unless the least is asked for, even where rewards are costs.
+    A probability is maximised unless --minimize is given, also in a model of costs.
     """
-    changes = {} if asked["start"] is None else {"start": asked["start"]}
+    changes = {}
+    if asked["start"] is not None:
+        changes["start"] = asked["start"]
     if asked["minimize"]:
         changes["sense"] = "min"
     elif asked["maximize"] or asked["reach"] is not None:
         changes["sense"] = "max"
-    mdp = mdp.with_(**changes) if changes else mdp
+    if changes:
+        mdp = mdp.with_(**changes)
     if asked["reach"] is not None:
         return mdp.reaching(asked["reach"], asked["allowed"])
-    return mdp if asked["until"] is None else mdp.until(asked["until"], asked["reward"])
+    if asked["until"] is not None:
+        return mdp.until(asked["until"], asked["reward"])
+    return mdp
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Given:
-    """The model that a command names, with what is asked of it; read when it is first needed.
+    """The model, question and policy that a command names; each is read when it is first needed.
 
     Parameters
     ----------
     model : MODEL
     has : sequence of str
-        Which of the others the command has.
+        The options that the command has.
     parameters : NAME, optional
         Vary only this parameter. Unless given, all that MODEL has.
     ranges : NAME=LOW:HIGH, optional
@@ -167,23 +172,29 @@ class Given:
 
     @cached_property
     def question(self) -> partial[MDP] | None:
-        """What makes the model of the question; None where there is none."""
+        """The function that makes the model of the question; None if no option asks one."""
         asked = {name: getattr(self, name) for name in QUESTION}
-        return partial(pose_question, asked=asked) if {*asked.values()} - {None, False} else None
+        if not {*asked.values()} - {None, False}:
+            return None
+        return partial(pose_question, asked=asked)
 
     @cached_property
     def asked(self) -> MDP:
-        """The model of the question, of episodes that go on whatever the horizon."""
-        return self.loaded.mdp if self.question is None else self.question(self.loaded.mdp)
+        """The model of the question, without the horizon."""
+        if self.question is None:
+            return self.loaded.mdp
+        return self.question(self.loaded.mdp)
 
     @cached_property
     def mdp(self) -> MDP:
-        """The model of the question, of episodes that stop at the horizon."""
-        return self.asked if self.horizon is None else self.asked.within(self.horizon)
+        """The model of the question, whose episodes stop at the horizon."""
+        if self.horizon is None:
+            return self.asked
+        return self.asked.within(self.horizon)
 
     @cached_property
     def family(self) -> Parametric:
-        """The model with its parameters; what is compiled already stays so."""
+        """The model with its parameters; a compiled scenario is not compiled again."""
         scenario = self.loaded.scenario
         if scenario is None:
             return parametric(self.mdp)
@@ -196,7 +207,10 @@ class Given:
 
     @cached_property
     def taken(self) -> Any:
-        """The policy that was named; "optimal" where it is to be re-optimised, None without one."""
+        """The policy that was named; None without one.
+
+        "optimal" stays a word if parameters vary, as the policy is then re-optimised.
+        """
         if "policy" not in self.has or (self.policy or self.perception) is None:
             return None
         form = self.policy or "optimal"
@@ -206,13 +220,15 @@ class Given:
 
     @property
     def fixed(self) -> Any:
-        """The policy held fixed, the optimum unless one was named."""
-        return "optimal" if self.taken is None else self.taken
+        """The policy held fixed, by default the optimum."""
+        if self.taken is None:
+            return "optimal"
+        return self.taken
 
     def policy_from(self, form: str) -> Policy:
-        """Return the policy that a text names, acting on what is perceived where that is given.
+        """Return the policy that a text names; with --perception, acting on perceived states.
 
-        Under a perception the optimum is that of whoever sees the truth.
+        "optimal" is the optimum for the true states, also under a perception.
         """
         if self.kind != "auto" and Path(form).suffix.lower() not in ARRAYS:
             what = f"--kind says what an array in a file is, and {form!r} is none"
@@ -224,7 +240,7 @@ class Given:
         return replace(seeing.perceived(self.mdp, policy, matrix), source=policy.source)
 
     def in_words(self) -> str | None:
-        """Return the question in words; None where no option asks one."""
+        """Return the question in words; None if no option asks one."""
         best = "least" if self.asked.sense == "min" else "greatest"
         if self.reach is not None:
             through = f" through {self.allowed}" if self.allowed else ""
@@ -240,13 +256,14 @@ class Given:
         return f"{best} expected {'costs' if costs else 'rewards'}"
 
     def _describe_sense(self) -> Shown:
-        """Return the sense; people read it where costs count, which nothing else may say."""
-        costs = self.mdp.sense == "min" and self.reach is None
-        return Shown(self.mdp.sense, "min: costs are minimised" if costs else None)
+        """Return the sense, shown to people only if costs are minimised."""
+        if self.mdp.sense == "min" and self.reach is None:
+            return Shown(self.mdp.sense, "min: costs are minimised")
+        return Shown(self.mdp.sense, None)
 
     @cached_property
     def head(self) -> dict[str, Any]:
-        """How a report begins; what a policy was read as comes first."""
+        """The facts at the beginning of a report: the model, the question and the policy."""
         has, head = self.has, dict[str, Any](model=self.loaded.name)
         if "reach" in has:
             head |= {"sense": self._describe_sense(), "question": self.in_words()}
@@ -255,27 +272,33 @@ class Given:
         if "criterion" in has:
             average = "reward per step" if is_average(self.criterion) else None
             head["criterion"] = Shown(self.criterion, average)
-        if "kind" in has and (taken := self.taken) is not None:
-            read = (
-                "policy" if isinstance(taken, str) else Shown(taken.read_as, taken.source or None)
-            )
+        if "kind" in has and self.taken is not None:
+            # How the policy was read comes first.
+            read: Any = "policy"
+            if not isinstance(self.taken, str):
+                read = Shown(self.taken.read_as, self.taken.source or None)
             head = {"read_as": read} | head | {"policy": self.policy}
         if "perception" in has:
             path = self.perception
             head["perception"] = Shown(path, path and f"{path}, which the policy acts on")
         head["discount"] = self.mdp.discount
         if "horizon" in has:
-            steps = self.horizon
-            head["horizon"] = Shown(steps, None if steps is None else f"{steps:,} steps")
+            text = None
+            if self.horizon is not None:
+                text = f"{self.horizon:,} steps"
+            head["horizon"] = Shown(self.horizon, text)
         return head
 
     def complete_report(self, report: Report, **more: Any) -> Report:
-        """Return what was found, after what was asked; `more` are facts that stand between."""
+        """Return a report that begins with the question, then `more` facts, then the results."""
         facts = {**self.head, **more, **report.facts}
-        stops = "horizon" in self.has and not is_average(self.criterion)
-        in_python = describe_time_limit(self.mdp, "horizon={}" * stops)
-        notes = [each for each in report.notes if each not in in_python]
-        notes += describe_time_limit(self.mdp, "--horizon {}" * stops)
+        # A note on the time limit names the option of the command, not that of Python.
+        in_python = on_command_line = ""
+        if "horizon" in self.has and not is_average(self.criterion):
+            in_python, on_command_line = "horizon={}", "--horizon {}"
+        replaced = describe_time_limit(self.mdp, in_python)
+        notes = [each for each in report.notes if each not in replaced]
+        notes += describe_time_limit(self.mdp, on_command_line)
         return replace(report, facts=facts, notes=(*notes, *list_advice(self.loaded)))
 
     def format_record(self, solver: str, seed: int | None = None) -> str:
@@ -289,7 +312,7 @@ class Given:
     def save_report(
         self, report: Report, out: str | None, name: str, made: tuple[str, int], *also: Path
     ) -> Report:
-        """Write a report and its record (solver and seed) into a folder that holds `also`."""
+        """Write a report and its record into a folder with the files `also`."""
         if out is None:
             return report
         paths = [Path(out, name), *also, Path(out, "run.json")]
@@ -300,6 +323,8 @@ class Given:
 
 
 def list_advice(loaded: Loaded) -> tuple[str, ...]:
-    """Return the note on models of care, and on models from records; nothing on others."""
+    """Return the advice for models of care and models from records; nothing for others."""
     care = loaded.scenario is not None or loaded.name.startswith(OF_CARE)
-    return (ADVICE,) * (care or loaded.mdp.observations is not None)
+    if care or loaded.mdp.observations is not None:
+        return (ADVICE,)
+    return ()

@@ -1,6 +1,6 @@
-"""How a command prints a report: as text, as Markdown, or as JSON.
+"""Printing of reports: as text, as Markdown, or as JSON.
 
-Text never has colours or cut-off cells: what is too wide wraps.
+Text has no colours and no cut-off cells: wide cells wrap.
 """
 
 from __future__ import annotations
@@ -24,10 +24,16 @@ def print_report(report: Report, *, as_json: bool, as_markdown: bool) -> None:
         if note != ADVICE:
             print(f"note: {note}", file=sys.stderr)
     if as_json or as_markdown:
-        notice = {"notice": ADVICE} if ADVICE in report.notes else {}
-        printed = report.json(**notice) if as_json else format_report_markdown(report)
-        # "##[" in a name would begin a command to a runner.
-        print(printed.replace("##[", "##\\u005b") if ci.is_github_actions() else printed)
+        if as_markdown:
+            printed = format_report_markdown(report)
+        elif ADVICE in report.notes:
+            printed = report.json(notice=ADVICE)
+        else:
+            printed = report.json()
+        # "##[" in a name would begin a command to GitHub's runner.
+        if ci.is_github_actions():
+            printed = printed.replace("##[", "##\\u005b")
+        print(printed)
     else:
         for line in format_report_text(report).splitlines():
             print(ci.defuse_line(line.rstrip()))
@@ -60,14 +66,16 @@ def format_report_text(report: Report) -> str:
 
 
 def format_report_markdown(report: Report) -> str:
-    """Return facts and tables as Markdown; no name in them is read as markup."""
+    """Return facts and tables as Markdown, with all names escaped."""
     facts = [[*each] for each in report.lines().items()]
     parts = [
         f"## {_escape_markdown(report.title)}\n",
         _format_pipe_table(["", ""], [False, False], facts),
     ]
     for each in report.shown_tables():
-        note = f"{_escape_markdown(each.note)}\n\n" if each.note else ""
+        note = ""
+        if each.note:
+            note = f"{_escape_markdown(each.note)}\n\n"
         grid = _format_pipe_table(list(each.columns), each.numeric(), each.cells())
         parts.append(f"### {_escape_markdown(each.heading())}\n\n{note}{grid}")
     parts += [f"Note: {_escape_markdown(note)}\n" for note in report.notes]
@@ -83,12 +91,12 @@ def _format_pipe_table(
 
 
 def _escape_markdown(said: str) -> str:
-    """Return a text that Markdown shows as it is, on one line."""
+    """Return a text on one line, with Markdown's special characters escaped."""
     return re.sub(r"([\\`*_\[\]<>|~$&#])", r"\\\1", shown_text(said))
 
 
 def _to_console_text(said: str) -> Any:
-    """Return a text as it is: the name of a file may hold what steers a terminal."""
+    """Return a text without control sequences, which the name of a file may contain."""
     from rich import text
 
     return text.Text(shown_text(said, lines=True), overflow="fold")

@@ -1,4 +1,4 @@
-"""What the words of options mean: numbers, pairs, settings, limits, files to write."""
+"""Parsers of option values: numbers, pairs, settings, limits, and files to write."""
 
 from __future__ import annotations
 
@@ -22,19 +22,21 @@ def refuse_options(options: Mapping[str, Any], of: str, fix: str = "leave it out
 
 
 def list_command_words() -> list[str]:
-    """Return the words of this command."""
+    """Return the words of the command that runs, without the program's name."""
     context = click.get_current_context(silent=True)
-    return [] if context is None else list(context.find_root().obj or ())
+    if context is None:
+        return []
+    return list(context.find_root().obj or ())
 
 
 def limits_from(texts: Sequence[str]) -> dict[str, list[str]]:
-    """Return what --subject-to says, as `solve` takes it."""
+    """Return the limits of --subject-to, as `solve` takes them."""
     limits: dict[str, list[str]] = {}
     for text in texts:
         name, *limit = re.split("(>=|<=)", text, maxsplit=1)
         if not limit:
             raise ModelError(
-                f"{text!r} is no limit",
+                f"{text!r} is not a limit",
                 where="--subject-to",
                 fix='write "NAME >= -1/2" or "NAME <= 1/20"',
             )
@@ -43,7 +45,7 @@ def limits_from(texts: Sequence[str]) -> dict[str, list[str]]:
 
 
 def parse_whole_number(text: str, where: str) -> int:
-    """Return the whole number from 0 up that a text states."""
+    """Return the nonnegative whole number in a text."""
     number = exact(text, where)
     if number.denominator != 1 or number < 0:
         raise ModelError(f"{text} is not a whole number from 0", where=where, fix="round it")
@@ -51,7 +53,7 @@ def parse_whole_number(text: str, where: str) -> int:
 
 
 def pairs_of(texts: Sequence[str], option: str, form: str = "NAME=VALUE") -> dict[str, str]:
-    """Return what NAME=VALUE texts say."""
+    """Return the values of NAME=VALUE texts by name."""
     pairs = {}
     for text in texts:
         name, equals, value = text.partition("=")
@@ -62,10 +64,14 @@ def pairs_of(texts: Sequence[str], option: str, form: str = "NAME=VALUE") -> dic
 
 
 def _parse_parts(text: str, _: str) -> Any:
-    return text if text == "known" else tuple(each.strip() for each in text.split(","))
+    """Return the parts of a text between commas, or the word "known"."""
+    if text == "known":
+        return text
+    return tuple(each.strip() for each in text.split(","))
 
 
-READ: dict[str, Callable[[str, str], Any]] = {  # by the beginning of a field's type
+# The parser of a dataclass's field, by the first word of its type.
+READ: dict[str, Callable[[str, str], Any]] = {
     **dict.fromkeys(("int", "RNG"), parse_whole_number),
     **dict.fromkeys(("float", "Schedule"), float_of),
     **dict.fromkeys(("tuple", "Ends", "Given"), _parse_parts),
@@ -76,7 +82,7 @@ READ: dict[str, Callable[[str, str], Any]] = {  # by the beginning of a field's 
 
 
 def settings_of(kind: type, texts: Sequence[str], option: str) -> dict[str, Any]:
-    """Return the fields of a dataclass that NAME=VALUE texts state, each as its type says.
+    """Return the fields of a dataclass given by NAME=VALUE texts, parsed by their types.
 
     NAME.PART=VALUE is one entry of a mapping.
     """
@@ -89,14 +95,15 @@ def settings_of(kind: type, texts: Sequence[str], option: str) -> dict[str, Any]
             raise ModelError(what, where=option, fix=suggest_name(key, types))
         if types[key] == "Mapping":
             settings[key] = settings.get(key, {}) | {part: text}
+        elif types[key] in READ:
+            settings[key] = READ[types[key]](text, f"{option} {name}")
         else:
-            read = READ.get(types[key])
-            settings[key] = read(text, f"{option} {name}") if read else text
+            settings[key] = text
     return settings
 
 
 def check_outputs(files: Iterable[tuple[str, Sequence[str]]]) -> None:
-    """Raise ModelError, before any work, where a file (path, allowed endings) cannot be written."""
+    """Raise ModelError if a file (path, allowed endings) cannot be written; called before work."""
     for name, endings in files:
         path = Path(name)
         if path.suffix.lower() not in endings:

@@ -1,14 +1,15 @@
-"""The exact front of two or three expected totals: what policies attain, and at what exchange rate.
+"""The exact Pareto front of two or three expected totals, with the rates of exchange along it.
 
-The totals that policies, mixed ones too, attain at the start are a polytope. Its Pareto front has
-finitely many vertices v, each the totals of a deterministic policy, and
+The expected totals of all policies, also mixed ones, are a polytope. Its Pareto front has finitely
+many vertices v, each the totals of a deterministic policy, and
 
     H(w) = max over policies of w · totals = max over vertices of w · v,   w ≥ 0, Σ w = 1.
 
-The vertices known so far give h ≤ H, linear on cells of weights. At each corner of a cell the model
-is solved with these weights: either H = h there, which a dual vector of values proves, or a new
-vertex is found. When H = h at all corners, H = h (H is convex), and each corner between vertices is
-the normal of an edge or facet. With two totals this is the dichotomic scheme of Aneja and Nair,
+The maximum h over the vertices known so far is a lower bound of H, linear on cells of weights. At
+each corner of a cell the model is solved with these weights: either H = h there, which a dual
+vector of values proves, or a new vertex is found. If H = h at all corners, then H = h everywhere,
+as H is convex, and each corner between vertices is the normal of an edge or facet. With two totals
+this is the dichotomic scheme of Aneja and Nair,
 Management Science 25, 1979; with three that of Przybylski, Gandibleux and Ehrgott, INFORMS Journal
 on Computing 22, 2010.
 """
@@ -50,15 +51,18 @@ from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import flow_of
 
 Weights = tuple[int, ...]
-LONGEST = 200  # states that lead to each other: a front of two totals takes a minute or two
+
+# The largest strongly connected component, in states: a front of two totals then takes a minute or
+# two, as its fractions become very long.
+LONGEST = 200
 
 
 @dataclass(frozen=True, kw_only=True)
 class Edge:
-    """Two neighbouring vertices, by number, and what one total costs of another between them.
+    """Two neighbouring vertices, by number, and the rate of exchange between them.
 
-    With two totals, `rate` is how much of the second one point of the first costs; with three, the
-    change for each point by which the first that differs rises.
+    With two totals, `rate` is the loss in the second per unit gained in the first; with three, it
+    is the change of all totals per unit gained in the first total that differs.
     """
 
     start: int
@@ -69,7 +73,7 @@ class Edge:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Corner:
-    """Weights of the totals, values that no policy exceeds, and the best vertices, by number."""
+    """Weights of the totals, values that no policy exceeds, and the optimal vertices, by number."""
 
     weights: Point
     dual: Level
@@ -80,8 +84,8 @@ class Corner:
 class Front(TotalsProof, Pictured):
     """The exact Pareto front of expected totals from the start, and its proof."""
 
-    attained: tuple[Attained, ...]  # a policy for each vertex, by rising first total
-    corners: tuple[Corner, ...]  # weights at which the best vertex changes
+    attained: tuple[Attained, ...]  # a policy for each vertex, in ascending order of totals
+    corners: tuple[Corner, ...]  # weights at which the optimal vertex changes
 
     kinds: ClassVar[tuple[str, ...]] = ("front",)
 
@@ -92,12 +96,12 @@ class Front(TotalsProof, Pictured):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What the totals are called."""
+        """The names of the totals."""
         return self.of.names
 
     @property
     def vertices(self) -> list[Point]:
-        """The totals of each vertex, by name in the order of `names`."""
+        """The totals of each vertex, in the order of `names`."""
         sign = self.of.sign
         return [tuple(sign * value for value in a.total) for a in self.attained]
 
@@ -110,29 +114,35 @@ class Front(TotalsProof, Pictured):
     def edges(self) -> list[Edge]:
         """The edges between neighbouring vertices."""
         vertices, edges, two = self.vertices, list[Edge](), len(self.names) == 2
-        shared = Counter(both for c in self.corners for both in combinations(c.best, 2))
+        # Two vertices are neighbours if they are optimal together at a corner; with three totals,
+        # at two corners, the ends of a line of weights.
+        shared = Counter[tuple[int, int]]()
+        for corner in self.corners:
+            shared.update(combinations(corner.best, 2))
         for (i, j), corners in sorted(shared.items()):
-            if two or corners > 1:
-                change = tuple(b - a for a, b in zip(vertices[i], vertices[j], strict=True))
-                first = next(abs(step) for step in change if step)
-                rate = abs(change[1]) / first if two else tuple(step / first for step in change)
-                edges.append(Edge(start=i, end=j, change=change, rate=rate))
+            if not two and corners == 1:
+                continue
+            change = tuple(b - a for a, b in zip(vertices[i], vertices[j], strict=True))
+            first = next(abs(step) for step in change if step)
+            rate: Fraction | Point = tuple(step / first for step in change)
+            if two:
+                rate = abs(change[1]) / first
+            edges.append(Edge(start=i, end=j, change=change, rate=rate))
         return edges
 
     @property
     def facets(self) -> list[tuple[Point, tuple[int, ...]]]:
-        """Weights, all positive, with the vertices that are optimal for them: one for each name."""
+        """Positive weights at which as many vertices are optimal as there are totals, with them."""
         size = len(self.names)
         return [(c.weights, c.best) for c in self.corners if len(c.best) >= size and all(c.weights)]
 
     def totals(self, policy: PolicyLike) -> Point:
-        """Return the exact totals of a policy, mixed ones too, from the start."""
-        return tuple(
-            self.of.sign * value for value in flow_of(self.of, policy).compute_totals(self.of)
-        )
+        """Return the exact totals of a policy from the start; it may be mixed."""
+        totals = flow_of(self.of, policy).compute_totals(self.of)
+        return tuple(self.of.sign * value for value in totals)
 
     def distance(self, policy: PolicyLike) -> Fraction:
-        """Return by how much all totals of a policy could be better at once: 0 on the front.
+        """Return how much better all totals of a policy could be at once; 0 on the front.
 
         It is the least H(w) - w · totals over the corners w, whose weights sum to 1.
         """
@@ -193,7 +203,7 @@ class Front(TotalsProof, Pictured):
         return Report(title="front", facts=facts, tables=tables)
 
     def frame(self) -> DataFrame:
-        """Return the vertices, one in each row, and what the step from the one before costs."""
+        """Return one row for each vertex, with the rate of exchange from the vertex before."""
         frame = data_frame(self.vertices, columns=list(self.names))
         if len(self.names) == 2:
             name = "rate of exchange" if "rate" in self.names else "rate"
@@ -210,10 +220,10 @@ def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
     Parameters
     ----------
     model : MDP or Scenario
-        With a discount below 1, or at discount 1 where every policy ends.
+        With a discount below 1, or with discount 1 if every policy ends.
     names : sequence of str
-        Two or three of: a component of the reward, `steps`, an event, a label that is not left
-        again (its probability), or a sum such as `name=2*a-b`.
+        Two or three of: a component of the reward, `steps`, an event, the probability of a label
+        that is never left, or a sum such as `name=2*a-b`.
 
     Returns
     -------
@@ -222,8 +232,8 @@ def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
     Raises
     ------
     ModelError
-        For a total that is infinite under some policy, and where more than 200 states lead to each
-        other, as the fractions of a front are then very long.
+        If a total is infinite under some policy, or if more than 200 states form a cycle, as the
+        fractions of a front are then very long.
 
     Examples
     --------
@@ -244,31 +254,33 @@ def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
     longest = int(np.bincount(strong_components(moves)).max())
     if longest > LONGEST:
         raise ModelError(
-            f"{longest:,} states lead to each other, and the fractions of a front are very long "
-            "then",
+            f"{longest:,} states lead to each other, which makes the fractions of a front very "
+            "long",
             where="tradeoff",
             fix="stop after N steps (horizon), or ask for one optimum under limits (subject_to)",
         )
+
+    # Solve the model at every corner, which adds vertices and corners, until none is left.
     search = _FrontSearch(of)
     while missing := search.list_corners() - search.best.keys():
         search.explore_weights(min(missing))
     order = sorted(search.vertices, key=lambda a: tuple(of.sign * v for v in a.total))
 
-    def corner(weights: Weights) -> Corner:
+    def make_corner(weights: Weights) -> Corner:
         best, shares = search.best[weights], tuple(Fraction(w, sum(weights)) for w in weights)
         lead = [weigh_values(shares, best.total) - weigh_values(shares, a.total) for a in order]
         tight = tuple(i for i, short in enumerate(lead) if not short)
         return Corner(weights=shares, dual=combine_levels(best.values, shares), best=tight)
 
-    corners = sorted(map(corner, search.list_corners()), key=lambda corner: corner.weights)
+    corners = sorted(map(make_corner, search.list_corners()), key=lambda corner: corner.weights)
     return Front(attained=tuple(order), corners=tuple(corners), **list_proof_fields(of, "front"))
 
 
 class _FrontSearch:
-    """The vertices found, and the cell of weights for which each is the best.
+    """The vertices found so far, each with the cell of weights for which it is optimal.
 
-    Weights are whole numbers without a common divisor. `best` has an optimal policy for each of the
-    weights that were looked at.
+    Weights are whole numbers without a common divisor. `best` holds an optimal policy for all
+    weights at which the model was solved.
     """
 
     def __init__(self, of: Objectives):
@@ -280,11 +292,12 @@ class _FrontSearch:
         self.best: dict[Weights, Attained] = {}
 
     def list_corners(self) -> set[Weights]:
-        """Return the corners of all cells, to begin with those of all weights."""
-        return {w for cell in self.cells for w in cell} or set(self.simplex)
+        """Return the corners of all cells, or at the beginning of the simplex of weights."""
+        corners = set[Weights]().union(*self.cells)
+        return corners or set(self.simplex)
 
     def explore_weights(self, weights: Weights) -> None:
-        """Keep an optimal policy for weights, and as a vertex where it is a new one."""
+        """Find an optimal policy for some weights; if its totals are new, add them as a vertex."""
         known = max(self.vertices, key=lambda a: weigh_values(weights, a.total), default=None)
         if known is not None and known.is_optimal(self.of, weights):
             self.best[weights] = known
@@ -295,6 +308,7 @@ class _FrontSearch:
             self._add_vertex(new)
 
     def _add_vertex(self, new: Attained) -> None:
+        """Add a vertex, and cut its cell out of the cells of the others."""
         cell = self.simplex
         for number, other in enumerate(self.vertices):
             ahead, _ = to_common_denominator(
@@ -308,13 +322,14 @@ class _FrontSearch:
 
 
 def _clip_polygon(polygon: list[Weights], normal: Sequence[int]) -> list[Weights]:
-    """Return the part of a convex polygon where normal · w ≥ 0 (Sutherland and Hodgman, 1974)."""
+    """Return the part of a convex polygon with normal · w ≥ 0 (Sutherland and Hodgman, 1974)."""
     side = [sum(map(mul, point, normal)) for point in polygon]
     if min(side, default=0) >= 0:
         return polygon
     inside: list[Weights] = []
     for i, (point, here) in enumerate(zip(polygon, side, strict=True)):
         before, there = polygon[i - 1], side[i - 1]
+        # An edge that crosses the line is cut at the point that divides it by the two distances.
         if (here > 0) != (there > 0) and here and there:
             between = [abs(here) * a + abs(there) * b for a, b in zip(before, point, strict=True)]
             shared = gcd(*between)

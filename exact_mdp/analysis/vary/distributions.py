@@ -1,6 +1,7 @@
-"""Distributions of uncertain parameters: by mean and spread, by their usual numbers, or a sample.
+"""Distributions of uncertain parameters: by mean and spread, by their own numbers, or a sample.
 
-A parameter, or all parameters whose names begin alike, has one of these distributions:
+A parameter, or all parameters with a common beginning of their names, has one of these
+distributions:
 
     beta          mean with effective_sample_size n, or sd, or relative_sd; or alpha, beta
     dirichlet     the probabilities of one row: effective_sample_size n; or alpha, a list
@@ -10,12 +11,12 @@ A parameter, or all parameters whose names begin alike, has one of these distrib
     uniform       mean with sd or relative_sd; or low, high
     triangular    mean with sd or relative_sd, symmetric; or low, mode, high
 
-The mean is today's value unless it is given. Without a named distribution, a probability (from 0
-to 1) is beta, a number that may not be negative is gamma, and any other number is normal. A
-probability with mean m that rests on n observations is Beta(m n, (1 - m) n), of variance
-m (1 - m) / (n + 1); probabilities of one row are Dirichlet with the same n (Briggs, Weinstein,
-Fenwick et al., Medical Decision Making 32, 2012). Probabilities without a statement rest on 100
-observations; other parameters without a statement, and the discount, do not vary. A TOML file:
+The mean is today's value by default. Without a named distribution, a probability (from 0 to 1) is
+beta, a number that may not be negative is gamma, and any other number is normal. A probability with
+mean m that rests on n observations is Beta(m n, (1 - m) n), of variance m (1 - m) / (n + 1);
+probabilities of one row are Dirichlet with the same n (Briggs, Weinstein, Fenwick et al., Medical
+Decision Making 32, 2012). Probabilities for which nothing is stated rest on 100 observations; other
+parameters for which nothing is stated, and the discount, do not vary. A TOML file:
 
     [default]
     effective_sample_size = 100
@@ -31,8 +32,9 @@ observations; other parameters without a statement, and the discount, do not var
     [influence]
     fixed = true
 
-Every part draws from a stream of its own, which its name decides, so adding one does not change the
-draws of the others. Correlated parameters are given as a table of draws with a column for each.
+Every part draws from a random stream of its own, seeded by its name, so that adding a part does not
+change the draws of the others. Correlated parameters are given as a table of draws, with a column
+for each.
 """
 
 from __future__ import annotations
@@ -73,15 +75,16 @@ from exact_mdp.mdp.table import Floats, float_of
 Numbers = tuple[float, ...]
 Settings = Mapping[str, object]
 
-EFFECTIVE_SAMPLE_SIZE = 100.0  # where nothing is stated: an assumption, which results name
+# The default effective sample size of probabilities: an assumption, which results name.
+EFFECTIVE_SAMPLE_SIZE = 100.0
 SIZE, SPREAD, DEFAULT = "effective_sample_size", "relative_sd", "default"
-WITHIN = {  # what floats can draw from
+WITHIN = {  # ranges in which draws in floating point are sound
     SIZE: ("effective sample size", 1e-6, 1e15),
     SPREAD: ("relative standard deviation", 1e-9, 1e3),
     "sd": ("standard deviation", 1e-9, 1e3),  # times the mean
 }
 SAMPLE = "a sample as a pandas.DataFrame: a column for each parameter, a row for each draw"
-MOST_ROWS = 2000  # random ones; a draw of so many takes half a second
+MOST_ROWS = 2000  # random rows of a model; a draw of so many takes half a second
 
 
 def _fit_beta(mean: float, size: float) -> Numbers:
@@ -97,13 +100,13 @@ def _fit_lognormal(mean: float, sd: float) -> Numbers:
 
 @dataclass(frozen=True)
 class Kind:
-    """A distribution: its own numbers, when they make one, mean and sd of them, them of these."""
+    """A family of distributions, described by its own numbers or by mean and sd."""
 
-    own: tuple[str, ...]
-    sound: Callable[..., bool]
-    moments: Callable[..., Numbers]
-    of_moments: Callable[[float, float], Numbers]
-    needs: str
+    own: tuple[str, ...]  # names of its own numbers
+    sound: Callable[..., bool]  # whether such numbers make a distribution
+    moments: Callable[..., Numbers]  # from its own numbers to mean and sd
+    of_moments: Callable[[float, float], Numbers]  # from mean and sd to its own numbers
+    needs: str  # the condition, in words
 
 
 KINDS = {
@@ -160,9 +163,9 @@ EVERY = (*KINDS, "dirichlet")
 MOMENTS = ("mean", "sd", SPREAD, SIZE)
 NUMBERS = {*MOMENTS, *(name for kind in KINDS.values() for name in kind.own)}
 SETTINGS = (*sorted(NUMBERS), "distribution", "fixed")
-ELSEWHERE = {  # settings and distributions by other names, and what says the same here
-    "se": "state sd: the standard error of an estimate is the sd of what is drawn",
-    "sem": "state sd: the standard error of an estimate is the sd of what is drawn",
+ELSEWHERE = {  # other names of settings and distributions, each with the remedy
+    "se": "state sd: the standard error of an estimate is the sd of its distribution",
+    "sem": "state sd: the standard error of an estimate is the sd of its distribution",
     "std": "state sd",
     "variance": "state sd, its square root",
     "rate": "state scale, which is 1/rate",
@@ -181,18 +184,18 @@ class Uncertain:
     Attributes
     ----------
     names : tuple of k str
-        One name; for a Dirichlet all that share a row, what is left of the row going unnamed.
+        One name; for a Dirichlet the named probabilities of a row, without the remaining one.
     kind : str
         A distribution, or "sample".
     numbers : tuple of float
-        Its own, in the order of `KINDS`; k + 1 concentrations of a Dirichlet.
+        Its own numbers, in the order of `KINDS`; for a Dirichlet k + 1 concentrations.
     mean, sd : tuple of k float
     label : str
     """
 
-    names: tuple[str, ...]  # (k,) one; of a Dirichlet those of a row but the rest, which has none
-    kind: str  # or "sample"
-    numbers: Numbers  # its own, in the order of `KINDS`; k + 1 concentrations of a Dirichlet
+    names: tuple[str, ...]  # (k,)
+    kind: str
+    numbers: Numbers
     mean: Numbers  # (k,)
     sd: Numbers
     label: str
@@ -203,10 +206,12 @@ class Uncertain:
 
         Parameters
         ----------
-        name, kind : str
-            Of the parameter, and of the distribution.
+        name : str
+            The parameter.
+        kind : str
+            The distribution.
         **said
-            As at the top of `analysis.vary.distributions`.
+            The numbers, as listed at the top of `analysis.vary.distributions`.
 
         Returns
         -------
@@ -219,26 +224,34 @@ class Uncertain:
         """
         where = f"distribution of {name}"
         law = KINDS[require_known_name(kind, KINDS, "distribution", where)]
-        by_own = kind != "normal" and set(said) == {*law.own}
-        numbers = tuple(said[n] for n in law.own) if by_own else _of_moments(kind, said, where)
+        # A normal distribution's own numbers are its moments.
+        if kind != "normal" and set(said) == {*law.own}:
+            numbers = tuple(said[name] for name in law.own)
+        else:
+            numbers = _of_moments(kind, said, where)
         if not (all(map(math.isfinite, numbers)) and law.sound(*numbers)):
             stated = ", ".join(f"{each} = {number:g}" for each, number in said.items())
             raise ModelError(f"a {kind} with {stated}", where=where, fix=f"give {law.needs}")
+        # Moments that were given are kept as they are, without the rounding of a conversion.
         mean, sd = law.moments(*numbers)
-        mean = said.get("mean", mean)  # as they were said, not as they come back
-        sd = said.get("sd", abs(mean) * said[SPREAD] if SPREAD in said else sd)
+        mean = said.get("mean", mean)
+        if "sd" in said:
+            sd = said["sd"]
+        elif SPREAD in said:
+            sd = abs(mean) * said[SPREAD]
         return cls(names=(name,), kind=kind, numbers=numbers, mean=(mean,), sd=(sd,), label=name)
 
     @classmethod
     def of_row(cls, label: str, names: Sequence[str], counts: Sequence[float]) -> Uncertain:
-        """Return a Dirichlet of the named probabilities of a row; the last count is the rest's.
+        """Return the Dirichlet distribution of the named probabilities of a row.
 
         Parameters
         ----------
         label : str
-            Of the row.
+            The row.
         names : sequence of k str
         counts : sequence of k + 1 numbers
+            The concentrations; the last one is for the remaining probability.
 
         Returns
         -------
@@ -252,9 +265,10 @@ class Uncertain:
         where, row, (_, least, most) = f"distribution of {label}", tuple(names), WITHIN[SIZE]
         if len(counts) != len(names) + 1:
             raise ModelError(
-                f"{len(counts)} concentrations for {len(names)} probabilities and what they leave",
+                f"{len(counts)} concentrations for {len(names)} probabilities and the remaining "
+                "one",
                 where=where,
-                fix="give one for each, and one more for the rest of the row",
+                fix="give one for each, and one more for the remaining probability of the row",
             )
         if not all(count > 0 and least <= sum(counts) <= most for count in counts):
             what = f"concentrations {', '.join(f'{count:g}' for count in counts)}"
@@ -267,18 +281,22 @@ class Uncertain:
 
     @property
     def size(self) -> float | None:
-        """Effective sample size of a beta or Dirichlet; of others the relative spread."""
+        """Effective sample size of a beta or Dirichlet; for others the relative spread."""
         if self.kind in ("beta", "dirichlet"):
             return math.fsum(self.numbers)
-        return self.sd[0] / abs(self.mean[0]) if self.mean[0] else None
+        if not self.mean[0]:
+            return None
+        return self.sd[0] / abs(self.mean[0])
 
     def draw(self, sequence: SeedSequence, count: int) -> Floats:
-        """Return (count, k) draws; the same ones for the same seed."""
+        """Return the draws (count, k); the same seed gives the same draws."""
+        # The stream depends on the seed and on the names, not on other parts.
         own = (*sequence.spawn_key, crc32(" ".join(self.names).encode()))
         rng = np.random.default_rng(SeedSequence(sequence.entropy, spawn_key=own))
         if self.kind == "dirichlet":
             shares: Floats = rng.dirichlet(self.numbers, size=count)[:, :-1]
-            units = shares.shape[1] * 2.0**-52  # twice what rounding may add to a sum of 1
+            # Rounding may lift a sum above 1: scale such rows down, by twice its error bound.
+            units = shares.shape[1] * 2.0**-52
             shares[shares.sum(axis=1) > 1 - units] *= 1 - 2 * units
             return shares
         if self.kind == "gamma":
@@ -289,27 +307,34 @@ class Uncertain:
 
 
 def _of_moments(kind: str, said: Mapping[str, float], where: str) -> Numbers:
-    """Return the own numbers of a distribution by its mean and spread."""
-    ways = ["sd", SPREAD, SIZE] if kind == "beta" else ["sd", SPREAD]
+    """Return the own numbers of a distribution, from its mean and one measure of spread."""
+    ways = ["sd", SPREAD]
+    if kind == "beta":
+        ways.append(SIZE)
     spreads = [name for name in ways if name in said]
     if "mean" not in said or len(spreads) != 1 or len(said) != 2:
-        own = "" if kind == "normal" else f"; or {', '.join(KINDS[kind].own)} alone"
-        fix = f"state a mean and one of {', '.join(ways)}{own}"
+        fix = f"state a mean and one of {', '.join(ways)}"
+        if kind != "normal":
+            fix += f"; or {', '.join(KINDS[kind].own)} alone"
         raise ModelError(f"a {kind} with {', '.join(said) or 'no spread'}", where=where, fix=fix)
     mean, (spread,) = said["mean"], spreads
     if not math.isfinite(mean) or (spread == SPREAD and not mean):
-        what = f"a {'relative ' * (spread == SPREAD)}spread around {mean:g}"
+        noun = "relative spread" if spread == SPREAD else "spread"
+        what = f"a {noun} around {mean:g}"
         raise ModelError(what, where=where, fix="state a finite mean, and around 0 an sd")
-    if spread != SIZE:
-        scale = abs(mean or 1.0)
-        unit, other = (scale, 1.0) if spread == "sd" else (1.0, scale)
-        return KINDS[kind].of_moments(
-            mean, _check_within(said[spread], spread, where, unit) * other
-        )
-    return _fit_beta(mean, _check_within(said[SIZE], SIZE, where))
+    if spread == SIZE:
+        return _fit_beta(mean, _check_within(said[SIZE], SIZE, where))
+    # Limits of an sd are relative to the mean, or to 1 if the mean is 0.
+    scale = abs(mean or 1.0)
+    if spread == "sd":
+        sd = _check_within(said["sd"], "sd", where, unit=scale)
+    else:
+        sd = _check_within(said[SPREAD], SPREAD, where) * scale
+    return KINDS[kind].of_moments(mean, sd)
 
 
 def _check_within(value: float, what: str, where: str, unit: float = 1.0) -> float:
+    """Return a spread or sample size; raise ModelError if it is outside the range in `WITHIN`."""
     words, low, high = WITHIN[what]
     if not low * unit <= value <= high * unit:
         fix = f"choose a number above 0, from {low * unit:g} to {high * unit:g}"
@@ -319,23 +344,23 @@ def _check_within(value: float, what: str, where: str, unit: float = 1.0) -> flo
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Uncertainty(Brief):
-    """What is drawn and what is held.
+    """The parameters that are drawn, with their distributions, and the parameters that are fixed.
 
     Attributes
     ----------
     parts : tuple of Uncertain
     fixed : {parameter name: reason}
     sample : (D, Q) or None
-        One's own draws, in the order of `names`.
+        A given sample, in the order of `names`.
     default : float
-        Effective sample size of probabilities of which nothing is stated.
+        Effective sample size of probabilities for which nothing is stated.
     assumed : tuple of str
-        Labels of the parts of which nothing is stated, which rest on that size.
+        Labels of the parts for which nothing is stated, which rest on that size.
     """
 
     parts: tuple[Uncertain, ...]
-    fixed: Mapping[str, str]  # why, by the parameter's name
-    sample: Floats | None = None  # (D, Q) one's own draws, in the order of `names`
+    fixed: Mapping[str, str]
+    sample: Floats | None = None
     default: float = EFFECTIVE_SAMPLE_SIZE
     assumed: tuple[str, ...] = ()
 
@@ -345,11 +370,14 @@ class Uncertainty(Brief):
     @property
     def names(self) -> tuple[str, ...]:
         """The Q parameters that are drawn, in the order of the draws' columns."""
-        return tuple(name for part in self.parts for name in part.names)
+        names: list[str] = []
+        for part in self.parts:
+            names += part.names
+        return tuple(names)
 
     @property
     def assumption(self) -> str:
-        """What is assumed of the parts of which nothing is stated; empty where there are none."""
+        """The assumption on parts for which nothing is stated, in words; empty without any."""
         if not self.assumed:
             return ""
         return (
@@ -358,12 +386,12 @@ class Uncertainty(Brief):
         )
 
     def draw(self, sequence: SeedSequence, count: int) -> Floats:
-        """Return (count, Q) draws."""
+        """Return the draws (count, Q)."""
         return np.hstack([np.empty((count, 0)), *(p.draw(sequence, count) for p in self.parts)])
 
 
 Stated: TypeAlias = "Mapping[str, Settings] | DataFrame | Uncertainty | str | Path"
-"""Distributions by name, one's own sample, or the .toml file that states them."""
+"""Distributions by name, a sample, or the .toml file of distributions."""
 
 
 def uncertainty(
@@ -380,16 +408,16 @@ def uncertainty(
     model : Parametric
         Parameters that share one of its `rows` are Dirichlet, instead of a Beta for each.
     stated : {name, beginning of names, or label of a row: settings}, DataFrame or file
-        Settings say a distribution, as at the top of `analysis.vary.distributions`, or
-        `fixed = True`. The longest beginning counts: `influence.anger` before `influence`. What is
-        stated of the entries of a row must be the same for all. A table is a sample of one's own:
-        a column for each parameter that is drawn, a row for each draw. Or the name of a .toml
-        file of settings.
+        Settings describe a distribution, as at the top of `analysis.vary.distributions`, or are
+        `fixed = True`. The longest beginning counts: `influence.anger` before `influence`. Settings
+        must be the same for all entries of a row. A table is a sample of one's own, with a column
+        for each parameter that is drawn and a row for each draw. Or the name of a .toml file of
+        settings.
     default : float, optional
-        Effective sample size of every probability of which nothing is stated; that of the file, or
-        else 100.
+        Effective sample size of every probability for which nothing is stated; by default the
+        file's, or 100.
     names : sequence of str, optional
-        Draw these alone: parameters, or labels of rows.
+        Draw only these: parameters, or labels of rows.
 
     Returns
     -------
@@ -398,7 +426,7 @@ def uncertainty(
     Raises
     ------
     ModelError
-        For unknown names and settings, and numbers that make no distribution.
+        For unknown names and settings, and for numbers without a distribution.
 
     Examples
     --------
@@ -414,14 +442,18 @@ def uncertainty(
     model = parametric(model)
     if isinstance(stated, str | Path):
         said, own = _read_distributions(stated)
+        if default is None:
+            default = own
         with locate_errors(str(stated)):
-            return uncertainty(
-                model, said, default=own if default is None else default, names=names
-            )
+            return uncertainty(model, said, default=default, names=names)
     if stated is not None and not isinstance(stated, Mapping):
         return _of_sample(model, stated)
+
+    # 1. Check the settings, and that each name is a parameter, a beginning or a row.
     stated = {name: _check_settings(name, settings) for name, settings in (stated or {}).items()}
-    given = EFFECTIVE_SAMPLE_SIZE if default is None else _parse_number(default, "default", DEFAULT)
+    given = EFFECTIVE_SAMPLE_SIZE
+    if default is not None:
+        given = _parse_number(default, "default", DEFAULT)
     size = _check_within(given, SIZE, DEFAULT)
     parameters = {parameter.name: parameter for parameter in model.parameters}
     rows = {label: tuple(row) for label, row in getattr(model, "rows", {}).items()}
@@ -432,8 +464,14 @@ def uncertainty(
         label_of = once_each(
             (parameter_of(model, name).name, label) for label, row in rows.items() for name in row
         )
+
+    # 2. The parameters to draw.
     asked = [*parameters] if names is None else require_list(names, "names")
-    chosen = {each for name in asked for each in rows.get(name) or [parameter_of(model, name).name]}
+    chosen = set[str]()
+    for name in asked:
+        chosen.update(rows.get(name) or [parameter_of(model, name).name])
+
+    # 3. For each row, and each parameter outside of rows, a distribution or a reason to fix it.
     parts, fixed, assumed = list[Uncertain](), dict[str, str](), list[str]()
     for label in dict.fromkeys(label_of.get(name, name) for name in parameters):
         members = rows.get(label, (label,))
@@ -463,13 +501,15 @@ def uncertainty(
 
 
 def _of_sample(model: Parametric, frame: Any) -> Uncertainty:
-    """Return one's own sample, a table with a column for each parameter."""
+    """Return the uncertainty of a given sample, a table with a column for each parameter."""
     if not hasattr(frame, "columns"):
         fix = f"give {{name: settings}}, or {SAMPLE}"
         raise ModelError(f"{type(frame).__name__} is given", where="uncertain", fix=fix)
     names = tuple(frame.columns)
     sample = read_points(model, frame).astype(float)
-    spread = sample.std(axis=0, ddof=1) if len(sample) > 1 else np.zeros(len(names))
+    spread = np.zeros(len(names))
+    if len(sample) > 1:
+        spread = sample.std(axis=0, ddof=1)
     parts = [
         Uncertain(names=(n,), kind="sample", numbers=(), mean=(m,), sd=(s,), label=n)
         for n, m, s in zip(names, sample.mean(axis=0).tolist(), spread.tolist(), strict=True)
@@ -481,19 +521,32 @@ def _of_sample(model: Parametric, frame: Any) -> Uncertainty:
 def _read_parameter_distribution(
     parameter: Parameter, settings: Settings, default: float
 ) -> Uncertain | str:
-    """Return the distribution of one parameter, or why it is not drawn."""
+    """Return the distribution of one parameter, or the reason why it is not drawn."""
     name, today, low, high = parameter.name, float(parameter.value), parameter.low, parameter.high
     if not settings and not is_probability(parameter):
-        weights = "reward weights" if unit_of(parameter) == "reward" else f"{unit_of(parameter)}s"
-        reason = "the discount is" if name == DISCOUNT else f"{weights} are"
-        return f"{reason} held unless stated otherwise"
-    usual = "beta" if low == 0 and high == 1 else "normal" if low is None or low < 0 else "gamma"
+        if name == DISCOUNT:
+            return "the discount is held unless stated otherwise"
+        if unit_of(parameter) == "reward":
+            return "reward weights are held unless stated otherwise"
+        return f"{unit_of(parameter)}s are held unless stated otherwise"
+
+    # The distribution that suits the parameter's limits, unless one is named.
+    if low == 0 and high == 1:
+        usual = "beta"
+    elif low is None or low < 0:
+        usual = "normal"
+    else:
+        usual = "gamma"
     kind = str(settings.get("distribution", usual))
     said = {key: _parse_number(settings[key], key, name) for key in settings if key in NUMBERS}
-    said = said or ({SIZE: default} if kind == "beta" else {})
+    if not said and kind == "beta":
+        said = {SIZE: default}
+
+    # A spread alone is around today's value; a relative one cannot be around 0.
     if not set(said) - set(MOMENTS) and "mean" not in said:
-        if "sd" not in said and today in ((0, 1) if kind == "beta" else (0,)):
-            Uncertain.of(name, kind, mean=0.5, **said)  # what is stated is checked all the same
+        edges = (0, 1) if kind == "beta" else (0,)
+        if "sd" not in said and today in edges:
+            Uncertain.of(name, kind, mean=0.5, **said)  # only to check the settings
             return f"{today:g} today"
         said = {"mean": today} | said
     part = Uncertain.of(name, kind, **said)
@@ -501,15 +554,15 @@ def _read_parameter_distribution(
     if kind in ("uniform", "triangular") and (
         (low is not None and least < low) or (high is not None and most > high)
     ):
-        what = f"a {kind} from {least:g} to {most:g}, outside of what the parameter may be"
-        raise ModelError(what, where=f"distribution of {name}", fix="choose one within it")
+        what = f"a {kind} from {least:g} to {most:g}, outside the parameter's limits"
+        raise ModelError(what, where=f"distribution of {name}", fix="choose one within them")
     return part
 
 
 def _read_row_distribution(
     row: Sequence[Parameter], label: str, settings: Settings, default: float
 ) -> Uncertain:
-    """Return the joint distribution of a row's entries."""
+    """Return the joint distribution of a row's probabilities."""
     names, where = [p.name for p in row], f"row {label}"
     for parameter in row:
         if not is_probability(parameter):
@@ -535,11 +588,19 @@ def _has_prefix(name: str, start: str) -> bool:
 
 
 def _find_settings(label: str, names: Sequence[str], stated: Mapping[str, Settings]) -> Settings:
-    """Return what is stated of a part, or of the longest beginning of its names; all say one."""
+    """Return the settings of a part: its own, or those for the longest beginning of its names.
+
+    Raises ModelError unless they are the same for all names.
+    """
     whole = stated.get(label, {})
-    starts = [[start for start in stated if _has_prefix(name, start)] for name in names]
-    said = [dict(stated[max(each, key=len)] if each else whole) for each in starts]
-    if any(each != said[0] for each in [*said, *([whole] if whole else [])]):
+    said = []
+    for name in names:
+        starts = [start for start in stated if _has_prefix(name, start)]
+        if starts:
+            said.append(dict(stated[max(starts, key=len)]))
+        else:
+            said.append(dict(whole))
+    if any(each != said[0] for each in said) or (whole and whole != said[0]):
         fix = f'its probabilities are drawn together: state them once, for "{label}"'
         what = "the entries of a row have different settings"
         raise ModelError(what, where=f"row {label}", fix=fix)
@@ -547,7 +608,7 @@ def _find_settings(label: str, names: Sequence[str], stated: Mapping[str, Settin
 
 
 def _check_settings(name: str, settings: object) -> Settings:
-    """Return settings that are known."""
+    """Return settings, checked; raise ModelError for unknown or contradictory ones."""
     where = f"parameter {name}"
     if not isinstance(settings, Mapping):
         fix = 'state a distribution: {"distribution": "beta", "mean": 0.1, "sd": 0.02}; or give '
@@ -555,9 +616,11 @@ def _check_settings(name: str, settings: object) -> Settings:
         raise ModelError(f"{settings!r:.60} is stated", where=where, fix=fix)
     for key in settings:
         if key not in SETTINGS:
+            # The remedy: the name here, a similar name, or the list of all.
             near = suggest_name(str(key), SETTINGS)
-            every = f"choose one of {', '.join(SETTINGS)}"
-            fix = ELSEWHERE.get(str(key), near if near.startswith("did you") else every)
+            if not near.startswith("did you"):
+                near = f"choose one of {', '.join(SETTINGS)}"
+            fix = ELSEWHERE.get(str(key), near)
             raise ModelError(f"unknown setting {key!r}", where=where, fix=fix)
     fixed, kind = settings.get("fixed", False), settings.get("distribution", "normal")
     if not isinstance(fixed, bool):
@@ -572,7 +635,7 @@ def _check_settings(name: str, settings: object) -> Settings:
 
 
 def _parse_number(value: object, key: str, name: str) -> float:
-    """Return a number that is stated, "p/q" as well; raises ModelError where it is none."""
+    """Return a stated number, also "p/q"; raise ModelError if it is not a number."""
     where = f"parameter {name}"
     if isinstance(value, float) and not math.isfinite(value):
         return value
@@ -580,9 +643,10 @@ def _parse_number(value: object, key: str, name: str) -> float:
 
 
 def _read_distributions(path: str | Path) -> tuple[dict[str, Settings], float | None]:
-    """Return the distributions that a TOML file states, and the sample size of all others."""
+    """Return the distributions in a TOML file, and the default sample size."""
     if Path(path).suffix.lower() == ".csv":
-        what, fix = "a table is no file of distributions, .toml", f"in Python give {SAMPLE}"
+        what = "a table is not a file of distributions, which ends in .toml"
+        fix = f"in Python give {SAMPLE}"
         raise ModelError(what, where=str(path), fix=fix)
     stated: dict[str, dict[str, object]] = {}
     content = toml_of(read_text(path, most=SMALL), str(path), number=float)
@@ -598,11 +662,13 @@ def _read_distributions(path: str | Path) -> tuple[dict[str, Settings], float | 
     if set(general) - {SIZE}:
         what, fix = f"[default] states more than {SIZE}", "state the rest for each parameter"
         raise ModelError(what, where=f"{path}, {DEFAULT}", fix=fix)
-    return {**stated}, _parse_number(general[SIZE], SIZE, DEFAULT) if general else None
+    if not general:
+        return {**stated}, None
+    return {**stated}, _parse_number(general[SIZE], SIZE, DEFAULT)
 
 
 def drawn_family(model: Any) -> Parametric:
-    """Return the parameters that are drawn of a model: of an MDP those of its random rows, too."""
+    """Return a model with the parameters to draw: for an MDP also those of its random rows."""
     if not isinstance(model, MDP):
         return parametric(model)
     origin = origin_of(model)
@@ -614,8 +680,8 @@ def drawn_family(model: Any) -> Parametric:
 def row_family(mdp: MDP) -> Family:
     """Return any model with the probabilities of its random rows as parameters; at most 2,000 rows.
 
-    Of each row these are all but the largest, which is what the others leave; drawn together they
-    are Dirichlet. Rewards and the discount are parameters, too.
+    In each row these are all but the largest, which is 1 less the others; drawn together they are
+    Dirichlet. Rewards and the discount are parameters, too.
     """
     if repeats_in_time(mdp):
         raise ModelError(
@@ -628,6 +694,7 @@ def row_family(mdp: MDP) -> Family:
     rows: dict[str, tuple[str, ...]] = {}
     labels = mdp.space.labels(range(mdp.n_states))
     for pair in range(mdp.n_pairs):
+        # The exact probabilities of the next states; a row with one of them is not random.
         chance: dict[int, Fraction] = defaultdict(Fraction)
         for probability, following, _ in mdp.table.row(pair):
             chance[following] += probability

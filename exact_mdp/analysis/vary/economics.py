@@ -11,9 +11,9 @@ are expected totals of two components of the reward. At a willingness to pay λ 
 
 (Fenwick, Claxton and Sculpher, Health Economics 10, 2001). A strategy is *dominated* if another
 costs no more and has no less effect, *extendedly dominated* if a mixture of two others does. Two
-strategies are equal in cost, in effect or in net benefit where these differ by no more than the
-bounds on their errors. Which policies are efficient among all, `tradeoff` says: the rates between
-neighbours are their ICERs.
+strategies are equal in cost, effect or net benefit if these differ by no more than their error
+bounds. `tradeoff` finds the efficient ones among all policies, with ICERs as rates between
+neighbours.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ BASE = "held in the base case"
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class CostEffectiveness(Pictured):
-    """Expected `effect` and `cost` (D, N) of every strategy in every draw (D, Q).
+    """Expected `effect` and `cost` (D, N) of N strategies in D draws of Q parameters.
 
     `effect_error` and `cost_error` bound their errors; numbers from elsewhere are taken as exact.
     """
@@ -70,28 +70,27 @@ class CostEffectiveness(Pictured):
 
     @property
     def base_case(self) -> bool:
-        """Whether nothing is drawn: the numbers are those of today's values."""
+        """Whether nothing is drawn, so that all numbers are for today's values."""
         return not self.uncertainty.parts
 
     def __repr__(self) -> str:
         what = "the base case" if self.base_case else f"draws {len(self.draws):,}"
-        assumed = self.uncertainty.assumption
-        return (
-            f"CostEffectiveness({', '.join(self.strategies)}; {what}{assumed and f'; {assumed}'})"
-        )
+        if self.uncertainty.assumption:
+            what += f"; {self.uncertainty.assumption}"
+        return f"CostEffectiveness({', '.join(self.strategies)}; {what})"
 
     def net_benefit(self, wtp: ArrayLike) -> Floats:
-        """Return (D, N) λ E - C at a willingness to pay for a unit of effect; at W, (W, D, N)."""
+        """Return net benefits λ E - C (D, N) at a willingness to pay; (W, D, N) for W of them."""
         return np.multiply.outer(_parse_prices(wtp), self.effect) - self.cost
 
     def _bound_errors(self, wtp: ArrayLike) -> Floats:
-        """Return bounds on the errors of net benefits, of the shape that `net_benefit` has."""
+        """Return error bounds of net benefits, in the shape of `net_benefit`."""
         price = np.abs(_parse_prices(wtp))
         error = np.multiply.outer(price, self.effect_error + 4 * UNIT * np.abs(self.effect))
         return np.asarray((error + self.cost_error + 4 * UNIT * np.abs(self.cost)) * SLACK)
 
     def acceptability(self, wtp: ArrayLike) -> Floats:
-        """Return (W, N) shares of draws in which a strategy is the best; equals share a draw."""
+        """Return the shares (W, N) of draws in which a strategy is best; ties split a draw."""
         prices = np.atleast_1d(_parse_prices(wtp))
         values, error = self.net_benefit(prices), self._bound_errors(prices)
         most = values.argmax(axis=2)[:, :, None]
@@ -102,7 +101,7 @@ class CostEffectiveness(Pictured):
     def frontier(self, wtp: ArrayLike) -> list[tuple[str, float]]:
         """Return the best strategy on average, and the share of draws in which it is the best.
 
-        Of equals, the first that was named.
+        On a tie it is the strategy that was named first.
         """
         prices = np.atleast_1d(_parse_prices(wtp))
         best = [self._find_best_strategy(price) for price in prices.tolist()]
@@ -111,26 +110,24 @@ class CostEffectiveness(Pictured):
         return list(zip(names, shares.tolist(), strict=True))
 
     def _find_best_strategy(self, wtp: float) -> int:
-        """Return the strategy with the greatest mean net benefit; of equals, the first."""
+        """Return the strategy with the greatest mean net benefit; on a tie, the first."""
         means = _Means.of(self.net_benefit(wtp), self._bound_errors(wtp))
         most = int(means.value.argmax())
-        return next(n for n in range(len(self.strategies)) if means.compare_means(n, most) == 0)
+        ties = [n for n in range(len(self.strategies)) if means.compare_means(n, most) == 0]
+        return ties[0]
 
     def _equalise_ties(self, wtp: float) -> Floats:
-        """Return net benefits (D, N), those equal to the best strategy's on average made the same.
+        """Return net benefits (D, N), in which ties with the best strategy are made exact.
 
-        No value of information then comes of rounding.
+        Rounding then creates no value of information.
         """
-        value, error, best = (
-            self.net_benefit(wtp),
-            self._bound_errors(wtp),
-            self._find_best_strategy(wtp),
-        )
+        value, error = self.net_benefit(wtp), self._bound_errors(wtp)
+        best = self._find_best_strategy(wtp)
         own = value[:, best : best + 1]
         return np.where(np.abs(value - own) <= error + error[:, best : best + 1], own, value)
 
     def evpi(self, wtp: ArrayLike) -> Any:
-        """Return what knowing all parameters first would be worth; a list for several `wtp`."""
+        """Return the value of knowing all parameters before choosing; a list for several `wtp`."""
         prices = _parse_prices(wtp)
         if prices.ndim == 0:
             return estimate_evpi(self._equalise_ties(float(prices)))
@@ -139,7 +136,7 @@ class CostEffectiveness(Pictured):
     def evppi(
         self, wtp: float, groups: Mapping[str, Sequence[str]] | None = None
     ) -> dict[str, PartialInformation]:
-        """Return what knowing groups of parameters would be worth; those of `PSA` unless given."""
+        """Return the value of knowing groups of parameters, by default as in `PSA.evppi`."""
         value = self._equalise_ties(parse_price(wtp))
         return {
             label: estimate_evppi(value, self.draws[:, columns], names)
@@ -147,11 +144,11 @@ class CostEffectiveness(Pictured):
         }
 
     def icers(self) -> DataFrame:
-        """Return mean cost and effect of every strategy, the cheapest first, and its ICER.
+        """Return mean cost, effect and ICER of every strategy, the cheapest first.
 
-        Each is compared with the one before it on the efficient frontier; a strategy that is not on
+        Each is compared with the one before it on the efficient frontier. A strategy that is not on
         the frontier has no ICER, and `status` says why: it is dominated, extendedly dominated, or
-        equal to one that was named before it.
+        equal to a strategy named before it.
         """
         cost = _Means.of(self.cost, self.cost_error)
         effect = _Means.of(self.effect, self.effect_error)
@@ -168,15 +165,13 @@ class CostEffectiveness(Pictured):
         efficient = [n for n, said in enumerate(status) if said == EFFICIENT]
         efficient.sort(key=lambda n: float(cost.value[n]))
         for one, other in pairwise(efficient):
-            more, gained = (
-                cost.compute_difference(other, one)[0],
-                effect.compute_difference(other, one)[0],
-            )
+            more, _ = cost.compute_difference(other, one)
+            gained, _ = effect.compute_difference(other, one)
             rows.loc[other, list(STEP)] = [more, gained, more / gained]
         return rows.sort_values(["cost", "effect"], ascending=[True, False], ignore_index=True)
 
     def report(self) -> Report:
-        """Return cost, effect and ICER of every strategy, and its chance to be the best."""
+        """Return cost, effect and ICER of every strategy, and its probability of being best."""
         rows, grid = self.icers(), self.grid(11)
         chances = frame_to_table(self.frame(grid), "shares of draws in which each is the best")
         strategies = frame_to_table(rows, "strategies, the cheapest first")
@@ -210,12 +205,13 @@ class CostEffectiveness(Pictured):
         table["best on average"] = [name for name, _ in self.frontier(at)]
         gains = [(each.value, each.standard_error) for each in self.evpi(at)]
         table[["EVPI", "EVPI s.e."]] = np.array(gains)
-        table["EVPI s.e."] = table["EVPI s.e."].replace(np.inf, np.nan)  # of one draw, unknown
+        # The standard error of a single draw is unknown.
+        table["EVPI s.e."] = table["EVPI s.e."].replace(np.inf, np.nan)
         table["claim"] = str(self.claim)
         return table
 
     def grid(self, count: int = 51) -> Floats:
-        """Return numbers from 0 to twice the largest ICER, to draw curves over."""
+        """Return a grid from 0 to twice the largest ICER, over which curves are drawn."""
         most = float(np.nanmax(np.append(self.icers()["ICER"].to_numpy(dtype=float), 0.0)))
         return np.linspace(0, 2 * most or 1.0, count)
 
@@ -229,37 +225,41 @@ class _Means:
 
     @classmethod
     def of(cls, numbers: Floats, error: Floats | float) -> _Means:
-        """Return the means of numbers (D, N); adding them up rounds, too."""
+        """Return the means of numbers (D, N); the error includes the rounding of the sum."""
         rounding = (len(numbers) + 4) * UNIT * np.abs(numbers).mean(axis=0)
         given = np.broadcast_to(error, numbers.shape).mean(axis=0)
         return cls(numbers.mean(axis=0), rounding + given * SLACK)
 
     def compute_difference(self, one: int, other: int) -> tuple[float, float]:
-        """Return by how much one is greater than the other, and a bound on the error of that."""
+        """Return the difference of two means, and its error bound."""
         apart = float(self.value[one] - self.value[other])
         return apart, float(self.error[[one, other]].sum() + UNIT * abs(apart)) * SLACK
 
     def compare_means(self, one: int, other: int) -> int:
-        """Return -1, 0 or 1: whether one is less than the other, equal to it or greater."""
+        """Return -1, 0 or 1 if one mean is less than the other, equal to it or greater."""
         apart, error = self.compute_difference(one, other)
-        return 0 if abs(apart) <= error else 1 if apart > 0 else -1
+        if abs(apart) <= error:
+            return 0
+        return 1 if apart > 0 else -1
 
 
 def _classify_strategies(cost: _Means, effect: _Means, names: Sequence[str]) -> list[str]:
-    """Return why each strategy is on the efficient frontier, or is not."""
+    """Return the status of each strategy: efficient, or why it is not on the frontier."""
     status = [EFFICIENT] * len(names)
+    # 1. Equal strategies: only the first of them is kept.
     kept = list[int]()
     for n, _ in enumerate(names):
-        alike = (m for m in kept if cost.compare_means(n, m) == 0 == effect.compare_means(n, m))
-        if (other := next(alike, None)) is None:
-            kept.append(n)
+        alike = [m for m in kept if cost.compare_means(n, m) == 0 == effect.compare_means(n, m)]
+        if alike:
+            status[n] = EQUAL.format(names[alike[0]])
         else:
-            status[n] = EQUAL.format(names[other])
+            kept.append(n)
+    # 2. Dominated: another costs no more and has no less effect.
     for n in kept:
-        if any(
-            m != n and cost.compare_means(m, n) <= 0 <= effect.compare_means(m, n) for m in kept
-        ):
-            status[n] = DOMINATED
+        for m in kept:
+            if m != n and cost.compare_means(m, n) <= 0 <= effect.compare_means(m, n):
+                status[n] = DOMINATED
+    # 3. Extendedly dominated: ICERs must rise along the frontier (a lower convex hull).
     frontier = list[int]()
     left = [n for n in kept if status[n] == EFFICIENT]
     for n in sorted(left, key=lambda n: float(cost.value[n])):
@@ -272,15 +272,14 @@ def _classify_strategies(cost: _Means, effect: _Means, names: Sequence[str]) -> 
 
 
 def _is_icer_rising(cost: _Means, effect: _Means, first: int, middle: int, last: int) -> bool:
-    """Return whether the ICER from first to middle is below that from middle to last for sure."""
-    (c1, dc1), (e1, de1) = (
-        cost.compute_difference(middle, first),
-        effect.compute_difference(middle, first),
-    )
-    (c2, dc2), (e2, de2) = (
-        cost.compute_difference(last, middle),
-        effect.compute_difference(last, middle),
-    )
+    """Return whether the ICER is surely smaller from first to middle than from middle to last.
+
+    c₁ / e₁ < c₂ / e₂ is tested as c₂ e₁ - c₁ e₂ > 0, beyond the errors of all four differences.
+    """
+    c1, dc1 = cost.compute_difference(middle, first)
+    e1, de1 = effect.compute_difference(middle, first)
+    c2, dc2 = cost.compute_difference(last, middle)
+    e2, de2 = effect.compute_difference(last, middle)
     apart = c2 * e1 - c1 * e2
     error = abs(c2) * de1 + (abs(e1) + de1) * dc2 + abs(c1) * de2 + (abs(e2) + de2) * dc1
     return apart > (error + 4 * UNIT * (abs(c2 * e1) + abs(c1 * e2))) * SLACK
@@ -293,13 +292,15 @@ def _parse_prices(wtp: ArrayLike) -> Floats:
     except (TypeError, ValueError):
         prices = np.array(np.nan)
     if prices.ndim > 1 or not prices.size or not np.isfinite(prices).all():
-        raise ModelError(f"{wtp!r:.60} is no finite number", where=WTP, fix="give one, or a list")
+        what = f"{wtp!r:.60} is not a finite number"
+        raise ModelError(what, where=WTP, fix="give one, or a list")
     return prices
 
 
 def parse_price(wtp: ArrayLike) -> float:
     """Return one willingness to pay, checked."""
-    if (prices := _parse_prices(wtp)).ndim:
+    prices = _parse_prices(wtp)
+    if prices.ndim:
         raise ModelError("several numbers", where=WTP, fix="give one of them at a time")
     return float(prices)
 
@@ -314,23 +315,23 @@ def cost_effectiveness(
     rng: RNG = 0,
     uncertain: Stated | None = None,
 ) -> CostEffectiveness:
-    """Draw the parameters, and work out cost and effect of every strategy in every draw.
+    """Draw the parameters, and compute cost and effect of every strategy in every draw.
 
     Parameters
     ----------
     model : Scenario, MDP or Parametric
         Its reward has the two components.
     strategies : {name: PolicyLike}
-        Policies that are held fixed; "optimal" is the optimum at today's values.
+        Policies held fixed; "optimal" is the optimum at today's values.
     n : int, optional
-        Draws; of a sample of one's own its first n rows, all unless given. Without `n` and without
-        `uncertain` nothing is drawn: the base case, of today's values.
+        Number of draws; of a given sample the first n rows, by default all. Without `n` and
+        `uncertain` nothing is drawn: the result is the base case, of today's values.
     effect, cost : str
-        Names of components; of costs, more is worse.
+        Names of components; more cost is worse.
     rng : int or numpy.random.Generator
     uncertain : {name: settings}, pandas.DataFrame, file or Uncertainty, optional
-        As for `psa`. Of probabilities of which nothing is stated, the text of the result says
-        on how many observations they are assumed to rest.
+        As for `psa`. The text of the result names the number of observations on which probabilities
+        without a stated distribution are assumed to rest.
 
     Returns
     -------
@@ -339,7 +340,7 @@ def cost_effectiveness(
     Raises
     ------
     ModelError
-        For unknown components, no strategy, and as `psa` does.
+        For unknown components, without strategies, and as `psa` raises it.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What knowing the parameters would be worth: EVPI, and EVPPI of some of them, from a sample.
+"""The expected value of perfect information: EVPI, and EVPPI of some parameters, from a sample.
 
 With V^c(θ) the value of candidate c at a draw θ, among a finite set of candidates,
 
@@ -6,11 +6,12 @@ With V^c(θ) the value of candidate c at a draw θ, among a finite set of candid
     EVPPI(φ) = E_φ[max_c E[V^c | φ]] - max_c E[V^c].
 
 E[V^c | φ] is estimated by regression (Strong, Oakley and Brennan, Medical Decision Making 34,
-2014): least squares of V^c less the best candidate's on cubic splines of φ, and on pairwise
-products. *regression* takes the maximum of the fitted values, cut at EVPI; *lower* uses the fit of
-four fifths of the draws only to choose in the others; its expectation is at most EVPPI. Where the
-fit cannot be relied on, the estimate says why (`doubts`); else the differences count in the
-standard error, whose 95 % interval held the truth in 97 % of 10,000 samples of 42 problems.
+2014): least squares of V^c less the best candidate's value on cubic splines of φ, and on pairwise
+products. The estimate *regression* takes the maximum of the fitted values, cut at EVPI. The
+estimate *lower* uses the fit of four fifths of the draws only to choose in the others, so that its
+expectation is at most EVPPI. If the fit is unreliable, the estimate says why (`doubts`); otherwise
+the differences count in the standard error, whose 95 % interval held the truth in 97 % of 10,000
+samples of 42 problems.
 """
 
 from __future__ import annotations
@@ -25,23 +26,19 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.solution import Estimated
 
-FOLDS = 5
-MOST_TERMS = 400  # columns of a regression
-FEWEST = 20  # draws
-REGRESSED = 20_000  # draws of a regression: its error is far below that of this many draws
-# What is doubtful was chosen so that intervals cover, as said above; no estimate rests on it.
-MOST_APART = 1.0  # standard errors between the estimates that are not doubted
-MOST_ASTRAY = 0.5  # standard errors between what a fit promises and what its choices earn
-LEAST_MISS = 0.1  # standard errors that a pattern in the residuals must move the estimate by
-ROUNDED = 1e-9  # relative; a doubt below it would be one about rounding
+MOST_TERMS = 400  # columns of a regression, whose cost grows with their square
+FEWEST = 20  # draws of a regression
+# The draws that a regression uses: with more of them, its own error is far below sampling error.
+REGRESSED = 20_000
+ROUNDED = 1e-9  # relative; smaller differences may be rounding
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class PartialInformation:
     """EVPPI of some parameters: by `regression`, and a `lower` estimate.
 
-    The standard error of the first covers what the fit may miss, too. `doubts` say why it cannot be
-    relied on.
+    The standard error of the first includes the errors of the fit. `doubts` are the reasons why it
+    is unreliable.
     """
 
     parameters: tuple[str, ...]
@@ -50,12 +47,14 @@ class PartialInformation:
     doubts: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
-        doubts = f"; doubtful: {'; '.join(self.doubts)}" if self.doubts else ""
+        doubts = ""
+        if self.doubts:
+            doubts = f"; doubtful: {'; '.join(self.doubts)}"
         return f"PartialInformation({', '.join(self.parameters)}: {self.regression}{doubts})"
 
     @property
     def reliable(self) -> bool:
-        """Whether nothing speaks against the regression's estimate."""
+        """Whether there is no reason to doubt the regression's estimate."""
         return not self.doubts
 
 
@@ -74,61 +73,71 @@ def estimate_evppi(values: Floats, draws: Floats, names: tuple[str, ...]) -> Par
     count, candidates = values.shape
     if count < FEWEST:
         raise ModelError(
-            f"{count} draw{'s' * (count != 1)} for a regression",
+            f"{count} draws for a regression" if count != 1 else "1 draw for a regression",
             where="EVPPI",
             fix=f"ask for at least {FEWEST}",
         )
+    # Values relative to the candidate that is best on average.
     best = int(values.mean(axis=0).argmax())
     ahead = values - values[:, best : best + 1]
     varies = draws.min(axis=0) < draws.max(axis=0)
     if candidates == 1 or not varies.any():
         zero = Estimated(value=0.0, standard_error=0.0)
         return PartialInformation(parameters=names, regression=zero, lower=zero)
+
+    # Normal equations of five folds, whose sums give the whole fit and each fit without a fold.
     basis = _build_spline_basis(draws[:, varies])
-    ends = np.linspace(0, count, FOLDS + 1).astype(int)
+    ends = np.linspace(0, count, 6).astype(int)
     folds = [slice(first, last) for first, last in pairwise(ends.tolist())]
     grams = [basis[fold].T @ basis[fold] for fold in folds]
     sides = [basis[fold].T @ ahead[fold] for fold in folds]
     gram, side = np.sum(grams, axis=0), np.sum(sides, axis=0)
     fitted = basis @ _solve_normal_equations(gram, side)
     rows, chosen = np.arange(count), fitted.argmax(axis=1)
-    gain = fitted[rows, chosen]  # the best on average is fitted by 0, others by less on average
+    # The fit of the best candidate is 0, so that the gain is never negative.
+    gain = fitted[rows, chosen]
     most = estimate_evpi(values).value
     earned, promised = np.empty(count), float(gain.mean())
     for fold, inner, other in zip(folds, grams, sides, strict=True):
         rule = basis[fold] @ _solve_normal_equations(gram - inner, side - other)
         earned[fold] = ahead[rows[fold], rule.argmax(axis=1)]
+
+    # Four checks of the fit: on draws that it has not seen (`apart`), of its promises against what
+    # its choices earn (`astray`), for patterns in the residuals (`missed`), and whether few draws
+    # carry the gain.
     taken = np.setdiff1d(chosen, best)
     total, surprising = _find_largest_sum(draws[:, varies], (ahead - fitted)[:, taken])
     own, lower, carried = mean_of(ahead[rows, chosen]), mean_of(earned), mean_loss(gain)
     value, missed = min(promised, most), total / count
     apart, astray = value - lower.value, promised - own.value
-    sure = own.standard_error
-    reasons = {
-        "the fit's choices earn less or more in draws that it has not seen": (
-            sure > 0 and abs(apart) > MOST_APART * sure
-        )
-        or lower.value < value / 2,
-        "the fit promises less or more than its choices earn": sure > 0
-        and abs(astray) > MOST_ASTRAY * sure,
-        "the fit misses a pattern along a parameter": surprising
-        and missed > max(LEAST_MISS * sure, ROUNDED * value),
-        f"few draws carry it: {carried.carried:.0f}": carried.few,
-        "cut at EVPI of the candidates": promised > most * (1 + ROUNDED),
-    }
-    doubts = [reason for reason, holds in reasons.items() if holds]
+    # The limits, in standard errors, were chosen so that the intervals cover as the module's head
+    # says; no estimate depends on them.
+    sure, doubts = own.standard_error, []
+    if (sure > 0 and abs(apart) > sure) or lower.value < value / 2:
+        doubts.append("the fit's choices earn less or more in draws that it has not seen")
+    if sure > 0 and abs(astray) > 0.5 * sure:
+        doubts.append("the fit promises less or more than its choices earn")
+    if surprising and missed > max(0.1 * sure, ROUNDED * value):
+        doubts.append("the fit misses a pattern along a parameter")
+    if carried.few:
+        doubts.append(f"few draws carry it: {carried.carried:.0f}")
+    if promised > most * (1 + ROUNDED):
+        doubts.append("cut at EVPI of the candidates")
+    if not value:
+        doubts = ["the fit changes the choice in no draw"]
+
+    # What the checks leave open widens the interval.
     error = float(np.sqrt(sure**2 + apart**2 + missed**2 + (2 * astray) ** 2))
-    wide = too_wide(error, most, count)
     return PartialInformation(
         parameters=names,
         regression=Estimated(value=value, standard_error=error),
         lower=lower,
-        doubts=(*(doubts if value else ["the fit changes the choice in no draw"]), *wide),
+        doubts=(*doubts, *too_wide(error, most, count)),
     )
 
 
 def too_wide(error: float, evpi: float, count: int) -> list[str]:
-    """Say what it means that the standard error of an EVPPI is above EVPI, and what to do."""
+    """Return a warning with its remedy if the standard error of an EVPPI is above EVPI."""
     if not error > evpi > 0:
         return []
     needed = float(f"{count * (2 * error / evpi) ** 2:.1g}")
@@ -142,10 +151,10 @@ def too_wide(error: float, evpi: float, count: int) -> list[str]:
 
 
 def _find_largest_sum(draws: Floats, residuals: Floats) -> tuple[float, bool]:
-    """Return the greatest sum of residuals (D, N) that are neighbours along one of the parameters.
+    """Return the greatest sum of neighbouring residuals (D, N) along a parameter.
 
-    And whether chance would hardly reach it: of n standard normal sums the greatest is hardly above
-    √(2 ln n); there are about D of each length, and lengths double.
+    The second result says whether it is surprising: the greatest of n standard normal sums is
+    hardly above √(2 ln n). There are about D windows of each length, and lengths double.
     """
     count = len(draws)
     spread = np.sqrt((residuals**2).mean(axis=0))
@@ -153,6 +162,7 @@ def _find_largest_sum(draws: Floats, residuals: Floats) -> tuple[float, bool]:
     lengths = [8 << k for k in range(count.bit_length()) if 8 << k <= count // 2]
     size, total = 0.0, 0.0
     for x in draws.T:
+        # Sums over all windows of one length are differences of cumulative sums.
         sums = residuals[np.argsort(x, kind="stable")][:, varying].cumsum(axis=0)
         sums = np.vstack([np.zeros((1, sums.shape[1])), sums])
         for length in lengths:
@@ -167,7 +177,8 @@ def _find_largest_sum(draws: Floats, residuals: Floats) -> tuple[float, bool]:
 def _build_spline_basis(draws: Floats) -> Floats:
     """Return (D, p): 1, a cubic spline of each parameter, products of pairs of parameters."""
     count, known = draws.shape
-    # Cubic splines with about D^(1/5) knots balance bias and noise of a smooth function.
+    # Cubic splines with about D^(1/5) knots balance bias and noise of a smooth function; fewer, if
+    # the basis would have more than a tenth as many columns as draws.
     knots = round(count**0.2)
     while known * (knots + 3) + 1 > min(MOST_TERMS, count // 10) and knots > 0:
         knots -= 1
@@ -188,7 +199,8 @@ def _build_spline_basis(draws: Floats) -> Floats:
 
 
 def _solve_normal_equations(gram: Floats, side: Floats) -> Floats:
-    """Return least-squares coefficients from normal equations, scaled, near-null directions out."""
+    """Return least-squares coefficients from normal equations, without near-null directions."""
+    # Scaled to a unit diagonal, so that one relative cut-off serves all columns.
     size = np.sqrt(np.diag(gram))
     size = np.where(size > 0, size, 1.0)
     solution = np.linalg.lstsq(gram / size / size[:, None], side / size[:, None], rcond=1e-13)[0]

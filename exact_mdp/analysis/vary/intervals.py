@@ -1,17 +1,17 @@
-"""Intervals for what a sample shows: shares, quantiles, and the tolerances of acceptability curves.
+"""Confidence intervals of shares, quantiles and means, and tolerances of acceptability curves.
 
 Shares have Wilson's interval (Wilson, Journal of the American Statistical Association 22, 1927),
-quantiles that of order statistics, which assumes nothing of the distribution's shape.
+and quantiles an interval between order statistics, which assumes no distribution.
 
-A mean of losses is often carried by few draws: most draws lose nothing, some lose much. The normal
-interval then ends too low. Here the t statistic is freed of its skewness γ by Hall's cubic (Journal
-of the Royal Statistical Society B 54, 1992),
+A mean of losses often rests on few draws: most draws lose nothing, some lose much. The normal
+interval then ends too low. Here Hall's cubic removes the skewness γ of the t statistic (Journal of
+the Royal Statistical Society B 54, 1992),
 
     T = (m - μ) / s,    g(T) = T + γ T² / 3 + γ² T³ / 27 + γ / (6 n),
 
-g(T) √n being normal to a higher order. The number of draws that carry the mean is (Σ x)² / Σ x².
-Where it is below 50, do not rely on an interval made of the sample alone: what was not drawn may
-carry more than what was.
+after which g(T) √n is normal to a higher order. The effective number of draws that carry the mean
+is (Σ x)² / Σ x². If it is below 50, do not rely on an interval made from the sample alone: draws
+that did not occur may carry more than the ones that did.
 """
 
 from __future__ import annotations
@@ -29,11 +29,8 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.table import Floats, exact
 from exact_mdp.solvers.solution import NORMAL, Estimated
 
-SURE = 0.975  # how likely it is that an end of order statistics is beyond the quantile
-FEW = 50.0  # draws that carry a mean
-HELD_OUT = 20  # one part in so many chooses the threshold
-FEWEST = 60  # numbers: of fewer nothing is said of the mean, as three do not choose a threshold
-THRESHOLDS = 200  # that are tried; the bound holds for any, as other numbers prove it
+SURE = 0.975  # the probability with which each end is beyond a quantile: 95 % for both
+FEW = 50.0  # draws that carry a mean: with fewer, its interval may be too short
 QUANTILES = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 
 
@@ -63,8 +60,10 @@ class MeanLoss(Ranged):
 
 
 def confidence_of(given: object) -> Fraction:
-    """Return a confidence between 0 and 1; a float means the decimal that it prints as."""
-    confidence = exact(str(given) if isinstance(given, float) else given, "confidence")
+    """Return a confidence between 0 and 1; a float stands for the decimal that it prints as."""
+    if isinstance(given, float):
+        given = str(given)
+    confidence = exact(given, "confidence")
     if not 0 < confidence < 1 or float(confidence) in (0.0, 1.0):
         raise ModelError(
             f"a confidence of {given}",
@@ -76,22 +75,29 @@ def confidence_of(given: object) -> Fraction:
 
 def mean_of(values: Floats) -> Estimated:
     """Return the mean of independent values with its standard error."""
-    spread = float(values.std(ddof=1)) if len(values) > 1 else float("inf")
+    spread = float("inf")
+    if len(values) > 1:
+        spread = float(values.std(ddof=1))
     return Estimated(value=float(values.mean()), standard_error=spread / len(values) ** 0.5)
 
 
 def mean_loss(values: Floats) -> MeanLoss:
     """Return the mean of independent losses, none below 0, with Hall's interval."""
+    # Scaled to a largest value of 1, so that powers stay within the floats.
     plain, count = mean_of(values), len(values)
-    size = float(values.max())
-    scaled = values / size if size > 0 else values
-    sd, square = float(scaled.std()), float(scaled @ scaled)
-    carried = float(scaled.sum()) ** 2 / square if square > 0 else 0.0
+    size, scaled = float(values.max()), values
+    if size > 0:
+        scaled = values / size
+    sd, square, carried = float(scaled.std()), float(scaled @ scaled), 0.0
+    if square > 0:
+        carried = float(scaled.sum()) ** 2 / square
     low, high = plain.interval
     if sd > 0:
         skewness = float((((scaled - scaled.mean()) / sd) ** 3).mean())
+        # The ends of the normal interval for g(T), turned into ends for T by the inverse of g. A
+        # smaller skewness would not move an end by a millionth of itself.
         ends = np.array([NORMAL, -NORMAL]) / count**0.5
-        if abs(skewness) > 1e-6:  # below, no end moves by a millionth of itself
+        if abs(skewness) > 1e-6:
             inner = 1 + skewness * (ends - skewness / (6 * count))
             ends = 3 / skewness * (np.cbrt(inner) - 1)
         low, high = (plain.value - plain.standard_error * count**0.5 * ends).tolist()
@@ -112,20 +118,21 @@ def mean_interval(values: Floats) -> tuple[float, float] | None:
         return None
     if np.ptp(values) == 0:
         return float(values[0]), float(values[0])
-    size = float(np.abs(values).max())  # cubes of values may be beyond the floats
+    size = float(np.abs(values).max())  # scaled, as cubes of values may overflow
     ends = bootstrap((values / size,), np.mean, n_resamples=2000, rng=0).confidence_interval
     return float(ends.low) * size, float(ends.high) * size
 
 
 def mean_at_least(sample: Floats, doubt: float) -> float:
-    """Return what the mean of independent numbers from 0 up is at least, but for some doubt δ.
+    """Return a lower bound of the mean of independent nonnegative numbers, wrong with chance δ.
 
-    Of n numbers X ≥ 0, with Y = min(X, c) and its sample variance s², the mean is at least
+    For n numbers X ≥ 0, with Y = min(X, c) and its sample variance s², the mean is at least
     mean Y - √(2 s² log(2/δ) / n) - 7 c log(2/δ) / (3 (n - 1)) (Thomas, Theocharous and Ghavamzadeh,
-    AAAI 2015, theorem 1). The first twentieth of the sample chooses c.
+    AAAI 2015, theorem 1). The first twentieth of the sample chooses c, and the rest proves the
+    bound. Of fewer than 60 numbers, less than three would choose: the bound is then 0.
     """
-    first, rest = np.split(sample, [len(sample) // HELD_OUT])
-    if len(sample) < FEWEST:
+    first, rest = np.split(sample, [len(sample) // 20])
+    if len(sample) < 60:
         return 0.0
 
     def bound_mean(numbers: Floats, most: float) -> float:
@@ -133,7 +140,8 @@ def mean_at_least(sample: Floats, doubt: float) -> float:
         spread = 2 * float(cut.var(ddof=1)) * log(2 / doubt) / n
         return float(cut.mean() - spread**0.5 - 7 * most * log(2 / doubt) / (3 * (n - 1)))
 
-    grid = float(first.max()) * np.geomspace(1e-4, 2.0, THRESHOLDS)
+    # The bound holds for any threshold; a fine grid only makes it tight.
+    grid = float(first.max()) * np.geomspace(1e-4, 2.0, 200)
     threshold = float(grid[int(np.argmax([bound_mean(first, c) for c in grid]))])
     return max(bound_mean(rest, threshold), 0.0)
 
@@ -141,21 +149,23 @@ def mean_at_least(sample: Floats, doubt: float) -> float:
 def tolerances_of(regrets: Sequence[Floats], count: int = 51) -> Floats:
     """Return 0, and a geometric grid up to the largest 99 % quantile of policies' regrets (D,)."""
     most = max(float(np.quantile(regret, 0.99)) for regret in regrets)
-    return np.append(0.0, np.geomspace(1e-4 * most, most, count - 1)) if most > 0 else np.zeros(1)
+    if most == 0:
+        return np.zeros(1)
+    return np.append(0.0, np.geomspace(1e-4 * most, most, count - 1))
 
 
 def estimate_quantiles(
     values: Floats, probabilities: Sequence[float] = QUANTILES
 ) -> list[dict[str, float]]:
-    """Return quantiles of a sample with 95 % intervals of order statistics.
+    """Return quantiles of a sample with 95 % intervals between order statistics.
 
-    The k-th smallest of n is above a quantile only where fewer than k draws are below it. An end is
-    infinite where no draw is beyond the quantile surely enough.
+    The k-th smallest of n draws is above a quantile only if fewer than k draws are below it. An end
+    is infinite if no draw is beyond the quantile with enough certainty.
     """
     ordered, count, listed = np.sort(values), len(values), []
     within = np.concatenate([[-np.inf], ordered, [np.inf]])
     for p in probabilities:
-        chance = special.bdtr(np.arange(count), count, p)  # of at most so many below
+        chance = special.bdtr(np.arange(count), count, p)  # of at most 0, 1, … draws below
         low = float(within[np.searchsorted(chance, 1 - SURE, side="right")])
         high = float(within[np.searchsorted(chance, SURE) + 1])
         own = float(np.quantile(ordered, p))
@@ -164,9 +174,9 @@ def estimate_quantiles(
 
 
 def upper_quantile(values: Floats, probability: float) -> float:
-    """Return an order statistic that is at least a quantile, but for the chance 0.025.
+    """Return an order statistic that is at least a quantile with probability 0.975.
 
-    The k-th smallest of n is below it only where at least k draws are, whose number is binomial.
+    The k-th smallest of n draws is below it only if at least k draws are; their number is binomial.
     """
     require_draws(len(values), probability)
     chance = special.bdtr(np.arange(len(values)), len(values), probability)
@@ -174,11 +184,12 @@ def upper_quantile(values: Floats, probability: float) -> float:
 
 
 def require_draws(count: int, probability: float) -> None:
-    """Raise ModelError where even the greatest draw may be below a quantile: p^n > 0.025."""
+    """Raise ModelError if even the greatest draw may be below a quantile: p^n > 0.025."""
     least = ceil(log(1 - SURE) / log(probability))
     if count < least:
         raise ModelError(
-            f"{count:,} draws do not show where {100 * probability:.10g} % of the posterior ends",
+            f"{count:,} draws are too few for the {100 * probability:.10g} % quantile of the "
+            "posterior",
             where="draws",
             fix=f"give {least:,} or more (--evidence n={least}, Posterior(n={least}))",
         )
@@ -195,7 +206,7 @@ def compute_wilson_interval(successes: ArrayLike, count: int) -> tuple[Floats, F
 
 
 def estimate_share(successes: int, count: int) -> Ranged:
-    """Return a share of a sample with Wilson's interval, which is sound where all or none agree."""
+    """Return a share of a sample with Wilson's interval, which is sound even for 0 and 1."""
     share, (low, high) = successes / count, compute_wilson_interval(successes, count)
     error = (share * (1 - share) / count) ** 0.5
     return Ranged(value=share, standard_error=error, low=float(low), high=float(high))

@@ -1,9 +1,9 @@
 """One or two parameters at a time: value curves, the tornado diagram, the map of the optimum.
 
-Each is the study of a design of points (`.study`): both ends of every range, or a grid. Holding a
-policy, by default the optimum at today's values, costs regret(θ) = V*(θ) - V_π(θ). A bar of the
+Each is a study of a design of points (`.study`): both ends of every range, or a grid. A policy held
+fixed, by default the optimum at today's values, loses regret(θ) = V*(θ) - V_π(θ). A bar of the
 tornado spans the values at both ends of a parameter's range (Briggs et al., Medical Decision Making
-32, 2012); nothing is known between the points.
+32, 2012). Nothing is known between the points.
 """
 
 from __future__ import annotations
@@ -47,7 +47,9 @@ class Tornado(Pictured):
     table: Study
 
     def __repr__(self) -> str:
-        widest = f", the widest of {self.frame()['parameter'][0]}" if self.spans else ""
+        widest = ""
+        if self.spans:
+            widest = f", the widest of {self.frame()['parameter'][0]}"
         return f"Tornado({len(self.spans)} bars{widest}; value today {self.today['optimal']})"
 
     @property
@@ -58,9 +60,9 @@ class Tornado(Pictured):
         return {"optimal": optimal, "fixed": fixed, "regret": lost}
 
     def report(self, by: str = "swing") -> Report:
-        """Return values and regrets at both ends of every range, the greatest `by` a column first.
+        """Return values and regrets at both ends of every range, in descending order of `by`.
 
-        Which is "swing", or "fixed_swing", that of the policy held fixed.
+        `by` is "swing", of the optimum, or "fixed_swing", of the policy held fixed.
         """
         bars, today = self.frame(by).drop(columns="claim"), self.today
         lost = today["regret"]
@@ -71,7 +73,10 @@ class Tornado(Pictured):
             title = f"start value at both ends, policy {policy}"
             return Table(title=title, rows=rows, columns=columns | {"regret": "regret:.3g"})
 
-        held = self.frame("fixed_swing") if lost.value > lost.error else ()
+        # The policy held fixed has a table of its own unless it is today's optimum.
+        held: Any = ()
+        if lost.value > lost.error:
+            held = self.frame("fixed_swing")
         return Report(
             title="tornado",
             facts={
@@ -111,7 +116,7 @@ class Tornado(Pictured):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Curve(Pictured):
-    """The study of one parameter's values, in rising order."""
+    """The study of one parameter's values, in ascending order."""
 
     model: str
     parameter: Parameter
@@ -145,7 +150,7 @@ def one_way(
     relative: object | None = None,
     points: int = 21,
 ) -> Curve:
-    """Return value curves along one parameter, the policy re-optimised and held fixed.
+    """Return value curves along one parameter, for the optimum and for a policy held fixed.
 
     Parameters
     ----------
@@ -153,11 +158,11 @@ def one_way(
     name : str
         The parameter.
     ranges : (low, high) or {name: (low, high)}, optional
-        Today's value ± 20 % unless given, within what the model admits.
+        The range; by default today's value ± 20 %, within the parameter's limits.
     policy, relative : optional
         As for `tornado`.
     points : int
-        Evenly spaced, the ends included.
+        Number of evenly spaced points, the ends included.
 
     Returns
     -------
@@ -166,7 +171,7 @@ def one_way(
     Raises
     ------
     ModelError
-        For unknown names, empty ranges, fewer than 2 points, and where a value is infinite.
+        For unknown names, empty ranges, fewer than 2 points, or infinite values.
 
     Examples
     --------
@@ -200,12 +205,12 @@ def tornado(
     policy : PolicyLike
         The policy held fixed, whose regret is given as well; "optimal" is today's optimum.
     names : iterable of str, optional
-        The parameters; those of `ranges` where these are given, otherwise all.
+        The parameters; by default the keys of `ranges`, or all parameters without ranges.
     ranges : {name: (low, high)} or the name of a .toml file of them, optional
     relative : number or "whole", optional
-        Half the width of the other ranges, as a share of today's value (1/5 unless given), or all
-        that a parameter may be. Such a range ends where the model does, and where the parameter
-        does: say of a utility `Parameter(name="u", value="0.85", low=0, high=1)`.
+        Half the width of the other ranges, as a share of today's value (1/5 by default), or "whole"
+        for the parameter's limits. Such a range ends at the limits of the model and of the
+        parameter: declare a utility as `Parameter(name="u", value="0.85", low=0, high=1)`.
 
     Returns
     -------
@@ -214,7 +219,7 @@ def tornado(
     Raises
     ------
     ModelError
-        For unknown names and empty ranges, and where a value is infinite.
+        For unknown names, empty ranges or infinite values.
 
     Examples
     --------
@@ -226,12 +231,11 @@ def tornado(
     """
     family = parametric(model)
     spans = ranges_of(family, names, ranges, relative)
-    ends = [("", Fraction(0))]  # today, where no parameter moves
-    ends += [(name, at) for name, span in spans.items() for at in (span.low, span.high)]
-    columns = {
-        parameter.name: [at if parameter.name == moved else parameter.value for moved, at in ends]
-        for parameter in family.parameters
-    }
+    # The design: today's values, then two points for each range, with one parameter moved.
+    design = [{parameter.name: parameter.value for parameter in family.parameters}]
+    for name, span in spans.items():
+        design += [design[0] | {name: span.low}, design[0] | {name: span.high}]
+    columns = {name: [point[name] for point in design] for name in design[0]}
     return Tornado(
         model=family.name,
         spans={parameter_of(family, name): span for name, span in spans.items()},
@@ -240,7 +244,7 @@ def tornado(
 
 
 def make_grid(span: Range, points: int) -> list[Fraction]:
-    """Return evenly spaced values, the ends included; raises ModelError for fewer than 2."""
+    """Return evenly spaced values, the ends included; raise ModelError for fewer than 2."""
     points = require_count(points, "points", 2)
     step = (span.high - span.low) / (points - 1)
     return [span.low + k * step for k in range(points)]
@@ -257,8 +261,8 @@ class TwoWay(Pictured):
     x: Parameter
     y: Parameter
     table: Study
-    choices: Integers  # (Y, X, S) optimal actions, the lowest where floats cannot tell two apart
-    policy: Integers  # (Y, X) its number, on the states that it reaches by today's transitions
+    choices: Integers  # (Y, X, S) optimal actions, the lowest number on a tie
+    policy: Integers  # (Y, X) number of the policy, by the states that it reaches today
 
     def __repr__(self) -> str:
         points, policies = self.policy.size, int(self.policy.max()) + 1
@@ -283,7 +287,7 @@ class TwoWay(Pictured):
         return self.table.frame(["x", "y"]).assign(policy=self.policy.reshape(-1))
 
     def chosen(self, number: int) -> dict[str, str]:
-        """Return what the policy of a number does in each state that it reaches, with a choice."""
+        """Return the actions of a numbered policy, in states with a choice that it reaches."""
         mdp, choices = self.mdp, self.choices[self.policy == number][0]
         taken = mdp.pair_action == choices[mdp.pair_state]
         seen = np.flatnonzero(find_reachable_states(mdp, pairs=taken) & ~mdp.forced & ~mdp.over)
@@ -311,7 +315,7 @@ def two_way(
     policy, ranges, relative : optional
         As for `tornado`.
     points : int
-        Along each side, evenly spaced, the ends included.
+        Number of evenly spaced points along each side, the ends included.
 
     Returns
     -------
@@ -320,7 +324,7 @@ def two_way(
     Raises
     ------
     ModelError
-        As for `one_way`, and for twice the same parameter.
+        As for `one_way`, and if both parameters are the same.
 
     Examples
     --------
@@ -337,9 +341,10 @@ def two_way(
     if x == y:
         fix = "name two different parameters"
         raise ModelError(f"both parameters are {x}", where="two-way", fix=fix)
-    if odd := sorted(set(read_ranges(family, ranges)) - {x, y}):
+    others = sorted(set(read_ranges(family, ranges)) - {x, y})
+    if others:
         raise ModelError(
-            f"{odd[0]} has a range, and is neither of the two parameters",
+            f"{others[0]} has a range, and is neither of the two parameters",
             where="two-way",
             fix=f"give ranges of {x} and {y} alone",
         )
@@ -347,6 +352,8 @@ def two_way(
     across, along = (make_grid(spans[name], points) for name in (x, y))
     columns = {x: across * points, y: [at for at in along for _ in across]}
     mdp, table = family.at({}), study(family, columns, [policy])
+
+    # Policies are numbered by their actions in the states with a choice that they reach.
     taken = [mdp.pair_action == row[mdp.pair_state] for row in table.rows]
     seen = np.array([find_reachable_states(mdp, pairs=each) & ~mdp.forced for each in taken])
     numbers = find_distinct_rows(np.where(seen, table.rows, -1)[table.which])[1]

@@ -1,15 +1,15 @@
-"""Probabilistic sensitivity analysis: the parameters drawn, each draw re-solved to optimality.
+"""Probabilistic sensitivity analysis: parameters are drawn at random, and each draw is solved.
 
-Policies are held fixed in every draw: the one asked about, today's optimum, and *candidates*, those
-among the optima of the draws that win most where the others lose most. The *acceptability curve* of
-a policy is the probability that its regret is at most Δ, by Δ (after Chen, Ayer and Chhatwal,
-Medical Decision Making 37, 2017). What knowing all parameters before choosing would be worth is
+Some policies are evaluated in every draw: the given one, today's optimum, and *candidates*, optima
+of draws in which the other policies lose most. The *acceptability curve* of a policy is the
+probability that its regret is at most Δ, as a function of Δ (after Chen, Ayer and Chhatwal, Medical
+Decision Making 37, 2017). The expected value of knowing all parameters before choosing is
 
     EVPI = E[max_π V^π] - max_π E[V^π] = E[V*] - max_π E[V^π].
 
 The best of all policies is hard to find (Steimle, Kaufman and Denton, IISE Transactions 53, 2021):
-the upper end of EVPI takes the best policy found, the lower end min_a E[V* - Q*(start, a)] lets all
-but the first action be chosen in full knowledge.
+the upper end of EVPI uses the best policy found; the lower end, min_a E[V* - Q*(start, a)], assumes
+that all actions but the first are chosen in full knowledge.
 """
 
 from __future__ import annotations
@@ -59,10 +59,11 @@ from exact_mdp.mdp.validate import RNG, Flags, require_count, seed_of
 from exact_mdp.solvers.parallel import How, seed_blocks
 from exact_mdp.solvers.solution import Bounded, Estimated
 
+# The search for candidates: more of them would narrow EVPI, at the cost of one evaluation of all
+# draws for each candidate, and of some draws for each policy of the pool.
+POOL = 24  # policies that are considered
+CANDIDATES = 6  # policies that are kept, beside the given one and today's optimum
 LISTED = 16  # rows of a table
-POOL = 24  # policies that are considered as candidates
-CANDIDATES = 6  # of them kept, beside the policy held and today's optimum
-LEAST_GAIN = 1e-2  # of what today's optimum loses, for a policy to be added
 HELD, TODAY = "policy", "optimum today"
 MISSING = "EVPI among the candidates is below the lower end of EVPI"
 
@@ -73,13 +74,13 @@ class Candidate:
 
     name: str
     weights: Floats  # (L,) probabilities of pairs
-    frequency: int  # draws whose optimum it was
-    actions: Mapping[str, str] | None  # by label; None where it mixes, or says several things
+    frequency: int  # number of draws in which it is optimal
+    actions: Mapping[str, str] | None  # by label; None if it is not one action for each
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Information:
-    """EVPI over all policies, between two estimates; `high` is that of the candidate `best`."""
+    """EVPI over all policies, between two estimates; `high` belongs to the candidate `best`."""
 
     low: MeanLoss
     high: MeanLoss
@@ -94,29 +95,30 @@ class PSA(Pictured):
     """The draws of a probabilistic sensitivity analysis, the optimum and the policies in each."""
 
     model: str
-    start: Bounded  # V* of the start at today's values
+    start: Bounded  # V* at the start, for today's values
     uncertainty: Uncertainty
     seed: int
-    table: Study  # of the draws, and the N candidates
-    candidates: tuple[Candidate, ...]  # the policy that is held comes first
-    labels: tuple[str, ...]  # (X,) statuses at subtask 0, trial 0, else the states with a choice
+    table: Study  # of the draws and the N candidates
+    candidates: tuple[Candidate, ...]  # the given policy comes first
+    labels: tuple[str, ...]  # (X,) statuses at subtask 0, trial 0; else the states with a choice
     actions: tuple[str, ...]  # (A,)
-    compiled: bool  # whether the batched loops of the care model did the work
+    compiled: bool  # whether the compiled loops of the care model were used
 
     def __len__(self) -> int:
         return len(self.table.optimal)
 
     def __repr__(self) -> str:
-        assumed = self.uncertainty.assumption
-        return (
-            f"PSA({', '.join(self.names[:3])}; draws {len(self):,}; optimum on average "
+        text = (
+            f"{', '.join(self.names[:3])}; draws {len(self):,}; optimum on average "
             f"{self.value}, expected loss of {self.candidates[0].name} {mean_loss(self.regret())}"
-            f"{assumed and f'; {assumed}'})"
         )
+        if self.uncertainty.assumption:
+            text += f"; {self.uncertainty.assumption}"
+        return f"PSA({text})"
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Parameters that were drawn."""
+        """The names of the parameters that were drawn."""
         return self.uncertainty.names
 
     @property
@@ -126,57 +128,62 @@ class PSA(Pictured):
 
     @property
     def gained(self) -> Floats:
-        """(D, N) values of the candidates, of which the greatest is best."""
+        """(D, N) values of the candidates, negated for costs, so that the greatest is best."""
         return self.table.sign * self.table.fixed
 
     def regret(self, candidate: int = 0) -> Floats:
-        """Return (D,) what a candidate loses of V*; 0 where rounding may be all there is."""
+        """Return the regrets (D,) of a candidate; 0 if rounding may explain them."""
         return self.table.regret[:, candidate]
 
     @property
     def clipped(self) -> Estimated | None:
-        """Share of draws in which some chance was cut off at 1; None where that is not known."""
-        return estimate_share(int(self.table.cut.sum()), len(self)) if self.compiled else None
+        """Share of draws in which some probability was cut off at 1; None if that is not known."""
+        if not self.compiled:
+            return None
+        return estimate_share(int(self.table.cut.sum()), len(self))
 
     def acceptability(
         self, tolerances: ArrayLike, candidate: int = 0
     ) -> tuple[Floats, Floats, Floats]:
-        """Return the probability that the candidate loses at most Δ, and Wilson's intervals."""
+        """Return the probabilities that a candidate loses at most Δ, with Wilson's intervals."""
         at = np.asarray(tolerances, dtype=float)
         inside = np.searchsorted(np.sort(self.regret(candidate)), at, side="right")
         return inside / len(self), *compute_wilson_interval(inside, len(self))
 
     def probability_optimal(self) -> tuple[Floats, Floats, Floats]:
-        """Return (X, A) shares of draws in which each action is optimal, and Wilson's intervals."""
+        """Return the shares (X, A) of draws in which each action is optimal, with intervals."""
         counts = self.table.counts
         return counts / len(self), *compute_wilson_interval(counts, len(self))
 
     def evpi(self) -> Information:
-        """Return what knowing every drawn parameter would be worth, over all policies."""
+        """Return the value of knowing every drawn parameter, over all policies."""
         best = int(self.gained.mean(axis=0).argmax())
         high, low = mean_loss(self.regret(best)), mean_loss(np.zeros(len(self)))
         lost = self.table.lost
         if lost.shape[1]:
             lost = lost[:, int(np.nanargmin(lost.mean(axis=0)))]
-            noise = self.table.error[:, 0] + self.table.error[:, best + 1]  # as of a regret
+            # A loss within the errors of both values counts as 0, as for a regret.
+            noise = self.table.error[:, 0] + self.table.error[:, best + 1]
             low = mean_loss(np.where(lost > noise, lost, 0.0))
         return Information(low=low, high=high, best=self.candidates[best].name)
 
     def evpi_of_candidates(self) -> MeanLoss:
-        """Return what it would be worth to know before choosing among the candidates."""
+        """Return the value of knowing the parameters before choosing among the candidates."""
         return estimate_evpi(self.gained)
 
     def evppi(
         self, groups: Mapping[str, Sequence[str]] | None = None
     ) -> dict[str, PartialInformation]:
-        """Return what knowing some parameters would be worth, choosing among the candidates.
+        """Return the value of knowing some parameters before choosing among the candidates.
 
-        Groups are {name: parameter names}; unless given, each parameter or row alone, and those
-        whose names begin with the same word together.
+        Groups are {name: parameter names}; by default each parameter or row alone, and together all
+        parameters whose names begin with the same word.
         """
+        # EVPI among the candidates must reach the lower end of EVPI, or a candidate is missing.
         among, least = self.evpi_of_candidates(), self.evpi().low
-        apart = 2 * np.hypot(among.standard_error, least.standard_error)
-        doubt = (MISSING,) if among.value + apart < least.value else ()
+        apart, doubt = 2 * np.hypot(among.standard_error, least.standard_error), tuple[str, ...]()
+        if among.value + apart < least.value:
+            doubt = (MISSING,)
         by_group = {}
         for label, members, columns in groups_of(self.uncertainty, groups):
             each = estimate_evppi(self.gained, self.table.points[:, columns], members)
@@ -184,24 +191,17 @@ class PSA(Pictured):
         return by_group
 
     def report(self, policy: str = "optimal", *, evppi: bool = False) -> Report:
-        """Return what the draws show, with EVPPI if asked; `policy` names the one held fixed."""
-        partly = self.evppi() if evppi and len(self) >= FEWEST else {}
-        partly = dict(sorted(partly.items(), key=lambda item: -item[1].regression.value))
+        """Return the results, with EVPPI if asked; `policy` is the name of the given policy."""
+        partly = dict[str, PartialInformation]()
+        if evppi and len(self) >= FEWEST:
+            ordered = sorted(self.evppi().items(), key=lambda item: -item[1].regression.value)
+            partly = dict(ordered)
         information, regret, numbers = self.evpi(), self.regret(), range(len(self.candidates))
         names = [candidate.name for candidate in self.candidates]
         losses, tolerances = [mean_loss(self.regret(n)) for n in numbers], tolerances_of([regret])
         accepted = [self.acceptability(tolerances, n) for n in numbers]
         within, least, most = accepted[0]
-        means = {"regret": losses[0], "EVPI": information.high, "EVPI's lower end": information.low}
         among = self.evpi_of_candidates()
-        errors = {name: each.regression.standard_error for name, each in partly.items()}
-        wide = too_wide(max(errors.values(), default=0.0), among.value, len(self))
-        of = [name for name, error in errors.items() if error > among.value]
-        more = f" and {len(of) - 3} more" * (len(of) > 3)
-        few = [f"{name} by {m.carried:.0f}" for name, m in means.items() if m.few and m.value]
-        share, low, high = self.probability_optimal()
-        reach = float(np.maximum(high - share, share - low).max(initial=0.0))
-        where = "at subtask 0, trial 0; " if self.compiled else ""
         candidates = [
             {
                 "name": candidate.name,
@@ -213,11 +213,17 @@ class PSA(Pictured):
             }
             for n, candidate in enumerate(self.candidates)
         ]
-        drawn = {
-            name: {"distribution": part.kind, "size": part.size, "mean": mean, "sd": sd}
-            for part in self.uncertainty.parts
-            for name, mean, sd in zip(part.names, part.mean, part.sd, strict=True)
-        }
+        drawn = {}
+        for part in self.uncertainty.parts:
+            for name, mean, sd in zip(part.names, part.mean, part.sd, strict=True):
+                drawn[name] = {
+                    "distribution": part.kind,
+                    "size": part.size,
+                    "mean": mean,
+                    "sd": sd,
+                }
+        several = "parameter" if len(drawn) == 1 else "parameters"
+        details = {n: vars(each) | {"reliable": each.reliable} for n, each in partly.items()}
         acceptability = {
             "policy": policy,
             "tolerance": tolerances,
@@ -237,7 +243,7 @@ class PSA(Pictured):
                 "claim": "estimated",
                 "draws": Shown(len(self), f"{len(self):,}, each re-solved"),
                 "seed": self.seed,
-                "drawn": Shown(drawn, f"{len(drawn)} parameter{'s' * (len(drawn) != 1)}"),
+                "drawn": Shown(drawn, f"{len(drawn)} {several}"),
                 "fixed": Shown(self.uncertainty.fixed, len(self.uncertainty.fixed) or None),
                 "assumed": Shown(self.uncertainty.assumed, self.uncertainty.assumption or None),
                 "clipped": self.clipped,
@@ -250,30 +256,12 @@ class PSA(Pictured):
                 "evpi_bounds": Shown(ends | {"best_policy": information.best}),
                 "evpi_of_candidates": Shown(_list_loss_facts(among)),
                 "evppi": Shown({name: each.regression.value for name, each in partly.items()}),
-                "evppi_details": Shown(
-                    {n: vars(each) | {"reliable": each.reliable} for n, each in partly.items()}
-                ),
-                "p_optimal": {
-                    label: {
-                        action: {"probability": share[x, a], "low": low[x, a], "high": high[x, a]}
-                        for a, action in enumerate(self.actions)
-                    }
-                    for x, label in enumerate(self.labels)
-                },
+                "evppi_details": Shown(details),
+                "p_optimal": self._list_optimal_shares(),
                 "candidates": candidates,
             },
             tables={
-                "p_optimal": Table(
-                    title=f"share of draws in which an action is optimal, {where}"
-                    f"ends of Wilson's 95 % intervals are within {reach:.2g}",
-                    rows=[
-                        {"": label, **{str(n): each for n, each in enumerate(row)}}
-                        for label, row in zip(self.labels, share.tolist(), strict=True)
-                    ],
-                    columns={"status" if self.compiled else "state": ""}
-                    | {action: f"{n}:.4f" for n, action in enumerate(self.actions)},
-                    first=LISTED,
-                ),
+                "p_optimal": self._make_share_table(),
                 "candidates": Table(
                     title="policies held fixed in every draw",
                     rows=[
@@ -293,11 +281,57 @@ class PSA(Pictured):
                     first=LISTED,
                 ),
             },
-            notes=[
-                *[f"carried by few draws: {', '.join(few)}; take more to rely on it"] * bool(few),
-                *(f"EVPPI of {', '.join(of[:3])}{more}: {each}" for each in wide),
-            ],
+            notes=self._list_notes(losses[0], information, partly),
         )
+
+    def _list_optimal_shares(self) -> dict[str, dict[str, dict[str, float]]]:
+        """Return the shares of draws in which each action is optimal, by state and action."""
+        share, low, high = self.probability_optimal()
+        shares: dict[str, dict[str, dict[str, float]]] = {}
+        for x, label in enumerate(self.labels):
+            shares[label] = {}
+            for a, action in enumerate(self.actions):
+                ends = {"low": low[x, a], "high": high[x, a]}
+                shares[label][action] = {"probability": share[x, a]} | ends
+        return shares
+
+    def _make_share_table(self) -> Table:
+        """Return the table of these shares, one row for each state."""
+        share, low, high = self.probability_optimal()
+        reach = float(np.maximum(high - share, share - low).max(initial=0.0))
+        where, first = "", "state"
+        if self.compiled:
+            where, first = "at subtask 0, trial 0; ", "status"
+        rows = []
+        for label, row in zip(self.labels, share.tolist(), strict=True):
+            rows.append({"": label, **{str(n): each for n, each in enumerate(row)}})
+        columns = {action: f"{n}:.4f" for n, action in enumerate(self.actions)}
+        return Table(
+            title=f"share of draws in which an action is optimal, {where}"
+            f"ends of Wilson's 95 % intervals are within {reach:.2g}",
+            rows=rows,
+            columns={first: ""} | columns,
+            first=LISTED,
+        )
+
+    def _list_notes(
+        self, lost: MeanLoss, information: Information, partly: Mapping[str, PartialInformation]
+    ) -> list[str]:
+        """Return warnings of means that few draws carry, and of EVPPI with wide intervals."""
+        notes = []
+        means = {"regret": lost, "EVPI": information.high, "EVPI's lower end": information.low}
+        few = [f"{name} by {m.carried:.0f}" for name, m in means.items() if m.few and m.value]
+        if few:
+            notes.append(f"carried by few draws: {', '.join(few)}; take more to rely on it")
+        among = self.evpi_of_candidates()
+        errors = {name: each.regression.standard_error for name, each in partly.items()}
+        wide = [name for name, error in errors.items() if error > among.value]
+        names = ", ".join(wide[:3])
+        if len(wide) > 3:
+            names += f" and {len(wide) - 3} more"
+        for text in too_wide(max(errors.values(), default=0.0), among.value, len(self)):
+            notes.append(f"EVPPI of {names}: {text}")
+        return notes
 
     def frame(self) -> DataFrame:
         """Return a table: the drawn parameters, V*, each candidate's value and regret (reward)."""
@@ -311,7 +345,9 @@ def _list_loss_facts(loss: MeanLoss) -> dict[str, object]:
 def _describe_draws(values: Floats, mean: Estimated) -> Shown:
     """Return the mean of draws, their spread and quantiles."""
     stated = _list_loss_facts(mean) if isinstance(mean, MeanLoss) else to_json_values(mean)
-    sd = float(values.std(ddof=1)) if len(values) > 1 else float("nan")
+    sd = float("nan")
+    if len(values) > 1:
+        sd = float(values.std(ddof=1))
     every = estimate_quantiles(values)
     middle = f"{every[0]['value']:.4g} to {every[-1]['value']:.4g}"
     return Shown(
@@ -325,7 +361,7 @@ def groups_of(
 ) -> list[tuple[str, tuple[str, ...], list[int]]]:
     """Return groups of drawn parameters: label, names, and columns of the draws.
 
-    Unless given, each part alone, and parameters whose names begin alike together.
+    By default each part alone, and together all parameters whose names begin with the same word.
     """
     place = {name: column for column, name in enumerate(chosen.names)}
     if groups is None:
@@ -349,18 +385,20 @@ def groups_of(
 def sample_parameters(
     family: Parametric, chosen: Uncertainty, n: int | None, seed: int, block: int
 ) -> Floats:
-    """Return (n, Q) draws, each block from a stream of its own, or rows of one's own sample."""
+    """Return the draws (n, Q): each block from its own random stream, or rows of a given sample."""
     if not chosen.parts:
         raise ModelError(
             "no parameter is uncertain",
             where=place_of(family),
-            fix="state what is drawn (--uncertain FILE, uncertain=); of today's values alone there "
-            "is nothing to draw: cost_effectiveness without n is the base case",
+            fix="state distributions (--uncertain FILE, uncertain=); for today's values alone, "
+            "cost_effectiveness without n is the base case",
         )
     sample = chosen.sample
-    if n is None and sample is None:
-        raise ModelError("nothing says how many draws", where="n", fix="say n=1000")
-    n = require_count(len(sample) if n is None and sample is not None else n, "n")
+    if n is None:
+        if sample is None:
+            raise ModelError("the number of draws is missing", where="n", fix="say n=1000")
+        n = len(sample)
+    n = require_count(n, "n")
     if sample is not None and n > len(sample):
         raise ModelError(
             f"{n:,} draws of a sample of {len(sample):,}",
@@ -393,20 +431,20 @@ def psa(
     Parameters
     ----------
     model : Scenario, MDP or Parametric
-        Of an MDP the probabilities of its random rows are parameters, too, up to 2,000 rows.
+        In an MDP the probabilities of random rows are parameters, too, up to 2,000 rows.
     n : int, optional
-        D, the number of draws; of a sample of one's own its first n rows, all unless given.
+        D, the number of draws; of a given sample the first n rows, by default all.
     rng : int or numpy.random.Generator
-        The same seed gives the same bytes for any number of workers, and the draws of a larger
-        sample begin with those of a smaller one.
+        The same seed gives the same bytes for any number of workers, and a larger sample begins
+        with the draws of a smaller one.
     uncertain : {name: settings}, pandas.DataFrame, file or Uncertainty, optional
-        Which parameters are drawn, and from what, or a sample of one's own: see `uncertainty`,
-        which takes `effective_sample_size` for the probabilities of which nothing is said.
+        The distributions of the parameters, or a sample of one's own: see `uncertainty`, which uses
+        `effective_sample_size` for probabilities without a stated distribution.
     policy : PolicyLike
-        The policy that is held fixed; "optimal" is the optimum at today's values.
+        The policy held fixed; "optimal" is the optimum at today's values.
     n_jobs, folder, progress : optional
-        See `solvers.parallel.many`. A larger sample with the same seed uses the whole pieces of an
-        earlier one in the folder again.
+        See `solvers.parallel.many`. A larger sample with the same seed reuses the complete pieces
+        of an earlier one in the folder.
 
     Returns
     -------
@@ -415,7 +453,7 @@ def psa(
     Raises
     ------
     ModelError
-        For no draws, and where nothing is uncertain.
+        Without draws, and if nothing is uncertain.
 
     Examples
     --------
@@ -428,10 +466,14 @@ def psa(
     solver = solver_of(family, chosen.names)
     points = sample_parameters(family, chosen, n, seed, solver.block)
     today, fixed_policy = solver.hold_policy("optimal"), solver.hold_policy(policy)
-    same = np.array_equal(fixed_policy, today)
-    given = [(TODAY, today)] if same else [(HELD, fixed_policy), (TODAY, today)]
-    own = [[*part.names, part.kind, *part.numbers] for part in chosen.parts]
-    key = {"seed": seed, "drawn": own if chosen.sample is None else hash_policies(chosen.sample)}
+    given = [(TODAY, today)]
+    if not np.array_equal(fixed_policy, today):
+        given.insert(0, (HELD, fixed_policy))
+    # The key of saved pieces: the seed, and the distributions or the sample.
+    drawn: object = [[*part.names, part.kind, *part.numbers] for part in chosen.parts]
+    if chosen.sample is not None:
+        drawn = hash_policies(chosen.sample)
+    key = {"seed": seed, "drawn": drawn}
     how = How(n_jobs=n_jobs, folder=folder, progress=progress)
     draws = StudyDraws(solver, points, solver.block, key, how)
     table = draws.with_policies(draws.run_study(()), [weights for _, weights in given])
@@ -461,38 +503,40 @@ def psa(
 def _select_policies(
     draws: StudyDraws, table: Study, given: Sequence[tuple[str, Floats]]
 ) -> tuple[list[tuple[str, Floats]], Study]:
-    """Return the policies given and those that add most, and their study.
+    """Return the given policies and the candidates that add most, and their study.
 
-    What the policies taken so far leave to be won is V* - max_c V^c, draw by draw. Policies are
-    considered by how much of it lies in the draws whose optimum they are. What one would add is at
-    least that, and at least what it adds in the draws in which most was left at first, where all
-    are valued. The one that adds most is valued in every draw, until none adds a hundredth of the
-    whole.
+    The loss of the policies taken so far is V* - max_c V^c in each draw. Policies are considered in
+    the order of the loss in the draws in which they are optimal. A policy gains at least that loss,
+    and at least its gain over the draws with the largest losses, in which all policies of the pool
+    are evaluated. The policy with the greatest gain is evaluated in every draw, until no gain is a
+    hundredth of the whole loss.
     """
     rows, which, sign, picked = table.rows, table.which, table.sign, list(given)
 
-    def to_be_won() -> Floats:
-        """Return (D,) what the policies taken leave, and 0 where rounding may be all there is."""
+    def compute_losses() -> Floats:
+        """Return the losses (D,) of the policies taken; 0 if rounding may explain them."""
         left = sign * table.optimal - (sign * table.fixed).max(axis=1)
         return np.where(left > table.error[:, 0] + table.error[:, 1:].max(axis=1), left, 0.0)
 
-    left = to_be_won()
+    # The pool: optima of draws with losses, without the policies given.
+    left = compute_losses()
     by_loss = np.bincount(which, weights=left, minlength=len(rows))
     known = np.any([_match_policies(draws, table, weights) for _, weights in given], axis=0)
     pool = np.argsort(-by_loss, kind="stable")[:POOL]
     pool = pool[(by_loss[pool] > 0) & ~known[pool]]
     if not len(pool):
         return picked, table
+    # Their values in the draws with the largest losses.
     others = [draws.solver.hold_policy(row) for row in rows[pool]]
     total, some = float(left.sum()), np.sort(np.argsort(-left, kind="stable")[: draws.solver.pool])
     values = sign * draws.solver.evaluate_policies(table.points[some], others)["value"]
     for count in range(1, CANDIDATES + 1):
         best = (sign * table.fixed[some]).max(axis=1)
         seen = np.maximum(values - best[:, None], 0.0).sum(axis=0)
-        by_loss = np.bincount(which, weights=to_be_won(), minlength=len(rows))
+        by_loss = np.bincount(which, weights=compute_losses(), minlength=len(rows))
         gains = np.maximum(seen, by_loss[pool])
         number = int(gains.argmax())
-        if gains[number] <= LEAST_GAIN * total:
+        if gains[number] <= 0.01 * total:
             break
         picked.append((f"alternative {count}", others[number]))
         table = draws.with_policies(table, [others[number]])
@@ -500,5 +544,5 @@ def _select_policies(
 
 
 def _match_policies(draws: StudyDraws, table: Study, weights: Floats) -> Flags:
-    """Return which of the optimal policies (U,) a policy is."""
+    """Return (U,) which of the optimal policies are the same as a policy."""
     return np.asarray((table.rows == draws.solver.to_action_numbers(weights)).all(axis=1))

@@ -1,4 +1,4 @@
-"""The range over which each parameter is varied: ± 20 % unless stated otherwise, or from a file.
+"""The ranges over which parameters are varied: by default ± 20 % of today's value.
 
 A range file is TOML: `"base.anger" = [0.02, 0.10]`, or tables that spell the dotted name.
 """
@@ -22,17 +22,21 @@ from exact_mdp.mdp.parametric.family import place_of
 from exact_mdp.mdp.table import FLOAT_RANGE, exact, format_beside_limits, format_rational
 from exact_mdp.solvers.solution import warn_at_caller
 
-RELATIVE = Fraction(1, 5)  # of the value; every result states the ranges that it is of
-HALVINGS = 40  # of the way to an end without a model: nearer than 10⁻¹² of it, there is no range
+RELATIVE = Fraction(1, 5)  # of today's value; every result states its ranges
+# Steps towards today's value from an end without a model: 2^-40 of the way is less than 10^-12 of
+# the range, and leaves no range.
+HALVINGS = 40
 
 
 def unit_of(parameter: Parameter) -> str:
-    """Return what a parameter is measured in, for tables and axes."""
+    """Return the unit of a parameter, for tables and axes."""
     if parameter.unit is not None:
         return parameter.unit
     if parameter.name == DISCOUNT:
         return "per step"
-    return "probability" if is_probability(parameter) else "number"
+    if is_probability(parameter):
+        return "probability"
+    return "number"
 
 
 def is_probability(parameter: Parameter) -> bool:
@@ -42,7 +46,7 @@ def is_probability(parameter: Parameter) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class Range:
-    """From where to where a parameter is varied: two numbers or "p/q", kept exact.
+    """The range of a parameter: two numbers or "p/q", kept exact.
 
     Examples
     --------
@@ -57,7 +61,7 @@ class Range:
     low: Fraction
     high: Fraction
 
-    if TYPE_CHECKING:  # what is taken: any two numbers
+    if TYPE_CHECKING:  # the constructor takes any two numbers
 
         def __init__(self, *, low: object, high: object) -> None: ...
 
@@ -82,12 +86,14 @@ Stated = Mapping[str, object] | str | Path
 
 
 def make_range_around(parameter: Parameter, relative: object = RELATIVE) -> Range:
-    """Return a parameter's value ± a share of it, within what it may be.
+    """Return a parameter's value ± a share of it, within the parameter's limits.
 
-    For "whole" it is all that the parameter may be, and the value ± itself where that is open.
+    "whole" stands for the limits themselves, and for ± 100 % if there are none.
     """
     whole = isinstance(relative, str) and relative == "whole"
-    share = exact(1 if whole else relative, "relative")
+    if whole:
+        relative = 1
+    share = exact(relative, "relative")
     if not 0 < share < FLOAT_RANGE[1]:
         fix = "choose one above 0, nearer to 1"
         raise ModelError(f"a share of {format_rational(share)}", where="relative", fix=fix)
@@ -101,18 +107,21 @@ def make_range_around(parameter: Parameter, relative: object = RELATIVE) -> Rang
 
 
 def restrict_range(model: Parametric, parameter: Parameter, span: Range) -> Range:
-    """Return a default range without what the model does not admit, the other parameters held.
+    """Return the part of a default range in which models exist, the other parameters held fixed.
 
-    The range ends where named probabilities of a row sum to 1. Where the model at an end cannot be
-    built or has no finite values, as at discount 1 where an episode may go on for ever, the end is
+    The range ends where the named probabilities of a row sum to 1. If the model at an end cannot be
+    built or has no finite values, as at discount 1 if an episode may go on forever, the end is
     moved half way to today's value until it has: a discount of 9/10 ends at 19/20. A model without
     finite values today keeps its range, and its analysis refuses it.
     """
     if isinstance(model, ScenarioFamily):  # all its models can be built, and end
         return span
-    low, high = room_of(model, parameter.name)
-    low = span.low if low is None else max(low, span.low)
-    high = span.high if high is None else min(high, span.high)
+    least, most = room_of(model, parameter.name)
+    low, high = span.low, span.high
+    if least is not None:
+        low = max(low, least)
+    if most is not None:
+        high = min(high, most)
     name, today = parameter.name, parameter.value
 
     def has_values(value: Fraction) -> bool:
@@ -122,21 +131,26 @@ def restrict_range(model: Parametric, parameter: Parameter, span: Range) -> Rang
             return False
         return not has_improper_policy(mdp)
 
-    ends = [low, high]
+    def find_end(end: Fraction) -> Fraction:
+        """Return the end, moved towards today's value until the model has values."""
+        for halvings in range(HALVINGS):
+            moved: Fraction = today + (end - today) / 2**halvings
+            if moved == today or has_values(moved):
+                return moved
+        return today
+
     if low < high and has_values(today):
-        for number, end in enumerate(ends):
-            halvings = (today + (end - today) / 2**k for k in range(HALVINGS))
-            ends[number] = next((x for x in halvings if x == today or has_values(x)), today)
-    return Range(low=ends[0], high=ends[1])
+        low, high = find_end(low), find_end(high)
+    return Range(low=low, high=high)
 
 
 def read_ranges(model: Parametric, ranges: Stated | None) -> Ranges:
-    """Return stated ranges, or those of a file; raises ModelError for what is no range."""
+    """Return stated ranges, or the ranges in a file, checked; raise ModelError for a bad one."""
     if isinstance(ranges, Ranges):
         return ranges
     if isinstance(ranges, str | Path):
         read = flatten_entries(toml_of(read_text(ranges, most=SMALL), str(ranges)))
-        flat = {f"{prefix}.{key}" if prefix else key: value for prefix, key, value in read}
+        flat = {".".join(filter(None, (prefix, key))): value for prefix, key, value in read}
         if not flat:
             fix = 'write "NAME" = [low, high]'
             raise ModelError("no range in the file", where=str(ranges), fix=fix)
@@ -175,19 +189,22 @@ def ranges_of(
 ) -> Ranges:
     """Return the range of each parameter: the stated one, or one around today's value.
 
-    Unless given, `names` are those of `ranges`, or else all, and `relative` is 1/5.
+    By default `names` are all parameters with a stated range or, if there are none, all parameters;
+    `relative` is 1/5.
     """
     stated = read_ranges(model, ranges)
     if names is None:
         names = list(stated) or [parameter.name for parameter in model.parameters]
+    share = RELATIVE if relative is None else relative
     spans = Ranges()
     for name in require_list(names, "names"):
         parameter = parameter_of(model, name)
         if name in stated:
             spans[name] = stated[name]
             continue
-        span = make_range_around(parameter, RELATIVE if relative is None else relative)
+        span = make_range_around(parameter, share)
         spans[name] = restrict_range(model, parameter, span)
+        # A number below 1 that is varied beyond 1 may be a utility: ask for its limits.
         plain = parameter.unit is None and parameter.low is None and parameter.high is None
         if relative is None and plain and 0 < parameter.value < 1 < spans[name].high:
             warn_at_caller(
@@ -200,7 +217,7 @@ def ranges_of(
 
 
 def range_of(model: Parametric, name: str, ranges: object = None, relative: object = None) -> Range:
-    """Return the range of one parameter; `ranges` may be (low, high) of it, or name it."""
+    """Return the range of one parameter; `ranges` may be its (low, high) alone."""
     if not isinstance(ranges, Mapping | str | Path | None):
         ranges = {name: ranges}
     span = ranges_of(model, [name], ranges, relative)[name]
@@ -217,7 +234,7 @@ def flatten_entries(table: Mapping[str, Any], prefix: str = "") -> Iterator[tupl
     """Yield the entries of nested tables: the dotted name of the table, the key, the value."""
     for key, value in table.items():
         if isinstance(value, dict):
-            yield from flatten_entries(value, f"{prefix}.{key}" if prefix else key)
+            yield from flatten_entries(value, ".".join(filter(None, (prefix, key))))
         else:
             yield prefix, key, value
 
@@ -225,7 +242,7 @@ def flatten_entries(table: Mapping[str, Any], prefix: str = "") -> Iterator[tupl
 def list_usual_parameters(model: Parametric) -> list[str]:
     """Return the names of the parameters to vary together: all but the discount, unless alone.
 
-    A share of the discount is a change of another kind: from 1 to 4/5 it would outweigh all others.
+    A relative change of the discount, as from 1 to 4/5, would outweigh all others.
     """
     names = [parameter.name for parameter in model.parameters]
     return [name for name in names if name != DISCOUNT] or names
@@ -239,7 +256,7 @@ def spans_of(
 ) -> dict[Parameter, Range]:
     """Return the parameters to vary together, with their ranges.
 
-    Unless ranges are stated, parameters that are 0 today have none, and neither has the discount.
+    Unless ranges are stated, the discount is left out, and so are parameters that are 0 today.
     """
     stated = read_ranges(model, ranges)
     every = ranges_of(

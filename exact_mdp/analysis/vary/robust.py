@@ -1,16 +1,16 @@
-"""How much a policy can lose where each row's probabilities may be off, and what hedging costs.
+"""Robustness: the loss of a policy if probabilities are off, and the price of hedging against it.
 
-Uncertainty is (s, a)-rectangular: nature picks from a set of laws around each row, on its own
-(Iyengar, Mathematics of Operations Research 30, 2005).
+Uncertainty is (s, a)-rectangular: nature picks a distribution from a set around each row,
+independently of other rows (Iyengar, Mathematics of Operations Research 30, 2005).
 
     price of robustness = nominal value of the nominal policy - nominal value of the robust one,
     worst-case gain     = worst case of the robust policy - worst case of the nominal one
 
 (Bertsimas and Sim, Operations Research 52, 2004, for the price).
 
-An error in a table is something else: all states read the same tables. The worst choice of such
-parameters is hard to find (Wiesemann, Kuhn and Rustem, Mathematics of Operations Research 38,
-2013). Here a local search over corners of their ranges gives a point that is estimated to be it.
+An error in a parameter is different: it affects all rows that share the parameter. The worst choice
+of parameters is hard to find (Wiesemann, Kuhn and Rustem, Mathematics of Operations Research 38,
+2013). Here a local search over the corners of their ranges gives an estimate.
 """
 
 from __future__ import annotations
@@ -48,17 +48,17 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class RobustComparison(Result):
-    """Values at the start under nominal, worst and best laws, and the policies behind them."""
+    """Values at the start under nominal, worst and best distributions, and their policies."""
 
     mdp: MDP
     policy: Floats  # (L,) probability of each pair under the nominal policy
-    value: Bounded  # of the nominal policy with the tables as they are
-    worst: Bounded  # and at nature's worst and best
-    best: Bounded
-    robust: RobustSolution  # the best policy against nature's worst
-    optimistic: RobustSolution  # and with its best
-    robust_value: Bounded  # of the robust policy with the tables as they are
-    robust_best: Bounded  # and at nature's best
+    value: Bounded  # of the nominal policy in the nominal model
+    worst: Bounded  # of the nominal policy in its worst case
+    best: Bounded  # and in its best case
+    robust: RobustSolution  # the best policy for the worst case
+    optimistic: RobustSolution  # and for the best case
+    robust_value: Bounded  # of the robust policy in the nominal model
+    robust_best: Bounded  # and in its best case
 
     def __repr__(self) -> str:
         return (
@@ -68,34 +68,31 @@ class RobustComparison(Result):
 
     @property
     def price(self) -> Bounded:
-        """What the robust policy gives up where the tables are right."""
+        """The price of robustness: what the robust policy gives up in the nominal model."""
         return self._compute_improvement(self.value, self.robust_value)
 
     @property
     def gain(self) -> Bounded:
-        """What the robust policy earns more in its worst case than the nominal one in its own."""
+        """The worst-case gain: how much better the robust policy is, each in its worst case."""
         return self._compute_improvement(self.robust.start, self.worst)
 
     def _compute_improvement(self, one: Bounded, other: Bounded) -> Bounded:
-        """Return how much better one value is than another: of costs, how much less."""
-        return (
-            subtract_numbers(one, other)
-            if self.mdp.sense == "max"
-            else subtract_numbers(other, one)
-        )
+        """Return how much better one value is than another; costs are better if they are less."""
+        if self.mdp.sense == "min":
+            one, other = other, one
+        return subtract_numbers(one, other)
 
     @property
     def changed(self) -> Numbers:
-        """(K,) states in which the policies differ, of those that either of them reaches."""
+        """(K,) states in which the policies differ, among the states that either one reaches."""
         mdp, taken = self.mdp, self.robust.policy.weights(self.mdp)
         differs = np.logical_or.reduceat(taken != self.policy, mdp.pair_offsets[:-1])
-        seen = find_reachable_states(mdp, pairs=taken > 0) | find_reachable_states(
-            mdp, pairs=self.policy > 0
-        )
+        seen = find_reachable_states(mdp, pairs=taken > 0)
+        seen = seen | find_reachable_states(mdp, pairs=self.policy > 0)
         return np.flatnonzero(differs & seen & ~mdp.terminal)
 
     def report(self) -> Report:
-        """Return the values under the tables, and under nature's worst and best."""
+        """Return the values in the nominal model, and in the worst and the best case."""
         label, moved = self.mdp.space.label, np.isin(self.mdp.pair_state, self.changed)
         both = self.policy, self.robust.policy.weights(self.mdp)
         before, after = (actions_of(self.mdp, moved & (weights > 0)) for weights in both)
@@ -134,7 +131,7 @@ class RobustComparison(Result):
         )
 
     def frame(self) -> DataFrame:
-        """Return values at the start (reward), one row for each policy and law."""
+        """Return values at the start (reward), one row for each policy and case."""
         rows = [
             ("nominal", "nominal", self.value),
             ("nominal", "worst", self.worst),
@@ -154,7 +151,7 @@ SETS: Mapping[str, tuple[Callable[[MDP, object], Ambiguity], str]] = {
     "l1": (lambda mdp, radius: L1Ball(radius=radius), "1/10"),
     "kl": (lambda mdp, radius: Likelihood(radius=radius), "1/100"),
 }
-"""Sets by name, each with its usual radius."""
+"""Sets by name, each with its default radius."""
 
 
 @named_options
@@ -165,27 +162,27 @@ def robust(
     radius: object | None = None,
     policy: PolicyLike = "optimal",
 ) -> RobustComparison:
-    """Return the worst and the best case of a policy, and the best policy against the worst.
+    """Return the worst and the best case of a policy, and the policy with the best worst case.
 
     Parameters
     ----------
     model : MDP
     ambiguity : Ambiguity, or "interval", "l1" or "kl"
-        Sets of laws around the rows p: p (1 ± x), those within an L1 distance of x, and those with
-        KL(p‖q) ≤ x. Other intervals are `Intervals(lower=…, upper=…)`.
+        Sets of distributions q around each row p: q within p (1 ± x), within an L1 distance of x,
+        or with KL(p‖q) ≤ x. Other intervals are `Intervals(lower=…, upper=…)`.
     radius : number, optional
-        x of a set that is named; 1/5, 1/10 and 1/100 unless given.
+        x of a named set; by default 1/5, 1/10 and 1/100.
     policy : PolicyLike
         The nominal policy.
 
     Returns
     -------
-    Robust
+    RobustComparison
 
     Raises
     ------
     ModelError
-        As `solve_robust` does.
+        As `solve_robust` raises it.
 
     Examples
     --------
@@ -197,8 +194,10 @@ def robust(
     model = mdp_of(model)
     require_room_for_rows(model)
     if isinstance(ambiguity, str):
-        make, usual = SETS[require_known_name(ambiguity, SETS, "set", "robust")]
-        ambiguity = make(model, usual if radius is None else radius)
+        make, default = SETS[require_known_name(ambiguity, SETS, "set", "robust")]
+        if radius is None:
+            radius = default
+        ambiguity = make(model, radius)
     elif radius is not None:
         raise ModelError(
             "a radius, and a set that has its own",
@@ -208,7 +207,7 @@ def robust(
     sets = ambiguity
     chain = PolicyChain.of(model, policy)
 
-    def fixed(weights: Floats, nature: Nature) -> Bounded:
+    def evaluate_case(weights: Floats, nature: Nature) -> Bounded:
         return solve_robust(model, sets, nature=nature, policy=weights).start
 
     best = solve_robust(model, sets)
@@ -217,12 +216,12 @@ def robust(
         mdp=model,
         policy=chain.weights,
         value=finite_worth(model, chain, "today's laws"),
-        worst=fixed(chain.weights, "worst"),
-        best=fixed(chain.weights, "best"),
+        worst=evaluate_case(chain.weights, "worst"),
+        best=evaluate_case(chain.weights, "best"),
         robust=best,
         optimistic=solve_robust(model, sets, nature="best"),
         robust_value=finite_worth(model, own, "today's laws"),
-        robust_best=fixed(own, "best"),
+        robust_best=evaluate_case(own, "best"),
     )
 
 
@@ -231,17 +230,17 @@ def robust(
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class WorstPoint(Result):
-    """The worst corner that was found."""
+    """The worst corner found."""
 
-    point: Mapping[str, Fraction]  # where each parameter is
-    value: Bounded  # what the policy is worth there: its worst case is no better
-    optimum: Bounded  # the optimal value there: the worst case of no policy is better
-    corners: int  # how many were evaluated
+    point: Mapping[str, Fraction]  # the value of each parameter
+    value: Bounded  # of the policy there; its worst case is at most as good
+    optimum: Bounded  # the optimal value there; no policy has a better worst case
+    corners: int  # number of corners evaluated
 
     claim = Claim.ESTIMATED  # a worse point may exist
 
     def report(self) -> Report:
-        """Return the value there, and the corner."""
+        """Return the value at the worst corner, and the corner."""
         value = to_json_values(self.value) | {"claim": self.claim}
         point = {name: float(at) for name, at in self.point.items()}
         said = f"at best {format_cell(self.value)}, not proven to be the worst point (estimated)"
@@ -258,7 +257,7 @@ class WorstPoint(Result):
         )
 
     def frame(self) -> DataFrame:
-        """Return where each parameter is."""
+        """Return the value of each parameter."""
         at = [float(each) for each in self.point.values()]
         return data_frame({"parameter": list(self.point), "at": at})
 
@@ -278,7 +277,7 @@ def worst_point(
     policy : PolicyLike
         Held fixed; "optimal" is the optimum at today's values.
     ranges : {name: (low, high)}, optional
-        Today's values ± 20 % unless given, of all parameters but the discount.
+        By default today's values ± 20 %, for all parameters but the discount.
     relative : number, optional
         Another share than 20 %.
 
@@ -289,7 +288,7 @@ def worst_point(
     Raises
     ------
     ModelError
-        For values that the model cannot have together, and where a value is infinite.
+        For values that the model cannot have together, or infinite values.
 
     Examples
     --------
@@ -308,30 +307,32 @@ def worst_point(
     ends = np.array([[float(span.low), float(span.high)] for span in spans.values()])
     every = np.arange(len(names))
 
-    def worth(points: Floats) -> Floats:
+    def evaluate_points(points: Floats) -> Floats:
+        """Return the values of the policy at some points, negated for costs."""
         return np.asarray(sign * solver.evaluate_policies(points, [fixed])["value"][:, 0])
 
-    def flipped(point: Floats, end: np.ndarray) -> Floats:
-        points = np.tile(point, (len(names), 1))  # one for each parameter, at its given end
+    def move_each_alone(point: Floats, end: np.ndarray) -> Floats:
+        """Return one point for each parameter, with this parameter at its given end."""
+        points = np.tile(point, (len(names), 1))
         points[every, every] = ends[every, end]
         return points
 
+    # Begin at the corner of each parameter's worse end, the others at today's values.
     today = np.array([float(parameter.value) for parameter in spans])
-    alone = [worth(flipped(today, np.full(len(names), end))) for end in (0, 1)]
+    alone = [evaluate_points(move_each_alone(today, np.full(len(names), end))) for end in (0, 1)]
     corner = (alone[1] < alone[0]).astype(int)
-    least, corners = worth(ends[every, corner][None])[0], 1
+    least, corners = evaluate_points(ends[every, corner][None])[0], 1
+    # Move the one parameter whose other end is worst, until no move makes the value worse.
     while True:
-        moved = worth(flipped(ends[every, corner], 1 - corner))
+        moved = evaluate_points(move_each_alone(ends[every, corner], 1 - corner))
         corners += len(moved)
         if moved.min() >= least:
             break
         corner[moved.argmin()] ^= 1
         least = moved.min()
-    point = {
-        parameter.name: span.high if end else span.low
-        for (parameter, span), end in zip(spans.items(), corner.tolist(), strict=True)
-    }
-    optimum, value = study(
-        family, {name: [at] for name, at in point.items()}, [fixed]
-    ).bound_point_values(0)
+    point = {}
+    for (parameter, span), end in zip(spans.items(), corner.tolist(), strict=True):
+        point[parameter.name] = span.high if end else span.low
+    design = {name: [at] for name, at in point.items()}
+    optimum, value = study(family, design, [fixed]).bound_point_values(0)
     return WorstPoint(point=point, value=value, optimum=optimum, corners=corners)

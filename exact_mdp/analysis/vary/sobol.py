@@ -1,7 +1,8 @@
 """Global sensitivity: Sobol indices over the parameters' ranges.
 
 Parameters are independent and uniform over their ranges. The outputs Y are the value of the
-optimum, that of a policy held fixed, and the policy's regret. Of the variance of Y, θ_i decides
+optimum, the value of a policy held fixed, and the policy's regret. The shares of the variance of Y
+that are due to θ_i are
 
     S_i  = Var(E[Y | θ_i]) / Var(Y)   alone,    ST_i = E[Var(Y | θ_others)] / Var(Y)   with others.
 
@@ -11,7 +12,7 @@ the column of θ_i from B: n (P + 2) draws for P parameters. Then
     S_i  ≈ mean of (B - mean of both) (AB_i - A) / Var,      ST_i ≈ mean of (AB_i - A)² / (2 Var)
 
 (Saltelli et al., Computer Physics Communications 181, 2010, table 2, (b) and (f)). Intervals are
-normal ones of 95 %, with the spread of a bootstrap over the n points.
+normal 95 % intervals, with the standard deviation of a bootstrap over the n points.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ from exact_mdp.solvers.parallel import How
 from exact_mdp.solvers.solution import NORMAL
 
 OUTPUTS = ("optimal", "fixed", "regret")
-RESAMPLES = 200  # which tell a spread to 5 % of it, 1 / √(2 · 200)
+# Bootstrap resamples, which give a standard deviation to within 5 %, 1 / √(2 · 200).
+RESAMPLES = 200
 TITLES = {
     "optimal": "the start value, policy re-optimised",
     "regret": "the regret of the policy held fixed",
@@ -57,7 +59,7 @@ SHARES = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Indices:
-    """Sobol indices (P,) of one output, NaN where it does not vary, and half their intervals."""
+    """Sobol indices (P,) of one output, NaN if it is constant, and half widths of intervals."""
 
     mean: float
     sd: float
@@ -68,7 +70,7 @@ class Indices:
 
     @property
     def constant(self) -> bool:
-        """Whether the output is the same, up to rounding, at all points of A and B."""
+        """Whether the output is constant, up to rounding, at all points of A and B."""
         return bool(np.isnan(self.first).all())
 
 
@@ -99,46 +101,39 @@ class Sobol(Pictured):
         return tuple(parameter.name for parameter in self.spans)
 
     def of(self, output: str) -> Indices:
-        """Return the indices of one output; raises ModelError unless it has this name."""
+        """Return the indices of one output, by name."""
         indices: Indices = getattr(self, require_known_name(output, OUTPUTS, "output", "output"))
         return indices
 
     def report(self) -> Report:
         """Return the indices of the optimum's value and of the policy's regret."""
         lost = self.regret
-        return Report(
-            title="Sobol indices",
-            facts={
-                "claim": "estimated",
-                "draws": self.draws,
-                "seed": self.seed,
-                "confidence": 0.95,
-                "ranges": Shown(
-                    {p.name: [float(r.low), float(r.high)] for p, r in self.spans.items()}
-                ),
-                "samples": self.n,
-                "mean": self.optimal.mean,
-                "sd": self.optimal.sd,
-                **{
-                    name: Shown(shares) for name, shares in self._list_indices(self.optimal).items()
-                },
-                "regret": Shown(
-                    {"mean": lost.mean, "sd": lost.sd, **self._list_indices(lost)},
-                    f"mean {format_number(lost.mean)}, sd {lost.sd:.4g}",
-                ),
-            },
-            tables={
-                f"shares of {name}": Table(
-                    title=f"shares of the variance of {what}, ± half an interval",
-                    rows=() if self.of(name).constant else self.frame(name),
-                    columns=SHARES,
-                )
-                for name, what in TITLES.items()
-            },
-        )
+        indices = self._list_indices(self.optimal)
+        facts = {
+            "claim": "estimated",
+            "draws": self.draws,
+            "seed": self.seed,
+            "confidence": 0.95,
+            "ranges": Shown({p.name: [float(r.low), float(r.high)] for p, r in self.spans.items()}),
+            "samples": self.n,
+            "mean": self.optimal.mean,
+            "sd": self.optimal.sd,
+            **{name: Shown(shares) for name, shares in indices.items()},
+            "regret": Shown(
+                {"mean": lost.mean, "sd": lost.sd, **self._list_indices(lost)},
+                f"mean {format_number(lost.mean)}, sd {lost.sd:.4g}",
+            ),
+        }
+        tables = {}
+        for name, what in TITLES.items():
+            # A constant output has no shares of variance.
+            title = f"shares of the variance of {what}, ± half an interval"
+            rows = () if self.of(name).constant else self.frame(name)
+            tables[f"shares of {name}"] = Table(title=title, rows=rows, columns=SHARES)
+        return Report(title="Sobol indices", facts=facts, tables=tables)
 
     def _list_indices(self, each: Indices) -> dict[str, dict[str, object]]:
-        """Return each parameter's indices of an output, and their intervals."""
+        """Return the indices of an output for each parameter, and their intervals."""
         first, total = (each.first, each.first_half), (each.total, each.total_half)
         shares = {}
         for key, (index, half) in {"first_order": first, "total": total}.items():
@@ -183,7 +178,7 @@ def sobol(
     policy : PolicyLike
         The policy whose regret is decomposed; "optimal" is the optimum at today's values.
     names, ranges, relative : optional
-        As for `tornado`; what is 0 today, or the discount, varies only where that is stated.
+        As for `tornado`; the discount, and parameters of 0 today, vary only if ranges are stated.
     n : int
         A power of 2; the model is solved at n (P + 2) points.
     rng : int or numpy.random.Generator
@@ -197,7 +192,7 @@ def sobol(
     Raises
     ------
     ModelError
-        For unknown names, empty ranges, an `n` that is no power of 2, and values that the model
+        For unknown names, empty ranges, an `n` that is not a power of 2, and values that the model
         cannot have together.
 
     Examples
@@ -214,7 +209,7 @@ def sobol(
     if n & (n - 1):
         near = 1 << (n.bit_length() - 1)
         raise ModelError(
-            f"{n} samples, not a power of 2, of which Sobol sequences are made",
+            f"{n} samples, which is not a power of 2, as a Sobol sequence needs",
             where="sobol",
             fix=f"ask for {near} or {2 * near}",
         )
@@ -226,7 +221,7 @@ def sobol(
     draws = _build_design(list(spans.values()), n, default_rng(spawn_child_seed(seed, 0)))
     table = study(family, dict(zip((p.name for p in spans), draws.T, strict=True)), [policy], **how)
     resamples = default_rng(spawn_child_seed(seed, 1)).integers(n, size=(RESAMPLES, n))
-    # A regret is off by up to two errors, and may be so much more than the 0 it is given for them.
+    # A regret within two error bounds counts as 0, and may be off by as much again.
     noise = 6 * float(table.error.max())
     every = (table.optimal, table.fixed, table.regret)
     indices = (_estimate_indices(each.reshape(n, -1), noise, resamples) for each in every)
@@ -236,12 +231,13 @@ def sobol(
 
 
 def _build_design(spans: Sequence[Range], n: int, rng: np.random.Generator) -> Floats:
-    """Return (n (P + 2), P) draws: for each point its rows of A, of AB_1 … AB_P, and of B."""
+    """Return the draws (n (P + 2), P): for each point its rows in A, in AB_1 … AB_P, and in B."""
     from scipy.stats import qmc
 
     count = len(spans)
     points = qmc.Sobol(2 * count, rng=rng).random_base2(n.bit_length() - 1)
     unit = np.repeat(points[:, None, :count], count + 2, axis=1)
+    # Row i of a point, from 1 to P, has its i-th column from B; the last row is all of B.
     each = np.arange(count)
     unit[:, each + 1, each] = points[:, count:]
     unit[:, -1] = points[:, count:]
@@ -261,13 +257,14 @@ def _estimate_indices(output: Floats, noise: float, resamples: Integers) -> Indi
         sd, shares = float(both.std(ddof=1)), _compute_indices(output)
         # A resample in which the output does not vary has no indices.
         again = [_compute_indices(output[each]) for each in resamples if np.ptp(both[each]) > 0]
-        spread = np.std(again, axis=0, ddof=1) if len(again) > 1 else spread
+        if len(again) > 1:
+            spread = np.std(again, axis=0, ddof=1)
     (first, total), (one, other) = shares, NORMAL * spread
     return Indices(mean=mean, sd=sd, first=first, first_half=one, total=total, total_half=other)
 
 
 def _compute_indices(output: Floats) -> Floats:
-    """Return (2, P) the first-order and the total indices."""
+    """Return the first-order and the total indices (2, P)."""
     both, moved = output[:, [0, -1]], output[:, 1:-1] - output[:, :1]
     variance = both.var()
     first = (output[:, -1:] - both.mean()) * moved

@@ -1,12 +1,12 @@
 """A study: the optimum and given policies at many points of a model's parameters, in one table.
 
-A point gives values to some parameters; the others keep today's. In the model at each point the
-optimum is found (the policy re-optimised) and each given policy is evaluated (held fixed).
-Tornado, grid, Sobol indices and probabilistic analyses are designs of points and summaries of their
-tables. They compare values, so that infinite ones, of a total at discount 1, are refused by name.
-A care scenario goes through batched loops that never form the model (`solvers.care`), small
-models are solved many at once (`solvers.batch`), others one by one; blocks of points have a fixed
-size, so that any number of workers gives the same bytes.
+A point gives values to some parameters; the others keep today's values. At each point the optimum
+is found (the policy re-optimised) and each given policy is evaluated (held fixed). Tornado, grid,
+Sobol indices and probabilistic analyses are designs of points and summaries of their tables. They
+compare values, so that infinite ones, at discount 1, are refused. A care scenario goes through
+compiled loops that never form the model (`solvers.care`), small models are solved many at once
+(`solvers.batch`), others one by one. Blocks of points have a fixed size, so that any number of
+workers gives the same bytes.
 """
 
 from __future__ import annotations
@@ -54,9 +54,8 @@ from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import Evaluation, evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
-SHOWN = 3  # parameters of a point that an error names
-OF_NUMBER = 32  # bytes of a parameter at a point: it is drawn, laid out, checked and passed on
-KEPT = 2**24  # numbers of built models that are kept for the next question
+OF_NUMBER = 32  # bytes for a parameter at a point: four copies of a float, at most, exist at a time
+KEPT = 2**24  # numbers of built models that are kept, 128 MB: building is often the longest part
 HELD = "the policy held fixed"
 Found = TypeVar("Found", Solution, Evaluation)
 
@@ -69,15 +68,13 @@ class Study(Result):
     points: Numbers  # (D, P)
     optimal: Floats  # (D,) the policy re-optimised at each point
     fixed: Floats  # (D, N) each policy held fixed
-    error: (
-        Floats  # (D, N + 1) bounds on the errors of `solve_care_draws`, and of each policy's value
-    )
-    sign: int  # -1 where values are costs, of which the least is best
-    rows: Integers  # (U, S) the optimal policies that were found, as action numbers
-    which: Integers  # (D,) that of each point
+    error: Floats  # (D, N + 1) error bounds, of the optimum and of each policy's value
+    sign: int  # -1 if values are costs, of which the least is best
+    rows: Integers  # (U, S) the distinct optimal policies, as action numbers
+    which: Integers  # (D,) the row of each point's optimal policy
     counts: Integers  # (X, A) points in which an action is optimal up to rounding, by label
-    lost: Floats  # (D, A) each first action's cost, 0 if rounding, NaN if none; (D, 0): many starts
-    cut: np.ndarray  # (D,) whether a chance was cut off at 1, of compiled solvers alone
+    lost: Floats  # (D, A) gap of each first action, NaN if not available; (D, 0) for many starts
+    cut: np.ndarray  # (D,) whether a probability was cut off at 1; compiled solvers only
 
     claim: ClassVar[Claim] = Claim.BOUNDED
 
@@ -86,7 +83,7 @@ class Study(Result):
 
     @property
     def regret(self) -> Floats:
-        """(D, N) what holding each policy costs; 0 where the errors leave open whether it does."""
+        """(D, N) the regrets of the policies; 0 if they are within the error bounds."""
         error = self.error[:, :1] + self.error[:, 1:]
         return compute_regrets(self.optimal[:, None], self.fixed, error, self.sign)
 
@@ -99,11 +96,13 @@ class Study(Result):
     def frame(self, names: Sequence[str] | None = None) -> DataFrame:
         """Return one row for each point: its parameters, the optimum, each policy and its regret.
 
-        `names` are other ones of the parameters.
+        `names` are headings for the parameters, by default their names.
         """
         table = data_frame({"value": self.optimal})
         for number, (fixed, regret) in enumerate(zip(self.fixed.T, self.regret.T, strict=True)):
-            end = f"_{number}" * (len(self.fixed.T) > 1)
+            end = ""
+            if len(self.fixed.T) > 1:
+                end = f"_{number}"
             table[[f"fixed_value{end}", f"regret{end}"]] = np.column_stack([fixed, regret])
         table["error_bound"] = self.error[:, 0] + self.error[:, 1:].max(axis=1, initial=0.0)
         table["claim"] = str(self.claim)
@@ -119,7 +118,7 @@ def study(
     policies: Sequence[PolicyLike] = ("optimal",),
     **how: Unpack[How],
 ) -> Study:
-    """Return the optimum's value and the policies' at every point.
+    """Return the optimal value and the values of policies at every point.
 
     Parameters
     ----------
@@ -127,7 +126,7 @@ def study(
     points : {name: D numbers} or pandas.DataFrame
         A column for each parameter that is varied, a row for each point.
     policies : sequence of PolicyLike
-        Held fixed at every point; "optimal" is the optimum at today's values.
+        Policies held fixed at every point; "optimal" is the optimum at today's values.
     **how
         n_jobs, folder and progress; see `solvers.parallel.run_pieces`.
 
@@ -138,7 +137,7 @@ def study(
     Raises
     ------
     ModelError
-        For no points, unknown names, and values that the model cannot have.
+        Without points, for unknown names, and for values that the model cannot have.
 
     Examples
     --------
@@ -150,7 +149,7 @@ def study(
     """
     if not isinstance(points, Mapping) and not hasattr(points, "columns"):
         fix = "give {name: numbers}, or a pandas.DataFrame"
-        raise ModelError(f"{points!r:.60} is no table of points", where="points", fix=fix)
+        raise ModelError(f"{points!r:.60} is not a table of points", where="points", fix=fix)
     family, names = parametric(model), tuple(points)
     table = read_points(family, points)
     solver = solver_of(family, names)
@@ -168,7 +167,7 @@ def read_points(
     given: Mapping[str, Any] | DataFrame,
     fix: str = "correct the table: give finite numbers within its range",
 ) -> Numbers:
-    """Return points (D, P), checked; they are fractions where not all numbers are floats."""
+    """Return points (D, P), checked; they are fractions unless all numbers are floats."""
     check_names(given, "column", where="points")
     columns = {name: np.asarray(given[name]) for name in given}
     shapes = {column.shape for column in columns.values()}
@@ -192,7 +191,8 @@ def read_points(
         wrong = ~((drawn >= low) & (drawn <= high) & np.isfinite(drawn))
         if wrong.any():
             row, fault = int(wrong.argmax()), f"outside [{low:g}, {high:g}]"
-            fault = fault if np.isfinite(drawn[row]) else "no finite number"
+            if not np.isfinite(drawn[row]):
+                fault = "not a finite number"
             raise ModelError(
                 f"{name} is {drawn[row]:.17g}, {fault}",
                 where=f"draw {row}",
@@ -202,7 +202,7 @@ def read_points(
 
 
 def require_room_for_points(count: int, parameters: int, fix: str) -> None:
-    """Raise ModelError where so many points of so many parameters would not fit in memory."""
+    """Raise ModelError if so many points of so many parameters do not fit in memory."""
     size = OF_NUMBER * count * parameters
     if size > MOST_BYTES:
         raise ModelError(
@@ -215,7 +215,7 @@ def require_room_for_points(count: int, parameters: int, fix: str) -> None:
 
 @dataclass(frozen=True)
 class StudyDraws:
-    """Points (D, P), worked on in blocks of a size; `key` tells them from others in a folder."""
+    """Points (D, P) to be studied in blocks; `key` distinguishes them from others in a folder."""
 
     solver: ModelSolver
     points: Numbers
@@ -228,11 +228,14 @@ class StudyDraws:
         solver, points = self.solver, self.points
         done = self._run_blocks("draws", partial(_solve_block, solver, policies), {})
         whole = join_blocks(done, ("start", "start_error", "value", "error", "lost", "cut"))
-        if isinstance(solver, CareSolver) and (count := int(whole["cut"].sum())):
+        # Workers do not warn: one warning says how many draws were cut off.
+        count = int(whole["cut"].sum())
+        if isinstance(solver, CareSolver) and count:
             first = int(whole["cut"].argmax())
             values = dict(zip(solver.names, points[first].tolist(), strict=True))
             where = f", {count} of {len(points)} draws, the first of them draw {first}"
-            solver.model.warn_of_cutoffs(values, where=where)  # workers keep silent
+            solver.model.warn_of_cutoffs(values, where=where)
+        # Each block numbers its own optimal policies; here equal ones of all blocks become one.
         rows, places = find_distinct_rows(np.concatenate([block["rows"] for block in done]))
         begins = np.cumsum([0, *(len(block["rows"]) for block in done[:-1])])
         own = [at + block["which"] for at, block in zip(begins, done, strict=True)]
@@ -251,7 +254,7 @@ class StudyDraws:
         )
 
     def with_policies(self, table: Study, policies: Sequence[Floats]) -> Study:
-        """Return the study with the values of more policies."""
+        """Return the study extended by the values of more policies."""
         mark, work = hash_policies(*policies), partial(_evaluate_block, self.solver, policies)
         more = join_blocks(self._run_blocks(f"values-{mark[:12]}", work, {"policies": mark}))
         fixed = np.hstack([table.fixed, more["value"]])
@@ -260,9 +263,10 @@ class StudyDraws:
     def _run_blocks(
         self, what: str, work: Callable[[Any], Arrays], more: Mapping[str, object]
     ) -> list[Arrays]:
-        """Do all blocks: compiled loops in threads, other models in processes.
+        """Run all blocks: compiled loops in threads, other models in processes.
 
-        In a folder each has its size in its name, so that larger samples can use the whole ones.
+        In a folder each block has its size in its name, so that larger samples can reuse whole
+        blocks.
         """
         solver, first = self.solver, range(0, len(self.points), self.size)
         pieces = [(at, self.points[at : at + self.size]) for at in first]
@@ -301,23 +305,27 @@ def _evaluate_block(
 
 
 class _Built:
-    """Models of some draws, worked on all at once where they can be, else one by one."""
+    """The models of some draws, solved all at once if possible, otherwise one by one."""
 
     def __init__(self, models: list[MDP], at: Callable[[int], str]) -> None:
-        self.models, self.at = models, at  # where a model is, in words, by its number
+        self.models, self.at = models, at  # `at` describes a draw in words, by its number
         self.batch, self.sign = Batch.of(models), models[0].sign
-        self.size = KEPT if self.batch is None else self.batch.rows.size  # numbers that are held
+        self.size = KEPT  # numbers in memory: without a batch, too many to be kept
+        if self.batch is not None:
+            self.size = self.batch.rows.size
 
     def solve_models(self) -> tuple[Floats, Floats, Floats, Floats, Integers]:
         """Return start and error (D,), gap and doubt (D, L), and the actions (D, S)."""
-        mdp = self.models[0]
-        batch = None if self.batch is None else self.batch.solve_models()
+        mdp, batch = self.models[0], None
+        if self.batch is not None:
+            batch = self.batch.solve_models()
         if self.batch is None or batch is None:
             each = [self._solve_model(d) for d in range(len(self.models))]
             start, error, gap, doubt, policy = map(np.array, zip(*each, strict=True))
             return start, error, gap, doubt, policy
         value, off, gap, doubt = batch
         start, error = self.batch.at_start(value, off)
+        # The optimal action of a state: the lowest number among ties.
         tied = np.where(gap <= doubt, np.arange(mdp.n_pairs), mdp.n_pairs)
         policy = mdp.pair_action[np.minimum.reduceat(tied, mdp.pair_offsets[:-1], axis=1)]
         return 0.0 + self.sign * start, error, gap, doubt, policy  # no -0.0
@@ -326,13 +334,13 @@ class _Built:
         mdp = self.models[d]
         solution = finite_optimum(mdp, self.at(d))
         here, ahead = solution.value[mdp.pair_state], mdp.backup(solution.value)
-        # States may be worth ±∞, though the start is not; a pair that may lead to both is worth -∞.
+        # States may have infinite values although the start has not; a pair that may lead to both
+        # infinities has the value -∞.
         ahead[np.isnan(ahead)] = -inf
         with np.errstate(invalid="ignore"):
             lost = np.where(here == ahead, 0.0, mdp.sign * (here - ahead))
-        noise = compute_advantages(
-            mdp, np.where(np.isinf(solution.value), 0.0, solution.value)
-        ).noise
+        finite = np.where(np.isinf(solution.value), 0.0, solution.value)
+        noise = compute_advantages(mdp, finite).noise
         off = solution.state_error[mdp.pair_state]
         off = off + mdp.discount * (mdp.transition @ solution.state_error)
         taken = np.asarray(solution.policy)
@@ -341,7 +349,8 @@ class _Built:
     def evaluate_policy(self, weights: Floats, undecided: Flags) -> tuple[Floats, Floats]:
         """Return the value at the start and its error (D,) of a policy (L,).
 
-        Raises ModelError where it matters in a model what is done in the `undecided` states (S,).
+        Raises ModelError if the policy is silent in a state, among `undecided` (S,), in which the
+        action matters in some model.
         """
         self._require_said(weights, undecided)
         if self.batch is not None:
@@ -353,19 +362,22 @@ class _Built:
     def compute_totals(
         self, weights: Floats, names: Sequence[str], undecided: Flags
     ) -> tuple[Floats, Floats]:
-        """Return (D, C), (D, C) expected totals of components under a policy (L,), and errors."""
+        """Return the expected totals (D, C) of components under a policy (L,), and errors."""
         self._require_said(weights, undecided)
-        amounts = [
-            np.stack([mdp.components[:, mdp.component_names.index(name)] for mdp in self.models])
-            for name in names
-        ]
+        amounts = []
+        for name in names:  # models may list their components in different orders
+            columns = [mdp.components[:, mdp.component_names.index(name)] for mdp in self.models]
+            amounts.append(np.stack(columns))
         batch = self.batch
-        # What is counted at an end goes on for ever: only the analysis of one model knows that.
+        # A component that is counted in a terminal state goes on forever, which only the analysis
+        # of a single model takes into account.
         if batch is None or any((each * ~batch.live[:, batch.state]).any() for each in amounts):
-            found = [evaluate(mdp, weights).numbers for mdp in self.models]
-            every = [[each[f"component.{name}"] for name in names] for each in found]
-            totals, errors = ([[getattr(x, part) for x in row] for row in every]
-                              for part in ("value", "error"))  # fmt: skip
+            totals, errors = [], []
+            for mdp in self.models:
+                numbers = evaluate(mdp, weights).numbers
+                row = [numbers[f"component.{name}"] for name in names]
+                totals.append([number.value for number in row])
+                errors.append([number.error for number in row])
             return np.array(totals), np.array(errors)
         off = np.stack([component_errors(mdp) for mdp in self.models])
         each = []
@@ -376,39 +388,40 @@ class _Built:
         return np.column_stack(value), np.column_stack(error)
 
     def _require_said(self, weights: Floats, undecided: Flags) -> None:
-        """Raise ModelError where it matters what a policy (L,) does in some states (S,)."""
+        """Raise ModelError if a policy (L,) is silent in states (S,) where the action matters."""
         if undecided.any():
             for d, mdp in enumerate(self.models):
                 PolicyChain.of(mdp, weights).require_said(undecided, self.at(d))
 
     def _isolate_component(self, batch: Batch, amounts: Floats, errors: Floats) -> Batch:
-        """Return the models in which one component (D, L), so far off, is all that is earned."""
+        """Return the models with one component (D, L) as the reward, known up to an error."""
         alone = replace(batch, reward=amounts, reward_error=errors)
-        vars(alone)["weights"] = batch.weights  # how long a policy goes on is not about rewards
+        # The weights depend on transitions only, and need not be computed again.
+        vars(alone)["weights"] = batch.weights
         return alone
 
 
 def hash_policies(*policies: Floats) -> str:
-    """Return a hash of policies, (L,) probabilities of pairs each; other policies have another."""
+    """Return a hash of policies, each given by its probabilities of pairs (L,)."""
     content = b"".join(np.ascontiguousarray(each, dtype="<f8").tobytes() for each in policies)
     return sha256(content).hexdigest()
 
 
 def finite_optimum(mdp: MDP, where: str) -> Solution:
-    """Return the optimum; raises ModelError where it is infinite at the start."""
+    """Return the optimum; raise ModelError if it is infinite at the start."""
     solution: Solution = solve(mdp)
     return _require_finite_start("the optimum", solution, mdp, where)
 
 
 def finite_worth(mdp: MDP, policy: PolicyLike, where: str) -> Bounded:
-    """Return a policy's value at the start; raises ModelError where it is infinite."""
+    """Return a policy's value at the start; raise ModelError if it is infinite."""
     return _require_finite_start(HELD, evaluate(mdp, policy), mdp, where).start
 
 
 def _require_finite_start(what: str, found: Found, mdp: MDP, where: str) -> Found:
     if isinf(found.start.value):
         ways = ["give a discount below 1 (--discount 0.95)"]
-        if mdp.goal is None:  # a run that misses it costs infinity after N steps, too
+        if mdp.goal is None:  # with a goal, a run that misses it is infinite after N steps, too
             ways.append("a number of steps (--horizon N, mdp.within(N))")
         if what == HELD:
             ways.append("another policy")
@@ -423,15 +436,16 @@ def _require_finite_start(what: str, found: Found, mdp: MDP, where: str) -> Foun
 
 
 class ModelSolver:
-    """Models that are built at draws (D, Q) of some parameters, which `names` says.
+    """A solver of models at draws (D, Q) of the parameters `names`.
 
-    `mdp` is the model at today's values. A policy is held as the probabilities (L,) of its pairs,
-    which are the same at other values. `labels` (X,) are what a policy is told by, here the states
-    in which there is a choice; `place` (S,) is which of them a state has, -1 for none.
+    `mdp` is the model at today's values. A policy is given by its probabilities of pairs (L,), as
+    pairs are the same at all values. `labels` (X,) name the states in which a policy is reported,
+    here the states with a choice; `place` (S,) is the label of each state, -1 for none.
     """
 
-    block, pool = 64, 32  # draws in a piece of work; of largest regret, which choose candidates
-    compiled = False  # or threads can share the work
+    block = 64  # draws in a piece of work
+    pool = 32  # draws of largest regret in which candidate policies are compared
+    compiled = False  # whether threads can share the work
 
     def __init__(self, model: Parametric, names: Sequence[str]) -> None:
         self.model, self.names, self.mdp = model, tuple(names), model.at({})
@@ -439,7 +453,7 @@ class ModelSolver:
         self.labels = tuple(self.mdp.space.labels(np.flatnonzero(~forced)))
         self.place = np.where(forced, -1, np.cumsum(~forced) - 1)
         self.built: dict[str, _Built] = {}
-        self.undecided: dict[str, Flags] = {}  # by policy: the states of which it says nothing
+        self.undecided: dict[str, Flags] = {}  # by policy: the states in which it is silent
 
     def __getstate__(self) -> dict[str, Any]:
         return vars(self) | {"built": {}}
@@ -450,24 +464,25 @@ class ModelSolver:
         return finite_optimum(self.mdp, "today's parameters")
 
     def hold_policy(self, policy: PolicyLike) -> Floats:
-        """Return (L,) probabilities of pairs of a policy; "optimal" is today's optimum."""
-        today = isinstance(policy, str) and policy == "optimal"
-        chain, undecided = PolicyChain.held_fixed(self.mdp, self.solution if today else policy)
+        """Return the probabilities of pairs (L,) of a policy; "optimal" is today's optimum."""
+        if isinstance(policy, str) and policy == "optimal":
+            policy = self.solution
+        chain, undecided = PolicyChain.held_fixed(self.mdp, policy)
         self.undecided[hash_policies(chain.chosen)] = undecided
         return chain.chosen
 
     def _find_undecided_states(self, weights: Floats) -> Flags:
-        """Return (S,) the states of which a policy (L,) that is held says nothing."""
+        """Return (S,) the states in which a policy (L,) is silent."""
         return self.undecided.get(hash_policies(weights), np.zeros(self.mdp.n_states, dtype=bool))
 
     def to_action_numbers(self, weights: Floats) -> Integers:
-        """Return (S,) the action numbers of a policy (L,), -1 where it mixes."""
+        """Return (S,) the action numbers of a policy (L,), -1 if it mixes."""
         row, sure = np.full(self.mdp.n_states, -1), np.flatnonzero(weights == 1)
         row[self.mdp.pair_state[sure]] = self.mdp.pair_action[sure]
         return row
 
     def describe_policy(self, weights: Floats) -> dict[str, str] | None:
-        """Return the action at each label, where a policy says one and the same there."""
+        """Return the action at each label; None unless a policy takes one action at each."""
         here = self.place >= 0
         place, row = self.place[here], self.to_action_numbers(weights)[here]
         number = np.empty(len(self.labels), dtype=np.int64)
@@ -478,7 +493,7 @@ class ModelSolver:
         return dict(zip(self.labels, chosen, strict=True))
 
     def _build_models(self, draws: Numbers, first: int) -> _Built:
-        """Return the models of draws; what was built of these draws before is used again."""
+        """Return the models of draws, built once for repeated questions about the same draws."""
         key = repr(draws.tolist())
         if key not in self.built:
             models, at = [], partial(self._describe_draw, draws, first)
@@ -499,20 +514,22 @@ class ModelSolver:
         return self.built[key]
 
     def _describe_draw(self, draws: Numbers, first: int, d: int) -> str:
-        """Return the number of a draw and the parameters that it moves, the first few of many."""
+        """Return the number of a draw and the first three parameters that it moves."""
         today = {parameter.name: parameter.value for parameter in self.model.parameters}
-        moved = [
-            f"{name} = {format_cell(x)}"
-            for name, x in zip(self.names, draws[d].tolist(), strict=True)
-            if x != today[name]
-        ]
-        words = ", ".join(moved[:SHOWN]) + ", …" * (len(moved) > SHOWN)
-        return f"draw {first + d}, " + (words or "today's parameters")
+        moved = []
+        for name, x in zip(self.names, draws[d].tolist(), strict=True):
+            if x != today[name]:
+                moved.append(f"{name} = {format_cell(x)}")
+        words = ", ".join(moved[:3]) or "today's parameters"
+        if len(moved) > 3:
+            words += ", …"
+        return f"draw {first + d}, {words}"
 
     def solve_draws(self, draws: Numbers, first: int = 0) -> Arrays:
-        """Return the optima of (D, Q) draws: start, start_error (D,), and others as in `Study`."""
+        """Return the optima of draws (D, Q): start, start_error (D,), and others as in `Study`."""
         mdp = self.mdp
         start, error, gap, doubt, policies = self._build_models(draws, first).solve_models()
+        # A pair counts as optimal if its gap is within its error bound.
         rows, which = find_distinct_rows(policies.astype(np.int32))
         counts = np.zeros((mdp.n_states, mdp.n_actions), dtype=np.int64)
         counts[mdp.pair_state, mdp.pair_action] = (gap <= doubt).sum(axis=0)
@@ -534,7 +551,7 @@ class ModelSolver:
     def evaluate_policies(
         self, draws: Numbers, policies: Sequence[Floats], first: int = 0
     ) -> Arrays:
-        """Return value (D, N) and error (D, N) of N policies, each (L,) probabilities of pairs."""
+        """Return values and errors (D, N) of N policies, each given by probabilities (L,)."""
         built = self._build_models(draws, first)
         held = [
             built.evaluate_policy(weights, self._find_undecided_states(weights))
@@ -546,7 +563,7 @@ class ModelSolver:
     def compute_totals(
         self, draws: Numbers, policies: Sequence[Floats], components: Sequence[str], first: int
     ) -> tuple[Floats, Floats]:
-        """Return (D, N, C) totals of some components of the reward under N policies, and errors."""
+        """Return the totals (D, N, C) of some reward components under N policies, and errors."""
         built = self._build_models(draws, first)
         for d, mdp in enumerate(built.models):
             if not {*components} <= {*mdp.component_names}:
@@ -571,7 +588,7 @@ class ModelSolver:
 
 
 class CareSolver(ModelSolver):
-    """Batches of draws of a care scenario; labels are the statuses, at subtask 0, trial 0."""
+    """A solver of draws of a care scenario; labels are the statuses at subtask 0, trial 0."""
 
     block, pool, compiled = 4096, 1000, True
     model: ScenarioFamily
@@ -580,7 +597,7 @@ class CareSolver(ModelSolver):
         super().__init__(model, names)
         self.scenario, space = model.scenario, self.mdp.space
         states, statuses = np.arange(self.mdp.n_states), len(self.scenario.statuses)
-        # A last trial in which a skip is the only action is not a trial of the loops.
+        # The compiled loops leave out a last trial in which skipping is the only action.
         self.tried = (space.values("trial") < self.scenario.trials) & (states < space.regular)
         self.labels = tuple(f"{number:0{statuses}b}" for number in range(2**statuses))
         self.place = np.where(self.tried, states % len(self.labels), -1)

@@ -1,12 +1,12 @@
-"""Checks an optimal value that is a function of a parameter against the models alone.
+"""A checker for optimal values that are functions of a parameter, from the models alone.
 
-Nothing here imports a solver. N_s / D are the optimal values for all θ of an interval because
+Nothing here imports a solver. N_s / D are the optimal values for all θ of an interval if
 
-    D > 0,     D h_l ≥ 0 of all pairs,     D h_l = 0 of one of each state,
+    D > 0,     D h_l ≥ 0 for all pairs,     D h_l = 0 for one pair of each state,
 
-and the Bellman equations have one solution (`.equations`). No sign is sampled (`.roots`). A bracket
-between two pieces has one root in it at which everything changes that changes: the left values are
-optimal up to it, the right ones from it on.
+and the Bellman equations have one solution (`.equations`). Signs are proven, never sampled
+(`.roots`). A bracket between two pieces holds one root, at which all changes happen: the left
+values are optimal up to it, the right values from it on.
 """
 
 from __future__ import annotations
@@ -39,22 +39,27 @@ Start = tuple[tuple[int, Fraction], ...]
 
 
 def _reduce_polynomial(poly: fmpq_poly) -> tuple[type[fmpq_poly], tuple[list[int], int]]:
+    """Return a polynomial as the arguments of `fmpq_poly`, for pickling."""
     return fmpq_poly, ([*map(int, poly.numer().coeffs())], int(poly.denom()))
 
 
-copyreg.pickle(fmpq_poly, _reduce_polynomial)  # FLINT's polynomials cannot be pickled by themselves
+# Curves are pickled, but FLINT does not say how to pickle its polynomials.
+copyreg.pickle(fmpq_poly, _reduce_polynomial)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RationalFunction:
-    """A ratio of two polynomials, with coefficients from the constant up."""
+    """A ratio of two polynomials, given by their coefficients from the constant term up."""
 
     numerator: tuple[Fraction, ...]
     denominator: tuple[Fraction, ...]
 
     @classmethod
     def of(cls, start: Start, values: Values) -> RationalFunction:
-        """Return N / D at the start in lowest terms, the first coefficient of D not 0 made 1."""
+        """Return N / D at the start in lowest terms, with 1 as the first nonzero coefficient of D.
+
+        That makes equal functions have equal coefficients.
+        """
         top, below = sum_weighted(start, values[0]), values[1]
         shared = top.gcd(below)
         unit = next(c for c in (below / shared).coeffs() if c)
@@ -82,14 +87,14 @@ class RationalFunction:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CurvePiece:
-    """What is optimal between two thresholds, and what it is worth."""
+    """The optimal pairs and values between two thresholds."""
 
-    low: Bracket  # of its ends
-    high: Bracket
+    low: Bracket  # of the left end
+    high: Bracket  # of the right end
     section: Piece
     optimal: NDArray[np.bool_]  # (L,) the pairs that are optimal throughout
-    start: Start  # how much states count for; of costs, less than 0
-    values: Values  # of all states; of costs, those of the negated ones
+    start: Start  # weights of the start states; negative for costs
+    values: Values  # of all states; for costs, the values of negated costs
     fixed_values: Values | None = None  # of the policy held fixed
 
     @cached_property
@@ -99,35 +104,35 @@ class CurvePiece:
 
     @cached_property
     def fixed(self) -> RationalFunction | None:
-        """The value at the start of the policy held fixed."""
+        """The value at the start of the policy held fixed; None without one."""
         return self.fixed_values and RationalFunction.of(self.start, self.fixed_values)
 
 
 def piece_violations(
     family: Parametric, name: str, pieces: Sequence[CurvePiece], mix: Mix | None, sign: int
 ) -> Iterator[str]:
-    """Yield what does not hold of pieces of a model that maximises: nothing where all is sound.
+    """Yield the violations of pieces of a model that maximises; none if all are sound.
 
-    `mix` is the policy held fixed; sign is -1 where values at the start are costs.
+    `mix` is the policy held fixed; sign is -1 if values at the start are costs.
     """
     last, turning = None, list[fmpq_poly]()
     for piece in pieces:
         begins = last is None or piece.section is not last.section
         if begins:
+            # A new section has equations of its own, which must have one solution.
             equations, open_ = SectionEquations(family, name, piece.section), set[int]()
             low, high = equations.low, equations.high
             start = tuple((state, sign * weight) for state, weight in equations.mdp.start)
             if any(low < cut < high for cut in family.breakpoints(name)):
                 yield "rows pass to other polynomials inside a section"
             yield from equations.find_faults()
-        # Open are pairs of whose gap the sign is not known on all that is left of the section.
+        # A pair is open if its gap may turn negative in the rest of the section.
         turning = [equations.gap[pair] for pair in open_]
-        open_ |= equations.update_gaps(piece.values)
-        open_ = {
-            p
-            for p in open_
-            if not all(compute_coefficient_signs(equations.gap[p], piece.low[0], high))
-        }
+        changed = open_ | equations.update_gaps(piece.values)
+        open_ = set()
+        for pair in changed:
+            if not all(compute_coefficient_signs(equations.gap[pair], piece.low[0], high)):
+                open_.add(pair)
         turning += [equations.gap[pair] for pair in open_]
         yield from _not_optimal(equations, piece, open_)
         at = format_rational(piece.low[1])
@@ -135,6 +140,7 @@ def piece_violations(
             yield f"the value at the start from {at} on is another one"
         if mix is not None:
             yield from _not_of(equations, piece, mix)
+        # Pieces join in a bracket in which all gaps, old and new, turn at one point.
         joined = last is None or last.high == piece.low
         if begins:
             joined = joined and piece.low[0] == piece.low[1]
@@ -144,7 +150,7 @@ def piece_violations(
 
 
 def _not_optimal(equations: SectionEquations, piece: CurvePiece, open_: set[int]) -> Iterator[str]:
-    """Yield why the values of a piece, which are followed, may not be optimal throughout."""
+    """Yield the reasons why the values of a piece may not be optimal throughout."""
     at = format_rational(piece.low[1])
     if not equations.low <= piece.low[0] <= piece.high[1] <= equations.high:
         yield f"the piece from {at} on is outside its section"
@@ -160,7 +166,7 @@ def _not_optimal(equations: SectionEquations, piece: CurvePiece, open_: set[int]
 
 
 def _not_of(equations: SectionEquations, piece: CurvePiece, mix: Mix) -> Iterator[str]:
-    """Yield why the fixed policy's values may be others."""
+    """Yield the reasons why the values of the policy held fixed may be wrong."""
     at, values = format_rational(piece.low[1]), piece.fixed_values
     if values is None:
         yield f"the policy held fixed has no value from {at} on"
@@ -175,6 +181,7 @@ def _not_of(equations: SectionEquations, piece: CurvePiece, mix: Mix) -> Iterato
 
 def _turn_at_once(gaps: Iterable[fmpq_poly], bracket: Bracket) -> bool:
     """Whether all gaps that turn negative in a bracket do so at one point, once."""
+    # The common divisor of their odd parts then has that root, and no other in the bracket.
     open_ = (odd_part(gap) for gap in gaps if not all(compute_coefficient_signs(gap, *bracket)))
     turning = [odd for odd in open_ if roots_on(odd, *bracket)]
     if not turning:

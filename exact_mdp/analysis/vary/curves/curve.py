@@ -4,10 +4,10 @@ Between two thresholds one policy π stays optimal, and its value is a ratio of 
 
     V*(θ) = V_π(θ) = N(θ) / D(θ),      D = 1 where the model is acyclic, else det(I - γ P_π),
 
-in lowest terms (`.gap_polynomials`). A threshold is known up to 1e-12. Within such a bracket V* is
-the greater of the values on both sides, which are those of policies, optimal up to the threshold
-and from it on. The value of a policy held fixed is such a ratio, too, between the points at which
-the rows pass from one polynomial to another.
+in lowest terms (`.walk`). A threshold is known up to 1e-12. Within such a bracket V* is the greater
+of the values on both sides, as both belong to policies, one optimal up to the threshold and one
+from it on. The value of a policy held fixed is such a ratio, too, between the points at which rows
+change from one polynomial to another.
 """
 
 from __future__ import annotations
@@ -49,15 +49,17 @@ from exact_mdp.mdp.table import exact, format_rational
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
-WIDTH = Fraction(1, 10**12)  # of the brackets in which limits are proven to lie, at most
-NEARLY_ONE = 1 - Fraction(1, 2**40)  # where a range ends that may not hold 1: 10¹² steps count
+# The greatest width of the brackets in which the ends of limits are proven to lie.
+WIDTH = Fraction(1, 10**12)
+# The end of a range of discounts that cannot include 1: about 10^12 steps still count there.
+NEARLY_ONE = 1 - Fraction(1, 2**40)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ParameterInterval:
-    """An interval of a parameter, ends included; each end is in its bracket.
+    """An interval of a parameter, ends included; each end is known up to a bracket.
 
-    One whose ends share a bracket is at most 1e-12 wide, and may be empty.
+    An interval whose ends share a bracket is at most 1e-12 wide, and may be empty.
     """
 
     low: Bracket
@@ -72,9 +74,9 @@ class ValueFunction(Pictured):
     range: Range
     pieces: tuple[CurvePiece, ...]  # each begins in the bracket in which the one before ends
     mdp: MDP  # the model today
-    family: Parametric  # the models at all values; of costs, those that maximise the negated ones
+    family: Parametric  # the models at all values; costs are negated and maximised
     chain: PolicyChain | None = None  # the policy held fixed, in the model today
-    checked: int | None = None  # points at which a degree was checked that is not proven
+    checked: int | None = None  # points at which an unproven degree was checked; else None
 
     def __repr__(self) -> str:
         low, high = format_rational(self.range.low), format_rational(self.range.high)
@@ -85,14 +87,14 @@ class ValueFunction(Pictured):
 
     @property
     def claim(self) -> Claim:
-        """Certified, or checked where the degree of the rows is checked and not proven."""
+        """Certified, or checked if the degree of the rows is checked and not proven."""
         return Claim.CERTIFIED if self.checked is None else Claim.CHECKED
 
     def _parse_value(self, value: object) -> Fraction:
         return exact(value, f"parameter {self.parameter.name}")
 
     def around(self, value: object) -> list[CurvePiece]:
-        """Return the piece that a value of the parameter is in, or both that it is between."""
+        """Return the piece that holds a value of the parameter, or the two that share it."""
         at = self._parse_value(value)
         pieces = [piece for piece in self.pieces if piece.low[0] <= at <= piece.high[1]]
         if not pieces:
@@ -104,45 +106,52 @@ class ValueFunction(Pictured):
         return pieces
 
     def at(self, value: object) -> Fraction:
-        """Return the optimal value at the start at a value of the parameter, in its range."""
+        """Return the optimal value at the start, for a value of the parameter in its range."""
         where = self._parse_value(value)
         best = max if self.mdp.sense == "max" else min
         return best(piece.value.at(where) for piece in self.around(where))
 
     def fixed_at(self, value: object) -> Fraction | None:
-        """Return the value of the policy held fixed there, None without one; as `at` does."""
+        """Return the value of the policy held fixed, None without one; see `at`."""
         where = self._parse_value(value)
         fixed = self.around(where)[0].fixed
-        return None if fixed is None else fixed.at(where)
+        if fixed is None:
+            return None
+        return fixed.at(where)
 
     def slope(self, value: object) -> tuple[Fraction | None, Fraction | None]:
-        """Return the derivatives of the optimal value on the left and on the right of a value.
+        """Return the left and the right derivative of the optimal value; None beyond the range.
 
-        None beyond the range. They differ at a threshold, and at a breakpoint of the rows.
+        They differ at a threshold, and at a breakpoint of the rows.
         """
         at = self._parse_value(value)
-        pieces = self.around(at)
         best = self.at(at)
-        left, *_, right = [p.value.slope(at) for p in pieces if p.value.at(at) == best] * 2
-        low, high = self.range.low, self.range.high
-        return None if at == low else left, None if at == high else right
+        # One piece, or two if the value is an end that they share.
+        slopes = [p.value.slope(at) for p in self.around(at) if p.value.at(at) == best]
+        left: Fraction | None = slopes[0]
+        right: Fraction | None = slopes[-1]
+        if at == self.range.low:
+            left = None
+        if at == self.range.high:
+            right = None
+        return left, right
 
     def within(
         self, max_regret: object | None = None, max_relative_regret: object | None = None
     ) -> tuple[ParameterInterval, ...]:
-        """Return for which values of the parameter the policy held fixed keeps a limit.
+        """Return the values of the parameter for which the policy held fixed keeps a limit.
 
         Parameters
         ----------
         max_regret : number or "p/q", optional
-            Greatest regret at the start; 0 where neither is given.
+            Greatest regret at the start; 0 if neither limit is given.
         max_relative_regret : number or "p/q", optional
             Greatest regret over the absolute optimal value, instead.
 
         Returns
         -------
-        tuple of Interval
-            In rising order.
+        tuple of ParameterInterval
+            In ascending order.
 
         Examples
         --------
@@ -155,12 +164,16 @@ class ValueFunction(Pictured):
         where = f"curve of {self.parameter.name}"
         if self.chain is None:
             fix = "give a policy that is held fixed"
-            raise ModelError("there is no policy whose regret is asked for", where=where, fix=fix)
+            raise ModelError("there is no policy to compare with", where=where, fix=fix)
         if max_regret is not None and max_relative_regret is not None:
             raise ModelError("two limits of the regret", where=where, fix="give one of them")
-        most = limit_of("max_regret", 0 if max_regret is None else max_regret)
-        relative = 0 if max_relative_regret is None else max_relative_regret
-        share = limit_of("max_relative_regret", relative)
+        if max_regret is None:
+            max_regret = 0
+        if max_relative_regret is None:
+            max_relative_regret = 0
+        most = limit_of("max_regret", max_regret)
+        share = limit_of("max_relative_regret", max_relative_regret)
+        # `left` and `right`: whether the limit is kept up to the bracket, and from it on.
         intervals, begun, left = list[ParameterInterval](), self.pieces[0].low, False
         for at, root, open_, right in self._yield_brackets(most, share):
             if left and (open_ or not right):
@@ -168,6 +181,7 @@ class ValueFunction(Pictured):
             if right and (open_ or not left):
                 begun = at
             if root and not left and not right:
+                # The limit is kept at the root alone.
                 intervals.append(ParameterInterval(low=at, high=at))
             left = right
         return tuple(intervals)
@@ -175,13 +189,14 @@ class ValueFunction(Pictured):
     def _yield_brackets(
         self, most: Fraction, share: Fraction
     ) -> Iterator[tuple[Bracket, bool, bool, bool]]:
-        """Yield the brackets in which a limit may begin or cease to be kept, in rising order.
+        """Yield the brackets in which a limit may begin or cease to be kept, in ascending order.
 
-        With each: whether some margin has a root there, whether it is open what happens inside, and
-        whether the limit is kept from there up to the next.
+        With each comes whether some margin has a root in it, whether the bracket has inner points
+        at which the limit is undecided, and whether it is kept from there up to the next bracket.
         """
         last, before = self.pieces[-1], fmpq_poly([1])
         for piece in self.pieces:
+            # The roots of all margins: in the bracket where the piece begins, then inside.
             sides = self._build_margins(piece, most, share)
             every = prod((side for side in sides if side), start=fmpq_poly([1]))
             at, root = piece.low, roots_on(before * every, *piece.low) > 0
@@ -195,21 +210,20 @@ class ValueFunction(Pictured):
         yield last.high, roots_on(before, *last.high) > 0, False, False
 
     def _build_margins(self, piece: CurvePiece, most: Fraction, share: Fraction) -> list[fmpq_poly]:
-        """Return polynomials of which one is not negative where the limit is kept.
+        """Return two polynomials; the limit is kept wherever one of them is not negative.
 
         With V* = N / D and V_π = M / E, both D and E > 0, V* - V_π ≤ x + ρ |V*| is
         x D E ± ρ N E - (N E - M D) ≥ 0 for one sign.
         """
         assert piece.fixed_values is not None
         start = self.mdp.start
-        (best, d), (mine, e) = (
-            (sum_weighted(start, tops), below) for tops, below in (piece.values, piece.fixed_values)
-        )
+        (tops, d), (fixed_tops, e) = piece.values, piece.fixed_values
+        best, mine = sum_weighted(start, tops), sum_weighted(start, fixed_tops)
         room = to_flint(most) * d * e - (best * e - mine * d)
         return [room + to_flint(share) * best * e, room - to_flint(share) * best * e]
 
     def violations(self) -> list[str]:
-        """Return what does not hold of the function, in words: nothing where it is sound.
+        """Return the violations of the function, in words; none if it is sound.
 
         A checker that knows no solver proves that the values are optimal for every value of the
         parameter: on each piece, and in the brackets between them (`.checker`).
@@ -225,18 +239,15 @@ class ValueFunction(Pictured):
         return [*wrong, *piece_violations(self.family, name, self.pieces, mix, sign)]
 
     def report(self, within: Sequence[ParameterInterval] | None = None) -> Report:
-        """Return the pieces; `within` is where a policy held fixed keeps a limit."""
-        pieces = [
-            {
-                **_describe_interval(each.low, each.high),
-                **vars(each.value),
-                **({} if each.fixed is None else {"fixed": vars(each.fixed)}),
-                "policy": of_every_state(
-                    self.mdp, [best for best, *_ in actions_of(self.mdp, each.optimal)]
-                ),
-            }
-            for each in self.pieces
-        ]
+        """Return the pieces; `within` are the intervals in which a fixed policy keeps a limit."""
+        pieces = []
+        for each in self.pieces:
+            piece = _describe_interval(each.low, each.high) | vars(each.value)
+            if each.fixed is not None:
+                piece["fixed"] = vars(each.fixed)
+            first_actions = [best for best, *_ in actions_of(self.mdp, each.optimal)]
+            piece["policy"] = of_every_state(self.mdp, first_actions)
+            pieces.append(piece)
         facts: dict[str, Any] = {
             "parameter": self.parameter.name,
             "claim": self.claim,
@@ -288,7 +299,7 @@ def _describe_interval(low: Bracket, high: Bracket) -> dict[str, Any]:
 
 
 def _choose_simple_fraction(bracket: Bracket) -> Fraction:
-    """Return a fraction of small denominator between two ends; the end, where they are equal."""
+    """Return a fraction with a small denominator between two ends, or the end if both are equal."""
     low, high = bracket
     middle, most = (low + high) / 2, 1
     while True:
@@ -313,14 +324,14 @@ def curve(
     ----------
     model : Scenario, MDP or Parametric
     name : str
-        The parameter; the others are held.
+        The parameter; the others are held fixed.
     ranges : (low, high) or {name: (low, high)}, optional
-        Everything that the parameter may be unless given; where that is open, today's value
-        ± 100 %. A discount goes up to 1 - 2^-40 where there are no values at 1.
+        The range; by default all values that the parameter may have or, if these are unbounded,
+        today's value ± 100 %. A discount goes up to 1 - 2^-40 if there are no values at 1.
     relative : number, optional
         Today's value ± this share instead.
     policy : PolicyLike, optional
-        A policy held fixed, whose value is followed, too.
+        A policy held fixed, whose value is computed, too.
 
     Returns
     -------
@@ -329,7 +340,7 @@ def curve(
     Raises
     ------
     ModelError
-        As `thresholds` does.
+        As `thresholds` raises it.
 
     Examples
     --------
@@ -343,6 +354,8 @@ def curve(
     if mdp.sense == "min":
         family = family.posed(attrgetter("maximised"))
     span = range_of(family, name, ranges, "whole" if relative is None else relative)
+
+    # A range of discounts ends below 1 if some policy is improper there.
     if name == DISCOUNT:
         if ranges is None and relative is None and span.high < 1:
             span = Range(low=span.low, high=NEARLY_ONE)
@@ -354,18 +367,24 @@ def curve(
                     fix=f"choose a range that begins below {format_rational(NEARLY_ONE)}",
                 )
             span = Range(low=span.low, high=NEARLY_ONE)
-    chain, undecided = (None, None) if policy is None else PolicyChain.held_fixed(mdp, policy)
+
+    chain = undecided = None
+    if policy is not None:
+        chain, undecided = PolicyChain.held_fixed(mdp, policy)
     pieces, sections = pieces_of(family, name, span, mdp.sign, _to_rational_weights(chain))
+
+    # The policy must name an action in every state that has a choice somewhere in the range.
     if chain is not None and undecided is not None and undecided.any():
         for equations in sections:
             for state in np.flatnonzero(undecided).tolist():
                 if equations.has_different_actions(state):
                     raise ModelError(
-                        "the policy held fixed does not say what it does in a state where that "
-                        "does not matter today, but does elsewhere",
+                        "the policy held fixed does not say what it does in a state in which that "
+                        "does not matter today, but matters elsewhere in the range",
                         where=f"{mdp.space.place(state)}, for some {name}",
                         fix="give an action there, too, by a mapping or an array over all states",
                     )
+    checks = [each.change.checked for each in sections if each.change.checked is not None]
     return ValueFunction(
         parameter=parameter_of(family, name),
         range=span,
@@ -373,11 +392,12 @@ def curve(
         mdp=mdp,
         family=family,
         chain=chain,
-        checked=next((c for e in sections if (c := e.change.checked) is not None), None),
+        checked=checks[0] if checks else None,
     )
 
 
 def _to_rational_weights(chain: PolicyChain | None) -> Mix | None:
+    """Return the pairs that a policy takes in each state, with FLINT's rationals as weights."""
     if chain is None:
         return None
     weights = map(chain.exact_weights, range(chain.mdp.n_states))

@@ -1,13 +1,13 @@
-"""The Bellman equations on a section of a parameter's range, as exact polynomials of it.
+"""The Bellman equations on a section of a parameter's range, as exact polynomials.
 
 On a section between two breakpoints, rows are polynomials of the parameter θ. Values are ratios
-N_s / D of polynomials. Pair l of state s falls short of them by h_l, its gap:
+N_s / D of polynomials, and the suboptimality gap h_l of pair l in state s is
 
     D h_l = N_s - D r_l - γ Σ p(l, s') N_s'.
 
-The equations have one solution where transitions close no cycle, where γ Σ P < 1, or where
-γ Σ P ≤ 1 and some transition of each pair leads to a state that is nearer to the end (see
-`solvers.exact.checker`). Nothing here imports a solver: the checker of curves rests on it.
+The equations have one solution if transitions close no cycle, if γ Σ P < 1, or if γ Σ P ≤ 1 and
+some transition of each pair leads to a state nearer to the end (see `solvers.exact.checker`).
+Nothing here imports a solver: the checker of curves relies on this module.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ from exact_mdp.mdp.parametric.row_change import (
 Values = tuple[Sequence[fmpq_poly], fmpq_poly]
 """N of each state, and D: values are N / D."""
 Mix = Sequence[Sequence[tuple[int, fmpq]]]
-"""Of each state, the pairs that a policy takes there, with their probabilities."""
+"""For each state, the pairs that a policy takes there, with their probabilities."""
 
 
 class SectionEquations:
     """The equations of a model that maximises, on a section from `low` to `high`.
 
-    `live` states are those in which something happens for some θ. `following` holds the discounted
-    probabilities of live states, by pair; `order` the live states from the end on, None where
-    transitions close a cycle; `gap` D h of all pairs, 0 in states that are not live.
+    A state is `live` if it is not terminal for some θ. `following` holds the discounted
+    probabilities of live next states, by pair; `order` the live states, next states first, or None
+    if transitions close a cycle; `gap` D h of all pairs, 0 in states that are not live.
     """
 
     def __init__(self, family: Parametric, name: str, section: Piece) -> None:
@@ -57,6 +57,7 @@ class SectionEquations:
         self.family = family
         self.low, self.high, self.mdp = section.low, section.high, mdp
         self.change = change = row_change(family, name, section, mdp)
+        # Changes are polynomials of θ - θ0, with θ0 the origin of the section.
         shift = fmpq_poly([to_flint(-section.origin), 1])
         self.rate: fmpq_poly = change.rate(shift) + to_flint(mdp.discount_exact)
         self.reward: list[fmpq_poly] = [
@@ -71,25 +72,28 @@ class SectionEquations:
         }
         for key, moved in zip(change.transition.key.tolist(), change.transition.moved, strict=True):
             weight[key] = weight.get(key, fmpq_poly()) + moved(shift)
-        # A state that is left, or earns, next to θ0 is terminal at that very value alone.
-        over = mdp.terminal.copy()
-        over[mdp.pair_state[change.reward.key]] = False
-        over[mdp.pair_state[change.transition.key // mdp.n_states]] = False
-        terminal: list[bool] = over.tolist()
+        # A terminal state with a row that changes is terminal at θ0 alone, and counts as live.
+        ended = mdp.terminal.copy()
+        ended[mdp.pair_state[change.reward.key]] = False
+        ended[mdp.pair_state[change.transition.key // mdp.n_states]] = False
+        terminal: list[bool] = ended.tolist()
         self.state: list[int] = mdp.pair_state.tolist()
         self.live = [state for state, ends in enumerate(terminal) if not ends]
         self.pairs = {state: mdp.pairs_of(state) for state in self.live}
-        self.following: dict[int, list[tuple[int, fmpq_poly]]] = {
-            pair: [] for pairs in self.pairs.values() for pair in pairs
-        }
+        self.following: dict[int, list[tuple[int, fmpq_poly]]] = {}
+        for pairs in self.pairs.values():
+            for pair in pairs:
+                self.following[pair] = []
         for key, p in sorted(weight.items()):
             pair, state = divmod(key, mdp.n_states)
             if pair in self.following and not terminal[state]:
                 self.following[pair].append((state, p * self.rate))
-        after = {
-            state: {to for pair in pairs for to, _ in self.following[pair]}
-            for state, pairs in self.pairs.items()
-        }
+        # An order in which next states come first, if there is one.
+        after: dict[int, set[int]] = {}
+        for state, pairs in self.pairs.items():
+            after[state] = set()
+            for pair in pairs:
+                after[state].update(to for to, _ in self.following[pair])
         self.order: list[int] | None = None
         with suppress(CycleError):
             self.order = [*TopologicalSorter(after).static_order()]
@@ -97,7 +101,7 @@ class SectionEquations:
         self.gap = [fmpq_poly()] * mdp.n_pairs
 
     def compute_action_value(self, pair: int, values: Values) -> fmpq_poly:
-        """Return D Q of a pair: D r + γ Σ p N; from its gap, where nothing that follows is new."""
+        """Return D Q of a pair: D r + γ Σ p N; from its gap, if the values of next states stay."""
         (new, scale), (old, before), row = values, self.values, self.following[pair]
         if scale == before and all(new[to] == old[to] for to, _ in row):
             return old[self.state[pair]] - self.gap[pair]
@@ -107,15 +111,15 @@ class SectionEquations:
         return total
 
     def has_different_actions(self, state: int) -> bool:
-        """Return whether the actions of a state differ for some θ, in what they earn or lead to."""
+        """Return whether the actions of a state differ for some θ, in rewards or transitions."""
         pairs = self.pairs.get(state, range(0))
         kinds = {(str(self.reward[pair]), str(self.following[pair])) for pair in pairs}
         return len(kinds) > 1
 
     def update_gaps(self, values: Values, taken: Collection[int] = ()) -> set[int]:
-        """Work out the gaps of other values; return the pairs whose gap is another.
+        """Compute the gaps for new values; return the pairs whose gap has changed.
 
-        Gaps of pairs `taken` are 0: the values are those of the policy that takes them.
+        Gaps of pairs `taken` are 0, as the values belong to the policy that takes them.
         """
         gaps = {
             pair: values[0][self.state[pair]] - self.compute_action_value(pair, values)
@@ -132,13 +136,13 @@ class SectionEquations:
     # ---- one solution ----------------------------------------------------------------------------
 
     def find_faults(self) -> Iterator[str]:
-        """Yield why rows may be no probabilities, or the equations have several solutions."""
+        """Yield the reasons why rows may not be probabilities, or solutions not unique."""
         low, high = self.low, self.high
-        chances = [p for row in self.following.values() for _, p in row]
-        if not all(
-            is_nonnegative(p, low, high)
-            for p in [*_remove_duplicates(chances), *self._list_exit_probabilities()]
-        ):
+        chances = []
+        for row in self.following.values():
+            chances += [p for _, p in row]
+        nonnegative = [*_remove_duplicates(chances), *self._list_exit_probabilities()]
+        if not all(is_nonnegative(p, low, high) for p in nonnegative):
             yield "a probability is negative, or probabilities pass 1"
         elif not self.one_solution():
             yield "nothing proves that the Bellman equations have one solution"
@@ -146,10 +150,10 @@ class SectionEquations:
             yield "a run may end beside the goal, which is worth infinity"
 
     def find_missed_goal(self) -> MDP | None:
-        """Return a model of the section in which a run may end beside the goal; None without one.
+        """Return a model of the section in which a run may miss the goal; None if there is none.
 
-        The goal of a total counts at discount 1 alone: where only the discount of an end is 1, the
-        models inside have none. What can be reached there can be reached inside.
+        The goal of a total counts at discount 1 alone, so that an end of the section with discount
+        1 is looked at, too. States that are reachable there are reachable inside.
         """
         if self.mdp.target is None:
             return None
@@ -158,23 +162,28 @@ class SectionEquations:
             if self.mdp.discount_exact != 1 and self.rate(to_flint(end)) == 1:
                 models.append(self.family.at({self.change.name: end}))
         met = find_reachable_states(self.mdp)
-        return next((mdp for mdp in models if (beside_goal(mdp) & met).any()), None)
+        for mdp in models:
+            if (beside_goal(mdp) & met).any():
+                return mdp
+        return None
 
     def one_solution(self) -> bool:
         """Whether the equations have one solution on the whole section, ends included."""
+        # No cycle, or a sum of discounted probabilities below 1.
         low, high = self.low, self.high
         if self.order is not None or all(
             is_positive(each, low, high) for each in self._list_exit_probabilities()
         ):
             return True
+        # Every pair comes nearer to the end, except at roots of the chances of doing so.
         falls = self._compute_progress_chances(None)
         if falls is None:
             return False
+        # Look at these roots, and at both ends, one by one.
         nowhere = fmpq_poly()
         places = [Root(poly=nowhere, low=end, high=end) for end in (low, high)]
-        places += (
-            root for fall in falls for root in isolate_roots(remove_double_roots(fall), low, high)
-        )
+        for fall in falls:
+            places += isolate_roots(remove_double_roots(fall), low, high)
         return all(self._compute_progress_chances(place) is not None for place in places)
 
     def _compute_exit_probability(self, pair: int) -> fmpq_poly:
@@ -185,23 +194,27 @@ class SectionEquations:
         return _remove_duplicates(map(self._compute_exit_probability, self.following))
 
     def _compute_progress_chances(self, at: Root | None) -> list[fmpq_poly] | None:
-        """Return the chances of coming nearer to the end, from the end on; None where it stays.
+        """Return the chances by which pairs come nearer to the end; None if some policy stays.
 
-        Nearer at one point of the section, or, without one, at all but some.
+        They must be positive `at` one point of the section or, without it, at all but some points.
         """
+
+        def is_zero(chance: fmpq_poly) -> bool:
+            if at is None:
+                return bool(chance.degree() < 0)
+            return at.is_of(chance)
+
         chances: list[fmpq_poly] = []
         near, left = set[int](), self.live
         while left:
+            # The next layer: states whose pairs all lead to an earlier layer, or out.
             layer = list[int]()
             for state in left:
-                falls = [
-                    sum(
-                        (p for to, p in self.following[pair] if to in near),
-                        self._compute_exit_probability(pair),
-                    )
-                    for pair in self.pairs[state]
-                ]
-                if all(p.degree() >= 0 if at is None else not at.is_of(p) for p in falls):
+                falls = []
+                for pair in self.pairs[state]:
+                    nearer = (p for to, p in self.following[pair] if to in near)
+                    falls.append(sum(nearer, self._compute_exit_probability(pair)))
+                if not any(map(is_zero, falls)):
                     layer.append(state)
                     chances += falls
             if not layer:
@@ -214,10 +227,10 @@ class SectionEquations:
 def sum_weighted(
     weights: Iterable[tuple[int, Fraction]], polynomials: Sequence[fmpq_poly]
 ) -> fmpq_poly:
-    """Return a sum of some of the polynomials, each with a weight."""
+    """Return the weighted sum of some polynomials."""
     return sum((to_flint(weight) * polynomials[k] for k, weight in weights), fmpq_poly())
 
 
 def _remove_duplicates(polynomials: Iterable[fmpq_poly]) -> list[fmpq_poly]:
-    """Return every polynomial once."""
+    """Return each polynomial once."""
     return [*{str(p): p for p in polynomials}.values()]

@@ -2,12 +2,12 @@
 
     dV/dθ = Σ_l d(l) c(l),    c(l) = ∂r(l) + γ Σ_s' ∂P(l, s') V(s') + ∂γ Σ_s' P(l, s') V(s')
 
-d is the policy's discounted occupancy and V its value. The same holds of the optimum (the envelope
-theorem: Milgrom and Segal, Econometrica 70, 2002) where one policy is optimal. Where several are,
-V* has a derivative on each side: the optimum of the model that is left with optimal actions and
-earns c. At a breakpoint of the rows, each side has its own ∂P. The elasticity is (θ / V) dV/dθ.
+d is the policy's occupancy measure and V its value. The same holds for the optimum if one policy is
+optimal (the envelope theorem: Milgrom and Segal, Econometrica 70, 2002). If several are, V* has a
+derivative on each side: the optimum of the model with the optimal actions alone and with reward c.
+At a breakpoint of the rows, each side has its own ∂P. The elasticity is (θ / V) dV/dθ.
 
-In floating point, with V and d each within e_V and e_d of the exact ones,
+In floating point, with errors of at most e_V and e_d in V and d,
 
     |error| ≤ Σ_l [e_d |c| + (d + e_d) (γ Σ |∂P| e_V + |∂γ| Σ P e_V)] + rounding;
 
@@ -61,10 +61,11 @@ from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain, has_sure_end
 
-# Up to these numbers derivatives are certified, in about a second; beyond, they have bounds.
+# The most transitions for which derivatives are certified by default, in about a second. A model
+# with cycles needs a dense exact solution, which grows faster: see `_is_quick`.
 EXACT_TRANSITIONS = 100_000
 EXACT_CYCLIC_STATES = 64
-EXACT_SPARSE_STATES, EXACT_SPARSE_TRANSITIONS = 200, 10_000  # of small integers over one number
+EXACT_SPARSE_STATES, EXACT_SPARSE_TRANSITIONS = 200, 10_000
 
 SLOPE, ELASTICITY = "derivative (reward per unit)", "elasticity (% per %)"  # columns of a table
 
@@ -75,10 +76,10 @@ Pass = tuple[Number, Callable[[RowChange, int], Number]]
 
 @dataclass(frozen=True, kw_only=True)
 class Checked:
-    """A number that relies on a degree of a polynomial that is checked, and not proven."""
+    """A number that relies on the degree of a polynomial, which is checked but not proven."""
 
-    number: Number  # what it is where the degree holds
-    points: int  # at which the model is what the polynomial says
+    number: Number  # correct if the degree holds
+    points: int  # at which the model and the polynomial agree
 
     claim: ClassVar[Claim] = Claim.CHECKED
 
@@ -89,8 +90,10 @@ class Checked:
 
     @property
     def error(self) -> float:
-        """Bound on its error where the degree holds."""
-        return self.number.error if isinstance(self.number, Bounded) else 0.0
+        """Bound on its error if the degree holds."""
+        if isinstance(self.number, Bounded):
+            return self.number.error
+        return 0.0
 
     def __str__(self) -> str:
         text = str(self.number).partition(" (")[0]
@@ -102,26 +105,30 @@ Slope = Certified | Bounded | Checked
 
 @dataclass(frozen=True, kw_only=True)
 class Derivative:
-    """How the start value moves with one parameter, from either side."""
+    """The left and the right derivative of the start value by one parameter."""
 
     parameter: Parameter
-    left: Slope | None  # as it comes from below; None beyond its range
-    right: Slope | None  # as it goes up
-    elasticity: float | None  # None where there is no single derivative, or the value is 0
+    left: Slope | None  # None at the lower end of the parameter's range
+    right: Slope | None  # None at the upper end
+    elasticity: float | None  # None if there is no single derivative, or the value is 0
 
     @property
     def value(self) -> Slope | None:
-        """The derivative; None where the two sides differ."""
-        if self.left is None or self.right is None:
-            return self.right if self.left is None else self.left
-        return self.left if self.left == self.right else None
+        """The derivative; None if the two sides differ."""
+        if self.left is None:
+            return self.right
+        if self.right is None or self.left == self.right:
+            return self.left
+        return None
 
     @property
     def claim(self) -> Claim:
-        """The weaker claim of both sides; certified where there is none."""
+        """The weaker claim of both sides; certified if there is none."""
         claims = {side.claim for side in (self.left, self.right) if side is not None}
-        order = (Claim.CHECKED, Claim.BOUNDED)
-        return next((claim for claim in order if claim in claims), Claim.CERTIFIED)
+        for claim in (Claim.CHECKED, Claim.BOUNDED):
+            if claim in claims:
+                return claim
+        return Claim.CERTIFIED
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -148,22 +155,23 @@ class Gradient(Pictured):
     def report(self) -> Report:
         """Return derivatives and elasticities by every parameter."""
         each = self.derivatives.items()
-        slopes, lefts, rights = (
-            {name: _slope_to_float(getattr(d, side)) for name, d in each}
-            for side in ("value", "left", "right")
-        )
-        exact = {n: d.value.value if isinstance(d.value, Certified) else None for n, d in each}
-        errors = {n: max(getattr(s, "error", 0.0) for s in (d.left, d.right)) for n, d in each}
+        exact, errors = dict[str, Any](), dict[str, float]()
+        for name, slope in each:
+            exact[name] = None
+            if isinstance(slope.value, Certified):
+                exact[name] = slope.value.value
+            errors[name] = max(getattr(s, "error", 0.0) for s in (slope.left, slope.right))
         facts = {
             **list_claim_facts("start_value", self.start),
             "policy": "re-optimised" if self.reoptimised else "fixed",
-            "derivatives": slopes,
-            "left": Shown(lefts),
-            "right": Shown(rights),
+            "derivatives": {name: _slope_to_float(d.value) for name, d in each},
+            "left": Shown({name: _slope_to_float(d.left) for name, d in each}),
+            "right": Shown({name: _slope_to_float(d.right) for name, d in each}),
             "elasticities": Shown({name: d.elasticity for name, d in each}),
             "exact_derivatives": Shown(exact),
             "error_bounds": Shown(errors),
         }
+        # The bound of each derivative stands in `error_bounds`.
         del facts["error_bound"]
         rows = self._list_derivative_rows()
         for row in rows:
@@ -207,7 +215,9 @@ class Gradient(Pictured):
 
 
 def _slope_to_float(number: Slope | None) -> float:
-    return np.nan if number is None else in_float(number.value)
+    if number is None:
+        return np.nan
+    return in_float(number.value)
 
 
 @named_options
@@ -226,23 +236,23 @@ def gradient(
     policy : PolicyLike
         "optimal" is re-optimised as a parameter moves; any other policy is held fixed.
     names : iterable of str, optional
-        The parameters; all of them unless given.
+        The parameters; by default all of them.
     exact : bool, optional
-        Rationals, or floats with error bounds; unless given, rationals for models of up to 100,000
-        transitions that are acyclic or have at most 64 states (200 where there are up to 10,000
-        transitions, of small integers).
+        True for rationals, False for floats with error bounds; by default, rationals for models of
+        up to 100,000 transitions that are acyclic or have at most 64 states (200 states if there
+        are up to 10,000 transitions, of small integers).
 
     Returns
     -------
     Gradient
-        Certified with rationals, and bounded with floats, where the degree of the rows is proven;
-        where that of a `Family` is only checked at some points, the derivatives say so.
+        Certified with rationals and bounded with floats, if the degree of the rows is proven; if
+        the degree of a `Family` is only checked at some points, the derivatives say so.
 
     Raises
     ------
     ModelError
-        For unknown names; at discount 1 where some policy never ends; for rows that are no
-        polynomials of the stated degree; with floats, where ties cannot be told from small gaps.
+        For unknown names; at discount 1 if some policy never ends; for rows that are not
+        polynomials of the stated degree; with floats, if ties cannot be told from small gaps.
 
     Examples
     --------
@@ -253,9 +263,10 @@ def gradient(
     4 (certified) 1.0
     """
     family = parametric(model)
-    known = [parameter.name for parameter in family.parameters]
-    names = known if names is None else require_list(names, "names")
-    parameters = [parameter_of(family, name) for name in names]
+    if names is None:
+        parameters = list(family.parameters)
+    else:
+        parameters = [parameter_of(family, name) for name in require_list(names, "names")]
     mdp = family.at({})
     reoptimised = isinstance(policy, str) and policy == "optimal"
     if has_improper_policy(mdp) and (reoptimised or not has_sure_end(PolicyChain.of(mdp, policy))):
@@ -263,10 +274,7 @@ def gradient(
             "today's parameters", beside=prove_termination(mdp).proven, ranges=False
         )
     if exact is None:
-        sparse = mdp.n_transitions <= EXACT_SPARSE_TRANSITIONS
-        sparse = sparse and mdp.table.weight.dtype == np.int64
-        few = mdp.n_states <= (EXACT_SPARSE_STATES if sparse else EXACT_CYCLIC_STATES)
-        exact = mdp.n_transitions <= EXACT_TRANSITIONS and (few or is_acyclic(mdp))
+        exact = _is_quick(mdp)
     passed = _exact_pass(mdp, policy) if exact else _bounded_pass(mdp, policy)
     start, _ = passed
     return Gradient(
@@ -277,6 +285,20 @@ def gradient(
         },
         reoptimised=reoptimised,
     )
+
+
+def _is_quick(mdp: MDP) -> bool:
+    """Return whether exact derivatives take about a second at most.
+
+    With cycles that takes few states, or not so few with sparse rows whose probabilities are small
+    integers over one denominator.
+    """
+    if mdp.n_transitions > EXACT_TRANSITIONS:
+        return False
+    most = EXACT_CYCLIC_STATES
+    if mdp.n_transitions <= EXACT_SPARSE_TRANSITIONS and mdp.table.weight.dtype == np.int64:
+        most = EXACT_SPARSE_STATES
+    return mdp.n_states <= most or is_acyclic(mdp)
 
 
 def _compute_derivative(
@@ -307,7 +329,8 @@ def _compute_derivative(
 
 
 def _exact_pass(mdp: MDP, policy: PolicyLike) -> Pass:
-    """Return the value at the start in rationals, and what gives its derivatives."""
+    """Return the value at the start in rationals, and a function that gives its derivatives."""
+    # Backward: the values of the policy, or of the optimum.
     certificate = None
     if isinstance(policy, str) and policy == "optimal":
         certificate = certify_and_check(mdp)
@@ -321,13 +344,15 @@ def _exact_pass(mdp: MDP, policy: PolicyLike) -> Pass:
     else:
         values, start = certificate.value, certificate.start
     value = np.array([*map(to_flint, values)], dtype=object)
+
+    # Forward: the expected uses of pairs. A terminal state below discount 1 is visited forever.
     uses = np.array([to_flint(0)] * mdp.n_pairs, dtype=object)
     for state, seen in enumerate(chain.exact_visits.to_fractions()):
         if seen:
-            leak = 1 - mdp.discount_exact
-            amount = to_flint(seen / leak if mdp.terminal[state] and leak else seen)
+            if mdp.terminal[state] and mdp.discount_exact != 1:
+                seen = seen / (1 - mdp.discount_exact)
             for pair, weight in chain.exact_weights(state).items():
-                uses[pair] = amount * to_flint(weight)
+                uses[pair] = to_flint(seen) * to_flint(weight)
     row_keys, top, bottom = transition_entries(mdp)
     rows = row_keys, np.array(to_flint_ratios(top, bottom), dtype=object)
 
@@ -340,7 +365,8 @@ def _exact_pass(mdp: MDP, policy: PolicyLike) -> Pass:
         if certificate is None:
             _refuse_silence(mdp, begun & met & undecided, change.name)
         unique = certificate is None or (certificate.unique and not (begun & met).any())
-        if unique:  # other pairs count for nothing
+        if unique:
+            # Only pairs that the policy uses contribute.
             used = np.asarray(uses != 0, dtype=bool)[keys // mdp.n_states]
             keys, slopes = keys[used], slopes[used]
             _refuse_infinite(mdp, keys[np.asarray(slopes != 0)], infinite, change.name)
@@ -348,6 +374,7 @@ def _exact_pass(mdp: MDP, policy: PolicyLike) -> Pass:
         _refuse_endless(mdp, earned != 0, change.name)
         if certificate is None or unique:
             return Certified(value=from_flint(to_flint(0) + uses @ earned))
+        # Several optimal policies: the optimum of c among the optimal pairs.
         top, bottom = to_common_denominator(
             [sign * from_flint(to_flint(0) + each) for each in earned]
         )
@@ -360,7 +387,7 @@ def _exact_pass(mdp: MDP, policy: PolicyLike) -> Pass:
 
 
 def _make_tie_error(where: str) -> ModelError:
-    """Return the error of derivatives in floats where more than one action may be optimal."""
+    """Return the error for derivatives in floats if several actions may be optimal."""
     return ModelError(
         "several actions are optimal, or floats cannot tell them apart",
         where=where,
@@ -369,7 +396,7 @@ def _make_tie_error(where: str) -> ModelError:
 
 
 def _find_newly_live_states(mdp: MDP, change: RowChange) -> Mask:
-    """Return (S,) True for states with a choice that are terminal today, but not next to today."""
+    """Return (S,) True for states with a choice that are terminal today, but not nearby."""
     moving = np.zeros(mdp.n_states, dtype=bool)
     moving[mdp.pair_state[change.reward.key]] = True
     moving[mdp.pair_state[change.transition.key // mdp.n_states]] = True
@@ -377,18 +404,18 @@ def _find_newly_live_states(mdp: MDP, change: RowChange) -> Mask:
 
 
 def _refuse_silence(mdp: MDP, silent: Mask, name: str) -> None:
-    """Raise ModelError where states (S,) begin of which the policy held fixed says nothing."""
+    """Raise ModelError if the policy held fixed is silent in states (S,) that become live."""
     if silent.any():
         raise ModelError(
-            "the policy held fixed does not say what it does in a state where all is over today, "
-            "but not next to today",
+            "the policy held fixed does not say what it does in a state that is terminal today, "
+            "but not for nearby values of the parameter",
             where=f"parameter {name}, {mdp.space.place(int(silent.argmax()))}",
             fix="give an action there, too, by a mapping or an array over all states",
         )
 
 
 def _infinite_states(chain: PolicyChain) -> Mask:
-    """Return (S,) True where a total at discount 1 is not finite, or need not be."""
+    """Return (S,) True for states whose total at discount 1 may be infinite."""
     mdp = chain.mdp
     if mdp.discount_exact != 1:
         return np.zeros(mdp.n_states, dtype=bool)
@@ -396,19 +423,23 @@ def _infinite_states(chain: PolicyChain) -> Mask:
 
 
 def _refuse_infinite(mdp: MDP, keys: Integers, infinite: Mask, name: str) -> None:
-    """Raise ModelError where a parameter begins to lead where the total may be infinite."""
+    """Raise ModelError if moving a parameter leads to states with a total that may be infinite."""
     pair, following = np.divmod(keys, mdp.n_states)
     wrong = np.flatnonzero(infinite[following])
     if len(wrong):
         raise ModelError(
-            "a chance that the parameter moves leads to where the total may be infinite",
+            "a probability that the parameter moves leads to a state whose total may be infinite",
             where=f"parameter {name}, {mdp.where(int(pair[wrong[0]]))}",
             fix="choose a discount below 1 (--discount 0.95), or a parameter that leaves this row",
         )
 
 
 def _bounded_pass(mdp: MDP, policy: PolicyLike) -> Pass:
-    """Return the same in floats; both sides are alike where one policy is optimal."""
+    """Return the value at the start in floats, and a function that gives its derivatives.
+
+    Both sides have the same derivative, as several optimal policies are refused.
+    """
+    # Backward: the values of the policy. Pairs within the error bound of the best are ties.
     met, undecided = find_reachable_states(mdp), ~mdp.forced
     if isinstance(policy, str) and policy == "optimal":
         solution = solve(mdp)
@@ -427,12 +458,16 @@ def _bounded_pass(mdp: MDP, policy: PolicyLike) -> Pass:
     infinite = _infinite_states(chain)
     value = np.where(live, evaluation.value, 0.0)
     value_error = np.where(live, evaluation.error, 0.0)
+
+    # Forward: the expected uses of pairs, and `doubt`, the bound on their errors.
     seen = chain.discounted.visits
     stay = 0.0 if mdp.discount_exact == 1 else 1 / (1 - mdp.discount)
     factor = np.where(mdp.terminal, stay, 1.0)[mdp.pair_state] * chain.weights
     uses = seen.value[mdp.pair_state] * factor
-    rounding = float(gamma(8 + chain.roundings)) / max(1 - mdp.discount, UNIT)
-    rounding = rounding if stay else float(gamma(4 + chain.roundings))
+    if stay:
+        rounding = float(gamma(8 + chain.roundings)) / max(1 - mdp.discount, UNIT)
+    else:
+        rounding = float(gamma(4 + chain.roundings))
     doubt = seen.error[mdp.pair_state] * factor * SLACK + rounding * uses
     count, lengths = mdp.n_pairs, np.diff(mdp.transition.indptr)
     pair = np.repeat(np.arange(count), lengths)
@@ -448,6 +483,7 @@ def _bounded_pass(mdp: MDP, policy: PolicyLike) -> Pass:
         moves = _list_slopes(mdp, change, lambda x: float(from_flint(x)), rows)
         leads = moves[0][(moves[1] != 0) & (uses[moves[0] // mdp.n_states] > 0)]
         _refuse_infinite(mdp, leads, infinite, change.name)
+        # c, a bound on |c| with all terms positive, and the error of c by errors of V.
         keys, slopes, gain_keys, gains = map(np.abs, moves)
         earned = _compute_pair_slopes(*moves, value, count)
         size = _compute_pair_slopes(keys, slopes, gain_keys, gains, np.abs(value), count)
@@ -487,11 +523,11 @@ def _compute_pair_slopes(
 
 
 def _refuse_endless(mdp: MDP, earns: NDArray[np.bool_], name: str) -> None:
-    """Raise ModelError where a parameter makes a terminal state earn, without end at discount 1."""
+    """Raise ModelError if a parameter makes a terminal state earn at discount 1, without end."""
     wrong = np.flatnonzero(earns.astype(bool) & mdp.terminal[mdp.pair_state])
     if mdp.discount_exact == 1 and len(wrong):
         raise ModelError(
-            "a terminal state would earn for ever",
+            "a terminal state would earn forever",
             where=f"parameter {name}, {mdp.where(int(wrong[0]))}",
             fix="choose a discount below 1",
         )

@@ -1,10 +1,10 @@
 """Signs and real roots of rational polynomials: proved, counted, isolated and compared exactly.
 
 Descartes' rule of signs on an interval (a, b), after the substitution x = (a + b t) / (1 + t):
-without a variation of signs there is no root in it, with one there is exactly one. Intervals with
+without a variation of signs there is no root inside, with one variation exactly one. Intervals with
 more are halved (Vincent, Collins and Akritas; see Rouillier and Zimmermann, Journal of
 Computational and Applied Mathematics 162, 2004). A polynomial is not negative on an interval if no
-coefficient after the substitution is. Everything is rational, so nothing is missed.
+coefficient after the substitution is. All arithmetic is rational, so that no root is missed.
 """
 
 from __future__ import annotations
@@ -19,12 +19,13 @@ from flint import fmpq_poly, fmpz_poly
 
 from exact_mdp.mdp.exact import from_flint, to_flint
 
-DIGITS = 12  # of the denominator of a root that is looked for as a fraction
-
 
 @dataclass(frozen=True, kw_only=True)
 class Root:
-    """The only root of `poly`, which has no double ones, in the open interval, or low = high."""
+    """The only root of `poly` in an open interval; if low = high, the root itself.
+
+    `poly` has no double roots.
+    """
 
     poly: fmpq_poly
     low: Fraction
@@ -35,13 +36,13 @@ class Root:
         low, high = self.low, self.high
         if low == high or high - low <= width:
             return self
-        # Where both ends are roots themselves, the sign between this root and `high`.
+        # The sign between this root and `high`, also if the ends are roots themselves.
         right = (
             compute_sign(self.poly, high)
             or -compute_sign(self.poly, low)
             or -compute_sign(self.poly.derivative(), high)
         )
-        # Rationals of FLINT are halved many times faster than Python's.
+        # Bisection, in FLINT's rationals, which are many times faster than Python's.
         begin, end, wide = to_flint(low), to_flint(high), to_flint(width)
         while end - begin > wide:
             middle = (begin + end) / 2
@@ -55,12 +56,13 @@ class Root:
         return replace(self, low=from_flint(begin), high=from_flint(end))
 
     def isolate_beyond(self, point: Fraction, width: Fraction) -> Root:
-        """Return the root in so narrow an interval, beyond a point, whose ends are no roots.
+        """Return the root in an interval of this width beyond a point, whose ends are not roots.
 
-        It is a fraction of small denominator where that is the root.
+        If the root is a fraction with a small denominator, return that.
         """
         near = self.narrow_to_width(width)
-        for digits in range(1, DIGITS + 1):
+        # Up to 12 digits, as the curves ask for a width of 1e-12.
+        for digits in range(1, 13):
             short = ((near.low + near.high) / 2).limit_denominator(10**digits)
             if near.low < short < near.high and compute_sign(self.poly, short) == 0:
                 return replace(self, low=short, high=short)
@@ -85,7 +87,7 @@ def compute_sign(poly: fmpq_poly, x: Fraction) -> int:
 
 
 def compute_coefficient_signs(poly: fmpq_poly, low: Fraction, high: Fraction) -> list[bool]:
-    """Return which coefficients are positive after the substitution, of those that are not 0."""
+    """Return for each nonzero coefficient after the substitution whether it is positive."""
     moved = poly(_make_line_polynomial(low, high)).numer()
     turned = fmpz_poly(moved.coeffs()[::-1])(fmpz_poly([1, 1]))
     return [c > 0 for c in turned.coeffs() if c]
@@ -93,19 +95,21 @@ def compute_coefficient_signs(poly: fmpq_poly, low: Fraction, high: Fraction) ->
 
 @lru_cache(maxsize=16)
 def _make_line_polynomial(low: Fraction, high: Fraction) -> fmpq_poly:
-    """Return low + (high - low) t; many polynomials are looked at on one interval in turn."""
+    """Return low + (high - low) t, cached because many polynomials share an interval."""
     line: fmpq_poly = fmpq_poly([to_flint(low), to_flint(high - low)])
     return line
 
 
 def count_sign_variations(poly: fmpq_poly, low: Fraction, high: Fraction) -> int:
-    """Return how often the sign varies: no less than the roots in between, and 0 or 1 as they."""
+    """Return the number of sign variations: at least the number of roots, and equal if 0 or 1."""
     return sum(a != b for a, b in pairwise(compute_coefficient_signs(poly, low, high)))
 
 
 def remove_double_roots(poly: fmpq_poly) -> fmpq_poly:
     """Return the polynomial with the same roots, none of them double."""
-    return poly / poly.gcd(poly.derivative()) if poly.degree() > 1 else poly
+    if poly.degree() <= 1:
+        return poly
+    return poly / poly.gcd(poly.derivative())
 
 
 def odd_part(poly: fmpq_poly) -> fmpq_poly:
@@ -113,7 +117,8 @@ def odd_part(poly: fmpq_poly) -> fmpq_poly:
     _, factors = poly.numer().factor_squarefree()
     odd: fmpq_poly = fmpq_poly([1])
     for factor, times in factors:
-        odd = odd * factor if times % 2 else odd
+        if times % 2:
+            odd = odd * factor
     return odd
 
 
@@ -145,7 +150,9 @@ def is_nonnegative(poly: fmpq_poly, low: Fraction, high: Fraction) -> bool:
         return True
     if low < high and any(True for _ in isolate_roots(odd_part(poly), low, high)):
         return False
-    steps = poly.degree() + 2  # one of so many points is no root
+    # No sign changes inside: the sign at any point that is not a root is the sign everywhere, and
+    # one of degree + 1 points is not a root.
+    steps = poly.degree() + 2
     inside = (low + (high - low) * Fraction(k, steps) for k in range(1, steps))
     return all(compute_sign(poly, y) >= 0 for y in inside)
 

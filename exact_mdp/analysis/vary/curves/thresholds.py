@@ -1,10 +1,9 @@
-"""Every value of a parameter at which an optimal action changes, and where none does.
+"""Thresholds: the values of a parameter at which an optimal action changes.
 
-These are the ends of the pieces of the value's exact curve (`.curve`).
-
-The stability radius is the distance from today's value to the nearest threshold on either side, the
-policy being re-optimised (threshold analysis in the sense of the ISPOR-SMDM good practices: Briggs
-et al., Medical Decision Making 32, 2012).
+They are the ends of the pieces of the value's exact curve (`.curve`). The stability radius is the
+distance from today's value to the nearest threshold on either side, with the policy re-optimised
+(threshold analysis in the sense of the ISPOR-SMDM good practices: Briggs et al., Medical Decision
+Making 32, 2012).
 """
 
 from __future__ import annotations
@@ -34,22 +33,21 @@ from exact_mdp.solvers.solution import Claim
 
 @dataclass(frozen=True, kw_only=True)
 class Switch:
-    """A state whose optimal actions change at a threshold: all those below it and above it."""
+    """A state whose optimal actions change at a threshold, with the actions below and above it."""
 
     state: int
     label: str
     columns: Mapping[str, Any]
     before: tuple[str, ...]
     after: tuple[str, ...]
-    reached: bool  # whether an optimal policy comes to it from the start, below or above
+    reached: bool  # whether an optimal policy reaches it from the start, below or above
 
 
 @dataclass(frozen=True, kw_only=True)
 class Threshold:
     """A value at which optimal actions change, between two rationals at most 1e-12 apart.
 
-    The optimum has been proved at both. An action that is as good at one point, and no better on
-    either side, makes none.
+    The optimum is proven at both. A tie at a single point, without a change, is not a threshold.
     """
 
     low: Fraction
@@ -63,30 +61,30 @@ class Threshold:
 
     @property
     def reached(self) -> bool:
-        """Whether a state that optimal policies come to is among those that change."""
+        """Whether a state that optimal policies reach is among the switches."""
         return any(switch.reached for switch in self.switches)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Thresholds(Pictured):
-    """All thresholds of one parameter within the range of a curve, in rising order."""
+    """All thresholds of one parameter within the range of a curve, in ascending order."""
 
     curve: ValueFunction
     found: tuple[Threshold, ...]
 
     def __repr__(self) -> str:
         name, span = self.curve.parameter.name, self.curve.range
-        found = f"{len(self.found)} threshold{'s' * (len(self.found) != 1)}, {self.claim}"
+        noun = "threshold" if len(self.found) == 1 else "thresholds"
         low, high = format_rational(span.low), format_rational(span.high)
-        return f"Thresholds({name} from {low} to {high}: {found})"
+        return f"Thresholds({name} from {low} to {high}: {len(self.found)} {noun}, {self.claim})"
 
     @property
     def claim(self) -> Claim:
-        """Certified, or checked where the degree of the rows is checked and not proven."""
+        """Certified, or checked if the degree of the rows is checked and not proven."""
         return self.curve.claim
 
     def switches(self) -> Iterator[dict[str, Any]]:
-        """Yield each state that changes at a threshold, as JSON has it."""
+        """Yield a record for each state that changes at a threshold, as in JSON."""
         for threshold in self.found:
             for switch in threshold.switches:
                 yield {
@@ -109,18 +107,20 @@ class Thresholds(Pictured):
         return table
 
     def report(self) -> Report:
-        """Return every threshold and what changes there."""
+        """Return every threshold with the actions that change."""
         return report_of({self.curve.parameter.name: self})
 
     def stable(self, *, reached: bool = False) -> tuple[Fraction, Fraction]:
         """Return the interval around today's value in which no optimal action changes.
 
-        Its ends are the near ends of brackets, or those of the range; `reached` counts only states
-        that an optimal policy comes to from the start.
+        Its ends are the near ends of brackets, or the ends of the range; with `reached`, only
+        states that an optimal policy reaches from the start count.
         """
         low, high = self.curve.range.low, self.curve.range.high
         today = self.curve.parameter.value
-        for each in (one for one in self.found if one.reached or not reached):
+        for each in self.found:
+            if reached and not each.reached:
+                continue
             if each.high < today:
                 low = max(low, each.high)
             elif each.low > today:
@@ -131,19 +131,23 @@ class Thresholds(Pictured):
 
     @property
     def radius(self) -> Fraction:
-        """The policy's stability radius: how far the parameter may move either way.
+        """The stability radius: how far the parameter may move either way.
 
-        Where no threshold is nearer, the distance to an end of the range that is not an end of
-        what the parameter may be.
+        Without a threshold it is the distance to the nearest end of the range; the limits of the
+        parameter itself do not count, unless there is nothing else.
         """
         (low, high), parameter = self.stable(), self.curve.parameter
         today = parameter.value
-        sides = [today - low] * (low != parameter.low) + [high - today] * (high != parameter.high)
+        sides = []
+        if low != parameter.low:
+            sides.append(today - low)
+        if high != parameter.high:
+            sides.append(high - today)
         return min(sides, default=max(today - low, high - today))
 
 
 def report_of(every: Mapping[str, Thresholds]) -> Report:
-    """Return what was found of several parameters."""
+    """Return one report on the thresholds of several parameters."""
     stable: dict[str, dict[str, Any]] = {}
     for name, each in every.items():
         parameter, span = each.curve.parameter, each.curve.range
@@ -157,7 +161,9 @@ def report_of(every: Mapping[str, Thresholds]) -> Report:
         }
     rows = [stable[name] | {"name": name, "found": len(each.found)} for name, each in every.items()]
     claims = [each.claim for each in every.values()]
-    switches = [switch for each in every.values() for switch in each.switches()]
+    switches: list[dict[str, Any]] = []
+    for each in every.values():
+        switches += each.switches()
     return Report(
         title="thresholds",
         facts={
@@ -196,7 +202,10 @@ def report_of(every: Mapping[str, Thresholds]) -> Report:
 
 
 def _group_switches(switches: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return a row for states that change alike, all of one status (or last column), or at once."""
+    """Return one row for all states with the same change and the same last column.
+
+    In a model with one column, the states must change at the same threshold instead.
+    """
     groups: dict[Any, list[Mapping[str, Any]]] = {}
     for each in switches:
         *others, last = each["columns"].items()
@@ -206,11 +215,17 @@ def _group_switches(switches: Iterable[Mapping[str, Any]]) -> list[dict[str, Any
     rows = []
     for (*_, shared), members in groups.items():
         states = [*dict.fromkeys(each["state"] for each in members)]
-        names = [each.removeprefix("state ") for each in states]
-        names = [" ".join(shared)] if isinstance(shared, tuple) else names
-        text = ", ".join(names[:3]) + ", …" * (len(names) > 3)
-        text = f"{len(states):,} states: {text}" if len(states) > 1 else states[0]
-        first, last = (members[end]["threshold"] for end in (0, -1))
+        # One state by its name; several by the column that they share, or by the first names.
+        text = states[0]
+        if len(states) > 1:
+            names = [each.removeprefix("state ") for each in states]
+            if isinstance(shared, tuple):
+                names = [" ".join(shared)]
+            text = f"{len(states):,} states: {', '.join(names[:3])}"
+            if len(names) > 3:
+                text += ", …"
+        # `to` is shown if the thresholds of the group differ.
+        first, last = members[0]["threshold"], members[-1]["threshold"]
         rows.append({**members[0], "state": text, "to": last if last > first else None})
     return rows
 
@@ -223,7 +238,7 @@ def thresholds(
     *,
     relative: object | None = None,
 ) -> Thresholds:
-    """Return every threshold of a parameter, the others held and the policy re-optimised.
+    """Find every threshold of a parameter, with the others held fixed and the policy re-optimised.
 
     Parameters
     ----------
@@ -231,20 +246,20 @@ def thresholds(
     name : str
         The parameter.
     ranges : (low, high) or {name: (low, high)}, optional
-        Today's value ± 20 % unless given, within what the model admits.
+        The range; by default today's value ± 20 %, within the parameter's limits.
     relative : number, optional
         Another share than 20 %.
 
     Returns
     -------
     Thresholds
-        Those inside the range; its own ends are not looked at.
+        All thresholds strictly inside the range.
 
     Raises
     ------
     ModelError
         For an unknown name, an empty range, a model with cycles that is too large, rows that are
-        no polynomials of the degree that a family states, and at discount 1 where some policy never
+        not polynomials of the degree that a family states, or at discount 1 if some policy never
         ends.
 
     Examples
@@ -256,11 +271,12 @@ def thresholds(
     """
     family = parametric(model)
     whole = curve(family, name, range_of(family, name, ranges, relative))
-    turns = (
-        (left.high, _find_switches(whole.mdp, left.optimal, right.optimal))
-        for left, right in pairwise(whole.pieces)
-    )
-    found = (Threshold(low=low, high=high, switches=each) for (low, high), each in turns if each)
+    found = []
+    for left, right in pairwise(whole.pieces):
+        switches = _find_switches(whole.mdp, left.optimal, right.optimal)
+        if switches:  # two pieces may also meet at a breakpoint of the rows
+            low, high = left.high
+            found.append(Threshold(low=low, high=high, switches=switches))
     return Thresholds(curve=whole, found=tuple(found))
 
 

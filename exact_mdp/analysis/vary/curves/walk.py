@@ -1,16 +1,16 @@
-"""The pieces of a parameter's range on which the set of optimal actions stays as it is.
+"""The pieces of a parameter's range on which the set of optimal actions does not change.
 
 On a section between two breakpoints, rows are polynomials of the parameter. A policy stays optimal
-until the first root at which the gap of some pair turns negative. At a point just beyond it the
-policy is improved, and the new policy's gaps show that it is optimal from that very root on: none
-of them may turn negative between the root and the point, else the point is moved closer. So no
-threshold is passed over, however close two of them lie. The policy that is optimal at the end of a
-section is where the next one begins, so that one model is solved, once.
+until the first root at which the gap of some pair turns negative. At a point just beyond this root
+the policy is improved, and the new policy's gaps show that it is optimal from the root on: if one
+of them turns negative between the root and the point, the point is moved closer. No threshold is
+missed, however close two of them lie. The optimal policy at the end of a section is the first
+policy of the next section, so that only one model is solved.
 
-The values of a policy are polynomials on a section where the model is acyclic, else N_s / D with
+The values of a policy are polynomials on a section if the model is acyclic, otherwise N_s / D with
 D = det(I - γ P_π) > 0. By Cramer's rule N and D have at most the degree Σ_s d_s, where d_s is the
-greatest degree in the rows of state s: so they come by interpolation. Where the discount alone
-moves they come from powers of P_π,
+greatest degree in the rows of state s, so that they can be interpolated. If only the discount
+moves, they come from powers of P_π,
 
     N(γ) = D(γ) Σ_k γ^k P^k r   up to degree n - 1.
 """
@@ -45,33 +45,38 @@ from exact_mdp.mdp.parametric.row_change import Piece, interpolate_polynomials, 
 from exact_mdp.mdp.table import Integers, format_rational
 from exact_mdp.solvers.solution import Bounded, Certified
 
-DIGITS = 13  # of the ends of a bracket, unless it is too wide
-ATTEMPTS = 400  # to part two thresholds, by three more digits each
-LARGEST = 300  # states of a model with cycles
-CYCLIC_DEGREE = 200  # minutes; 80 takes two seconds
+# Attempts to separate two thresholds, with three more decimal digits in each.
+ATTEMPTS = 400
+# The largest models with cycles: rational functions of degree 80 take two seconds, of 200 minutes.
+LARGEST = 300  # states that are not terminal
+CYCLIC_DEGREE = 200
 
 Entries = Sequence[tuple[int, fmpq_poly]]
 
 
 class Sweep:
-    """A walk over one section of a parameter, with the optimal policy; `mix` is held fixed."""
+    """A walk over one section of a parameter with the optimal policy; `mix` is held fixed."""
 
     def __init__(self, equations: SectionEquations, mix: Mix | None, sign: int) -> None:
         self.equations, self.gap = equations, equations.gap
         self.low, self.high = equations.low, equations.high
-        self.fixed = None if mix is None else compute_policy_values(equations, mix)
+        self.fixed: Values | None = None
+        if mix is not None:
+            self.fixed = compute_policy_values(equations, mix)
         self.start = tuple((state, sign * weight) for state, weight in equations.mdp.start)
-        self.ahead: dict[int, list[Root]] = {}  # where gaps turn
+        self.ahead: dict[int, list[Root]] = {}  # by pair, the roots at which its gap turns
         self.policy: Integers = np.empty(0, dtype=np.int64)
 
     def yield_pieces(self, policy: Integers) -> Iterator[CurvePiece]:
         """Yield the pieces, beginning with a policy (S,) that may not be optimal."""
+        # The lower end of the section counts as a root: find the policy just beyond it.
         self._follow_policy(policy)
         first = Root(poly=fmpq_poly([to_flint(-self.low), 1]), low=self.low, high=self.low)
         steps = ((self.high - self.low) / 64 * Fraction(3, 64) ** k for k in count())
         here = self._cross_root(first, ((self.low, self.low + step) for step in steps))[1]
         before: Bracket = (self.low, self.low)
         while before[0] < self.high:
+            # The policy is optimal up to the next root; cross it to find the next policy.
             root = self._find_next_root(here)
             optimal = np.array([poly.degree() < 0 for poly in self.gap])
             values, after = self.equations.values, (self.high, self.high)
@@ -89,6 +94,7 @@ class Sweep:
             here, before = after[1], after
 
     def _follow_policy(self, policy: Integers) -> None:
+        """Make `policy` (S,) the current one: compute its values and gaps."""
         self.policy = policy
         values = compute_policy_values(
             self.equations, [[(pair, to_flint(1))] for pair in policy.tolist()]
@@ -104,7 +110,7 @@ class Sweep:
         if known is None or (known and known[0].low < here):
             poly, known = self.gap[pair], []
             if poly.degree() > 0 and count_sign_variations(poly, here, self.high):
-                # Narrow at once, so that comparing it with others needs no more, ever again.
+                # Narrow each root once, so that later comparisons are quick.
                 width = (self.high - self.low) / 2**8
                 turning = isolate_roots(odd_part(poly), here, self.high)
                 known = [root.narrow_to_width(width) for root in turning]
@@ -113,14 +119,18 @@ class Sweep:
 
     def _find_next_root(self, here: Fraction) -> Root | None:
         """Return the first root beyond `here` at which a gap turns negative."""
-        every = (self._find_roots(pair, here) for pair in self.equations.following)
-        first = [known[0] for known in every if known]
-        return reduce(_find_earlier_root, first) if first else None
+        first = []
+        for pair in self.equations.following:
+            roots = self._find_roots(pair, here)
+            first += roots[:1]
+        if not first:
+            return None
+        return reduce(_find_earlier_root, first)
 
     # ---- beyond a root ---------------------------------------------------------------------------
 
     def _cross_root(self, root: Root, brackets: Iterable[Bracket]) -> Bracket:
-        """Follow the policy that is optimal from a root on; return the bracket that shows it."""
+        """Follow the policy that is optimal from a root on; return the bracket that proves it."""
         former = self.policy
         for low, high in islice(brackets, ATTEMPTS):
             self._improve_policy(low, high)
@@ -130,11 +140,12 @@ class Sweep:
                 return low, high
             self.ahead.clear()
             self._follow_policy(former)
-        raise RuntimeError("thresholds without end, or two that cannot be told apart")
+        raise RuntimeError("endless thresholds, or two that cannot be separated")
 
     def _yield_narrowing_brackets(self, root: Root, here: Fraction) -> Iterator[Bracket]:
         """Yield ever narrower intervals around a root, between decimals."""
-        for digits in count(DIGITS, 3):
+        # 13 digits make a bracket narrower than the 1e-12 that is promised.
+        for digits in count(13, 3):
             unit = Fraction(1, 10**digits)
             root = root.narrow_to_width(unit * Fraction(5, 8))
             low, high = floor(root.low / unit) * unit, ceil(root.high / unit) * unit
@@ -144,16 +155,15 @@ class Sweep:
                 yield low, high
 
     def _find_near_pairs(self, low: Fraction, high: Fraction) -> list[int]:
-        """Return the pairs whose gap may turn in a bracket: no roots, known to lie elsewhere."""
-        return [
-            pair
-            for pair in self.equations.following
-            if self.gap[pair].degree() >= 0
-            and (
-                (known := self.ahead.get(pair)) is None
-                or any(r.low <= high and low <= r.high for r in known)
-            )
-        ]
+        """Return the pairs whose gap may turn in a bracket, by the roots known so far."""
+        near = []
+        for pair in self.equations.following:
+            if self.gap[pair].degree() < 0:
+                continue
+            known = self.ahead.get(pair)
+            if known is None or any(r.low <= high and low <= r.high for r in known):
+                near.append(pair)
+        return near
 
     def _improve_policy(self, low: Fraction, high: Fraction) -> None:
         """Follow a policy that is optimal at the end of a bracket (policy iteration)."""
@@ -163,12 +173,13 @@ class Sweep:
             falls, pairs = [each for each in gaps if each[0] < 0], self.policy.copy()
             if not falls:
                 return
-            for _, pair in sorted(falls, reverse=True):  # the best pair of a state is the last
+            # In descending order of gaps, the best pair of a state is set last.
+            for _, pair in sorted(falls, reverse=True):
                 pairs[self.equations.state[pair]] = pair
             self._follow_policy(pairs)
 
     def _is_clear(self, pair: int, root: Root, low: Fraction, high: Fraction) -> bool:
-        """Whether a gap does not turn in (low, high], but for the root of the threshold itself."""
+        """Whether a gap does not turn in (low, high], except at the root of the threshold."""
         poly = self.gap[pair]
         if compute_sign(poly, high) <= 0:
             return False
@@ -181,6 +192,7 @@ class Sweep:
 
 def _find_earlier_root(one: Root, other: Root) -> Root:
     """Return the smaller of two roots."""
+    # Narrow both until their intervals are disjoint, or their common part proves them equal.
     while not (one.high <= other.low or other.high <= one.low):
         low, high = max(one.low, other.low), min(one.high, other.high)
         if (low < high or compute_sign(one.poly, low) == 0) and Root(
@@ -193,9 +205,9 @@ def _find_earlier_root(one: Root, other: Root) -> Root:
 
 
 def make_improper_error(where: str, *, beside: bool = False, ranges: bool = True) -> ModelError:
-    """Return the error of an analysis that follows finite values only, and may take `ranges`.
+    """Return the error of an analysis that needs finite values, and may take `ranges`.
 
-    Some policy never ends, or some run ends `beside` the goal.
+    The reason is that some policy never ends, or that some run ends `beside` the goal.
     """
     ways = ["give a discount below 1 (--discount 0.95)"]
     if beside:
@@ -213,7 +225,7 @@ def make_improper_error(where: str, *, beside: bool = False, ranges: bool = True
 
 @cache_on_model
 def find_optimal_pairs(mdp: MDP) -> tuple[Integers, Certified | Bounded]:
-    """Return an optimal pair of each state, and the proven value at the start, of a model."""
+    """Return an optimal pair of each state of a model, and the certified value at the start."""
     certificate = certify_and_check(mdp)
     optimal = np.flatnonzero(certificate.optimal_pairs)
     return optimal[np.searchsorted(optimal, mdp.pair_offsets[:-1])], certificate.start
@@ -222,7 +234,10 @@ def find_optimal_pairs(mdp: MDP) -> tuple[Integers, Certified | Bounded]:
 def pieces_of(
     family: Parametric, name: str, span: Range, sign: int, mix: Mix | None
 ) -> tuple[list[CurvePiece], list[SectionEquations]]:
-    """Return the pieces over a range, and their sections; sign is -1 for costs, `mix` is held."""
+    """Return the pieces over a range, and their sections; sign is -1 for costs.
+
+    `mix` is the policy held fixed, if any.
+    """
     inside = (cut for cut in family.breakpoints(name) if span.low < cut < span.high)
     pieces, sections, policy = list[CurvePiece](), list[SectionEquations](), None
     for low, high in pairwise(sorted({span.low, *inside, span.high})):
@@ -232,9 +247,9 @@ def pieces_of(
             between = f"for some {name} from {format_rational(low)} to {format_rational(high)}"
             raise make_improper_error(between, beside=beside)
         sweep = Sweep(equations, mix, sign)
-        pieces += sweep.yield_pieces(
-            find_optimal_pairs(equations.mdp)[0] if policy is None else policy
-        )
+        if policy is None:
+            policy, _ = find_optimal_pairs(equations.mdp)
+        pieces += sweep.yield_pieces(policy)
         policy = sweep.policy
         sections.append(equations)
     return pieces, sections
@@ -243,9 +258,9 @@ def pieces_of(
 def _build_section_equations(
     family: Parametric, name: str, low: Fraction, high: Fraction
 ) -> SectionEquations:
-    """Return the equations from the middle of a section, or from next to it if a chance is 0 there.
+    """Return the equations of a section from an origin at which no moving probability is 0.
 
-    What may happen there may then happen next to it, too. A chance that moves is 0 at few points.
+    That is the middle, or another point if some probability is 0 there, which is so at few points.
     """
     for share in chain([Fraction(1, 2)], (Fraction(37 + k, 97 + 2 * k) for k in count())):
         origin = low + (high - low) * share
@@ -260,9 +275,10 @@ def _build_section_equations(
 
 
 def compute_policy_values(equations: SectionEquations, mix: Mix) -> Values:
-    """Return the values of a policy; raises ModelError where a model with cycles is too large."""
+    """Return the values of a policy; raise ModelError if a model with cycles is too large."""
     value = [fmpq_poly()] * equations.mdp.n_states
     if equations.order is not None:
+        # Acyclic: backward induction, next states first.
         values = value, fmpq_poly([1])
         for state in equations.order:
             ahead = (
@@ -270,15 +286,17 @@ def compute_policy_values(equations: SectionEquations, mix: Mix) -> Values:
             )
             value[state] = sum(ahead, fmpq_poly())
         return values
+    # The system (D I - γ P_π) N = r_π over the live states, by the place of each entry.
     live, change = equations.live, equations.change
     degree, place, count = _bound_degree(equations), {s: k for k, s in enumerate(live)}, len(live)
-    side = [sum((equations.reward[l] * w for l, w in mix[s]), fmpq_poly()) for s in live]
-    entries = [
-        (place[state] * count + place[to], share * p)
-        for state in live
-        for pair, share in mix[state]
-        for to, p in equations.following[pair]
-    ]
+    side, entries = [], list[tuple[int, fmpq_poly]]()
+    for state in live:
+        reward = fmpq_poly()
+        for pair, share in mix[state]:
+            reward = reward + equations.reward[pair] * share
+            for to, p in equations.following[pair]:
+                entries.append((place[state] * count + place[to], share * p))
+        side.append(reward)
     still = not len(change.transition.key) and not len(change.reward.key)
     if still and equations.rate.degree() > 0:
         numerators, scale = _by_powers(equations.rate, entries, side)
@@ -290,7 +308,7 @@ def compute_policy_values(equations: SectionEquations, mix: Mix) -> Values:
 
 
 def _bound_degree(equations: SectionEquations) -> int:
-    """Return the degree that values have at most, of a model with cycles."""
+    """Return an upper bound of the degree of values in a model with cycles (Cramer's rule)."""
     live, where = len(equations.live), f"parameter {equations.change.name}"
     degree = 0
     for pairs in equations.pairs.values():
@@ -315,7 +333,7 @@ def _bound_degree(equations: SectionEquations) -> int:
 def _interpolate_values(
     equations: SectionEquations, degree: int, entries: Entries, side: Sequence[fmpq_poly]
 ) -> tuple[list[fmpq_poly], fmpq_poly]:
-    """Return N, of live states, and D from their values at `degree` + 1 points inside."""
+    """Return N of live states, and D, from their values at `degree` + 1 points inside."""
     low, size, count = equations.low, degree + 1, len(side)
     step = (equations.high - low) / (size + 1)
     samples: list[list[fmpq]] = []
@@ -324,11 +342,13 @@ def _interpolate_values(
         matrix[:: count + 1] = [to_flint(1)] * count
         for place, p in entries:
             matrix[place] -= p(at)
+        # At each point D is the determinant, and N = D V.
         system = fmpq_mat(count, count, matrix)
         scale = system.det()
         values = system.solve(fmpq_mat(count, 1, [each(at) for each in side])).entries()
         samples.append([*(scale * each for each in values), scale])
-    number = fmpq_poly([to_flint(-low / step), to_flint(1 / step)])  # of a point
+    # Polynomials of the number k of a point become polynomials of θ = low + step k.
+    number = fmpq_poly([to_flint(-low / step), to_flint(1 / step)])
     *tops, below = (each(number) for each in interpolate_polynomials(range(1, size + 1), samples))
     return tops, below
 
@@ -336,13 +356,14 @@ def _interpolate_values(
 def _by_powers(
     rate: fmpq_poly, entries: Entries, side: Sequence[fmpq_poly]
 ) -> tuple[list[fmpq_poly], fmpq_poly]:
-    """Return N, of live states, and D from powers of the matrix."""
+    """Return N of live states, and D, from powers of the matrix P_π."""
     count = len(side)
     numbers = [to_flint(0)] * count**2
     for place, p in entries:
         numbers[place] += (p / rate)[0]
     matrix, unit = fmpq_mat(count, count, numbers).numer_denom()  # P = A / q
     vector, times = fmpq_mat(count, 1, [each[0] for each in side]).numer_denom()
+    # The vectors A^k r, in integers.
     columns = []
     for _ in range(count):
         columns.append(vector.entries())

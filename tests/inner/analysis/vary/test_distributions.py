@@ -354,7 +354,7 @@ def test_a_uniform_or_a_triangle_stays_within_what_the_parameter_may_be() -> Non
         ("cost.drug", {"distribution": "uniform", "low": -1, "high": 10}),
     ]
     for name, said in outside:
-        with pytest.raises(ModelError, match="outside of what the parameter may be"):
+        with pytest.raises(ModelError, match="outside the parameter's limits"):
             uncertainty(MODEL, {name: said})
     free = {"weight": {"distribution": "uniform", "low": -100, "high": 100}}
     assert drawn(free)["weight"].numbers == (-100, 100)

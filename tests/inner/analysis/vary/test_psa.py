@@ -286,7 +286,7 @@ def test_draws_come_in_blocks_of_streams_of_their_own_or_from_ones_sample() -> N
     assert len(sample_parameters(WAGERS, sample, 3, 5, 4)) == 3
     for how, said in (
         ((sample, 4), "4 draws of a sample of 3"),
-        ((chosen, None), "nothing says how many"),
+        ((chosen, None), "number of draws is missing"),
         ((chosen, 0), "n"),
         ((chosen, 2**40), "fewer draws"),
         ((Uncertainty(parts=(), fixed={}), 5), "no parameter is uncertain"),

@@ -247,7 +247,7 @@ def test_what_has_no_finite_derivative_is_refused(exact: bool) -> None:
         parameters={"t": 0},
         build=lambda at: MDP.from_arrays([[[0, 1], [0, 1]]], [1, at["t"]], 1),
     )
-    with pytest.raises(ModelError, match="a terminal state would earn for ever"):
+    with pytest.raises(ModelError, match="a terminal state would earn forever"):
         gradient(ends, exact=exact)
     halves = Family(
         parameters={"t": 0},
@@ -269,7 +269,7 @@ def test_a_chance_that_begins_to_lead_into_a_trap_is_refused(exact: bool) -> Non
         return MDP.from_outcomes(rows, 1)
 
     family = Family(parameters=(Parameter(name="t", value=0, low=0, high=1),), build=build)
-    with pytest.raises(ModelError, match="leads to where the total may be infinite"):
+    with pytest.raises(ModelError, match="leads to a state whose total may be infinite"):
         gradient(family, policy=[0, 0, 0], exact=exact)
     slope = gradient(family, policy=[0, 1, 0], exact=exact)["t"].value
     assert slope is not None
