@@ -144,7 +144,9 @@ def check_command(
         audit = exact_mdp.check_trainer(given.mdp, policies, runs=len(learned), **asked)
         report = given.complete_report(audit.report(learned))
         name = f"{len(report.facts['policies'])} policies"
-    passed = "passed" if audit.passed else "failed"
+    passed = "failed"
+    if audit.passed:
+        passed = "passed"
     report = replace(report, title=f"{name} in {given.loaded.name}: {passed}")
     if html is not None and isinstance(audit, Audit):
         write_atomically(html, _render_audit_page(audit, report, given.loaded.name, name))
@@ -164,7 +166,10 @@ def _of_one(
     policy = given.policy_from(name)
     audit = gate.check(given.asked if "by" in asked else given.mdp, policy, **asked)
     report = given.complete_report(audit.report(explain=explain), policy=Shown(name), learned=name)
-    horizon = "none" if given.horizon is None else f"{given.horizon:,} steps"
+    if given.horizon is None:
+        horizon = "none"
+    else:
+        horizon = f"{given.horizon:,} steps"
     facts = {"read_as": Shown(policy.read_as, policy.source or "a policy"), **report.facts}
     facts |= {"horizon": Shown(given.horizon, horizon), "start": Shown(given.start, audit.begins)}
     return audit, replace(report, facts=facts)

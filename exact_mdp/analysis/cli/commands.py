@@ -140,7 +140,10 @@ class CommandParameter(NamedTuple):
         whole = None
         if self.kind.startswith("int"):
             ends = re.search(r"(\d+) to (\d+)", self.form)
-            whole = click.IntRange(int(ends[1]), int(ends[2])) if ends else click.IntRange(0)
+            if ends:
+                whole = click.IntRange(int(ends[1]), int(ends[2]))
+            else:
+                whole = click.IntRange(0)
         return click.Option(
             names,
             metavar=form,

@@ -241,9 +241,13 @@ class Given:
 
     def in_words(self) -> str | None:
         """Return the question in words; None if no option asks one."""
-        best = "least" if self.asked.sense == "min" else "greatest"
+        best = "greatest"
+        if self.asked.sense == "min":
+            best = "least"
         if self.reach is not None:
-            through = f" through {self.allowed}" if self.allowed else ""
+            through = ""
+            if self.allowed:
+                through = f" through {self.allowed}"
             return f"{best} probability of reaching {self.reach}{through}"
         costs = self.minimize or self.loaded.mdp.sense == "min"
         if self.until is not None:
@@ -270,7 +274,10 @@ class Given:
         if "reach" in has or self.start is not None:
             head["start"] = self.start
         if "criterion" in has:
-            average = "reward per step" if is_average(self.criterion) else None
+            if is_average(self.criterion):
+                average = "reward per step"
+            else:
+                average = None
             head["criterion"] = Shown(self.criterion, average)
         if "kind" in has and self.taken is not None:
             # How the policy was read comes first.

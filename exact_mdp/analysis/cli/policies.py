@@ -102,7 +102,10 @@ def solve_command(
             what = "bounds are proved of totals of rewards where every policy ends"
             fix = "add --certify, which proves the exact values"
             raise ModelError(what, where="--certificate", fix=fix)
-        error = None if tol is None else float_of(tol, "--tol")
+        if tol is None:
+            error = None
+        else:
+            error = float_of(tol, "--tol")
         best = compute_optimum(mdp, method, error, certify=certify, criterion=given.criterion)
         proof = best.certificate
         if certificate and proof is None:
@@ -110,7 +113,9 @@ def solve_command(
         if out:
             best.save(out)
         policy = Policy.of(mdp, best.best)
-        solver = best.solution.solver if best.solution else "exact"
+        solver = "exact"
+        if best.solution:
+            solver = best.solution.solver
         report = best.report()
     if policy_out:
         policy.write(policy_out)
@@ -150,8 +155,13 @@ def verify_command(certificate: str, given: Given, *, proven: bool = False) -> R
     violations = proof.violations(mdp)
     if proven and not is_accepted_by_proven_checker(proof, mdp) and not violations:
         violations = ["the checker whose soundness is proven does not accept it"]
-    by = ", by the proven checker, too" if proven else ""
-    said = "does not hold" if violations else f"holds ({proof.claim}{by})"
+    by = ""
+    if proven:
+        by = ", by the proven checker, too"
+    if violations:
+        said = "does not hold"
+    else:
+        said = f"holds ({proof.claim}{by})"
     facts: dict[str, Any] = {
         "certificate": certificate,
         "holds": Shown(not violations, said),
@@ -164,10 +174,16 @@ def verify_command(certificate: str, given: Given, *, proven: bool = False) -> R
         facts |= {} if violations else _proven_totals(proof)
     elif not violations:
         value, exact = float(proof.start.value), isinstance(proof, Certificate)
-        error = ulp(value) if exact else proof.start.error
+        if exact:
+            error = ulp(value)
+        else:
+            error = proof.start.error
         facts |= {"start_value": Shown(value, proof.start), "error_bound": Shown(error)}
         if exact:
-            more = {"criterion": "average"} if proof.kind == "average" else {"unique": proof.unique}
+            if proof.kind == "average":
+                more = {"criterion": "average"}
+            else:
+                more = {"unique": proof.unique}
             facts |= {"exact_start_value": Shown(proof.start_value)} | more
     return given.complete_report(Report(title="proof", facts=facts, passed=not violations))
 
@@ -176,7 +192,10 @@ def is_accepted_by_proven_checker(proof: Proof, mdp: MDP) -> bool:
     """Return whether the proven checker accepts a proof; raises ModelError for other kinds."""
     several = isinstance(proof, Front) and len(proof.objectives) > 2
     if proof.kind not in (known := [*verified.KEYS, "limits", "front"]) or several:
-        what = "a front of three objectives" if several else proof.kind
+        if several:
+            what = "a front of three objectives"
+        else:
+            what = proof.kind
         raise ModelError(
             f"the checker whose soundness is proven covers {', '.join(known)}, not {what}",
             where="--proven",

@@ -52,7 +52,9 @@ def format_report_text(report: Report) -> str:
         for each in report.shown_tables():
             grid = table.Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
             for heading, right in zip(each.columns, each.numeric(), strict=True):
-                side: Literal["left", "right"] = "right" if right else "left"
+                side: Literal["left", "right"] = "left"
+                if right:
+                    side = "right"
                 grid.add_column(_to_console_text(heading), overflow="fold", justify=side)
             for row in each.cells():
                 grid.add_row(*map(_to_console_text, row))

@@ -59,7 +59,10 @@ def tornado_command(given: Given) -> Report:
     """
     spans, without = _select_ranges(given)
     result = exact_mdp.tornado(given.family, policy=given.fixed, names=list(spans), ranges=spans)
-    by = "fixed_swing" if given.perception else "swing"  # what it does to the policy
+    # what it does to the policy
+    by = "swing"
+    if given.perception:
+        by = "fixed_swing"
     return _report_with_policy(given, "tornado", result.report(by), without_range=without)
 
 
@@ -78,7 +81,9 @@ def gradient_command(given: Given) -> Report:
     the left; right: the derivative from the right, which differs where two policies are optimal.
     """
     result = exact_mdp.gradient(given.family, policy=given.fixed, names=given.parameters or None)
-    more = {"claim_of": ROUNDED} if given.perception else {}
+    more = {}
+    if given.perception:
+        more = {"claim_of": ROUNDED}
     return _report_with_policy(given, "gradient", result.report(), **more)
 
 
@@ -132,12 +137,18 @@ def curve_command(
     intervals in which the policy keeps the limit.
     """
     (name,) = _require_parameter_count(parameters, 1, "curve")
-    spans = _select_ranges(given, [name])[0] if given.ranges or given.relative else None
+    if given.ranges or given.relative:
+        spans = _select_ranges(given, [name])[0]
+    else:
+        spans = None
     limited = max_regret or max_relative_regret
     result = exact_mdp.curve(
         given.family, name, spans, policy=given.fixed if limited else given.taken
     )
-    within = result.within(max_regret, max_relative_regret) if limited else None
+    if limited:
+        within = result.within(max_regret, max_relative_regret)
+    else:
+        within = None
     start = list_claim_facts("start_value", find_optimal_pairs(given.family.at({}))[1])
     return given.complete_report(result.report(within), kind="curve", **start)
 
@@ -238,7 +249,10 @@ def psa_command(
     evppi: expected value of knowing each parameter alone; evppi_details: how each was estimated.
     """
     plain = given.loaded.scenario is None
-    model = drawn_family(given.mdp) if plain else given.family
+    if plain:
+        model = drawn_family(given.mdp)
+    else:
+        model = given.family
     size, names = None, given.parameters or None
     if effective_sample_size is not None:
         size = float_of(effective_sample_size, "--effective-sample-size")
@@ -355,7 +369,10 @@ def _report_worst_point(given: Given, stated: bool) -> Report:
         "start_value", finite_worth(given.mdp, given.fixed, "today's parameters")
     )
     ends = {name: [float(span.low), float(span.high)] for name, span in box.items()}
-    radius = None if stated else float(RELATIVE)
+    if stated:
+        radius = None
+    else:
+        radius = float(RELATIVE)
     more = {"set_kind": BOX, "radius": radius, "box": Shown(ends)}
     return _report_with_policy(given, "robust", report, **start, **more)
 
@@ -433,7 +450,8 @@ def _select_ranges(given: Given, names: Sequence[str] | None = None) -> tuple[Ra
     texts = [each for each in given.ranges if each not in files]
     pairs = pairs_of(texts, "--range", "NAME=LOW:HIGH")
     stated.update(read_ranges(model, {name: ends.split(":") for name, ends in pairs.items()}))
-    names = given.parameters or None if names is None else names
+    if names is None:
+        names = given.parameters or None
     every = ranges_of(model, names, stated, given.relative)
     spans = Ranges({name: span for name, span in every.items() if span.low < span.high})
     return spans, sorted(every.keys() - spans.keys())
@@ -441,7 +459,9 @@ def _select_ranges(given: Given, names: Sequence[str] | None = None) -> tuple[Ra
 
 def _choose_parameters(given: Given) -> Sequence[str] | None:
     """Return the parameters to vary together where none is named."""
-    return None if given.parameters or given.ranges else list_usual_parameters(given.family)
+    if given.parameters or given.ranges:
+        return None
+    return list_usual_parameters(given.family)
 
 
 def _read_work_options(n_jobs: int | None, out: str | None) -> dict[str, Any]:

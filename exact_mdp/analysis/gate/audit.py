@@ -386,7 +386,9 @@ class Audit(Pictured):
             word = "failed"
         best = float(self.regret.optimal.value)
         count = len(self.disagreements)
-        noun = "disagreement" if count == 1 else "disagreements"
+        noun = "disagreements"
+        if count == 1:
+            noun = "disagreement"
         return f"{word}: {lost} of {best:.6g}, {count} {noun}"
 
     def __str__(self) -> str:
@@ -395,7 +397,9 @@ class Audit(Pictured):
 
     @property
     def _unlimited(self) -> list[str]:
-        option = "horizon={}" if self.criterion.name == "total" else ""
+        option = ""
+        if self.criterion.name == "total":
+            option = "horizon={}"
         return describe_time_limit(self.mdp, option)
 
     def message(self, *, explain: bool = True) -> str:
@@ -431,13 +435,18 @@ class Audit(Pictured):
             cost = sum(each.cost for each in met[most:])
             lines.append(f"  and {len(met) - most} more, {cost:.6g} in all")
         if self.never_reached:
-            others = "and " if lines else ""
+            others = ""
+            if lines:
+                others = "and "
             lines.append(f"  {others}{self.never_reached} that it never visits, which cost nothing")
         return lines
 
     def report(self, *, explain: bool = True) -> Report:
         """Return the verdicts, the loss, where it arises, and why; `explain` as in `message`."""
-        why = self.representation if explain else None
+        if explain:
+            why = self.representation
+        else:
+            why = None
         notes = []
         if explain and self._partial and why is None:
             notes.append(UNEXPLAINED)
@@ -500,12 +509,17 @@ class Audit(Pictured):
             return Shown(ratio, None)
         if ratio is not None:
             return Shown(ratio, ratio)
-        infinite = "infinite" if isinf(self.regret.optimal.value) else "0, or may be"
+        infinite = "0, or may be"
+        if isinf(self.regret.optimal.value):
+            infinite = "infinite"
         return Shown(None, f"undefined: the optimal value is {infinite}")
 
     def _describe_agreement(self) -> str:
         by_visits = self.agreement_by_visits
-        share = "an unknown share" if isnan(by_visits) else f"{by_visits:.1%}"
+        if isnan(by_visits):
+            share = "an unknown share"
+        else:
+            share = f"{by_visits:.1%}"
         text = f"{self.agreement:.1%} of the states with a choice, {share} of the visits to them"
         if isnan(self.agreement):
             text = "undefined: there is no optimum to agree with"

@@ -75,7 +75,9 @@ class Verdict:
         return f"{self.subject} {holds} {self.limit}: {self.text}"
 
     def __str__(self) -> str:
-        word = "passed" if self.passed else "failed"
+        word = "failed"
+        if self.passed:
+            word = "passed"
         return f"{word}: {self.told}"
 
 

@@ -199,7 +199,9 @@ def is_cheap_to_certify(mdp: MDP, cycle: int = 200) -> bool:
 
     That is so with few transitions, if no cycle has more than `cycle` states.
     """
-    most = EXACT_TRANSITIONS if mdp.space.untimed is None else EXACT_IN_TIME
+    most = EXACT_IN_TIME
+    if mdp.space.untimed is None:
+        most = EXACT_TRANSITIONS
     return mdp.n_transitions <= most and _longest_cycle(mdp) <= cycle
 
 
@@ -238,7 +240,10 @@ def _certify_regret(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
     lost = best.start_value - learned
 
     # 2. The rounding allowance, computed only if a verdict needs it.
-    best_pairs = best.pairs if improper else first_of(mdp, best.optimal_pairs)
+    if improper:
+        best_pairs = best.pairs
+    else:
+        best_pairs = first_of(mdp, best.optimal_pairs)
     ideal = chain_of_pairs(mdp, best_pairs)
     movable: Callable[[], Fraction] = Fraction
     if isinstance(lost, Fraction):

@@ -74,7 +74,10 @@ class CostEffectiveness(Pictured):
         return not self.uncertainty.parts
 
     def __repr__(self) -> str:
-        what = "the base case" if self.base_case else f"draws {len(self.draws):,}"
+        if self.base_case:
+            what = "the base case"
+        else:
+            what = f"draws {len(self.draws):,}"
         if self.uncertainty.assumption:
             what += f"; {self.uncertainty.assumption}"
         return f"CostEffectiveness({', '.join(self.strategies)}; {what})"
@@ -199,7 +202,10 @@ class CostEffectiveness(Pictured):
 
     def frame(self, wtp: ArrayLike | None = None) -> DataFrame:
         """Return one row for each willingness to pay: CEAC, frontier, EVPI."""
-        at = self.grid() if wtp is None else np.atleast_1d(_parse_prices(wtp))
+        if wtp is None:
+            at = self.grid()
+        else:
+            at = np.atleast_1d(_parse_prices(wtp))
         table = data_frame(self.acceptability(at), columns=list(self.strategies))
         table.insert(0, WTP, at)
         table["best on average"] = [name for name, _ in self.frontier(at)]
@@ -240,7 +246,9 @@ class _Means:
         apart, error = self.compute_difference(one, other)
         if abs(apart) <= error:
             return 0
-        return 1 if apart > 0 else -1
+        if apart > 0:
+            return 1
+        return -1
 
 
 def _classify_strategies(cost: _Means, effect: _Means, names: Sequence[str]) -> list[str]:
@@ -353,7 +361,9 @@ def cost_effectiveness(
     """
     seed = seed_of(rng)
     if not isinstance(strategies, Mapping) or not strategies:
-        what = "no strategy" if isinstance(strategies, Mapping) else "strategies without names"
+        what = "strategies without names"
+        if isinstance(strategies, Mapping):
+            what = "no strategy"
         raise ModelError(what, where="strategies", fix="give {name: policy}, at least one")
     family: Parametric
     if n is None and uncertain is None:

@@ -100,9 +100,15 @@ def make_range_around(parameter: Parameter, relative: object = RELATIVE) -> Rang
     reach = abs(parameter.value) * share
     low, high = parameter.value - reach, parameter.value + reach
     if parameter.low is not None:
-        low = parameter.low if whole else max(low, parameter.low)
+        if whole:
+            low = parameter.low
+        else:
+            low = max(low, parameter.low)
     if parameter.high is not None:
-        high = parameter.high if whole else min(high, parameter.high)
+        if whole:
+            high = parameter.high
+        else:
+            high = min(high, parameter.high)
     return Range(low=low, high=high)
 
 
@@ -195,7 +201,9 @@ def ranges_of(
     stated = read_ranges(model, ranges)
     if names is None:
         names = list(stated) or [parameter.name for parameter in model.parameters]
-    share = RELATIVE if relative is None else relative
+    share = relative
+    if relative is None:
+        share = RELATIVE
     spans = Ranges()
     for name in require_list(names, "names"):
         parameter = parameter_of(model, name)

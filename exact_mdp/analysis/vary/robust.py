@@ -332,7 +332,10 @@ def worst_point(
         least = moved.min()
     point = {}
     for (parameter, span), end in zip(spans.items(), corner.tolist(), strict=True):
-        point[parameter.name] = span.high if end else span.low
+        if end:
+            point[parameter.name] = span.high
+        else:
+            point[parameter.name] = span.low
     design = {name: [at] for name, at in point.items()}
     optimum, value = study(family, design, [fixed]).bound_point_values(0)
     return WorstPoint(point=point, value=value, optimum=optimum, corners=corners)

@@ -128,7 +128,10 @@ class Sobol(Pictured):
         for name, what in TITLES.items():
             # A constant output has no shares of variance.
             title = f"shares of the variance of {what}, ± half an interval"
-            rows = () if self.of(name).constant else self.frame(name)
+            if self.of(name).constant:
+                rows = ()
+            else:
+                rows = self.frame(name)
             tables[f"shares of {name}"] = Table(title=title, rows=rows, columns=SHARES)
         return Report(title="Sobol indices", facts=facts, tables=tables)
 

@@ -186,8 +186,14 @@ def read_points(
     points = np.column_stack([*columns.values()])
     for name, drawn in zip(columns, float_array(points, "points").T, strict=True):
         parameter = parameter_of(model, name)
-        low = -inf if parameter.low is None else float(parameter.low)
-        high = inf if parameter.high is None else float(parameter.high)
+        if parameter.low is None:
+            low = -inf
+        else:
+            low = float(parameter.low)
+        if parameter.high is None:
+            high = inf
+        else:
+            high = float(parameter.high)
         wrong = ~((drawn >= low) & (drawn <= high) & np.isfinite(drawn))
         if wrong.any():
             row, fault = int(wrong.argmax()), f"outside [{low:g}, {high:g}]"

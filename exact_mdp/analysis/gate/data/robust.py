@@ -275,7 +275,10 @@ class Operators:
             mixing = sp.csr_array(each, (len(taken), len(pairs)))
         else:
             # A mixture is a sum of products, in which each product and the sum are rounded.
-            sign = 1 if most else -1
+            if most:
+                sign = 1
+            else:
+                sign = -1
             off = sign * 4 * UNIT * mdp.n_actions
         bound = mixing @ pairs + off * (mixing @ np.abs(pairs))
 

@@ -146,7 +146,10 @@ class RowSets:
         n = np.array([self.episodes])
         radius = _compute_radii(begun.data, 0 * begun.indices, n, self.mdp.n_states, self.share)
         blocks = _with_unseen(one, begun, np.zeros(begun.nnz), 0.0)
-        unseen = value.max() if most else value.min()
+        if most:
+            unseen = value.max()
+        else:
+            unseen = value.min()
         worst = solve_inner_problem(
             Likelihood(radius=radius),
             blocks,
@@ -154,7 +157,10 @@ class RowSets:
             discount=1.0,
             against=not most,
         )
-        ends = worst.high if most else worst.low
+        if most:
+            ends = worst.high
+        else:
+            ends = worst.low
         return float(ends[0])
 
     @cached_property
@@ -216,7 +222,10 @@ class RowSets:
         """
         # A next state that nobody saw may be any: the best or the worst one for the pair.
         mdp, pairs = self.mdp, self.pairs
-        extreme = value.argmax() if most else value.argmin()
+        if most:
+            extreme = value.argmax()
+        else:
+            extreme = value.argmin()
         far = int(extreme)
         blocks = self.blocks[most]
         values = solve_inner_problem(
@@ -227,7 +236,10 @@ class RowSets:
             against=not most,
             rewards=rewards and self.known,
         )
-        sign = 1 if most else -1
+        if most:
+            sign = 1
+        else:
+            sign = -1
         bound = mdp.discount * (mdp.transition @ value)  # for rows that are certain
         # Known rewards of counted pairs are part of the inner problem.
         reward = np.zeros(mdp.n_pairs)
@@ -235,7 +247,10 @@ class RowSets:
             reward = np.where(self.counted > 0, 0.0, mdp.reward)
         elif rewards:
             reward = self.reward[most]
-        bound[pairs] = values.high if most else values.low
+        if most:
+            bound[pairs] = values.high
+        else:
+            bound[pairs] = values.low
         size = np.abs(value).max() + rewards * (np.abs(reward) + np.abs(self.rewards).max())
         length = np.diff(mdp.transition.indptr) + 8
         bound = bound + reward + sign * (length * 4 * UNIT * size + TINY * (size > 0))

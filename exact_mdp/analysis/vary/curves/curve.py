@@ -88,7 +88,9 @@ class ValueFunction(Pictured):
     @property
     def claim(self) -> Claim:
         """Certified, or checked if the degree of the rows is checked and not proven."""
-        return Claim.CERTIFIED if self.checked is None else Claim.CHECKED
+        if self.checked is None:
+            return Claim.CERTIFIED
+        return Claim.CHECKED
 
     def _parse_value(self, value: object) -> Fraction:
         return exact(value, f"parameter {self.parameter.name}")
@@ -108,7 +110,9 @@ class ValueFunction(Pictured):
     def at(self, value: object) -> Fraction:
         """Return the optimal value at the start, for a value of the parameter in its range."""
         where = self._parse_value(value)
-        best = max if self.mdp.sense == "max" else min
+        best = min
+        if self.mdp.sense == "max":
+            best = max
         return best(piece.value.at(where) for piece in self.around(where))
 
     def fixed_at(self, value: object) -> Fraction | None:

@@ -141,7 +141,9 @@ class Gradient(Pictured):
     reoptimised: bool  # or the policy is held fixed
 
     def __repr__(self) -> str:
-        how = "re-optimised" if self.reoptimised else "held fixed"
+        how = "held fixed"
+        if self.reoptimised:
+            how = "re-optimised"
         return f"Gradient({len(self.derivatives)} parameters, policy {how}, value {self.start})"
 
     def __getitem__(self, name: str) -> Derivative:
@@ -275,7 +277,10 @@ def gradient(
         )
     if exact is None:
         exact = _is_quick(mdp)
-    passed = _exact_pass(mdp, policy) if exact else _bounded_pass(mdp, policy)
+    if exact:
+        passed = _exact_pass(mdp, policy)
+    else:
+        passed = _bounded_pass(mdp, policy)
     start, _ = passed
     return Gradient(
         model=family.name,
@@ -314,7 +319,9 @@ def _compute_derivative(
         if piece is None:
             return None
         number, points = slope(compute_row_change(piece), sign), compute_row_change(piece).checked
-        return number if points is None else Checked(number=number, points=points)
+        if points is None:
+            return number
+        return Checked(number=number, points=points)
 
     below, above = find_pieces(family, parameter.name, parameter.value)
     left, right = compute_side(below, -1), compute_side(above, 1)
@@ -357,7 +364,10 @@ def _exact_pass(mdp: MDP, policy: PolicyLike) -> Pass:
     rows = row_keys, np.array(to_flint_ratios(top, bottom), dtype=object)
 
     infinite = _infinite_states(chain)
-    met = chain.reached if certificate is None else find_reachable_states(mdp)
+    if certificate is None:
+        met = chain.reached
+    else:
+        met = find_reachable_states(mdp)
 
     def compute_slope(change: RowChange, sign: int) -> Certified:
         keys, slopes, gain_keys, gains = _list_slopes(mdp, change, lambda x: x, rows)
@@ -461,7 +471,10 @@ def _bounded_pass(mdp: MDP, policy: PolicyLike) -> Pass:
 
     # Forward: the expected uses of pairs, and `doubt`, the bound on their errors.
     seen = chain.discounted.visits
-    stay = 0.0 if mdp.discount_exact == 1 else 1 / (1 - mdp.discount)
+    if mdp.discount_exact == 1:
+        stay = 0.0
+    else:
+        stay = 1 / (1 - mdp.discount)
     factor = np.where(mdp.terminal, stay, 1.0)[mdp.pair_state] * chain.weights
     uses = seen.value[mdp.pair_state] * factor
     if stay:

@@ -74,7 +74,9 @@ class Thresholds(Pictured):
 
     def __repr__(self) -> str:
         name, span = self.curve.parameter.name, self.curve.range
-        noun = "threshold" if len(self.found) == 1 else "thresholds"
+        noun = "thresholds"
+        if len(self.found) == 1:
+            noun = "threshold"
         low, high = format_rational(span.low), format_rational(span.high)
         return f"Thresholds({name} from {low} to {high}: {len(self.found)} {noun}, {self.claim})"
 
@@ -209,7 +211,10 @@ def _group_switches(switches: Iterable[Mapping[str, Any]]) -> list[dict[str, Any
     groups: dict[Any, list[Mapping[str, Any]]] = {}
     for each in switches:
         *others, last = each["columns"].items()
-        shared = last if others else each["threshold"]
+        if others:
+            shared = last
+        else:
+            shared = each["threshold"]
         change = (each["parameter"], each["before"], each["after"], shared)
         groups.setdefault(change, []).append(each)
     rows = []

@@ -198,10 +198,14 @@ def _find_earlier_root(one: Root, other: Root) -> Root:
         if (low < high or compute_sign(one.poly, low) == 0) and Root(
             poly=one.poly, low=low, high=high
         ).is_of(other.poly):
-            return one if one.high - one.low <= other.high - other.low else other
+            if one.high - one.low <= other.high - other.low:
+                return one
+            return other
         width = max(one.high - one.low, other.high - other.low) / 4
         one, other = one.narrow_to_width(width), other.narrow_to_width(width)
-    return one if one.high <= other.low else other
+    if one.high <= other.low:
+        return one
+    return other
 
 
 def make_improper_error(where: str, *, beside: bool = False, ranges: bool = True) -> ModelError:
