@@ -272,7 +272,7 @@ def test_too_few_draws_show_no_upper_end(level: Any, least: int) -> None:
     """As many as are needed for the greatest to be above the quantile in 97.5 % of samples."""
     assert 1 - float(F(str(level))) ** least >= 0.975 > 1 - float(F(str(level))) ** (least - 1)
     mdp = estimated(recorded(np.random.default_rng(4), 100))
-    with pytest.raises(ModelError, match=f"{least - 1:,} draws do not show") as caught:
+    with pytest.raises(ModelError, match=f"{least - 1:,} draws are too few") as caught:
         interval_of(Posterior(n=least - 1), mdp, level=F(str(level)))
     assert f"n={least})" in str(caught.value)
     interval = interval_of(Posterior(n=least), mdp, level=F(str(level)))
