@@ -98,10 +98,15 @@ class Optimum:
     def report(self) -> Report:
         """Return the optimum: its value with its claim, and the policy."""
         proof, solution, mdp = self.certificate, self.solution, self.mdp
-        exact = format_ratio(proof.start_value) if proof else ""
+        exact = ""
+        if proof:
+            exact = format_ratio(proof.start_value)
         long = f"a rational of {len(exact):,} digits; --json prints it"
         status = "status" in mdp.space.names and not self.average
-        stationary = self.is_stationary() if status else None
+        if status:
+            stationary = self.is_stationary()
+        else:
+            stationary = None
         policy = [mdp.actions[action] for action in np.asarray(self.best.policy)]
         key, reads, where, chosen = "policy_by_state", "state", "", None
         if {"subtask", "trial", "status"} <= set(mdp.space.names):
@@ -212,7 +217,10 @@ def compute_optimum(
         if not certify:
             raise
         warn_at_caller(f"{error} (the exact values stand)", PrecisionWarning)
-    exact = require_sound_proof(certified(model, criterion=criterion)) if certify else None
+    if certify:
+        exact = require_sound_proof(certified(model, criterion=criterion))
+    else:
+        exact = None
     start: Certified | Bounded
     if exact is not None:
         value, start = exact.value_float, exact.start

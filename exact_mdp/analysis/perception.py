@@ -96,7 +96,9 @@ class ErrorCosts(Pictured):
             if true != seen:
                 names = format(true, form), format(seen, form)
                 rows.append((*names, loss[true, seen], marginal[true, seen]))
-        unit = "reward" if self.sign > 0 else "cost"
+        unit = "cost"
+        if self.sign > 0:
+            unit = "reward"
         columns = ["true", "perceived", f"loss ({unit})", f"loss per unit of probability ({unit})"]
         return data_frame(sorted(rows, key=lambda row: -row[2]), columns=columns)
 

@@ -85,7 +85,9 @@ def plot_transitions(
     graph, names = nx.DiGraph(), state_names(model.space)
     size, font = 420 + 130 * min(max(map(len, names)), 12), 8 if model.n_states <= 20 else 6
     for state, name in enumerate(names):
-        fill = "0.85" if model.over[state] else "white"
+        fill = "white"
+        if model.over[state]:
+            fill = "0.85"
         graph.add_node(state, label=name, size=size, fill=fill)
     for number, pair in enumerate(listed):
         point, look = f"a{number}", {"width": 1.0, "ink": "0.7"}
@@ -97,7 +99,10 @@ def plot_transitions(
         for chance, following, gain in model.table.row(pair):
             text = _format_rational(chance) + (f", {_format_rational(gain)}" if gain else "")
             before = graph.get_edge_data(point, following, {}).get("label")
-            text = text if before is None else f"{before}; {text}"
+            if before is None:
+                text = text
+            else:
+                text = f"{before}; {text}"
             graph.add_edge(point, following, label=text, **look)
     place = nx.kamada_kawai_layout(graph.to_undirected())
     # Where they stand does not depend on the policy.
@@ -118,8 +123,12 @@ def _too_much(what: str, instead: str) -> ModelError:
 
 def _format_rational(value: Fraction) -> str:
     """Return a rational as it is where that is short, else four digits."""
-    exact = str(value) if value.denominator < 10**4 else ""
-    return exact if 0 < len(exact) < 12 else f"{float(value):.4g}"
+    exact = ""
+    if value.denominator < 10**4:
+        exact = str(value)
+    if 0 < len(exact) < 12:
+        return exact
+    return f"{float(value):.4g}"
 
 
 def _draw_graph(
@@ -166,7 +175,12 @@ def draw_front(
         own, far = np.array(front.totals(policy)), float(front.distance(policy))
         place, gains = own.astype(float), front.of.sign * (np.array(front.vertices) - own)
         dominated = ((gains >= 0).all(axis=1) & (gains > 0).any(axis=1)).any()
-        where = f"distance {far:.3g}" if far else "dominated" if dominated else "on the front"
+        if far:
+            where = f"distance {far:.3g}"
+        elif dominated:
+            where = "dominated"
+        else:
+            where = "on the front"
         # Open, and larger than those before: all that lie on each other can be seen.
         look: Look = {"color": INK[number % len(INK)], "fillstyle": "none", "zorder": 3}
         mark = MARKS[1 + number % (len(MARKS) - 1)]
@@ -176,7 +190,10 @@ def draw_front(
             ax.plot(*ends.T, color=BLACK, linewidth=0.8, linestyle=":")
     first, second = front.names
     names = {"x": f"expected total of {first}", "y": f"expected total of {second}"}
-    model = "" if front.mdp is None else front.mdp.name
+    if front.mdp is None:
+        model = ""
+    else:
+        model = front.mdp.name
     return label_axes(ax, f"The front of {second} against {first}", model, **names)
 
 

@@ -105,7 +105,10 @@ def plot_learning_curves(
     'epoch'
     """
     ax = axes_or_new(ax)
-    every = curves if isinstance(curves, Mapping) else {"mean over a window": curves}
+    if isinstance(curves, Mapping):
+        every = curves
+    else:
+        every = {"mean over a window": curves}
     bands = {}
     for number, (label, curve) in enumerate(every.items()):
         parts = np.array_split(curve.sampled, max(len(curve.sampled) // BIN, 1))
@@ -153,7 +156,10 @@ def plot_regrets(outcomes: Outcomes | Mapping[str, Outcomes], *, ax: Axes | None
     'exact regret of the final policy (reward)'
     """
     ax = axes_or_new(ax)
-    every = outcomes if isinstance(outcomes, Mapping) else {"all runs": outcomes}
+    if isinstance(outcomes, Mapping):
+        every = outcomes
+    else:
+        every = {"all runs": outcomes}
     steps = {}
     for label, each in every.items():
         words = f"{label}:\nmean {each.regret.mean():.2f}, optimal {each.optimal_fraction:.1%}"

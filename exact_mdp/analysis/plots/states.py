@@ -153,20 +153,31 @@ def plot_states(
         choices = actions_of(model, policy_of(model, policy).weights(model) > 0)
         texts = [*map(layout.format_actions, choices)]
     acts = policy is not None and not (layout.listed and model.n_states > MOST_NAMES)
-    signs = _make_sign_handles(layout) if acts else []
-    acting = ", and what the policy does" if acts else ""
+    signs = []
+    if acts:
+        signs = _make_sign_handles(layout)
+    acting = ""
+    if acts:
+        acting = ", and what the policy does"
     what = f"{label.partition(' (')[0].capitalize()} of each state{acting}"
     if layout.listed:
         ax = _draw_state_bars(axes_or_new(ax), model, given, texts, label)
         return label_axes(ax, what, model.name, handles=signs)
     known = given[layout.shown][np.isfinite(given[layout.shown])]
-    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
+    if len(known):
+        low, high = (float(known.min()), float(known.max()))
+    else:
+        low, high = (0.0, 0.0)
     scale = Normalize(low, high if high > low else low + 1.0)
     ends, shown = ends_of(model), dict[int, Any]()
     for state in layout.shown.tolist():
         value, finite = given[state], np.isfinite(given[state])
-        share = float(scale(value)) if finite else 0.0
-        number = f"{value:.3g}" if len(layout.shown) <= NUMBERED or not finite else ""
+        share = 0.0
+        if finite:
+            share = float(scale(value))
+        number = ""
+        if len(layout.shown) <= NUMBERED or not finite:
+            number = f"{value:.3g}"
         lines = [ends[state][0] if state in ends else texts[state], number]
         look = {"fill": SHADES(share), "ink": "white" if share > 0.7 else BLACK}
         shown[state] = "\n".join(filter(None, lines)), look | {"edgecolor": "0.8"}
@@ -186,9 +197,12 @@ def plot_solution(solution: Solution, *, ax: Axes | None = None, **place: Any) -
             fix="draw plots.plot_states(model, certificate.value_float)",
         )
     value = getattr(solution, "value_float", None)
-    value = solution.value if value is None else value
+    if value is None:
+        value = solution.value
     average = getattr(solution, "gain", None) is not None
-    label = "optimal gain (reward per step)" if average else "optimal value (reward)"
+    label = "optimal value (reward)"
+    if average:
+        label = "optimal gain (reward per step)"
     return plot_states(solution.mdp, value, policy=solution.policy, label=label, ax=ax, **place)
 
 
@@ -197,7 +211,10 @@ def plot_evaluation(
     own: Evaluation, *, visits: bool = False, ax: Axes | None = None, **place: Any
 ) -> Axes:
     """Draw the values of a policy, or its expected visits to each state from the start."""
-    values, label = (own.visits, "expected visits") if visits else (own.value, "value (reward)")
+    if visits:
+        values, label = (own.visits, "expected visits")
+    else:
+        values, label = (own.value, "value (reward)")
     return plot_states(own.mdp, values, policy=own.policy, label=label, ax=ax, **place)
 
 
@@ -211,7 +228,10 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
     drawn = [each for row in build_cells(audit, layout) for each in row if each is not None]
     ends, shown = ends_of(mdp), dict[int, tuple[str, Look]]()
     for each in drawn:
-        text = ends[each.state][0] if each.state in ends else f"{each.text}\n{each.small}".strip()
+        if each.state in ends:
+            text = ends[each.state][0]
+        else:
+            text = f"{each.text}\n{each.small}".strip()
         look: Look = {"edgecolor": "0.8", "ink": "0.5" if each.kind == "idle" else BLACK}
         if each.kind == "wrong":
             look |= {"fill": LOSSES(min(each.shade, 1.0)), "edgecolor": ORANGE}
@@ -219,12 +239,17 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
         shown[each.state] = text, look
     losses = [each.cost for each in audit.disagreements if np.isfinite(each.cost)]
     colours = ScalarMappable(Normalize(0.0, max(losses, default=0.0)), LOSSES)
-    words = ["✗ not optimal; below it\n   the optimal action"] if losses else []
+    words = []
+    if losses:
+        words = ["✗ not optimal; below it\n   the optimal action"]
     if any(each.kind == "idle" for each in drawn):
         words.append("grey sign: not wrong;\n   no choice or no visit")
     lost = float(audit.regret.at_start.value)
     what = f"Where the policy is not optimal; regret at the start {lost:.4g}"
-    bar = (colours, "what the state loses (reward)") if losses else None
+    if losses:
+        bar = (colours, "what the state loses (reward)")
+    else:
+        bar = None
     return _draw_map(
         mdp,
         layout,
@@ -283,9 +308,15 @@ def _draw_map(
     deep = max(map(len, texts))
     room = 72 / ax.figure.dpi * np.array([ax.bbox.width / wide / letters, ax.bbox.height / high])
     font = min(font, *(room / [LETTER, LINE * deep]).tolist())
-    font = 0 if font < LEAST_FONT else font
+    if font < LEAST_FONT:
+        font = 0
     usual: Look = {"fill": WHITE, "ink": BLACK, "hatch": "", "font": font}
-    thin: Look = {} if font else {"linewidth": 0.2}  # a frame would cover a cell without a text
+    # a frame would cover a cell without a text
+    thin: Look
+    if font:
+        thin = {}
+    else:
+        thin = {"linewidth": 0.2}
     listed = layout.named_in_cells
     full = [name.removeprefix("state ") for name in model.space.labels(shown if listed else ())]
     names = dict(zip(shown, shorten_names(full, IN_A_CORNER), strict=False))
@@ -302,7 +333,10 @@ def _draw_map(
             beside: Look = {"ha": "left", "va": "top", "fontsize": 0.6 * font, "clip_on": True}
             ax.text(x + 0.06, y + 0.08, names[state], color=ink, **beside)
     if colours is not None:
-        side = "right" if is_narrow(ax) else "bottom"  # the legend is on the other one
+        # the legend is on the other one
+        side = "bottom"
+        if is_narrow(ax):
+            side = "right"
         place: Look = {"location": side, "shrink": 0.7, "aspect": 35, "pad": 0.03}
         bar = ax.figure.colorbar(colours[0], ax=ax, label=colours[1], **place)
         bar.outline.set_visible(False)
@@ -338,7 +372,11 @@ def _make_text_handle(text: str) -> Line2D:
 def _draw_state_bars(ax: Axes, model: MDP, values: Floats, texts: list[str], label: str) -> Axes:
     """Draw a bar for each state, with what the policy does at its end."""
     count, finite = len(values), np.where(np.isfinite(values), values, 0.0)
-    edge: Look = {"edgecolor": BLACK, "linewidth": 0.5} if count <= NUMBERED else {"width": 1.0}
+    edge: Look
+    if count <= NUMBERED:
+        edge = {"edgecolor": BLACK, "linewidth": 0.5}
+    else:
+        edge = {"width": 1.0}
     bars = ax.bar(range(count), finite, color=BLUE, **edge)
     names = [name.removeprefix("state ") for name in model.space.labels(range(count))]
     names = shorten_names(names, LONGEST)
@@ -346,7 +384,9 @@ def _draw_state_bars(ax: Axes, model: MDP, values: Floats, texts: list[str], lab
     step = -(-count // min(MOST_NAMES, max(1, int(IN_AN_INCH * wide))))
     upright = len("  ".join(names[::step])) > MOST_LETTERS
     ax.set_xticks(range(0, count, step), names[::step], rotation=90 if upright else 0)
-    turned = 90 if count * max(map(len, texts)) > MOST_LETTERS else 0
+    turned = 0
+    if count * max(map(len, texts)) > MOST_LETTERS:
+        turned = 90
     for state in np.flatnonzero(~np.isfinite(values)):
         texts[state] += f"\n{values[state]:g}"
     if count <= MOST_NAMES:

@@ -68,7 +68,9 @@ def apply_style(function: Callable[Arguments, Axes]) -> Callable[Arguments, Axes
     @wraps(function)
     def draw_picture(*arguments: Arguments.args, **settings: Arguments.kwargs) -> Axes:
         given = settings.get("ax")
-        own = {"text.parse_math": False, "legend.frameon": False} if given else SETTINGS
+        own = SETTINGS
+        if given:
+            own = {"text.parse_math": False, "legend.frameon": False}
         with _use_settings(own):
             ax = named_options(function)(*arguments, **settings)
         for text in ax.findobj(Text):  # those of the axes that were given, too
@@ -105,7 +107,8 @@ def axes_or_new(ax: Axes | None, names: Sequence[str] = (), high: float = 4.2) -
     if ax is not None:
         return ax
     wide = 7.2 + 0.08 * max(0, max(map(len, names), default=0) - 12)
-    high = min(4.8, 1.8 + 0.32 * len(names)) if names else high
+    if names:
+        high = min(4.8, 1.8 + 0.32 * len(names))
     return plt.subplots(figsize=(wide, high), layout="constrained")[1]
 
 
@@ -123,15 +126,23 @@ def label_axes(
 
     The legend has the `handles`, or what was drawn with a label, below its own title.
     """
-    title = f"{what} \N{EN DASH} {model}" if model else what
+    title = what
+    if model:
+        title = f"{what} \N{EN DASH} {model}"
     ax.set_title("")
     # Where lines are broken, matplotlib measures formulas whatever it was told.
     ax.set_title(title, loc="left", wrap="$" not in title)
     ax.set(**{key: text for key, text in (("xlabel", x), ("ylabel", y)) if text})
     if drawn := handles or ax.get_legend_handles_labels()[0]:
-        columns = 2 if max(len(str(each.get_label())) for each in drawn) < 20 else 1
+        columns = 1
+        if max(len(str(each.get_label())) for each in drawn) < 20:
+            columns = 2
         under: Look = {"bbox_to_anchor": (0.0, -0.25), "ncols": columns, "fontsize": "small"}
-        place: Look = under if is_narrow(ax) else {"bbox_to_anchor": (1.02, 1.0)}
+        place: Look
+        if is_narrow(ax):
+            place = under
+        else:
+            place = {"bbox_to_anchor": (1.02, 1.0)}
         ax.legend(handles=handles or None, title=legend, loc="upper left", **place)
     return ax
 
@@ -194,7 +205,10 @@ def add_lines(
     for number, (label, curve) in enumerate(curves.items()):
         look = choose_line_style(number, inks)
         if bands:
-            name = words if len(bands) == 1 else None
+            if len(bands) == 1:
+                name = words
+            else:
+                name = None
             ax.fill_between(*bands[label], color=look["color"], alpha=0.22, linewidth=0, label=name)
         ax.plot(*curve, label=label, **look, **form)
 

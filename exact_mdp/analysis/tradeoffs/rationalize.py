@@ -100,7 +100,9 @@ class Rationalization(TotalsProof):
         }
 
     def __repr__(self) -> str:
-        done = f"a change of {float(self.change):.6g}" if self.possible else "no change below 1"
+        done = "no change below 1"
+        if self.possible:
+            done = f"a change of {float(self.change):.6g}"
         return f"Rationalization({done} makes the policy optimal; certified)"
 
     def report(self) -> Report:
@@ -224,7 +226,10 @@ class _WeightSearch:
 
         def prove_multiplier(x: Fraction | float) -> Level | None:
             weights = [Fraction(x != inf)] * size
-            weights[k] = ONE if isinstance(x, float) else x
+            if isinstance(x, float):
+                weights[k] = ONE
+            else:
+                weights[k] = x
             return self.prove_optimality(weights)
 
         prove_multiplier(inf)
