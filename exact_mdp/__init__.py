@@ -24,7 +24,7 @@ from typing import Any
 
 
 def _read_public_names() -> dict[str, tuple[str, str]]:
-    """Return the module of each public name, and what it is called there."""
+    """Return the module of each public name, and its name there."""
     source = Path(__file__).with_suffix(".pyi").read_text("utf-8")
     return {
         alias.asname or alias.name: (node.module or "", alias.name)

@@ -68,7 +68,7 @@ class Layout:
         return np.flatnonzero(self.row >= 0)
 
     def format_actions(self, actions: Sequence[str]) -> str:
-        """Return what a cell says of actions: up to two short signs side by side, else how many."""
+        """Return the text of a cell: up to two short signs of actions, else their number."""
         text = "/".join(self.signs[action] for action in actions)
         short = len(actions) < 2 or len(text) <= SHORT
         return text if short else f"any of {len(actions)}"
@@ -196,7 +196,7 @@ def _build_grid_space(
 def _find_map_directions(model: MDP, values: Mapping[str, Integers]) -> dict[str, float]:
     """Return the columns that "down" and "right" change most, with the sign of the change.
 
-    None where actions are no directions, or change one and the same.
+    None if actions are not directions, or change the same coordinate.
     """
     drift = _compute_drift(model, [*values.values()])
     signs = np.array([*choose_symbols(model.actions).values()])
@@ -237,7 +237,7 @@ def shorten_names(names: Sequence[str], most: int) -> list[str]:
 def _compute_drift(model: MDP, values: Sequence[Integers]) -> Floats:
     """Return (C, A) where each action leads along some coordinates (C, S), -1 outside of them.
 
-    A move counts by its probability, whatever its length: one far back to a start is no direction.
+    A move counts by its probability, not its length: a long way back to a start has no weight.
     """
     table = model.table
     places = np.array(values)

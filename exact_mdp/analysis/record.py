@@ -22,7 +22,7 @@ COMMIT = ("describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")
 def run_record(
     mdp: object, *, model: str, solver: str, seed: int | None = None, command: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """Return what a result rests on: model hash, solver, seed, versions and commit.
+    """Return the origin of a result: model hash, solver, seed, versions and commit.
 
     `model` is the model as the user named it, `solver` the solver with its settings, `command` the
     words of the command line.

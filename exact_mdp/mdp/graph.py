@@ -290,7 +290,7 @@ def where_endless(mdp: MDP) -> str:
 def ways_out(mdp: MDP, *others: str) -> str:
     """Return advice, with `others` at the end, for a total that is infinite or has no limit.
 
-    In a model with a goal a horizon is no remedy: a run that misses it has an infinite value then,
+    In a model with a goal a horizon does not help: a run that misses it has an infinite value then,
     too.
     """
     steps = mdp.time_limit or "N"

@@ -162,7 +162,7 @@ def check_command(
 def _of_one(
     given: Given, name: str, asked: Mapping[str, Any], *, explain: bool
 ) -> tuple[Audit, Report]:
-    """Return the audit of one policy, and its report, which begins with what was read."""
+    """Return the audit of one policy, and its report, which begins with the policy as read."""
     policy = given.policy_from(name)
     audit = gate.check(given.asked if "by" in asked else given.mdp, policy, **asked)
     report = given.complete_report(audit.report(explain=explain), policy=Shown(name), learned=name)
@@ -192,7 +192,7 @@ def _write_junit(
 
 
 def _render_audit_page(audit: Audit, report: Report, model: str, policy: str) -> str:
-    """Return the page: verdict, what is lost, the policy with its wrong states, every table."""
+    """Return the page: verdict, losses, the policy with its wrong states, every table."""
     layout = arrange(audit.mdp)
     legend = [f"{sign} {action}" for action, sign in layout.signs.items() if sign != action]
     return render_page(
@@ -214,7 +214,7 @@ def _render_audit_page(audit: Audit, report: Report, model: str, policy: str) ->
 def _read_interval_options(
     given: Given, confidence: str | None, by: str | None, evidence: Sequence[str]
 ) -> dict[str, Any]:
-    """Return what `check_command` takes for an interval, of a model whose episodes do not stop."""
+    """Return the interval options for a model whose episodes do not stop."""
     if confidence is None:
         fix = "give --confidence 0.95"
         refuse_options({"--by": by, "--evidence": evidence}, "a check without an interval", fix)

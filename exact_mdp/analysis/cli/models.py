@@ -164,7 +164,7 @@ def _never_ends(mdp: MDP, ending: Termination) -> Shown | None:
         (f"{state}: {action}" for state, action in policy.items()), len(trapped)
     )
     content = {"states": len(trapped), "policy": policy}
-    return Shown(content, f"a policy that stays for ever: {states}")
+    return Shown(content, f"a policy that stays forever: {states}")
 
 
 def format_first_few(texts: Iterable[str], count: int) -> str:
@@ -226,7 +226,7 @@ def data_command(
 def _report_estimate(
     mdp: MDP, record: transitions.TransitionRecord, file: str, out: str, rare: int
 ) -> Report:
-    """Return what was counted, and what the records do not tell."""
+    """Return the counts, and the gaps in the records."""
     seen, ends, never = observations_of(mdp), list_entered_states(mdp), never_taken(mdp)
     label, few = mdp.space.label, np.flatnonzero((seen > 0) & (seen < rare))
     rows = [

@@ -211,7 +211,7 @@ def is_accepted_by_proven_checker(proof: Proof, mdp: MDP) -> bool:
 
 
 def _proven_totals(proof: TotalsProof) -> dict[str, Any]:
-    """Return what a sound proof about totals proves, by their texts: a name may be any."""
+    """Return the statement of a sound proof about totals, by the texts of its totals."""
     texts = proof.objectives
     if isinstance(proof, Front):
         totals = [dict(zip(texts, point, strict=True)) for point in sorted(proof.vertices)]

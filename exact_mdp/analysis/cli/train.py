@@ -1,4 +1,4 @@
-"""`exact-mdp train`: learning by sampling, and exactly what was learned."""
+"""`exact-mdp train`: learning by sampling, and the exact value of the result."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def train_command(
         settings = QLearning(**stated)
     if np.isinf(exact_mdp.solve(mdp).start.value):  # refused before the work
         raise ModelError(
-            "the optimum is infinite, so that what a policy loses is no number",
+            "the optimum is infinite, so that the loss of a policy is not a number",
             where="the total at discount 1",
             fix="choose a discount below 1: --discount 0.95",
         )

@@ -33,7 +33,7 @@ from exact_mdp.mdp.table import exact, float_of
 
 ROUNDED = "of the perception, and the probabilities of actions that it makes, as rounded to floats"
 """What is certified under a perception: a file may state 1/3, which no float is."""
-ROWS = {  # what is in each kind of set
+ROWS = {  # the rows in each kind of set
     "interval": "each transition probability ± {} of itself, rows on their own",
     "l1": "rows within an L1 distance of {}, on their own",
     "kl": "rows that keep the tables likely, KL(p‖q) ≤ {}, on their own",
@@ -59,7 +59,7 @@ def tornado_command(given: Given) -> Report:
     """
     spans, without = _select_ranges(given)
     result = exact_mdp.tornado(given.family, policy=given.fixed, names=list(spans), ranges=spans)
-    # what it does to the policy
+    # its effect on the policy
     by = "swing"
     if given.perception:
         by = "fixed_swing"

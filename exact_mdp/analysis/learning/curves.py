@@ -2,7 +2,7 @@
 
 A point of a curve is the mean return of 40 experiments with the greedy policy of an epoch (Yuan et
 al. 2025, "Evaluation Metrics"). Beside it stands what those experiments estimate, the exact value
-of the same policy; what is left of the noise in that curve comes from learning alone.
+of the same policy; the remaining noise in that curve comes from learning alone.
 """
 
 from __future__ import annotations

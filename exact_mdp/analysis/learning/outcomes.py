@@ -53,7 +53,9 @@ class Outcomes(Pictured):
     changed: NDArray[np.bool_]  # (R, K) rows in which these differ
     optimum: Bounded
     best: BestPolicy | None  # that reads what the learner reads; None where that is everything
-    first_run: dict[str, Any]  # what was greedy most often in the last episodes of the first run
+    first_run: dict[
+        str, Any
+    ]  # the most frequent greedy policy in the last episodes of the first run
     steps: int  # of all runs
     cut_short: int  # episodes that did not end
 
@@ -140,7 +142,7 @@ class Outcomes(Pictured):
         )
 
     def report(self) -> Report:
-        """Return what the runs ended with."""
+        """Return the final policies of the runs."""
         best, ends = self.best, self.regret_interval
         losses = self.regret, self.learning_error, self.selected_regret
         optimal, good, chosen = (self._estimate_share(int((each == 0).sum())) for each in losses)

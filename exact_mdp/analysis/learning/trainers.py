@@ -14,7 +14,7 @@ against it, with stakes that follow the trials so far, has after n trials
 times what was there at first, a martingale of mean 1. So P(E_n(p) ≥ 1/α at some n) ≤ α (Ville,
 Étude critique de la notion de collectif, 1939), and all p with E_n(p) < 1/α so far are an interval
 that holds at all n together with probability 1 - α (Robbins, Annals of Mathematical Statistics 41,
-1970). All is worked out in integers: no rounding decides what is excluded.
+1970). All is worked out in integers: no rounding decides which shares are excluded.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ Interval = tuple[Fraction, Fraction]
 class TrainerAudit(Pictured):
     """Which runs of a trainer gave a policy within the limits, and what share of all seeds does."""
 
-    names: tuple[Any, ...]  # what each run is called: its seed, or its number
+    names: tuple[Any, ...]  # the name of each run: its seed, or its number
     audits: tuple[Audit, ...]
     intervals: tuple[Interval, ...]  # of the share after each run; all hold together
     share: Fraction  # of seeds that has to be within the limits
@@ -133,7 +133,7 @@ class TrainerAudit(Pictured):
         )
 
     def message(self, *, explain: bool = False) -> str:
-        """Return in words what was found, and of the run that lost most why, as an audit does."""
+        """Return the result in words, with the reasons of the run that lost most."""
         open_ = "is not proven to be " + ("below" if self.passed else "at least")
         said = {True: "is at least", False: "is not at least", None: open_}[self.proven]
         lines = [

@@ -2,7 +2,7 @@
 
 The page holds the pieces of `analysis.vary.curves.curve`: on each one the optimal actions,
 and the optimal value and that of a policy held fixed as ratios of polynomials with whole
-coefficients. Its script evaluates them in whole numbers of any size, so that what it shows at a
+coefficients. Its script evaluates them in whole numbers of any size, so that its numbers at a
 rational value is exact. At both ends of the range, today's value and both sides of each switching
 point the optimum has been proved, the proof checked, and its value compared with the ratio's. A
 second parameter moves in steps: for each of its values the first one's pieces are worked out anew.
@@ -50,7 +50,7 @@ HIGH = 860  # pixels of a notebook's frame, which grows to the page's own height
 class Explorer(Result):
     """The pieces of one parameter, for each value of a second one, and the page that shows them."""
 
-    model: str  # what it is called
+    model: str  # its name
     curves: tuple[ValueFunction, ...]  # one for each value of the second parameter, or one
     second: Parameter | None = None
     grid: tuple[Fraction, ...] = ()  # the second parameter's values

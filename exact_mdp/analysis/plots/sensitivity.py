@@ -66,7 +66,7 @@ def _format_short_number(value: float | Fraction) -> str:
 
 
 def _format_shown_count(shown: int, every: int, what: str = "parameters") -> str:
-    """Return what a title says where not all are shown."""
+    """Return the addition to a title if not all are shown."""
     return f", {shown} of {every} {what}" * (shown < every)
 
 

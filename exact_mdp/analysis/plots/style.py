@@ -122,9 +122,9 @@ def label_axes(
     handles: Sequence[Any] = (),
     legend: str = "",
 ) -> Axes:
-    """Return the axes with a title (what is shown, of which model), names, and a legend apart.
+    """Return the axes with a title (the quantity and the model), names, and a legend apart.
 
-    The legend has the `handles`, or what was drawn with a label, below its own title.
+    The legend has the `handles`, or everything with a label, below its own title.
     """
     title = what
     if model:

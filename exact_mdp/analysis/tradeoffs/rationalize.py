@@ -106,7 +106,7 @@ class Rationalization(TotalsProof):
         return f"Rationalization({done} makes the policy optimal; certified)"
 
     def report(self) -> Report:
-        """Return the weights, the change, and for each weight what it does alone."""
+        """Return the weights, the change, and the interval of each weight alone."""
         table = Table(
             title="multipliers of the weights",
             rows=self.frame(),
@@ -194,7 +194,7 @@ class _WeightSearch:
         self.policies: list[tuple[OccupancyMeasure, Point]] = []
 
     def prove_optimality(self, weights: Sequence[Fraction]) -> Level | None:
-        """Return what proves that the policy is optimal for weights; None after one beats it."""
+        """Return the proof that the policy is optimal for weights; None if another beats it."""
         pairs, value = solve_weighted(self.of, weights)
         if value.compute_mean(self.of.mdp.start) == weigh_values(weights, self.totals):
             return value

@@ -1,4 +1,4 @@
-"""The rules of a care scenario, stated once: what is likely, what is charged, what follows.
+"""The rules of a care scenario, stated once: probabilities, charges and successors.
 
 A state is (k, t, f, s): subtask k, t trials of it failed so far, f = 1 if a subtask of this task
 was skipped (kept only where the bonus asks for it), status vector s. The next statuses are

@@ -62,7 +62,7 @@ def read_outcome_rows(env: Any, where: str) -> tuple[Rows, int]:
 
 
 def _count_states(rows: Rows, empty: Mapping[int, Any], where: str) -> int:
-    """Return the number of states; raise ModelError for a state without actions that is no end."""
+    """Return the number of states; raise ModelError if a state without actions is not an end."""
     # States without rows: those that an episode enters, and those in which it ends.
     named = {state for state, _ in rows}
     alive, over = set[int](), set[int]()

@@ -3,7 +3,7 @@
 The scenario's Markov model drives a person's status. A language model, or the scripted stand-in
 for one, puts the status into behaviour, reads a status back out of the behaviour, and puts the
 chosen assistance into words. This is a simulator for research on decision models; it is not
-medical advice, and no person took part in what it writes.
+medical advice, and no person took part in its texts.
 """
 
 DISCLAIMER = (
