@@ -74,3 +74,25 @@ def test_the_glossary_explains_each_word_once() -> None:
     words = [line.split("|")[1].strip() for line in glossary.splitlines() if line.startswith("| ")]
     words = [word for word in words if word != "word"]
     assert len(words) == len(set(words)) >= 60
+
+
+def test_the_code_is_plain() -> None:
+    """An `if` statement reads more easily than a conditional expression; long steps say why."""
+    conditional = code = comments = 0
+    for path, tree in modules():
+        conditional += sum(isinstance(node, ast.IfExp) for node in ast.walk(tree))
+        lines = [line.strip() for line in path.read_text("utf-8").splitlines()]
+        comments += sum(line.startswith("#") for line in lines)
+        code += sum(bool(line) and not line.startswith("#") for line in lines)
+    # Lines of docstrings count as code here.
+    assert conditional <= 6 / 1000 * code
+    assert comments >= 2.7 / 100 * code
+
+
+def test_the_english_is_plain() -> None:
+    """A relative clause is not a noun: "the value" reads more easily than "what it is worth"."""
+    allowed = {"checker.py", "duals.py"}  # whose sentences others compare with
+    for path, _ in modules():
+        text = path.read_text("utf-8")
+        assert path.name in allowed or "Return what" not in text, path
+        assert not re.search(r"\bfor ever\b", text), path
