@@ -472,7 +472,7 @@ def test_a_value_at_which_a_state_is_over_is_refused_under_a_horizon() -> None:
     mdp = MDP.from_outcomes(rows, "1/2")
     values = one_way(mdp, "reward.2", (0, 2), points=3).table.optimal
     assert values == pytest.approx([10, 11, 12])
-    with pytest.raises(ModelError, match="a state in which all is over has one action"):
+    with pytest.raises(ModelError, match="a state in which the episode is over has one action"):
         one_way(mdp.within(3), "reward.2", (0, 2), points=3)
     values = one_way(mdp.within(3), "reward.2", (1, 2), points=2).table.optimal
     assert values == pytest.approx([10.75, 11.5])
