@@ -6,7 +6,7 @@ translated is in `Program.expression` and `Program.body`; the rest lays out line
 result, between the two halves of reader.py, is exact_mdp/solvers/exact/verified.py.
 
 What has to be believed: functions of Coq's library on integers, booleans and lists do what these
-of Python do (`Program.library`); constructors become tuples with names; an option, None or its
+of Python do (`Program.translate_builtin`); constructors become tuples with names; an option, None or its
 content; a pair, a tuple.
 """
 
@@ -341,8 +341,10 @@ class Program:
         apart(of, ["s"])
         return "s", Text(["s"], 9, f"{of.flat()}(")
 
-    def library(self, name: str, given: list[Json], names: dict[str, Text]) -> Text | None:
-        """Return what a function of Coq's library is in Python, with all its arguments."""
+    def translate_builtin(
+        self, name: str, given: list[Json], names: dict[str, Text]
+    ) -> Text | None:
+        """Return the Python of a function of Coq's library, applied to all its arguments."""
         if name in INFIX:
             sign, binds = INFIX[name]
             a, b = (self.expression(each, names) for each in given)
@@ -399,7 +401,7 @@ class Program:
         if f["what"] != "expr:global":
             args = [self.expression(each, names) for each in given]
             return Text(args, 9, f"{self.expression(f, names).within(9).flat()}(")
-        if (found := self.library(f["name"], given, names)) is not None:
+        if (found := self.translate_builtin(f["name"], given, names)) is not None:
             return found
         if len(given) < len(self.terms[f["name"]]["value"]["argnames"]):
             name, inner = self.applied(x, names)
@@ -525,8 +527,8 @@ def main(path: str) -> None:
     before, rest = reader.split(BEGIN)
     _, after = rest.split(END)
     _, before = before.split('"""', 1)
-    sys.stdout.reconfigure(encoding="utf-8")  # type: ignore[union-attr]
-    print(f"{HEADER}\n{before.rstrip()}\n\n\n{program}\n\n{after.strip()}")
+    module = f"{HEADER}\n{before.rstrip()}\n\n\n{program}\n\n{after.strip()}\n"
+    sys.stdout.buffer.write(module.encode("utf-8"))
 
 
 if __name__ == "__main__":

@@ -77,7 +77,7 @@ def test_a_training_run_is_a_policy_whatever_it_reads(columns: object) -> None:
     """A table over columns, and one with actions that only forced states have."""
     mdp = Scenario.load("tea").compile()
     read = mdp.space.names if columns == "all" else columns
-    trained = QLearning(epochs=3, columns=read).train(mdp, rng=0)  # type: ignore[arg-type]
+    trained = QLearning(epochs=3, columns=read).train(mdp, rng=0)
     mine, theirs = Policy.of(mdp, trained).weights(mdp), trained.policy(mdp).weights(mdp)
     free = ~(mdp.forced | mdp.terminal)[mdp.pair_state]
     assert mine[free].tolist() == theirs[free].tolist()

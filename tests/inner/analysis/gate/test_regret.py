@@ -276,7 +276,7 @@ def test_ties_count_unless_their_sum_is_too_much() -> None:
     none = np.zeros(mdp.n_pairs, dtype=bool)
     for optimal, near in ((none, taken), (taken, none)):
         for lost, most, both in ((F(1), F(2), True), (F(2), F(2), True), (F(3), F(2), False)):
-            found = include_near_ties(chain, optimal, near, lost, lambda most=most: most)  # type: ignore[misc]
+            found = include_near_ties(chain, optimal, near, lost, lambda most=most: most)
             assert found.tolist() == (taken if both else optimal).tolist()
     part = taken.copy()
     part[int(taken.argmax())] = False

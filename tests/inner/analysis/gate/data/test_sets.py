@@ -222,7 +222,7 @@ def test_rewards_that_do_not_fit_are_refused() -> None:
         RowSets.of(mdp, 0.05)
     for wrong in ("all", (0.5, 1), (0, 0.5)):
         with pytest.raises(ModelError):
-            RowSets.of(mdp, 0.05, wrong)  # type: ignore[arg-type]
+            RowSets.of(mdp, 0.05, wrong)
     two = [(0, "a", "x", 0, "a"), (1, "a", "x", 1, "a"), (2, "a", "x", 1, None)]
     seen = MDP.from_transitions(pd.DataFrame(two, columns=NAMES), discount="1/2")
     with pytest.raises(ModelError, match="two rewards were seen"):
