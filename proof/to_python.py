@@ -6,7 +6,7 @@ translated is in `Program.expression` and `Program.body`; the rest lays out line
 result, between the two halves of reader.py, is exact_mdp/solvers/exact/verified.py.
 
 What has to be believed: functions of Coq's library on integers, booleans and lists do what these
-of Python do (`Program.translate_builtin`); constructors become tuples with names; an option, None or its
+of Python do (`translate_builtin`); constructors become tuples with names; an option, None or its
 content; a pair, a tuple.
 """
 
