@@ -203,10 +203,10 @@ def compute_optimum(
     certify: bool = False,
     criterion: Criterion = "total",
 ) -> Optimum:
-    """Solve a model in floating point and, where asked for, exactly.
+    """Solve a model in floating point and, if asked for, exactly.
 
-    Raises ModelError and SolverError as `solve` does, unless the exact answer was asked for where a
-    solver gives up; Contradiction. A tolerance that is not met is warned of.
+    Raises ModelError and SolverError as `solve` does (if the exact answer is asked for, a solver
+    may give up), and Contradiction. A warning says if a tolerance is not met.
     """
     require_known_name(method, [*SOLVERS, "auto"], "method", "method")
     check_tolerance("tol", tol)

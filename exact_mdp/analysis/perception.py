@@ -187,7 +187,7 @@ def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCo
         tables.append(by_place(model, model.backup(value)) @ table.transpose(0, 2, 1))
     by_seen, true_by_seen = tables
 
-    # The two formulas of the module's head.
+    # The two formulas at the head of the module.
     visits, regular = both[0].chain.discounted.visits, model.space.regular
     met, unsure = (x[:regular].reshape(-1, size) for x in (visits.value, visits.error))
     derivative = np.einsum("ps,psz->sz", met, by_seen)

@@ -37,7 +37,7 @@ def cli() -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command, by default that of this process, and return its exit status."""
+    """Run one command, by default the one of this process, and return its exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     completion = os.environ.get(COMPLETE)
     if completion:

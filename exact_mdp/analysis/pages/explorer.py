@@ -1,11 +1,11 @@
 """The explorer: a page on which one parameter moves, and value, regret and policy move with it.
 
-The page holds the pieces of `analysis.vary.curves.curve`: on each one the optimal actions,
-and the optimal value and that of a policy held fixed as ratios of polynomials with whole
-coefficients. Its script evaluates them in whole numbers of any size, so that its numbers at a
-rational value is exact. At both ends of the range, today's value and both sides of each switching
-point the optimum has been proved, the proof checked, and its value compared with the ratio's. A
-second parameter moves in steps: for each of its values the first one's pieces are worked out anew.
+The page holds the pieces of `analysis.vary.curves.curve`: for each piece the optimal actions, the
+optimal value, and the value of a policy held fixed, both as ratios of polynomials with whole
+coefficients. Its script computes with whole numbers of any size, so its numbers at a rational value
+are exact. At both ends of the range, at today's value and on both sides of each switching point the
+optimum has been proved, the proof checked, and its value compared with the ratio's. A second
+parameter moves in steps: for each of its values the pieces of the first one are computed anew.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ def explore(
     ranges : {name: (low, high)}, optional
         Today's value ± 20 % unless given, within what the model admits.
     relative : number, optional
-        Another share than 20 %, or "whole".
+        A share other than 20 %, or "whole".
     policy : PolicyLike, optional
         A policy held fixed, whose value and regret are shown.
     n : int

@@ -44,14 +44,14 @@ MANY = 80  # outcomes above which no graph can be read
 def plot_transitions(
     model: MDP | Scenario, policy: PolicyLike | None = None, *, ax: Axes | None = None
 ) -> Axes:
-    """Draw states as circles, actions as points, and where each leads with what probability.
+    """Draw states as circles, actions as points, and the outcomes of actions as arrows.
 
     Parameters
     ----------
     model : MDP or Scenario
         Of at most 40 states, with at most 150 outcomes to draw.
     policy : PolicyLike, optional
-        Its actions are black, others grey; of over 8 states its actions alone are drawn.
+        Its actions are black, others grey; with more than 8 states only its actions are drawn.
     ax : Axes, optional
 
     Returns
@@ -105,7 +105,7 @@ def plot_transitions(
                 text = f"{before}; {text}"
             graph.add_edge(point, following, label=text, **look)
     place = nx.kamada_kawai_layout(graph.to_undirected())
-    # Where they stand does not depend on the policy.
+    # The places of states do not depend on the policy.
     graph.remove_nodes_from([f"a{n}" for n, pair in enumerate(listed) if pair not in drawn])
     if ax is None:
         side = min(24.0, 2 + 1.4 * len(graph) ** 0.5)
@@ -181,7 +181,7 @@ def draw_front(
             where = "dominated"
         else:
             where = "on the front"
-        # Open, and larger than those before: all that lie on each other can be seen.
+        # Open marks, each larger than the one before: marks at the same place can all be seen.
         look: Look = {"color": INK[number % len(INK)], "fillstyle": "none", "zorder": 3}
         mark = MARKS[1 + number % (len(MARKS) - 1)]
         ax.plot(*place, mark, label=f"{name} ({where})", markersize=7 + 3 * number, **look)
@@ -202,7 +202,7 @@ def draw_front(
 
 @apply_style
 def plot_influence(scenario: Scenario, *, ax: Axes | None = None) -> Axes:
-    """Draw who raises whom; widths and labels are percentage points per timestep.
+    """Draw which status makes which likelier; widths and labels are percentage points per timestep.
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ def plot_influence(scenario: Scenario, *, ax: Axes | None = None) -> Axes:
             graph.add_edge(*(names if forwards else names[::-1]), **look)
     angles = 3 * np.pi / 4 - 2 * np.pi * np.arange(len(graph)) / len(graph)  # four make a square
     place = {status: (np.cos(at), np.sin(at)) for status, at in zip(graph, angles, strict=True)}
-    # Labels are nearer to where an arrow comes from, so that they do not meet.
+    # Labels are nearer to the beginning of an arrow, so that they do not meet.
     _draw_graph(ax, graph, place, font=9, head=16, bend=0.11, at=0.35)
     ax.margins(0.2)
     return label_axes(ax, "Who raises whom, in points of chance per timestep", scenario.name)

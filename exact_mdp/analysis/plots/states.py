@@ -1,9 +1,9 @@
-"""Pictures of any model's states: what a policy does, what states are worth, how often they come.
+"""Pictures of the states of a model: actions of a policy, values, expected visits, losses.
 
 A map has a cell for each state, placed as `analysis.layout` says. Actions that are directions are
-arrows. The start has a heavy frame; where an episode ends stands the first letter of the end's
-label, such as goal or hole, or ∎. Values of states that are only numbered are bars. `place` stands
-for shape, down, across and the columns held fixed.
+arrows. The start has a heavy frame; a terminal state shows the first letter of its label, such as
+goal or hole, or ∎. Values of states that are only numbered are bars. `place` stands for shape,
+down, across and the columns held fixed.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ LOSSES = LinearSegmentedColormap.from_list("loss", ["#FFF1E8", ORANGE])
 
 @apply_style
 def plot_policy(model: MDP, policy: PolicyLike, *, ax: Axes | None = None, **place: Any) -> Axes:
-    """Draw what a policy does in each state, in the style of its action.
+    """Draw the action of a policy in each state, in the style of the action.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ def plot_states(
 def plot_solution(solution: Solution, *, ax: Axes | None = None, **place: Any) -> Axes:
     """Draw the values of a solution, a certificate or an evaluation, with the policy's actions.
 
-    A certificate that was read from a file has no model, and no picture.
+    A certificate that was read from a file has no model, and therefore no picture.
     """
     if solution.mdp is None:
         raise ModelError(
@@ -345,7 +345,7 @@ def _draw_map(
 
 
 def _signs_of_states(ax: Axes, model: MDP, layout: Layout) -> list[Any]:
-    """Frame the start; return a legend's entries for it and for ends."""
+    """Frame the start; return a legend's entries for it and for terminal states."""
     listed, ends = list[Any](), ends_of(model)
     starts = [s for s, _ in model.start if layout.row[s] >= 0]
     if len(starts) < len(layout.shown) / 2:
@@ -359,7 +359,7 @@ def _signs_of_states(ax: Axes, model: MDP, layout: Layout) -> list[Any]:
 
 
 def _make_sign_handles(layout: Layout) -> list[Line2D]:
-    """Return a legend's entries for the signs of actions that do not speak for themselves."""
+    """Return a legend's entries for the signs of actions that need an explanation."""
     signs = layout.signs.items()
     open_ = [f"{sign} {action}" for action, sign in signs if sign not in (action, *ARROWS)]
     return [*map(_make_text_handle, open_[: 2 * len(ARROWS)])]
