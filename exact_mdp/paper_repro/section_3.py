@@ -100,8 +100,8 @@ def max_trial(reading: Reading) -> Finding:
 def list_rewards(reading: Reading) -> list[tuple[int, int, int, bool, Fraction]]:
     """Return action, next status, subtask, whether it is completed, and reward of outcomes.
 
-    Those with positive probability from a trial before the last one, from which no subtask is
-    skipped, so that the next status is that of the next state.
+    Only outcomes of positive probability from a trial before the last one are listed: no subtask is
+    skipped there, so the next status can be read off the next state.
     """
     mdp, rows = reading.mdp, []
     trial, subtask, status = (mdp.space.values(name) for name in ("trial", "subtask", "status"))
@@ -142,9 +142,10 @@ def equation_1(reading: Reading) -> Finding:
 def derive_weights(reading: Reading) -> dict[str, Fraction]:
     """Return the weights of Table 4 as differences of rewards in compiled rows.
 
-    A trial is told from a timestep by the reading in which only failed trials cost, a skip by the
-    one in which it takes a timestep of its own. The weight of a completed subtask shows only
-    together with that of the assistance: as in the table, no assistance weighs nothing.
+    The reading in which only failed trials cost separates a trial from a timestep; the reading in
+    which a skip takes a timestep of its own separates the skip. The weight of a completed subtask
+    appears only together with the weight of the assistance: as in the table, the weight of no
+    assistance is 0.
     """
     free = Reading(scenario=reading.scenario.with_(readings={"trial_cost": "failed-trials"}))
     failed: dict[int, Fraction] = {}

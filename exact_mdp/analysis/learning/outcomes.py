@@ -1,7 +1,7 @@
-"""What learning ends with, judged by exact values instead of experiments.
+"""The policies that learning ends with, judged by exact values instead of experiments.
 
-The final greedy policy of every run has an exact value, so that its regret V* - V^π is known and
-only the seeds are a sample: over runs, intervals are Wilson's for shares (JASA 22, 1927) and BCa
+The final greedy policy of every run has an exact value, so its regret V* - V^π is known, and only
+the seeds are a sample: over runs, intervals are Wilson's for shares (JASA 22, 1927) and BCa
 bootstrap for means (Efron, JASA 82, 1987).
 
 The authors choose their final policy among the five that were greedy most often in the last 100
@@ -52,7 +52,7 @@ class Outcomes(Pictured):
     distinct: Integers  # (R,) how many were greedy in each run's last episodes
     changed: NDArray[np.bool_]  # (R, K) rows in which these differ
     optimum: Bounded
-    best: BestPolicy | None  # that reads what the learner reads; None where that is everything
+    best: BestPolicy | None  # that reads what the learner reads; None if that is everything
     first_run: dict[
         str, Any
     ]  # the most frequent greedy policy in the last episodes of the first run
@@ -241,7 +241,7 @@ class Outcomes(Pictured):
 
 
 def _name_choices(mdp: MDP, rows: QTableRows, choices: Numbers) -> dict[str, str] | None:
-    """Return {row: action}, or None where there are too many rows to list."""
+    """Return {row: action}, or None if there are too many rows to list."""
     space = rows.space
     if space.size > LISTED_ROWS:
         return None
@@ -271,7 +271,7 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
     model : MDP
     runs : sequence of TrainingRun
     bound : bool
-        Also find the best policy that reads what the learner reads, where that is not everything.
+        Also find the best policy that reads what the learner reads, unless that is everything.
 
     Returns
     -------
