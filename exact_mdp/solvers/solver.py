@@ -198,12 +198,12 @@ def _check_fit(
         raise ModelError(
             "start holds values to begin the search with, and a horizon is solved in one pass",
             where="start",
-            fix="give what states are worth at the end as terminal_value, and where episodes begin "
+            fix="give the values of states at the end as terminal_value, and where episodes begin "
             "as the model's own start: mdp.with_(start=...)",
         )
     if horizon is None and terminal_value is not None:
         raise ModelError(
-            "a terminal value is what states are worth when a horizon is reached",
+            "a terminal value is the value of a state when a horizon is reached",
             where="terminal_value",
             fix="give a horizon, too",
         )

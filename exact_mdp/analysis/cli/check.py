@@ -59,7 +59,7 @@ def check_command(
 
     Several LEARNED are the policies of independent runs of one trainer. They are audited one after
     the other until it is decided whether at least --share of all runs are within the limits; a
-    share that is still open passes, so that a trainer that is good enough fails with probability
+    share that is still open passes, so a trainer that is good enough fails with probability
     --alpha at most, wherever it stops.
 
     With --confidence, MODEL is one that `exact-mdp data` made, and the check passes if the upper

@@ -81,7 +81,7 @@ def train_command(
         settings = QLearning(**stated)
     if np.isinf(exact_mdp.solve(mdp).start.value):  # refused before the work
         raise ModelError(
-            "the optimum is infinite, so that the loss of a policy is not a number",
+            "the optimum is infinite, so the loss of a policy is not a number",
             where="the total at discount 1",
             fix="choose a discount below 1: --discount 0.95",
         )

@@ -149,7 +149,7 @@ class TrainerAudit(Pictured):
         return "\n".join(lines)
 
     def report(self, policies: Sequence[str] | None = None) -> Report:
-        """Return the verdict and the runs, with the names of their policies where given."""
+        """Return the verdict and the runs, with the names of their policies if given."""
         names = [str(run) if policies is None else policies[run] for run in self.names]
         rows = self.frame().drop(columns="run").assign(policy=names).to_dict("records")
         facts = {

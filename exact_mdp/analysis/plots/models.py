@@ -122,7 +122,7 @@ def _too_much(what: str, instead: str) -> ModelError:
 
 
 def _format_rational(value: Fraction) -> str:
-    """Return a rational as it is where that is short, else four digits."""
+    """Return a rational as it is if that is short, else with four digits."""
     exact = ""
     if value.denominator < 10**4:
         exact = str(value)

@@ -70,7 +70,7 @@ class CostEffectiveness(Pictured):
 
     @property
     def base_case(self) -> bool:
-        """Whether nothing is drawn, so that all numbers are for today's values."""
+        """Whether nothing is drawn, so all numbers are for today's values."""
         return not self.uncertainty.parts
 
     def __repr__(self) -> str:

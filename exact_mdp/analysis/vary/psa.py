@@ -62,7 +62,7 @@ from exact_mdp.solvers.solution import Bounded, Estimated
 # The search for candidates: more of them would narrow EVPI, at the cost of one evaluation of all
 # draws for each candidate, and of some draws for each policy of the pool.
 POOL = 24  # policies that are considered
-CANDIDATES = 6  # policies that are kept, beside the given one and today's optimum
+CANDIDATES = 6  # policies that are kept, besides the given one and today's optimum
 LISTED = 16  # rows of a table
 HELD, TODAY = "policy", "optimum today"
 MISSING = "EVPI among the candidates is below the lower end of EVPI"
@@ -438,13 +438,13 @@ def psa(
         The same seed gives the same bytes for any number of workers, and a larger sample begins
         with the draws of a smaller one.
     uncertain : {name: settings}, pandas.DataFrame, file or Uncertainty, optional
-        The distributions of the parameters, or a sample of one's own: see `uncertainty`, which uses
+        The distributions of the parameters, or a sample of your own: see `uncertainty`, which uses
         `effective_sample_size` for probabilities without a stated distribution.
     policy : PolicyLike
         The policy held fixed; "optimal" is the optimum at today's values.
     n_jobs, folder, progress : optional
-        See `solvers.parallel.many`. A larger sample with the same seed reuses the complete pieces
-        of an earlier one in the folder.
+        See `solvers.parallel.run_pieces`. A larger sample with the same seed reuses the complete
+        pieces of an earlier one in the folder.
 
     Returns
     -------

@@ -68,7 +68,7 @@ class RobustComparison(Result):
 
     @property
     def price(self) -> Bounded:
-        """The price of robustness: what the robust policy gives up in the nominal model."""
+        """The price of robustness: the loss of the robust policy in the nominal model."""
         return self._compute_improvement(self.value, self.robust_value)
 
     @property
@@ -279,7 +279,7 @@ def worst_point(
     ranges : {name: (low, high)}, optional
         By default today's values ± 20 %, for all parameters but the discount.
     relative : number, optional
-        Another share than 20 %.
+        A share other than 20 %.
 
     Returns
     -------

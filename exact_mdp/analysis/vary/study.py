@@ -3,7 +3,7 @@
 A point gives values to some parameters; the others keep today's values. At each point the optimum
 is found (the policy re-optimised) and each given policy is evaluated (held fixed). Tornado, grid,
 Sobol indices and probabilistic analyses are designs of points and summaries of their tables. They
-compare values, so that infinite ones, at discount 1, are refused. A care scenario goes through
+compare values, so infinite ones, at discount 1, are refused. A care scenario goes through
 compiled loops that never form the model (`solvers.care`), small models are solved many at once
 (`solvers.batch`), others one by one. Blocks of points have a fixed size, so that any number of
 workers gives the same bytes.
@@ -434,7 +434,7 @@ def _require_finite_start(what: str, found: Found, mdp: MDP, where: str) -> Foun
         if not where.startswith("today"):
             ways.append("ranges in which every value is finite")
         raise ModelError(
-            f"{what} is infinite, so that nothing can be compared",
+            f"{what} is infinite, so nothing can be compared",
             where=f"the total at discount 1, {where}",
             fix=", or ".join(ways),
         )

@@ -1,13 +1,13 @@
 """The rules of a care scenario, stated once: probabilities, charges and successors.
 
 A state is (k, t, f, s): subtask k, t trials of it failed so far, f = 1 if a subtask of this task
-was skipped (kept only where the bonus asks for it), status vector s. The next statuses are
+was skipped (kept only if the bonus depends on it), status vector s. The next statuses are
 independent, each with a chance that is a sum of parameters, cut off at 1:
 
     p_i(s, a) = min(1, Σ of the parameters in terms[step[s, a, i]])       under action a,
     z_i(s)    = min(1, Σ of the parameters in terms[skip[s, i]])          when a subtask is skipped.
 
-Under an action a they follow the law K_a(s, ·), on a skip Z(s, ·):
+Under an action a they have the distribution K_a(s, ·), on a skip Z(s, ·):
 
     complete   s' = 0 under K_a                 leads to k + 1, flag f
     fail       s' ≠ 0 under K_a                 leads to k, t + 1, s'

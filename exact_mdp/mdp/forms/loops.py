@@ -23,7 +23,7 @@ from exact_mdp.mdp.forms.rows import (
     Numbers,
 )
 
-# Longest row that is sorted by counting: the work is quadratic in the length, so that a general
+# Longest row that is sorted by counting: the work is quadratic in the length, so a general
 # sort is faster for long rows.
 COMPARED = 128
 TWO = int(np.float64(2).view(np.int64))  # the bits of 2.0

@@ -105,7 +105,7 @@ def row_change(model: Parametric, name: str, piece: Piece, base: MDP) -> RowChan
     known = isinstance(model, ScenarioFamily) or (
         isinstance(model, Family) and isinstance(model.build, Moved)
     )
-    # Build models at `count` points beside θ0; five more than needed check an unproven degree.
+    # Build models at `count` points besides θ0; five more than needed check an unproven degree.
     count = degree
     if not known:
         count += 5

@@ -136,7 +136,7 @@ def certify(
 
 # ---- bounds --------------------------------------------------------------------------------------
 
-# Moving the values changes their rounding errors, so that a first step may be too small; in tests
+# Moving the values changes their rounding errors, so a first step may be too small; in tests
 # the second was always large enough.
 ATTEMPTS = 3
 

@@ -6,7 +6,7 @@ is drawn among the recorded rewards of the same next state, with Dirichlet weigh
 (Rubin, The Bayesian bootstrap, Annals of Statistics 9, 1981). Every draw is a model that is solved.
 
 The interval goes from 0 to an order statistic that is at least the posterior's quantile in 97.5 %
-of samples. Its lower end is 0: the regret is a maximum, so that noise adds to it in every draw, and
+of samples. Its lower end is 0: the regret is a maximum, so noise adds to it in every draw, and
 if actions tie, nearly every draw shows a loss. A posterior therefore proves no loss.
 """
 

@@ -253,7 +253,7 @@ def thresholds(
     ranges : (low, high) or {name: (low, high)}, optional
         The range; by default today's value ± 20 %, within the parameter's limits.
     relative : number, optional
-        Another share than 20 %.
+        A share other than 20 %.
 
     Returns
     -------
