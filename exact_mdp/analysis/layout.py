@@ -308,12 +308,14 @@ def build_cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
     """Return the cell at each row and column of the map; None where no state is."""
     mdp, choices = audit.mdp, actions_of(audit.mdp, audit.chain.chosen > 0)
     grid: list[list[Cell | None]] = [[None] * len(layout.columns) for _ in layout.rows]
+    # Losses are shaded relative to the costliest state.
     wrong = {each.state: each for each in audit.disagreements}
     most = max((each.cost for each in audit.disagreements), default=0.0) or 1.0
     idle, ends = ~mdp.asked | (audit.visits == 0), ends_of(mdp)
     begins = {state for state, _ in mdp.start}
     for state in layout.shown.tolist():
         each, label = wrong.get(state), mdp.space.label(state)
+        # The text of the cell, and the sentence that a page shows for it.
         names = choices[state]
         text, best = layout.format_actions(names), ""
         said = f"{format_alternatives(names)}; {audit.visits[state]:.6g} expected visits"

@@ -108,6 +108,8 @@ class Optimum:
         else:
             stationary = None
         policy = [mdp.actions[action] for action in np.asarray(self.best.policy)]
+        # The policy: by status at the first subtask and trial, or by state if there are not too
+        # many.
         key, reads, where, chosen = "policy_by_state", "state", "", None
         if {"subtask", "trial", "status"} <= set(mdp.space.names):
             column = mdp.space.column("status")
@@ -138,6 +140,7 @@ class Optimum:
             "policy_by_state": None,
             key: chosen,
         }
+        # Gain and bias of each state, for an average reward.
         if self.average:
             labels = state_names(mdp.space)
             for name, values in (("gain", self.best.value), ("bias", self.best.bias)):
@@ -210,6 +213,7 @@ def compute_optimum(
     """
     require_known_name(method, [*SOLVERS, "auto"], "method", "method")
     check_tolerance("tol", tol)
+    # The optimum in floats; with a proof asked for, it may fail.
     solution = None
     try:
         solution = solve(model, method, tol=tol, criterion=criterion)
@@ -217,17 +221,20 @@ def compute_optimum(
         if not certify:
             raise
         warn_at_caller(f"{error} (the exact values stand)", PrecisionWarning)
+    # The exact optimum, with a proof that its checker has accepted.
     if certify:
         exact = require_sound_proof(certified(model, criterion=criterion))
     else:
         exact = None
     start: Certified | Bounded
     if exact is not None:
+        # Certified values are exact; as floats they are rounded once, by less than their spacing.
         value, start = exact.value_float, exact.start
         state_error, rounding = (
             np.nan_to_num(np.spacing(np.abs(x))) for x in (value, float(start))
         )
         error_bound = float(max(state_error.max(), rounding))
+        # Both answers must agree within the error that the solver states.
         if solution is not None:
             same = np.isclose(
                 solution.value, value, rtol=0, atol=solution.state_error + state_error
@@ -239,6 +246,7 @@ def compute_optimum(
                     f"which states an error of at most {solution.error_bound:.3g}"
                 )
     else:
+        # Without a proof, the bounds of the solver hold.
         assert solution is not None
         value, state_error = solution.value, solution.state_error
         error_bound = max(solution.error_bound, solution.start.error)

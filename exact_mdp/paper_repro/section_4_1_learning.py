@@ -289,6 +289,7 @@ def told_together(reading: Reading) -> dict[str, np.ndarray]:
             for policy in policies
         )
 
+    # Sets of actions in 0000 as bit masks, so that a union is an "or".
     starts = [[sum(1 << a for a in set(p[:, 0].tolist())) for p in run.last] for run in runs]
     three = sum(1 << NUMBER[start] for start in AVERAGES)
     one, two = runs[0].final, runs[1].final

@@ -247,6 +247,7 @@ def _configure_solver(solver: Any, **settings: Any) -> Solver:
             where="solve",
             fix="give a name, or PolicyIteration(); a tolerance is tol=: solve(model, tol=1e-6)",
         )
+    # A setting that the solver does not have is refused, with the solvers that have it.
     why = {"tol": "its error is what rounding leaves", "start": "nothing known shortens it"}
     given = {name: value for name, value in settings.items() if value is not None}
     for name in given:

@@ -229,6 +229,7 @@ def check_trainer(
     TrainerAudit(passed: 10 of 10 runs within the limits, a share from 0.530 to 1.000;
     at least 0.5 is proven)
     """
+    # Refuse a gate that proves nothing, or that could not fail.
     wanted, risk = _parse_share("share", share), _parse_share("alpha", alpha)
     if risk == 1:
         what = "a risk of error of 1 proves nothing"
@@ -239,9 +240,11 @@ def check_trainer(
     mdp = mdp_of(model)
     if (horizon := limits.pop("horizon", None)) is not None:
         mdp = mdp.within(horizon)
+    # Train and audit lazily, one run after the other; the interval follows the verdicts.
     policies = islice(_yield_policies(train, rng), runs)
     each, same = tee((name, check(mdp, policy, **limits)) for name, policy in policies)
     shares = share_intervals((audit.passed for _, audit in same), risk)
+    # Stop as soon as the interval decides whether the share is reached.
     names, audits, intervals = list[Any](), list[Audit](), list[Interval]()
     hits, proven = 0, None
     with refuse_exit():
@@ -255,6 +258,7 @@ def check_trainer(
                 break
     if not audits:
         raise ModelError("no policies", where="check_trainer", fix="give at least one")
+    # The given policies may have been fewer than `runs`.
     if proven is None and not prove:
         _require_runs(len(audits), wanted, risk)
     return TrainerAudit(

@@ -148,11 +148,13 @@ def explore(
         )
     if not 2 <= require_count(n, "n", 2) <= MOST_GRID:
         raise ModelError(f"{n} values", where="explorer", fix=f"choose from 2 to {MOST_GRID}")
+    # The ranges, each of which has to leave room to move.
     family = parametric(model)
     spans = ranges_of(family, names, ranges, relative)
     for name, span in spans.items():
         if span.low == span.high:
             raise ModelError(f"{name} has no range", where="explorer", fix="state a range")
+    # The family for each value of the second parameter, today's value among them.
     second, grid, models = None, list[Fraction](), [(f"explorer of {names[0]}", family)]
     if len(names) == 2:
         second, span = parameter_of(family, names[1]), spans[names[1]]
@@ -161,6 +163,7 @@ def explore(
         models = [
             (f"{names[1]} = {format_rational(x)}", held_at(family, names[1], x)) for x in grid
         ]
+    # One curve for each of them; at some points its value is compared with a proven optimum.
     curves = []
     for where, here in models:
         with locate_errors(where):
@@ -215,9 +218,11 @@ def _build_page_data(explorer: Explorer) -> dict[str, Any]:
         """Return the number of the set of actions, by pairs (L,), of each state."""
         return [known.setdefault(each, len(known)) for each in actions_of(mdp, pairs)]
 
+    # Curves hold numbers of action sets; a set that occurs often is listed once.
     drawn = layout.cells <= MOST_CELLS
     curves = [_encode_curve(curve, number_action_sets) for curve in explorer.curves]
     taken = None if first.chain is None else number_action_sets(first.chain.chosen > 0)
+    # States whose optimal actions change somewhere.
     every = np.array([piece["sets"] for curve in curves for piece in curve["pieces"]])
     moving = np.flatnonzero((every != every[0]).any(axis=0)).tolist()
     for curve in curves:  # of each piece but the first, only what has changed

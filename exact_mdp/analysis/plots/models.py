@@ -70,6 +70,7 @@ def plot_transitions(
     model = mdp_of(model)
     if model.n_states > MOST:
         raise _too_much(f"{model.n_states:,} states", f"a model of at most {MOST} states")
+    # The actions of the policy are drawn in black, others in grey, or not at all if there are many.
     chosen = np.zeros(model.n_pairs)
     if policy is not None:
         chosen = policy_of(model, policy).weights(model)
@@ -82,6 +83,7 @@ def plot_transitions(
         raise _too_much(
             f"{count:,} outcomes", f"at most {MANY}: those of a policy, or fewer states"
         )
+    # One node for each state, one for each action, and an edge for each outcome.
     graph, names = nx.DiGraph(), state_names(model.space)
     size, font = 420 + 130 * min(max(map(len, names)), 12), 8 if model.n_states <= 20 else 6
     for state, name in enumerate(names):

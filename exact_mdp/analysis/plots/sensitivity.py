@@ -106,6 +106,7 @@ def plot_tornado(
     lost = tornado.today["regret"]
     output = output or ("fixed" if lost.value > lost.error else "optimal")
     require_known_name(output, OUTPUT, "output", "output")
+    # Bars reach from today's value to the values at both ends, the widest bars first.
     middle = tornado.today[output].value
     column = {"optimal": "value", "fixed": "fixed_value", "regret": "regret"}[output]
     table = tornado.frame()
@@ -114,6 +115,7 @@ def plot_tornado(
     rows = table[["parameter", "low", "high"]].iloc[order]
     names = [_with_range(*row) for row in rows.itertuples(index=False)]
     ends = (zip(each, (LOW, HIGH), strict=True) for each in reach[order])
+    # The wider of two ends is drawn first, so that the other stays visible.
     wider_first = (sorted(each, key=lambda end: -abs(end[0])) for each in ends)
     drawn = ((row, *end) for row, each in enumerate(wider_first) for end in each)
     what = "regret" if output == "regret" else "value"
@@ -204,6 +206,7 @@ def plot_thresholds(
     names = [_label_axis(each.curve.parameter) for each in every]
     ax = axes_or_new(ax, names, high=1.2 + 0.6 * len(every))
     for place, each in enumerate(every):
+        # The strip of a range, scaled to 0 … 1.
         low, high = float(each.curve.range.low), float(each.curve.range.high)
         width = (high - low) or 1.0
         near, far = ((float(end) - low) / width for end in each.stable())

@@ -148,6 +148,7 @@ def plot_states(
             where="plot_states",
             fix="give one number for each state",
         )
+    # The actions of a policy are written into the cells.
     layout, texts = _place_states(model, place), [""] * model.n_states
     if policy is not None:
         choices = actions_of(model, policy_of(model, policy).weights(model) > 0)
@@ -160,15 +161,18 @@ def plot_states(
     if acts:
         acting = ", and what the policy does"
     what = f"{label.partition(' (')[0].capitalize()} of each state{acting}"
+    # States that are only numbered have no map: draw bars.
     if layout.listed:
         ax = _draw_state_bars(axes_or_new(ax), model, given, texts, label)
         return label_axes(ax, what, model.name, handles=signs)
+    # The scale of the colours reaches from the least to the greatest finite value.
     known = given[layout.shown][np.isfinite(given[layout.shown])]
     if len(known):
         low, high = (float(known.min()), float(known.max()))
     else:
         low, high = (0.0, 0.0)
     scale = Normalize(low, high if high > low else low + 1.0)
+    # Each cell: the sign of an end or an action, and the number if there is room.
     ends, shown = ends_of(model), dict[int, Any]()
     for state in layout.shown.tolist():
         value, finite = given[state], np.isfinite(given[state])

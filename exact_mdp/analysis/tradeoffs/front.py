@@ -158,6 +158,7 @@ class Front(TotalsProof, Pictured):
             return dict(zip(self.names, values, strict=True))
 
         mdp, two = self.of.mdp, len(self.names) == 2
+        # Vertices with the actions of their policies, edges, facets, and the given policies.
         choices = ([mdp.actions[action] for action in policy] for policy in self.policies)
         each = {name: f"{name}:.10g" for name in self.names}
         note = "rate: how much {1} one point of {0} costs on the way from the row above"
@@ -186,6 +187,7 @@ class Front(TotalsProof, Pictured):
                 for name, p in (policies or {}).items()
             ],
         }
+        # For people: the vertices in a row, with the rate between neighbours.
         vertices = Table(
             title="vertices of the front",
             rows=(rows := self.frame()),

@@ -232,16 +232,22 @@ class _WeightSearch:
                 weights[k] = x
             return self.prove_optimality(weights)
 
+        # Begin with this component alone, a multiplier of infinity: a better policy there is a
+        # bound.
         prove_multiplier(inf)
         while True:
+            # Each policy allows multipliers on one side of a number: intersect all of these.
             lines = [(lead[k], sum(lead) - lead[k]) for _, lead in self.policies]
             low, high = solve_inequalities(lines)
+            # The policies that determine the two ends are the proof that nothing beyond them will
+            # do.
             each = [solve_inequalities([line]) for line in lines]
             binding = [i for i, own in enumerate(each) if low > 0 and own[0] == low][:1]
             binding += [i for i, own in enumerate(each) if high < inf and own[1] == high][:1]
             cuts = tuple(self.policies[i][0] for i in sorted({*binding}))
             if low > high:
                 return WeightInterval(low=None, high=None, at_low=None, at_high=None, cuts=cuts)
+            # An end that is not proven optimal has added a better policy: try again.
             at_low = prove_multiplier(low)
             at_high = at_low and prove_multiplier(high)
             if at_low and at_high:

@@ -193,10 +193,12 @@ class PSA(Pictured):
     def report(self, policy: str = "optimal", *, evppi: bool = False) -> Report:
         """Return the results, with EVPPI if asked; `policy` is the name of the given policy."""
         partly = dict[str, PartialInformation]()
+        # EVPPI needs enough draws for a regression; the most valuable parameters come first.
         if evppi and len(self) >= FEWEST:
             ordered = sorted(self.evppi().items(), key=lambda item: -item[1].regression.value)
             partly = dict(ordered)
         information, regret, numbers = self.evpi(), self.regret(), range(len(self.candidates))
+        # Losses of all candidates, and their acceptability at the same tolerances.
         names = [candidate.name for candidate in self.candidates]
         losses, tolerances = [mean_loss(self.regret(n)) for n in numbers], tolerances_of([regret])
         accepted = [self.acceptability(tolerances, n) for n in numbers]
@@ -213,6 +215,7 @@ class PSA(Pictured):
             }
             for n, candidate in enumerate(self.candidates)
         ]
+        # The distribution of each parameter that is drawn.
         drawn = {}
         for part in self.uncertainty.parts:
             for name, mean, sd in zip(part.names, part.mean, part.sd, strict=True):
@@ -393,6 +396,7 @@ def sample_parameters(
             fix="state distributions (--uncertain FILE, uncertain=); for today's values alone, "
             "cost_effectiveness without n is the base case",
         )
+    # The number of draws: as asked for, or all rows of a given sample.
     sample = chosen.sample
     if n is None:
         if sample is None:

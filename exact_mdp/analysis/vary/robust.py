@@ -204,12 +204,14 @@ def robust(
             where="radius",
             fix='name the set, as in robust(model, "l1", radius=0.1), or leave out the radius',
         )
+    # The given policy in the nominal model, and in its worst and best case.
     sets = ambiguity
     chain = PolicyChain.of(model, policy)
 
     def evaluate_case(weights: Floats, nature: Nature) -> Bounded:
         return solve_robust(model, sets, nature=nature, policy=weights).start
 
+    # The policy with the best worst case, and its value in the nominal model and its best case.
     best = solve_robust(model, sets)
     own = best.policy.weights(model)
     return RobustComparison(

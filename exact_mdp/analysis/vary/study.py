@@ -168,6 +168,7 @@ def read_points(
     fix: str = "correct the table: give finite numbers within its range",
 ) -> Numbers:
     """Return points (D, P), checked; they are fractions unless all numbers are floats."""
+    # All columns must have the same length, at least 1.
     check_names(given, "column", where="points")
     columns = {name: np.asarray(given[name]) for name in given}
     shapes = {column.shape for column in columns.values()}
@@ -178,12 +179,14 @@ def read_points(
             where="points",
             fix="give one number for each point and parameter, at least one point",
         )
+    # Numbers that are not floats are kept exact.
     if not all(column.dtype.kind == "f" for column in columns.values()):
         columns = {
             name: np.array([exact(number, f"parameter {name}") for number in given[name]])
             for name in columns
         }
     points = np.column_stack([*columns.values()])
+    # Every number must be finite and within the limits of its parameter.
     for name, drawn in zip(columns, float_array(points, "points").T, strict=True):
         parameter = parameter_of(model, name)
         if parameter.low is None:
@@ -385,6 +388,7 @@ class _Built:
                 totals.append([number.value for number in row])
                 errors.append([number.error for number in row])
             return np.array(totals), np.array(errors)
+        # All models at once: each component in turn is the reward, known up to its error.
         off = np.stack([component_errors(mdp) for mdp in self.models])
         each = []
         for name, earned in zip(names, amounts, strict=True):
@@ -500,6 +504,7 @@ class ModelSolver:
 
     def _build_models(self, draws: Numbers, first: int) -> _Built:
         """Return the models of draws, built once for repeated questions about the same draws."""
+        # The last models are kept, as several questions concern the same draws.
         key = repr(draws.tolist())
         if key not in self.built:
             models, at = [], partial(self._describe_draw, draws, first)
@@ -514,6 +519,7 @@ class ModelSolver:
                     fix += "probabilities of one row together: rows={label: [names]}"
                     raise type(error)(error.what, where=error.where, fix=fix) from error
             made = _Built(models, at)
+            # Models that do not fit in the memory for kept ones are built again next time.
             if sum(each.size for each in (made, *self.built.values())) > KEPT:
                 return made
             self.built[key] = made

@@ -87,18 +87,24 @@ class Rules:
         self.own = self.readings["skip_timestep"] == "own"
         self.assistive = len(actions)
         self.actions = (*actions, SKIP) if self.own else actions
+        # The flag, whether a subtask of the task was skipped, is kept only if the bonus depends on
+        # it.
         paid = BONUS[self.readings["task_bonus"]]
         self.flags = 2 if (COMPLETE, 0) in paid and (COMPLETE, 1) not in paid else 1
         self.flag_after = np.zeros((3, 2), dtype=np.int64)
         self.flag_after[INSIDE, 1] = self.flags - 1
+        # The size of a subtask: trials, flags and status vectors.
         self.bits = bits_of(len(statuses))
         self.vectors = len(self.bits)
         self.size = (trials + self.own) * self.flags * self.vectors
+        # The place of each subtask: inside its task, last of it, or last of all.
         self.places = np.full(sum(tasks), INSIDE)
         self.places[np.cumsum(tasks) - 1] = LAST
         self.places[-1] = FINAL
+        # Positions of the parameters, and of the weights among them.
         self.position = {name: place for place, name in enumerate(names)}
         self.weights = np.array([self.position[f"reward.{name}"] for name in components])
+        # The weights that each event charges; equal sets of weights are one gain.
         rows: dict[tuple[int, ...], int] = {}
         self.gains = np.zeros((3, 3, 2), dtype=np.int64)
         for event, place, flag in np.ndindex(self.gains.shape):
@@ -110,6 +116,7 @@ class Rules:
             charged += ["task-complete"] * (place != INSIDE and (event, flag) in paid)
             row = tuple(self.position[f"reward.{weight}"] for weight in charged)
             self.gains[event, place, flag] = rows.setdefault(row, len(rows))
+        # Shorter sets are padded with P, the position of the number 0.
         widest = max(map(len, rows))
         self.charges = np.array([[*row, *[len(names)] * (widest - len(row))] for row in rows])
         self.charged = (self.charges[:, :, None] == self.weights).any(axis=1).astype(np.int64)

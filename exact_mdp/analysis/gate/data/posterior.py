@@ -80,6 +80,7 @@ class Posterior:
 
     def interval(self, mdp: MDP, own: Floats, confidence: Fraction) -> RegretInterval:
         """Return the interval; raise ModelError without counts, for a bad prior or few draws."""
+        # No prior covers states whose continuation was never seen.
         unknown = cut_off(mdp)
         if unknown.any():
             raise ModelError(
@@ -99,6 +100,7 @@ class Posterior:
             what = f"the prior is {format_rational(given)} observations"
             raise ModelError(what, where="prior", fix="give 1e-6 to 1e9, such as 1")
         prior = float(given)
+        # Enough draws for the quantile; each block of draws has a seed of its own.
         n = require_count(self.n, "the number of draws, n,", 2)
         require_draws(n, level)
         blocks = run_pieces(
@@ -109,6 +111,7 @@ class Posterior:
             progress=self.progress,
             what="draws",
         )
+        # The upper end is an order statistic; equal tails are stated for comparison.
         draws = join_blocks(blocks)["regret"]
         low, high = estimate_quantiles(draws, [(1 - level) / 2, (1 + level) / 2])
         return RegretInterval(

@@ -64,6 +64,7 @@ class RowSets:
     @classmethod
     def of(cls, mdp: MDP, doubt: float, rewards: Given = None) -> RowSets:
         """Return the sets for a model's counts; `rewards` as in `Robust`."""
+        # The range of the recorded rewards, of pairs that were seen.
         seen = observations_of(mdp).astype(np.float64)
         table = mdp.table
         gains = table.compute_gains()[(seen > 0)[table.pair]]
@@ -77,6 +78,7 @@ class RowSets:
                 "or rewards='known', --evidence rewards=known, if state, action and next state "
                 "determine the reward",
             )
+        # Rewards are known for each next state, or lie in a stated range that holds all records.
         known = isinstance(rewards, str)
         if known and rewards != KNOWN:
             fix = "give 'known', or (low, high)"
