@@ -173,20 +173,21 @@ def test_bounds_hold_and_runs_in_which_nothing_is_gained_end(
             assert solution.error_bound <= 1e-9 * max(1, np.abs(solution.value).max())
 
 
-CLOSE = {
-    "classes, rare": (classes("rare", 1 - 1e-8), None),
-    "classes, integers": (classes("int", 1 - 1e-9), None),
-    "one way": (one_way(40, 2), None),
-    "one way, tol": (one_way(60, 4), 1e-6),
-    "ring": (ring(40, 1 - 1e-9, 1e5), None),
-    "queue": (queue(3_000, 0.99).model(), 1e-6),
-    "slow queue": (queue(3_000, 0.9999).model(), 1e-6),
+CLOSE: dict[str, tuple[Callable[[], MDP], float | None]] = {
+    "classes, rare": (lambda: classes("rare", 1 - 1e-8), None),
+    "classes, integers": (lambda: classes("int", 1 - 1e-9), None),
+    "one way": (lambda: one_way(40, 2), None),
+    "one way, tol": (lambda: one_way(60, 4), 1e-6),
+    "ring": (lambda: ring(40, 1 - 1e-9, 1e5), None),
+    "queue": (lambda: queue(3_000, 0.99).model(), 1e-6),
+    "slow queue": (lambda: queue(3_000, 0.9999).model(), 1e-6),
 }
 
 
 @pytest.mark.parametrize("name", CLOSE)
 def test_pairs_that_differ_by_little_are_told_apart(name: str) -> None:
-    model, tol = CLOSE[name]
+    make, tol = CLOSE[name]
+    model = make()
     solution, other = quietly(solve, model, tol=tol), quietly(solve, model, PolicyIteration())
     assert solution.iterations < (60 if "queue" in name else 500)
     assert solution.error_bound <= 1e-6 * max(1, np.abs(solution.value).max())
@@ -295,16 +296,16 @@ def around(states: int, ahead: float) -> sp.csr_array:
     return sp.csr_array((0.999 - ahead) * eye + ahead * eye[:, np.roll(np.arange(states), 1)])
 
 
-CHAINS = {
-    "walk": chain(walk(40)),
-    "long walk": chain(walk(90)),
-    "clusters": chain(clusters(10_000, 200, 1e-6), "999999/1000000"),
-    "few clusters": chain(clusters(600, 60, 1e-9), "999/1000"),
-    "anywhere": chain(drawn(9_000, 3, 0.9), "999/1000"),
-    "anywhere, slowly": chain(drawn(9_000, 6, 1.0), "99999/100000"),
-    "ring": chain(around(700, 0.5)),
-    "long ring": chain(around(60_000, 0.5)),
-    "hub": chain(sp.csr_array(0.999 * (0.5 * around(900, 0.999) + sp.csr_array(
+CHAINS: dict[str, Callable[[], MDP]] = {
+    "walk": lambda: chain(walk(40)),
+    "long walk": lambda: chain(walk(90)),
+    "clusters": lambda: chain(clusters(10_000, 200, 1e-6), "999999/1000000"),
+    "few clusters": lambda: chain(clusters(600, 60, 1e-9), "999/1000"),
+    "anywhere": lambda: chain(drawn(9_000, 3, 0.9), "999/1000"),
+    "anywhere, slowly": lambda: chain(drawn(9_000, 6, 1.0), "99999/100000"),
+    "ring": lambda: chain(around(700, 0.5)),
+    "long ring": lambda: chain(around(60_000, 0.5)),
+    "hub": lambda: chain(sp.csr_array(0.999 * (0.5 * around(900, 0.999) + sp.csr_array(
         (np.full(900, 0.5), (np.arange(900), np.zeros(900, int))), (900, 900))))),
 }  # fmt: skip
 
@@ -312,7 +313,7 @@ CHAINS = {
 @pytest.mark.parametrize("name", CHAINS)
 def test_chains_of_any_shape_are_evaluated(name: str) -> None:
     """c = 1 - P 1 leaks: values are the numbers of steps, and their equations nearly hold."""
-    mdp = CHAINS[name]
+    mdp = CHAINS[name]()
     evaluation = evaluate(mdp, [0] * mdp.n_states)
     size = float(np.abs(evaluation.value).max())
     left = mdp.reward + mdp.discount * (mdp.transition @ evaluation.value) - evaluation.value

@@ -162,6 +162,20 @@ FILES: dict[str, tuple[Callable[[Path], object], Callable[[Path], object]]] = {
     "bounds.json": (lambda path: certify(CYCLE, bounded=True).save(path), read_certificate),
     **{f"log.{ending}": (log_of, MDP.from_transitions) for ending in ("csv", "parquet")},
 }
+written = dict[str, bytes]()
+
+
+def valid_file(folder: Path, name: str) -> tuple[Path, bytes, Callable[[Path], object]]:
+    """Return a file as it is written, its bytes, and the reader that takes them."""
+    (write, read), path = FILES[name], folder / name
+    if name not in written:
+        write(path)
+        assert survives(lambda: read(path))
+        written[name] = path.read_bytes()
+    path.write_bytes(written[name])
+    return path, written[name], read
+
+
 VALUES = {".toml": r"(?m)(?<== ).*$", ".csv": r"[^,\n]+"}
 
 
@@ -169,9 +183,8 @@ VALUES = {".toml": r"(?m)(?<== ).*$", ".csv": r"[^,\n]+"}
 @fuzz
 @given(data=st.data())
 def test_values_of_text(folder: Path, name: str, data: st.DataObject) -> None:
-    write, read = FILES[name]
-    write(path := folder / name)
-    text, other = path.read_text("utf-8"), AWKWARD_TOML if name.endswith("toml") else AWKWARD
+    path, content, read = valid_file(folder, name)
+    text, other = content.decode(), AWKWARD_TOML if name.endswith("toml") else AWKWARD
     places = list(re.finditer(VALUES[path.suffix], text))
     for place in sorted(data.draw(st.sets(st.integers(0, len(places) - 1), max_size=3)))[::-1]:
         first, last = places[place].span()
@@ -187,10 +200,7 @@ PACKED = {".umb": (untarred, tarred), ".npz": (unzipped, zipped)}
 @fuzz
 @given(data=st.data())
 def test_bytes(folder: Path, name: str, data: st.DataObject) -> None:
-    write, read = FILES[name]
-    write(path := folder / name)
-    assert survives(lambda: read(path))
-    content = path.read_bytes()
+    path, content, read = valid_file(folder, name)
     if path.suffix in PACKED and data.draw(st.booleans()):  # members, packed anew
         unpack, pack = PACKED[path.suffix]
         members = unpack(path)
@@ -228,8 +238,7 @@ def encoded(content: Any) -> bytes:
 @fuzz
 @given(data=st.data())
 def test_values_of_json(folder: Path, name: str, data: st.DataObject) -> None:
-    write, read = FILES[name]
-    write(path := folder / name)
+    path, _, read = valid_file(folder, name)
     content, write_again = opened(path)
     places: list[tuple[Any, Any]] = []
 
