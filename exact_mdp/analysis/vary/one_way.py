@@ -348,6 +348,7 @@ def two_way(
             where="two-way",
             fix=f"give ranges of {x} and {y} alone",
         )
+    # The grid: x changes first.
     spans = ranges_of(family, [x, y], ranges, relative)
     across, along = (make_grid(spans[name], points) for name in (x, y))
     columns = {x: across * points, y: [at for at in along for _ in across]}

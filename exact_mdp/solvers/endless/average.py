@@ -105,6 +105,7 @@ def solve_average(mdp: MDP, solver: Solver) -> AverageSolution:
     pairs, relative, iterations = method.run(step)
     gain, bias = FloatChain(step, pairs).evaluate_chain()
     above = _bound_gain_above(step, relative) - gain.value
+    # Only value iteration stops at a tolerance; the other methods end with an optimal policy.
     if solver.name == ValueIteration.name:
         status = Status.CONVERGED
     else:

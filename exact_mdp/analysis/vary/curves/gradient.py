@@ -175,6 +175,7 @@ class Gradient(Pictured):
         }
         # The bound of each derivative stands in `error_bounds`.
         del facts["error_bound"]
+        # At a kink the table shows both one-sided derivatives.
         rows = self._list_derivative_rows()
         for row in rows:
             if self.derivatives[row["parameter"]].value is None:
