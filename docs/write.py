@@ -229,7 +229,7 @@ def text(module: str) -> str:
 
 
 def questions(_: str) -> str:
-    """Return the result of every analysis for every question, as the table of the tests counts it."""
+    """Return the results of every analysis and question, as the table of the tests counts them."""
     counted = tomllib.loads((DOCS.parent / "tests" / "questions" / "table.toml").read_text("utf-8"))
     asked = list(next(iter(counted.values())))
     rows = []

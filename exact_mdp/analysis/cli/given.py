@@ -230,7 +230,7 @@ class Given:
         "optimal" is the optimum for the true states, also under a perception.
         """
         if self.kind != "auto" and Path(form).suffix.lower() not in ARRAYS:
-            what = f"--kind says what an array in a file is, and {form!r} is none"
+            what = f"--kind says what an array in a file is, and {form!r} is not such a file"
             raise ModelError(what, where="--kind", fix="leave it out")
         policy: Policy = policy_of(self.mdp, form, kind=self.kind, criterion=self.criterion)
         if self.perception is None:

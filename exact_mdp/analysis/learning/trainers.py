@@ -299,7 +299,7 @@ def _yield_policies(
     if not callable(train):
         if _is_one(train):
             raise ModelError(
-                "one policy, where runs ask for several",
+                "one policy is given, but runs need several",
                 where="policies",
                 fix="give a function of a seed or a list of policies; or check one, without runs",
             )
@@ -307,7 +307,7 @@ def _yield_policies(
         return
     if rng is None:
         raise ModelError(
-            "runs are trained from seeds, and there is no rng to draw these from",
+            "runs are trained from seeds, and no rng is given to draw these from",
             where="rng",
             fix="give rng=0: the seeds of the runs are drawn from it",
         )

@@ -383,8 +383,8 @@ def curve(
             for state in np.flatnonzero(undecided).tolist():
                 if equations.has_different_actions(state):
                     raise ModelError(
-                        "the policy held fixed does not say what it does in a state in which that "
-                        "does not matter today, but matters elsewhere in the range",
+                        "the policy held fixed names no action in a state where the choice does "
+                        "not matter today, but matters elsewhere in the range",
                         where=f"{mdp.space.place(state)}, for some {name}",
                         fix="give an action there, too, by a mapping or an array over all states",
                     )

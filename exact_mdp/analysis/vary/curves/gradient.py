@@ -422,8 +422,8 @@ def _refuse_silence(mdp: MDP, silent: Mask, name: str) -> None:
     """Raise ModelError if the policy held fixed is silent in states (S,) that become live."""
     if silent.any():
         raise ModelError(
-            "the policy held fixed does not say what it does in a state that is terminal today, "
-            "but not for nearby values of the parameter",
+            "the policy held fixed names no action in a state that is terminal today, but not for "
+            "nearby values of the parameter",
             where=f"parameter {name}, {mdp.space.place(int(silent.argmax()))}",
             fix="give an action there, too, by a mapping or an array over all states",
         )
