@@ -73,7 +73,7 @@ class Optimum:
 
     @cached_property
     def optimal(self) -> Flags:
-        """(L,) the optimal pairs; up to the error bound if there is no certificate."""
+        """(L,) the optimal pairs; without a certificate, up to the error bound."""
         if self.certificate is not None:
             return self.certificate.optimal_pairs
         here, there = self.value[self.mdp.pair_state], self.mdp.backup(self.value)

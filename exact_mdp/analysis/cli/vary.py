@@ -32,7 +32,7 @@ from exact_mdp.mdp.report import Report, Shown, list_claim_facts
 from exact_mdp.mdp.table import exact, float_of
 
 ROUNDED = "of the perception, and the probabilities of actions that it makes, as rounded to floats"
-"""Qualifies what is certified under a perception: a file may state 1/3, which is not a float."""
+"""Qualifies a certified number under a perception: a file may state 1/3, which is not a float."""
 ROWS = {  # the rows in each kind of set
     "interval": "each transition probability ± {} of itself, rows on their own",
     "l1": "rows within an L1 distance of {}, on their own",

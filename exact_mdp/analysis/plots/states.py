@@ -306,7 +306,7 @@ def _draw_map(
         ax.tick_params(axis="x", rotation=90)
     ax.tick_params(length=0)
     ax.spines[:].set_visible(False)
-    # The size of the text in a cell; 0 if there is no room for one.
+    # The size of the text in a cell; 0 if a cell has no room for one.
     sizes = ((30, 10), (2 * NUMBERED, 8), (MOST_TEXTS, 6 if wide > 20 else 7))
     font = next((size for most, size in sizes if len(shown) <= most), 0)
     texts = [text.split("\n") for text, _ in shown.values()]

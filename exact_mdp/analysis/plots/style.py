@@ -148,7 +148,7 @@ def label_axes(
 
 
 def is_narrow(ax: Axes) -> bool:
-    """Whether there is no room beside the axes."""
+    """Whether the axes leave no room beside them."""
     figure = ax.get_figure(root=True)
     return figure is not None and float(figure.get_size_inches()[0]) < NARROW
 

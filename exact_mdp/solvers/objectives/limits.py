@@ -404,7 +404,7 @@ def _as_one(
     """Return the visits of one policy that earns as much as a mixture."""
     # A vertex of the polytope of visits has one pair for each state, and at most as many further
     # pairs as there are binding limits. With more pairs, some direction changes the visits but not
-    # the totals of the binding limits. Move along it until a pair is no longer taken or another
+    # the totals of the binding limits. Move along it until a pair is not taken any more or another
     # limit binds.
     taken = dict[int, Fraction]()
     for policy, share in shares:

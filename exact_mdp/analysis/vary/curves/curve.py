@@ -331,7 +331,7 @@ def curve(
         The parameter; the others are held fixed.
     ranges : (low, high) or {name: (low, high)}, optional
         The range; by default all values that the parameter may have or, if these are unbounded,
-        today's value ± 100 %. A discount goes up to 1 - 2^-40 if there are no values at 1.
+        today's value ± 100 %. A discount goes up to 1 - 2^-40 if values at 1 do not exist.
     relative : number, optional
         Today's value ± this share instead.
     policy : PolicyLike, optional

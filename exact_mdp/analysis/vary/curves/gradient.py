@@ -110,7 +110,7 @@ class Derivative:
     parameter: Parameter
     left: Slope | None  # None at the lower end of the parameter's range
     right: Slope | None  # None at the upper end
-    elasticity: float | None  # None if there is no single derivative, or the value is 0
+    elasticity: float | None  # None if the two sides differ, or the value is 0
 
     @property
     def value(self) -> Slope | None:
