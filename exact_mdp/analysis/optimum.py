@@ -1,4 +1,4 @@
-"""An optimum by a solver in floating point, by exact arithmetic, or by both, compared.
+"""An optimum by a solver in floating point, by exact arithmetic, or by both, which must agree.
 
 With both, |V_float(s) - V(s)| must be at most the solver's error bound in every state, and the
 proof must pass its checker: otherwise one of the two programs is wrong, and neither is trusted. The

@@ -338,7 +338,7 @@ def _parse_share(name: str, number: object) -> Fraction:
 
 
 def is_share_excluded(share: Fraction, hits: int, misses: int, alpha: Fraction) -> bool:
-    """Return whether E_n(share) ≥ 1/α after so many trials."""
+    """Return whether E_n(share) ≥ 1/α after these trials."""
     top, below, n = share.numerator, share.denominator, hits + misses
     won = comb(2 * hits, hits) * comb(2 * misses, misses) * below**n * alpha.numerator
     fair = comb(n, hits) * 4**n * top**hits * (below - top) ** misses * alpha.denominator

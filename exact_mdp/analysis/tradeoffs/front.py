@@ -5,7 +5,7 @@ finitely many vertices v, each the totals of a deterministic policy, and
 
     H(w) = max over policies of w · totals = max over vertices of w · v,   w ≥ 0, Σ w = 1.
 
-The maximum h over the vertices known so far is a lower bound of H, linear on cells of weights. At
+The maximum h over the vertices known so far is a lower bound on H, linear on cells of weights. At
 each corner of a cell the model is solved with these weights: either H = h there, which a dual
 vector of values proves, or a new vertex is found. If H = h at all corners, then H = h everywhere,
 as H is convex, and each corner between vertices is the normal of an edge or facet. With two totals

@@ -99,7 +99,7 @@ class ConstrainedSolution(TotalsProof):
         The shadow price of each limit: the optimum gains this for each unit by which the limit is
         relaxed. If no policy keeps the limits, the weights that prove it.
     dual : Level
-        Upper bounds of the values of all policies, for the limits weighted by their prices and, if
+        Upper bounds on the values of all policies, for the limits weighted by their prices and, if
         feasible, the reward.
     shift : Fraction
         The least t such that a policy keeps all limits relaxed by t; 0 if feasible.

@@ -1,4 +1,4 @@
-"""The derivative of the start value by every parameter, in one backward and one forward pass.
+"""The derivatives of the start value for all parameters, in one backward and one forward pass.
 
     dV/dθ = Σ_l d(l) c(l),    c(l) = ∂r(l) + γ Σ_s' ∂P(l, s') V(s') + ∂γ Σ_s' P(l, s') V(s')
 
@@ -105,7 +105,7 @@ Slope = Certified | Bounded | Checked
 
 @dataclass(frozen=True, kw_only=True)
 class Derivative:
-    """The left and the right derivative of the start value by one parameter."""
+    """The left and the right derivative of the start value for one parameter."""
 
     parameter: Parameter
     left: Slope | None  # None at the lower end of the parameter's range
@@ -133,7 +133,7 @@ class Derivative:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Gradient(Pictured):
-    """Derivatives of the start value by every parameter."""
+    """Derivatives of the start value for every parameter."""
 
     model: str
     start: Number
@@ -155,7 +155,7 @@ class Gradient(Pictured):
         return self.start.value
 
     def report(self) -> Report:
-        """Return derivatives and elasticities by every parameter."""
+        """Return derivatives and elasticities for every parameter."""
         each = self.derivatives.items()
         exact, errors = dict[str, Any](), dict[str, float]()
         for name, slope in each:
@@ -231,7 +231,7 @@ def gradient(
     names: Iterable[str] | None = None,
     exact: bool | None = None,
 ) -> Gradient:
-    """Return the derivative of the start value by every parameter.
+    """Return the derivative of the start value for every parameter.
 
     Parameters
     ----------
