@@ -26,12 +26,11 @@ from typing import Any, NoReturn, TextIO
 import click
 
 from exact_mdp.analysis.ci import defuse_line
-from exact_mdp.mdp.errors import ModelError, shorten_text, shown_text
+from exact_mdp.mdp.errors import JSON_FORMAT, ModelError, shorten_text, shown_text
 
-DONE, FAILED, REFUSED, BROKEN, PIPE_CLOSED = 0, 1, 2, 3, 141
-# The format of JSON, also in `mdp.report`, whose packages may be missing in a failure.
-FORMAT = 2
+DONE, FAILED, REFUSED, BROKEN = range(4)
 SIGNALS = 128  # added to the number of a signal, as shells do
+PIPE_CLOSED = SIGNALS + 13  # SIGPIPE, a name that Windows lacks
 TRACEBACK = "EXACT_MDP_TRACEBACK"
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 ALSO_CALLED = {"--gamma": "--discount", "--plot": "--html"}
@@ -128,7 +127,7 @@ def run_command(
     print_message(message)
     if "--json" in words:
         parts = {"kind": kind, "what": said.what, "where": said.where, "fix": said.fix}
-        print_message(json.dumps({"format": FORMAT, "status": status, "error": parts}))
+        print_message(json.dumps({"format": JSON_FORMAT, "status": status, "error": parts}))
     if on_error is not None:
         on_error(message)
     return status

@@ -28,11 +28,9 @@ from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import Floats, Integers
 
 MOST_CELLS = 4000  # that a picture has room for
-WIDE = 10  # states in a row where nothing says how many
-MOST_NAMED = 40  # states that are listed by their names, one in a row
+MOST_NAMED = 40  # states that a picture names one by one
 SHORT = 5  # letters of an action's name that fit into a cell
 END = "∎"
-SPARSE = 4  # cells for each state of a map of tuples, at most
 ARROWS = "←↓→↑"
 COMPASS = (("left", "down", "right", "up"), ("west", "south", "east", "north"))
 INITIALS = ("ldru", "wsen")
@@ -157,7 +155,8 @@ def _find_columns(model: MDP) -> Sides:
             sides[name] = part, np.full(space.size, -1)
             place = {value: number for number, value in enumerate(distinct)}
             sides[name][1][inside] = [place[value] for value in own]
-    few = 0 < prod(each.size for each, _ in sides.values()) <= SPARSE * len(tuples)
+    # A map of tuples that leaves more than three of four cells empty says less than a list.
+    few = 0 < prod(each.size for each, _ in sides.values()) <= 4 * len(tuples)
     return sides if few else _columns_of(space)
 
 
@@ -212,7 +211,7 @@ def _lay_out_list(model: MDP) -> Layout:
     states = np.arange(model.n_states)
     names = [name.removeprefix("state ") for name in model.space.labels(states)]
     named = len(states) <= MOST_NAMED and not all(map(str.isdecimal, names))
-    wide = 1 if named else min(len(states), WIDE)
+    wide = 1 if named else min(len(states), 10)
     return Layout(
         row=states // wide,
         column=states % wide,

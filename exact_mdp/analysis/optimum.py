@@ -20,7 +20,7 @@ from exact_mdp.mdp.graph import find_reachable_states, other_question, ways_out
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.choices import state_names
-from exact_mdp.mdp.report import Report, Shown, Table, format_ratio
+from exact_mdp.mdp.report import MOST_LISTED, Report, Shown, Table, format_ratio
 from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.dynamic.base import check_tolerance
@@ -37,7 +37,6 @@ from exact_mdp.solvers.solution import (
 )
 from exact_mdp.solvers.solver import SOLVERS, Criterion, is_average, solve
 
-LISTED = 1000  # states whose actions a report lists
 AnyProof = TypeVar("AnyProof", Certificate, ConstrainedSolution)
 
 
@@ -116,7 +115,7 @@ class Optimum:
             first = {column.label(n): mdp.space.index(status=n) for n in range(column.size)}
             key, reads, where = "policy", "status", " at subtask 0, trial 0"
             chosen = {label: policy[state] for label, state in first.items()}
-        elif mdp.n_states <= LISTED:
+        elif mdp.n_states <= MOST_LISTED:
             chosen = dict(zip(state_names(mdp.space), policy, strict=True))
         facts = {
             "claim": Shown(self.start.claim),
@@ -145,7 +144,7 @@ class Optimum:
             labels = state_names(mdp.space)
             for name, values in (("gain", self.best.value), ("bias", self.best.bias)):
                 listed = dict(zip(labels, values, strict=True))
-                facts[name] = Shown(listed if mdp.n_states <= LISTED else None)
+                facts[name] = Shown(listed if mdp.n_states <= MOST_LISTED else None)
         notes = []
         if np.isinf(float(self.start)):
             notes.append(
@@ -153,7 +152,9 @@ class Optimum:
                 + ways_out(mdp, other_question(mdp))
             )
         columns = {reads: "", "action": "value"}
-        table = Table(title=f"optimal action{where}, by {reads}", columns=columns, first=LISTED)
+        table = Table(
+            title=f"optimal action{where}, by {reads}", columns=columns, first=MOST_LISTED
+        )
         return Report(title="optimum", facts=facts, tables={key: table}, notes=notes)
 
     def save(self, path: str) -> None:

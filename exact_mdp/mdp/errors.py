@@ -32,6 +32,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 # bad file fill the terminal; a shorter one would cut names that people use.
 LONGEST = 1000
 
+JSON_FORMAT = 2  # of reports and errors: it changes if a key changes its meaning or is removed
+
 
 def shown_text(text: str, *, lines: bool = False) -> str:
     r"""Return a text with unsafe characters escaped; `lines` keeps the ends of lines."""

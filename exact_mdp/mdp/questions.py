@@ -32,11 +32,10 @@ from exact_mdp.mdp.errors import ModelError, locate_errors, require_known_name, 
 from exact_mdp.mdp.space import TIME, Column, StateSpace
 from exact_mdp.mdp.table import (
     MOST_BYTES,
-    NARROW,
-    WIDE,
     Integers,
     Numbers,
     OutcomeTable,
+    estimate_outcome_bytes,
     exact,
     make_ones,
     over_groups,
@@ -609,9 +608,8 @@ def _in_columns(model: Parts, over: Flags) -> StateSpace:
 
 def _check_size(table: OutcomeTable, own: int, count: int) -> None:
     """Raise ModelError if the table of one step, repeated `count` times, is too large."""
-    each = NARROW
-    if object in (table.weight.dtype, table.gain.dtype, table.denominator.dtype):
-        each = WIDE
+    kinds = (table.weight.dtype, table.gain.dtype, table.denominator.dtype)
+    each = estimate_outcome_bytes(wide=object in kinds)
     states = own * (count + 1)
     outcomes, pairs = len(table.next) * count + states, table.pairs * count + states
     # Beside the table, an audit was measured to take 20 bytes for each outcome, 250 for each

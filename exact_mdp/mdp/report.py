@@ -28,13 +28,14 @@ from typing import Any
 import flint
 import numpy as np
 
-from exact_mdp.mdp.errors import shown_text
+from exact_mdp.mdp.errors import JSON_FORMAT, shown_text
 from exact_mdp.mdp.table import format_rational
 
-FORMAT = 2  # version of the JSON: it changes if a key changes its meaning or is removed
 # Significant digits of a number in a table: more would show rounding errors, which differ between
 # machines; fewer would hide differences between policies that are nearly as good.
 DIGITS = 10
+MOST_LISTED = 1000  # states, rows or returns that a report lists one by one; files have them all
+FEW_NAMED = 4  # states or actions that a sentence names
 TEMPLATE = Path(__file__).with_suffix(".html.j2")
 
 
@@ -124,7 +125,7 @@ class Report:
 
     def json(self, **more: Any) -> str:
         """Return strict JSON, with its format first."""
-        content = {"format": FORMAT, **self.facts, **more}
+        content = {"format": JSON_FORMAT, **self.facts, **more}
         return json.dumps(to_json_values(content), indent=2, allow_nan=False)
 
     def lines(self) -> dict[str, str]:

@@ -23,11 +23,6 @@ else:  # pandas is loaded by the first function that makes a table
 
 ROWS_SHOWN = 20  # in a notebook
 
-# The text of a result shows the first entries of its parts only.
-_SHORT = Repr()
-_SHORT.maxlevel, _SHORT.maxtuple, _SHORT.maxdict, _SHORT.maxlist = 2, 3, 3, 3
-_SHORT.maxother = _SHORT.maxstring = 120
-
 
 class Brief:
     """A dataclass with read-only arrays, and a text with only their shapes (use `repr=False`)."""
@@ -139,4 +134,9 @@ def frame_to_table(frame: DataFrame, title: str = "", count: int = 0) -> Table:
 def _shorten_value(value: Any) -> str:
     if isinstance(value, np.ndarray):
         return f"array {value.shape}"
-    return _SHORT.repr(value)
+    # The first entries of a part only.
+    short = Repr()
+    short.maxlevel = 2
+    short.maxtuple = short.maxdict = short.maxlist = 3
+    short.maxother = short.maxstring = 120
+    return short.repr(value)

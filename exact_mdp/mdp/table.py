@@ -50,8 +50,8 @@ LARGEST = Fraction(2**1024 - 2**971)  # the largest float
 # Memory of one table, in bytes. A larger one is refused with a message before it is built, rather
 # than left to fill the memory; on a large machine this also refuses some tables that would fit.
 MOST_BYTES = 10 * 10**9
+BLOCK = 2**22  # numbers of an intermediate array in memory at once: 32 MB
 MOST_DIGITS = 4000  # digits of a number given as text: Python itself stops at 4,300
-NARROW, WIDE = 45, 230  # bytes for each outcome, with 64-bit or with Python integers
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -533,6 +533,13 @@ def divide(top: Numbers, bottom: Numbers, counts: Integers | None = None) -> Flo
     except OverflowError as error:
         raise _overflow_error() from error
     return np.array(quotients, dtype=np.float64).reshape(top.shape)
+
+
+def estimate_outcome_bytes(*, wide: bool) -> int:
+    """Return the memory of one outcome in bytes, with 64-bit or with Python integers: measured."""
+    if wide:
+        return 230
+    return 45
 
 
 def concatenate_ranges(first: Numbers, last: Numbers) -> Integers:

@@ -27,7 +27,7 @@ from typing import Any
 from exact_mdp import Estimated, ModelError, evaluate
 from exact_mdp.analysis.record import run_record
 from exact_mdp.mdp.errors import require_extra, require_known_name
-from exact_mdp.mdp.report import format_error_bound
+from exact_mdp.mdp.report import DIGITS, format_error_bound
 from exact_mdp.paper_repro import section_4_1_learning, section_4_1_policies, section_4_2
 from exact_mdp.paper_repro.claim import (
     CLAIMS,
@@ -49,11 +49,8 @@ from exact_mdp.paper_repro.silent_points import (
 )
 
 PARTS = (section_4_1_learning, section_4_1_policies, section_4_2)  # importing them fills CLAIMS
-FULL, QUICK = 400, 100  # training runs of each schedule
 HERE = Path(__file__).parent
 EXPECTED = HERE / "expected.toml"
-WIDE = 100  # characters of a line
-DIGITS = 10  # of the numbers that are written
 
 
 def show_progress(text: str) -> None:
@@ -89,7 +86,9 @@ def as_json(data: object) -> str:
 
 def run_reproduction(out: Path, *, quick: bool, readme: Path | None = None) -> dict[str, Any]:
     """Write everything into `out`, and the report with its figures into `readme`, too."""
-    started, runs = time.perf_counter(), QUICK if quick else FULL
+    started, runs = time.perf_counter(), 400  # training runs of each schedule
+    if quick:
+        runs = 100
     require_matplotlib()
     # This fails here, before any work, if the folder cannot be written to.
     write_file(out / "run.json", as_json({"started": True}))
@@ -248,12 +247,12 @@ def format_claim(name: str, sets: Sequence[str], runs: int) -> str:
 
 def list_claims() -> str:
     """Return all claims with their places, one below the other, and the names of the figures."""
-    lines = []
+    lines, wide = [], 100
     for claim in CLAIMS.values():
-        says = fill(claim.says, WIDE, initial_indent="    ", subsequent_indent="    ")
+        says = fill(claim.says, wide, initial_indent="    ", subsequent_indent="    ")
         lines.append(f"{claim.id} ({', '.join(claim.places)})\n{says}")
     named = [each.name + f" ({each.place})" * bool(each.place) for each in FIGURES.values()]
-    return "\n".join([*lines, fill(f"figures: {', '.join(named)}", WIDE, subsequent_indent="    ")])
+    return "\n".join([*lines, fill(f"figures: {', '.join(named)}", wide, subsequent_indent="    ")])
 
 
 def format_claim_table(results: Mapping[str, Any]) -> str:

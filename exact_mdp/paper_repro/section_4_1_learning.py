@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from exact_mdp import Estimated
-from exact_mdp.analysis.learning.curves import sample_epoch_returns
+from exact_mdp.analysis.learning.curves import EXPERIMENTS, sample_epoch_returns
 from exact_mdp.analysis.vary.intervals import mean_of
 from exact_mdp.paper_repro import drawing
 from exact_mdp.paper_repro.claim import (
@@ -43,7 +43,6 @@ from exact_mdp.solvers.learning.q_learning import QLearning
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FEW = 40  # experiments behind one point of the paper's curves
 NUMBER = {action: number for number, action in enumerate(ACTIONS)}
 
 # ---- learning curves -----------------------------------------------------------------------------
@@ -70,11 +69,11 @@ def schedules_perform_alike(reading: Reading) -> Finding:
     constant, decaying = (reading.train_runs(schedule).converged for schedule in SHOWN)
     apart = float(decaying.mean() - constant.mean())
     error = sqrt(constant.var(ddof=1) / len(constant) + decaying.var(ddof=1) / len(decaying))
-    point = reading.evaluate_policy("optimal").sd / sqrt(FEW)
+    point = reading.evaluate_policy("optimal").sd / sqrt(EXPERIMENTS)
     return judge_statement(
         abs(apart) <= 2 * point,
         f"decaying less constant: {apart:+.2f}; the standard error of one point of the plot "
-        f"({FEW} experiments) is {point:.1f}, and alike means within twice that",
+        f"({EXPERIMENTS} experiments) is {point:.1f}, and alike means within twice that",
         number=Estimated(value=apart, standard_error=error),
         number_is="decaying less constant, in points",
     )

@@ -22,8 +22,6 @@ from exact_mdp.paper_repro.paper import ANGRY
 from exact_mdp.paper_repro.section_3 import compute_losses, optimal_actions
 from exact_mdp.paper_repro.silent_points import Reading
 
-LEVELS = (0.99, 0.95, 0.9, 0.8)  # accuracies of perception, status by status
-
 
 def value_as_perceived(reading: Reading, confusion: np.ndarray) -> float:
     """Return the value of the optimal policy if it acts on a perceived status."""
@@ -114,7 +112,7 @@ def perception_errors(reading: Reading) -> Finding:
     """Despite errors of perception the robot goes on to help effectively."""
     listed = ", ".join(
         f"{level:.0%}: {value_as_perceived(reading, independent([level] * 4, [level] * 4)):.1f}"
-        for level in LEVELS
+        for level in (0.99, 0.95, 0.9, 0.8)  # accuracies of perception, status by status
     )
     return judge_undecided(
         "how often the authors' model errs is not reported. The optimal policy earns "

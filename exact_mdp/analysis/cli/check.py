@@ -27,7 +27,6 @@ from exact_mdp.mdp.errors import require_known_name
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.report import Report, Shown
 
-ON_PAGE = 2000  # disagreements
 AT_THE_TOP = ("passed", "checks")  # of the page
 
 
@@ -209,7 +208,7 @@ def _render_audit_page(audit: Audit, report: Report, model: str, policy: str) ->
         layout=layout,
         cells=build_cells(audit, layout) if layout.cells <= MOST_CELLS else [],
         legend=", ".join(legend),
-        tables=[replace(each, first=ON_PAGE) for each in report.shown_tables()],
+        tables=[replace(each, first=2000) for each in report.shown_tables()],
         notes=[note for note in report.notes if note != ADVICE],  # at the foot of every page
         rerun=shlex.join(["exact-mdp", *list_command_words()]),
     )

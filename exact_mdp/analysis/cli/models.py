@@ -27,10 +27,7 @@ from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.io.files import SMALL, STANDARD_INPUT, read_text, write_atomically
 from exact_mdp.mdp.io.load import read_model
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.report import Report, Shown, Table, format_ratio
-
-NAMED = 1000  # pairs that nobody took, in JSON
-SHOWN = 4  # states of a policy that never ends, and start states, that are printed
+from exact_mdp.mdp.report import FEW_NAMED, MOST_LISTED, Report, Shown, Table, format_ratio
 
 ONE_ACTION = "only one action was ever taken: there is nothing to choose"
 UNUSED = (
@@ -159,7 +156,7 @@ def _never_ends(mdp: MDP, ending: Termination) -> Shown | None:
     if ending.policy is None:
         return None
     trapped, choice = ending.trapped.tolist(), ending.policy
-    policy = {mdp.space.label(s): mdp.actions[choice[s]] for s in trapped[:SHOWN]}
+    policy = {mdp.space.label(s): mdp.actions[choice[s]] for s in trapped[:FEW_NAMED]}
     states = format_first_few(
         (f"{state}: {action}" for state, action in policy.items()), len(trapped)
     )
@@ -169,7 +166,7 @@ def _never_ends(mdp: MDP, ending: Termination) -> Shown | None:
 
 def format_first_few(texts: Iterable[str], count: int) -> str:
     """Return the first few of some texts, and how many more there are."""
-    first = [*islice(texts, SHOWN)]
+    first = [*islice(texts, FEW_NAMED)]
     return "; ".join(first) + (f"; {count - len(first)} more" if count > len(first) else "")
 
 
@@ -238,7 +235,7 @@ def _report_estimate(
         }
         for pair in few[np.argsort(seen[few], kind="stable")].tolist()
     ]
-    named = [f"{label(s)}: {mdp.actions[a]}" for s, a in never[:NAMED].tolist()]
+    named = [f"{label(s)}: {mdp.actions[a]}" for s, a in never[:MOST_LISTED].tolist()]
     unknown = [label(s) for s in np.flatnonzero(cut_off(mdp)).tolist()]
     facts = {
         "written": out,

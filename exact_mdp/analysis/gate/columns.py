@@ -26,18 +26,14 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.arrays import rows_read, space_over
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
-from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.table import BLOCK, Floats, Integers
 from exact_mdp.mdp.validate import Flags, require_count
 from exact_mdp.solvers.bounds.bounds import margin_weights
-from exact_mdp.solvers.bounds.gains import SLACK, first_of, gamma
+from exact_mdp.solvers.bounds.gains import POLICIES, SLACK, first_of, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, policy_chain
 from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.solver import mdp_of
-from exact_mdp.solvers.values.layers import NUMBERS, find_taken_pairs, layers_of
-
-# Policy iterations in one relaxation. The bound is sound wherever they end, as it adds the
-# remaining Bellman residual; the number only guards against a cycle caused by rounding.
-ITERATIONS = 1000
+from exact_mdp.solvers.values.layers import find_taken_pairs, layers_of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -221,7 +217,7 @@ class PolicyRows:
     def evaluate_choices(self, choices: Integers) -> FixedPoint:
         """Return the start values (N,) of policies (N, K)."""
         # Blocks of policies limit the memory for values (S, N).
-        n_parts = -(-len(choices) * self.mdp.n_states // NUMBERS)
+        n_parts = -(-len(choices) * self.mdp.n_states // BLOCK)
         values, errors = [], []
         for part in np.array_split(choices, n_parts):
             taken = find_taken_pairs(self.mdp, self.key, part)
@@ -256,7 +252,8 @@ class Cycles:
         for column, mask in enumerate(allowed.T):
             # Policy iteration, from the policy of the column before, which is often near.
             pairs = np.where(mask[pairs], pairs, first_of(mdp, mask))
-            for _ in range(ITERATIONS):
+            # The bound is sound wherever they end, as it adds the remaining Bellman residual.
+            for _ in range(POLICIES):
                 chain, reward = policy_chain(mdp, pairs)
                 value = LinearSystem(chain, mdp.discount).approximate(reward)
                 q = mdp.reward + mdp.discount * (mdp.transition @ value)

@@ -25,13 +25,11 @@ from exact_mdp.mdp.graph import find_reachable_states
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.arrays import rows_read
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.report import Shown, format_cell
+from exact_mdp.mdp.report import FEW_NAMED, Shown, format_cell
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.solution import Bounded, Certified, SolverError, in_float, subtract_numbers
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-
-LISTED = 4  # actions that a text names in one state
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,7 +124,7 @@ def action_of(chain: PolicyChain, state: int) -> str:
     names = {pair: str(mdp.actions[mdp.pair_action[pair]]) for pair in taken}
     if len(taken) == 1:
         return names[taken[0]]
-    if len(taken) > LISTED:
+    if len(taken) > FEW_NAMED:
         # Many actions: say so if all are equally likely, else name the likeliest.
         if len({f"{weights[pair]:.4g}" for pair in taken}) == 1:
             return f"any of {len(taken)}"
@@ -140,10 +138,10 @@ def format_alternatives(names: Sequence[str]) -> str:
 
 
 def _join_few(texts: Sequence[str], between: str) -> str:
-    """Return some texts joined; of more than `LISTED`, the first few and a count of the others."""
-    if len(texts) <= LISTED:
+    """Return some texts joined; of many, the first few and a count of the others."""
+    if len(texts) <= FEW_NAMED:
         return between.join(texts)
-    named = texts[: LISTED - 1]
+    named = texts[: FEW_NAMED - 1]
     return between.join([*named, f"{len(texts) - len(named)} others"])
 
 

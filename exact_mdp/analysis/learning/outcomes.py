@@ -22,7 +22,7 @@ from exact_mdp.analysis.gate.columns import BestPolicy, best_policy
 from exact_mdp.analysis.vary.intervals import estimate_share, mean_interval
 from exact_mdp.mdp.errors import ModelError, require_list
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.report import Report, Shown, Table, format_number
+from exact_mdp.mdp.report import MOST_LISTED, Report, Shown, Table, format_number
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers.learning.q_learning import TrainingRun
@@ -32,9 +32,7 @@ from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import QUANTILES, evaluate
 from exact_mdp.solvers.values.layers import evaluate_row_policies
 
-CANDIDATES = 5
-LISTED_ROWS = 1000  # policies over more rows are left to files
-SHOWN = 10  # policies in the table
+CANDIDATES = 5  # of a run's last epochs: the policies that were greedy most often
 Interval = tuple[float, float]
 
 
@@ -229,7 +227,7 @@ class Outcomes(Pictured):
                 title="final greedy policies, and where they differ from the first",
                 rows=[each | {"policy": apart_from_usual(each["policy"])} for each in listed],
                 columns={"runs": "count", "value": "value", "regret": "regret", "policy": "policy"},
-                first=SHOWN,
+                first=10,
             ),
             "distinct_in_last": Table(
                 title="how many policies are greedy in the last episodes of a run",
@@ -248,7 +246,7 @@ class Outcomes(Pictured):
 def _name_choices(mdp: MDP, rows: QTableRows, choices: Numbers) -> dict[str, str] | None:
     """Return {row: action}, or None if there are too many rows to list."""
     space = rows.space
-    if space.size > LISTED_ROWS:
+    if space.size > MOST_LISTED:
         return None
     label = space.columns[0].label if len(space.columns) == 1 and not space.extra else space.label
     return {label(row): mdp.actions[action] for row, action in enumerate(choices.tolist())}

@@ -21,6 +21,7 @@ computation is in integers: no rounding decides which shares are excluded.
 
 from __future__ import annotations
 
+import sys
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -49,7 +50,6 @@ from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.solver import mdp_of
 
 GRID = 2**20  # ends of intervals are multiples of 1 / GRID, outwards
-FEW, MOST = 1000, 2**62  # runs needed to fail: beyond the first, logarithms tell how many
 
 Interval = tuple[Fraction, Fraction]
 
@@ -355,12 +355,13 @@ def count_fewest_misses(share: Fraction, alpha: Fraction) -> int:
         return 1
 
     def can_exclude(misses: int) -> bool:
-        if misses < FEW:
+        # Exact integers of this many digits still take less than a millisecond.
+        if misses < 1000:
             return is_share_excluded(share, 0, misses, alpha)
         mixed = special.betaln(misses + 0.5, 0.5) - log(pi)  # C(2m, m) / 4^m
         return bool(mixed - misses * log1p(-float(share)) >= -log(alpha))
 
-    return bisect_left(range(MOST), True, key=can_exclude)
+    return bisect_left(range(sys.maxsize), True, key=can_exclude)
 
 
 def share_intervals(trials: Iterable[bool], alpha: Fraction) -> Iterator[Interval]:

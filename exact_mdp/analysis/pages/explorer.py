@@ -39,11 +39,7 @@ from exact_mdp.mdp.result import DataFrame, Result, frame_to_table
 from exact_mdp.mdp.table import format_rational
 from exact_mdp.mdp.validate import Flags, require_count
 
-GRID = 11  # values of the second parameter
-MOST_GRID = 101
 GROW = "this.style.height=this.contentDocument.documentElement.scrollHeight+20+'px'"
-STEPS = 1000  # of the slider
-HIGH = 860  # pixels of a notebook's frame, which grows to the page's own height where it may
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -93,9 +89,10 @@ class Explorer(Result):
         )
 
     def _repr_html_(self) -> str:
+        # The frame grows to the page's own height where it may.
         return (
             f'<iframe title="{escape(repr(self))}" srcdoc="{escape(self.page())}" '
-            f'style="width:100%;height:{HIGH}px;border:0" onload="{GROW}"></iframe>'
+            f'style="width:100%;height:860px;border:0" onload="{GROW}"></iframe>'
         )
 
 
@@ -105,7 +102,7 @@ def explore(
     ranges: Stated | None = None,
     relative: object | None = None,
     policy: PolicyLike | None = None,
-    n: int = GRID,
+    n: int = 11,
 ) -> Explorer:
     """Return the explorer of one parameter, or of two; in a notebook it shows itself.
 
@@ -146,8 +143,8 @@ def explore(
         raise ModelError(
             f"{len(names)} parameters, or one twice", where="explorer", fix="name one or two"
         )
-    if not 2 <= require_count(n, "n", 2) <= MOST_GRID:
-        raise ModelError(f"{n} values", where="explorer", fix=f"choose from 2 to {MOST_GRID}")
+    if not 2 <= require_count(n, "n", 2) <= 101:
+        raise ModelError(f"{n} values", where="explorer", fix="choose from 2 to 101")
     # The ranges, each of which has to leave room to move.
     family = parametric(model)
     spans = ranges_of(family, names, ranges, relative)
@@ -236,7 +233,7 @@ def _build_page_data(explorer: Explorer) -> dict[str, Any]:
         "parameter": _encode_parameter(first.parameter),
         "low": _encode_rational(first.range.low),
         "high": _encode_rational(first.range.high),
-        "steps": STEPS,
+        "steps": 1000,  # of the slider
         "second": explorer.second and _encode_parameter(explorer.second),
         "grid": [_encode_rational(value) for value in explorer.grid],
         "curves": curves,

@@ -11,6 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
+from exact_mdp.analysis.layout import MOST_NAMED
 from exact_mdp.analysis.perception import ErrorCosts
 from exact_mdp.analysis.plots.style import (
     BLACK,
@@ -35,8 +36,6 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import policy_of
 
-MOST = 40  # states
-FEW = 8  # states up to which all actions are drawn beside the policy's
 MANY = 80  # outcomes above which no graph can be read
 
 
@@ -49,7 +48,7 @@ def plot_transitions(
     Parameters
     ----------
     model : MDP or Scenario
-        Of at most 40 states, with at most 150 outcomes to draw.
+        Of at most 40 states, with at most 80 outcomes to draw.
     policy : PolicyLike, optional
         Its actions are black, others grey; with more than 8 states only its actions are drawn.
     ax : Axes, optional
@@ -68,15 +67,15 @@ def plot_transitions(
     with require_extra("plots"):
         import networkx as nx
     model = mdp_of(model)
-    if model.n_states > MOST:
-        raise _too_much(f"{model.n_states:,} states", f"a model of at most {MOST} states")
+    if model.n_states > MOST_NAMED:
+        raise _too_much(f"{model.n_states:,} states", f"a model of at most {MOST_NAMED} states")
     # The actions of the policy are drawn in black, others in grey, or not at all if there are many.
     chosen = np.zeros(model.n_pairs)
     if policy is not None:
         chosen = policy_of(model, policy).weights(model)
     listed = np.flatnonzero(~model.over[model.pair_state]).tolist()
     plain = not (chosen[listed] > 0).any()
-    few = plain or model.n_states <= FEW
+    few = plain or model.n_states <= 8
     drawn = {pair for pair in listed if few or chosen[pair] > 0}
     count = sum(len(model.table.row(pair)) for pair in drawn)
     if count > MANY:

@@ -29,7 +29,6 @@ from exact_mdp.solvers.values.returns import ReturnDistribution
 from exact_mdp.solvers.values.simulate import Simulation
 
 MEAN: Look = {"color": "black", "linestyle": "--", "linewidth": 1}
-BIN = 20  # epochs that a band of sampled values is drawn over
 
 
 @apply_style
@@ -111,7 +110,8 @@ def plot_learning_curves(
         every = {"mean over a window": curves}
     bands = {}
     for number, (label, curve) in enumerate(every.items()):
-        parts = np.array_split(curve.sampled, max(len(curve.sampled) // BIN, 1))
+        # A band is drawn over every 20 epochs.
+        parts = np.array_split(curve.sampled, max(len(curve.sampled) // 20, 1))
         at = np.linspace(0, len(curve.sampled) - 1, len(parts))
         bands[label] = at, [part.min() for part in parts], [part.max() for part in parts]
         if np.ptp(curve.value) > 0:

@@ -48,11 +48,6 @@ OUTPUT = {
     "regret": "regret of the policy held fixed",
 }
 INKS = (BLACK, *INK)
-MOST_ROWS = 32
-DARK = 0.59  # shade on which a text is white
-MOST_POLICIES = 8  # in a legend
-IN_AN_INCH = 4  # lines of a legend
-STEEP = 50  # times the usual value, beyond which values leave the picture
 
 
 def _with_range(name: str, low: float | Fraction, high: float | Fraction) -> str:
@@ -168,8 +163,9 @@ def plot_value_function(curve: ValueFunction, *, n: int = 33, ax: Axes | None = 
         label = None if number else "another policy becomes optimal"
         ax.axvline(end, color="0.5", linestyle=":", linewidth=1, label=label)
     drawn = np.array([*best, *own])
-    near = drawn[np.abs(drawn) <= STEEP * (float(np.median(np.abs(drawn))) or 1.0)]
-    if len(near) < len(drawn):  # a discount near 1
+    # Next to discount 1, values beyond 50 times the usual one would flatten the others.
+    near = drawn[np.abs(drawn) <= 50 * (float(np.median(np.abs(drawn))) or 1.0)]
+    if len(near) < len(drawn):
         ax.set_ylim(near.min(), near.max())
         ax.plot([], [], " ", label=f"beyond the picture: {drawn[np.abs(drawn).argmax()]:.3g}")
     _mark_today(ax, float(curve.parameter.value), curve.range.low, curve.range.high)
@@ -237,8 +233,9 @@ def plot_two_way(grid: TwoWay, *, ax: Axes | None = None) -> Axes:
     """
     ax, shown = axes_or_new(ax), grid.policy
     x, y = (np.unique(column) for column in grid.table.points.T.astype(float))
-    count, room = int(shown.max()) + 1, IN_AN_INCH * ax.figure.bbox.height / ax.figure.dpi
-    listed = [grid.chosen(number) for number in range(min(count, MOST_POLICIES))]
+    # A legend has room for eight policies, and for four lines in an inch.
+    count, room = int(shown.max()) + 1, 4 * ax.figure.bbox.height / ax.figure.dpi
+    listed = [grid.chosen(number) for number in range(min(count, 8))]
     entries = _describe_policies(listed)
     while len(listed) > 2 and "\n".join(entries).count("\n") > room:
         entries = _describe_policies(listed := listed[:-1])
@@ -393,14 +390,16 @@ def plot_optimal_actions(draws: PSA, *, ax: Axes | None = None) -> Axes:
     >>> len(plot_optimal_actions(draws).get_xticks())
     4
     """
-    ax, share = axes_or_new(ax), draws.probability_optimal()[0][:MOST_ROWS]
+    # 32 rows are two for each status.
+    ax, labels = axes_or_new(ax), draws.labels[:32]
+    share = draws.probability_optimal()[0][: len(labels)]
     # Cells, not one image: it stays sharp at any size.
     ax.pcolormesh(share, vmin=0, vmax=1, cmap="Greys", edgecolors="0.9", linewidth=0.3)
     for (row, column), value in np.ndenumerate(share):
-        look: Look = {"color": "white" if value > DARK else BLACK, "fontsize": 7}
+        look: Look = {"color": "white" if value > 0.59 else BLACK, "fontsize": 7}
         ax.text(column + 0.5, row + 0.5, _format_share(value), ha="center", va="center", **look)
     ax.set_xticks(np.arange(len(draws.actions)) + 0.5, draws.actions)
-    ax.set_yticks(np.arange(len(share)) + 0.5, draws.labels[:MOST_ROWS])
+    ax.set_yticks(np.arange(len(share)) + 0.5, labels)
     ax.tick_params(length=0)
     ax.invert_yaxis()
     y = "status at subtask 0, trial 0" if draws.compiled else "state"

@@ -25,6 +25,7 @@ from exact_mdp.analysis.gate.audit import Audit
 from exact_mdp.analysis.layout import (
     ARROWS,
     MOST_CELLS,
+    MOST_NAMED,
     Layout,
     arrange,
     build_cells,
@@ -53,15 +54,9 @@ from exact_mdp.solvers.solution import Solution
 from exact_mdp.solvers.values.evaluate import Evaluation
 from exact_mdp.solvers.values.policy_chain import policy_of
 
-MOST_TEXTS = 700  # cells that have room for a text
 NUMBERED = 60  # cells that have room for a number, too
-MOST_NAMES = 40  # rows, columns or bars that are named
 MOST_LETTERS = 70  # of names side by side
 LONGEST = 26  # letters of a name beside the axes
-IN_AN_INCH = 7.2  # names that stand upright side by side
-IN_A_CORNER = 12  # letters of a name in a cell
-LETTER, LINE = 0.85, 1.3  # room of a letter and a line, in sizes of the font, a legend beside it
-LEAST_FONT = 3.5  # that can be read
 SHADES = LinearSegmentedColormap.from_list("value", ["#F7FBFF", "#2171B5"])
 LOSSES = LinearSegmentedColormap.from_list("loss", ["#FFF1E8", ORANGE])
 
@@ -153,7 +148,7 @@ def plot_states(
     if policy is not None:
         choices = actions_of(model, policy_of(model, policy).weights(model) > 0)
         texts = [*map(layout.format_actions, choices)]
-    acts = policy is not None and not (layout.listed and model.n_states > MOST_NAMES)
+    acts = policy is not None and not (layout.listed and model.n_states > MOST_NAMED)
     signs = []
     if acts:
         signs = _make_sign_handles(layout)
@@ -300,21 +295,22 @@ def _draw_map(
         ax = plt.subplots(figsize=size, layout="constrained")[1]
     ax.set(xlim=(0, wide), ylim=(high, 0), xlabel=layout.across, ylabel=layout.down)
     for ticks, labels in ((ax.set_xticks, layout.columns), (ax.set_yticks, layout.rows)):
-        step = -(-len(labels) // MOST_NAMES)
+        step = -(-len(labels) // MOST_NAMED)
         ticks(np.arange(0, len(labels), step) + 0.5, shorten_names(labels, LONGEST)[::step])
     if max(map(len, layout.columns)) > 4:
         ax.tick_params(axis="x", rotation=90)
     ax.tick_params(length=0)
     ax.spines[:].set_visible(False)
-    # The size of the text in a cell; 0 if a cell has no room for one.
-    sizes = ((30, 10), (2 * NUMBERED, 8), (MOST_TEXTS, 6 if wide > 20 else 7))
+    # The size of the text in a cell, by the number of cells; 0 if a cell has no room for one.
+    sizes = ((30, 10), (2 * NUMBERED, 8), (700, 6 if wide > 20 else 7))
     font = next((size for most, size in sizes if len(shown) <= most), 0)
     texts = [text.split("\n") for text, _ in shown.values()]
     letters = max(1, *(len(each) for text in texts for each in text))
     deep = max(map(len, texts))
     room = 72 / ax.figure.dpi * np.array([ax.bbox.width / wide / letters, ax.bbox.height / high])
-    font = min(font, *(room / [LETTER, LINE * deep]).tolist())
-    if font < LEAST_FONT:
+    # A letter is 0.85 sizes of the font wide, a line 1.3 high; nobody reads less than 3.5 points.
+    font = min(font, *(room / [0.85, 1.3 * deep]).tolist())
+    if font < 3.5:
         font = 0
     usual: Look = {"fill": WHITE, "ink": BLACK, "hatch": "", "font": font}
     # a frame would cover a cell without a text
@@ -325,7 +321,7 @@ def _draw_map(
         thin = {"linewidth": 0.2}
     listed = layout.named_in_cells
     full = [name.removeprefix("state ") for name in model.space.labels(shown if listed else ())]
-    names = dict(zip(shown, shorten_names(full, IN_A_CORNER), strict=False))
+    names = dict(zip(shown, shorten_names(full, 12), strict=False))  # 12 letters fit into a corner
     for state, (text, own) in shown.items():
         look = usual | {"edgecolor": BLACK} | own | thin
         x, y = int(layout.column[state]), int(layout.row[state])
@@ -388,7 +384,8 @@ def _draw_state_bars(ax: Axes, model: MDP, values: Floats, texts: list[str], lab
     names = [name.removeprefix("state ") for name in model.space.labels(range(count))]
     names = shorten_names(names, LONGEST)
     wide = ax.bbox.width / ax.figure.dpi
-    step = -(-count // min(MOST_NAMES, max(1, int(IN_AN_INCH * wide))))
+    # An inch has room for seven names that stand upright.
+    step = -(-count // min(MOST_NAMED, max(1, int(7.2 * wide))))
     upright = len("  ".join(names[::step])) > MOST_LETTERS
     ax.set_xticks(range(0, count, step), names[::step], rotation=90 if upright else 0)
     turned = 0
@@ -397,10 +394,10 @@ def _draw_state_bars(ax: Axes, model: MDP, values: Floats, texts: list[str], lab
     # An infinite value has no bar: write it.
     for state in np.flatnonzero(~np.isfinite(values)):
         texts[state] += f"\n{values[state]:g}"
-    if count <= MOST_NAMES:
+    if count <= MOST_NAMED:
         shown = ["" if over else text for over, text in zip(model.over, texts, strict=True)]
         ax.bar_label(bars, shown, padding=2, fontsize=8, rotation=turned)
     ax.axhline(0, color=BLACK, linewidth=0.8)
-    ax.margins(x=0.01, y=0.3 if turned and count <= MOST_NAMES else 0.12)
+    ax.margins(x=0.01, y=0.3 if turned and count <= MOST_NAMED else 0.12)
     ax.set(xlabel="state", ylabel=label)
     return ax

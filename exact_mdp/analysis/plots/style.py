@@ -26,7 +26,6 @@ PALETTE = ("#FFFFFF", "#F0E442", "#56B4E9", "#D55E00", "#009E73", "#CC79A7", "#0
 HATCHES = ("", "...", "//", "", "xx", "\\\\", "++", "")
 LINES = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (1, 3)))
 MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")
-NARROW = 4.8  # inches
 WHITE, BLUE, ORANGE, BLACK = PALETTE[0], PALETTE[2], PALETTE[3], "#000000"
 INK = (PALETTE[6], PALETTE[3], PALETTE[4], PALETTE[7], PALETTE[5], "#8C6D1F")
 LOW: Look = {"color": WHITE, "hatch": ""}  # the looks of two kinds of bars
@@ -148,9 +147,9 @@ def label_axes(
 
 
 def is_narrow(ax: Axes) -> bool:
-    """Whether the axes leave no room beside them."""
+    """Whether the axes leave no room beside them: figures below 4.8 inches."""
     figure = ax.get_figure(root=True)
-    return figure is not None and float(figure.get_size_inches()[0]) < NARROW
+    return figure is not None and float(figure.get_size_inches()[0]) < 4.8
 
 
 def make_swatch(label: str, look: Look) -> Patch:

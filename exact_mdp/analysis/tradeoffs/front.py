@@ -51,10 +51,6 @@ from exact_mdp.solvers.values.policy_chain import flow_of
 
 Weights = tuple[int, ...]
 
-# The largest strongly connected component, in states: a front of two totals then takes a minute or
-# two, as its fractions become very long.
-LONGEST = 200
-
 
 @dataclass(frozen=True, kw_only=True)
 class Edge:
@@ -254,7 +250,8 @@ def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
     own = of.rows.pair_state[of.rows.pair]
     moves = sp.csr_array((np.ones(len(own)), (own, of.rows.next)), (of.mdp.n_states,) * 2)
     longest = int(np.bincount(strong_components(moves)).max())
-    if longest > LONGEST:
+    # With 200 such states, a front of two totals takes a minute or two.
+    if longest > 200:
         raise ModelError(
             f"{longest:,} states lead to each other, which makes the fractions of a front very "
             "long",

@@ -24,13 +24,12 @@ import numpy as np
 from exact_mdp.analysis.vary.intervals import MeanLoss, mean_loss, mean_of
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.dynamic.base import RELATIVE_TOLERANCE
 from exact_mdp.solvers.solution import Estimated
 
-MOST_TERMS = 400  # columns of a regression, whose cost grows with their square
 FEWEST = 20  # draws of a regression
 # The draws that a regression uses: with more of them, its own error is far below sampling error.
 REGRESSED = 20_000
-ROUNDED = 1e-9  # relative; smaller differences may be rounding
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -111,17 +110,17 @@ def estimate_evppi(values: Floats, draws: Floats, names: tuple[str, ...]) -> Par
     value, missed = min(promised, most), total / count
     apart, astray = value - lower.value, promised - own.value
     # The limits, in standard errors, were chosen so that the intervals cover as the module's head
-    # says; no estimate depends on them.
+    # says; no estimate depends on them. Values are known up to the tolerance of the solvers.
     sure, doubts = own.standard_error, []
     if (sure > 0 and abs(apart) > sure) or lower.value < value / 2:
         doubts.append("the fit's choices earn less or more in draws that it has not seen")
     if sure > 0 and abs(astray) > 0.5 * sure:
         doubts.append("the fit promises less or more than its choices earn")
-    if surprising and missed > max(0.1 * sure, ROUNDED * value):
+    if surprising and missed > max(0.1 * sure, RELATIVE_TOLERANCE * value):
         doubts.append("the fit misses a pattern along a parameter")
     if carried.few:
         doubts.append(f"few draws carry it: {carried.carried:.0f}")
-    if promised > most * (1 + ROUNDED):
+    if promised > most * (1 + RELATIVE_TOLERANCE):
         doubts.append("cut at EVPI of the candidates")
     if not value:
         doubts = ["the fit changes the choice in no draw"]
@@ -179,8 +178,9 @@ def _build_spline_basis(draws: Floats) -> Floats:
     count, known = draws.shape
     # Cubic splines with about D^(1/5) knots balance bias and noise of a smooth function; fewer, if
     # the basis would have more than a tenth as many columns as draws.
-    knots = round(count**0.2)
-    while known * (knots + 3) + 1 > min(MOST_TERMS, count // 10) and knots > 0:
+    # 400 columns are enough: the cost grows with their square.
+    knots, most = round(count**0.2), min(400, count // 10)
+    while known * (knots + 3) + 1 > most and knots > 0:
         knots -= 1
     scaled = (draws - draws.mean(axis=0)) / draws.std(axis=0)
     columns = [np.ones(count)]
@@ -193,7 +193,7 @@ def _build_spline_basis(draws: Floats) -> Floats:
             beyond = np.maximum(x - place, 0.0)
             columns.append(beyond * beyond * beyond)
     pairs = list(combinations(range(known), 2))
-    if len(columns) + len(pairs) <= min(MOST_TERMS, count // 10):
+    if len(columns) + len(pairs) <= most:
         columns += [scaled[:, i] * scaled[:, j] for i, j in pairs]
     return np.column_stack(columns)
 

@@ -30,8 +30,6 @@ from exact_mdp.mdp.table import Floats, exact
 from exact_mdp.solvers.solution import NORMAL, Estimated
 
 SURE = 0.975  # the probability with which each end is beyond a quantile: 95 % for both
-FEW = 50.0  # draws that carry a mean: with fewer, its interval may be too short
-QUANTILES = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +54,7 @@ class MeanLoss(Ranged):
     @property
     def few(self) -> bool:
         """Whether so few draws carry the mean that the interval may be too short."""
-        return self.carried < FEW
+        return self.carried < 50
 
 
 def confidence_of(given: object) -> Fraction:
@@ -155,7 +153,7 @@ def tolerances_of(regrets: Sequence[Floats], count: int = 51) -> Floats:
 
 
 def estimate_quantiles(
-    values: Floats, probabilities: Sequence[float] = QUANTILES
+    values: Floats, probabilities: Sequence[float] = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 ) -> list[dict[str, float]]:
     """Return quantiles of a sample with 95 % intervals between order statistics.
 

@@ -59,10 +59,9 @@ from exact_mdp.mdp.validate import RNG, Flags, require_count, seed_of
 from exact_mdp.solvers.parallel import How, seed_blocks
 from exact_mdp.solvers.solution import Bounded, Estimated
 
-# The search for candidates: more of them would narrow EVPI, at the cost of one evaluation of all
-# draws for each candidate, and of some draws for each policy of the pool.
-POOL = 24  # policies that are considered
-CANDIDATES = 6  # policies that are kept, besides the given one and today's optimum
+# Policies that are considered as candidates: more of them would narrow EVPI, at the cost of one
+# evaluation of some draws for each.
+POOL = 24
 LISTED = 16  # rows of a table
 HELD, TODAY = "policy", "optimum today"
 MISSING = "EVPI among the candidates is below the lower end of EVPI"
@@ -537,7 +536,8 @@ def _select_policies(
     others = [draws.solver.hold_policy(row) for row in rows[pool]]
     total, some = float(left.sum()), np.sort(np.argsort(-left, kind="stable")[: draws.solver.pool])
     values = sign * draws.solver.evaluate_policies(table.points[some], others)["value"]
-    for count in range(1, CANDIDATES + 1):
+    # At most six are kept, beside the given one and today's optimum.
+    for count in range(1, 7):
         best = (sign * table.fixed[some]).max(axis=1)
         seen = np.maximum(values - best[:, None], 0.0).sum(axis=0)
         by_loss = np.bincount(which, weights=compute_losses(), minlength=len(rows))

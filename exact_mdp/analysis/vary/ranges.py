@@ -23,9 +23,6 @@ from exact_mdp.mdp.table import FLOAT_RANGE, exact, format_beside_limits, format
 from exact_mdp.solvers.solution import warn_at_caller
 
 RELATIVE = Fraction(1, 5)  # of today's value; every result states its ranges
-# Steps towards today's value from an end without a model: 2^-40 of the way is less than 10^-12 of
-# the range, and leaves no range.
-HALVINGS = 40
 
 
 def unit_of(parameter: Parameter) -> str:
@@ -139,7 +136,8 @@ def restrict_range(model: Parametric, parameter: Parameter, span: Range) -> Rang
 
     def find_end(end: Fraction) -> Fraction:
         """Return the end, moved towards today's value until the model has values."""
-        for halvings in range(HALVINGS):
+        # 2^-40 of the way is less than 10^-12 of the range, and leaves no range.
+        for halvings in range(40):
             moved: Fraction = today + (end - today) / 2**halvings
             if moved == today or has_values(moved):
                 return moved

@@ -42,8 +42,6 @@ from exact_mdp.solvers.parallel import How
 from exact_mdp.solvers.solution import NORMAL
 
 OUTPUTS = ("optimal", "fixed", "regret")
-# Bootstrap resamples, which give a standard deviation to within 5 %, 1 / √(2 · 200).
-RESAMPLES = 200
 TITLES = {
     "optimal": "the start value, policy re-optimised",
     "regret": "the regret of the policy held fixed",
@@ -223,7 +221,8 @@ def sobol(
     how = How(n_jobs=n_jobs, folder=folder, progress=progress)
     draws = _build_design(list(spans.values()), n, default_rng(spawn_child_seed(seed, 0)))
     table = study(family, dict(zip((p.name for p in spans), draws.T, strict=True)), [policy], **how)
-    resamples = default_rng(spawn_child_seed(seed, 1)).integers(n, size=(RESAMPLES, n))
+    # 200 bootstrap resamples give a standard deviation to within 5 %, 1 / √(2 · 200).
+    resamples = default_rng(spawn_child_seed(seed, 1)).integers(n, size=(200, n))
     # A regret within two error bounds counts as 0, and may be off by as much again.
     noise = 6 * float(table.error.max())
     every = (table.optimal, table.fixed, table.regret)

@@ -29,21 +29,18 @@ from exact_mdp.mdp.care.tables import SKIP
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import (
+    BLOCK,
     EXACT_IN_INT64,
     MOST_BYTES,
-    NARROW,
-    WIDE,
     Integers,
     Numbers,
     OutcomeTable,
     concatenate_ranges,
+    estimate_outcome_bytes,
     find_magnitude,
     multiply,
     to_integer_array,
 )
-
-# Entries of a product in memory at once: fewer make more passes, more take more memory.
-ENTRIES = 2**20
 
 Rows = dict[str, NDArray[Any]]
 """Rows of a block: their lengths, and columns of an outcome table by name."""
@@ -158,7 +155,7 @@ class SubtaskBlock:
         gain, event = np.concatenate(gains, axis=1)[:, order], kind[order].astype(np.uint8)
         amount = self._compute_components(laws, bottom, place, flag, tries, skips)
         # The weights, for as many present vectors at a time as memory allows.
-        each = max(1, ENTRIES // (actions * len(states)))
+        each = max(1, BLOCK // (actions * len(states)))
         parts = []
         for begin in range(0, len(laws), each):
             some = slice(begin, begin + each)
@@ -233,9 +230,7 @@ def check_explicit(laws: Laws) -> None:
     """Raise ModelError if the explicit model would be too large."""
     rules = laws.rules
     outcomes, denominator = estimate_size(laws)
-    each = WIDE
-    if denominator < EXACT_IN_INT64:
-        each = NARROW
+    each = estimate_outcome_bytes(wide=denominator >= EXACT_IN_INT64)
     if outcomes * each > MOST_BYTES:
         states = len(rules.places) * rules.trials * rules.vectors
         raise ModelError(

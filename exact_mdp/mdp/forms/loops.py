@@ -23,9 +23,6 @@ from exact_mdp.mdp.forms.rows import (
     Numbers,
 )
 
-# Longest row that is sorted by counting: the work is quadratic in the length, so a general
-# sort is faster for long rows.
-COMPARED = 128
 TWO = int(np.float64(2).view(np.int64))  # the bits of 2.0
 
 
@@ -169,7 +166,8 @@ def copy_block(
         for i in range(begin + 1, end):
             falls += np.int64(indices[unsigned_index(i)] <= indices[unsigned_index(i - 1)])
         if falls > 0:
-            if end - begin > COMPARED:
+            # The work is quadratic in the length: a general sort is faster for long rows.
+            if end - begin > 128:
                 return False
             places = np.int64(0)
             for i in unsigned_range(begin, end):

@@ -41,10 +41,9 @@ Numbers = NDArray[Any]
 WHOLE = 2**6 * 3**2 * 5**6 * 7  # the common denominator of fractions that people write
 FLOAT_ROW_TOLERANCE = 1e-9  # a row of LONG floats may miss 1 by 2^22 roundings, which are 5e-10
 NEXT = 2.0**-52  # the neighbours of a float x are at most NEXT * x away
-SINGLE = 2.0**-24  # single precision rounds x by at most SINGLE * x
-# Sums of rows are exact in integers: multiples of COARSE, and of a finer unit, 2^FINEST or more.
+# Sums of rows are exact in integers, multiples of COARSE and of a finer unit: see `fine_unit`.
 # Longer rows than LONG are added up by `math.fsum`.
-COARSE, FINEST, LONG = 2.0**-40, -93, 2**22
+COARSE, LONG = 2.0**-40, 2**22
 
 
 def rationalize_row(row: Sequence[Fraction | float]) -> list[Fraction | float]:
@@ -122,7 +121,8 @@ def put_right(weight: Numbers, offsets: Integers) -> Numbers:
     with np.errstate(over="ignore", invalid="ignore"):
         # Rows that miss 1 by more than double precision would, but not more than single precision.
         total = np.bincount(row, right, len(lengths))  # NaN if a number is exact
-        rounding = np.minimum((lengths + 1) * SINGLE, 0.5)
+        # Single precision rounds x by at most 2^-24 x.
+        rounding = np.minimum((lengths + 1) * 2.0**-24, 0.5)
         off = np.abs(total - 1)
         single = (off > FLOAT_ROW_TOLERANCE) & (off <= rounding / (1 - rounding))
         if single.any():
@@ -245,8 +245,9 @@ def fine_unit(longest: int) -> float:
 
     A remainder is at most 2^-41, so the sum of `longest` remainders is below 2^62 units, and each
     adds an error of at most half a unit. Rounding the sum to a float does not add a larger error.
+    At 2^-93 a remainder has 52 digits: a finer unit would bring nothing.
     """
-    return float(2.0 ** max(FINEST, longest.bit_length() - 103))
+    return float(2.0 ** max(-93, longest.bit_length() - 103))
 
 
 def to_dyadic_integers(values: Numbers, offsets: Integers) -> tuple[Numbers, Numbers]:

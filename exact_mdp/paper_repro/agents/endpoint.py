@@ -28,8 +28,6 @@ from exact_mdp import ModelError
 from exact_mdp.mdp.errors import require_extra
 from exact_mdp.paper_repro.agents.texts import Request
 
-AGAIN = (408, 409, 429, 500, 502, 503, 504)
-LONGEST_WAIT = 60.0
 MOST_BYTES = 4_000_000
 LONGEST_TEXT = 1200  # characters of a text in an answer
 SHAPES = ("json_schema", "json_object", "none")
@@ -98,7 +96,7 @@ class Endpoint:
             except Transient as error:
                 last = str(error)
                 if attempt + 1 < self.tries:
-                    self.sleep(min(max(2.0**attempt, error.wait), LONGEST_WAIT))
+                    self.sleep(min(max(2.0**attempt, error.wait), 60.0))
         raise BackendError(
             f"no answer in {self.tries} attempts; the last one: {last}",
             where=f"{self.base_url}, {request.purpose}",
@@ -109,7 +107,8 @@ class Endpoint:
     def _request_once(self, request: Request, fault: str, attempt: int) -> dict[str, Any]:
         key = self._read_key()
         status, wait, data = self._send_in_thread(self._build_body(request, fault, attempt), key)
-        if status in AGAIN:
+        # A timeout, a conflict, too many requests or a failing server: another attempt may succeed.
+        if status in (408, 409, 429, 500, 502, 503, 504):
             raise Transient(f"HTTP status {status}", wait)
         if status != 200:
             raise BackendError(

@@ -23,11 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.forms import threads
+from exact_mdp.mdp.forms.rows import NEXT
 from exact_mdp.mdp.model import MDP, cache_on_model
 from exact_mdp.mdp.table import COMPILED, Floats, Integers, OutcomeTable
 from exact_mdp.solvers.solution import SolverError, Status
 
-UNIT = 2.0**-53  # half of the distance from 1 to the next float
+UNIT = NEXT / 2  # half of the distance from 1 to the next float
 TINY = 2.0**-1000  # above the underflow of a product, 2⁻¹⁰⁷⁵, times any factor that follows
 POLICIES = 1000  # the most steps of policy iteration in floats; a few dozen are usual
 SLACK = 1 + 2.0**-20  # makes up for the rounding of a bound: a sum of up to 2³⁰ positive terms

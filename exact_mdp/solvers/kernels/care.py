@@ -11,10 +11,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from exact_mdp.mdp.care.laws import fill_joint_distribution
+from exact_mdp.mdp.care.rules import COMPLETE, FAIL, SKIPPED
 from exact_mdp.mdp.forms.compiling import compile_loop, inline_loop
 from exact_mdp.mdp.table import Floats, Numbers
-
-COMPLETE, FAIL, SKIPPED = 0, 1, 2  # as in `mdp.care.rules`
 
 
 class CareDraws(NamedTuple):

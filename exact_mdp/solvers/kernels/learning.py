@@ -19,10 +19,8 @@ from exact_mdp.mdp.forms.compiling import compile_loop, inline_loop, unsigned_in
 from exact_mdp.mdp.table import Floats, Numbers
 
 # In the order of METHODS and TIES in `solvers.learning.q_learning`.
-Q_LEARNING, SARSA, EXPECTED_SARSA, DOUBLE_Q = 0, 1, 2, 3
-FIRST, LAST, RANDOM = 0, 1, 2
-
-DOUBLE = 2.0**-53  # scales 53 random bits to [0, 1)
+Q_LEARNING, SARSA, EXPECTED_SARSA, DOUBLE_Q = range(4)
+FIRST, LAST, RANDOM = range(3)
 
 
 class SamplingTables(NamedTuple):
@@ -103,7 +101,8 @@ def sample_uniform(rng: Numbers) -> float:
     rng[1] = b ^ c
     rng[2] = c ^ (b << np.uint64(17))
     rng[3] = (d << np.uint64(45)) | (d >> np.uint64(19))
-    return np.float64(np.int64(drawn >> np.uint64(11))) * DOUBLE
+    # Its upper 53 bits, scaled to [0, 1).
+    return np.float64(np.int64(drawn >> np.uint64(11))) * 2.0**-53
 
 
 @inline_loop

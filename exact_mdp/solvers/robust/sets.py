@@ -26,11 +26,9 @@ from numpy.typing import NDArray
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.forms.numbers import float_array
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, exact, format_rational
+from exact_mdp.mdp.table import BLOCK, FLOAT_ROW_TOLERANCE, Floats, Integers, exact, format_rational
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.solution import SolverError, Status
-
-ROOM = 2**22  # outcomes in one block, which limits the memory of intermediate arrays
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -250,7 +248,7 @@ def side_by_side(
     width = 2 ** np.ceil(np.log2(length)).astype(np.int64)
     for n in np.unique(width).tolist():
         alike, column = np.flatnonzero(width == n), np.arange(n)
-        for place in np.array_split(alike, -(-len(alike) * n // ROOM)):
+        for place in np.array_split(alike, -(-len(alike) * n // BLOCK)):
             filled = column >= length[place][:, None]
             outcome = start[place][:, None] + np.where(filled, 0, column)
             p = np.where(filled, 0.0, probability[outcome])

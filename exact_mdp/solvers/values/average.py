@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from exact_mdp.mdp.report import Report, Shown, Table
+from exact_mdp.mdp.report import MOST_LISTED, Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.linear import FixedPoint
@@ -25,8 +25,6 @@ from exact_mdp.solvers.values.policy_chain import (
     is_too_inaccurate,
     round_fractions,
 )
-
-LISTED = 1000  # states up to which a report lists each; `frame` has them all
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -62,7 +60,7 @@ class AverageEvaluation(OfPolicy, Result):
         """Return gain and components, and gain, bias and share of time of each state."""
         frame, parts = self.frame(), self.components
         by_state = None
-        if self.mdp.n_states <= LISTED:
+        if self.mdp.n_states <= MOST_LISTED:
             by_state = frame.set_index("state").to_dict("index")
         facts = {
             "claim": Shown(self.claim),

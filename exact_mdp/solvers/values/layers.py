@@ -16,14 +16,12 @@ import scipy.sparse as sp
 from exact_mdp.mdp.graph import find_reachable_states, topological_levels
 from exact_mdp.mdp.model import MDP, cache_on_model
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.table import Floats, Integers, Numbers, concatenate_ranges
+from exact_mdp.mdp.table import BLOCK, Floats, Integers, Numbers, concatenate_ranges
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.learning.sampler import QTableRows
 from exact_mdp.solvers.values.evaluate import evaluate
-
-NUMBERS = 2**22  # entries of a table over states and policies: 32 megabytes
 
 
 class Layers:
@@ -114,7 +112,7 @@ def evaluate_row_policies(mdp: MDP, rows: QTableRows, policies: Numbers) -> Fixe
     layers, start = layers_of(mdp), mdp.start_distribution
     # In parts of limited memory: values V, and W for the error bound.
     value, size = np.empty((2, len(policies)))
-    part = max(1, NUMBERS // mdp.n_states)
+    part = max(1, BLOCK // mdp.n_states)
     for first in range(0, len(policies), part):
         here = slice(first, first + part)
         pairs = find_taken_pairs(mdp, rows.key, policies[here])

@@ -69,8 +69,6 @@ from exact_mdp.solvers.objectives.totals import OccupancyMeasure
 from exact_mdp.solvers.solution import SolverError, Status, Valued
 from exact_mdp.solvers.solver import Criterion, solve
 
-HALF = 2.0**-26  # the relative error of a float that has half of its 53 binary digits right
-
 
 def policy_of(
     model: MDP,
@@ -574,7 +572,8 @@ class PolicyEquations:
 
 def is_too_inaccurate(point: FixedPoint, mdp: MDP) -> bool:
     """Return whether fewer than half of the digits are sure, in a model small enough for more."""
-    return mdp.n_states <= FEW and point.error.max() > HALF * np.abs(point.value).max()
+    # A float with half of its 53 binary digits right has a relative error of 2^-26.
+    return mdp.n_states <= FEW and point.error.max() > 2.0**-26 * np.abs(point.value).max()
 
 
 @contextmanager

@@ -32,7 +32,14 @@ from exact_mdp.mdp.components import require_amounts
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.report import Report, Shown, Table, format_decimal, format_error_bound
+from exact_mdp.mdp.report import (
+    MOST_LISTED,
+    Report,
+    Shown,
+    Table,
+    format_decimal,
+    format_error_bound,
+)
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, Numbers, exact, format_rational, multiply, to_integer_array
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
@@ -40,9 +47,6 @@ from exact_mdp.solvers.solution import Claim, in_float
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain, split_infinite_returns
 from exact_mdp.solvers.values.return_mass import MassFlow
-
-WIDE = 2**31  # a return adds up fewer than 2³² smaller multiples, so that 64 bits hold it
-LISTED = 1000  # returns shown in a report; more can be read in `frame`
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -229,7 +233,7 @@ class ReturnDistribution(Pictured):
             for (value, chance), most in zip(law.items(), below, strict=True)
         ]
         columns = {"return": "return", "probability": "chance", "at most that": "sum"}
-        table = Table(title="distribution", rows=rows, columns=columns, first=LISTED)
+        table = Table(title="distribution", rows=rows, columns=columns, first=MOST_LISTED)
         return Report(
             title="distribution of the return", facts=facts, tables={"distribution": table}
         )
@@ -354,7 +358,7 @@ def _find_lattice(chain: PolicyChain) -> tuple[Numbers, Fraction]:
     used = chain.reached[chain.source] & ~chain.mdp.terminal[chain.source]
     step = max(int(np.gcd.reduce(scaled[used])), 1)
     multiples = scaled // step
-    # Sums of wide multiples may exceed 64 bits: Python's integers do not overflow.
-    if np.abs(multiples).max() >= WIDE:
+    # A return adds up fewer than 2³² multiples, so that 64 bits hold it if all are below 2³¹.
+    if np.abs(multiples).max() >= 2**31:
         multiples = multiples.astype(object)
     return multiples, Fraction(step, whole)

@@ -31,7 +31,6 @@ from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain, split_infinite_returns
 
 MOST_STEPS = 10**8  # of an episode that need not end: minutes of work
-NEGLIGIBLE = 1e-12  # part of the greatest return after which an episode is cut off
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -216,11 +215,12 @@ def simulate(
     missing = float(1 - mdp.discount_exact)
     limit = horizon
     if limit is None and missing:
-        # The greatest return is size / (1 - γ); rewards after t steps add at most γ^t of it.
+        # The greatest return is size / (1 - γ); rewards after t steps add at most γ^t of it, and
+        # 1e-12 is less than any sample can show.
         if missing == 1:
             limit = 1
         else:
-            limit = ceil(log(NEGLIGIBLE) / log1p(-missing))
+            limit = ceil(log(1e-12) / log1p(-missing))
         if limit > MOST_STEPS and not chain.ends_from_start:
             raise ModelError(
                 f"episodes need not end, and at discount {mdp.discount:.12g} their first "

@@ -51,7 +51,7 @@ def test_last_trials_of_statuses_with_weights_of_their_own(
     assert (denominator >= 2**62) == (base != F(1, 3))
     check_own(scenario, range(0, table.pairs - 1, 1 if statuses == 3 else 37))
     assert len(table.next) <= outcomes
-    monkeypatch.setattr(blocks, "ENTRIES", 1)
+    monkeypatch.setattr(blocks, "BLOCK", 1)
     parts = weighted(statuses, same=same, base=base).compile().table
     for field in fields(OutcomeTable):
         assert np.array_equal(getattr(table, field.name), getattr(parts, field.name)), field.name

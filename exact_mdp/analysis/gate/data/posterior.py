@@ -30,14 +30,13 @@ from exact_mdp.analysis.gate.data.interval import (
 from exact_mdp.analysis.vary.intervals import estimate_quantiles, require_draws, upper_quantile
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, exact, format_rational
+from exact_mdp.mdp.table import BLOCK, Floats, exact, format_rational
 from exact_mdp.mdp.validate import RNG, require_count, seed_of
 from exact_mdp.solvers.batch import Batch
 from exact_mdp.solvers.bounds.gains import SLACK, gamma
 from exact_mdp.solvers.parallel import Arrays, join_blocks, run_pieces, seed_blocks
 from exact_mdp.solvers.solution import compute_regrets
 
-ROOM = 2**22  # numbers (draws x pairs x states) that are worked on at once, of 8 bytes each
 MOST_ROOM = 10**8  # numbers of one draw, which take about a gigabyte
 
 
@@ -228,7 +227,7 @@ def _sample_regrets(
 ) -> Arrays:
     """Draw and solve one piece of the models, as many at once as memory allows."""
     sequence, count = piece
-    rng, size = np.random.default_rng(sequence), max(1, ROOM // mdp.n_pairs // mdp.n_states)
+    rng, size = np.random.default_rng(sequence), max(1, BLOCK // mdp.n_pairs // mdp.n_states)
     regrets = []
     for done in range(0, count, size):
         models = sample_models(mdp, known, prior, rng, min(size, count - done))

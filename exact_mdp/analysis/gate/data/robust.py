@@ -45,9 +45,6 @@ from exact_mdp.solvers.bounds.gains import SLACK, UNIT, first_of
 from exact_mdp.solvers.bounds.linear import LinearSystem
 from exact_mdp.solvers.solution import Claim
 
-# Steps of the search, below discount 1 and at it. Bounds hold wherever it ends, and are wider if it
-# ends early: below discount 1 a step solves a linear system, at discount 1 it is a single sweep.
-IMPROVEMENTS, SWEEPS = 50, 1000
 Sides = Floats  # (2, S) bounds from below and from above
 
 
@@ -345,7 +342,12 @@ class Operators:
         left = float(1 - mdp.discount_exact)
         # Stop once a step moves less than 1e-10 of the range: the bounds stay sound.
         scale = 1e-10 * (self.ends[1] - self.ends[0])
-        for _ in range(IMPROVEMENTS if left else SWEEPS):
+        # Bounds hold wherever the search ends, and are wider if it ends early: below discount 1 a
+        # step solves a linear system, at discount 1 it is a single sweep.
+        steps = 50
+        if not left:
+            steps = 1000
+        for _ in range(steps):
             after = self.apply_operator(value, most=most, **of)
             if left:
                 # v + e / (1 - γ) is a bound if T v ≤ v + e. The next v solves the linear piece of

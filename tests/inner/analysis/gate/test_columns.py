@@ -170,7 +170,7 @@ def test_values_of_choices_hold_the_exact_ones(
     cyclic: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for numbers in (2**22, 5, 1):
-        monkeypatch.setattr(module, "NUMBERS", numbers)
+        monkeypatch.setattr(module, "BLOCK", numbers)
         for seed in range(3):
             mdp = in_columns(seed, cyclic=cyclic)
             rows = PolicyRows(mdp, ("time",))
@@ -206,7 +206,7 @@ def test_cycles_do_what_layers_do() -> None:
 
 def test_what_a_search_of_few_rounds_leaves_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever the policies that it ends with, max Q is no further from V than it says."""
-    monkeypatch.setattr(module, "ITERATIONS", 1)
+    monkeypatch.setattr(module, "POLICIES", 1)
     for seed in range(6):
         mdp = in_columns(seed, cyclic=True)
         value, q, apart = Cycles(mdp).solve_allowed(np.ones((mdp.n_pairs, 1), dtype=bool))

@@ -10,7 +10,6 @@ from scipy import stats
 from exact_mdp import MDP, Family, ModelError, sobol
 from exact_mdp.analysis.vary.ranges import Range
 from exact_mdp.analysis.vary.sobol import (
-    RESAMPLES,
     _build_design,
     _compute_indices,
     _estimate_indices,
@@ -152,14 +151,13 @@ def test_a_model_is_solved_at_each_point_of_the_design() -> None:
     y, x, z = points.T
     values = {"optimal": np.maximum(x + y * z, z), "fixed": z,
               "regret": np.maximum(x + y * z - z, 0)}  # fmt: skip
-    resamples = np.random.default_rng(child[1]).integers(n, size=(RESAMPLES, n))
+    resamples = np.random.default_rng(child[1]).integers(n, size=(200, n))
     for name, value in values.items():
         wanted, indices = _estimate_indices(value.reshape(n, -1), 0.0, resamples), found.of(name)
         for part in ("mean", "sd", "first", "first_half", "total", "total_half"):
             assert getattr(indices, part) == pytest.approx(getattr(wanted, part), abs=1e-9), part
     assert found.names == ("y", "x", "z")
     assert (found.n, found.draws, found.seed) == (16, 80, 5)
-    assert RESAMPLES == 200
     assert found.model == "model"
     with pytest.raises(ModelError, match="output"):
         found.of("value")

@@ -135,7 +135,7 @@ def test_start_values_are_bounded(
     discount: F, numbers: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In one table or in several, and one by one where states lead back to each other."""
-    monkeypatch.setattr(module, "NUMBERS", numbers)
+    monkeypatch.setattr(module, "BLOCK", numbers)
     for seed in range(5):
         mdp = small_model(seed, discount, falling=seed % 4 > 0)
         rows = build_q_table_rows(mdp)

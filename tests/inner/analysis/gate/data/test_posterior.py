@@ -132,7 +132,7 @@ def test_an_interval_is_made_of_draws(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (interval.draws > high).mean() <= 0.05
     assert low < np.quantile(interval.draws, 0.1)
     assert high > np.quantile(interval.draws, 0.9)
-    monkeypatch.setattr(module, "ROOM", 1)  # one draw at a time
+    monkeypatch.setattr(module, "BLOCK", 1)  # one draw at a time
     again = Posterior(n=300, rng=4, prior=2).interval(mdp, own.astype(float), F(9, 10))
     assert again.draws is not None
     assert len(again.draws) == 300
