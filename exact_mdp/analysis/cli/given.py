@@ -82,13 +82,13 @@ class Given:
     reach : LABEL, optional
         Ask for the greatest probability of reaching a label; with --minimize, the least.
     until : LABEL, optional
-        Ask for the greatest expected reward until a label; of costs, the least.
+        Ask for the greatest expected reward until a label; for costs, the least.
     reward : NAME, optional
         The reward component that counts until then.
     allowed : LABEL, optional
         Reach it through states of this label only.
     minimize : bool
-        Minimise: rewards are costs. Of a probability, ask for the least.
+        Minimise: rewards are costs. For a probability, ask for the least.
     maximize : bool
         Maximise, even where the model's rewards are costs.
     start : STATE, optional

@@ -69,8 +69,8 @@ def solve_command(
     tol : X, optional
         Greatest absolute error of a value.
     certificate : FILE, .json
-        Write a proof for `verify`: .json; of the exact optimum with --certify or under limits, else
-        of bounds.
+        Write a proof for `verify`: .json; of the optimum with --certify or under limits, and of
+        bounds otherwise.
     policy_out : FILE, .csv
         Write the policy: .csv.
     out : FILE, .npz

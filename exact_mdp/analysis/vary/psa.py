@@ -436,7 +436,7 @@ def psa(
     model : Scenario, MDP or Parametric
         In an MDP the probabilities of random rows are parameters, too, up to 2,000 rows.
     n : int, optional
-        D, the number of draws; of a given sample the first n rows, by default all.
+        D, the number of draws; from a given sample the first n rows, by default all.
     rng : int or numpy.random.Generator
         The same seed gives the same bytes for any number of workers, and a larger sample begins
         with the draws of a smaller one.
