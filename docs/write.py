@@ -1,6 +1,6 @@
-"""Write into the pages what is made from the code: `make docs`; a test compares the two.
+"""Write into the pages the parts made from the code: `make docs`; a test compares the two.
 
-A page marks the place, and what stands between the marks is written again:
+A page marks each place, and the text between the marks is written again:
 
     <!-- made by `make docs`: text exact_mdp.mdp.io.npz -->
     <!-- end -->
@@ -34,14 +34,14 @@ FIGURES = re.compile(r"^```python\n(.*?)^```\n\n((?:!\[[^\n]*\n)+)", re.M | re.S
 
 
 def with_made_parts(page: str) -> str:
-    """Return a page whose made parts are those of today's code."""
+    """Return a page with its made parts as today's code makes them."""
     return MARKED.sub(
         lambda mark: f"{mark[1]}\n{MADE[mark[2]](mark[3].strip())}\n\n{mark[4]}", page
     )
 
 
 def imported(place: str) -> Any:
-    """Return what "module:name" stands for."""
+    """Return the object that "module:name" names."""
     module, _, name = place.partition(":")
     return getattr(import_module(module), name)
 
@@ -54,7 +54,7 @@ def table(head: str, rows: Iterable[tuple[str, ...]]) -> str:
 
 
 def commands_in_short(names: Set[str], everyone: Set[str]) -> str:
-    """Return the commands concerned; of most of them, the others."""
+    """Return the commands concerned; if they are most of all, "all but" the others."""
     others = ", ".join(sorted(everyone - names))
     if 2 * len(names) <= len(everyone):
         return ", ".join(sorted(names))
@@ -74,7 +74,7 @@ def commands_of(group: str) -> dict[str, tuple[click.Command, click.Context]]:
 
 
 def commands(words: str) -> str:
-    """Return what each command of a group does; its words are "module:name program"."""
+    """Return a table of the commands of a group; the words are "module:name program"."""
     group, _, program = words.partition(" ")
     rows = []
     for name, (command, context) in commands_of(group).items():
@@ -113,7 +113,7 @@ def pinned_keys() -> dict[str, set[str]]:
 
 
 def meanings() -> dict[tuple[str, str], str]:
-    """Return what each key of a command means, {(command, key): meaning}.
+    """Return the meaning of each key of a command, {(command, key): meaning}.
 
     The docstring of the command's function says it below "Keys", that of `Given` for all commands;
     else it is what the class of the result, which the section names, says of its attribute.
@@ -156,7 +156,7 @@ def explained_keys(target: str) -> tuple[dict[str, str], list[str]]:
 
 
 def explained_attributes(kind: ast.ClassDef) -> dict[str, str]:
-    """Return the first sentence of what a class says of its attributes and properties."""
+    """Return the first sentence of the documentation of each attribute and property of a class."""
     section = re.search(r"Attributes\n-+\n(.*?)(?:\n\n|$)", ast.get_docstring(kind) or "", re.S)
     texts = {}
     for block in re.split(r"\n(?=\S)", section[1]) if section else []:
@@ -169,7 +169,7 @@ def explained_attributes(kind: ast.ClassDef) -> dict[str, str]:
 
 
 def answers(_: str) -> str:
-    """Return what each key of `--json` means."""
+    """Return a table of the meanings of all keys of `--json`."""
     rows: dict[tuple[str, str], set[str]] = {}
     everyone = set[str]()
     for (command, key), meaning in sorted(meanings().items(), key=lambda item: item[0][::-1]):
@@ -210,7 +210,7 @@ def methods(name: str) -> str:
 
 
 def readings(_: str) -> str:
-    """Return the options of each reading with what they mean, the default first."""
+    """Return the options of each reading with their meanings, the default first."""
     return table(
         "key, options",
         (
@@ -224,12 +224,12 @@ def readings(_: str) -> str:
 
 
 def text(module: str) -> str:
-    """Return what a module says of itself, which is Markdown: indented lines are code."""
+    """Return the docstring of a module as Markdown: indented lines are code."""
     return inspect.getdoc(import_module(module)) or ""
 
 
 def questions(_: str) -> str:
-    """Return what becomes of every analysis and question, as the table of the tests counts it."""
+    """Return the results of every analysis and question, as the table of the tests counts them."""
     counted = tomllib.loads((DOCS.parent / "tests" / "questions" / "table.toml").read_text("utf-8"))
     asked = list(next(iter(counted.values())))
     rows = []

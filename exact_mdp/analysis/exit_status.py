@@ -5,7 +5,7 @@ to stop the status is 128 + its number, as in shells; it is 141, without a messa
 a pipe has closed it (`| head`). Failures are reported on standard error.
 
 Only a command that finishes returns 0 or 1. If the user's code, such as an environment or a
-trainer, calls `sys.exit` on the way, there is no answer, and the status is 3.
+trainer, calls `sys.exit` on the way, the command has no answer, and the status is 3.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ class Layout:
 
     @property
     def cells(self) -> int:
-        """The number of cells; there is no picture of more than MOST_CELLS."""
+        """The number of cells; a map of more than MOST_CELLS is not drawn."""
         return len(self.rows) * len(self.columns)
 
     @property

@@ -1,4 +1,4 @@
-"""An optimum by a solver in floating point, by exact arithmetic, or by both, compared.
+"""An optimum by a solver in floating point, by exact arithmetic, or by both, which must agree.
 
 With both, |V_float(s) - V(s)| must be at most the solver's error bound in every state, and the
 proof must pass its checker: otherwise one of the two programs is wrong, and neither is trusted. The
@@ -72,7 +72,7 @@ class Optimum:
 
     @cached_property
     def optimal(self) -> Flags:
-        """(L,) the optimal pairs; up to the error bound if there is no certificate."""
+        """(L,) the optimal pairs; without a certificate, up to the error bound."""
         if self.certificate is not None:
             return self.certificate.optimal_pairs
         here, there = self.value[self.mdp.pair_state], self.mdp.backup(self.value)

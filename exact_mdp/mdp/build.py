@@ -614,6 +614,7 @@ def _parts_from_columns(
             return given[order]
         return given
 
+    # Components that are given for all pairs lose the pairs that are not available.
     each_component(names, select_pairs)
     # Name the states and the actions.
     words = words_of(names.pop("states", ()), "states")
@@ -631,6 +632,7 @@ def _parts_from_columns(
     space = names.pop("space", None)
     if space is None or words:
         space = StateSpace.plain(max(size, len(words)), words)
+    # Components, and the start, which needs the names of the states.
     names |= named_components(names, table, parts)
     discount, start = names.pop("discount"), names.pop("start")
     return dict(

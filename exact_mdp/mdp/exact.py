@@ -20,7 +20,7 @@ integers in hexadecimal, such as 0x1f, with a space between them:
     the weights: numerators of their probabilities
 
 with fractions and rows in lowest terms. Names of states and actions, labels, reward components and
-events are left out: they do not change what is optimal. Models hash equally if and only if these
+events are left out: they do not change the optimum. Models hash equally if and only if these
 contents are equal, so 0.5, 1/2 and 2/4 are one and the same, and 0.1 (a dyadic rational)
 differs from 1/10.
 """

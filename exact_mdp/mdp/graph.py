@@ -1,7 +1,7 @@
 """The graph of a model: reachability, order of states, and a proof that every policy ends.
 
 Every policy ends, that is, reaches a terminal state with probability 1 from every state, if and
-only if there is no set of other states in which some policy can stay forever. To find the greatest
+only if no set of other states exists in which some policy can stay forever. To find the greatest
 such set, remove a state as soon as each of its pairs has a successor that was removed before, and
 begin with the terminal states. The states that are never removed are this set, and the round in
 which a state is removed is its rank:

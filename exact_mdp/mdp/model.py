@@ -381,7 +381,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         return ~self.forced & ~self.over
 
     def by_action(self, values: ArrayLike, missing: float = np.nan) -> NDArray[Any]:
-        """Return a table (S, A) of numbers of pairs (L,), `missing` where there is no pair.
+        """Return a table (S, A) of numbers of pairs (L,), `missing` if an action has no pair.
 
         Truth values are False there.
         """

@@ -162,8 +162,8 @@ class Questions(Parts):
 
         Steps into a labelled state lead to a new state `reached` instead; the labelled states keep
         the value 1. The optimum is the greatest probability, or the least if the sense is "min".
-        There is no discount. With `within(N)`, before or after, it is the probability of reaching
-        a labelled state within N steps.
+        The model has no discount. With `within(N)`, before or after, it is the probability of
+        reaching a labelled state within N steps.
 
         Parameters
         ----------
@@ -271,7 +271,7 @@ class Questions(Parts):
         model = self
         if reward is not None:
             model = _with_component_reward(self, reward)
-        # Below discount 1 a run that misses the target has a finite value: there is no goal.
+        # Below discount 1 a run that misses the target has a finite value, so no goal is set.
         goal = None
         if self.discount_exact == 1:
             goal = target

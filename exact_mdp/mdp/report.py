@@ -344,7 +344,7 @@ def format_interval(low: float, high: float, error: float = 0.0) -> str:
 
 
 def error_of(claimed: Any) -> float:
-    """Return a bound of the error of a number as a float, rounded up; 0 if it is exact."""
+    """Return a bound on the error of a number as a float, rounded up; 0 if it is exact."""
     if hasattr(claimed, "error"):
         return float(claimed.error)
     if isinstance(claimed.value, float):  # infinity, which is exact

@@ -1,6 +1,6 @@
 """Base classes of results: `frame()`, a table; `plot()`, a picture if there is one; a short text.
 
-A result has its number in `value`, the kind of this number in `claim`, a bound of its error in
+A result has its number in `value`, the kind of this number in `claim`, a bound on its error in
 `error`, and the policy, if there is one, in `policy`. A notebook shows its report.
 """
 

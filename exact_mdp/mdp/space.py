@@ -85,7 +85,7 @@ class Column:
     def number(self, value: object) -> int:
         """Return the value that a text, number or object names; see `mdp.forms.names`."""
         with locate_errors(f"column {self.name}"):
-            # Of a column of bits, a text is the binary digits.
+            # In a column of bits, a text is read as binary digits.
             if not self.bits or not isinstance(value, str):
                 return self.lookup.find_number(value)
             text = value.strip()

@@ -190,6 +190,7 @@ def _open_folder(folder: Path, record: Mapping[str, object], *, what: str) -> Pa
             f"cannot make the folder: {error.strerror}", where=str(folder), fix="choose another"
         ) from error
     path = folder / "work.json"
+    # A new folder gets the record; an old one must have the same.
     if not path.exists():
         write_atomically(path, text + "\n")
         return folder

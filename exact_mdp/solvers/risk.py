@@ -140,7 +140,7 @@ class Budgeted:
         # Budgets count from low(s): an outcome shifts them by its reward and by low(s') - low(s).
         shift = (self.low[state] - gain - self.low[to]).astype(np.int64)
         budget = np.arange(self.high[state] - self.low[state] + 1)[:, None] + shift
-        # Below 0 there is no shortage; above the greatest budget the surplus is paid.
+        # Below 0 nothing is short; above the greatest budget the surplus is paid.
         within = np.clip(budget, 0, self.first[to + 1] - self.first[to] - 1)
         return self.first[to] + within, -np.maximum(budget - within, 0)
 

@@ -361,9 +361,9 @@ class Solution(Found, Pictured):
     pairs : (S,) int64
         The pair that the policy takes in each state.
     state_error : (S,)
-        Upper bounds of |V(s) - V*(s)| and |V(s) - V^π(s)|, for the policy π of this solution.
+        Upper bounds on |V(s) - V*(s)| and |V(s) - V^π(s)|, for the policy π of this solution.
     regret_bound : float
-        An upper bound of V*(s) - V^π(s), or for costs V^π(s) - V*(s), in every state.
+        An upper bound on V*(s) - V^π(s), or for costs V^π(s) - V*(s), in every state.
     status : Status
     method, solver : str
         Name of the algorithm, as in `SOLVERS`, and the solver with its settings.

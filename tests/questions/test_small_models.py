@@ -257,7 +257,7 @@ def test_a_policy_held_fixed_says_what_it_does_where_a_state_begins() -> None:
         lambda: study(family, {"p": [1]}),  # today's optimum says nothing of an end either
         lambda: tornado(family, policy=silent, ranges={"p": (-1, 1)}),
     ):
-        with pytest.raises(ModelError, match="does not say what it does in a state"):
+        with pytest.raises(ModelError, match="names no action in a state"):
             ask()
     assert study(family, {"p": [1]}, [{"0": "x", "1": "y"}]).fixed.tolist() == [[-1]]
 

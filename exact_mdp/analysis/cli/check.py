@@ -130,12 +130,14 @@ def check_command(
         "subject_to": limits_from(subject_to) or None,
     }
     audit: Audit | TrainerAudit
+    # One policy: an audit, of the model or of the process behind its records.
     if len(learned) == 1:
         of_many = {"--share": share, "--alpha": alpha, "--prove": prove}
         refuse_options(of_many, "a single policy", "name the policy of each run, as in runs/*.npy")
         (name,), asked = learned, asked | _read_interval_options(given, confidence, by, evidence)
         audit, report = _of_one(given, name, asked, explain=not no_explain)
     else:
+        # Several policies: the runs of a trainer.
         of_one: dict[str, Any] = {"--html": html, "--no-explain": no_explain}
         of_one |= {"--confidence": confidence, "--by": by, "--evidence": evidence}
         refuse_options(of_one, "several policies")
@@ -148,6 +150,7 @@ def check_command(
     if audit.passed:
         passed = "passed"
     report = replace(report, title=f"{name} in {given.loaded.name}: {passed}")
+    # The page, the JUnit file, the summary of a job.
     if html is not None and isinstance(audit, Audit):
         write_atomically(html, _render_audit_page(audit, report, given.loaded.name, name))
     text = audit.message(explain=report.facts.get("representation") is not None)

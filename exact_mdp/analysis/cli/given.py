@@ -82,13 +82,13 @@ class Given:
     reach : LABEL, optional
         Ask for the greatest probability of reaching a label; with --minimize, the least.
     until : LABEL, optional
-        Ask for the greatest expected reward until a label; of costs, the least.
+        Ask for the greatest expected reward until a label; for costs, the least.
     reward : NAME, optional
         The reward component that counts until then.
     allowed : LABEL, optional
         Reach it through states of this label only.
     minimize : bool
-        Minimise: rewards are costs. Of a probability, ask for the least.
+        Minimise: rewards are costs. For a probability, ask for the least.
     maximize : bool
         Maximise, even where the model's rewards are costs.
     start : STATE, optional
@@ -230,7 +230,7 @@ class Given:
         "optimal" is the optimum for the true states, also under a perception.
         """
         if self.kind != "auto" and Path(form).suffix.lower() not in ARRAYS:
-            what = f"--kind says what an array in a file is, and {form!r} is none"
+            what = f"--kind says what an array in a file is, and {form!r} is not such a file"
             raise ModelError(what, where="--kind", fix="leave it out")
         policy: Policy = policy_of(self.mdp, form, kind=self.kind, criterion=self.criterion)
         if self.perception is None:

@@ -226,6 +226,7 @@ def _report_estimate(
     """Return the counts, and the gaps in the records."""
     seen, ends, never = observations_of(mdp), list_entered_states(mdp), never_taken(mdp)
     label, few = mdp.space.label, np.flatnonzero((seen > 0) & (seen < rare))
+    # Gaps: pairs that were seldom seen, actions that nobody took, states with an unknown value.
     rows = [
         {
             "state": label(int(mdp.pair_state[pair])),

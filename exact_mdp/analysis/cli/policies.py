@@ -69,8 +69,8 @@ def solve_command(
     tol : X, optional
         Greatest absolute error of a value.
     certificate : FILE, .json
-        Write a proof for `verify`: .json; of the exact optimum with --certify or under limits, else
-        of bounds.
+        Write a proof for `verify`: .json; of the optimum with --certify or under limits, and of
+        bounds otherwise.
     policy_out : FILE, .csv
         Write the policy: .csv.
     out : FILE, .npz
@@ -151,6 +151,7 @@ def verify_command(certificate: str, given: Given, *, proven: bool = False) -> R
     asked, too; objectives: the totals that a front or limits are about.
     """
     mdp = given.mdp
+    # The checker, and with --proven a second one, judge the file against the model.
     proof = replace(codec.load_proof(KINDS, certificate), mdp=mdp)
     violations = proof.violations(mdp)
     if proven and not is_accepted_by_proven_checker(proof, mdp) and not violations:
@@ -169,6 +170,7 @@ def verify_command(certificate: str, given: Given, *, proven: bool = False) -> R
         "proven": Shown(proven),
         "claim": Shown(None if violations else proof.claim),
     }
+    # The statement of a sound proof: totals, or the optimum with its claim.
     if isinstance(proof, TotalsProof):
         facts |= {"kind": proof.kind, "objectives": list(proof.objectives)}
         facts |= {} if violations else _proven_totals(proof)
@@ -225,6 +227,7 @@ def _proven_totals(proof: TotalsProof) -> dict[str, Any]:
             "alone": dict(zip(texts, alone, strict=True)),
         }
     assert isinstance(proof, ConstrainedSolution)
+    # An optimum under limits; limits are shown with the texts of their totals.
     text = dict(zip(proof.of.names, texts, strict=True))
     limits, moved = (
         [replace(limit, name=text[limit.name]) for limit in each]

@@ -32,7 +32,7 @@ from exact_mdp.mdp.report import Report, Shown, list_claim_facts
 from exact_mdp.mdp.table import exact, float_of
 
 ROUNDED = "of the perception, and the probabilities of actions that it makes, as rounded to floats"
-"""Qualifies what is certified under a perception: a file may state 1/3, which is not a float."""
+"""Qualifies a certified number under a perception: a file may state 1/3, which is not a float."""
 ROWS = {  # the rows in each kind of set
     "interval": "each transition probability ± {} of itself, rows on their own",
     "l1": "rows within an L1 distance of {}, on their own",
@@ -276,7 +276,7 @@ def sobol_command(
 ) -> Report:
     """Compute which parameters decide the value (Sobol indices).
 
-    First-order and total indices of Sobol, of the optimum and of a policy's regret, with intervals.
+    First-order and total indices of Sobol, with intervals, for the optimum and a policy's regret.
     All parameters but the discount vary unless some are named.
 
     Example: exact-mdp sobol tea --samples 256
@@ -293,7 +293,7 @@ def sobol_command(
     draws; sd: standard deviation of the optimal value over the draws; first_order: share of the
     variance that a parameter explains alone; first_order_interval: interval of `first_order`;
     total: share of the variance including all interactions with others; total_interval: interval of
-    `total`; regret: the same indices, of the regret of a policy held fixed.
+    `total`; regret: the same indices for the regret of a policy held fixed.
     """
     spans, without = _select_ranges(given, _choose_parameters(given))
     if not spans:

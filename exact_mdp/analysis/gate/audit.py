@@ -120,7 +120,7 @@ class Audit(Pictured):
 
     @property
     def feasible(self) -> bool:
-        """Whether some policy keeps the limits; if none does, there is no optimum."""
+        """Whether some policy keeps the limits; if none does, no optimum exists."""
         return self.criterion.feasible
 
     @property

@@ -75,7 +75,7 @@ def per_use(mdp: MDP, known: FixedPoint, *, rewards: bool = True) -> Floats:
 
 
 def bound_per_use(mdp: MDP, known: FixedPoint) -> float:
-    """Return an upper bound of all e(l), from the greatest numbers alone.
+    """Return an upper bound on all e(l), from the greatest numbers alone.
 
     Half a unit in the last place of p is at most UNIT p, and c may be the middle of all x.
     """

@@ -108,6 +108,7 @@ def sample_epoch_returns(
 
     If a number of epochs is given instead of a run, actions are drawn uniformly.
     """
+    # Scores whose greedy actions are the policies; drawn uniformly, scores do not matter.
     if random := isinstance(run, int):
         rows, which = build_q_table_rows(model), np.zeros(run, dtype=np.int64)
         table = np.zeros((1, rows.offered.size))

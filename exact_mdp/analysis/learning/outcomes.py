@@ -123,7 +123,7 @@ class Outcomes(Pictured):
         return np.bincount(taken, minlength=self.mdp.n_actions)
 
     def _estimate_share(self, count: int) -> dict[str, Any]:
-        """Return the share of so many runs, with Wilson's 95 % interval."""
+        """Return the share of `count` runs, with Wilson's 95 % interval."""
         share = estimate_share(count, self.runs)
         return {"fraction": share.value, "interval": share.interval}
 

@@ -299,7 +299,7 @@ def _yield_policies(
     if not callable(train):
         if _is_one(train):
             raise ModelError(
-                "one policy, where runs ask for several",
+                "one policy is given, but runs need several",
                 where="policies",
                 fix="give a function of a seed or a list of policies; or check one, without runs",
             )
@@ -307,7 +307,7 @@ def _yield_policies(
         return
     if rng is None:
         raise ModelError(
-            "runs are trained from seeds, and there is no rng to draw these from",
+            "runs are trained from seeds, and no rng is given to draw these from",
             where="rng",
             fix="give rng=0: the seeds of the runs are drawn from it",
         )
@@ -338,7 +338,7 @@ def _parse_share(name: str, number: object) -> Fraction:
 
 
 def is_share_excluded(share: Fraction, hits: int, misses: int, alpha: Fraction) -> bool:
-    """Return whether E_n(share) ≥ 1/α after so many trials."""
+    """Return whether E_n(share) ≥ 1/α after these trials."""
     top, below, n = share.numerator, share.denominator, hits + misses
     won = comb(2 * hits, hits) * comb(2 * misses, misses) * below**n * alpha.numerator
     fair = comb(n, hits) * 4**n * top**hits * (below - top) ** misses * alpha.denominator

@@ -1,4 +1,4 @@
-"""Pictures of a model: its transitions, the front of its totals, and what a model of care adds."""
+"""Pictures of a model: its transitions, the front of its totals; influences in a care model."""
 
 from __future__ import annotations
 

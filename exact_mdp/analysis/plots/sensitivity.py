@@ -290,6 +290,7 @@ def plot_sobol(
         )
     order = np.argsort(-each.total, kind="stable")[:most]
     every = [_with_range(each.name, r.low, r.high) for each, r in indices.spans.items()]
+    # Two bars for each parameter, with intervals: first order above, total below.
     drawn = [
         (row + aside, lengths[place], look | {"height": 0.38, "xerr": half[place]})
         for aside, lengths, half, look in (

@@ -226,6 +226,7 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
     layout, mdp = _place_states(audit.mdp, place), audit.mdp
     drawn = [each for row in build_cells(audit, layout) for each in row if each is not None]
     ends, shown = ends_of(mdp), dict[int, tuple[str, Look]]()
+    # The look of each cell: wrong ones have a fill by their loss and a heavy frame.
     for each in drawn:
         if each.state in ends:
             text = ends[each.state][0]
@@ -236,6 +237,7 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
             look |= {"fill": LOSSES(min(each.shade, 1.0)), "edgecolor": ORANGE}
             look |= {"linewidth": 1.6, "zorder": 2}
         shown[each.state] = text, look
+    # The colour bar reaches to the largest finite loss.
     losses = [each.cost for each in audit.disagreements if np.isfinite(each.cost)]
     colours = ScalarMappable(Normalize(0.0, max(losses, default=0.0)), LOSSES)
     words = []
@@ -299,7 +301,7 @@ def _draw_map(
         ax.tick_params(axis="x", rotation=90)
     ax.tick_params(length=0)
     ax.spines[:].set_visible(False)
-    # The size of the text in a cell, by the number of cells; 0 if there is no room for one.
+    # The size of the text in a cell, by the number of cells; 0 if a cell has no room for one.
     sizes = ((30, 10), (2 * NUMBERED, 8), (700, 6 if wide > 20 else 7))
     font = next((size for most, size in sizes if len(shown) <= most), 0)
     texts = [text.split("\n") for text, _ in shown.values()]
@@ -378,6 +380,7 @@ def _draw_state_bars(ax: Axes, model: MDP, values: Floats, texts: list[str], lab
     else:
         edge = {"width": 1.0}
     bars = ax.bar(range(count), finite, color=BLUE, **edge)
+    # Name as many bars as fit, upright if their names would run into each other.
     names = [name.removeprefix("state ") for name in model.space.labels(range(count))]
     names = shorten_names(names, LONGEST)
     wide = ax.bbox.width / ax.figure.dpi
@@ -388,6 +391,7 @@ def _draw_state_bars(ax: Axes, model: MDP, values: Floats, texts: list[str], lab
     turned = 0
     if count * max(map(len, texts)) > MOST_LETTERS:
         turned = 90
+    # An infinite value has no bar: write it.
     for state in np.flatnonzero(~np.isfinite(values)):
         texts[state] += f"\n{values[state]:g}"
     if count <= MOST_NAMED:

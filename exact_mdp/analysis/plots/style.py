@@ -147,7 +147,7 @@ def label_axes(
 
 
 def is_narrow(ax: Axes) -> bool:
-    """Whether there is no room beside the axes: figures below 4.8 inches."""
+    """Whether the axes leave no room beside them: figures below 4.8 inches."""
     figure = ax.get_figure(root=True)
     return figure is not None and float(figure.get_size_inches()[0]) < 4.8
 

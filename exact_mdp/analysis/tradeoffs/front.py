@@ -5,7 +5,7 @@ finitely many vertices v, each the totals of a deterministic policy, and
 
     H(w) = max over policies of w · totals = max over vertices of w · v,   w ≥ 0, Σ w = 1.
 
-The maximum h over the vertices known so far is a lower bound of H, linear on cells of weights. At
+The maximum h over the vertices known so far is a lower bound on H, linear on cells of weights. At
 each corner of a cell the model is solved with these weights: either H = h there, which a dual
 vector of values proves, or a new vertex is found. If H = h at all corners, then H = h everywhere,
 as H is convex, and each corner between vertices is the normal of an edge or facet. With two totals
@@ -245,6 +245,7 @@ def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
     if isinstance(names, str) or not isinstance(names, Sequence) or len(names) not in (2, 3):
         many = len(names) if isinstance(names, Sequence) and not isinstance(names, str) else names
         raise ModelError(f"a front of {many!r} totals", where="tradeoff", fix="name two or three")
+    # Refuse models whose fractions would be very long: large strongly connected components.
     of = Objectives(mdp_of(model), names)
     own = of.rows.pair_state[of.rows.pair]
     moves = sp.csr_array((np.ones(len(own)), (own, of.rows.next)), (of.mdp.n_states,) * 2)
@@ -270,6 +271,7 @@ def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
         tight = tuple(i for i, short in enumerate(lead) if not short)
         return Corner(weights=shares, dual=combine_levels(best.values, shares), best=tight)
 
+    # At each corner the values of its optimal policy bound all policies: this is the proof.
     corners = sorted(map(make_corner, search.list_corners()), key=lambda corner: corner.weights)
     return Front(attained=tuple(order), corners=tuple(corners), **list_proof_fields(of, "front"))
 

@@ -690,6 +690,7 @@ def row_family(mdp: MDP) -> Family:
             fix="ask about the model before it was unrolled, and give the number of steps: "
             "model.within(20) in Python, --horizon 20 on the command line",
         )
+    # Each probability of a random row but the largest is a parameter.
     entries: dict[str, list[tuple[int, str]]] = {}
     rows: dict[str, tuple[str, ...]] = {}
     labels = mdp.space.labels(range(mdp.n_states))

@@ -5,7 +5,7 @@ are expected totals of two components of the reward. At a willingness to pay λ 
 
     NMB(λ) = λ E - C                                  net monetary benefit,
     CEAC   = share of draws in which a strategy has the greatest NMB,
-    CEAF   = the same share, of the strategy whose mean NMB is greatest,
+    CEAF   = the same share for the strategy whose mean NMB is greatest,
     EVPI   = E[max NMB] - max E[NMB],
     ICER   = (C₂ - C₁) / (E₂ - E₁)                    of neighbours on the efficient frontier
 
@@ -333,8 +333,8 @@ def cost_effectiveness(
     strategies : {name: PolicyLike}
         Policies held fixed; "optimal" is the optimum at today's values.
     n : int, optional
-        Number of draws; of a given sample the first n rows, by default all. Without `n` and
-        `uncertain` nothing is drawn: the result is the base case, of today's values.
+        Number of draws; from a given sample the first n rows, by default all. Without `n` and
+        `uncertain` nothing is drawn: the result is the base case, with today's values.
     effect, cost : str
         Names of components; more cost is worse.
     rng : int or numpy.random.Generator

@@ -53,7 +53,7 @@ class PartialInformation:
 
     @property
     def reliable(self) -> bool:
-        """Whether there is no reason to doubt the regression's estimate."""
+        """Whether nothing gives reason to doubt the regression's estimate."""
         return not self.doubts
 
 

@@ -122,7 +122,7 @@ def mean_interval(values: Floats) -> tuple[float, float] | None:
 
 
 def mean_at_least(sample: Floats, doubt: float) -> float:
-    """Return a lower bound of the mean of independent nonnegative numbers, wrong with chance δ.
+    """Return a lower bound on the mean of independent nonnegative numbers, wrong with chance δ.
 
     For n numbers X ≥ 0, with Y = min(X, c) and its sample variance s², the mean is at least
     mean Y - √(2 s² log(2/δ) / n) - 7 c log(2/δ) / (3 (n - 1)) (Thomas, Theocharous and Ghavamzadeh,

@@ -62,7 +62,7 @@ class Tornado(Pictured):
     def report(self, by: str = "swing") -> Report:
         """Return values and regrets at both ends of every range, in descending order of `by`.
 
-        `by` is "swing", of the optimum, or "fixed_swing", of the policy held fixed.
+        `by` is "swing" for the optimum or "fixed_swing" for the policy held fixed.
         """
         bars, today = self.frame(by).drop(columns="claim"), self.today
         lost = today["regret"]
@@ -348,6 +348,7 @@ def two_way(
             where="two-way",
             fix=f"give ranges of {x} and {y} alone",
         )
+    # The grid: x changes first.
     spans = ranges_of(family, [x, y], ranges, relative)
     across, along = (make_grid(spans[name], points) for name in (x, y))
     columns = {x: across * points, y: [at for at in along for _ in across]}

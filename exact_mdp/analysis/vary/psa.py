@@ -436,7 +436,7 @@ def psa(
     model : Scenario, MDP or Parametric
         In an MDP the probabilities of random rows are parameters, too, up to 2,000 rows.
     n : int, optional
-        D, the number of draws; of a given sample the first n rows, by default all.
+        D, the number of draws; from a given sample the first n rows, by default all.
     rng : int or numpy.random.Generator
         The same seed gives the same bytes for any number of workers, and a larger sample begins
         with the draws of a smaller one.
@@ -464,10 +464,12 @@ def psa(
     >>> len(analysis), analysis.candidates[0].actions["0000"]
     (200, 'non-directive')
     """
+    # Draw the parameters.
     family, seed = drawn_family(model), seed_of(rng)
     chosen = uncertainty(family, uncertain, default=effective_sample_size)
     solver = solver_of(family, chosen.names)
     points = sample_parameters(family, chosen, n, seed, solver.block)
+    # The policies held fixed: the given one first, and today's optimum.
     today, fixed_policy = solver.hold_policy("optimal"), solver.hold_policy(policy)
     given = [(TODAY, today)]
     if not np.array_equal(fixed_policy, today):
@@ -477,6 +479,7 @@ def psa(
     if chosen.sample is not None:
         drawn = hash_policies(chosen.sample)
     key = {"seed": seed, "drawn": drawn}
+    # Solve every draw, evaluate these policies, then the candidates that add most.
     how = How(n_jobs=n_jobs, folder=folder, progress=progress)
     draws = StudyDraws(solver, points, solver.block, key, how)
     table = draws.with_policies(draws.run_study(()), [weights for _, weights in given])

@@ -124,8 +124,8 @@ class Sobol(Pictured):
         }
         tables = {}
         for name, what in TITLES.items():
-            # A constant output has no shares of variance.
             title = f"shares of the variance of {what}, ± half an interval"
+            # A constant output has no shares of variance.
             if self.of(name).constant:
                 rows = ()
             else:

@@ -60,6 +60,7 @@ class Laws:
             kind = np.int64
         numbers: Numbers = np.zeros(len(values) + 1, dtype=kind)
         numbers[used] = tops
+        # Chances are sums of terms, cut off at 1.
         sums = _sum_at_positions(numbers, rules.terms)
         chances = [Fraction(min(total, one), one) for total in sums.tolist()]
         weights, scale = to_common_denominator([values[place] for place in rules.weights.tolist()])

@@ -254,10 +254,12 @@ def read_confusion_matrix(path: str | Path, model: MDP) -> tuple[Floats, int | N
     read exactly, then rounded to floats. A `.jsonl` has labelled examples; see `read_counts`.
     """
     size, where, suffix = status_size(model), str(path), Path(path).suffix.lower()
+    # Labelled examples are counted.
     if suffix == ".jsonl":
         counts = read_counts(path, model)
         with locate_errors(where, instead=True):
             return frequencies(counts), int(counts.sum())
+    # Rates by status: the statuses are perceived independently.
     if suffix == ".toml":
         with locate_errors(where):
             rates = dict.fromkeys(_find_status_names(model), _parse_rate)

@@ -198,7 +198,7 @@ class _Trial:
             return self.env.reset()
 
     def _take_step(self, state: int, action: int) -> tuple[int, float, bool, bool] | None:
-        """Return next state, reward, terminated and truncated; None if there is no step()."""
+        """Return next state, reward, terminated and truncated; None without a step()."""
         try:
             seen, reward, over, *more = self.env.step(action)
             reward, over, cut = float(reward), bool(over), len(more) > 1 and bool(more[0])

@@ -134,7 +134,7 @@ def load(
     Raises
     ------
     ModelError
-        If there is no such model (the most similar name is suggested), or its file is damaged.
+        If the model is unknown (the most similar name is suggested), or its file is damaged.
 
     Examples
     --------

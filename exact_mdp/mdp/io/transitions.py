@@ -9,7 +9,7 @@ that no record leaves is assumed to be an end. There may be three more columns:
 
     truncated     marks the rows after which an episode was cut off, for example by a time limit
     terminated    marks the rows after which it was over, whatever the next state
-    done          the same as terminated, if there is no such column; a row that is also truncated
+    done          the same as terminated, if that column is missing; a row that is also truncated
                   was cut off
 
 A state that is entered only by rows that were cut off is not an end, and its value is unknown (the

@@ -178,6 +178,7 @@ def _check_kind(system: Any, files: Any) -> None:
 
 def _read_model_parts(umb: Any, name: str) -> dict[str, Any]:
     """Return the arguments of `build_explicit_model`."""
+    # The sizes first: every list must have the length that the index states.
     states, choices, branches = _read_sizes(umb.index.transition_system).values()
     first_choice = _require_offsets(umb.state_to_choices, "state-to-choices", states, choices)
     first_branch = _require_offsets(umb.choice_to_branches, "choice-to-branches", choices, branches)
@@ -201,6 +202,7 @@ def _read_model_parts(umb: Any, name: str) -> dict[str, Any]:
                     where=f"state {end}, reward {title}",
                     fix="add a choice that stays there, or drop the reward",
                 )
+    # Initial states, and labels of states.
     initial = _require_length(umb.state_is_initial, states, "state-is-initial")
     labels = {}
     for title, each in _read_annotations(umb, "aps").items():

@@ -388,8 +388,8 @@ class Moved:
     def _amounts(self) -> dict[str, list[Fraction]]:
         """The amounts of each component of the reward by outcome; {} if only means are known.
 
-        They are used if only probabilities change: a reward that changes is no longer the sum of
-        its components.
+        They are used if only probabilities change: after a change the reward is not the sum of its
+        components.
         """
         table, names = self.model.table, self.model.component_names
         if table.components is None or table.averaged or not adds_up(table):

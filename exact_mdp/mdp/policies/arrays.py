@@ -346,7 +346,7 @@ def _unit_roundoff(numbers: Floats) -> float:
 
 
 def space_of(model: MDP, rows: int) -> StateSpace | None:
-    """Return the states that a table with so many rows is over; None if no states fit.
+    """Return the states that a table with `rows` rows is over; None if no states fit.
 
     These are all states; or all without some of the extra states, if these have no choice; or the
     states without the time, if that is the first column.

@@ -361,11 +361,13 @@ def _of_csv(model: MDP, text: str) -> Parts:
             fix=f"write {','.join([*model.space.names, 'action'])}, or some of these columns; "
             'numbers alone are a Q-table: np.save("q_table.npy", q_table)',
         )
+    # The states by number or name, or a space over the columns that the header names.
     space = model.space.untimed or model.space
     if not by_state:
         space = StateSpace(columns=tuple(model.space.column(name) for name in columns))
     by_name = by_state or (len(columns) == 1 and bool(space.columns[0].words))
     chances: Chances = {}
+    # Each line adds an action of a row; several need probabilities.
     for number, row in rows:
         with locate_errors(f"line {number}"):
             entry = dict(zip(header, row, strict=True))

@@ -450,6 +450,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
             return given
         if hasattr(given, "policy"):
             return cls._read_solution(model, given, kind)
+        # Words and files.
         if isinstance(given, str | Path):
             if given == "random":
                 return build_uniform_policy(
@@ -465,11 +466,13 @@ class Policy(ByFields, NDArrayOperatorsMixin):
                     array = read_array(given, called="q", most=most)
                     return cls(**of_given_array(model, array, kind))
                 return cls(**reading.of_file(model, given, kind))
+        # Mappings, functions and arrays.
         with locate_errors("policy"):
             if isinstance(given, Mapping):
                 return cls(**reading.of_mapping(model, given, kind))
             if callable(given):
                 return cls(**reading.of_function(model, given, kind))
+            # A tuple in a list is an action or a row of numbers.
             rows: list[Any] = []
             if isinstance(given, list | tuple):
                 rows = [row for row in given if isinstance(row, tuple)]

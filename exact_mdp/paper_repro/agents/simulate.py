@@ -164,6 +164,7 @@ class Conversation:
         def seed_for_purpose(purpose: str) -> int:
             return derive_seed(self.seed, timestep, purpose)
 
+        # Where the step begins: at the end of the one before, or in a start state.
         if past:
             state, total = int(past[-1]["next_state"]), Fraction(past[-1]["return"])
         else:
@@ -188,6 +189,7 @@ class Conversation:
             }
             for step in past
         ]
+        # The person behaves, and the robot perceives.
         behaviour = self.backend.answer(
             modules.ask_behaviour(place, exchanges, status, seed_for_purpose("behaviour"))
         )
@@ -195,6 +197,7 @@ class Conversation:
             modules.ask_perception(behaviour, seed_for_purpose("perception"))
         )
         perceived = "".join(str(int(seen[name])) for name in status)
+        # The policy chooses by the perceived status, and the robot speaks.
         action = self.sample_action(state - bits + int(perceived, 2), seed_for_purpose("policy"))
         name, speech = self.mdp.actions[action], ""
         if name not in (self.mdp.actions[0], SKIP):
@@ -202,6 +205,7 @@ class Conversation:
                 place, exchanges, behaviour, name, dict(seen), seed_for_purpose("execution")
             )
             speech = str(self.backend.answer(asked)["speech"])
+        # The model draws the next state by the true status.
         following, reward, event = self.sample_outcome(
             state, action, seed_for_purpose("transition")
         )

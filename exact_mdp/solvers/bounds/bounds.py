@@ -60,7 +60,7 @@ class Bounds:
 
     @cached_property
     def state_error(self) -> Floats:
-        """(S,) upper bounds of |value - V*| and |value - V^π|."""
+        """(S,) upper bounds on |value - V*| and |value - V^π|."""
         error = np.asarray(max(abs(self.low), abs(self.high)) * self.weight * SLACK)
         error.setflags(write=False)
         return error
@@ -72,7 +72,7 @@ class Bounds:
 
     @property
     def regret(self) -> float:
-        """An upper bound of V* - V^π in every state."""
+        """An upper bound on V* - V^π in every state."""
         return float((self.high - self.low) * self.weight.max() * SLACK)
 
     def centre_bounds(self) -> Bounds:

@@ -67,7 +67,7 @@ class Weights:
 
     @cached_property
     def smallest(self) -> float:
-        """A lower bound of all margins."""
+        """A lower bound on all margins."""
         return float(self.margin.min() - self.error)
 
     def bound_rounding(self, error: float, size: float) -> float:

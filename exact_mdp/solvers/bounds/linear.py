@@ -108,7 +108,7 @@ class LinearSystem(ByFields):
                 error = self._solve_nearly(wanted, CORRECTION)
             else:
                 error = self.approximate(wanted)
-            # A lower bound of e - γ P e.
+            # A lower bound on e - γ P e.
             slack = -self._compute_residual(nothing, error) - self._bound_rounding(
                 nothing, np.abs(error)
             )
@@ -118,7 +118,7 @@ class LinearSystem(ByFields):
 
     @cached_property
     def _leak(self) -> Floats:
-        """(S,) lower bounds of 1 - γ P 1."""
+        """(S,) lower bounds on 1 - γ P 1."""
         every = np.ones(self.states)
         return np.asarray(
             -self._compute_residual(0 * every, every) - self._bound_rounding(0 * every, every)

@@ -8,7 +8,7 @@
                                pair; the policy is improved as in policy iteration
 
 (Puterman, Markov Decision Processes, 1994, sections 9.2.1 and 10.3, 8.5.4 and 8.5.5, 9.3). The
-policy's own gain is a lower bound of the optimum. The upper bound: in an end component no policy
+policy's own gain is a lower bound on the optimum. The upper bound: in an end component no policy
 earns more per step than the greatest r + P h - h of its pairs, for any h. From other states no
 policy earns more than the greatest expectation of these numbers, which is the value of a model in
 which every policy ends, with bounds by `bounds`.
@@ -105,6 +105,7 @@ def solve_average(mdp: MDP, solver: Solver) -> AverageSolution:
     pairs, relative, iterations = method.run(step)
     gain, bias = FloatChain(step, pairs).evaluate_chain()
     above = _bound_gain_above(step, relative) - gain.value
+    # Only value iteration stops at a tolerance; the other methods end with an optimal policy.
     if solver.name == ValueIteration.name:
         status = Status.CONVERGED
     else:
@@ -126,7 +127,7 @@ def solve_average(mdp: MDP, solver: Solver) -> AverageSolution:
 
 
 def _bound_gain_above(step: MDP, bias: Floats) -> Floats:
-    """Return (S,) upper bounds of the gains of all policies, from any relative values (S,)."""
+    """Return (S,) upper bounds on the gains of all policies, from any relative values (S,)."""
     # The greatest r + P h - h in each end component, rounded up.
     graph, added = Graph(step), compute_advantages(step, bias)
     label, inside = graph.end_components(np.ones(step.n_pairs, dtype=bool))

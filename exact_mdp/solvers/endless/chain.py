@@ -115,7 +115,7 @@ def long_run(chain: FloatChain | ExactChain, earned: Numbers) -> Numbers:
 
 
 class FloatChain:
-    """A chain in floats, of a policy that takes pairs (U,), with these probabilities or with 1."""
+    """The chain, in floats, of a policy that takes pairs (U,), with these probabilities or 1."""
 
     def __init__(
         self, mdp: MDP, pairs: Integers, weights: Floats | None = None, roundings: int = 1

@@ -425,14 +425,14 @@ class BoundedCertificate(Proof, Pictured):
 
     @cached_property
     def lower(self) -> Floats:
-        """(S,) a lower bound of the values."""
+        """(S,) a lower bound on the values."""
         if self.sense == "max":
             return self.low.to_floats()
         return self.high.to_floats(-1)
 
     @cached_property
     def upper(self) -> Floats:
-        """(S,) an upper bound of the values."""
+        """(S,) an upper bound on the values."""
         if self.sense == "max":
             return self.high.to_floats()
         return self.low.to_floats(-1)
@@ -449,7 +449,7 @@ class BoundedCertificate(Proof, Pictured):
 
     @property
     def error(self) -> Floats:
-        """(S,) upper bounds of |value - V| and |value - V^π|."""
+        """(S,) upper bounds on |value - V| and |value - V^π|."""
         rounding = 4 * UNIT * float(np.abs([self.lower, self.upper]).max())
         return (self.upper - self.lower) / 2 + rounding
 

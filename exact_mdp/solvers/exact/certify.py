@@ -106,7 +106,7 @@ def certify(
         )
     if bounded and has_improper_policy(mdp):
         raise ModelError(
-            "bounds that a checker reads need every policy to end, at the goal where one is set; "
+            "bounds that a checker reads need every policy to end, at the goal if there is one; "
             "one does not",
             where=where_endless(mdp),
             fix="leave out bounded=True: the proof is exact; solve() gives floats with bounds",

@@ -76,7 +76,7 @@ class QLearning:
     snapshot_episode : int
         Keep the greedy policy after this episode of each epoch; 0 keeps none.
     last : int
-        Keep the greedy policy after each of so many last episodes.
+        Number of last episodes after each of which the greedy policy is kept.
 
     Examples
     --------

@@ -99,7 +99,7 @@ class ConstrainedSolution(TotalsProof):
         The shadow price of each limit: the optimum gains this for each unit by which the limit is
         relaxed. If no policy keeps the limits, the weights that prove it.
     dual : Level
-        Upper bounds of the values of all policies, for the limits weighted by their prices and, if
+        Upper bounds on the values of all policies, for the limits weighted by their prices and, if
         feasible, the reward.
     shift : Fraction
         The least t such that a policy keeps all limits relaxed by t; 0 if feasible.
@@ -404,7 +404,7 @@ def _as_one(
     """Return the visits of one policy that earns as much as a mixture."""
     # A vertex of the polytope of visits has one pair for each state, and at most as many further
     # pairs as there are binding limits. With more pairs, some direction changes the visits but not
-    # the totals of the binding limits. Move along it until a pair is no longer taken or another
+    # the totals of the binding limits. Move along it until a pair is not taken any more or another
     # limit binds.
     taken = dict[int, Fraction]()
     for policy, share in shares:

@@ -262,7 +262,7 @@ def verify_margins(game: Game) -> tuple[Floats, Floats]:
         weight = (~game.mdp.terminal).astype(np.float64)
     else:
         weight = _maximise_expected_steps(late)
-    # Verified by an upper bound of γ max Σ q w.
+    # Verified by an upper bound on γ max Σ q w.
     later = np.maximum.reduceat(late.solve_inner_problem(weight).high, game.first)
     margin = np.asarray((weight[game.live] - later) * (1 - 4 * UNIT))
     if not np.all(margin > 0):

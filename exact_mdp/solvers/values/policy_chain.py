@@ -133,8 +133,8 @@ class PolicyChain:
         matters = undecided & ~mdp.over & ~mdp.indifferent & self.reached
         if matters.any():
             raise ModelError(
-                "the policy held fixed does not say what it does in a state where that does not "
-                "matter today, but does here",
+                "the policy held fixed names no action in a state where the choice does not matter "
+                "today, but matters here",
                 where=f"{mdp.space.place(int(matters.argmax()))}, {where}",
                 fix="give an action there, too, by a mapping or an array over all states",
             )

@@ -322,6 +322,7 @@ def return_distribution(
         )
     if horizon is not None:
         mdp = mdp.within(horizon)
+    # Rewards as whole multiples of a unit; then carry the mass from the start to the end.
     chain, lost = split_infinite_returns(PolicyChain.of(mdp, policy, kind=kind))
     gain, unit = _find_lattice(chain)
     multiples, masses, left, roundings = MassFlow(chain, gain, lost, exact=exact).carry_mass()

@@ -450,7 +450,7 @@ def test_a_policy_that_is_silent_where_it_matters_elsewhere_is_refused() -> None
         assert (value_curve.fixed_at(-1), value_curve.fixed_at(1)) == (0, 0)
         assert value_curve.within(0)[0].low[0] == -1
         assert value_curve.within(0)[-1].high[1] == pytest.approx(0)
-    with pytest.raises(ModelError, match="does not say what it does in a state"):
+    with pytest.raises(ModelError, match="names no action in a state"):
         curve(family, "p", (-1, 1), policy=lambda state: 1)
 
 

@@ -115,7 +115,7 @@ def test_names_are_text(tmp_path: Path) -> None:
     assert done.result["written"] == str(html)
     page = html.read_text(encoding="utf-8")
     assert page.count("<script") == 2
-    assert "✗ and a frame: what the policy held fixed does is not optimal here." in page
+    assert "✗ and a frame: the action of the policy held fixed is not optimal here." in page
     assert "The optimal policy shown stays optimal from" in page
     assert "<img" not in page
     assert "<b>" not in page

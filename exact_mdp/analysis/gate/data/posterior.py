@@ -42,7 +42,7 @@ MOST_ROOM = 10**8  # numbers of one draw, which take about a gigabyte
 
 @dataclass(frozen=True, kw_only=True)
 class Posterior:
-    """A credible upper bound of the regret under a Dirichlet prior.
+    """A credible upper bound on the regret under a Dirichlet prior.
 
     It has no guaranteed coverage over data sets, and no lower end above 0.
 

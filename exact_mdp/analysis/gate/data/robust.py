@@ -11,7 +11,7 @@ between L^π and U^π, h half their distance and π(l) the probability of l,
 
 whose last term is at most γ Σ |P_l - P_π| h: h weighted by the recorded shares, and the largest h
 times √(2 KL), by which a row may move (Pinsker). Every bound comes from a monotone operator T: v +
-e / (1 - γ) is an upper bound of its fixed point if T v ≤ v + e. At discount 1 T maps a valid bound
+e / (1 - γ) is an upper bound on its fixed point if T v ≤ v + e. At discount 1 T maps a valid bound
 to a valid bound, so a range that the user states can be narrowed step by step.
 """
 

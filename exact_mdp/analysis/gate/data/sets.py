@@ -1,4 +1,4 @@
-"""Sets of rows that the records allow: one around each counted row, all of them right at once.
+"""Sets of rows that the records allow: one around each counted row, all of which hold at once.
 
 A pair seen n times, with shares p of m states that followed, has an unknown row q. The likelihood
 ratio of a Dirichlet mixture against q has mean 1 at every n, so it ever exceeds 1/δ with
@@ -134,7 +134,7 @@ class RowSets:
         return radius
 
     def at_start(self, value: Floats, *, most: bool) -> float:
-        """Return a bound of the mean of values (S,) over every start that the records allow."""
+        """Return a bound on the mean of values (S,) over every start that the records allow."""
         weights = self.mdp.start_distribution
         if self.episodes is None:
             # The start is known: only the sum is rounded.

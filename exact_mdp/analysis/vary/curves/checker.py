@@ -145,7 +145,7 @@ def piece_violations(
         if begins:
             joined = joined and piece.low[0] == piece.low[1]
         if not joined or not (begins or _turn_at_once(turning, piece.low)):
-            yield f"nothing proves what is optimal next to {at}"
+            yield f"nothing proves the optimum next to {at}"
         last = piece
 
 

@@ -331,7 +331,7 @@ def curve(
         The parameter; the others are held fixed.
     ranges : (low, high) or {name: (low, high)}, optional
         The range; by default all values that the parameter may have or, if these are unbounded,
-        today's value ± 100 %. A discount goes up to 1 - 2^-40 if there are no values at 1.
+        today's value ± 100 %. A discount goes up to 1 - 2^-40 if values at 1 do not exist.
     relative : number, optional
         Today's value ± this share instead.
     policy : PolicyLike, optional
@@ -383,8 +383,8 @@ def curve(
             for state in np.flatnonzero(undecided).tolist():
                 if equations.has_different_actions(state):
                     raise ModelError(
-                        "the policy held fixed does not say what it does in a state in which that "
-                        "does not matter today, but matters elsewhere in the range",
+                        "the policy held fixed names no action in a state where the choice does "
+                        "not matter today, but matters elsewhere in the range",
                         where=f"{mdp.space.place(state)}, for some {name}",
                         fix="give an action there, too, by a mapping or an array over all states",
                     )

@@ -1,4 +1,4 @@
-"""The derivative of the start value by every parameter, in one backward and one forward pass.
+"""The derivatives of the start value for all parameters, in one backward and one forward pass.
 
     dV/dθ = Σ_l d(l) c(l),    c(l) = ∂r(l) + γ Σ_s' ∂P(l, s') V(s') + ∂γ Σ_s' P(l, s') V(s')
 
@@ -105,12 +105,12 @@ Slope = Certified | Bounded | Checked
 
 @dataclass(frozen=True, kw_only=True)
 class Derivative:
-    """The left and the right derivative of the start value by one parameter."""
+    """The left and the right derivative of the start value for one parameter."""
 
     parameter: Parameter
     left: Slope | None  # None at the lower end of the parameter's range
     right: Slope | None  # None at the upper end
-    elasticity: float | None  # None if there is no single derivative, or the value is 0
+    elasticity: float | None  # None if the two sides differ, or the value is 0
 
     @property
     def value(self) -> Slope | None:
@@ -133,7 +133,7 @@ class Derivative:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Gradient(Pictured):
-    """Derivatives of the start value by every parameter."""
+    """Derivatives of the start value for every parameter."""
 
     model: str
     start: Number
@@ -155,7 +155,7 @@ class Gradient(Pictured):
         return self.start.value
 
     def report(self) -> Report:
-        """Return derivatives and elasticities by every parameter."""
+        """Return derivatives and elasticities for every parameter."""
         each = self.derivatives.items()
         exact, errors = dict[str, Any](), dict[str, float]()
         for name, slope in each:
@@ -175,6 +175,7 @@ class Gradient(Pictured):
         }
         # The bound of each derivative stands in `error_bounds`.
         del facts["error_bound"]
+        # At a kink the table shows both one-sided derivatives.
         rows = self._list_derivative_rows()
         for row in rows:
             if self.derivatives[row["parameter"]].value is None:
@@ -230,7 +231,7 @@ def gradient(
     names: Iterable[str] | None = None,
     exact: bool | None = None,
 ) -> Gradient:
-    """Return the derivative of the start value by every parameter.
+    """Return the derivative of the start value for every parameter.
 
     Parameters
     ----------
@@ -421,8 +422,8 @@ def _refuse_silence(mdp: MDP, silent: Mask, name: str) -> None:
     """Raise ModelError if the policy held fixed is silent in states (S,) that become live."""
     if silent.any():
         raise ModelError(
-            "the policy held fixed does not say what it does in a state that is terminal today, "
-            "but not for nearby values of the parameter",
+            "the policy held fixed names no action in a state that is terminal today, but not for "
+            "nearby values of the parameter",
             where=f"parameter {name}, {mdp.space.place(int(silent.argmax()))}",
             fix="give an action there, too, by a mapping or an array over all states",
         )

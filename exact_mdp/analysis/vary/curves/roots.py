@@ -1,7 +1,7 @@
 """Signs and real roots of rational polynomials: proved, counted, isolated and compared exactly.
 
 Descartes' rule of signs on an interval (a, b), after the substitution x = (a + b t) / (1 + t):
-without a variation of signs there is no root inside, with one variation exactly one. Intervals with
+without a variation of signs no root lies inside, with one variation exactly one. Intervals with
 more are halved (Vincent, Collins and Akritas; see Rouillier and Zimmermann, Journal of
 Computational and Applied Mathematics 162, 2004). A polynomial is not negative on an interval if no
 coefficient after the substitution is. All arithmetic is rational, so no root is missed.

@@ -311,7 +311,7 @@ def compute_policy_values(equations: SectionEquations, mix: Mix) -> Values:
 
 
 def _bound_degree(equations: SectionEquations) -> int:
-    """Return an upper bound of the degree of values in a model with cycles (Cramer's rule)."""
+    """Return an upper bound on the degree of values in a model with cycles (Cramer's rule)."""
     live, where = len(equations.live), f"parameter {equations.change.name}"
     degree = 0
     for pairs in equations.pairs.values():

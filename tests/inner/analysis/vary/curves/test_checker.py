@@ -148,7 +148,7 @@ def test_one_threshold_may_lie_in_a_bracket_and_two_may_not() -> None:
     assert refused(lines((1, -1), ("1/2", 0), (0, 1)), one, other) == []
     assert refused(lines((1, -1), ("1/4", 0), (0, 1)), one, other) == []
     wrong = refused(lines((1, -1), ("9/16", 0), (0, 1)), one, other)
-    assert [each.rpartition(" ")[0] for each in wrong] == ["nothing proves what is optimal next to"]
+    assert [each.rpartition(" ")[0] for each in wrong] == ["nothing proves the optimum next to"]
     for narrow in ((F(1, 2), F(5, 8)), (F(3, 8), F(1, 2)), (F(1, 2), F(1, 2))):
         assert (
             refused(

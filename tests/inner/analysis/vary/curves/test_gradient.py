@@ -283,7 +283,7 @@ def test_a_state_that_is_over_today_and_begins_next_to_today_needs_an_action(exa
         return MDP.from_outcomes(rows, "1/2")
 
     family = Family(parameters={"t": 0}, build=build)
-    with pytest.raises(ModelError, match="does not say what it does"):
+    with pytest.raises(ModelError, match="names no action"):
         gradient(family, policy={"state 0": "0"}, exact=exact)
     slope = gradient(family, policy=[0, 1], exact=exact)["t"].value
     assert slope is not None
