@@ -35,8 +35,6 @@ from exact_mdp.solvers.bounds.gains import (
     row_error,
 )
 
-MOST = 2**16  # entries of the dense rows of one model: beyond it, sparse solvers are as fast
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Batch:
@@ -60,7 +58,8 @@ class Batch:
         None also if some policy may never end, or may miss a goal.
         """
         one = models[0]
-        if one.n_pairs * one.n_states > MOST:
+        # With more entries of dense rows, sparse solvers are as fast.
+        if one.n_pairs * one.n_states > 2**16:
             return None
         for other in models[1:]:
             if not np.array_equal(one.pair_offsets, other.pair_offsets):

@@ -135,7 +135,7 @@ def test_a_report_lists_states_unless_there_are_many(monkeypatch: pytest.MonkeyP
     for mdp, _, chain in cases(1):
         law = evaluate_average(chain)
         for most, listed in ((mdp.n_states, True), (mdp.n_states - 1, False)):
-            monkeypatch.setattr(module, "LISTED", most)
+            monkeypatch.setattr(module, "MOST_LISTED", most)
             facts = json.loads(law.report().json())
             assert facts["mean"] == law.mean
             assert facts["error_bound"] == law.start.error
