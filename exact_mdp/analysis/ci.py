@@ -1,7 +1,7 @@
 """Reports of a check for continuous integration: JUnit XML, and the pages of GitHub Actions.
 
 There is one test case for each verdict, or for an error. Some systems show a failure's `message`
-and some only its text, so that the text holds the whole message. The elements are common to the
+and some only its text, so the text holds the whole message. The elements are common to the
 xunit2 formats of pytest and Jenkins. A GitHub runner interprets a line that begins with `::`, or
 contains `##[`, as a command ("Workflow commands for GitHub Actions" in its documentation); as names
 come from models and files, such lines are changed.

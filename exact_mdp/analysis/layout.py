@@ -1,10 +1,10 @@
-"""Where each state stands in a picture: in a row and a column of a map.
+"""Where each state stands in a picture: the row and the column of a map.
 
-A map is spanned by columns of the state space, or by the parts of states that are tuples. Unless
-said otherwise, the one that actions such as "right" change goes across and that of "down" goes
-down, in the direction of the arrow; without such actions the last column goes across. All others
-go down. Numbered states of a grid world fill its `shape` row by row; without one they stand in rows
-of ten.
+A map is spanned by columns of the state space, or by the parts of states that are tuples. By
+default the column that actions such as "right" change goes across and the one that "down" changes
+goes down, in the direction of the arrow; without such actions the last column goes across. All
+others go down. Numbered states of a grid world fill its `shape` row by row; without a shape they
+stand in rows of ten.
 """
 
 from __future__ import annotations
@@ -80,11 +80,11 @@ def arrange(
     across: str | Sequence[str] | None = None,
     **at: object,
 ) -> Layout:
-    """Return the places of a model's states; raises ModelError where they do not fit.
+    """Return the places of a model's states; raise ModelError if they do not fit.
 
-    `shape` is that of a grid world whose states are numbered row by row. `down` and `across` name
-    columns of the state space, or parts of states that are tuples; those that neither names go
-    down. `at` holds columns fixed, such as `trial=0`: other states are left out.
+    `shape` is (rows, columns) of a grid world whose states are numbered row by row. `down` and
+    `across` name columns of the state space, or parts of states that are tuples; those that neither
+    names go down. `at` holds columns fixed, such as `trial=0`: other states are left out.
     """
     sides = _find_columns(model)
     down, across = ([each] if isinstance(each, str) else each for each in (down, across))
@@ -135,7 +135,8 @@ def arrange(
 def _find_columns(model: MDP) -> Sides:
     """Return the columns of states; of tuples, their parts.
 
-    Tuples have parts where all are of one length, other states are ends, and few cells are empty.
+    Tuples have parts if all have one length, all other states are terminal, and few cells are
+    empty.
     """
     space, sides = model.space, Sides()
     objects = space.columns[0].objects if len(space.columns) == 1 else ()
@@ -224,7 +225,7 @@ def _lay_out_list(model: MDP) -> Layout:
 
 
 def shorten_names(names: Sequence[str], most: int) -> list[str]:
-    """Return names of at most so many letters, different where they are: ends, else numbers."""
+    """Return names of at most `most` letters, kept distinct: their ends, or else numbers."""
     half = most // 2
     for first, last in ((most - 1, 0), (0, most - 1), (most - 1 - half, half)):
         short = [n if len(n) <= most else f"{n[:first]}…{n[len(n) - last :]}" for n in names]
@@ -248,7 +249,7 @@ def _compute_drift(model: MDP, values: Sequence[Integers]) -> Floats:
 
 
 def _choose_arrows(model: MDP, row: Integers, column: Integers) -> dict[str, str]:
-    """Return a sign for each action: an arrow only where its moves go that way more than aside."""
+    """Return a sign for each action: an arrow only if its moves go that way more than sideways."""
     right, down = _compute_drift(model, [column, row])
     ways = {"←": (-right, down), "↓": (down, right), "→": (right, down), "↑": (-down, right)}
     signs = choose_symbols(model.actions)
@@ -261,9 +262,9 @@ def _choose_arrows(model: MDP, row: Integers, column: Integers) -> dict[str, str
 
 
 def choose_symbols(actions: Sequence[str]) -> dict[str, str]:
-    """Return a sign for each action: an arrow where its name is a direction, else a short name.
+    """Return a sign for each action: an arrow if its name is a direction, else a short name.
 
-    Names stand for themselves where all are short.
+    If all names are short, they stand for themselves.
     """
     names = [name.strip().lower() for name in actions]
     words = [*COMPASS, *(letters for letters in INITIALS if set(letters) <= set(names))]
@@ -280,11 +281,11 @@ def choose_symbols(actions: Sequence[str]) -> dict[str, str]:
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:
-    """One state of a map; idle is one without a choice or a visit that is not wrong."""
+    """One state of a map; it is idle if it has no choice or no visit, and is not wrong."""
 
     state: int
     kind: Literal["wrong", "idle", ""]
-    text: str  # what the policy does, with "✗" where that is wrong
+    text: str  # the action of the policy, with "✗" if it is wrong
     small: str  # the optimal action then
     name: str  # the state's number or name, where states are only listed
     title: str  # the state in full, with its numbers
@@ -306,12 +307,14 @@ def build_cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
     """Return the cell at each row and column of the map; None where no state is."""
     mdp, choices = audit.mdp, actions_of(audit.mdp, audit.chain.chosen > 0)
     grid: list[list[Cell | None]] = [[None] * len(layout.columns) for _ in layout.rows]
+    # Losses are shaded relative to the costliest state.
     wrong = {each.state: each for each in audit.disagreements}
     most = max((each.cost for each in audit.disagreements), default=0.0) or 1.0
     idle, ends = ~mdp.asked | (audit.visits == 0), ends_of(mdp)
     begins = {state for state, _ in mdp.start}
     for state in layout.shown.tolist():
         each, label = wrong.get(state), mdp.space.label(state)
+        # The text of the cell, and the sentence that a page shows for it.
         names = choices[state]
         text, best = layout.format_actions(names), ""
         said = f"{format_alternatives(names)}; {audit.visits[state]:.6g} expected visits"

@@ -107,6 +107,8 @@ class Optimum:
         else:
             stationary = None
         policy = [mdp.actions[action] for action in np.asarray(self.best.policy)]
+        # The policy: by status at the first subtask and trial, or by state if there are not too
+        # many.
         key, reads, where, chosen = "policy_by_state", "state", "", None
         if {"subtask", "trial", "status"} <= set(mdp.space.names):
             column = mdp.space.column("status")
@@ -137,6 +139,7 @@ class Optimum:
             "policy_by_state": None,
             key: chosen,
         }
+        # Gain and bias of each state, for an average reward.
         if self.average:
             labels = state_names(mdp.space)
             for name, values in (("gain", self.best.value), ("bias", self.best.bias)):
@@ -204,13 +207,14 @@ def compute_optimum(
     certify: bool = False,
     criterion: Criterion = "total",
 ) -> Optimum:
-    """Solve a model in floating point and, where asked for, exactly.
+    """Solve a model in floating point and, if asked for, exactly.
 
-    Raises ModelError and SolverError as `solve` does, unless the exact answer was asked for where a
-    solver gives up; Contradiction. A tolerance that is not met is warned of.
+    Raises ModelError and SolverError as `solve` does (if the exact answer is asked for, a solver
+    may give up), and Contradiction. A warning says if a tolerance is not met.
     """
     require_known_name(method, [*SOLVERS, "auto"], "method", "method")
     check_tolerance("tol", tol)
+    # The optimum in floats; with a proof asked for, it may fail.
     solution = None
     try:
         solution = solve(model, method, tol=tol, criterion=criterion)
@@ -218,17 +222,20 @@ def compute_optimum(
         if not certify:
             raise
         warn_at_caller(f"{error} (the exact values stand)", PrecisionWarning)
+    # The exact optimum, with a proof that its checker has accepted.
     if certify:
         exact = require_sound_proof(certified(model, criterion=criterion))
     else:
         exact = None
     start: Certified | Bounded
     if exact is not None:
+        # Certified values are exact; as floats they are rounded once, by less than their spacing.
         value, start = exact.value_float, exact.start
         state_error, rounding = (
             np.nan_to_num(np.spacing(np.abs(x))) for x in (value, float(start))
         )
         error_bound = float(max(state_error.max(), rounding))
+        # Both answers must agree within the error that the solver states.
         if solution is not None:
             same = np.isclose(
                 solution.value, value, rtol=0, atol=solution.state_error + state_error
@@ -240,6 +247,7 @@ def compute_optimum(
                     f"which states an error of at most {solution.error_bound:.3g}"
                 )
     else:
+        # Without a proof, the bounds of the solver hold.
         assert solution is not None
         value, state_error = solution.value, solution.state_error
         error_bound = max(solution.error_bound, solution.start.error)

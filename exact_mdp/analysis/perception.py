@@ -63,7 +63,7 @@ class ErrorCosts(Pictured):
     # The gain per unit of a status's sensitivity and specificity, other statuses unchanged.
     rates: dict[str, tuple[float, float]]
     error: float  # bound for each entry of `derivative` and `loss`, and for each rate
-    sign: int = 1  # -1 if values are costs, so that a loss is a higher cost
+    sign: int = 1  # -1 if values are costs, so a loss is a higher cost
 
     @property
     def marginal(self) -> Floats:
@@ -176,7 +176,7 @@ def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCo
         value = np.where(reached, each.value, 0.0)
         if not np.isfinite(value).all():
             raise ModelError(
-                "the policy may go on forever, so that the loss by errors of perception is unknown",
+                "the policy may go on forever, so the loss by errors of perception is unknown",
                 where=model.space.place(int(np.flatnonzero(~np.isfinite(value))[0])),
                 fix="give a discount below 1, or a number of steps",
             )
@@ -187,7 +187,7 @@ def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCo
         tables.append(by_place(model, model.backup(value)) @ table.transpose(0, 2, 1))
     by_seen, true_by_seen = tables
 
-    # The two formulas of the module's head.
+    # The two formulas at the head of the module.
     visits, regular = both[0].chain.discounted.visits, model.space.regular
     met, unsure = (x[:regular].reshape(-1, size) for x in (visits.value, visits.error))
     derivative = np.einsum("ps,psz->sz", met, by_seen)

@@ -1,4 +1,4 @@
-"""The run record: what a saved result was made from, in a `.run.json` beside it."""
+"""The run record: the origin of a saved result, in a `.run.json` beside it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def run_record(
     words of the command line.
     """
     root, commit = Path(__file__).resolve().parents[2], None
-    if (root / ".git").exists():  # the commit of a checkout, marked where it was changed
+    if (root / ".git").exists():  # the commit of a checkout, marked if files were changed
         with suppress(OSError, subprocess.TimeoutExpired):
             words = ["git", "-C", str(root), *COMMIT]
             done = subprocess.run(words, capture_output=True, text=True, timeout=10)

@@ -466,7 +466,7 @@ def _rows_of_matrices(
     values: Any, where: str, layout: str | None
 ) -> tuple[Any, tuple[int, int], str]:
     """Return P, or R by transition, as (L, S) rows in pair order, (S, A), and the layout."""
-    # Read the shape, which is that of an array with three indices.
+    # Read the shape as the shape of an array with three indices.
     what = "rewards"
     if where == "P":
         what = "transitions"

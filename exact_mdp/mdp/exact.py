@@ -21,7 +21,7 @@ integers in hexadecimal, such as 0x1f, with a space between them:
 
 with fractions and rows in lowest terms. Names of states and actions, labels, reward components and
 events are left out: they do not change what is optimal. Models hash equally if and only if these
-contents are equal, so that 0.5, 1/2 and 2/4 are one and the same, and 0.1 (a dyadic rational)
+contents are equal, so 0.5, 1/2 and 2/4 are one and the same, and 0.1 (a dyadic rational)
 differs from 1/10.
 """
 

@@ -342,7 +342,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
 
     @cached_property
     def forced(self) -> NDArray[np.bool_]:
-        """(S,) True where a state has a single action."""
+        """(S,) True for states with a single action."""
         return np.asarray(np.diff(self.pair_offsets) == 1)
 
     @cached_property
@@ -364,7 +364,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
 
     @cached_property
     def over(self) -> NDArray[np.bool_]:
-        """(S,) True where an episode is over: terminal, with no component or event to count."""
+        """(S,) True for states in which an episode is over: terminal, with no amount to count."""
         counted = np.zeros(self.n_pairs, dtype=bool)
         if self.table.components is not None:
             counted |= self.table.any_outcome("components")

@@ -143,7 +143,7 @@ class Report:
         for key, value in self._seen():
             if key not in self.tables and _is_table(value):
                 tables.append(_build_table(key.replace("_", " "), value))
-        # Tables with a layout; their rows may be those of a fact.
+        # Tables with a layout; a table without rows of its own takes the rows of a fact.
         for key, table in self.tables.items():
             rows = table.rows
             if rows is None:
@@ -360,7 +360,7 @@ def format_number(value: float | None, error: float = 0.0) -> str:
     """Return a number with at most ten digits, fewer if its error is large; "-" for none."""
     if value is None or math.isnan(value):
         return "-"
-    # The last digit shown is that of the leading digit of the error.
+    # The last digit shown has the place of the leading digit of the error.
     digits = DIGITS
     if 0 < error < math.inf and 0 < abs(value) < math.inf:
         places = math.floor(math.log10(abs(value))) - math.floor(math.log10(error)) + 1

@@ -1,4 +1,4 @@
-"""`python -m exact_mdp.paper_repro`: reproduce the paper, list its claims, work one out."""
+"""`python -m exact_mdp.paper_repro`: reproduce the paper, list its claims, check one."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def list_command() -> None:
 )
 @RUNS
 def claim_command(name: str, sets: tuple[str, ...], runs: int) -> None:
-    """Work out one claim; `list` shows their names."""
+    """Check one claim; `list` shows their names."""
     from exact_mdp.paper_repro import run
 
     click.echo(run.format_claim(name, sets, runs))

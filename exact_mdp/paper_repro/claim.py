@@ -1,14 +1,14 @@
-"""What a claim of the paper is, what can be found of it, and the rules that decide.
+"""Claims of the paper, the findings about them, and the rules that decide.
 
 A claim is a function of a `Reading`: its docstring says what the paper says, its body checks that.
-An *input* is what the model was built from; that it agrees shows a faithful transcription, no more.
-A *finding* is what the paper concludes. The rules:
+An *input* went into the model, so its agreement shows a faithful transcription and no more. A
+*finding* is a conclusion of the paper. The rules:
 
 entries    every number of a table is the same rational number in the model
 about      within 5 of a number that the text says approximately
 average    the chance that an average of so many experiments is as far from its exact mean, by the
            normal law with the exact standard error, is .0027 (three standard errors) or more
-share      in 95 % or more of the training runs; in fewer, the share is stated and no more
+share      in 95 % or more of the training runs; if in fewer, only the share is stated
 statement  a predicate of the exact model
 open       nothing here can decide it
 """
@@ -35,7 +35,7 @@ MEAN_RETURN = "mean return in points"
 
 
 class ClaimVerdict(StrEnum):
-    """What is found of a claim."""
+    """The verdict on a claim."""
 
     AGREES = "agrees"  # of an input
     DIFFERS = "differs"
@@ -52,7 +52,7 @@ HOLDS = {ClaimVerdict.AGREES, ClaimVerdict.REPRODUCED, ClaimVerdict.COMPATIBLE, 
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """What is found of a claim under one reading."""
+    """The result of checking a claim under one reading."""
 
     verdict: ClaimVerdict
     why: str  # in a sentence or two
@@ -225,7 +225,7 @@ def judge_undecided(why: str, **more: Any) -> Finding:
     return Finding(verdict=ClaimVerdict.NOT_DETERMINED, why=why, **more)
 
 
-# ---- all claims, worked out ----------------------------------------------------------------------
+# ---- all claims, checked -------------------------------------------------------------------------
 
 
 def judge_claims(
@@ -233,7 +233,7 @@ def judge_claims(
 ) -> Iterator[dict[str, Any]]:
     """Yield each claim with its finding, as `numbers.json` holds it.
 
-    Open claims are tried under `others` and under the best supported reading, too; where they hold
+    Open claims are tried under `others` and under the best supported reading, too; if they hold
     under some of these and not under the default, the verdict says so.
     """
     for each in claims:
@@ -287,7 +287,7 @@ def entry_of(each: PaperClaim, finding: Finding) -> dict[str, Any]:
         "difference": apart,
         "claim": None if number is None else str(number.claim),
         "error_bound": number.error if isinstance(number, Bounded) else None,
-        # 0 where the sample shows no spread, which says nothing of the error.
+        # It is 0 if the sample shows no spread, which says nothing about the error.
         "estimate_standard_error": getattr(number, "standard_error", None) or None,
         "standard_error": errors,
         "difference_in_standard_errors": apart / errors if apart is not None and errors else None,

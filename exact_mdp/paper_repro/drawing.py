@@ -1,4 +1,4 @@
-"""How the figures look, how they are saved, and what several of them are drawn with.
+"""The style of the figures, their saving, and the parts that several of them share.
 
 A figure is a function of a `Reading`; its docstring is the caption. Saved twice, the bytes are the
 same. Texts stand in the colours of Okabe and Ito, which greyscale keeps apart; what a colour means
@@ -54,7 +54,7 @@ class Picture:
     name: str
     title: str
     caption: str
-    place: str  # empty for a figure that the paper has not
+    place: str  # empty if the paper has no such figure
     draw: Callable[[Reading], Figure]
     code: str
 

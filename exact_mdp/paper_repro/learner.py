@@ -83,7 +83,7 @@ class Learned:
 
     @cached_property
     def last(self) -> list[np.ndarray]:
-        """Of each run the different greedy policies of its last 100 episodes, (U, 16)."""
+        """For each run the different greedy policies of its last 100 episodes, (U, 16)."""
         return [run.policies[np.unique(run.last)] for run in self.runs]
 
     @property

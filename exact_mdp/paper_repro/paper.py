@@ -27,12 +27,12 @@ ACTIONS = ("none", "supportive", "non-directive", "directive")  # Table 2: a0 to
 STATUSES = tuple(map("".join, product("01", repeat=4)))  # forgetful, confused, angry, disengaged
 BITS = {"forgetfulness": 8, "confusion": 4, "anger": 2, "disengagement": 1}
 ANGRY = tuple(status for status in STATUSES if status[2] == "1")
-OPEN = ("0001", "0101", "1001", "1101")  # nothing is said of these
+OPEN = ("0001", "0101", "1001", "1101")  # the text says nothing of these
 
 AVERAGES: dict[str, float] = REPORTED["averages"]  # by the action in status 0000
 FINAL = next(iter(AVERAGES))  # the order of the paper's final policy
 EXPERIMENTS: int = REPORTED["experiments"]
-ABOUT = 5.0  # how far from a number that the text calls approximate: a tolerance of ours
+ABOUT = 5.0  # the distance allowed from a number that the text calls approximate: our choice
 ORDERS = {  # of "directive or non-directive, respectively" for 1000 and 0100
     "as written": {"1000": "directive", "0100": "non-directive"},
     "swapped": {"1000": "non-directive", "0100": "directive"},

@@ -1,8 +1,8 @@
 """The report as Markdown: README.md of this folder, and report.md of a run.
 
-Everything that takes long is in `results.json`, as a run writes it; the tables of the paper, the
-prompts and the scripted conversation are worked out here. So the page can be written again from the
-results in a second, and a test holds the committed page to that.
+Everything that takes long to compute is in `results.json`, as a run writes it; the tables of the
+paper, the prompts and the scripted conversation are computed here. So the page can be rewritten
+from the results in a second, and a test compares the committed page with them.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ def build_tables(reading: Reading) -> dict[str, list[list[str]]]:
 
 
 def render_readme(results: Mapping[str, Any], *, code: str = "") -> str:
-    """Return the page; `code` is what links to files of the code begin with, none where empty."""
+    """Return the page; `code` is the beginning of links to files of the code, or empty."""
     import jinja2
 
     environment = jinja2.Environment(

@@ -1,4 +1,4 @@
-"""The main job: work out every claim, draw, and write everything beside a run record.
+"""The main job: check every claim, draw the figures, write all results and a run record.
 
 results.json   everything that the report is written from
 numbers.json   the claims with a number
@@ -6,8 +6,8 @@ report.md      the report
 figures/       each figure as SVG and PNG
 run.json       versions, commit and date
 
-Finished training runs are kept in OUT/work until the job is done, so that an interrupted one goes
-on where it stopped. `expected.toml` pins the result of each claim; it is written by hand.
+Finished training runs are kept in OUT/work until the job is done, so an interrupted job goes on
+where it stopped. `expected.toml` pins the result of each claim; it is written by hand.
 """
 
 from __future__ import annotations
@@ -90,7 +90,8 @@ def run_reproduction(out: Path, *, quick: bool, readme: Path | None = None) -> d
     if quick:
         runs = 100
     require_matplotlib()
-    write_file(out / "run.json", as_json({"started": True}))  # a folder that cannot be written to
+    # This fails here, before any work, if the folder cannot be written to.
+    write_file(out / "run.json", as_json({"started": True}))
     # Find out first which readings the reported returns support.
     reading = build_default_reading(runs=runs, folder=out / "work")
     evidence = compute_support(reading, show_progress)
@@ -141,7 +142,7 @@ def run_reproduction(out: Path, *, quick: bool, readme: Path | None = None) -> d
 
 
 def require_matplotlib() -> None:
-    """Raise ModelError, before anything is worked out, where no figure could be drawn."""
+    """Raise ModelError, before anything is computed, if no figure could be drawn."""
     with require_extra("plots"):
         import matplotlib.pyplot as plt
     del plt
@@ -206,7 +207,7 @@ def changed_reading(base: Reading, sets: Sequence[str]) -> Reading:
 
 
 def format_claim(name: str, sets: Sequence[str], runs: int) -> str:
-    """Return one claim with all that is found of it, as text.
+    """Return one claim with everything found about it, as text.
 
     An open claim is tried under the readings with one change, too.
     """

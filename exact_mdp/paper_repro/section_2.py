@@ -1,8 +1,8 @@
 """Section 2, the agent PLWD: terms, assistance, Table 3, the skip rule; Figures 1 to 4.
 
-Every number is read back out of the compiled model: the chance that a status is present next is
-summed up from the exact outcomes of a row. So what the solvers use is compared, not the scenario
-file.
+Every number is read back out of the compiled model: the probability that a status is present next
+is a sum over the exact outcomes of a row. So the paper is compared with the model that the solvers
+use, not with the scenario file.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ COGNITIVE = {"forgetfulness": "confusion", "confusion": "forgetfulness"}
 def list_outcomes(mdp: MDP, state: int, action: int) -> list[tuple[Fraction, int, Fraction]]:
     """Return the exact outcomes of an action: probability, next state, reward.
 
-    In a state with a single action, that one is meant.
+    In a state with a single action, the outcomes are those of that action.
     """
     pairs = mdp.pairs_of(state)
     if len(pairs) == 1:
@@ -60,7 +60,7 @@ def list_outcomes(mdp: MDP, state: int, action: int) -> list[tuple[Fraction, int
 def compute_status_distribution(
     mdp: MDP, vector: int, action: int, *, trial: int = 0
 ) -> dict[int, Fraction]:
-    """Return the exact law of the status vector after an action in the first subtask."""
+    """Return the exact distribution of the status vector after an action in the first subtask."""
     state = mdp.space.index(subtask=0, trial=trial, status=vector)
     chances = dict.fromkeys(range(16), Fraction(0))
     for probability, following, _ in list_outcomes(mdp, state, action):

@@ -100,8 +100,8 @@ def max_trial(reading: Reading) -> Finding:
 def list_rewards(reading: Reading) -> list[tuple[int, int, int, bool, Fraction]]:
     """Return action, next status, subtask, whether it is completed, and reward of outcomes.
 
-    Those with positive probability from a trial before the last one, from which no subtask is
-    skipped, so that the next status is that of the next state.
+    Only outcomes of positive probability from a trial before the last one are listed: no subtask is
+    skipped there, so the next status can be read off the next state.
     """
     mdp, rows = reading.mdp, []
     trial, subtask, status = (mdp.space.values(name) for name in ("trial", "subtask", "status"))
@@ -142,10 +142,12 @@ def equation_1(reading: Reading) -> Finding:
 def derive_weights(reading: Reading) -> dict[str, Fraction]:
     """Return the weights of Table 4 as differences of rewards in compiled rows.
 
-    A trial is told from a timestep by the reading in which only failed trials cost, a skip by the
-    one in which it takes a timestep of its own. The weight of a completed subtask shows only
-    together with that of the assistance: as in the table, no assistance weighs nothing.
+    The reading in which only failed trials cost separates a trial from a timestep; the reading in
+    which a skip takes a timestep of its own separates the skip. The weight of a completed subtask
+    appears only together with the weight of the assistance: as in the table, the weight of no
+    assistance is 0.
     """
+    # Rewards of failed trials by next status, and of completed subtasks by action.
     free = Reading(scenario=reading.scenario.with_(readings={"trial_cost": "failed-trials"}))
     failed: dict[int, Fraction] = {}
     completed: dict[tuple[int, bool], Fraction] = {}
@@ -154,17 +156,20 @@ def derive_weights(reading: Reading) -> dict[str, Fraction]:
             completed[action, subtask == reading.scenario.tasks[0] - 1] = gain
         else:
             failed[after] = gain
+    # The weight of a trial: the difference to a reading in which a completed one is free.
     trial = completed[0, False] - next(
         gain
         for action, _, subtask, done, gain in list_rewards(free)
         if done and (action, subtask) == (0, 0)
     )
+    # The weight of a status: two status vectors that differ in it alone.
     two = {"forget": (12, 4), "confuse": (12, 8), "anger": (6, 4), "disengaged": (5, 4)}
     by_name = {name: failed[both] - failed[one] for name, (both, one) in two.items()}
     by_name["trial"] = trial
     by_name["timestep"] = timestep = failed[8] - by_name["forget"] - trial
     by_name["subtask-complete"] = completed[0, False] - timestep - trial
     by_name["task-complete"] = completed[0, True] - completed[0, False]
+    # The weight of a skip, in the model in which it takes a timestep of its own.
     mdp = reading.skip_model
     state = mdp.space.index(subtask=0, trial=reading.scenario.trials, status=8)
     gain = next(

@@ -1,7 +1,8 @@
-"""Section 4.1, what learning ends with: Figures 9 and 10.
+"""Section 4.1, the policies that learning ends with: Figures 9 and 10.
 
-The paper trains once with each exploration schedule; here many seeds are trained, so that what it
-shows of its runs has a frequency. Policies are judged by exact values instead of experiments.
+The paper trains once with each exploration schedule; here many seeds are trained, so every
+observation about its runs gets a frequency. Policies are judged by exact values instead of
+experiments.
 """
 
 from __future__ import annotations
@@ -102,7 +103,7 @@ def learning_curves(reading: Reading) -> Figure:
     top = fig.add_subplot(grid[0, :])
     optimum = reading.evaluate_policy("optimal").mean
     curves = {shown: reading.train_runs(name).drawn.sampled for name, shown in SHOWN.items()}
-    # The random strategy has a seed of its own, beside those of the schedules.
+    # The random strategy has a seed of its own, apart from the seeds of the schedules.
     source = spawn_seed(CURVES, len(SHOWN))
     returns, _ = sample_epoch_returns(reading.mdp, QLearning().epochs, rng=source)
     curves["random"] = returns.mean(axis=1)
@@ -206,7 +207,7 @@ def learned_stated(reading: Reading, schedule: str) -> Finding:
 
 
 def are_as_described(policies: Iterable[dict[str, str]]) -> bool:
-    """Return whether what the text says of statuses holds for all of some policies."""
+    """Return whether the text's statements about statuses hold for all of some policies."""
     return all(
         all(policy[status] == "supportive" for status in ANGRY)
         and any(has_stated_actions(policy, order) for order in ORDERS)
@@ -267,7 +268,7 @@ def error_of_pairs(shown: np.ndarray) -> float:
 def told_together(reading: Reading) -> dict[str, np.ndarray]:
     """Return, for each statement about the two runs, the pairs of runs (R, R) that show it.
 
-    Of a run the policies of its last 100 episodes count.
+    For a run, the policies of its last 100 episodes count.
     """
     runs = [reading.train_runs(schedule) for schedule in SHOWN]
     places = [int(status, 2) for status in ANGRY]
@@ -287,6 +288,7 @@ def told_together(reading: Reading) -> dict[str, np.ndarray]:
             for policy in policies
         )
 
+    # Sets of actions in 0000 as bit masks, so that a union is an "or".
     starts = [[sum(1 << a for a in set(p[:, 0].tolist())) for p in run.last] for run in runs]
     three = sum(1 << NUMBER[start] for start in AVERAGES)
     one, two = runs[0].final, runs[1].final

@@ -1,8 +1,8 @@
-"""Section 4.2, the two agents together: what follows from the decision model, and what stays open.
+"""Section 4.2, the two agents together: consequences of the decision model, and open claims.
 
-The paper gives no transcript in full. What rests on the wording of its authors' language model, or
-on people's judgement, stays not determined, whichever action is optimal in the decision model: that
-is computed and said beside it, and so is what errors of perception would cost.
+The paper gives no transcript in full. Claims that rest on the wording of its authors' language
+model, or on people's judgement, stay undetermined. The action that is optimal in the decision model
+is computed and stated with them, and so is the cost of errors of perception.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from exact_mdp.paper_repro.silent_points import Reading
 
 
 def value_as_perceived(reading: Reading, confusion: np.ndarray) -> float:
-    """Return the value of the optimal policy where it acts on a perceived status."""
+    """Return the value of the optimal policy if it acts on a perceived status."""
     policy = perceived(reading.mdp, Policy.of(reading.mdp, reading.optimum), confusion)
     return float(evaluate(reading.mdp, policy).mean)
 

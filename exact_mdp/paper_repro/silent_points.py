@@ -1,8 +1,8 @@
-"""What the text leaves open, and the model under one way to read it.
+"""The points that the text leaves open, and the model under one reading of them.
 
 Eight points of the rules are open, 576 combinations in all; "respectively" can be taken in two
 orders; the number of subtasks, the discount of the experiments' returns and the actions in four
-statuses are not said. `paper.toml` has the words. The default reading takes them in their plain
+statuses are not stated. `paper.toml` has the words. The default reading takes them in their plain
 sense; it was not chosen by these returns.
 
 How far the reported returns support a reading r with an order o is the likelihood
@@ -10,8 +10,8 @@ How far the reported returns support a reading r with an order o is the likeliho
     L(r, o) = Π_i N(a_i; m_i, v_i / 1000) · N(70; m_random, 5²)
 
 of the three averages a_i and of the random strategy's return, of about 70; m_i and v_i are the
-exact mean and variance. Weights are L divided by its sum. In the four statuses of which nothing is
-said the policies are supportive, which is optimal there under the default reading.
+exact mean and variance. Weights are L divided by its sum. In the four statuses that the text does
+not mention the policies are supportive, which is optimal there under the default reading.
 """
 
 from __future__ import annotations

@@ -57,15 +57,18 @@ class Batch:
 
         None also if some policy may never end, or may miss a goal.
         """
+        # Dense rows of large models would take more time than sparse solvers.
         one = models[0]
         # With more entries of dense rows, sparse solvers are as fast.
         if one.n_pairs * one.n_states > 2**16:
             return None
+        # The models must have the same pairs, and no run may miss a goal.
         for other in models[1:]:
             if not np.array_equal(one.pair_offsets, other.pair_offsets):
                 return None
         if any(mdp.discount_exact == 1 and beside_goal(mdp).any() for mdp in models):
             return None
+        # Stack the numbers of all models; costs are negated.
         facts = [rounding_facts(mdp) for mdp in models]
         batch = cls(
             rows=np.stack([mdp.transition.toarray() for mdp in models]),
@@ -79,6 +82,7 @@ class Batch:
             state=np.array(one.pair_state),
             first=np.array(one.pair_offsets[:-1]),
         )
+        # Without verified weights, some policy may never end.
         if batch.weights is None:
             return None
         return batch

@@ -168,6 +168,7 @@ class Budgeted:
         """Return the new model, with the start for a threshold."""
         # Each state is repeated for its budgets, with all of its pairs.
         old, each = self.mdp, [self.list_successors(state) for state in range(self.mdp.n_states)]
+        # One copy of each state for each of its budgets, and of its pairs for each copy.
         state = np.repeat(np.arange(old.n_states), np.diff(self.first))
         pairs = concatenate_ranges(old.pair_offsets[state], old.pair_offsets[state + 1])
         parts: dict[str, Any] = {
@@ -385,6 +386,7 @@ def best_cvar(model: MDP | Scenario, level: object) -> CVaROptimum:
     mdp, share = mdp_of(model), parse_tail_share(level)
     of = Budgeted(mdp)
     pairs, values, means = _solve_budgeted(of)
+    # The best threshold: the greatest CVaR, then the greatest mean, then the lowest threshold.
     value, mean, least = max(
         (of.compute_cvar(values, k, share), means.compute_mean(of.list_start(k)), -k)
         for k in of.thresholds

@@ -198,12 +198,12 @@ def _check_fit(
         raise ModelError(
             "start holds values to begin the search with, and a horizon is solved in one pass",
             where="start",
-            fix="give what states are worth at the end as terminal_value, and where episodes begin "
+            fix="give the values of states at the end as terminal_value, and where episodes begin "
             "as the model's own start: mdp.with_(start=...)",
         )
     if horizon is None and terminal_value is not None:
         raise ModelError(
-            "a terminal value is what states are worth when a horizon is reached",
+            "a terminal value is the value of a state when a horizon is reached",
             where="terminal_value",
             fix="give a horizon, too",
         )
@@ -247,6 +247,7 @@ def _configure_solver(solver: Any, **settings: Any) -> Solver:
             where="solve",
             fix="give a name, or PolicyIteration(); a tolerance is tol=: solve(model, tol=1e-6)",
         )
+    # A setting that the solver does not have is refused, with the solvers that have it.
     why = {"tol": "its error is what rounding leaves", "start": "nothing known shortens it"}
     given = {name: value for name, value in settings.items() if value is not None}
     for name in given:

@@ -47,7 +47,7 @@ def break_near_ties(solution: Solution) -> Solution:
         rows, earned = matrix[holder], mdp.reward[rival] - mdp.reward[holder]
         apart = matrix[rival] - rows
         row, share = np.repeat(np.arange(len(rival)), np.diff(apart.indptr)), apart.data
-        # Both rows sum to 1, so that any constant may be subtracted from the values. With the value
+        # Both rows sum to 1, so any constant may be subtracted from the values. With the value
         # of the likeliest next state, the probability that was rounded most has the factor 0.
         most = np.repeat(np.maximum.reduceat(rows.data, rows.indptr[:-1]), np.diff(rows.indptr))
         places = np.where(rows.data == most, np.arange(rows.nnz), rows.nnz)

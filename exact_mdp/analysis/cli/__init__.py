@@ -37,7 +37,7 @@ def cli() -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command, by default that of this process, and return its exit status."""
+    """Run one command, by default the one of this process, and return its exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     completion = os.environ.get(COMPLETE)
     if completion:
@@ -45,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if words:
         status = run_command(cli, PROGRAM, words, on_error=_prepare_error_report(words))
     else:
-        # An empty command in a job has no verdict, so that it must not succeed.
+        # An empty command in a job has no verdict, so it must not succeed.
         print_message(cli.get_help(click.Context(cli, info_name=PROGRAM, **cli.context_settings)))
         status = REFUSED
     if arguments is None:

@@ -1,4 +1,4 @@
-"""`exact-mdp check`: of one policy, an audit; of several, the gate for their trainer."""
+"""`exact-mdp check`: the audit of one policy, or the gate for the trainer of several."""
 
 from __future__ import annotations
 
@@ -58,10 +58,10 @@ def check_command(
 
     Several LEARNED are the policies of independent runs of one trainer. They are audited one after
     the other until it is decided whether at least --share of all runs are within the limits; a
-    share that is still open passes, so that a trainer that is good enough fails with probability
+    share that is still open passes, so a trainer that is good enough fails with probability
     --alpha at most, wherever it stops.
 
-    With --confidence, MODEL is one that `exact-mdp data` made, and the check passes where the upper
+    With --confidence, MODEL is one that `exact-mdp data` made, and the check passes if the upper
     end of an interval for the regret in the process behind the records keeps the limit.
 
     Example: exact-mdp check yuan2025 q_table.npy --max-regret 1/10
@@ -80,25 +80,26 @@ def check_command(
     certify : bool
         Use rational arithmetic, however long it takes.
     no_explain : bool
-        Leave out which part of the loss is due to what the policy reads, and which of its rows to
-        change first: much faster with --horizon.
+        Do not say which part of the loss is due to the columns that the policy reads, nor which
+        rows to change first: much faster with --horizon.
     subject_to : 'NAME >= X', optional
         Keep an expected total at least (>=) or at most (<=) at X: of a component of the reward,
         steps, an event, or a sum such as 2*a-b. Exact.
     share : X, optional
-        Of several: the least share of all runs within the limits, 9/10 unless given.
+        For several policies: the least share of all runs within the limits, 9/10 unless given.
     alpha : X, optional
-        Of several: how likely a failure may be by chance, 1/100 unless given.
+        For several policies: how likely a failure by chance may be, 1/100 unless given.
     prove : bool
-        Of several: fail a share that is still open.
+        For several policies: fail if the share is still open.
     confidence : C, optional
-        Of a model from records: decide by an interval at this confidence, such as 0.95.
+        For a model from records: decide by an interval at this confidence, such as 0.95.
     by : KIND, optional
-        What makes the interval: robust, unless given, posterior or off-policy.
+        The method of the interval: robust, unless given, posterior or off-policy.
     evidence : NAME=VALUE, optional
-        A setting of that, as `Robust`, `Posterior` and `OffPolicy` take it in Python: rewards=known
-        or rewards=LOW,HIGH, returns=LOW,HIGH, prior=1, n=2000 (models drawn), rng=0, n_jobs=1,
-        records=FILE (trajectories), columns.state=NAME, behaviour=FILE (its probabilities).
+        A setting of the method, as `Robust`, `Posterior` and `OffPolicy` take it in Python:
+        rewards=known or rewards=LOW,HIGH, returns=LOW,HIGH, prior=1, n=2000 (models drawn), rng=0,
+        n_jobs=1, records=FILE (trajectories), columns.state=NAME, behaviour=FILE (its
+        probabilities).
 
     Keys
     ----
@@ -117,10 +118,10 @@ def check_command(
     failure by chance; share: the share that is required; share_interval: interval of the share,
     which holds after every run at once; observed: share of the runs within the limits; runs: runs
     judged; given: policies given; policies: each policy with its regret and whether it keeps the
-    limits; proven: whether the share of all seeds is at least `share`, or null where that is open.
+    limits; proven: whether the share of all seeds is at least `share`, or null if that is open.
     """
     started = perf_counter()
-    ci.append_summary("")  # where it cannot be written to, that is said before any work
+    ci.append_summary("")  # fails here, before any work, if nothing can be written there
     asked: dict[str, Any] = {
         "max_regret": max_regret,
         "max_relative_regret": max_relative_regret,

@@ -61,12 +61,12 @@ class Given:
     has : sequence of str
         The options that the command has.
     parameters : NAME, optional
-        Vary only this parameter. Unless given, all that MODEL has.
+        Vary only this parameter. Unless given, all parameters of MODEL vary.
     ranges : NAME=LOW:HIGH, optional
         Vary a parameter from LOW to HIGH; or a .toml file with such ranges, NAME = [low, high].
     relative : X, optional
-        Other ranges: today's value ± this share of it, 0.2 unless given; or whole, for all that a
-        parameter may be.
+        Other ranges: today's value ± this share of it, 0.2 unless given; or whole, for all values
+        that a parameter may have.
     policy : POLICY, optional
         The policy held fixed, whose value and regret are shown; today's optimum unless given.
     criterion : "total" or "average"
@@ -100,21 +100,20 @@ class Given:
 
     Keys
     ----
-    model: name of the model, or its file; sense: `min` where the least is asked for, as in a model
-    of costs, else `max`; question: what `--reach`, `--until`, `--minimize` or `--maximize` asks, in
-    words, or null; start: the state of `--start`, or null;
-    criterion: `total` reward, or `average` reward per step; read_as: how an array was read, as `q`
-    or `policy`; policy: the name of the policy given, or the policy of the answer (by status at
-    subtask 0 and trial 0 in scenarios, with probabilities if it is mixed); perception: the file of
-    `--perception`, or null; discount: the discount; horizon: steps after which an episode stops, or
-    null; claim: `certified`, `bounded`, `checked` or `estimated`; kind: the kind of analysis;
-    start_value: the optimal value at the start, "inf" or "-inf" where infinite; error_bound:
-    greatest error of the number before it; error_bounds: greatest errors of several numbers;
-    states: number of states; pairs: number of state-action pairs; transitions: number of
-    transitions of positive probability; model_hash: SHA-256 of the model's exact content; seconds:
-    time taken; seed: seed of the random numbers; written: files written; format: version of this
-    format, 2; notice: that this is research software and no medical advice; without_range:
-    parameters without a range to move in.
+    model: name of the model, or its file; sense: `min` if the least value is asked for, as in a
+    model of costs, else `max`; question: what `--reach`, `--until`, `--minimize` or `--maximize`
+    asks, in words, or null; start: the state of `--start`, or null; criterion: `total` reward, or
+    `average` reward per step; read_as: how an array was read, as `q` or `policy`; policy: the name
+    of the policy given, or the policy of the answer (by status at subtask 0 and trial 0 in
+    scenarios, with probabilities if it is mixed); perception: the file of `--perception`, or null;
+    discount: the discount; horizon: steps after which an episode stops, or null; claim:
+    `certified`, `bounded`, `checked` or `estimated`; kind: the kind of analysis; start_value: the
+    optimal value at the start, "inf" or "-inf" if infinite; error_bound: greatest error of the
+    number before it; error_bounds: greatest errors of several numbers; states: number of states;
+    pairs: number of state-action pairs; transitions: number of transitions of positive probability;
+    model_hash: SHA-256 of the model's exact content; seconds: time taken; seed: seed of the random
+    numbers; written: files written; format: version of this format, 2; notice: that this is
+    research software and no medical advice; without_range: parameters without a range to move in.
     """
 
     model: str
@@ -299,7 +298,7 @@ class Given:
     def complete_report(self, report: Report, **more: Any) -> Report:
         """Return a report that begins with the question, then `more` facts, then the results."""
         facts = {**self.head, **more, **report.facts}
-        # A note on the time limit names the option of the command, not that of Python.
+        # A note on the time limit names the option of the command, not the one in Python.
         in_python = on_command_line = ""
         if "horizon" in self.has and not is_average(self.criterion):
             in_python, on_command_line = "horizon={}", "--horizon {}"

@@ -31,8 +31,8 @@ from exact_mdp.mdp.report import FEW_NAMED, MOST_LISTED, Report, Shown, Table, f
 
 ONE_ACTION = "only one action was ever taken: there is nothing to choose"
 UNUSED = (
-    "not used: {}; where one of these marks the rows after which an episode was cut off, name it "
-    "by --column truncated=NAME; where it marks those after which it was over, by --column "
+    "not used: {}; if one of these marks the rows after which an episode was cut off, name it "
+    "by --column truncated=NAME; if it marks those after which it was over, by --column "
     "terminated=NAME"
 )
 UNKNOWN = (
@@ -40,7 +40,7 @@ UNKNOWN = (
     "off-policy intervals allow every total there; the estimate takes it for 0"
 )
 ENDS = (
-    "a state that no record leaves is taken for an end, worth 0: where episodes were cut off "
+    "a state that no record leaves is taken for an end, worth 0: if episodes were cut off "
     "there, no verdict holds: record what follows"
 )
 
@@ -64,8 +64,8 @@ def new_command(target: str) -> Report:
 def lint_command(file: str) -> Report:
     """List all problems of a scenario file.
 
-    An error keeps the scenario from being read; a warning is about numbers that can be read, and
-    are probably not what was meant.
+    An error keeps the scenario from being read; a warning is about numbers that can be read but are
+    probably mistaken.
 
     Example: exact-mdp lint mine.toml
 
@@ -184,8 +184,8 @@ def data_command(
     The columns are episode, state, action, reward and next_state, in the order of time, one episode
     after the other; without a next state the episode is over. A column truncated (true or false)
     marks the rows after which an episode was cut off, as by a time limit; a column terminated, or
-    done, those after which it was over. --column truncated=NAME says what the file calls a column.
-    The numbers of observations are kept in the model.
+    done, marks the rows after which it was over. --column truncated=NAME says what the file calls a
+    column. The numbers of observations are kept in the model.
 
     Example: exact-mdp data records.csv --discount 0.95 --out model.npz
 
@@ -200,8 +200,8 @@ def data_command(
         What the file calls episode, state, action, reward, next_state, truncated, terminated or
         done.
     unseen : "unavailable", "pessimistic" or "V"
-        An action that nobody took in a state is left out there, or it is worth as little as a
-        policy can be worth, or V.
+        An action that nobody took in a state is left out there, or it has the worst value that a
+        policy can have, or the value V.
     rare : N, 0 to 1000000000
         List the pairs observed fewer than N times.
 
@@ -280,7 +280,7 @@ def convert_command(
     source : IN
     target : OUT, .npz, .umb or .json
     constants : "A=1,B=2"
-        What a .prism or .jani file leaves open (extra models).
+        Constants that a .prism or .jani file leaves open (extra models).
     """
     loaded = read_model(source, sets=sets, discount=discount, start=start, constants=constants)
     exact_mdp.save(loaded.mdp, target)

@@ -51,7 +51,7 @@ def solve_command(
     whether an optimal policy needs the status alone, unless bounds without a proof leave that open.
     With --horizon episodes stop, and the optimal policy depends on the time. With --subject-to the
     optimum under limits is exact, with its policy, which may draw its actions, and the price of
-    each limit; the exit status is 1 where no policy keeps the limits.
+    each limit; the exit status is 1 if no policy keeps the limits.
 
     Example: exact-mdp solve yuan2025 --certify --certificate proof.json
     Example: exact-mdp solve tea --subject-to 'steps <= 20'
@@ -65,7 +65,7 @@ def solve_command(
         Keep an expected total at least (>=) or at most (<=) at X: of a component of the reward,
         steps, an event, or a sum such as 2*a-b. Exact.
     method : NAME
-        {solvers.solver:SOLVERS}, or what suits the model.
+        {solvers.solver:SOLVERS}, or the one that suits the model.
     tol : X, optional
         Greatest absolute error of a value.
     certificate : FILE, .json
@@ -74,8 +74,8 @@ def solve_command(
     policy_out : FILE, .csv
         Write the policy: .csv.
     out : FILE, .npz
-        Write values, policy and action values: .npz. Beside each file that is written stands a
-        record of its making, FILE.run.json.
+        Write values, policy and action values: .npz. A record of its making, FILE.run.json, is
+        written beside each file.
 
     Keys
     ----
@@ -130,10 +130,10 @@ def solve_command(
 def verify_command(certificate: str, given: Given, *, proven: bool = False) -> Report:
     """Check a certificate of an optimum or of a front.
 
-    It is what solve wrote, with limits or without, or tradeoff: a front then. The checker imports
-    no solver. With --proven a second one has to accept it, too, whose soundness is proven in Coq,
-    for all but fronts of three objectives and weights. The exit status is 1 where CERTIFICATE does
-    not hold of MODEL.
+    CERTIFICATE is a file that solve wrote, with limits or without, or a front from tradeoff. The
+    checker imports no solver. With --proven a second checker, whose soundness is proven in Coq, has
+    to accept it, too; it covers all but fronts of three objectives and weights. The exit status is
+    1 if CERTIFICATE does not hold for MODEL.
 
     Example: exact-mdp verify proof.json yuan2025
     Example: exact-mdp verify proof.json yuan2025 --proven
@@ -246,7 +246,7 @@ def _proven_totals(proof: TotalsProof) -> dict[str, Any]:
 
 
 def evaluate_command(given: Given, policy: Policy) -> Report:
-    """Compute a policy's mean return, its spread and its parts.
+    """Compute a policy's mean return, its spread and its components.
 
     Example: exact-mdp evaluate yuan2025 always:directive
 
@@ -263,7 +263,7 @@ def evaluate_command(given: Given, policy: Policy) -> Report:
 
 
 def returns_command(given: Given, policy: Policy, *, exact: bool = False) -> Report:
-    """Compute the exact law of a policy's return, at discount 1.
+    """Compute the exact distribution of a policy's return, at discount 1.
 
     Example: exact-mdp returns yuan2025 random --set tasks=[1]
 

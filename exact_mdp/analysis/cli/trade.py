@@ -38,7 +38,7 @@ def tradeoff_command(
     ----------
     names : "A B [C]"
     policies : POLICY, optional
-        A policy to place beside the front, with its distance.
+        A policy to compare with the front, by its distance from it.
     certificate : FILE, .json
         Write the proof for `verify`: .json.
 
@@ -46,8 +46,8 @@ def tradeoff_command(
     ----
     Of Front.
     names: the totals, in the order in which they were named; vertices: {values, policy} of each
-    vertex of the front; edges: {from, to, rate}, what one total costs in terms of the other;
-    policies: each policy with its values and its distance.
+    vertex of the front; edges: {from, to, rate}, the rate being the price of one total in terms of
+    the other; policies: each policy with its values and its distance.
     """
     beside = {form: given.policy_from(form) for form in policies}  # before the work
     front = exact_mdp.tradeoff(given.mdp, names)
@@ -60,9 +60,10 @@ def tradeoff_command(
 def rationalize_command(given: Given, policy: Policy) -> Report:
     """Find the least change of weights that makes a policy optimal.
 
-    The least relative change of the weights, exactly, with its proof; and for each component the
-    interval of its weight that does it alone, the others unchanged. Multipliers are of today's
-    weights. A change of 1 can make all weights zero: no smaller change makes the policy optimal.
+    The answer is the least relative change of the weights, exactly, with its proof; and for each
+    component the interval in which changing its weight alone is enough. Multipliers apply to
+    today's weights. A change of 1 can make all weights zero: no smaller change makes the policy
+    optimal.
 
     Example: exact-mdp rationalize tea random --set tasks=[1]
 
@@ -80,7 +81,8 @@ def risk_command(
     """Find the best policy for the worst share of the episodes.
 
     MODEL has discount 1 and no cycles, or a horizon. The answer is the policy with the greatest
-    mean of the worst episodes, which remembers the reward so far. In a model of costs, the least.
+    mean of the worst episodes, which remembers the reward so far. In a model of costs it has the
+    least mean.
 
     Example: exact-mdp risk yuan2025 --cvar 1/10 --set tasks=[1]
 
@@ -89,7 +91,7 @@ def risk_command(
     cvar : SHARE
         The mean return of this share of the episodes, the worst: 0.1 or 1/10.
     policies : POLICY, optional
-        A policy to place beside the best ones.
+        A policy to compare with the best one.
     policy_out : FILE, .csv or .json
         Write the policy: .csv or .json; by state and reward so far.
 
@@ -133,10 +135,10 @@ def perception_command(
     accuracy: str | None = None,
     policy: str = "optimal",
 ) -> Report:
-    """Compute what errors of perception cost, and which of them.
+    """Compute the cost of errors of perception.
 
-    The value where the status is known, and where the policy takes what it perceives for true; then
-    which errors cost most.
+    The value if the policy knows the status, the value if it takes the perceived status for true,
+    and the errors that cost most.
 
     Example: exact-mdp perception yuan2025 --accuracy 0.9
 
@@ -148,11 +150,11 @@ def perception_command(
     accuracy : X, optional
         Each status is read correctly with this probability instead.
     policy : POLICY
-        The policy that takes what is perceived for true.
+        The policy that takes the perceived status for true.
 
     Keys
     ----
-    perfect: the value if the status is known; taken_as_true: the value if what is perceived is
+    perfect: the value if the status is known; taken_as_true: the value if the perceived status is
     taken for true; errors: cost of each kind of error; confusions: cost of taking one status for
     another; counted: number of examples, if the file holds them.
     """

@@ -33,9 +33,9 @@ def train_command(
     out: str | None = None,
     n_jobs: int | None = None,
 ) -> Report:
-    """Train Q-learning, and judge what was learned by exact values.
+    """Train Q-learning, and judge the learned policies by exact values.
 
-    Regret is that of the final greedy policies, at the model's discount, over the seeds.
+    The regret is shown for the final greedy policies of all seeds, at the model's discount.
 
     Example: exact-mdp train yuan2025 --seeds 10 --learner epochs=1000
 
@@ -64,13 +64,13 @@ def train_command(
     value at the start; optimal_value_error: error bound of the optimal value; value_claim: claim of
     the values of the policies; random_value: the value of random actions; best_value_upper_bound:
     an upper bound on the best value; best_value_proven: whether that bound is the best value;
-    best_fraction_interval: 95 % interval of `best_fraction`; optimal_fraction_interval: that of
-    `optimal_fraction`; regret: regret of the policies learned, as mean, quantiles, intervals;
-    learning_error: loss against the best over the columns; selected: regret and optimal_fraction of
-    the best policy that each run met; first_run: the policies that were greedy most often in the
-    last episodes of the first run; policies: the distinct policies with their counts and exact
-    values; distinct_in_last: number of policies at the end of a run; changed_in_last: how often the
-    action of each status changes there.
+    best_fraction_interval: 95 % interval of `best_fraction`; optimal_fraction_interval: 95 %
+    interval of `optimal_fraction`; regret: regret of the policies learned, as mean, quantiles,
+    intervals; learning_error: loss against the best over the columns; selected: regret and
+    optimal_fraction of the best policy that each run met; first_run: the policies that were greedy
+    most often in the last episodes of the first run; policies: the distinct policies with their
+    counts and exact values; distinct_in_last: number of policies at the end of a run;
+    changed_in_last: how often the action of each status changes there.
     """
     mdp, stated = given.mdp, settings_of(QLearning, learner, "--learner")
     if stated.get("columns") == ("all",):
@@ -81,7 +81,7 @@ def train_command(
         settings = QLearning(**stated)
     if np.isinf(exact_mdp.solve(mdp).start.value):  # refused before the work
         raise ModelError(
-            "the optimum is infinite, so that the loss of a policy is not a number",
+            "the optimum is infinite, so the loss of a policy is not a number",
             where="the total at discount 1",
             fix="choose a discount below 1: --discount 0.95",
         )

@@ -1,4 +1,4 @@
-"""The commands that vary parameters: each gives a public function what the words mean."""
+"""The commands that vary parameters: each passes its options on to a public function."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from exact_mdp.mdp.report import Report, Shown, list_claim_facts
 from exact_mdp.mdp.table import exact, float_of
 
 ROUNDED = "of the perception, and the probabilities of actions that it makes, as rounded to floats"
-"""What is certified under a perception: a file may state 1/3, which no float is."""
+"""Qualifies what is certified under a perception: a file may state 1/3, which is not a float."""
 ROWS = {  # the rows in each kind of set
     "interval": "each transition probability ± {} of itself, rows on their own",
     "l1": "rows within an L1 distance of {}, on their own",
@@ -67,9 +67,9 @@ def tornado_command(given: Given) -> Report:
 
 
 def gradient_command(given: Given) -> Report:
-    """Compute the derivative of the value by each parameter.
+    """Compute the derivative of the value for each parameter.
 
-    They are those of the optimum, or of the --policy held fixed. Where the optimal policy changes
+    The value is the optimum, or the value of the --policy held fixed. If the optimal policy changes
     at today's value, both one-sided derivatives are given.
 
     Example: exact-mdp gradient tea --parameter base.anxiety
@@ -90,7 +90,7 @@ def gradient_command(given: Given) -> Report:
 def threshold_command(given: Given) -> Report:
     """Find where an optimal action changes along a parameter.
 
-    One parameter moves at a time. The policy is optimal knowing the state at every value.
+    One parameter moves at a time. At every value the policy knows the state and is optimal.
 
     Example: exact-mdp threshold yuan2025 --parameter base.anger --relative whole
 
@@ -116,8 +116,8 @@ def curve_command(
 ) -> Report:
     """Compute the optimum as an exact function of a parameter.
 
-    With --max-regret, also for which values the policy held fixed keeps within that limit. The
-    parameter moves over all that it may be, unless it is given a range.
+    With --max-regret, also find the values at which the policy held fixed keeps within that limit.
+    The parameter moves over all its possible values, unless it is given a range.
 
     Example: exact-mdp curve yuan2025 --parameter reward.trial --range reward.trial=-3:-1
 
@@ -126,7 +126,7 @@ def curve_command(
     parameters : NAME, once
         The parameter that moves.
     max_regret : X, optional
-        Where the policy loses at most X: 0.1 or 1/10.
+        Find where the policy loses at most X: 0.1 or 1/10.
     max_relative_regret : X, optional
         The same, over the absolute optimal value.
 
@@ -156,7 +156,7 @@ def curve_command(
 def one_way_command(given: Given, *, parameters: Sequence[str] = (), points: int = 21) -> Report:
     """Compute values along the range of one parameter.
 
-    The policy is optimal at each of the values, and held fixed beside it.
+    At each value there are two results: for the optimal policy, and for the policy held fixed.
 
     Example: exact-mdp one-way tea --parameter base.anxiety --points 11
 
@@ -213,21 +213,22 @@ def psa_command(
     n_jobs: int | None = None,
     out: str | None = None,
 ) -> Report:
-    """Draw the parameters from distributions: what a policy risks.
+    """Draw the parameters from distributions, to see what a policy risks.
 
-    The policy held fixed is judged by how likely it is to lose at most so much, and by what better
-    numbers would be worth (EVPI, EVPPI).
+    The policy held fixed is judged by the probability that it loses at most a given amount, and by
+    the value of better numbers (EVPI, EVPPI).
 
     Example: exact-mdp psa yuan2025 --samples 1000 --effective-sample-size 50
 
     Parameters
     ----------
     samples : N, 1 to 100000000
-        Draws: 10000 unless given, 500 of slow models.
+        Draws: 10000 unless given, 500 for slow models.
     uncertain : FILE, optional
         A .toml file with distributions by name.
     effective_sample_size : X, optional
-        Number of observations behind each probability of which nothing is said, 100 unless given.
+        Number of observations behind each probability without a stated distribution, 100 unless
+        given.
     seed : S
         Seed of the draws.
     n_jobs : N, 1 to 1024
@@ -239,7 +240,7 @@ def psa_command(
     ----
     Of PSA.
     draws: number of draws; drawn: distribution of each parameter that is drawn; fixed: why each
-    other parameter is not drawn; assumed: those of which no distribution is stated;
+    other parameter is not drawn; assumed: the drawn parameters without a stated distribution;
     effective_sample_size: observations behind each probability;
     value: optimal value over the draws; regret: regret of the policy held fixed, over the draws;
     acceptability: probability that the fixed policy loses at most each tolerance; candidates: the
@@ -317,8 +318,8 @@ def robust_command(
 ) -> Report:
     """Compute the worst case within sets around the tables.
 
-    And the policy that is best against them, with the price of that where the tables are right.
-    Parameters and ranges are those of a box.
+    Also find the policy that is best in the worst case, and its price if the tables are right.
+    Parameters and ranges are only for a box.
 
     Example: exact-mdp robust tea --set-kind l1 --radius 0.1
 
@@ -388,7 +389,7 @@ def explore_command(
     html: str,
     points: int = 11,
 ) -> Report:
-    """Write a page on which a parameter moves, and the optimum.
+    """Write a page on which a parameter moves, and the optimum with it.
 
     The pieces between the switching points are worked out beforehand, in rational arithmetic, so
     that the page needs no server and shows exact values; it says which of them are certified.
@@ -441,7 +442,7 @@ def _claim_start_value(given: Given) -> dict[str, Any]:
 def _select_ranges(given: Given, names: Sequence[str] | None = None) -> tuple[Ranges, list[str]]:
     """Return the ranges of the parameters that the options name, or of `names`, and who has none.
 
-    Those that are 0 today have none, which is 0 ± 20 %.
+    A parameter that is 0 today has none, since 20 % of 0 is 0.
     """
     model, stated = given.family, Ranges()
     files = [each for each in given.ranges if each.lower().endswith(".toml") and "=" not in each]
@@ -458,7 +459,7 @@ def _select_ranges(given: Given, names: Sequence[str] | None = None) -> tuple[Ra
 
 
 def _choose_parameters(given: Given) -> Sequence[str] | None:
-    """Return the parameters to vary together where none is named."""
+    """Return the parameters to vary together if none is named."""
     if given.parameters or given.ranges:
         return None
     return list_usual_parameters(given.family)

@@ -1,1 +1,1 @@
-"""Is a learned policy right? Its regret, where it errs, and why."""
+"""The audit of a learned policy: its regret, the states where it errs, and the reasons."""

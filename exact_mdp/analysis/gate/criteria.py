@@ -118,7 +118,7 @@ class Total:
         return find_policy_disagreements(self.chain, lost)
 
     def list_verdicts(self) -> Iterator[Verdict]:
-        """Yield the verdicts beside those on the regret."""
+        """Yield the verdicts other than those on the regret."""
         return iter(())
 
     def list_facts(self) -> dict[str, Any]:

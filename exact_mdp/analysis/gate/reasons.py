@@ -58,7 +58,7 @@ def find_policy_disagreements(chain: PolicyChain, regret: Regret) -> Findings:
     label = np.full(mdp.n_states, -1)
     if mdp.discount_exact == 1 and not chain.ends_from_start:
         label = np.where(chain.reached, final_class(chain), -1)
-    # Recurrent classes become terminal, so that their visits are the finite arrivals.
+    # Recurrent classes become terminal, so their visits are the finite arrivals.
     leaving = chain
     if (label >= 0).any():
         leaving = chain.make_terminal(label >= 0)

@@ -142,7 +142,7 @@ class Regret(Brief):
         return self.movable()
 
     def keeps_limit(self, limit: Fraction) -> bool | None:
-        """Return whether the regret is at most `limit`; None where the bounds do not decide."""
+        """Return whether the regret is at most `limit`; None if the bounds do not decide."""
         return is_at_most(interval_of(self.at_start), limit)
 
 
@@ -233,7 +233,7 @@ def _certify_regret(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
         mine, learned = level.to_floats(), level.compute_mean(mdp.start)
     if isinstance(learned, float) and learned == best.start_value:
         raise ModelError(
-            "the optimum and the policy are both infinite, so that nothing can be compared",
+            "the optimum and the policy are both infinite, so nothing can be compared",
             where="the total at discount 1",
             fix=ways_out(mdp, other_question(mdp)),
         )
@@ -331,7 +331,7 @@ def _find_losing_pairs(ideal: PolicyChain, known: FixedPoint, least_gap: Floats)
     """Return the pairs (L,) that lose more than rounding can explain."""
     mdp, loses = ideal.mdp, least_gap > 0
     if mdp.floats:
-        # A cheap test first: w - γ P w ≥ m > 0, so that F ≤ E w / m for E the largest e. Few pairs
+        # A cheap test first: w - γ P w ≥ m > 0, so F ≤ E w / m for E the largest e. Few pairs
         # are near enough to the best to need the gaps up to which they tie.
         weights = margin_weights(mdp)
         uses = float(weights.value.max() / weights.smallest)

@@ -1,1 +1,1 @@
-"""What learning ends with, judged by exact values."""
+"""The policies that learning ends with, judged by exact values."""

@@ -1,8 +1,8 @@
 """Learning curves, drawn twice: by experiment, as the authors do, and exactly.
 
 A point of a curve is the mean return of 40 experiments with the greedy policy of an epoch (Yuan et
-al. 2025, "Evaluation Metrics"). Beside it stands what those experiments estimate, the exact value
-of the same policy; the remaining noise in that curve comes from learning alone.
+al. 2025, "Evaluation Metrics"). The second curve is the exact value of the same policy, which those
+experiments estimate; its remaining noise comes from learning alone.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class LearningCurve(Pictured):
 def learning_curve(
     model: MDP, run: TrainingRun, *, rng: Seed, n: int = EXPERIMENTS
 ) -> LearningCurve:
-    """Return the curve of one run: each epoch's greedy policy, tried and evaluated exactly.
+    """Return the curve of one run: each epoch's greedy policy, simulated and evaluated exactly.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def sample_epoch_returns(
 ) -> tuple[Floats, int]:
     """Return (E, n) returns with the greedy policies of a run's E epochs, and how many are cut.
 
-    Of a number of epochs instead of a run, they are those of actions drawn uniformly.
+    If a number of epochs is given instead of a run, actions are drawn uniformly.
     """
     if random := isinstance(run, int):
         rows, which = build_q_table_rows(model), np.zeros(run, dtype=np.int64)

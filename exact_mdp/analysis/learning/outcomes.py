@@ -1,7 +1,7 @@
-"""What learning ends with, judged by exact values instead of experiments.
+"""The policies that learning ends with, judged by exact values instead of experiments.
 
-The final greedy policy of every run has an exact value, so that its regret V* - V^π is known and
-only the seeds are a sample: over runs, intervals are Wilson's for shares (JASA 22, 1927) and BCa
+The final greedy policy of every run has an exact value, so its regret V* - V^π is known, and only
+the seeds are a sample: over runs, intervals are Wilson's for shares (JASA 22, 1927) and BCa
 bootstrap for means (Efron, JASA 82, 1987).
 
 The authors choose their final policy among the five that were greedy most often in the last 100
@@ -50,7 +50,7 @@ class Outcomes(Pictured):
     distinct: Integers  # (R,) how many were greedy in each run's last episodes
     changed: NDArray[np.bool_]  # (R, K) rows in which these differ
     optimum: Bounded
-    best: BestPolicy | None  # that reads what the learner reads; None where that is everything
+    best: BestPolicy | None  # that reads what the learner reads; None if that is everything
     first_run: dict[
         str, Any
     ]  # the most frequent greedy policy in the last episodes of the first run
@@ -141,6 +141,8 @@ class Outcomes(Pictured):
 
     def report(self) -> Report:
         """Return the final policies of the runs."""
+        # Shares of runs without a loss, and the losses: against the optimum, against the best
+        # policy that reads the same, and after a selection.
         best, ends = self.best, self.regret_interval
         losses = self.regret, self.learning_error, self.selected_regret
         optimal, good, chosen = (self._estimate_share(int((each == 0).sum())) for each in losses)
@@ -150,6 +152,7 @@ class Outcomes(Pictured):
         )
         apart = "" if ends is None else f" (95 %: {_format_percent_interval(ends, '.4g')})"
         mean = f"mean regret {format_number(lost['mean'])}{apart}; quantiles {quantiles}"
+        # Each final policy with its share of the runs.
         rows = zip(self.frame().to_dict("records"), self.policies[self.counts > 0], strict=True)
         listed = [
             row
@@ -157,6 +160,7 @@ class Outcomes(Pictured):
             | {"policy": _name_choices(self.mdp, self.rows, policy)}
             for row, policy in rows
         ]
+        # How many policies the runs have in their last episodes, and where these differ.
         many, runs = np.unique(self.distinct, return_counts=True)
         distinct = {
             str(n): {"count": k} | self._estimate_share(k)
@@ -202,6 +206,7 @@ class Outcomes(Pictured):
             "written": [],
         }
 
+        # For people, later policies are described by their difference from the most frequent one.
         usual = listed[0]["policy"]
 
         def apart_from_usual(policy: dict[str, str] | None) -> str:
@@ -239,7 +244,7 @@ class Outcomes(Pictured):
 
 
 def _name_choices(mdp: MDP, rows: QTableRows, choices: Numbers) -> dict[str, str] | None:
-    """Return {row: action}, or None where there are too many rows to list."""
+    """Return {row: action}, or None if there are too many rows to list."""
     space = rows.space
     if space.size > MOST_LISTED:
         return None
@@ -269,7 +274,7 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
     model : MDP
     runs : sequence of TrainingRun
     bound : bool
-        Also find the best policy that reads what the learner reads, where that is not everything.
+        Also find the best policy that reads what the learner reads, unless that is everything.
 
     Returns
     -------
@@ -285,6 +290,7 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
     >>> runs.counts.sum(), bool((runs.learning_error <= runs.regret).all())
     (np.int64(12), True)
     """
+    # Number the different policies: each is evaluated only once.
     mdp, rows = model, common_rows(model, runs)
     known: dict[tuple[int, ...], int] = {}
 
@@ -294,12 +300,15 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
     candidates = [[number(run.policies[i]) for i in run.last_counts()][:CANDIDATES] for run in runs]
     final = np.array([number(run.final) for run in runs])
     values = evaluate_row_policies(mdp, rows, policies := np.array([*known]))
+    # Each run selects the best of its candidates by exact value.
     reward = mdp.sign * values.value
     selected = np.array([max(tried, key=lambda i: reward[i]) for tried in candidates])
+    # Renumber the policies that are final or selected, the most frequent final one first.
     used = np.union1d(final, selected)
     used = used[np.argsort(-np.bincount(final, minlength=len(known))[used], kind="stable")]
     place = np.empty(len(known), dtype=np.int64)
     place[used] = np.arange(len(used))
+    # The policies of the last episodes: of each run, and by frequency in the first run.
     recent, last = [run.policies[np.unique(run.last)] for run in runs], runs[0].last_counts()
     top = zip(last.values(), candidates[0], strict=False)
     partial = len(rows.space.columns) < len(mdp.space.columns)

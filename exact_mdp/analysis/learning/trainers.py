@@ -1,20 +1,22 @@
 """A gate for a trainer that is random: how many of its seeds give a policy within the limits.
 
 Each policy is audited, one run after the other, until the share of seeds within the limits is
-proven to be below `share`, which fails, or at least that, which passes. A share that is open after
-all runs passes unless it has to be proven: a trainer that is good enough fails with probability α
-at most. Runs so few that the gate could not fail are refused.
+proven to be below `share`, and the gate fails, or to be at least `share`, and it passes. If the
+share is still open after all runs, the gate passes unless a proof is required: so a trainer that is
+good enough fails with probability α at most. If the runs are so few that the gate could not fail,
+they are refused.
 
-Of n independent trials k succeeded and m did not. If p is the chance of success, whoever bets
-against it, with stakes that follow the trials so far, has after n trials
+Of n independent trials k succeeded and m did not. Let p be the probability of success. A gambler
+who bets against it, with stakes that depend on the trials so far, multiplies the capital within n
+trials by
 
     E_n(p) = ∫ q^k (1 - q)^m dBeta(1/2, 1/2)(q) / (p^k (1 - p)^m)
            = C(2k, k) C(2m, m) / (4^n C(n, k)) / (p^k (1 - p)^m)
 
-times what was there at first, a martingale of mean 1. So P(E_n(p) ≥ 1/α at some n) ≤ α (Ville,
-Étude critique de la notion de collectif, 1939), and all p with E_n(p) < 1/α so far are an interval
-that holds at all n together with probability 1 - α (Robbins, Annals of Mathematical Statistics 41,
-1970). All is worked out in integers: no rounding decides which shares are excluded.
+which is a martingale of mean 1. So P(E_n(p) ≥ 1/α at some n) ≤ α (Ville, Étude critique de la
+notion de collectif, 1939), and all p with E_n(p) < 1/α so far are an interval that holds at all n
+together with probability 1 - α (Robbins, Annals of Mathematical Statistics 41, 1970). All
+computation is in integers: no rounding decides which shares are excluded.
 """
 
 from __future__ import annotations
@@ -62,7 +64,7 @@ class TrainerAudit(Pictured):
     share: Fraction  # of seeds that has to be within the limits
     alpha: Fraction  # the risk of error
     runs: int  # how many there might have been
-    proven: bool | None  # whether the share of all seeds is at least `share`; None where it is open
+    proven: bool | None  # whether the share of all seeds is at least `share`; None if it is open
     passed: bool  # whether it is, or is open and need not be proven
 
     claim: ClassVar[Claim] = Claim.ESTIMATED
@@ -147,7 +149,7 @@ class TrainerAudit(Pictured):
         return "\n".join(lines)
 
     def report(self, policies: Sequence[str] | None = None) -> Report:
-        """Return the verdict and the runs, with the names of their policies where given."""
+        """Return the verdict and the runs, with the names of their policies if given."""
         names = [str(run) if policies is None else policies[run] for run in self.names]
         rows = self.frame().drop(columns="run").assign(policy=names).to_dict("records")
         facts = {
@@ -195,17 +197,18 @@ def check_trainer(
         `train(seed)` draws from that seed alone, an integer below 2^32; or policies of independent
         runs.
     runs : int
-        How many at most. The gate stops before where the share is decided.
+        The greatest number of runs. The gate stops earlier if the share is decided.
     share : number or "p/q"
         The share of all seeds that has to be within the limits, above 0 and at most 1.
     alpha : number or "p/q"
-        How likely the interval may be wrong, and thus a failure by chance: above 0, below 1.
+        How likely the interval may be wrong, and so how likely a failure by chance: above 0, below
+        1.
     rng : int, numpy.random.Generator or SeedSequence
-        What the seeds are drawn from; not needed for policies.
+        The source of the seeds; not needed for policies.
     prove : bool
-        Fail a share that is still open after all runs.
+        Fail if the share is still open after all runs.
     **limits
-        Of each run, as `check` takes them.
+        Limits for each run, as `check` takes them.
 
     Returns
     -------
@@ -226,6 +229,7 @@ def check_trainer(
     TrainerAudit(passed: 10 of 10 runs within the limits, a share from 0.530 to 1.000;
     at least 0.5 is proven)
     """
+    # Refuse a gate that proves nothing, or that could not fail.
     wanted, risk = _parse_share("share", share), _parse_share("alpha", alpha)
     if risk == 1:
         what = "a risk of error of 1 proves nothing"
@@ -236,9 +240,11 @@ def check_trainer(
     mdp = mdp_of(model)
     if (horizon := limits.pop("horizon", None)) is not None:
         mdp = mdp.within(horizon)
+    # Train and audit lazily, one run after the other; the interval follows the verdicts.
     policies = islice(_yield_policies(train, rng), runs)
     each, same = tee((name, check(mdp, policy, **limits)) for name, policy in policies)
     shares = share_intervals((audit.passed for _, audit in same), risk)
+    # Stop as soon as the interval decides whether the share is reached.
     names, audits, intervals = list[Any](), list[Audit](), list[Interval]()
     hits, proven = 0, None
     with refuse_exit():
@@ -252,6 +258,7 @@ def check_trainer(
                 break
     if not audits:
         raise ModelError("no policies", where="check_trainer", fix="give at least one")
+    # The given policies may have been fewer than `runs`.
     if proven is None and not prove:
         _require_runs(len(audits), wanted, risk)
     return TrainerAudit(
@@ -267,7 +274,7 @@ def check_trainer(
 
 
 def _require_runs(runs: int, share: Fraction, alpha: Fraction) -> None:
-    """Raise ModelError where so few runs leave the share open even if none is within the limits."""
+    """Raise ModelError if so few runs leave the share open even if none is within the limits."""
     if is_share_excluded(share, 0, runs, alpha):
         return
     least = count_fewest_misses(share, alpha)
@@ -281,7 +288,7 @@ def _require_runs(runs: int, share: Fraction, alpha: Fraction) -> None:
 
 
 def _is_share_reached(hits: int, n: int, share: Fraction, alpha: Fraction) -> bool | None:
-    """Return whether the chance of success is at least `share`; None where that is open."""
+    """Return whether the chance of success is at least `share`; None if that is open."""
     return hits > n * share if is_share_excluded(share, hits, n - hits, alpha) else None
 
 
@@ -341,8 +348,8 @@ def is_share_excluded(share: Fraction, hits: int, misses: int, alpha: Fraction) 
 def count_fewest_misses(share: Fraction, alpha: Fraction) -> int:
     """Return the least number of misses, without a hit, that exclude a share below 1.
 
-    E_n(p) falls and then rises in the number of misses, so that it is found by bisection; in
-    logarithms where a small share needs thousands.
+    As the number of misses grows, E_n(p) falls and then rises, so bisection finds it; in logarithms
+    if a small share needs thousands.
     """
     if share == 1:
         return 1

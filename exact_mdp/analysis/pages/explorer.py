@@ -1,11 +1,11 @@
 """The explorer: a page on which one parameter moves, and value, regret and policy move with it.
 
-The page holds the pieces of `analysis.vary.curves.curve`: on each one the optimal actions,
-and the optimal value and that of a policy held fixed as ratios of polynomials with whole
-coefficients. Its script evaluates them in whole numbers of any size, so that its numbers at a
-rational value is exact. At both ends of the range, today's value and both sides of each switching
-point the optimum has been proved, the proof checked, and its value compared with the ratio's. A
-second parameter moves in steps: for each of its values the first one's pieces are worked out anew.
+The page holds the pieces of `analysis.vary.curves.curve`: for each piece the optimal actions, the
+optimal value, and the value of a policy held fixed, both as ratios of polynomials with whole
+coefficients. Its script computes with whole numbers of any size, so its numbers at a rational value
+are exact. At both ends of the range, at today's value and on both sides of each switching point the
+optimum has been proved, the proof checked, and its value compared with the ratio's. A second
+parameter moves in steps: for each of its values the pieces of the first one are computed anew.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def explore(
     ranges : {name: (low, high)}, optional
         Today's value ± 20 % unless given, within what the model admits.
     relative : number, optional
-        Another share than 20 %, or "whole".
+        A share other than 20 %, or "whole".
     policy : PolicyLike, optional
         A policy held fixed, whose value and regret are shown.
     n : int
@@ -145,11 +145,13 @@ def explore(
         )
     if not 2 <= require_count(n, "n", 2) <= 101:
         raise ModelError(f"{n} values", where="explorer", fix="choose from 2 to 101")
+    # The ranges, each of which has to leave room to move.
     family = parametric(model)
     spans = ranges_of(family, names, ranges, relative)
     for name, span in spans.items():
         if span.low == span.high:
             raise ModelError(f"{name} has no range", where="explorer", fix="state a range")
+    # The family for each value of the second parameter, today's value among them.
     second, grid, models = None, list[Fraction](), [(f"explorer of {names[0]}", family)]
     if len(names) == 2:
         second, span = parameter_of(family, names[1]), spans[names[1]]
@@ -158,6 +160,7 @@ def explore(
         models = [
             (f"{names[1]} = {format_rational(x)}", held_at(family, names[1], x)) for x in grid
         ]
+    # One curve for each of them; at some points its value is compared with a proven optimum.
     curves = []
     for where, here in models:
         with locate_errors(where):
@@ -212,9 +215,11 @@ def _build_page_data(explorer: Explorer) -> dict[str, Any]:
         """Return the number of the set of actions, by pairs (L,), of each state."""
         return [known.setdefault(each, len(known)) for each in actions_of(mdp, pairs)]
 
+    # Curves hold numbers of action sets; a set that occurs often is listed once.
     drawn = layout.cells <= MOST_CELLS
     curves = [_encode_curve(curve, number_action_sets) for curve in explorer.curves]
     taken = None if first.chain is None else number_action_sets(first.chain.chosen > 0)
+    # States whose optimal actions change somewhere.
     every = np.array([piece["sets"] for curve in curves for piece in curve["pieces"]])
     moving = np.flatnonzero((every != every[0]).any(axis=0)).tolist()
     for curve in curves:  # of each piece but the first, only what has changed

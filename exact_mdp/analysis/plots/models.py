@@ -43,14 +43,14 @@ MANY = 80  # outcomes above which no graph can be read
 def plot_transitions(
     model: MDP | Scenario, policy: PolicyLike | None = None, *, ax: Axes | None = None
 ) -> Axes:
-    """Draw states as circles, actions as points, and where each leads with what probability.
+    """Draw states as circles, actions as points, and the outcomes of actions as arrows.
 
     Parameters
     ----------
     model : MDP or Scenario
         Of at most 40 states, with at most 80 outcomes to draw.
     policy : PolicyLike, optional
-        Its actions are black, others grey; of over 8 states its actions alone are drawn.
+        Its actions are black, others grey; with more than 8 states only its actions are drawn.
     ax : Axes, optional
 
     Returns
@@ -69,6 +69,7 @@ def plot_transitions(
     model = mdp_of(model)
     if model.n_states > MOST_NAMED:
         raise _too_much(f"{model.n_states:,} states", f"a model of at most {MOST_NAMED} states")
+    # The actions of the policy are drawn in black, others in grey, or not at all if there are many.
     chosen = np.zeros(model.n_pairs)
     if policy is not None:
         chosen = policy_of(model, policy).weights(model)
@@ -81,6 +82,7 @@ def plot_transitions(
         raise _too_much(
             f"{count:,} outcomes", f"at most {MANY}: those of a policy, or fewer states"
         )
+    # One node for each state, one for each action, and an edge for each outcome.
     graph, names = nx.DiGraph(), state_names(model.space)
     size, font = 420 + 130 * min(max(map(len, names)), 12), 8 if model.n_states <= 20 else 6
     for state, name in enumerate(names):
@@ -104,7 +106,7 @@ def plot_transitions(
                 text = f"{before}; {text}"
             graph.add_edge(point, following, label=text, **look)
     place = nx.kamada_kawai_layout(graph.to_undirected())
-    # Where they stand does not depend on the policy.
+    # The places of states do not depend on the policy.
     graph.remove_nodes_from([f"a{n}" for n, pair in enumerate(listed) if pair not in drawn])
     if ax is None:
         side = min(24.0, 2 + 1.4 * len(graph) ** 0.5)
@@ -121,7 +123,7 @@ def _too_much(what: str, instead: str) -> ModelError:
 
 
 def _format_rational(value: Fraction) -> str:
-    """Return a rational as it is where that is short, else four digits."""
+    """Return a rational as it is if that is short, else with four digits."""
     exact = ""
     if value.denominator < 10**4:
         exact = str(value)
@@ -180,7 +182,7 @@ def draw_front(
             where = "dominated"
         else:
             where = "on the front"
-        # Open, and larger than those before: all that lie on each other can be seen.
+        # Open marks, each larger than the one before: marks at the same place can all be seen.
         look: Look = {"color": INK[number % len(INK)], "fillstyle": "none", "zorder": 3}
         mark = MARKS[1 + number % (len(MARKS) - 1)]
         ax.plot(*place, mark, label=f"{name} ({where})", markersize=7 + 3 * number, **look)
@@ -201,7 +203,7 @@ def draw_front(
 
 @apply_style
 def plot_influence(scenario: Scenario, *, ax: Axes | None = None) -> Axes:
-    """Draw who raises whom; widths and labels are percentage points per timestep.
+    """Draw which status makes which likelier; widths and labels are percentage points per timestep.
 
     Parameters
     ----------
@@ -234,7 +236,7 @@ def plot_influence(scenario: Scenario, *, ax: Axes | None = None) -> Axes:
             graph.add_edge(*(names if forwards else names[::-1]), **look)
     angles = 3 * np.pi / 4 - 2 * np.pi * np.arange(len(graph)) / len(graph)  # four make a square
     place = {status: (np.cos(at), np.sin(at)) for status, at in zip(graph, angles, strict=True)}
-    # Labels are nearer to where an arrow comes from, so that they do not meet.
+    # Labels are nearer to the beginning of an arrow, so that they do not meet.
     _draw_graph(ax, graph, place, font=9, head=16, bend=0.11, at=0.35)
     ax.margins(0.2)
     return label_axes(ax, "Who raises whom, in points of chance per timestep", scenario.name)

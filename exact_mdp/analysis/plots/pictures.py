@@ -41,9 +41,9 @@ def draw(result: object, ax: Axes | None = None, **settings: Any) -> Axes:
     ----------
     result : a solution, certificate, audit, curve or another result of which there is a picture
     ax : Axes, optional
-        Those of a new figure unless given.
+        The axes of a new figure unless given.
     **settings
-        As the function takes them that draws this kind of result: see `PICTURES`.
+        Settings of the function that draws this kind of result: see `PICTURES`.
 
     Returns
     -------

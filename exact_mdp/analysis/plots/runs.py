@@ -225,7 +225,7 @@ def plot_distinct(outcomes: Mapping[str, Outcomes], *, ax: Axes | None = None) -
             many + (number - (len(outcomes) - 1) / 2) * width,
             shares,
             width=width,
-            # Rounding may put a share of nothing or of everything beyond the end of its interval.
+            # Rounding may put a share of 0 or 1 beyond the end of its interval.
             yerr=np.maximum([shares - low, high - shares], 0),
             color=INK[number % len(INK)],
             alpha=0.55,

@@ -1,7 +1,7 @@
 """Figures of varied parameters: tornado, curves, thresholds, indices, draws.
 
-`output` is "optimal", the value with the policy re-optimised, "fixed", the value with it held, or
-"regret", that of the policy held; `most` is the number of bars.
+`output` is "optimal", the value with the policy re-optimised, "fixed", the value with the policy
+held fixed, or "regret", the difference of the two; `most` is the number of bars.
 """
 
 from __future__ import annotations
@@ -96,12 +96,12 @@ def plot_tornado(
 ) -> Axes:
     """Draw the widest bars: white where the parameter is at its low end, blue at its high end.
 
-    `output` is "fixed" unless given where the policy held fixed is not optimal today, else
-    "optimal".
+    `output` is by default "fixed" if the policy held fixed is not optimal today, else "optimal".
     """
     lost = tornado.today["regret"]
     output = output or ("fixed" if lost.value > lost.error else "optimal")
     require_known_name(output, OUTPUT, "output", "output")
+    # Bars reach from today's value to the values at both ends, the widest bars first.
     middle = tornado.today[output].value
     column = {"optimal": "value", "fixed": "fixed_value", "regret": "regret"}[output]
     table = tornado.frame()
@@ -110,6 +110,7 @@ def plot_tornado(
     rows = table[["parameter", "low", "high"]].iloc[order]
     names = [_with_range(*row) for row in rows.itertuples(index=False)]
     ends = (zip(each, (LOW, HIGH), strict=True) for each in reach[order])
+    # The wider of two ends is drawn first, so that the other stays visible.
     wider_first = (sorted(each, key=lambda end: -abs(end[0])) for each in ends)
     drawn = ((row, *end) for row, each in enumerate(wider_first) for end in each)
     what = "regret" if output == "regret" else "value"
@@ -201,6 +202,7 @@ def plot_thresholds(
     names = [_label_axis(each.curve.parameter) for each in every]
     ax = axes_or_new(ax, names, high=1.2 + 0.6 * len(every))
     for place, each in enumerate(every):
+        # The strip of a range, scaled to 0 … 1.
         low, high = float(each.curve.range.low), float(each.curve.range.high)
         width = (high - low) or 1.0
         near, far = ((float(end) - low) / width for end in each.stable())
@@ -226,8 +228,8 @@ def plot_thresholds(
 def plot_two_way(grid: TwoWay, *, ax: Axes | None = None) -> Axes:
     """Draw which policy is optimal over two parameters.
 
-    Shades have no order; a number stands in each region. The legend says what each of the first
-    policies alone does, or the first actions of the only one.
+    Shades have no order; each region has a number. The legend describes the first policies by the
+    actions in which they differ, or a single policy by its first actions.
     """
     ax, shown = axes_or_new(ax), grid.policy
     x, y = (np.unique(column) for column in grid.table.points.T.astype(float))
@@ -257,7 +259,7 @@ def plot_two_way(grid: TwoWay, *, ax: Axes | None = None) -> Axes:
 
 
 def _describe_policies(listed: Sequence[Mapping[str, str]]) -> list[str]:
-    """Say of each policy what no other of them does; of only one its first actions."""
+    """Describe each policy by what no other one does; a single policy by its first actions."""
     entries = []
     for number, own in enumerate(listed):
         states, others = list[str](), [each for each in listed if each is not own]
@@ -330,7 +332,7 @@ def plot_acceptability(draws: PSA, *, ax: Axes | None = None) -> Axes:
     ax.set_ylim(-0.02, 1.02)
     if len(at) > 1:
         ax.set_xscale("symlog", linthresh=at[1], linscale=0.3)
-        # Powers of 10 within the linear part would stand upon the 0.
+        # Labels of powers of 10 in the linear part would cover the 0.
         powers = np.arange(np.ceil(np.log10(2 * at[1])), np.log10(at[-1]) + 1e-9)
         ax.set_xticks([0.0, *10.0**powers])
         ax.minorticks_off()

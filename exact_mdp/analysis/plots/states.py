@@ -1,9 +1,9 @@
-"""Pictures of any model's states: what a policy does, what states are worth, how often they come.
+"""Pictures of the states of a model: actions of a policy, values, expected visits, losses.
 
 A map has a cell for each state, placed as `analysis.layout` says. Actions that are directions are
-arrows. The start has a heavy frame; where an episode ends stands the first letter of the end's
-label, such as goal or hole, or ∎. Values of states that are only numbered are bars. `place` stands
-for shape, down, across and the columns held fixed.
+arrows. The start has a heavy frame; a terminal state shows the first letter of its label, such as
+goal or hole, or ∎. Values of states that are only numbered are bars. `place` stands for shape,
+down, across and the columns held fixed.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ LOSSES = LinearSegmentedColormap.from_list("loss", ["#FFF1E8", ORANGE])
 
 @apply_style
 def plot_policy(model: MDP, policy: PolicyLike, *, ax: Axes | None = None, **place: Any) -> Axes:
-    """Draw what a policy does in each state, in the style of its action.
+    """Draw the action of a policy in each state, in the style of the action.
 
     Parameters
     ----------
@@ -143,6 +143,7 @@ def plot_states(
             where="plot_states",
             fix="give one number for each state",
         )
+    # The actions of a policy are written into the cells.
     layout, texts = _place_states(model, place), [""] * model.n_states
     if policy is not None:
         choices = actions_of(model, policy_of(model, policy).weights(model) > 0)
@@ -155,15 +156,18 @@ def plot_states(
     if acts:
         acting = ", and what the policy does"
     what = f"{label.partition(' (')[0].capitalize()} of each state{acting}"
+    # States that are only numbered have no map: draw bars.
     if layout.listed:
         ax = _draw_state_bars(axes_or_new(ax), model, given, texts, label)
         return label_axes(ax, what, model.name, handles=signs)
+    # The scale of the colours reaches from the least to the greatest finite value.
     known = given[layout.shown][np.isfinite(given[layout.shown])]
     if len(known):
         low, high = (float(known.min()), float(known.max()))
     else:
         low, high = (0.0, 0.0)
     scale = Normalize(low, high if high > low else low + 1.0)
+    # Each cell: the sign of an end or an action, and the number if there is room.
     ends, shown = ends_of(model), dict[int, Any]()
     for state in layout.shown.tolist():
         value, finite = given[state], np.isfinite(given[state])
@@ -183,7 +187,7 @@ def plot_states(
 def plot_solution(solution: Solution, *, ax: Axes | None = None, **place: Any) -> Axes:
     """Draw the values of a solution, a certificate or an evaluation, with the policy's actions.
 
-    A certificate that was read from a file has no model, and no picture.
+    A certificate that was read from a file has no model, and therefore no picture.
     """
     if solution.mdp is None:
         raise ModelError(
@@ -295,7 +299,7 @@ def _draw_map(
         ax.tick_params(axis="x", rotation=90)
     ax.tick_params(length=0)
     ax.spines[:].set_visible(False)
-    # The size of the text in a cell, by the number of cells; 0 where there is no room for one.
+    # The size of the text in a cell, by the number of cells; 0 if there is no room for one.
     sizes = ((30, 10), (2 * NUMBERED, 8), (700, 6 if wide > 20 else 7))
     font = next((size for most, size in sizes if len(shown) <= most), 0)
     texts = [text.split("\n") for text, _ in shown.values()]
@@ -341,7 +345,7 @@ def _draw_map(
 
 
 def _signs_of_states(ax: Axes, model: MDP, layout: Layout) -> list[Any]:
-    """Frame the start; return a legend's entries for it and for ends."""
+    """Frame the start; return a legend's entries for it and for terminal states."""
     listed, ends = list[Any](), ends_of(model)
     starts = [s for s, _ in model.start if layout.row[s] >= 0]
     if len(starts) < len(layout.shown) / 2:
@@ -355,7 +359,7 @@ def _signs_of_states(ax: Axes, model: MDP, layout: Layout) -> list[Any]:
 
 
 def _make_sign_handles(layout: Layout) -> list[Line2D]:
-    """Return a legend's entries for the signs of actions that do not speak for themselves."""
+    """Return a legend's entries for the signs of actions that need an explanation."""
     signs = layout.signs.items()
     open_ = [f"{sign} {action}" for action, sign in signs if sign not in (action, *ARROWS)]
     return [*map(_make_text_handle, open_[: 2 * len(ARROWS)])]

@@ -1,6 +1,6 @@
 """One look for every figure: colours, axes, titles, legends, bars, lines, maps.
 
-Every text is shown as it is written: names may hold "$", which matplotlib takes for a formula.
+Every text is shown as it is written: names may hold "$", which matplotlib would read as a formula.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ SETTINGS: dict[Any, Any] = {
     "figure.constrained_layout.use": True,
     "legend.frameon": False,
     "text.parse_math": False,
-    # Letters as wide at every resolution: what the layout gave room to is not cut off.
+    # Letters are as wide at every resolution, so texts fit into the room that they were given.
     "text.hinting": "none",
 }
 
@@ -72,7 +72,7 @@ def apply_style(function: Callable[Arguments, Axes]) -> Callable[Arguments, Axes
             own = {"text.parse_math": False, "legend.frameon": False}
         with _use_settings(own):
             ax = named_options(function)(*arguments, **settings)
-        for text in ax.findobj(Text):  # those of the axes that were given, too
+        for text in ax.findobj(Text):  # also texts that given axes already have
             assert isinstance(text, Text)
             text.set_parse_math(False)
         return ax
@@ -82,7 +82,7 @@ def apply_style(function: Callable[Arguments, Axes]) -> Callable[Arguments, Axes
 
 @contextmanager
 def _use_settings(settings: Any) -> Iterator[None]:
-    """Draw with settings; keep what a notebook turns on when it draws first, inside or not."""
+    """Draw with settings; the interactive mode that a notebook turns on meanwhile stays on."""
     with mpl.rc_context(settings):
         yield
         shows = mpl.is_interactive()
@@ -102,7 +102,7 @@ def style() -> Iterator[None]:
 
 
 def axes_or_new(ax: Axes | None, names: Sequence[str] = (), high: float = 4.2) -> Axes:
-    """Return the axes, or those of a new figure with room for the names of its rows."""
+    """Return the axes, or new ones in a figure with room for the names of its rows."""
     if ax is not None:
         return ax
     wide = 7.2 + 0.08 * max(0, max(map(len, names), default=0) - 12)
@@ -129,7 +129,7 @@ def label_axes(
     if model:
         title = f"{what} \N{EN DASH} {model}"
     ax.set_title("")
-    # Where lines are broken, matplotlib measures formulas whatever it was told.
+    # To break lines, matplotlib measures texts as formulas even if they are not.
     ax.set_title(title, loc="left", wrap="$" not in title)
     ax.set(**{key: text for key, text in (("xlabel", x), ("ylabel", y)) if text})
     if drawn := handles or ax.get_legend_handles_labels()[0]:
@@ -186,7 +186,7 @@ def name_rows(ax: Axes, names: Sequence[str]) -> None:
 
 
 def choose_line_style(number: int, inks: Sequence[str] = INK) -> Look:
-    """Return colour and dashes of one of several lines, both alike in no two of them."""
+    """Return a colour and dashes for one of several lines; no two lines have both in common."""
     turn, place = divmod(number, len(inks))
     return {"color": inks[place], "linestyle": LINES[(place + turn) % len(LINES)]}
 
@@ -200,7 +200,7 @@ def add_lines(
     inks: Sequence[str] = INK,
     **form: Any,
 ) -> None:
-    """Draw curves (x, y) by label, with bands (x, low, high); `words` name one that is alone."""
+    """Draw curves (x, y) by label, with bands (x, low, high); `words` name a single band."""
     for number, (label, curve) in enumerate(curves.items()):
         look = choose_line_style(number, inks)
         if bands:

@@ -1,1 +1,1 @@
-"""What is traded for what: exact fronts, and the weights under which a policy is optimal."""
+"""Trade-offs between totals: exact fronts, and the weights under which a policy is optimal."""

@@ -1,7 +1,7 @@
 """The exact Pareto front of two or three expected totals, with the rates of exchange along it.
 
-The expected totals of all policies, also mixed ones, are a polytope. Its Pareto front has finitely
-many vertices v, each the totals of a deterministic policy, and
+The expected totals of all policies, mixed ones included, form a polytope. Its Pareto front has
+finitely many vertices v, each the totals of a deterministic policy, and
 
     H(w) = max over policies of w · totals = max over vertices of w · v,   w ≥ 0, Σ w = 1.
 
@@ -9,9 +9,8 @@ The maximum h over the vertices known so far is a lower bound of H, linear on ce
 each corner of a cell the model is solved with these weights: either H = h there, which a dual
 vector of values proves, or a new vertex is found. If H = h at all corners, then H = h everywhere,
 as H is convex, and each corner between vertices is the normal of an edge or facet. With two totals
-this is the dichotomic scheme of Aneja and Nair,
-Management Science 25, 1979; with three that of Przybylski, Gandibleux and Ehrgott, INFORMS Journal
-on Computing 22, 2010.
+this is the dichotomic scheme of Aneja and Nair, Management Science 25, 1979; with three, the scheme
+of Przybylski, Gandibleux and Ehrgott, INFORMS Journal on Computing 22, 2010.
 """
 
 from __future__ import annotations
@@ -63,7 +62,7 @@ class Edge:
 
     start: int
     end: int
-    change: Point  # totals of the end less those of the start
+    change: Point  # of the totals, from start to end
     rate: Fraction | Point
 
 
@@ -128,7 +127,7 @@ class Front(TotalsProof, Pictured):
 
     @property
     def facets(self) -> list[tuple[Point, tuple[int, ...]]]:
-        """Positive weights at which as many vertices are optimal as there are totals, with them."""
+        """Positive weights at which as many vertices are optimal as there are totals, and these."""
         size = len(self.names)
         return [(c.weights, c.best) for c in self.corners if len(c.best) >= size and all(c.weights)]
 
@@ -149,12 +148,13 @@ class Front(TotalsProof, Pictured):
         )
 
     def report(self, policies: Mapping[str, PolicyLike] | None = None) -> Report:
-        """Return vertices, edges and facets; `policies` by name are placed beside the front."""
+        """Return vertices, edges and facets; `policies`, by name, are compared with the front."""
 
         def name_totals(values: Any) -> dict[str, Fraction]:
             return dict(zip(self.names, values, strict=True))
 
         mdp, two = self.of.mdp, len(self.names) == 2
+        # Vertices with the actions of their policies, edges, facets, and the given policies.
         choices = ([mdp.actions[action] for action in policy] for policy in self.policies)
         each = {name: f"{name}:.10g" for name in self.names}
         note = "rate: how much {1} one point of {0} costs on the way from the row above"
@@ -183,6 +183,7 @@ class Front(TotalsProof, Pictured):
                 for name, p in (policies or {}).items()
             ],
         }
+        # For people: the vertices in a row, with the rate between neighbours.
         vertices = Table(
             title="vertices of the front",
             rows=(rows := self.frame()),

@@ -1,14 +1,14 @@
-"""For which weights would a policy be right? The inverse of solving, exactly.
+"""The weights of the reward for which a policy is optimal: the inverse of solving, exactly.
 
 The reward is r = Σ_c w_c c with w = 1 today. A policy π is optimal from the start under w if and
 only if w · (v(π) - v(ρ)) ≥ 0 for every policy ρ, with v the expected totals of the components. The
 least change, t* = min over these w of max over c of |w_c - 1|, is a linear program whose rows are
-found as they are needed: a policy that beats π at the weights of the last one is a new row.
-Likewise for one weight alone, where the set is an interval.
+found as they are needed: a policy that beats π at the latest weights is a new row. For one weight
+alone the set of weights is an interval, found in the same way.
 
-The proof: values V that no policy exceeds at the weights found, with μ V = w · v(π); and policies
-whose rows, by the multipliers of linear programming, leave nothing below t*. (Ng and Russell, ICML
-2000, state the cone for policies that are optimal in all states.)
+The proof consists of values V that no policy exceeds at the weights found, with μ V = w · v(π), and
+of policies whose rows, with the multipliers of linear programming, exclude any change below t*. (Ng
+and Russell, ICML 2000, state the cone for policies that are optimal in all states.)
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ ZERO, ONE = Fraction(0), Fraction(1)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cut:
-    """A policy, by its visits, that is worth at most as much as another one; and a multiplier."""
+    """A policy, by its visits, that must not be worth more than the given one; its multiplier."""
 
     flow: OccupancyMeasure
     multiplier: Fraction
@@ -54,11 +54,11 @@ class Cut:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WeightInterval:
-    """Multipliers of one weight for which a policy is optimal, or None; and what proves it."""
+    """Multipliers of one weight for which a policy is optimal, or None; with the proof."""
 
     low: Fraction | None
     high: Fraction | float | None
-    at_low: Level | None  # what no policy exceeds at the ends; at infinity, of this alone
+    at_low: Level | None  # values that no policy exceeds at the ends; at infinity, of this alone
     at_high: Level | None
     cuts: tuple[OccupancyMeasure, ...]  # visits of policies that are better beyond the ends
 
@@ -67,23 +67,23 @@ class WeightInterval:
 class Rationalization(TotalsProof):
     """The least change of the weights of a reward that makes a policy optimal from the start."""
 
-    change: Fraction  # the greatest relative one: 1 where nothing less than dropping weights does
+    change: Fraction  # the greatest relative one: 1 if only dropping weights is enough
     multipliers: tuple[Fraction, ...]  # one for each component of the reward, 1 today
     flow: OccupancyMeasure  # expected visits of pairs under the policy
-    dual: Level  # what no policy exceeds under the weights
-    cuts: tuple[Cut, ...]  # policies that nothing less makes worse than this one
+    dual: Level  # values that no policy exceeds under the weights
+    cuts: tuple[Cut, ...]  # policies that would stay better after any smaller change
     intervals: tuple[WeightInterval, ...]  # of each component alone
 
     kinds: ClassVar[tuple[str, ...]] = ("weights",)
 
     def _find_violations(self, mdp: MDP) -> list[str]:
         if self.objectives != tuple(mdp.component_names):
-            return ["what is weighed are not the components of the reward"]
+            return ["the weighted totals are not the components of the reward"]
         return super()._find_violations(mdp)
 
     @property
     def possible(self) -> bool:
-        """Whether a change below 1 does it: no weight is dropped or turned round."""
+        """Whether a change below 1 is enough, so that no weight is dropped or changes its sign."""
         return self.change < 1
 
     @property
@@ -93,7 +93,7 @@ class Rationalization(TotalsProof):
 
     @property
     def alone(self) -> dict[str, tuple[Fraction, Fraction | float] | None]:
-        """The multipliers of each component alone, 0 or more, that do it, too; None without any."""
+        """For each component the multipliers, 0 or more, that are enough alone, or None."""
         return {
             name: None if own.low is None or own.high is None else (own.low, own.high)
             for name, own in zip(self.of.names, self.intervals, strict=True)
@@ -135,7 +135,7 @@ class Rationalization(TotalsProof):
         )
 
     def frame(self) -> DataFrame:
-        """Return a row for each component: its multiplier, and the interval that does it alone."""
+        """Return a row for each component: its multiplier, and those that are enough alone."""
         rows = [
             (name, weight, *(self.alone[name] or (None, None)))
             for name, weight in self.weights.items()
@@ -187,7 +187,7 @@ def rationalize(model: MDP | Scenario, policy: PolicyLike) -> Rationalization:
 
 
 class _WeightSearch:
-    """The policies found so far, as their visits and how far their totals are above the given."""
+    """The policies found so far: their visits, and their totals less the given policy's."""
 
     def __init__(self, of: Objectives, totals: Point) -> None:
         self.of, self.totals = of, totals
@@ -204,7 +204,7 @@ class _WeightSearch:
         return None
 
     def find_least_change(self) -> tuple[list[Fraction], Fraction, Level, tuple[Cut, ...]]:
-        """Return weights, the change, the proof of optimality and that of the change."""
+        """Return weights and the change, with proofs of optimality and of the change."""
         size = len(self.totals)
         unit = [[Fraction(i == k) for i in range(size)] for k in range(size)]
         bounds = [[*row, ONE] for row in unit] + [[*(-x for x in row), ONE] for row in unit]
@@ -232,16 +232,22 @@ class _WeightSearch:
                 weights[k] = x
             return self.prove_optimality(weights)
 
+        # Begin with this component alone, a multiplier of infinity: a better policy there is a
+        # bound.
         prove_multiplier(inf)
         while True:
+            # Each policy allows multipliers on one side of a number: intersect all of these.
             lines = [(lead[k], sum(lead) - lead[k]) for _, lead in self.policies]
             low, high = solve_inequalities(lines)
+            # The policies that determine the two ends are the proof that nothing beyond them will
+            # do.
             each = [solve_inequalities([line]) for line in lines]
             binding = [i for i, own in enumerate(each) if low > 0 and own[0] == low][:1]
             binding += [i for i, own in enumerate(each) if high < inf and own[1] == high][:1]
             cuts = tuple(self.policies[i][0] for i in sorted({*binding}))
             if low > high:
                 return WeightInterval(low=None, high=None, at_low=None, at_high=None, cuts=cuts)
+            # An end that is not proven optimal has added a better policy: try again.
             at_low = prove_multiplier(low)
             at_high = at_low and prove_multiplier(high)
             if at_low and at_high:

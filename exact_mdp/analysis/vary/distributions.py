@@ -410,7 +410,7 @@ def uncertainty(
     stated : {name, beginning of names, or label of a row: settings}, DataFrame or file
         Settings describe a distribution, as at the top of `analysis.vary.distributions`, or are
         `fixed = True`. The longest beginning counts: `influence.anger` before `influence`. Settings
-        must be the same for all entries of a row. A table is a sample of one's own, with a column
+        must be the same for all entries of a row. A table is a sample of your own, with a column
         for each parameter that is drawn and a row for each draw. Or the name of a .toml file of
         settings.
     default : float, optional
@@ -668,7 +668,7 @@ def _read_distributions(path: str | Path) -> tuple[dict[str, Settings], float | 
 
 
 def drawn_family(model: Any) -> Parametric:
-    """Return a model with the parameters to draw: for an MDP also those of its random rows."""
+    """Return a model with the parameters to draw, for an MDP including those in its random rows."""
     if not isinstance(model, MDP):
         return parametric(model)
     origin = origin_of(model)

@@ -70,7 +70,7 @@ class CostEffectiveness(Pictured):
 
     @property
     def base_case(self) -> bool:
-        """Whether nothing is drawn, so that all numbers are for today's values."""
+        """Whether nothing is drawn, so all numbers are for today's values."""
         return not self.uncertainty.parts
 
     def __repr__(self) -> str:
@@ -165,6 +165,7 @@ class CostEffectiveness(Pictured):
                 "status": status,
             }
         )
+        # The ICER of each efficient strategy, against the efficient one before it.
         efficient = [n for n, said in enumerate(status) if said == EFFICIENT]
         efficient.sort(key=lambda n: float(cost.value[n]))
         for one, other in pairwise(efficient):
@@ -365,6 +366,7 @@ def cost_effectiveness(
         if isinstance(strategies, Mapping):
             what = "no strategy"
         raise ModelError(what, where="strategies", fix="give {name: policy}, at least one")
+    # Without draws, the base case is a single draw of no parameter.
     family: Parametric
     if n is None and uncertain is None:
         family = parametric(model)
@@ -377,6 +379,7 @@ def cost_effectiveness(
         draws = sample_parameters(family, chosen, n, seed, solver.block)
     for name in (effect, cost):
         require_known_name(name, solver.mdp.component_names, "component", "cost-effectiveness")
+    # Cost and effect of each strategy, block by block, with error bounds.
     weights = [solver.hold_policy(policy) for policy in strategies.values()]
     every = [
         solver.compute_totals(draws[first : first + solver.block], weights, (effect, cost), first)

@@ -93,7 +93,7 @@ def estimate_evppi(values: Floats, draws: Floats, names: tuple[str, ...]) -> Par
     gram, side = np.sum(grams, axis=0), np.sum(sides, axis=0)
     fitted = basis @ _solve_normal_equations(gram, side)
     rows, chosen = np.arange(count), fitted.argmax(axis=1)
-    # The fit of the best candidate is 0, so that the gain is never negative.
+    # The fit of the best candidate is 0, so the gain is never negative.
     gain = fitted[rows, chosen]
     most = estimate_evpi(values).value
     earned, promised = np.empty(count), float(gain.mean())

@@ -3,7 +3,7 @@
 Each is a study of a design of points (`.study`): both ends of every range, or a grid. A policy held
 fixed, by default the optimum at today's values, loses regret(θ) = V*(θ) - V_π(θ). A bar of the
 tornado spans the values at both ends of a parameter's range (Briggs et al., Medical Decision Making
-32, 2012). Nothing is known between the points.
+32, 2012). Values between the points are not known.
 """
 
 from __future__ import annotations

@@ -192,10 +192,12 @@ class PSA(Pictured):
     def report(self, policy: str = "optimal", *, evppi: bool = False) -> Report:
         """Return the results, with EVPPI if asked; `policy` is the name of the given policy."""
         partly = dict[str, PartialInformation]()
+        # EVPPI needs enough draws for a regression; the most valuable parameters come first.
         if evppi and len(self) >= FEWEST:
             ordered = sorted(self.evppi().items(), key=lambda item: -item[1].regression.value)
             partly = dict(ordered)
         information, regret, numbers = self.evpi(), self.regret(), range(len(self.candidates))
+        # Losses of all candidates, and their acceptability at the same tolerances.
         names = [candidate.name for candidate in self.candidates]
         losses, tolerances = [mean_loss(self.regret(n)) for n in numbers], tolerances_of([regret])
         accepted = [self.acceptability(tolerances, n) for n in numbers]
@@ -212,6 +214,7 @@ class PSA(Pictured):
             }
             for n, candidate in enumerate(self.candidates)
         ]
+        # The distribution of each parameter that is drawn.
         drawn = {}
         for part in self.uncertainty.parts:
             for name, mean, sd in zip(part.names, part.mean, part.sd, strict=True):
@@ -392,6 +395,7 @@ def sample_parameters(
             fix="state distributions (--uncertain FILE, uncertain=); for today's values alone, "
             "cost_effectiveness without n is the base case",
         )
+    # The number of draws: as asked for, or all rows of a given sample.
     sample = chosen.sample
     if n is None:
         if sample is None:
@@ -437,13 +441,13 @@ def psa(
         The same seed gives the same bytes for any number of workers, and a larger sample begins
         with the draws of a smaller one.
     uncertain : {name: settings}, pandas.DataFrame, file or Uncertainty, optional
-        The distributions of the parameters, or a sample of one's own: see `uncertainty`, which uses
+        The distributions of the parameters, or a sample of your own: see `uncertainty`, which uses
         `effective_sample_size` for probabilities without a stated distribution.
     policy : PolicyLike
         The policy held fixed; "optimal" is the optimum at today's values.
     n_jobs, folder, progress : optional
-        See `solvers.parallel.many`. A larger sample with the same seed reuses the complete pieces
-        of an earlier one in the folder.
+        See `solvers.parallel.run_pieces`. A larger sample with the same seed reuses the complete
+        pieces of an earlier one in the folder.
 
     Returns
     -------

@@ -68,7 +68,7 @@ class RobustComparison(Result):
 
     @property
     def price(self) -> Bounded:
-        """The price of robustness: what the robust policy gives up in the nominal model."""
+        """The price of robustness: the loss of the robust policy in the nominal model."""
         return self._compute_improvement(self.value, self.robust_value)
 
     @property
@@ -204,12 +204,14 @@ def robust(
             where="radius",
             fix='name the set, as in robust(model, "l1", radius=0.1), or leave out the radius',
         )
+    # The given policy in the nominal model, and in its worst and best case.
     sets = ambiguity
     chain = PolicyChain.of(model, policy)
 
     def evaluate_case(weights: Floats, nature: Nature) -> Bounded:
         return solve_robust(model, sets, nature=nature, policy=weights).start
 
+    # The policy with the best worst case, and its value in the nominal model and its best case.
     best = solve_robust(model, sets)
     own = best.policy.weights(model)
     return RobustComparison(
@@ -279,7 +281,7 @@ def worst_point(
     ranges : {name: (low, high)}, optional
         By default today's values ± 20 %, for all parameters but the discount.
     relative : number, optional
-        Another share than 20 %.
+        A share other than 20 %.
 
     Returns
     -------

@@ -184,7 +184,7 @@ def sobol(
         A power of 2; the model is solved at n (P + 2) points.
     rng : int or numpy.random.Generator
     n_jobs, folder, progress : optional
-        See `solvers.parallel.many`.
+        See `solvers.parallel.run_pieces`.
 
     Returns
     -------

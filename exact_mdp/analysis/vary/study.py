@@ -3,7 +3,7 @@
 A point gives values to some parameters; the others keep today's values. At each point the optimum
 is found (the policy re-optimised) and each given policy is evaluated (held fixed). Tornado, grid,
 Sobol indices and probabilistic analyses are designs of points and summaries of their tables. They
-compare values, so that infinite ones, at discount 1, are refused. A care scenario goes through
+compare values, so infinite ones, at discount 1, are refused. A care scenario goes through
 compiled loops that never form the model (`solvers.care`), small models are solved many at once
 (`solvers.batch`), others one by one. Blocks of points have a fixed size, so that any number of
 workers gives the same bytes.
@@ -165,6 +165,7 @@ def read_points(
     fix: str = "correct the table: give finite numbers within its range",
 ) -> Numbers:
     """Return points (D, P), checked; they are fractions unless all numbers are floats."""
+    # All columns must have the same length, at least 1.
     check_names(given, "column", where="points")
     columns = {name: np.asarray(given[name]) for name in given}
     shapes = {column.shape for column in columns.values()}
@@ -175,12 +176,14 @@ def read_points(
             where="points",
             fix="give one number for each point and parameter, at least one point",
         )
+    # Numbers that are not floats are kept exact.
     if not all(column.dtype.kind == "f" for column in columns.values()):
         columns = {
             name: np.array([exact(number, f"parameter {name}") for number in given[name]])
             for name in columns
         }
     points = np.column_stack([*columns.values()])
+    # Every number must be finite and within the limits of its parameter.
     for name, drawn in zip(columns, float_array(points, "points").T, strict=True):
         parameter = parameter_of(model, name)
         if parameter.low is None:
@@ -383,6 +386,7 @@ class _Built:
                 totals.append([number.value for number in row])
                 errors.append([number.error for number in row])
             return np.array(totals), np.array(errors)
+        # All models at once: each component in turn is the reward, known up to its error.
         off = np.stack([component_errors(mdp) for mdp in self.models])
         each = []
         for name, earned in zip(names, amounts, strict=True):
@@ -432,7 +436,7 @@ def _require_finite_start(what: str, found: Found, mdp: MDP, where: str) -> Foun
         if not where.startswith("today"):
             ways.append("ranges in which every value is finite")
         raise ModelError(
-            f"{what} is infinite, so that nothing can be compared",
+            f"{what} is infinite, so nothing can be compared",
             where=f"the total at discount 1, {where}",
             fix=", or ".join(ways),
         )
@@ -498,6 +502,7 @@ class ModelSolver:
 
     def _build_models(self, draws: Numbers, first: int) -> _Built:
         """Return the models of draws, built once for repeated questions about the same draws."""
+        # The last models are kept, as several questions concern the same draws.
         key = repr(draws.tolist())
         if key not in self.built:
             models, at = [], partial(self._describe_draw, draws, first)
@@ -512,6 +517,7 @@ class ModelSolver:
                     fix += "probabilities of one row together: rows={label: [names]}"
                     raise type(error)(error.what, where=error.where, fix=fix) from error
             made = _Built(models, at)
+            # Models that do not fit in the memory for kept ones are built again next time.
             if sum(each.size for each in (made, *self.built.values())) > KEPT:
                 return made
             self.built[key] = made

@@ -1,8 +1,8 @@
-"""From a scenario to its explicit transition matrix, exactly, without a loop over states.
+"""Compile a scenario to its explicit transition matrix, exactly, without a loop over states.
 
 A subtask is a block of trials × (skipped flag) × status vectors. Next states are counted from the
-start of the block, so that the same rows serve for every place of it: numbers from the block's size
-on are the first trial of the next subtask, or the end. Rows consist of the events of
+start of the block, so the same rows serve at every place of the block: numbers from the block's
+size on are the first trial of the next subtask, or the end. Rows consist of the events of
 `mdp.care.rules`; a skip after the last failed trial is a matrix product:
 
     P(z, gain g | s, a) = Σ_{s' ≠ 0, gain(s') = g} K_a(s, s') Z(s', z).
@@ -242,7 +242,7 @@ def check_explicit(laws: Laws) -> None:
 
 
 def estimate_size(laws: Laws) -> tuple[int, int]:
-    """Return bounds of the number of outcomes and of the denominators (before cancelling).
+    """Return bounds on the number of outcomes and on the denominators (before cancelling).
 
     A row of a trial has as many outcomes as there are next vectors s' of positive probability. If a
     failed trial ends in a skip, there are at most

@@ -9,8 +9,8 @@ which can be evaluated like any other. Files may contain rationals; each number,
 probability π_C, is rounded to the nearest float, and exact results are exact for these floats.
 
 From N(s, z) examples of the true status s and the perceived status z, a row is estimated by its
-frequencies, C(s, z) = N(s, z) / N(s). Intervals of rates are those of Clopper and Pearson
-(Biometrika 26, 1934).
+frequencies, C(s, z) = N(s, z) / N(s). Intervals of rates follow Clopper and Pearson (Biometrika 26,
+1934).
 """
 
 from __future__ import annotations
@@ -295,7 +295,7 @@ def read_counts(path: str | Path, model: MDP) -> Integers:
     """Return the counts of a `.jsonl` file of labelled examples: a recording, or a measurement.
 
     Lines with `status` and `perceived` are examples. Other lines are ignored, and so is an
-    incomplete last line. If a header names `statuses`, they must be those of the model.
+    incomplete last line. If a header names `statuses`, they must be the model's.
     """
     counts = np.zeros((status_size(model),) * 2, dtype=np.int64)
     column, names = statuses_of(len(counts)), _find_status_names(model)

@@ -1,13 +1,13 @@
 """The rules of a care scenario, stated once: probabilities, charges and successors.
 
 A state is (k, t, f, s): subtask k, t trials of it failed so far, f = 1 if a subtask of this task
-was skipped (kept only where the bonus asks for it), status vector s. The next statuses are
+was skipped (kept only if the bonus depends on it), status vector s. The next statuses are
 independent, each with a chance that is a sum of parameters, cut off at 1:
 
     p_i(s, a) = min(1, Σ of the parameters in terms[step[s, a, i]])       under action a,
     z_i(s)    = min(1, Σ of the parameters in terms[skip[s, i]])          when a subtask is skipped.
 
-Under an action a they follow the law K_a(s, ·), on a skip Z(s, ·):
+Under an action a they have the distribution K_a(s, ·), on a skip Z(s, ·):
 
     complete   s' = 0 under K_a                 leads to k + 1, flag f
     fail       s' ≠ 0 under K_a                 leads to k, t + 1, s'
@@ -87,18 +87,24 @@ class Rules:
         self.own = self.readings["skip_timestep"] == "own"
         self.assistive = len(actions)
         self.actions = (*actions, SKIP) if self.own else actions
+        # The flag, whether a subtask of the task was skipped, is kept only if the bonus depends on
+        # it.
         paid = BONUS[self.readings["task_bonus"]]
         self.flags = 2 if (COMPLETE, 0) in paid and (COMPLETE, 1) not in paid else 1
         self.flag_after = np.zeros((3, 2), dtype=np.int64)
         self.flag_after[INSIDE, 1] = self.flags - 1
+        # The size of a subtask: trials, flags and status vectors.
         self.bits = bits_of(len(statuses))
         self.vectors = len(self.bits)
         self.size = (trials + self.own) * self.flags * self.vectors
+        # The place of each subtask: inside its task, last of it, or last of all.
         self.places = np.full(sum(tasks), INSIDE)
         self.places[np.cumsum(tasks) - 1] = LAST
         self.places[-1] = FINAL
+        # Positions of the parameters, and of the weights among them.
         self.position = {name: place for place, name in enumerate(names)}
         self.weights = np.array([self.position[f"reward.{name}"] for name in components])
+        # The weights that each event charges; equal sets of weights are one gain.
         rows: dict[tuple[int, ...], int] = {}
         self.gains = np.zeros((3, 3, 2), dtype=np.int64)
         for event, place, flag in np.ndindex(self.gains.shape):
@@ -110,6 +116,7 @@ class Rules:
             charged += ["task-complete"] * (place != INSIDE and (event, flag) in paid)
             row = tuple(self.position[f"reward.{weight}"] for weight in charged)
             self.gains[event, place, flag] = rows.setdefault(row, len(rows))
+        # Shorter sets are padded with P, the position of the number 0.
         widest = max(map(len, rows))
         self.charges = np.array([[*row, *[len(names)] * (widest - len(row))] for row in rows])
         self.charged = (self.charges[:, :, None] == self.weights).any(axis=1).astype(np.int64)

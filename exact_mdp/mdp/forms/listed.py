@@ -115,7 +115,7 @@ class Listed:
     def __init__(self, P: Any, never: float) -> None:
         self.states, actions, self.never = Numbering(), Numbering(), never
         self.pairs: dict[Any, dict[Any, list[tuple[Any, Any]]]] = {}
-        # The keys of dictionaries come first, so that ends without actions are states, too.
+        # The keys of dictionaries come first, so ends without actions are states, too.
         if isinstance(P, Mapping):
             for state, own in P.items():
                 self.states.add_thing(state, "a state", "P")
@@ -210,7 +210,7 @@ class Listed:
     ) -> list[Any]:
         """Return the outcomes of a pair as (probability, next state, amount).
 
-        The amount is that of the transition, or else of the pair, or else of the state.
+        The amount belongs to the transition, or else to the pair, or else to the state.
         """
         state, action = pair
         place, outcomes = f"{where}, state {state}, action {action}", []

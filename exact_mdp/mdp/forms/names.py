@@ -152,7 +152,7 @@ class Names:
 
     @cached_property
     def numbered(self) -> bool:
-        """Whether some names or objects are whole numbers, so that numbers are not positions."""
+        """Whether some names or objects are whole numbers, so numbers are not positions."""
         return any(WHOLE.fullmatch(text_of(thing)) for thing in (*self.words, *self.objects))
 
     def has_name(self, thing: object) -> bool:

@@ -103,7 +103,7 @@ def put_right(weight: Numbers, offsets: Integers) -> Numbers:
     >>> put_right(np.float32([0.1, 0.2, 0.7]), np.array([0, 3])).sum().item()
     1.0
     """
-    # Exact numbers are NaN here, so that no comparison holds of them.
+    # Exact numbers are NaN here, so no comparison holds of them.
     if weight.dtype == object:
         floats = [np.nan] * len(weight)
         for place, number in enumerate(weight):

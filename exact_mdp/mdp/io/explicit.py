@@ -63,6 +63,7 @@ def _number_actions(
     has that name already. Declared names come first. If no choice has a word, choices are numbered
     in each state.
     """
+    # Without words, choices are numbered in each state.
     if not any(words):
         places: list[int] = []
         for own in choices:
@@ -76,6 +77,7 @@ def _number_actions(
             name += "'"
         return name
 
+    # The second choice of a state with the same word gets a name of its own.
     unnamed = own_name(UNNAMED)
     names: list[str] = []
     for own in choices:

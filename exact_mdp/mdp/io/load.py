@@ -60,6 +60,7 @@ def read_model(
     if constants and suffix not in SOURCES:
         fix = f"give a {' or '.join(SOURCES)} file"
         raise ModelError("the model has no constants", where=text, fix=fix)
+    # A scenario takes changes by name; other models take only discount and start.
     if is_scenario(text):
         scenario = Scenario.load(text)
         for assignment in require_type(sets, Sequence, "sets", 'give ["KEY=VALUE", …]'):
@@ -81,6 +82,7 @@ def read_model(
         if discount is not None:
             names["discount"] = discount
         mdp = MDP.from_gymnasium(text.removeprefix(GYMNASIUM), **names)
+    # Files of model checkers, then our own.
     elif suffix == ".umb":
         mdp = umb.read_umb(file, discount=discount, reward=reward, start=start)
     elif suffix in SOURCES:

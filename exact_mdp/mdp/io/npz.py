@@ -276,7 +276,7 @@ def _match_objects(
 
 
 def _check_arrays(arrays: dict[str, Numbers]) -> None:
-    """Raise ModelError unless the arrays are those of a model, with the right types and shapes."""
+    """Raise ModelError unless these are the arrays of a model, with the right types and shapes."""
     if not ARRAYS.keys() - {*MAY_LACK} <= arrays.keys() <= ARRAYS.keys():
         raise ModelError(
             f"the archive holds {', '.join(arrays)[:200] or 'nothing'}",

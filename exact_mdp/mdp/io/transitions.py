@@ -67,7 +67,7 @@ TRUNCATED, TERMINATED, DONE = "truncated", "terminated", "done"
 MARKS = (TRUNCATED, TERMINATED, DONE)  # optional columns
 CUT_OFF = "cut off"  # the label of states in which episodes were cut off, and that no row leaves
 FLAGS = {"true": True, "1": True, "1.0": True, "false": False, "0": False, "0.0": False}
-# Texts for missing values, which cannot be names; the list is that of pandas.read_csv.
+# Texts for missing values, which cannot be names; the list of pandas.read_csv.
 NO_NAMES = frozenset(
     ("", "#N/A", "<NA>", "N/A", "NA", "NULL", "NaN", "NaT", "None", "n/a", "nan", "null")
 )

@@ -74,17 +74,20 @@ def find_pieces(
     the next breakpoint, where another polynomial may begin, or to the end of the range; without an
     end, three quarters of 1.
     """
+    # The range of the parameter; without a limit, one unit to either side.
     low, high = room_of(model, name)
     if low is None:
         low = origin - 1
     if high is None:
         high = origin + 1
+    # Pieces reach three quarters of the way to the next breakpoint on either side.
     cuts = model.breakpoints(name)
     below = max((cut for cut in cuts if cut < origin), default=low)
     above = min((cut for cut in cuts if cut > origin), default=high)
     below, above = ((origin + 3 * end) / 4 for end in (below, above))
     left: Piece | None = Piece(low=below, high=above, origin=origin)
     right = left
+    # A breakpoint has a piece on each side; an end of the range has one side only.
     if origin in cuts:
         left = Piece(low=below, high=origin, origin=origin)
         right = Piece(low=origin, high=above, origin=origin)
@@ -105,7 +108,7 @@ def row_change(model: Parametric, name: str, piece: Piece, base: MDP) -> RowChan
     known = isinstance(model, ScenarioFamily) or (
         isinstance(model, Family) and isinstance(model.build, Moved)
     )
-    # Build models at `count` points beside θ0; five more than needed check an unproven degree.
+    # Build models at `count` points besides θ0; five more than needed check an unproven degree.
     count = degree
     if not known:
         count += 5

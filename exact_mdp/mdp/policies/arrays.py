@@ -1,8 +1,8 @@
 """Policies from arrays: action values (a Q-table), or probabilities of actions.
 
 The rule is the same for arrays and files. A row counts if a state with a choice reads it. Other
-rows may hold anything: those for states in which the episode is over or with one action, and, in an
-array of probabilities, those for states whose actions differ in name only. Without `kind`,
+rows may hold anything: rows of states with one action or in which the episode is over and, in an
+array of probabilities, rows of states whose actions differ in name only. Without `kind`,
 
     some row that counts is not a distribution  the array is a Q-table
     every such row gives 1 to a single action   the array is a policy; for costs it is refused if
@@ -427,7 +427,7 @@ def flatten_times(model: MDP, table: Numbers) -> Numbers:
     if untimed is None or table.ndim < 2:
         return table
     times, own = model.space.columns[0].size, untimed.regular
-    # At the last time there is usually no choice, so that the policy may leave it out.
+    # At the last time there is usually no choice, so the policy may leave it out.
     steps = times
     if model.forced[(times - 1) * own :].all():
         steps = times - 1

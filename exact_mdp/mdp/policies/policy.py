@@ -110,6 +110,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
 
     def __post_init__(self) -> None:
         check_names(self.actions, "action", where="policy")
+        # Action numbers (K,), or probabilities (K, A).
         given: Numbers = np.asarray(self.rule)
         numbers = given.ndim == 1 and given.dtype.kind in "iu"
         shape = (self.space.size, len(self.actions))

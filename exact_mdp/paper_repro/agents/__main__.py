@@ -99,7 +99,7 @@ BACKEND = combine_options(
 
 
 def backend_of(words: dict[str, Any]) -> Backend:
-    """Take the options of the backend out of the words; raises ModelError where one is missing."""
+    """Take the options of the backend out of the words; raise ModelError if one is missing."""
     kind, noise = words.pop("backend"), words.pop("noise")
     chosen = {each.name: words.pop(each.name) for each in fields(Endpoint) if each.name in words}
     if kind == "scripted":

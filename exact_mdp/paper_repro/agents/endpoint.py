@@ -85,7 +85,7 @@ class Endpoint:
         }
 
     def answer(self, request: Request) -> dict[str, Any]:
-        """Return an answer in the asked form; raises BackendError where there is none."""
+        """Return an answer in the asked form; raise BackendError if there is none."""
         fault = ""
         for attempt in range(self.tries):
             try:
@@ -150,9 +150,9 @@ class Endpoint:
         return body
 
     def _send_in_thread(self, body: Mapping[str, Any], key: str) -> tuple[int, float, bytes]:
-        """Return status, the wait that is asked for, and the data; one deadline bounds it all.
+        """Return the status, the wait that is asked for, and the data, all within one deadline.
 
-        It is sent in a thread, since nothing else bounds the look-up of a name.
+        The request is sent in a thread, since nothing else bounds the look-up of a name.
         """
         answers: queue.Queue[tuple[int, float, bytes] | Exception] = queue.Queue()
 
@@ -205,7 +205,7 @@ class Endpoint:
             raise Transient(f"{type(error).__name__}, the connection failed") from None
 
     def _read_key(self) -> str:
-        """Return the key; none where the usual variable is not set."""
+        """Return the key; an empty one if the usual variable is not set."""
         name = self.key_variable
         if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) or (
             name != Endpoint.key_variable and name not in os.environ
@@ -311,7 +311,7 @@ def _parse_completion(data: bytes, where: str) -> object:
 
 
 def decode_json(data: bytes) -> Any:
-    """Return the value of JSON text; raises Malformed, also where a key is named twice.
+    """Return the value of JSON text; raise Malformed if it is not JSON or names a key twice.
 
     >>> decode_json(b'{"anger": 1}')
     {'anger': 1}
@@ -329,7 +329,7 @@ def decode_json(data: bytes) -> Any:
 
 
 def _parse_retry_after(text: str | None) -> float:
-    """Return the seconds of a Retry-After header; 0 where it states none."""
+    """Return the seconds of a Retry-After header; 0 if it states none."""
     try:
         value = float(text or 0)
     except ValueError:

@@ -1,6 +1,6 @@
 """A conversation on file: JSON lines, and the same as text (Yuan et al. 2025, Section 4.2).
 
-The first line is the header: everything that the conversation follows from. Then one line for each
+The first line is the header: everything that determines the conversation. Then one line for each
 timestep, on the disk before the next begins, and a last one with the totals. A line counts once its
 newline is written. In the text, words that come from a backend stand on one line, without control
 characters, so that none of them can look like a line of the record.
@@ -27,7 +27,7 @@ OUTCOMES = {
 
 @dataclass(kw_only=True)
 class Recording:
-    """What a file holds: the header, the steps, the totals where it is finished."""
+    """The contents of a file: the header, the steps and, if it is finished, the totals."""
 
     path: Path
     header: dict[str, Any] = field(default_factory=dict)
@@ -35,7 +35,7 @@ class Recording:
     end: dict[str, Any] | None = None
 
     def add_entry(self, entry: dict[str, Any]) -> None:
-        """Write an entry down; raises ModelError where that fails."""
+        """Write an entry; raise ModelError if that fails."""
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with self.path.open("a", encoding="utf-8", newline="\n") as file:
@@ -55,9 +55,9 @@ class Recording:
 
 
 def open_recording(path: Path, header: dict[str, Any], *, resume: bool) -> Recording:
-    """Return the recording of a file, a new one where there is none.
+    """Return the recording of a file, or a new one if there is none.
 
-    Raises ModelError where there is one and `resume` is not asked for, or one with another header.
+    Raises ModelError if there is one and `resume` is not asked for, or if it has another header.
     """
     record = read_recording(path)
     if record is None:
@@ -73,7 +73,7 @@ def open_recording(path: Path, header: dict[str, Any], *, resume: bool) -> Recor
 
 
 def read_recording(path: Path) -> Recording | None:
-    """Return a recording, without a last line that is torn; None where there is none.
+    """Return a recording, without an incomplete last line; None if there is none.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def clean_text(text: object) -> str:
 
 
 def format_amount(text: str) -> str:
-    """Return an exact number for reading: whole where it is whole, else with two decimals.
+    """Return an exact number for reading: as a whole number if it is one, else with two decimals.
 
     >>> format_amount("-8"), format_amount("1/3")
     ('-8', '0.33')

@@ -1,8 +1,8 @@
 """The scripted backend: seeded templates in place of a language model, the same on every machine.
 
 A behaviour joins one phrase for each status that is present; perception looks for these phrases in
-what was done and said, and with `noise` ε reads each status wrongly with probability ε,
-independently. So its confusion matrix is known:
+the behaviour, and with `noise` ε reads each status wrongly with probability ε, independently. So
+its confusion matrix is known:
 
     C(s, p) = Π_i (1 - ε)^[s_i = p_i] ε^[s_i ≠ p_i]
 
@@ -90,7 +90,7 @@ class Scripted:
 def _compose_line(
     parts: list[list[str]], facts: Mapping[str, Any], rng: np.random.Generator
 ) -> str:
-    """Return one text of each part, in a line that was not said before where there is one."""
+    """Return one text of each part, in a line that was not said before, if possible."""
     said = facts.get("said", ())
     heard = " ".join(said)
     filled = [[_fill_template(text, facts) for text in texts] for texts in parts]

@@ -113,7 +113,7 @@ class Conversation:
         return np.asarray(self.policy.weights(self.mdp))
 
     def build_header(self) -> dict[str, Any]:
-        """Return everything that the conversation follows from: the first entry of a recording."""
+        """Return everything that determines the conversation: the first entry of a recording."""
         return {
             "kind": "header",
             "format": log.FORMAT,
@@ -142,8 +142,8 @@ class Conversation:
     ) -> Recording:
         """Run into a folder, or `resume` the recording in it, up to `limit` timesteps in all.
 
-        Raises ModelError where the folder holds a conversation and `resume` is not asked for, or
-        one with other settings. What was recorded before a failure stays.
+        Raises ModelError if the folder holds a conversation and `resume` is not asked for, or if it
+        has other settings. What was recorded before a failure stays.
         """
         record = log.open_recording(out / NAME, self.build_header(), resume=resume)
         try:
@@ -177,7 +177,7 @@ class Conversation:
         )
         label, status = self.name_status(bits)
         place = modules.describe_place(subtask, trial + 1, self.scenario.trials)
-        # What prompts recall: what could be seen and heard, no status.
+        # Prompts recall only what could be seen and heard, not the status.
         exchanges = [
             {
                 "timestep": step["timestep"],
@@ -272,7 +272,7 @@ class Conversation:
         return int(self.mdp.pair_action[pairs[sample_index(chances, seed)]])
 
     def sample_outcome(self, state: int, action: int, seed: int) -> tuple[int, Fraction, str]:
-        """Draw what follows an action: next state, reward, event."""
+        """Draw the outcome of an action: next state, reward, event."""
         mdp, pair = self.mdp, self.mdp.pair(state, action)
         rows = list(mdp.table.row(pair))
         picked = sample_index([row[0] for row in rows], seed)

@@ -1,1 +1,1 @@
-"""What is proven of values in floating point: rounding, gains, sweeps, bounds, linear systems."""
+"""Proven error bounds of values in floating point: rounding, advantages, linear systems."""

@@ -105,7 +105,7 @@ def bound_optimal_values(mdp: MDP, value: Floats, *, strict: bool = False) -> Bo
     if strict:
         compared = replace(gain, noise=gain.error)
     pairs = choose_greedy_pairs(mdp, compared)
-    # High is the least c with d ≤ c m for all pairs; low the greatest with d ≥ c m for those of π.
+    # High is the least c with d ≤ c m for all pairs; low the greatest with d ≥ c m for π's pairs.
     low, high = 0.0, 0.0
     if live.any():
         above = weights.compute_ratios(gain.value + gain.error)

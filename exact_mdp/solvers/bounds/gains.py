@@ -62,7 +62,7 @@ class Weights:
 
     @property
     def uniform(self) -> bool:
-        """Whether w is 1 and no state leads to an end, so that all margins are 1 - γ."""
+        """Whether w is 1 and no state leads to an end, so all margins are 1 - γ."""
         return len(self.margin) == 1
 
     @cached_property

@@ -231,7 +231,7 @@ class LinearSystem(ByFields):
 
     @cached_property
     def _closed(self) -> bool:
-        """Whether all rows sum to 1, up to rounding, so that no state leads to an end."""
+        """Whether all rows sum to 1, up to rounding, so no state leads to an end."""
         total = self.transition.sum(axis=1)
         return bool(max(total.max() - 1, 1 - total.min()) < 1e-12)
 

@@ -1,4 +1,4 @@
-"""The interface of every solver, and what all of them share: checks of settings, and the answer."""
+"""The interface of all solvers, and their common parts: checks of settings, and the answer."""
 
 from __future__ import annotations
 

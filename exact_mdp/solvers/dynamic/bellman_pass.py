@@ -87,7 +87,7 @@ class BellmanPass:
         """Pass over a small model in NumPy, as loading compiled loops takes longer."""
         mdp, state, margin = self.mdp, self.mdp.pair_state, self.weights.margin
         matrix, first = mdp.transition, mdp.pair_offsets[:-1]
-        # Advantages are sums of differences, so that large values cancel before they are added.
+        # Advantages are sums of differences, so large values cancel before they are added.
         following, here = self._ends_of_transitions
         steps = matrix.data * (value.take(following) - value.take(here))
         ahead = np.add.reduceat(steps, matrix.indptr[:-1])

@@ -1,9 +1,9 @@
-"""The evaluation step of modified policy iteration, in the way that costs least.
+"""The evaluation step of modified policy iteration, done in the cheapest way.
 
-The equations of a policy of a small model are solved. In large models policies are swept, as long
-as their chains mix soon. Where they mix slowly, states are improved one by one, until as much time
-has been spent on that as the equations of a policy take, which are then solved: most policies on
-the way are soon improved upon, and need no solution of their own.
+In a small model the equations of the policy are solved. In a large model the policy is swept as
+long as its chain mixes fast. If it mixes slowly, states are improved one by one, until this has
+taken as much time as a solution of the equations, which are then solved: most policies on the way
+are soon improved upon, and need no solution of their own.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class PolicyEvaluation:
         """Sweep the policy until its residual is at most `goal`; return whether that succeeded."""
         values, mdp = self.values, self.values.mdp
         enough = goal * values.weights.smallest
-        # The exact values are known up to rounding.
+        # Up to rounding, these are the exact values.
         fine = 0.0
         if goal == 0:
             fine = 8 * UNIT

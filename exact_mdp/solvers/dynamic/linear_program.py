@@ -4,11 +4,11 @@
     dual     maximise r y     subject to   Σ_{l of s} y(l) - γ Σ_l P(l, s) y(l) = α(s),   y ≥ 0
 
 over the states that are not terminal; those have value 0. The weights α are positive and the same
-everywhere, so that the primal gives the value of every state (d'Epenoux, Management Science 10,
+everywhere, so the primal gives the value of every state (d'Epenoux, Management Science 10,
 1963; Puterman, Markov Decision Processes, 1994, section 6.9).
 
-An optimiser is right to six or eight digits. Its values are handed in as where policy iteration
-begins, so that the answer has rounding errors alone; its objective is checked against them.
+An optimiser is right to six or eight digits. Policy iteration starts from its values, so the answer
+has rounding errors alone, and the optimiser's objective is compared with it.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class LinearProgram(Solver):
     def maximise(self, model: MDP) -> Solution:
         """Return the optimum up to rounding."""
         started, live = perf_counter(), ~model.terminal
-        margin_weights(model)  # raises an error where no bound is possible
+        margin_weights(model)  # raises an error if no bound is possible
         start, objective, steps = self._run_optimiser(model, live)
         if not np.isfinite(start).all():
             raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
@@ -101,7 +101,7 @@ def own_states(mdp: MDP) -> sp.csr_array:
 def least_above(cost: Floats, matrix: sp.sparray, least: Floats, solver: str) -> tuple[Floats, int]:
     """Return x that minimises cost · x subject to A x ≥ least, and the steps of the optimiser.
 
-    Raises SolverError where it finds no optimum.
+    Raises SolverError if it finds no optimum.
     """
     with require_extra("lp"):
         import cvxpy
@@ -109,7 +109,7 @@ def least_above(cost: Floats, matrix: sp.sparray, least: Floats, solver: str) ->
     above = sp.csc_array(matrix) @ x >= least
     problem: Any = cvxpy.Problem(cvxpy.Minimize(cost @ x), [above])
     try:
-        # What cvxpy would warn of, an inaccurate solution, is an error here.
+        # An inaccurate solution, of which cvxpy would only warn, is an error here.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             problem.solve(solver=solver)

@@ -1,7 +1,7 @@
 """Five textbook algorithms, each as its loop, its step and its stopping rule.
 
     value iteration              V ← T V,   (T V)(s) = max over pairs l of s of r(l) + γ P_l V
-    Gauss-Seidel                 the same, state after state, upward and downward in number by turns
+    Gauss-Seidel                 the same, state after state, up and down their numbers in turn
     modified policy iteration    π greedy for V,   V ← (T_π)^m V
     policy iteration             π greedy for V,   V ← (I - γ P_π)⁻¹ r_π
     backward induction           V(s) ← (T V)(s) once, from the end to the start, without cycles
@@ -50,8 +50,8 @@ class Improving(Solver):
     max_iterations : int
         Steps after which to give up, with a SolverError.
     start : (S,) floats or PolicyLike, optional
-        Values to begin with, or a policy whose values are meant; 0 unless given, or the greatest
-        rewards, which a sweep makes of 0, for modified policy iteration.
+        Values to begin with, or a policy, which stands for its values. By default 0; for modified
+        policy iteration the greatest rewards, the result of a sweep from 0.
     """
 
     tol: float | None = None
@@ -63,7 +63,7 @@ class Improving(Solver):
         check_counts(type(self).__name__, max_iterations=self.max_iterations)
 
     def begin(self, model: MDP) -> tuple[Values, StoppingRule]:
-        """Return the values to begin with, and the rule that says when they are near enough."""
+        """Return the values to begin with, and the rule that decides when they are near enough."""
         values = Values(model, read_start_values(model, self.start))
         return values, StoppingRule(values, self.tol)
 
@@ -72,8 +72,8 @@ class Improving(Solver):
 class ValueIteration(Improving):
     """Improve the values sweep by sweep; see `Improving` for the settings.
 
-    Once a hundred sweeps do not bring the bounds closer by a tenth, every second one gives way to
-    the linear equations of its policy, so that chains that mix slowly end, too.
+    If a hundred sweeps do not narrow the bounds by a tenth, every second sweep is replaced by a
+    solution of the policy's equations: then slowly mixing chains end, too.
 
     Examples
     --------
@@ -175,17 +175,17 @@ class ModifiedPolicyIteration(Improving):
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyIteration(Solver):
-    """Howard's policy iteration; the error bound is what rounding leaves.
+    """Howard's policy iteration; only rounding errors remain.
 
-    A pair is kept unless another is better as computed, and a policy that comes back ends
-    it. The number of iterations does not depend on how fast the chain mixes.
+    A pair is kept unless another is better as computed, and the search stops when a policy repeats.
+    The number of iterations does not depend on how fast the chain mixes.
 
     Parameters
     ----------
     max_iterations : int
         Policies to evaluate before giving up, with a SolverError.
     start : PolicyLike or (S,) floats, optional
-        The policy to improve first, or values whose greedy policy is meant.
+        The policy to improve first, or values, which stand for their greedy policy.
 
     Examples
     --------
@@ -241,7 +241,7 @@ class BackwardInduction(Solver):
     name: ClassVar[str] = "backward-induction"
 
     def maximise(self, model: MDP) -> Solution:
-        """Return the optimum; raises ModelError where states come back to themselves."""
+        """Return the optimum; raise ModelError if the model has a cycle."""
         started = perf_counter()
         if not is_acyclic(model):
             raise ModelError(

@@ -1,11 +1,11 @@
 """The stopping rule of all solvers that improve values: a proven bound, never a small change.
 
 A search may stop once the bounds of its last pass are within the tolerance; then they are proven.
-Widened by the greatest rounding error of any pair they often suffice; else `bound_optimal_values`
-counts rounding errors pair by pair. Bounds that are as wide as rounding errors and no longer fall
-say that double precision is at its limit. Bounds that stay wide say nothing for as many passes as
-there are states, as a pass carries values on by one transition (Haddad and Monmege, Theoretical
-Computer Science 735, 2018, on why a small change proves nothing).
+Often it is enough to widen them by the greatest rounding error of any pair; otherwise
+`bound_optimal_values` counts rounding errors pair by pair. If bounds are as wide as rounding errors
+and no longer narrow, double precision is at its limit. If bounds stay wide, this means nothing for
+as many passes as there are states, as a pass carries values on by one transition (Haddad and
+Monmege, Theoretical Computer Science 735, 2018, on why a small change proves nothing).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class StoppingRule:
     tol : float, optional
         The tolerance; a part of the greatest value if it is None.
     is_polished : bool
-        Whether values of the last policy are found as exactly as floats can, so that ties of
+        Whether to find the values of the last policy as exactly as floats allow, so that tied
         actions show as ties: the search ends only with a policy that stays.
     """
 
@@ -100,10 +100,10 @@ class StoppingRule:
         return self.is_slow and values.passes % 2 == 1
 
     def evaluation_goal(self) -> float:
-        """Return how near values should come to the policy's values, in units of w.
+        """Return the distance to which values should approach the policy's values, in units of w.
 
-        A tenth of the least gap so far, and ever less while that does not fall; half of the
-        tolerance if the policy stays; 0, as near as floats allow, once the bounds are near.
+        It is a tenth of the least gap so far, and ever less while the gap does not fall; half of
+        the tolerance if the policy stays; and 0, as near as floats allow, once the bounds are near.
         """
         values = self.values
         if self.is_near:

@@ -82,7 +82,7 @@ class Values:
         return RELATIVE_TOLERANCE * max(1.0, largest)
 
     def prove_bounds(self) -> Bounds:
-        """Return the bounds of the pass, widened by all that rounding can have done to them."""
+        """Return the bounds of the pass, widened by the greatest effect that rounding can have."""
         wide = self.search.bound_rounding()
         return Bounds(
             value=self.value,
@@ -107,7 +107,7 @@ class Values:
     def sweep_states(self) -> None:
         """Improve one state after the other, upward and then downward in number (Gauss-Seidel).
 
-        Each state sees what the states before it have become, so that one sweep carries values
+        Each state sees what the states before it have become, so one sweep carries values
         along a whole chain of states.
         """
         from exact_mdp.solvers.kernels import bellman
@@ -119,8 +119,8 @@ class Values:
     def solve_policy_equations(self, *, closely: bool = False) -> None:
         """Move on to the values of the greedy policy: h + x, where x - γ P_π x = T_π h - h.
 
-        A residual that is left weighs 1 / (1 - γ) times as much in values: if policies are improved
-        by these equations alone, they are solved `closely`, or policies may go round forever.
+        A remaining residual counts 1 / (1 - γ) times as much in values: if policies are improved by
+        these equations alone, they are solved `closely`, or policies may cycle forever.
         """
         residual = self.policy_residual()
         is_near_one = NEARLY_ONE < self.mdp.discount < 1

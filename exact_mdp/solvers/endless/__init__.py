@@ -1,1 +1,1 @@
-"""The total reward at discount 1, where some policy never ends."""
+"""Total and average rewards if some policy never ends."""

@@ -100,7 +100,7 @@ def solve_average(mdp: MDP, solver: Solver) -> AverageSolution:
         raise ModelError(
             "an average reward has no use for start=", where="solve", fix="leave start out"
         )
-    # The method finds a policy; its own gain and the upper bound give the error, whatever it did.
+    # The method finds a policy; its own gain and the upper bound give the error in any case.
     step = mdp.undiscounted
     pairs, relative, iterations = method.run(step)
     gain, bias = FloatChain(step, pairs).evaluate_chain()

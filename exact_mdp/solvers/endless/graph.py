@@ -63,7 +63,7 @@ class Graph:
         return self._backward.rank_states(target | (waiting == 0), pairs, waiting)[0]
 
     def compute_rounds(self, target: Mask, pairs: Mask) -> Integers:
-        """Return (S,) 0 where some policy of `pairs` surely reaches the target, else a round.
+        """Return (S,) 0 if some policy of `pairs` surely reaches the target, else a round.
 
         Each round removes the states that cannot reach the target without a pair that may lead to a
         state removed before. Every pair of a removed state may lead to an earlier round, or leads

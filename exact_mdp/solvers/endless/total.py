@@ -99,6 +99,7 @@ def _is_reduction_sound(whole: Derived, part: Derived, solution: Solution) -> bo
 
 def round_exact_solution(mdp: MDP, criterion: str = "total") -> Solution:
     """Return exact values, or exact gain and bias for an average reward, each rounded once."""
+    # Solve and prove in rationals; values of +∞ and -∞ must not meet at the start.
     started, average = perf_counter(), criterion == "average"
     if mdp.goal is not None and not average:
         proof = prove_goal_total(mdp)
@@ -106,6 +107,7 @@ def round_exact_solution(mdp: MDP, criterion: str = "total") -> Solution:
         proof = prove_gain_and_bias(mdp, criterion)
     value = proof.value_float
     one_sign(mdp, proof.infinite_sign)
+    # Rounding moves a finite value by less than the spacing of floats.
     with np.errstate(invalid="ignore"):
         error = np.where(np.isfinite(value), np.spacing(np.abs(value)), 0.0)
     parts: dict[str, Any] = {
@@ -122,6 +124,7 @@ def round_exact_solution(mdp: MDP, criterion: str = "total") -> Solution:
     }
     if not average:
         return Solution(**parts)
+    # For an average reward the bias is rounded, too.
     try:
         bias = proof.bias.astype(np.float64)
     except OverflowError as error:

@@ -334,10 +334,12 @@ def sample_returns(
             state = first_state(rng, tables)
             total, weight, step = 0.0, 1.0, 0
             while not tables.terminal[state]:
+                # Count an episode that is cut short as far as it went.
                 if step == max_steps:
                     cut_short += 1
                     break
                 step += 1
+                # One step: an action, an outcome, its discounted reward.
                 low, high = tables.low[state], tables.high[state]
                 taken = choose_position(rng, q, tables.entry, low, high, chance, FIRST)
                 drawn = sample_pair_outcome(rng, tables.offsets, tables.cut, taken)

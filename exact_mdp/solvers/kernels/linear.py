@@ -55,7 +55,7 @@ def sweep_states(
     `row` (S,) is the row of each state. If rows are `whole`, they sum to 1 and γ < 1; then all
     values lack about m / (1 - γ), with m the middle of the range of r. The next residual is
     γ (P r - m), which falls as fast as the chain mixes. Sweeps end as soon as `most` of them would
-    not suffice at their present rate. Each sweep computes r anew and so refines x: with `fine`
+    not suffice at their present rate. Each sweep computes r afresh and so refines x: with `fine`
     above 0, sweeps continue until the residual is that part of the values.
     """
     states, before = len(constant), np.inf

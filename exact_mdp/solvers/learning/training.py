@@ -1,6 +1,6 @@
 """Train many runs of a learner in parallel, with the same results for any number of workers.
 
-Run i draws from the i-th child of the seed (`SeedSequence.spawn`), so that it depends neither on
+Run i draws from the i-th child of the seed (`SeedSequence.spawn`), so it depends neither on
 the number of runs nor on the worker. A finished run is written immediately to its own file, which a
 later call reads instead of training again (`solvers.parallel.run_pieces`). Workers are threads, as
 the compiled loop releases the interpreter lock, unless joblib is given another backend.

@@ -1,1 +1,1 @@
-"""The best policy where nature picks each row from a set."""
+"""The best policy if nature picks each row from a set."""

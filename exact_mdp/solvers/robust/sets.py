@@ -244,7 +244,7 @@ def side_by_side(
     Outcomes are next states, probabilities, which need not sum to 1, and rewards.
     """
     (start, length), (following, probability, gain), blocks = rows, outcomes, []
-    # Widths are powers of 2, so that at most half of a block is padding.
+    # Widths are powers of 2, so at most half of a block is padding.
     width = 2 ** np.ceil(np.log2(length)).astype(np.int64)
     for n in np.unique(width).tolist():
         alike, column = np.flatnonzero(width == n), np.arange(n)

@@ -1,1 +1,1 @@
-"""The value of a policy: expectations, visits, the law of its return, and samples of it."""
+"""The value of a policy: expectations, visits, the distribution of its return, and samples."""

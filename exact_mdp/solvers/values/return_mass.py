@@ -4,7 +4,7 @@
 
 States that lead back to each other count as one. The states that an episode may visit then fall
 into blocks of the same greatest distance from the start. Every transition leads to a later block or
-stays in its own, so that a block is complete when its turn comes, and can be forgotten after it.
+stays in its own, so a block is complete when its turn comes, and can be forgotten after it.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class MassFlow:
         self.cyclic = np.bincount(self.block[source[inner]], minlength=self.last + 1) > 0
         if exact and self.cyclic.any():
             raise ModelError(
-                "states lead back to each other, so that returns have no end",
+                "states lead back to each other, so returns have no end",
                 where="policy",
                 fix="leave out exact=True: all but 10^-12 of the probability is then found",
             )
@@ -238,7 +238,7 @@ class MassFlow:
         by = outcomes[concatenate_ranges(first, after)]
         each = np.repeat(np.arange(len(state)), after - first)
         onward = mass[each] * self.share[by]
-        # No mass is 0, so that a product of 0 has underflowed.
+        # No mass is 0, so a product of 0 has underflowed.
         self.lost += TINY * (len(onward) - np.count_nonzero(onward))
         return self.target[by], multiple[each] + self.gain[by], onward
 

@@ -234,7 +234,9 @@ class ReturnDistribution(Pictured):
         ]
         columns = {"return": "return", "probability": "chance", "at most that": "sum"}
         table = Table(title="distribution", rows=rows, columns=columns, first=MOST_LISTED)
-        return Report(title="law of the return", facts=facts, tables={"distribution": table})
+        return Report(
+            title="distribution of the return", facts=facts, tables={"distribution": table}
+        )
 
     def __repr__(self) -> str:
         infinite = ""

@@ -207,7 +207,7 @@ def simulate(
         given = unstopped
     else:
         given = unstopped.within(horizon)
-    # Classes in which a run stays forever become ends, so that every episode at discount 1 ends.
+    # Classes in which a run stays forever become ends, so every episode at discount 1 ends.
     chain, infinite = split_infinite_returns(PolicyChain.of(given, policy, kind=kind))
     mdp = chain.mdp
     # Below discount 1, find the number of steps after which an episode may be cut off.

@@ -88,7 +88,7 @@ def test_commands_refuse_infinite_values(kind: str, mdp: MDP, more: str, tmp_pat
     """Exit status 2, with what, where and fix; no word of the range of floats."""
     mdp.save(tmp_path / "model.npz")
     refused = run(kind, tmp_path / "model.npz", *more.split()).refusal()
-    assert "is infinite, so that nothing can be compared" in refused
+    assert "is infinite, so nothing can be compared" in refused
     assert "where: the total at discount 1" in refused
     assert "floats" not in refused
 

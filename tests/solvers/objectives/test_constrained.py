@@ -176,7 +176,7 @@ def test_weights_are_those_of_all_components() -> None:
     true, other = (rationalize(mdp, {"0": "1", "1": "0"}) for mdp in (TWO, alone))
     false = replace(other, objectives=("effort",), model=true.model, mdp=TWO)
     assert (true.change, false.change) == (F(1, 2), 0)
-    assert false.violations() == ["what is weighed are not the components of the reward"]
+    assert false.violations() == ["the weighted totals are not the components of the reward"]
     cut = replace(true.cuts[0], multiplier=inf)
     assert replace(true, cuts=(cut,), change=F(2)).violations()
     assert replace(true, kind="front").violations()

@@ -108,7 +108,7 @@ class OffPolicy:
         never = ((own > 0) & (behaviour <= 0)).any(axis=0)
         if never.any():
             raise ModelError(
-                "the behaviour never takes an action that the policy takes, so that its "
+                "the behaviour never takes an action that the policy takes, so its "
                 f"trajectories say nothing about it (and {int(never.sum()) - 1} more pairs)",
                 where=mdp.where(int(never.argmax())),
                 fix="audit by robust sets or the posterior, or give the behaviour's true "

@@ -6,7 +6,7 @@ is drawn among the recorded rewards of the same next state, with Dirichlet weigh
 (Rubin, The Bayesian bootstrap, Annals of Statistics 9, 1981). Every draw is a model that is solved.
 
 The interval goes from 0 to an order statistic that is at least the posterior's quantile in 97.5 %
-of samples. Its lower end is 0: the regret is a maximum, so that noise adds to it in every draw, and
+of samples. Its lower end is 0: the regret is a maximum, so noise adds to it in every draw, and
 if actions tie, nearly every draw shows a loss. A posterior therefore proves no loss.
 """
 
@@ -77,6 +77,7 @@ class Posterior:
 
     def interval(self, mdp: MDP, own: Floats, confidence: Fraction) -> RegretInterval:
         """Return the interval; raise ModelError without counts, for a bad prior or few draws."""
+        # No prior covers states whose continuation was never seen.
         unknown = cut_off(mdp)
         if unknown.any():
             raise ModelError(
@@ -96,6 +97,7 @@ class Posterior:
             what = f"the prior is {format_rational(given)} observations"
             raise ModelError(what, where="prior", fix="give 1e-6 to 1e9, such as 1")
         prior = float(given)
+        # Enough draws for the quantile; each block of draws has a seed of its own.
         n = require_count(self.n, "the number of draws, n,", 2)
         require_draws(n, level)
         blocks = run_pieces(
@@ -106,6 +108,7 @@ class Posterior:
             progress=self.progress,
             what="draws",
         )
+        # The upper end is an order statistic; equal tails are stated for comparison.
         draws = join_blocks(blocks)["regret"]
         low, high = estimate_quantiles(draws, [(1 - level) / 2, (1 + level) / 2])
         return RegretInterval(

@@ -12,7 +12,7 @@ between L^π and U^π, h half their distance and π(l) the probability of l,
 whose last term is at most γ Σ |P_l - P_π| h: h weighted by the recorded shares, and the largest h
 times √(2 KL), by which a row may move (Pinsker). Every bound comes from a monotone operator T: v +
 e / (1 - γ) is an upper bound of its fixed point if T v ≤ v + e. At discount 1 T maps a valid bound
-to a valid bound, so that a range that the user states can be narrowed step by step.
+to a valid bound, so a range that the user states can be narrowed step by step.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Robust:
     Attributes
     ----------
     rewards : "known", or (low, high)
-        "known" if state, action and next state determine the reward, so that it is as recorded;
+        "known" if state, action and next state determine the reward, so it is as recorded;
         otherwise a range in which rewards lie, as recorded rewards do not rule out others.
     returns : (low, high), optional
         A range for the total reward from any state; needed at discount 1.

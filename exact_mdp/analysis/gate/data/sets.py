@@ -1,7 +1,7 @@
 """Sets of rows that the records allow: one around each counted row, all of them right at once.
 
 A pair seen n times, with shares p of m states that followed, has an unknown row q. The likelihood
-ratio of a Dirichlet mixture against q has mean 1 at every n, so that it ever exceeds 1/δ with
+ratio of a Dirichlet mixture against q has mean 1 at every n, so it ever exceeds 1/δ with
 probability at most δ (Ville, 1939). With parameters 1/m,
 
     n KL(p ‖ q) ≤ log(1/δ) + Σ c_i log p_i - log [ Γ(1) / Γ(n + 1) Π Γ(c_i + 1/m) / Γ(1/m) ]
@@ -64,6 +64,7 @@ class RowSets:
     @classmethod
     def of(cls, mdp: MDP, doubt: float, rewards: Given = None) -> RowSets:
         """Return the sets for a model's counts; `rewards` as in `Robust`."""
+        # The range of the recorded rewards, of pairs that were seen.
         seen = observations_of(mdp).astype(np.float64)
         table = mdp.table
         gains = table.compute_gains()[(seen > 0)[table.pair]]
@@ -77,6 +78,7 @@ class RowSets:
                 "or rewards='known', --evidence rewards=known, if state, action and next state "
                 "determine the reward",
             )
+        # Rewards are known for each next state, or lie in a stated range that holds all records.
         known = isinstance(rewards, str)
         if known and rewards != KNOWN:
             fix = "give 'known', or (low, high)"
@@ -98,7 +100,7 @@ class RowSets:
 
     @property
     def unknown(self) -> Flags:
-        """(S,) states in which episodes were cut off, so that no record says what follows."""
+        """(S,) states in which episodes were cut off, so no record says what follows."""
         return cut_off(self.mdp)
 
     @property
@@ -195,7 +197,7 @@ class RowSets:
         unlike = gain != gain[first][place]
         if unlike.any():
             raise ModelError(
-                "two rewards were seen for the same next state, so that rewards are not known",
+                "two rewards were seen for the same next state, so rewards are not known",
                 where=mdp.where(int(row[unlike][0])),
                 fix="state where rewards lie (--evidence rewards=LOW,HIGH, rewards=(low, high))",
             )

@@ -2,7 +2,7 @@
 
 Between two thresholds one policy π stays optimal, and its value is a ratio of polynomials,
 
-    V*(θ) = V_π(θ) = N(θ) / D(θ),      D = 1 where the model is acyclic, else det(I - γ P_π),
+    V*(θ) = V_π(θ) = N(θ) / D(θ),      D = 1 if the model is acyclic, else det(I - γ P_π),
 
 in lowest terms (`.walk`). A threshold is known up to 1e-12. Within such a bracket V* is the greater
 of the values on both sides, as both belong to policies, one optimal up to the threshold and one

@@ -152,7 +152,7 @@ class SectionEquations:
     def find_missed_goal(self) -> MDP | None:
         """Return a model of the section in which a run may miss the goal; None if there is none.
 
-        The goal of a total counts at discount 1 alone, so that an end of the section with discount
+        The goal of a total counts at discount 1 alone, so an end of the section with discount
         1 is looked at, too. States that are reachable there are reachable inside.
         """
         if self.mdp.target is None:

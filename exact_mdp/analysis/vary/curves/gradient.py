@@ -263,12 +263,14 @@ def gradient(
         parameters = list(family.parameters)
     else:
         parameters = [parameter_of(family, name) for name in require_list(names, "names")]
+    # Derivatives of a total at discount 1 need runs that end, of all policies or of the given one.
     mdp = family.at({})
     reoptimised = isinstance(policy, str) and policy == "optimal"
     if has_improper_policy(mdp) and (reoptimised or not has_sure_end(PolicyChain.of(mdp, policy))):
         raise make_improper_error(
             "today's parameters", beside=prove_termination(mdp).proven, ranges=False
         )
+    # One backward and one forward pass serve all parameters.
     if exact is None:
         exact = _is_quick(mdp)
     if exact:
@@ -317,11 +319,13 @@ def _compute_derivative(
             return number
         return Checked(number=number, points=points)
 
+    # Each side has its own polynomials if today's value is a breakpoint.
     below, above = find_pieces(family, parameter.name, parameter.value)
     left, right = compute_side(below, -1), compute_side(above, 1)
     each = Derivative(parameter=parameter, left=left, right=right, elasticity=None)
     if each.value is None or not start.value:
         return each
+    # The elasticity (θ / V) dV/dθ.
     share = Fraction(each.value.value) * parameter.value / Fraction(start.value)
     return replace(each, elasticity=in_float(share))
 

@@ -4,7 +4,7 @@ Descartes' rule of signs on an interval (a, b), after the substitution x = (a + 
 without a variation of signs there is no root inside, with one variation exactly one. Intervals with
 more are halved (Vincent, Collins and Akritas; see Rouillier and Zimmermann, Journal of
 Computational and Applied Mathematics 162, 2004). A polynomial is not negative on an interval if no
-coefficient after the substitution is. All arithmetic is rational, so that no root is missed.
+coefficient after the substitution is. All arithmetic is rational, so no root is missed.
 """
 
 from __future__ import annotations

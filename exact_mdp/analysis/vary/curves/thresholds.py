@@ -150,6 +150,7 @@ class Thresholds(Pictured):
 
 def report_of(every: Mapping[str, Thresholds]) -> Report:
     """Return one report on the thresholds of several parameters."""
+    # Where the policy stays: in all states, and in the states that optimal policies reach.
     stable: dict[str, dict[str, Any]] = {}
     for name, each in every.items():
         parameter, span = each.curve.parameter, each.curve.range
@@ -162,6 +163,7 @@ def report_of(every: Mapping[str, Thresholds]) -> Report:
             "searched": [float(span.low), float(span.high)],
         }
     rows = [stable[name] | {"name": name, "found": len(each.found)} for name, each in every.items()]
+    # One unproven degree makes the whole report checked instead of certified.
     claims = [each.claim for each in every.values()]
     switches: list[dict[str, Any]] = []
     for each in every.values():
@@ -253,7 +255,7 @@ def thresholds(
     ranges : (low, high) or {name: (low, high)}, optional
         The range; by default today's value ± 20 %, within the parameter's limits.
     relative : number, optional
-        Another share than 20 %.
+        A share other than 20 %.
 
     Returns
     -------

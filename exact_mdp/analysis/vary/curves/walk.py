@@ -5,11 +5,11 @@ until the first root at which the gap of some pair turns negative. At a point ju
 the policy is improved, and the new policy's gaps show that it is optimal from the root on: if one
 of them turns negative between the root and the point, the point is moved closer. No threshold is
 missed, however close two of them lie. The optimal policy at the end of a section is the first
-policy of the next section, so that only one model is solved.
+policy of the next section, so only one model is solved.
 
 The values of a policy are polynomials on a section if the model is acyclic, otherwise N_s / D with
 D = det(I - γ P_π) > 0. By Cramer's rule N and D have at most the degree Σ_s d_s, where d_s is the
-greatest degree in the rows of state s, so that they can be interpolated. If only the discount
+greatest degree in the rows of state s, so they can be interpolated. If only the discount
 moves, they come from powers of P_π,
 
     N(γ) = D(γ) Σ_k γ^k P^k r   up to degree n - 1.
