@@ -51,6 +51,7 @@ LARGEST = Fraction(2**1024 - 2**971)  # the largest float
 # than left to fill the memory; on a large machine this also refuses some tables that would fit.
 MOST_BYTES = 10 * 10**9
 BLOCK = 2**22  # numbers of an intermediate array in memory at once: 32 MB
+MOST_NUMBERS = 10**8  # numbers of one matrix, which take about a gigabyte
 MOST_DIGITS = 4000  # digits of a number given as text: Python itself stops at 4,300
 
 

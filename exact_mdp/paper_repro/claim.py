@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 Number = Certified | Bounded | Estimated
 CHANCE = 0.0027  # that a normal number is further off than three standard errors
-NEARLY_ALL = 0.95
+NEARLY_ALL = 0.95  # of our runs, for a claim to count as reproduced
 MEAN_RETURN = "mean return in points"
 
 

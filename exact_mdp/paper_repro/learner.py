@@ -24,7 +24,7 @@ from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING,
 from exact_mdp.solvers.learning.training import train
 from exact_mdp.solvers.values.layers import evaluate_row_policies
 
-SEED = 20250101
+SEED = 20250101  # of all training runs; any other would do
 CURVES = 2**20  # the child of the seed that curves are drawn from
 CONVERGED = 1000  # last epochs, over which a curve is averaged
 SETTINGS = {

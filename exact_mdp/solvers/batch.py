@@ -35,8 +35,6 @@ from exact_mdp.solvers.bounds.gains import (
     row_error,
 )
 
-MOST = 2**16  # entries of the dense rows of one model: beyond it, sparse solvers are as fast
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Batch:
@@ -61,7 +59,8 @@ class Batch:
         """
         # Dense rows of large models would take more time than sparse solvers.
         one = models[0]
-        if one.n_pairs * one.n_states > MOST:
+        # With more entries of dense rows, sparse solvers are as fast.
+        if one.n_pairs * one.n_states > 2**16:
             return None
         # The models must have the same pairs, and no run may miss a goal.
         for other in models[1:]:

@@ -32,10 +32,6 @@ from exact_mdp.mdp.parametric import DISCOUNT
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
 
-MOST_STATUSES = 6  # 4^6 transition probabilities for each action; beyond, models are built
-MOST_ACTIONS = 127  # optimal actions are int8
-TOGETHER = 2**9  # draws whose chances and rewards are in memory at the same time
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CareValues:
@@ -124,8 +120,10 @@ def _compute_draw_values(
         actions=np.empty((draws_of_actions, *stages), dtype=np.int8),
         cut=np.empty(count, dtype=bool),
     )
-    for begin in range(0, count, TOGETHER):
-        some = slice(begin, begin + TOGETHER)
+    # The chances and rewards of some draws are in memory at the same time.
+    together = 2**9
+    for begin in range(0, count, together):
+        some = slice(begin, begin + together)
         # Set the drawn parameters, and compute chances, rewards and error bounds of these draws.
         every = np.repeat(numbers[None], len(drawn[some]), axis=0)
         every[:, columns] = drawn[some]

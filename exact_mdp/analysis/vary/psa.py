@@ -62,7 +62,7 @@ from exact_mdp.solvers.solution import Bounded, Estimated
 # Policies that are considered as candidates: more of them would narrow EVPI, at the cost of one
 # evaluation of some draws for each.
 POOL = 24
-LISTED = 16  # rows of a table
+LISTED = 16  # rows of a table: as many as a care model has status vectors
 HELD, TODAY = "policy", "optimum today"
 MISSING = "EVPI among the candidates is below the lower end of EVPI"
 

@@ -43,8 +43,6 @@ from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.batch import Batch
 from exact_mdp.solvers.bounds.gains import component_errors, compute_advantages
 from exact_mdp.solvers.care import (
-    MOST_ACTIONS,
-    MOST_STATUSES,
     evaluate_care_policies,
     solve_care_draws,
 )
@@ -54,7 +52,6 @@ from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import Evaluation, evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
-OF_NUMBER = 32  # bytes for a parameter at a point: four copies of a float, at most, exist at a time
 KEPT = 2**24  # numbers of built models that are kept, 128 MB: building is often the longest part
 HELD = "the policy held fixed"
 Found = TypeVar("Found", Solution, Evaluation)
@@ -212,7 +209,8 @@ def read_points(
 
 def require_room_for_points(count: int, parameters: int, fix: str) -> None:
     """Raise ModelError if so many points of so many parameters do not fit in memory."""
-    size = OF_NUMBER * count * parameters
+    # Four copies of a float, at most, exist at a time.
+    size = 4 * 8 * count * parameters
     if size > MOST_BYTES:
         raise ModelError(
             f"{count:,} points of {parameters} parameters take {size / 1e9:,.0f} GB of memory, "
@@ -648,6 +646,7 @@ def solver_of(model: Parametric, names: Sequence[str]) -> ModelSolver:
     """Return the fastest way to solve a model at many draws of some parameters."""
     if isinstance(model, ScenarioFamily) and not model.asks:
         scenario = model.scenario
-        if len(scenario.statuses) <= MOST_STATUSES and len(scenario.actions) <= MOST_ACTIONS:
+        # Six statuses have 4^6 transition probabilities for each action; actions are int8.
+        if len(scenario.statuses) <= 6 and len(scenario.actions) <= 127:
             return CareSolver(model, names)
     return ModelSolver(model, names)

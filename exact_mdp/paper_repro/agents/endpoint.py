@@ -28,7 +28,7 @@ from exact_mdp import ModelError
 from exact_mdp.mdp.errors import require_extra
 from exact_mdp.paper_repro.agents.texts import Request
 
-MOST_BYTES = 4_000_000
+MOST_BYTES = 4_000_000  # of an answer, whose texts are a thousandth of that
 LONGEST_TEXT = 1200  # characters of a text in an answer
 SHAPES = ("json_schema", "json_object", "none")
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from exact_mdp import ModelError
 
-FORMAT = 2
+FORMAT = 2  # of recordings
 OUTCOMES = {
     "completed": "step completed",
     "failed": "step not completed, another trial",

@@ -28,24 +28,29 @@ from scipy.sparse.linalg import splu
 
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import ByFields
-from exact_mdp.mdp.table import COMPILED, Floats, Integers, Numbers, concatenate_ranges
+from exact_mdp.mdp.table import (
+    COMPILED,
+    MOST_NUMBERS,
+    Floats,
+    Integers,
+    Numbers,
+    concatenate_ranges,
+)
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.solution import SolverError, Status
 
-# Elimination takes milliseconds up to so many states, or transitions; within a band, up to so many
+# Elimination takes milliseconds up to so many states, or transitions, and spares a process with one
+# small model the second in which the compiler is loaded; within a band, up to so many
 # multiplications, or if the band has at most NARROW times the entries of the chain.
 FEW, SPARSE = 500, 5000
 CHEAP, NARROW = 2e7, 4
-MOST_ENTRIES = 100_000_000  # of both factors: 12 bytes each, about a gigabyte
 # Each refinement gains the digits of CORRECTION; it stops as soon as one brings little.
 REFINEMENTS = 5
 FIRST, CORRECTION = 1e-11, 1e-4  # residuals to iterate for, as parts of the constant
-SWEEPS, TRIED = 100, 6  # the most sweeps, and the number after which their speed is estimated
+SWEEPS = 100  # the most sweeps before BiCGSTAB is tried
 # Steps of BiCGSTAB before elimination is tried instead, and if elimination is impossible.
 STEPS, PATIENT = 400, 8000
 LEAST = 1e-14  # cosines of vectors below this are nothing but rounding
-CLOSE = 1e-12  # rows of floats that sum to 1 up to this are taken to sum to 1 exactly
-ALIKE = 2  # a bound without solving equations is taken if it is at most so many times too large
 
 Solve = Callable[[Floats], Floats]
 
@@ -94,11 +99,6 @@ class LinearSystem(ByFields):
             return np.zeros_like(excess)
         if not np.isfinite(largest):
             raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
-        # A constant e = max k / (1 - γ Σ P) always works, and is good if all quotients are alike.
-        if (self._leak > 0).all():
-            each = excess / self._leak
-            if each.max() <= ALIKE * each.min():
-                return np.full_like(excess, float(each.max()) * SLACK)
         # Scaled to 1, and nowhere so small that rounding would swallow the margin.
         wanted = excess / largest + 2.0**-10
         nothing = np.zeros_like(wanted)
@@ -115,14 +115,6 @@ class LinearSystem(ByFields):
             if np.all(np.isfinite(error)) and (error > 0).all() and (slack > 0).all():
                 return np.asarray(error * (float((excess / slack).max()) * SLACK))
         raise SolverError(Status.NO_BOUND)
-
-    @cached_property
-    def _leak(self) -> Floats:
-        """(S,) lower bounds on 1 - γ P 1."""
-        every = np.ones(self.states)
-        return np.asarray(
-            -self._compute_residual(0 * every, every) - self._bound_rounding(0 * every, every)
-        )
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def _refine_solution(self, constant: Floats) -> tuple[Floats, Floats]:
@@ -239,9 +231,9 @@ class LinearSystem(ByFields):
 
     @cached_property
     def _closed(self) -> bool:
-        """Whether all rows sum to 1, so no state leads to an end."""
+        """Whether all rows sum to 1, up to rounding, so no state leads to an end."""
         total = self.transition.sum(axis=1)
-        return bool(max(total.max() - 1, 1 - total.min()) < CLOSE)
+        return bool(max(total.max() - 1, 1 - total.min()) < 1e-12)
 
     def _solve_iteratively(self, constant: Floats, rtol: float) -> Floats:
         """Return x (S,) by BiCGSTAB, or by elimination in a band, narrow or as the last resort."""
@@ -250,12 +242,12 @@ class LinearSystem(ByFields):
         # Iterate unless elimination is cheap, or has been paid for already.
         if not self.work and "_within_band" not in vars(self):
             steps = STEPS
-            if entries > MOST_ENTRIES:
+            if entries > MOST_NUMBERS:
                 steps = PATIENT
             value = self._solve_by_bicgstab(constant, rtol, steps)
             if value is not None and np.isfinite(value).all():
                 return value
-        if entries > MOST_ENTRIES:
+        if entries > MOST_NUMBERS:
             detail = f"iteration does not converge, and the factors of {len(constant):,} equations "
             detail += f"with {self.transition.nnz:,} transitions may have {entries:.1e} entries"
             raise SolverError(Status.TOO_LARGE, detail)
@@ -479,7 +471,8 @@ def sweep_system(
 
     value, room = np.zeros((2, len(constant)))
     rows, rate = loops.SparseRows(matrix.indptr, matrix.indices, matrix.data), float(discount)
-    limits = (enough, fine, SWEEPS, TRIED)
+    # After six sweeps their speed is estimated.
+    limits = (enough, fine, SWEEPS, 6)
     done = loops.sweep_states(rows, row, rate, constant, closed and rate < 1, *limits, value, room)
     return np.asarray(value), bool(done)
 

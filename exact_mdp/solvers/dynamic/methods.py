@@ -35,10 +35,8 @@ from exact_mdp.solvers.dynamic.base import (
 from exact_mdp.solvers.dynamic.evaluation import PolicyEvaluation
 from exact_mdp.solvers.dynamic.start import read_start_values
 from exact_mdp.solvers.dynamic.stopping import StoppingRule
-from exact_mdp.solvers.dynamic.values import Values
+from exact_mdp.solvers.dynamic.values import PATIENCE, Values
 from exact_mdp.solvers.solution import Solution, SolverError, Status
-
-REPEATED = 5  # passes without progress, after which a policy that comes back ends the search
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,8 +72,8 @@ class Improving(Solver):
 class ValueIteration(Improving):
     """Improve the values sweep by sweep; see `Improving` for the settings.
 
-    If a hundred sweeps do not narrow the bounds by a tenth, and after 10,000 sweeps, every second
-    sweep is replaced by a solution of the policy's equations: then slowly mixing chains end, too.
+    If a hundred sweeps do not narrow the bounds by a tenth, every second sweep is replaced by a
+    solution of the policy's equations: then slowly mixing chains end, too.
 
     Examples
     --------
@@ -216,7 +214,7 @@ class PolicyIteration(Solver):
             values.pass_over_pairs()
             stopping.measure()
             policy = values.search.pairs.tobytes()
-            if policy in seen and (stopping.is_near or values.idle >= REPEATED):
+            if policy in seen and (stopping.is_near or values.idle >= PATIENCE):
                 stopping.prove()
                 stopping.status = Status.DIRECT
             else:

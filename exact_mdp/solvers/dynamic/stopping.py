@@ -16,9 +16,7 @@ from exact_mdp.solvers.dynamic.values import Values
 from exact_mdp.solvers.solution import Solution, Status
 
 NEAR_ROUNDING = 20  # passes without progress that suffice if bounds are as wide as rounding errors
-ANYWHERE = 200  # passes without progress, besides twice the number of states, that are hopeless
-SLOW, MANY = 100, 10_000  # passes without progress, and passes in all, that call for equations
-FINEST = 12  # decimal digits by which a policy's residual may fall below the bounds
+SLOW = 100  # passes without progress that call for equations
 
 
 class StoppingRule:
@@ -92,13 +90,13 @@ class StoppingRule:
 
     def give_up_if_hopeless(self) -> None:
         """Set the status if the bounds have not fallen for very many passes."""
-        if self.values.idle >= ANYWHERE + 2 * self.values.mdp.n_states:
+        if self.values.idle >= 2 * (SLOW + self.values.mdp.n_states):
             self.status = Status.NO_BOUND
 
     def needs_equations(self) -> bool:
         """Return whether passes bring so little that every second one should solve equations."""
         values = self.values
-        self.is_slow = self.is_slow or values.idle >= SLOW or values.passes >= MANY
+        self.is_slow = self.is_slow or values.idle >= SLOW
         return self.is_slow and values.passes % 2 == 1
 
     def evaluation_goal(self) -> float:
@@ -112,8 +110,7 @@ class StoppingRule:
             return 0.0
         left = 0.0
         if not values.search.policy_stays:
-            digits = min(max(1, values.idle - 3), FINEST)
-            left = values.narrowest / 10.0**digits
+            left = values.narrowest * 10.0 ** -max(1, values.idle - 3)
         return max(left, self._limit / 2 / (self._weight or 1.0))
 
     def conclude(self, solver: Solver, started: float) -> Solution:

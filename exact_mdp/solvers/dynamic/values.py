@@ -18,7 +18,7 @@ from exact_mdp.solvers.dynamic.base import RELATIVE_TOLERANCE
 from exact_mdp.solvers.dynamic.bellman_pass import BellmanPass
 
 NEARLY_ONE = 1 - 1e-7  # from this discount on, values are too large to be solved for as they are
-PROGRESS = 0.9  # a gap between bounds has to fall by a tenth to count as progress
+PATIENCE = 5  # passes without progress, after which only the equations of a policy help
 
 
 class Values:
@@ -55,7 +55,8 @@ class Values:
         bottom, top = self._centre_values()
         self.search.run(self.value, bottom, top)
         self.passes += 1
-        if self.search.half_gap < PROGRESS * self.narrowest:
+        # A gap between bounds has to fall by a tenth to count as progress.
+        if self.search.half_gap < 0.9 * self.narrowest:
             self.narrowest, self.idle = self.search.half_gap, 0
         else:
             self.idle += 1

@@ -36,8 +36,6 @@ from exact_mdp.solvers.exact.linear import (
 )
 from exact_mdp.solvers.solution import SolverError, Status
 
-STEPS = 64  # steps that find a frequent state; measured: after 8, bounds are 20 times as wide
-
 
 class Classes:
     """The C recurrent classes of a chain: sets of states that are never left once entered."""
@@ -53,7 +51,8 @@ class Classes:
         self.label = np.where(closed, np.cumsum(closed) - 1, -1)[part]
         # Power iteration with half a step, for periodic chains: the likeliest state is the base.
         moves, often = graph.T.tocsr() / 2, np.ones(len(part))
-        for _ in range(STEPS):
+        # Measured: after 8 steps instead of 64, bounds are 20 times as wide.
+        for _ in range(64):
             often = often / 2 + moves @ often
         order = np.lexsort((-often.astype(np.float32), self.label))
         # (C,) the base of each class.

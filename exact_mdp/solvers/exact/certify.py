@@ -136,10 +136,6 @@ def certify(
 
 # ---- bounds --------------------------------------------------------------------------------------
 
-# Moving the values changes their rounding errors, so a first step may be too small; in tests
-# the second was always large enough.
-ATTEMPTS = 3
-
 
 def _certify_bounds(mdp: MDP, solution: Solution | None) -> BoundedCertificate:
     if mdp.sense == "min":
@@ -165,7 +161,9 @@ def _certify_bounds(mdp: MDP, solution: Solution | None) -> BoundedCertificate:
     def widen_values(pairs: Integers, sign: int) -> Level:
         """Return values over which no pair gains (sign 1), or none of the policy loses (-1)."""
         error = first
-        for _ in range(ATTEMPTS):
+        # Moving the values changes their rounding errors, so that a first step may be too small; in
+        # tests the second was always large enough.
+        for _ in range(3):
             # Move the values by c w, with c from the advantages and errors, and check the result.
             surplus = sign * gain[pairs] + error[pairs]
             step = max(0.0, float((surplus / margin[pairs]).max(initial=0.0)))

@@ -41,9 +41,6 @@ if TYPE_CHECKING:
 FEW, MANY = 120, 4_000  # unknowns up to which FLINT is faster than lifting, and is possible at all
 LARGEST = 20_000  # unknowns of one component; the numbers of more would fill the memory
 BOUNDED = "use certify(mdp, bounded=True), which proves bounds in floating point"
-# Unknowns share a denominator of up to twice the length of the longest one plus so many bits: a
-# longer one would cost more than groups do.
-FAR = 128
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -251,8 +248,9 @@ class _Solution:
         if not all(pivots):
             raise ZeroDivisionError("the matrix is singular")
         sides, places = self._right_sides(base, states), range(len(states))
-        # They share a denominator unless it would be far longer than their own.
-        far = 2 * max(pivot.bit_length() for pivot in pivots) + FAR
+        # They share a denominator of up to twice the length of the longest of their own and two
+        # words: a longer one would cost more than groups do.
+        far = 2 * max(pivot.bit_length() for pivot in pivots) + 128
         apart = _compute_common_multiple(pivots).bit_length() > far
         groups: list[Sequence[int]] = [places]
         if apart:

@@ -41,8 +41,6 @@ METHODS = ("q-learning", "sarsa", "expected-sarsa", "double-q-learning")
 TIES = ("first", "last", "random")
 AT_ONCE = 2**21  # steps between two checks for an interruption, some tenths of a second
 MOST_EPOCHS = 2**25  # each epoch takes some fifty bytes
-MOST_EPISODES = 2**60  # of all epochs, so that their number fits into 64 bits
-MOST_RECORDED = 2**28  # actions in snapshots of policies, 4 bytes each: a gigabyte
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,9 +117,8 @@ class QLearning:
             f"an epoch keeps numbers of its own: choose at most {MOST_EPOCHS:,} of them, with more "
             "episodes in each",
         )
-        self._require_setting(
-            "episodes", self.episodes <= MOST_EPISODES // self.epochs, "choose fewer"
-        )
+        # The number of all episodes has to fit into 64 bits.
+        self._require_setting("episodes", self.episodes <= 2**60 // self.epochs, "choose fewer")
         self._require_setting(
             "snapshot_episode",
             self.snapshot_episode <= self.episodes,
@@ -153,7 +150,8 @@ class QLearning:
         if self.snapshot_episode:
             kept_epochs = self.epochs
         recorded = kept_epochs + self.last
-        if recorded * rows > MOST_RECORDED:
+        # Actions of snapshots take 4 bytes each: at most a gigabyte.
+        if recorded * rows > 2**28:
             raise ModelError(
                 f"{recorded:,} greedy policies of {rows:,} rows are too many to keep",
                 where="QLearning",

@@ -22,9 +22,7 @@ from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import UNIT, gamma
 from exact_mdp.solvers.robust.sets import Ball, RowBlock
 
-STEPS = 200  # of Newton's method, each of which stays inside the bracket or halves it
 NEAR = 1e-12  # relative accuracy of the divergence: sets how narrow bounds are, not their validity
-FARTHEST = 500.0  # the greatest |log s / max d|: the square of e^500 is still a float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,11 +69,14 @@ class Likelihood(Ball):
 def _find_scale(p: Floats, d: Floats, edge: Floats) -> Floats:
     """Find the least t (K,) such that s = e^t has a divergence of at most `edge` (K,)."""
     # The divergence falls in t; keep a bracket around the solution.
-    low, high = np.full_like(edge, -FARTHEST), np.full_like(edge, FARTHEST)
+    # The square of e^500 is still a float.
+    farthest = 500.0
+    low, high = np.full_like(edge, -farthest), np.full_like(edge, farthest)
     # Far out the divergence is about (variance / 2) e^-2t, and the variance is at most 1/4.
-    t = np.minimum(np.log1p(0.5 / np.sqrt(edge)), FARTHEST)
+    t = np.minimum(np.log1p(0.5 / np.sqrt(edge)), farthest)
     k = np.arange(len(edge))
-    for _ in range(STEPS):
+    # Newton's method, each of whose steps stays inside the bracket or halves it.
+    for _ in range(200):
         # The divergence log Σ p/(1+u) + Σ p log(1+u). Both shares add up to 1: the logarithm is
         # taken from the smaller one, which loses fewer digits.
         u = d[k] / np.exp(t[k])[:, None]

@@ -49,9 +49,6 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 Nature = Literal["worst", "best"]
 OF_OUTCOME = 360  # bytes for each outcome, measured over the analysis of both sides
-# After TURNS steps with both choices at once, nature's choice is optimised first, in at most
-# SETTLING steps. A few steps of both suffice unless their choices cycle.
-TURNS, SETTLING = 20, 100
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -352,12 +349,12 @@ def _iterate_values(
         # Solve the equations of both choices.
         value = game.solve_chain(asked, share, order)
         trust = error
-        # The choices of both sides may cycle, each undoing the other's. Then optimise nature's
-        # choice for the agent's policy first: the policy improves in each round, whatever the
-        # bounds do on the way.
-        if iteration > TURNS:
+        # A few steps suffice unless the choices of both sides cycle, each undoing the other's. Then
+        # optimise nature's choice for the agent's policy first: the policy improves in each round,
+        # whatever the bounds do on the way.
+        if iteration > 20:
             trust = np.inf
-            for _ in range(SETTLING):
+            for _ in range(100):
                 before = value
                 value = game.solve_chain(game.solve_inner_problem(value), share, order)
                 if not (np.abs(value - before) > 8 * UNIT * np.abs(before).max()).any():

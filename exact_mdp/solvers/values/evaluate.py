@@ -67,7 +67,7 @@ from exact_mdp.solvers.values.policy_chain import (
 )
 from exact_mdp.solvers.values.returns import return_distribution
 
-QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)  # of returns, and of the values of training runs
 UNKNOWN = Bounded(value=nan, error=inf)
 
 

@@ -24,18 +24,19 @@ import tqdm
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import Mask, longest_ways
 from exact_mdp.mdp.table import Integers, Numbers, concatenate_ranges
-from exact_mdp.solvers.bounds.gains import TINY
+from exact_mdp.solvers.bounds.gains import TINY, UNIT
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 # Omitted mass is counted in the error, whatever these numbers are. At most REMAINING is left in
-# cycles. Masses below SLOW_EDGE of it are dropped too: a slow cycle would carry long tails along.
-REMAINING, SLOW_EDGE = 1e-12, 1e-12
-EDGE = 1e-290  # smaller masses are dropped; from 2⁻¹⁰²² / UNIT on underflow costs no digit
+# cycles. Masses below that part of it are dropped too: the tails that a slow cycle carries along
+# would take as long again, measured.
+REMAINING = 1e-12
+EDGE = np.finfo(float).tiny / UNIT  # smaller masses are dropped, as their products lose digits
 # More work is refused. 10⁹ products of a mass and an outcome take half a minute; 2²⁵ at once take a
 # gigabyte.
 STEPS, CELLS, SWEEPS = 10**9, 2**25, 1_000_000
 FEW = 200  # states in a block for which a power of the matrix is cheap enough to estimate the rest
-# For speed: arrays hold at most DENSE numbers per mass; MERGED sweeps are added up at a time.
+# For speed, arrays hold at most DENSE numbers per mass; for memory, MERGED sweeps are added up.
 DENSE, MERGED = 8, 64
 
 
@@ -274,7 +275,7 @@ class MassFlow:
         """Return a mass without its negligible parts, which count as lost."""
         if moving[2].dtype == object:
             return moving
-        small = moving[2] < max(EDGE, tolerance * SLOW_EDGE)
+        small = moving[2] < max(EDGE, tolerance * REMAINING)
         self.lost += float(moving[2][small].sum())
         state, multiple, mass = (part[~small] for part in moving)
         return state, multiple, mass

@@ -30,14 +30,12 @@ from exact_mdp.analysis.gate.data.interval import (
 from exact_mdp.analysis.vary.intervals import estimate_quantiles, require_draws, upper_quantile
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import BLOCK, Floats, exact, format_rational
+from exact_mdp.mdp.table import BLOCK, MOST_NUMBERS, Floats, exact, format_rational
 from exact_mdp.mdp.validate import RNG, require_count, seed_of
 from exact_mdp.solvers.batch import Batch
 from exact_mdp.solvers.bounds.gains import SLACK, gamma
 from exact_mdp.solvers.parallel import Arrays, join_blocks, run_pieces, seed_blocks
 from exact_mdp.solvers.solution import compute_regrets
-
-MOST_ROOM = 10**8  # numbers of one draw, which take about a gigabyte
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,9 +86,9 @@ class Posterior:
                 where="posterior",
                 fix="ask for a robust interval, or record what follows",
             )
-        if mdp.n_states * mdp.n_pairs > MOST_ROOM:
+        if mdp.n_states * mdp.n_pairs > MOST_NUMBERS:
             raise ModelError(
-                f"a draw has {mdp.n_states * mdp.n_pairs:,} numbers, more than {MOST_ROOM:,}",
+                f"a draw has {mdp.n_states * mdp.n_pairs:,} numbers, more than {MOST_NUMBERS:,}",
                 where="posterior",
                 fix="ask for a robust interval, or group the states",
             )

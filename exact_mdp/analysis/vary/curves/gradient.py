@@ -26,7 +26,7 @@ import numpy as np
 from flint import fmpq
 from numpy.typing import NDArray
 
-from exact_mdp.analysis.gate.regret import certify_and_check
+from exact_mdp.analysis.gate.regret import EXACT_TRANSITIONS, certify_and_check
 from exact_mdp.analysis.vary.curves.walk import make_improper_error
 from exact_mdp.analysis.vary.ranges import unit_of
 from exact_mdp.mdp.care.scenario import Scenario
@@ -60,12 +60,6 @@ from exact_mdp.solvers.solution import Bounded, Certified, Claim, in_float
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain, has_sure_end
-
-# The most transitions for which derivatives are certified by default, in about a second. A model
-# with cycles needs a dense exact solution, which grows faster: see `_is_quick`.
-EXACT_TRANSITIONS = 100_000
-EXACT_CYCLIC_STATES = 64
-EXACT_SPARSE_STATES, EXACT_SPARSE_TRANSITIONS = 200, 10_000
 
 SLOPE, ELASTICITY = "derivative (reward per unit)", "elasticity (% per %)"  # columns of a table
 
@@ -298,14 +292,14 @@ def gradient(
 def _is_quick(mdp: MDP) -> bool:
     """Return whether exact derivatives take about a second at most.
 
-    With cycles that takes few states, or not so few with sparse rows whose probabilities are small
-    integers over one denominator.
+    With cycles, which need a dense exact solution, that takes few states, or not so few with sparse
+    rows whose probabilities are small integers over one denominator: measured.
     """
     if mdp.n_transitions > EXACT_TRANSITIONS:
         return False
-    most = EXACT_CYCLIC_STATES
-    if mdp.n_transitions <= EXACT_SPARSE_TRANSITIONS and mdp.table.weight.dtype == np.int64:
-        most = EXACT_SPARSE_STATES
+    most = 64
+    if mdp.n_transitions <= 10_000 and mdp.table.weight.dtype == np.int64:
+        most = 200
     return mdp.n_states <= most or is_acyclic(mdp)
 
 

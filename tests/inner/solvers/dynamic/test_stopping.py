@@ -47,7 +47,7 @@ def test_a_polished_search_waits_for_a_policy_that_stays() -> None:
 
 def test_bounds_that_never_fall_are_hopeless() -> None:
     values, rule = search(np.array([0.0, 100.0]), 1e-9)
-    values.idle = stopping.ANYWHERE + 2 * 2 - 1
+    values.idle = 200 + 2 * 2 - 1
     assert not rule.is_reached()
     values.idle += 1
     assert rule.is_reached()
@@ -80,16 +80,13 @@ def test_slow_searches_solve_equations_in_every_second_pass() -> None:
     assert not rule.needs_equations()
     values.passes = 5
     assert rule.needs_equations()
-    values, rule = search(np.zeros(2), 1e-9)
-    values.passes = stopping.MANY + 1
-    assert rule.needs_equations()
 
 
 def test_evaluations_aim_at_a_part_of_the_narrowest_gap() -> None:
     values, rule = search(np.array([0.0, 100.0]), 1e-6)
     rule.measure()
     values.search.policy_stays, values.narrowest = False, 8.0
-    for idle, part in ((0, 10), (4, 10), (5, 100), (30, 10**stopping.FINEST)):
+    for idle, part in ((0, 10), (4, 10), (5, 100), (30, 10**27), (500, np.inf)):
         values.idle = idle
         assert rule.evaluation_goal() == pytest.approx(max(8.0 / part, 1e-6 / 2), rel=1e-12)
     values.search.policy_stays = True

@@ -154,7 +154,7 @@ def test_what_cannot_be_drawn_is_refused(monkeypatch: pytest.MonkeyPatch) -> Non
         Posterior(n=10).interval(mdp, own, F(99, 100))
     size = mdp.n_states * mdp.n_pairs
     for most in (size, size - 1):
-        monkeypatch.setattr(module, "MOST_ROOM", most)
+        monkeypatch.setattr(module, "MOST_NUMBERS", most)
         if most == size:
             Posterior(n=40).interval(mdp, own / 2, F(1, 2))
         else:

@@ -215,18 +215,19 @@ def test_rationals_are_taken_of_models_that_are_small_or_without_cycles(
         rows.append((end - 1, 0, [(1, end if line else 0, 1)]))
         return MDP.from_outcomes([*rows, (end, 0, [(1, end, 0)])], discount="1/2")
 
+    def uniform(states: int) -> MDP:
+        return MDP.from_arrays(np.full((1, states, states), F(1, states)), np.arange(states), "1/2")
+
     assert inner.EXACT_TRANSITIONS == 100_000
-    assert (inner.EXACT_SPARSE_STATES, inner.EXACT_SPARSE_TRANSITIONS) == (200, 10_000)
-    assert inner.EXACT_CYCLIC_STATES == 64
     assert claims(ring(200)) is Claim.CERTIFIED
     assert claims(ring(201)) is Claim.BOUNDED
     assert claims(ring(300, line=True)) is Claim.CERTIFIED
-    monkeypatch.setattr(inner, "EXACT_SPARSE_TRANSITIONS", 10)
-    assert claims(ring(64)) is Claim.CERTIFIED
-    assert claims(ring(65)) is Claim.BOUNDED
-    few = ring(70)
-    monkeypatch.setattr(inner, "EXACT_SPARSE_TRANSITIONS", few.n_transitions)
-    assert claims(few) is Claim.CERTIFIED
+    # Long numbers, or more than 10,000 transitions.
+    long = F(10**30 + 57, 3 * 10**30)
+    assert claims(ring(64, share=long)) is Claim.CERTIFIED
+    assert claims(ring(65, share=long)) is Claim.BOUNDED
+    assert claims(uniform(100)) is Claim.CERTIFIED
+    assert claims(uniform(101)) is Claim.BOUNDED
     monkeypatch.setattr(inner, "EXACT_TRANSITIONS", 10)
     assert claims(ring(300, line=True)) is Claim.BOUNDED
 
