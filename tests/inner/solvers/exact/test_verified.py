@@ -107,7 +107,9 @@ def test_a_certificate_of_another_model_does_not_hold() -> None:
 
 def test_kinds_that_the_proof_does_not_cover_are_refused_in_words() -> None:
     for kind in ("weights", None, ["total"]):
-        with pytest.raises(Unreadable, match="the proof covers total, average, bounds, not "):
+        with pytest.raises(
+            Unreadable, match="the proof covers total, average, bounds, regret, not "
+        ):
             holds(GOOD, SOUND | {"kind": kind})
 
 
@@ -154,7 +156,7 @@ def test_the_exit_status_says_whether_it_holds(tmp_path: Path) -> None:
     assert alone(given, proof) == (1, "does not hold\n", "")
     proof.write_text(json.dumps(SOUND | {"kind": "weights"}), "utf-8")
     assert alone(given, proof) == (
-        2, "", "not checked: the proof covers total, average, bounds, not 'weights'\n"
+        2, "", "not checked: the proof covers total, average, bounds, regret, not 'weights'\n"
     )  # fmt: skip
 
 
