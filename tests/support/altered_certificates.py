@@ -285,9 +285,9 @@ def drawn_regret(draw: random.Random, style: str, model: File, best: File) -> It
     """Certificates of the regret of a random policy, for the proof of the optimum that is given."""
     read, weights = checker.Model(model), list[int]()
     for state in range(read.states):
-        own = [draw.choice([0, 1, 1]) for other in read.state if other == state]
-        own[0] += not any(own)
-        weights += [2 // sum(own) * weight for weight in own]
+        taken = [draw.choice([0, 1, 1]) for other in read.state if other == state]
+        taken[0] += not any(taken)
+        weights += [2 // sum(taken) * weight for weight in taken]
     pairs = [pair for pair, weight in enumerate(weights) if weight]
     policy = {"pairs": pairs, "weights": {"top": [x for x in weights if x], "below": [2],
                                           "group": [0] * len(pairs)}}  # fmt: skip
@@ -296,11 +296,10 @@ def drawn_regret(draw: random.Random, style: str, model: File, best: File) -> It
         own = drawn_certificate(draw, style, model) | {"policy": [0] * read.states}
         own |= {"kind": best["kind"], "model": alone.digest()}
         filled(alone, own, draw)
-        values = [Fraction(x["start_value"]) if "inf" not in str(x["start_value"]) else None
-                  for x in (best, own)]  # fmt: skip
+        ends = [str(x["start_value"]) for x in (best, own)]
         lost: Any = draw.choice(["inf", 0])
-        if None not in values and draw.random() < 0.9:
-            lost = str(read.sign * (values[0] - values[1]))
+        if "inf" not in "".join(ends) and draw.random() < 0.9:
+            lost = str(read.sign * (Fraction(ends[0]) - Fraction(ends[1])))
         head = {key: best[key] for key in ("format", "version", "model", "sense")}
         yield head | {"kind": "regret", "policy": policy, "regret": lost,
                       "optimum": {key: best[key] for key in inner},
