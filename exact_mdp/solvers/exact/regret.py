@@ -1,8 +1,26 @@
 """The certificate of a policy's regret: the optimum, the policy, its value, and the difference.
 
-A policy that draws its actions is the only policy of a model in which each state has one pair, its
-draw, with the means of its pairs' rows and rewards. So the value of the policy is the optimum of
-that model, and has a certificate by the same rules. The regret is the difference at the start.
+    exact-mdp check MODEL POLICY --certificate proof.json      check(model, policy).certificate
+
+states an exact verdict, whether the policy passes or not. `exact-mdp verify proof.json MODEL` tells
+later what the policy loses, without the file of the policy. The file has the kind "regret", model
+and sense, and
+
+    optimum   a certificate of an optimum, a total or an average, without format and version
+    policy    `pairs`, the numbers of the pairs that the policy takes, in the order of states and
+              actions; `weights`, a level with their probabilities, which sum to 1 in each state
+    value     such a certificate of the policy's model
+    regret    the loss at the start: a rational, or "inf"
+
+In the policy's model each state has one pair, action 0, for the policy's draw: its row is
+Σ weight · p(s'), its reward Σ weight · r. All else is that of the model. There is no other policy,
+so that the optimum is the value of the policy. Both certificates have the same kind, and the same
+levels and ranks that are not null. The regret is the start value of the first less that of the
+second; of costs, the other way round. If one of them is infinite and the other is not the same, it
+is "inf".
+
+A certificate says nothing of limits that a regret has to keep. In a model of floats `check`
+forgives a loss that rounding can explain; the certificate is of the exact model and its regret.
 """
 
 from __future__ import annotations

@@ -5,18 +5,19 @@ Checks a certificate against a model, with Python's standard library alone.
     python verified.py model.json certificate.json
 
 Exit status 0: it holds, 1: it does not, 2: a file is not what it should be, or is of a kind that
-this program does not cover: it covers totals, averages and bounds, and with the package, which
-knows what is counted, limits and fronts of two objectives.
+this program does not cover: it covers totals, averages, bounds and regrets, and with the package,
+which knows what is counted, limits and fronts of two objectives.
 
-That what `check`, `check_limits` and `check_front` accept holds is a theorem, one for each, proven
-in Coq without an axiom. They speak of every policy, which may draw its actions and depend on all
-that came before. Of a total, no policy earns more in the limit of many steps than is claimed, and
-that of the certificate earns it; bounds lie on both sides; of an average, no policy earns more per
-step; values under a goal mean what the format says; under limits, no policy that keeps them earns
-more; beyond a front there is no policy. If a total that is proven by its values is said to be
-unique, then every optimal policy takes the same actions wherever it comes, unless the discount is
-0. The statements are Claims.v, LimitsClaims.v and FrontsClaims.v in proof/theories/ of the project,
-with the definitions in Spec.v.
+That what `check`, `check_regret`, `check_limits` and `check_front` accept holds is a theorem, one
+for each, proven in Coq without an axiom. They speak of every policy, which may draw its actions and
+depend on all that came before. Of a total, no policy earns more in the limit of many steps than is
+claimed, and that of the certificate earns it; bounds lie on both sides; of an average, no policy
+earns more per step; values under a goal mean what the format says. Of a regret, this holds of the
+optimum, the policy earns exactly its value, and the regret is the difference. Under limits, no
+policy that keeps them earns more; beyond a front there is no policy. If a total that is proven by
+its values is said to be unique, then every optimal policy takes the same actions wherever it comes,
+unless the discount is 0. The statements are Claims.v, RegretClaims.v, LimitsClaims.v and
+FrontsClaims.v in proof/theories/ of the project, with the definitions in Spec.v.
 
 What has to be believed besides: Coq; that it extracts the program rightly, and that a short one
 makes Python of it; and that the model file is the model meant. What follows "reading" is not
