@@ -30,6 +30,7 @@ import json
 import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
+from decimal import Decimal
 from fractions import Fraction
 from functools import reduce
 from hashlib import sha256
@@ -537,13 +538,16 @@ def verdict_holds(own: dict[str, Any], m: Model, first: str) -> bool:
 
 
 def describe(own: dict[str, Any]) -> str:
-    """Return in a sentence what a verdict that holds shows; long numbers as they are given."""
-    worth, best, lost = (
-        str(x) if x in ("inf", "-inf") or len(str(x)) > 40 else str(fraction(x, ""))
-        for x in (own["value"]["start_value"], own["optimum"]["start_value"], own["regret"])
-    )
-    said = f"the policy is worth {worth[:40]}, the optimum is {best[:40]}"
-    return f": at the start {said}, and it loses {lost[:40]}"
+    """Return in a sentence what a verdict that holds shows, ten digits of each number."""
+    said = list[str]()
+    for x in (own["value"]["start_value"], own["optimum"]["start_value"], own["regret"]):
+        if x in ("inf", "-inf"):
+            said.append(x)
+        else:
+            number = fraction(x, "")
+            said.append(f"{Decimal(number.numerator) / number.denominator:.10g}")
+    worth, best, lost = said
+    return f": the policy earns {worth} at the start, the best {best}; regret {lost}"
 
 
 def once(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:

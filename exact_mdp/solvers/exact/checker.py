@@ -17,6 +17,7 @@ import json
 import re
 import sys
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from decimal import Decimal
 from fractions import Fraction
 from functools import partial
 from hashlib import sha256
@@ -201,7 +202,7 @@ class Check:
     """What a certificate claims of a model, and what does not hold of it, in words."""
 
     def __init__(self, model: Model, given: Any) -> None:
-        self.model, self.kind = model, given["kind"]
+        self.model, self.kind, self.unique = model, given["kind"], given.get("unique")
         states, some = model.states, {key: x for key, x in given.items() if x is not None}
         self.policy = integers(given["policy"], "policy", states)
         ranks = {key: integers(some[key], key, states) for key in RANKS if key in some}
@@ -217,7 +218,6 @@ class Check:
         of_sign = ({s for s, sign in enumerate(self.infinite) if sign == x} for x in (0, -1, 1))
         self.finite, self.never, self.above = of_sign
         self.arriving, self.lost = set[int](), (model.missing == "-inf") is (model.sense == "max")
-        self.unique = given.get("unique")
         self.start = ratio(given.get("start_value", 0), "start_value", INFINITE)
 
     def violations(self) -> Iterator[str]:
@@ -351,17 +351,17 @@ def compare(model: Model, content: Any, given: Any) -> Iterator[str]:
             yield f"{key}: it is of another model"
         yield from (f"{key}: {wrong}" for wrong in each.violations())
     alike = [best.kind, best.parts] == [own.kind, own.parts] and best.kind in ("total", "average")
-    ends = best.start, own.start  # a number counts for nothing beside an infinite one
-    most, mine = (x if type(x) is float or float not in map(type, ends) else 0 for x in ends)
-    if not alike or lost != model.sign * (most - mine):
+    ends = best.start, -own.start  # infinite ones alone count; both: NaN
+    if not alike or lost != model.sign * (sum(x for x in ends if abs(x) == inf) or sum(ends)):
         yield "the regret is not the difference of an optimum and a value that are proven alike"
 
 
 def describe(given: Any) -> str:
-    """Return in a sentence what a certificate of a regret shows; long numbers as they are given."""
-    said = [given["value"]["start_value"], given["optimum"]["start_value"], given["regret"]]
-    own, best, lost = (str(x if len(str(x)) > 40 else ratio(x, "", INFINITE))[:40] for x in said)
-    return f": at the start the policy is worth {own}, the optimum is {best}, and it loses {lost}"
+    """Return in a sentence what a certificate of a regret shows, ten digits of each number."""
+    said = given["value"]["start_value"], given["optimum"]["start_value"], given["regret"]
+    each = (ratio(x, "", INFINITE) for x in said)
+    own, best, lost = (x if abs(x) == inf else Decimal(x.numerator) / x.denominator for x in each)
+    return f": the policy earns {own:.10g} at the start, the best {best:.10g}; regret {lost:.10g}"
 
 
 def violations(model: object, given: Any) -> list[str]:

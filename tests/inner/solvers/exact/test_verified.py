@@ -202,9 +202,15 @@ def test_both_checkers_say_in_a_sentence_what_is_shown_of_a_policy(
     rows = [(0, 0, [("1/2", 0, 1), ("1/2", 1, 1)]), (0, 1, [(1, 1, 1)]), (1, 0, [(1, 1, 0)])]
     steps = [(s, 0, [("1/3", s, F(1, 10**30 + s)), ("2/3", s + 1, 1)]) for s in range(5)]
     steps += [(0, 1, [(1, 1, 0)]), (5, 0, [(1, 5, 0)])]
+    falling = [(0, 0, [(1, 0, -1)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, 0)])]
     for table, policy, said in (
-        (rows, {0: {0: F(1, 4), 1: F(3, 4)}}, "worth 8/7, the optimum is 2, and it loses 6/7\n"),
-        (steps, {0: 1}, "worth 0x"),
+        (
+            rows,
+            {0: {0: F(1, 4), 1: F(3, 4)}},
+            "1.142857143 at the start, the best 2; regret 0.857",
+        ),
+        (steps, {0: 1}, "4.000000000 at the start, the best 5.000000000; regret 1.000000000"),
+        (falling, [0, 0], "-inf at the start, the best 0; regret inf"),
     ):
         audit = check(MDP.from_outcomes(table), policy)
         given.write_text(json.dumps(model_json.encode_model(audit.mdp)), "utf-8")
@@ -212,8 +218,12 @@ def test_both_checkers_say_in_a_sentence_what_is_shown_of_a_policy(
         for main in (checker.main, verified.main):
             assert main([str(given), str(proof)]) == 0
             out = capsys.readouterr().out
-            assert out.startswith(f"holds: at the start the policy is {said}")
+            assert out.startswith(f"holds: the policy earns {said}")
             assert len(out) < 200
+    for describe in (checker.describe, verified.describe):  # numbers that no float holds
+        long = {"value": {"start_value": LONG}, "optimum": {"start_value": f"1/{LONG}"}}
+        out = describe(long | {"regret": "-inf"})
+        assert out.endswith("e+120410 at the start, the best 1.506002409e-120411; regret -inf")
 
 
 def test_bad_files_are_not_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
