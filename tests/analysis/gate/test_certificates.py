@@ -271,6 +271,24 @@ def test_what_is_not_exact_has_no_certificate(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_regret_within_bounds_is_refused_before_anything_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for limit in ("EXACT_TRANSITIONS", "EXACT_IN_TIME"):  # as of a model that is too large
+        monkeypatch.setattr(f"exact_mdp.analysis.gate.regret.{limit}", 0)
+    words = ("check", "tea", "random", "--discount", "9/10", "--max-regret", "100")
+    proof, page = tmp_path / "proof.json", tmp_path / "page.html"
+    done = run(*words, "--certificate", proof, "--html", page)
+    assert (done.status, done.out) == (2, "")
+    assert "the regret is bounded, not exact: " in done.err
+    assert "--certify" in done.err
+    assert list(tmp_path.iterdir()) == []
+    done = run(*words, "--certify", "--certificate", proof, "--json")
+    assert (done.status, done.result["regret_claim"]) == (0, "certified")
+    verify = ("verify", proof, "tea", "--discount", "9/10", "--proven", "--json")
+    assert run(*verify).result["exact_regret"] == done.result["exact_regret"]
+
+
 def test_limits_and_intervals_have_no_certificate() -> None:
     mdp = small_model(3, "9/10")
     audit = check(mdp, "random", subject_to={"reward": ">= -1000"})
