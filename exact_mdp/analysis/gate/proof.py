@@ -57,10 +57,8 @@ def _of_sense(proof: Certificate, mdp: MDP) -> Certificate:
 
 def _isolate_policy(chain: PolicyChain) -> MDP:
     """Return the model in which the policy's draw, number 0, is the only action of each state."""
-    states = np.arange(chain.mdp.n_states)
-    return chain.model.with_(
-        pair_state=states, pair_action=np.zeros_like(states), actions=("drawn",)
-    )
+    none = np.zeros(chain.mdp.n_states, dtype=np.int64)
+    return chain.model.with_(pair_action=none, actions=("drawn",))
 
 
 def _prove_value(alone: MDP, best: Certificate) -> Certificate:

@@ -34,6 +34,17 @@ def test_the_model_of_a_policy_alone_is_what_both_sides_make_of_it(seed: int, pu
     assert read.digest() == fingerprint(alone) == proof["value"]["model"]
 
 
+@pytest.mark.parametrize("average", [True, False])
+def test_the_certificate_belongs_to_the_model_that_was_asked(average: bool) -> None:
+    mdp = small_model(4, "9/10", sense="min", ends=0, leaving=False)
+    proof = certify_regret(PolicyChain.of(mdp, "random"), average=average)
+    assert proof.mdp is mdp
+    assert proof.criterion == proof.value.kind == ("average" if average else "total")
+    assert proof.regret == proof.value.start_value - proof.optimum.start_value > 0
+    assert proof.violations() == []
+    assert _isolate_policy(PolicyChain.of(mdp, "random")).actions == ("drawn",)
+
+
 @pytest.mark.parametrize("criterion", ["total", "average"])
 def test_the_proof_of_costs_is_that_of_negated_rewards(criterion: str) -> None:
     mdp = small_model(2, "1/2", sense="min")
