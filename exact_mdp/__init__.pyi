@@ -72,6 +72,7 @@ from exact_mdp.solvers.endless.average import AverageSolution as AverageSolution
 from exact_mdp.solvers.exact.certificate import BoundedCertificate as BoundedCertificate
 from exact_mdp.solvers.exact.certificate import Certificate as Certificate
 from exact_mdp.solvers.exact.certify import certify as certify
+from exact_mdp.solvers.exact.regret import RegretCertificate as RegretCertificate
 from exact_mdp.solvers.learning.q_learning import QLearning as QLearning
 from exact_mdp.solvers.learning.q_learning import TrainingRun as TrainingRun
 from exact_mdp.solvers.learning.schedules import Constant as Constant

@@ -26,6 +26,7 @@ from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.dynamic.base import check_tolerance
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.certify import certify as certified
+from exact_mdp.solvers.exact.regret import RegretCertificate
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution
 from exact_mdp.solvers.solution import (
     Bounded,
@@ -37,7 +38,7 @@ from exact_mdp.solvers.solution import (
 )
 from exact_mdp.solvers.solver import SOLVERS, Criterion, is_average, solve
 
-AnyProof = TypeVar("AnyProof", Certificate, ConstrainedSolution)
+AnyProof = TypeVar("AnyProof", Certificate, ConstrainedSolution, RegretCertificate)
 
 
 class Contradiction(RuntimeError):

@@ -52,6 +52,15 @@ Definition average_optimum (m : model) (best : policy) (g h : Z -> Q) : Prop :=
     inject_Z (Z.of_nat n) * g s + h s - C <= earns m 1 best n hist s <=
       inject_Z (Z.of_nat n) * g s + h s + C.
 
+(* The optimal pairs are those with d(g) = 0 and r - g + d(h) = 0; and every policy that plays
+   optimal pairs only earns n g + h in n steps, up to C, whatever else it does. *)
+Definition average_pairs (m : model) (g h : Z -> Q) (opt : pair -> Prop) : Prop :=
+  (forall p, In p (pairs m) ->
+    (opt p <-> mean p g == g (state p) /\ r m p + mean p h == g (state p) + h (state p))) /\
+  exists C, 0 <= C /\ forall pi, plays m opt pi -> forall s n hist, is_state m s ->
+    inject_Z (Z.of_nat n) * g s + h s - C <= earns m 1 pi n hist s <=
+      inject_Z (Z.of_nat n) * g s + h s + C.
+
 (* The optimum of discounted values is g / (1 - γ) + h, up to a term of order 1 - γ: for some K and
    δ, for all γ from 1 - δ to 1 and all n, no policy earns more in n discounted steps than
 
@@ -200,7 +209,8 @@ Definition holds (m : model) (c : certificate) : Prop :=
       between_in_the_limit m best (value low) (value high)
   | Expansion true g h _ =>
       average_optimum m best (value g) (value h) /\ laurent m best (value g) (value h) /\
-      start_mean m (value g) (start_value c) /\ one_optimum m opt (unique c)
+      start_mean m (value g) (start_value c) /\ one_optimum m opt (unique c) /\
+      average_pairs m (value g) (value h) opt
   | Expansion false g h _ =>
       discount m == 1 /\ laurent m best (value g) (value h) /\
       limit_total m best (value g) (value h) /\

@@ -2,6 +2,7 @@
    earns in n steps, which certificate of it is accepted, and what this proves. *)
 From Coq Require Import ZArith QArith List.
 From MDP Require Import Spec Checker Claims Soundness.
+From MDP Require Import RegretChecker RegretClaims RegretProof.
 Import ListNotations.
 Open Scope Z_scope.
 
@@ -45,4 +46,30 @@ Example optimum pi : valid example pi ->
 Proof.
   intro V. destruct (sound _ _ _ accepted) as (_ & _ & _ & L & _).
   refine (proj1 (L 0 [] _) pi V). unfold is_state. cbn. split; [discriminate|reflexivity].
+Qed.
+
+(* A policy that waits with probability 1/4 each time earns 0, 1, 17/16 in so many steps, and 16/15
+   in the limit: it loses 4/15. *)
+Definition often (s a : Z) : Q := if s =? 0 then if a =? 0 then 1 # 4 else 3 # 4 else 1%Q.
+Definition h_own : level := fun s => if s =? 0 then (16, 15) else (0, 1).
+Definition drawing (lost : Q) : verdict :=
+  Verdict (stated (4 # 3) true) often
+    (Certificate waiting (Values h_own None) (Finite (16 # 15)) true) (Finite lost).
+Example earned_by_drawing :
+  map (fun n => Qred (earns example (1 # 2) (randomised example often) n [] 0)) [0; 1; 2; 3]%nat
+  = [0; 1; 17 # 16; 273 # 256]%Q.
+Proof. vm_compute. reflexivity. Qed.
+Example verdict_accepted : check_regret example (drawing (4 # 15)) found found = true.
+Proof. vm_compute. reflexivity. Qed.
+Example verdict_refused : check_regret example (drawing 0) found found = false.
+Proof. vm_compute. reflexivity. Qed.
+
+(* So what it earns comes as close to 16/15 as one likes. *)
+Example worth_of_drawing : exists lam C, (0 <= lam < 1 /\ forall n,
+  (16 # 15) - pow lam n * C <= earns example (1 # 2) (randomised example often) n [] 0 <=
+    (16 # 15) + pow lam n * C)%Q.
+Proof.
+  destruct (regret_sound _ _ _ _ verdict_accepted) as (_ & _ & ((lam & C & L & _ & X) & _) & _).
+  exists lam, C. split; [exact L|]. intro n. refine (proj1 (X 0 n [] _)). unfold is_state. cbn.
+  split; [discriminate|reflexivity].
 Qed.

@@ -1,7 +1,7 @@
 (* The checker as JSON, for to_python.py. Functions of Coq's library on integers, booleans and lists
    are left to Python, each under a name that the translator knows. *)
 From Coq Require Import ZArith List Bool Extraction.
-From MDP Require Import Spec Checker LimitsChecker FrontsChecker.
+From MDP Require Import Spec Checker LimitsChecker FrontsChecker RegretChecker.
 Extraction Language JSON.
 Unset Extraction AutoInline.
 Extract Constant Z.add => "z_add".
@@ -27,4 +27,4 @@ Extract Constant fold_left => "list_fold".
 Extract Constant app => "list_app".
 Extract Constant flat_map => "list_flat".
 Extract Constant grouped => "list_grouped".
-Extraction "extracted.json" check optimal stays arrives check_limits check_front.
+Extraction "extracted.json" check optimal stays arrives check_limits check_front check_regret.

@@ -232,6 +232,34 @@ Section Expansion.
           by lra; reflexivity). lra.
   Qed.
 
+  (* And so does every policy whose pairs satisfy the first two equations. *)
+  Theorem average_pairs_sound : exists C, 0 <= C /\ forall pi,
+    plays m (fun p => da p == 0 /\ db p == 0) pi -> forall s n hy, is_state m s ->
+    inject_Z (Z.of_nat n) * G s + Hb s - C <= earns m 1 pi n hy s <=
+    inject_Z (Z.of_nat n) * G s + Hb s + C.
+  Proof.
+    destruct (bounded m Hb) as (C & C0 & B). exists C. split; [exact C0|]. intros pi pl s n hy Ss.
+    assert (step : forall c k p, In p (pairs m) -> da p == 0 /\ db p == 0 ->
+      r m p + 1 * mean p (fun t => inject_Z (Z.of_nat k) * G t + Hb t + c) ==
+      inject_Z (Z.of_nat (S k)) * G (state p) + Hb (state p) + c).
+    { intros c k p I [e1 e2].
+      rewrite mean_plus, mean_plus, mean_times, (mean_const m p (wf_rows m exp_wf p I)).
+      unfold da, db, surplus_of in *. rewrite Nat2Z.inj_succ, <- Z.add_1_r, inject_Z_plus.
+      change (inject_Z 1) with 1. set (z := inject_Z (Z.of_nat k)).
+      assert (z * mean p G == z * G (state p)) by (setoid_replace (mean p G) with (G (state p))
+        by lra; reflexivity). lra. }
+    split.
+    - apply Qle_trans with (inject_Z (Z.of_nat n) * G s + Hb s + - C); [lra|].
+      apply (run_lower m (fun p => da p == 0 /\ db p == 0) (fun _ => True) (r m) 1 (fun _ => 0)
+        (fun n s => inject_Z (Z.of_nat n) * G s + Hb s + - C) pi exp_wf); auto; try lra.
+      + intros q Sq _. cbn [Z.of_nat]. change (inject_Z 0) with 0. specialize (B q Sq). lra.
+      + intros k p I Dp _. rewrite (step (- C) k p I Dp). apply Qle_refl.
+    - apply (run_upper m (fun p => da p == 0 /\ db p == 0) (fun _ => True) (r m) 1 (fun _ => 0)
+        (fun n s => inject_Z (Z.of_nat n) * G s + Hb s + C) pi exp_wf); auto; try lra.
+      + intros q Sq _. cbn [Z.of_nat]. change (inject_Z 0) with 0. specialize (B q Sq). lra.
+      + intros k p I Dp _. rewrite (step C k p I Dp). apply Qle_refl.
+  Qed.
+
   (* The optimum of discounted values is g / (1 - γ) + h, up to a term of order 1 - γ. *)
   Theorem limit_sound : exists K de, 0 <= K /\ 0 < de <= 1 # 2 /\
     forall gamma, 1 - de <= gamma < 1 -> forall s n hy, is_state m s ->

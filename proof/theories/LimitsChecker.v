@@ -65,7 +65,7 @@ Definition flow_terms (m : model) (c : limited) : list (Z * (Z * ratio)) :=
     (filter (fun p => negb (fst (visits_of c p) =? 0)) (pairs m)).
 
 (* Return the terms of each state. *)
-Definition grouped (terms : list (Z * (Z * ratio))) (s : Z) : list (Z * ratio) :=
+Definition grouped {A} (terms : list (Z * A)) (s : Z) : list A :=
   map snd (filter (fun x => fst x =? s) terms).
 
 (* Return whether visits are those of a policy: in each state that is no end they balance. *)

@@ -120,6 +120,29 @@ Proof.
     specialize (Lo pi n hy Pl). lra.
 Qed.
 
+Lemma expansion_pairs m hs a g h w : model_right m hs = true -> policy_right m a = true ->
+  expansion m a g h w = true ->
+  average_pairs m (value g) (value h) (fun p => optimal m (Expansion true g h w) p = true).
+Proof.
+  intros M P K. pose proof (model_right_ok m hs M) as [wf _]. pose proof K as Lv.
+  unfold expansion in Lv. rewrite !andb_true_iff in Lv. destruct Lv as [[[Lg Lh] _] _].
+  apply (level_right_ok m _ _ P) in Lg, Lh.
+  assert (eq : forall p, In p (pairs m) -> (optimal m (Expansion true g h w) p = true <->
+    surplus_of 1 0 p (value g) == 0 /\
+    surplus_of 1 (r m p - value g (state p)) p (value h) == 0)).
+  { intros p I. pose proof (wf_rows m wf p I) as R. cbn [optimal]. unfold expansion_optimal.
+    destruct (g_surplus_ok m g p R Lg) as (_ & Ge & _).
+    destruct (h_surplus_ok m g h p R Lg Lh) as (_ & He & _).
+    destruct (g (state p)) as [t b]. cbn [negb andb].
+    rewrite andb_true_iff, !Z.eqb_eq. tauto. }
+  split.
+  - intros p I. rewrite (eq p I). unfold surplus_of. split; intros [X Y]; split; lra.
+  - destruct (average_pairs_sound m hs g h M) as (C & C0 & X). exists C.
+    split; [exact C0|]. intros pi pl. apply X. intros hy t St. destruct (pl hy t St) as [Y Z].
+    split; [|exact Z]. intros p q I. destruct (Y p q I) as (Ip & ? & ? & O).
+    repeat split; auto; now apply (eq p Ip).
+Qed.
+
 (* What `goal_optimum` says follows from the theorems about goals. *)
 Lemma reaching_optimum m hs a out h rank order inf g : model_right m hs = true ->
   policy_right m a = true -> goal m = Some g -> reaching m h rank order inf g a out = true ->
@@ -203,7 +226,8 @@ Proof.
     pose proof (limit_sound m hs _ g h w M P K) as La. unfold expansion_start in S.
     destruct average.
     + split; [exact (average_sound m hs _ g h w M P K)|]. split; [exact La|].
-      split; [now apply is_mean_ok|now apply (unique_ok m _ hs)].
+      split; [now apply is_mean_ok|]. split; [now apply (unique_ok m _ hs)|].
+      now apply (expansion_pairs m hs (actions c)).
     + rewrite !andb_true_iff in S. destruct S as [[A _] S]. apply is_one_ok in A.
       split; [exact A|]. split; [exact La|]. split; [now apply laurent_total|].
       split; [now apply start_value_right_ok|now apply (unique_ok m _ hs)].

@@ -105,15 +105,29 @@ def test_the_workflow_of_the_guide_reports_a_policy_that_loses_too_much(project:
     assert len(list(project.glob(upload["with"]["path"]))) == 2
 
 
+def test_the_certificate_of_a_verdict_is_kept_also_of_a_policy_that_fails(project: Path) -> None:
+    status, said, _ = act(project, **GATE, certificate="policy.json")
+    assert status == 1, said
+    check = [PROGRAM, "verify", "policy.json", "model.npz", "--proven"]
+    done = subprocess.run(check, cwd=project, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    upload = ACTION["runs"]["steps"][-1]
+    assert upload["uses"].startswith("actions/upload-artifact@")
+    assert upload["if"] == "${{ !cancelled() && inputs.certificate != '' }}"
+    assert upload["with"]["path"] == "${{ inputs.certificate }}"
+    assert ACTION["inputs"]["certificate"]["default"] == ""
+
+
 @pytest.mark.parametrize("name", ["$(touch owned)", "`touch owned`", '"; touch owned; "', "--x y"])
 def test_an_input_is_no_command(project: Path, name: str) -> None:
     """Whatever an input says is one word of the command, and model and policy are no options."""
     echo = project / "echo"
     echo.write_text('#!/bin/bash\nprintf "%s\\n" "$@"\n')
     echo.chmod(0o755)
-    inputs = ("model", "policy", "max-regret", "options", "junit", "html")
+    inputs = ("model", "policy", "max-regret", "options", "junit", "html", "certificate")
     _, said, _ = act(project, echo, **dict.fromkeys(inputs, name))
-    options = [name, f"--max-regret={name}", f"--junit={name}", f"--html={name}"]
+    named = [f"--{option}={name}" for option in ("max-regret", "junit", "html", "certificate")]
+    options = [name, *named]
     assert said.splitlines() == ["check", *options, "--", name, name]
     assert not list(project.parent.rglob("owned"))
 

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp import MDP, ModelError, certify
+from exact_mdp import MDP, ModelError, certify, check
 from exact_mdp.mdp.io import model_json
 from exact_mdp.solvers.exact import checker, codec, verified
 
@@ -31,6 +31,7 @@ Case = tuple[str, File, File]  # what it is, a model, a certificate
 LEVELS = ("g", "h", "w", "low", "high")
 FIXED = ("format", "version", "model", "sense", "kind")
 KINDS = ("discounted", "ends", "average", "expansion", "goal", "goal", "goal")
+INNER = ("optimum", "value")  # the two certificates in that of a regret
 
 
 # ---- verdicts ------------------------------------------------------------------------------------
@@ -77,17 +78,32 @@ def random_model(draw: random.Random, kind: str) -> MDP:
     return mdp
 
 
+def random_policy(draw: random.Random, mdp: MDP) -> np.ndarray:
+    """Probabilities of actions (S, A): quarters, or 1 and 0."""
+    table, parts = np.zeros((mdp.n_states, mdp.n_actions)), draw.choice([1, 4])
+    for state in range(mdp.n_states):
+        for pair in draw.choices(mdp.pairs_of(state), k=parts):
+            table[state, mdp.pair_action[pair]] += 1 / parts
+    return table
+
+
 def proofs(draw: random.Random) -> Iterator[Case]:
-    """Proofs of random models, for ever."""
+    """Proofs of random models, for ever: of an optimum, of bounds, or of a policy's regret."""
     while True:
         kind = draw.choice(KINDS)
-        mdp = random_model(draw, kind)
-        bounded = kind in ("discounted", "ends") and draw.random() < 0.5
+        mdp, turn = random_model(draw, kind), draw.random()
+        criterion: Any = "average" if kind == "average" else "total"
+        proof: Any
         try:
-            proof: Any = certify(mdp, bounded=True) if bounded else certify(
-                mdp, criterion="average" if kind == "average" else "total"
-            )  # fmt: skip
-        except ModelError:  # a start that mixes both infinities
+            if turn < 0.4:
+                policy = random_policy(draw, mdp)
+                proof = check(mdp, policy, kind="policy", criterion=criterion).certificate
+                kind = f"{kind}, regret"
+            elif kind in ("discounted", "ends") and turn < 0.7:
+                proof = certify(mdp, bounded=True)
+            else:
+                proof = certify(mdp, criterion=criterion)
+        except ModelError:  # a start that mixes both infinities, or two values that are infinite
             continue
         yield kind, model_json.encode_model(mdp), codec.build_file_content(proof, int)
 
@@ -96,11 +112,18 @@ def proofs(draw: random.Random) -> Iterator[Case]:
 
 
 def change_certificate(draw: random.Random, proof: File) -> None:
+    if proof["kind"] == "regret" and draw.random() < 0.7:
+        key = draw.choice(["optimum", "value", "value", "policy", "policy"])
+        if key != "policy":
+            return change_certificate(draw, proof[key])
+        return change_policy(draw, proof[key])
     key = draw.choice([k for k, x in proof.items() if x is not None and k not in FIXED])
     own = proof[key]
     if key == "unique":
         proof[key] = not own
-    elif key == "start_value":
+    elif key in (*INNER, "policy") and isinstance(own, dict):
+        own[draw.choice([*own])] = draw.choice([None, 0, "1/2", [], {}, "total", "average", True])
+    elif key in ("start_value", "regret"):
         proof[key] = draw.choice(["inf", "-inf", 0, 1, "1/2", own])
     elif isinstance(own, dict):
         part = own[draw.choice(["top", "top", "top", "below", "group"])]
@@ -111,12 +134,23 @@ def change_certificate(draw: random.Random, proof: File) -> None:
         own[place] = draw.choice([own[place] - 1, own[place] + 1, 0, draw.choice(own), -1, 1])
 
 
+def change_policy(draw: random.Random, policy: File) -> None:
+    """Move a weight of a policy to another pair, or take another number somewhere."""
+    part = draw.choice([policy["pairs"], policy["weights"]["top"], policy["weights"]["below"]])
+    place = draw.randrange(len(part))
+    part[place] += draw.choice([-1, 1, 2, -part[place]])
+    if part is policy["weights"]["top"] and draw.random() < 0.7:
+        part[draw.randrange(len(part))] -= draw.choice([-1, 1, 2])
+
+
 def change_model(draw: random.Random, model: File, proof: File) -> None:
     key = draw.choice(["discount", "sense", "start", "drop", "unreached", "goal", *["pair"] * 5])
     if key == "discount":
         model[key] = draw.choice(["1/3", 1, "99/100", 0])
     elif key == "sense":
         model[key] = proof[key] = "min" if model[key] == "max" else "max"
+        for inner in INNER:
+            proof.get(inner, {})[key] = proof[key]
     elif key == "start":
         model[key] = {str(draw.randrange(model["states"])): 1}
     elif key == "unreached":
@@ -148,16 +182,21 @@ def change_pair(draw: random.Random, pair: File, states: int) -> None:
 
 
 def renewed(model: File, proof: File) -> None:
-    """Write the hash of a model, if it is one, into a certificate."""
-    with suppress(checker.Unreadable):
-        proof["model"] = checker.Model(model).digest()
+    """Write the hash of a model, if it is one, and of a policy's, into a certificate."""
+    with suppress(checker.Unreadable, TypeError):
+        read = checker.Model(model)
+        proof["model"] = read.digest()
+        if proof["kind"] == "regret":
+            proof["optimum"]["model"] = proof["model"]
+            proof["value"]["model"] = read.isolate(model, proof["policy"]).digest()
 
 
 def altered(draw: random.Random, case: Case) -> Case:
     kind, model, proof = copy.deepcopy(case)
     for _ in range(draw.choice([1, 1, 1, 2])):
         if draw.random() < 0.7:
-            change_certificate(draw, proof)
+            with suppress(TypeError, KeyError, IndexError):  # a first change left no such part
+                change_certificate(draw, proof)
         else:
             change_model(draw, model, proof)
     renewed(model, proof)
@@ -166,13 +205,14 @@ def altered(draw: random.Random, case: Case) -> Case:
 
 def weakened(draw: random.Random, case: Case) -> Case:
     """A proof in which one level has another number in one state, by a hundredth or less."""
-    kind, model, proof = copy.deepcopy(case)
+    kind, model, whole = copy.deepcopy(case)
+    proof = whole[draw.choice(INNER)] if whole["kind"] == "regret" else whole
     level = proof[draw.choice([key for key in LEVELS if proof.get(key)])]
     times, place = 10 ** draw.randint(2, 30), draw.randrange(len(level["top"]))
     level["below"] = [times * below for below in level["below"]]
     level["top"] = [times * top for top in level["top"]]
     level["top"][place] += draw.choice([-1, 1])
-    return f"weakened, {kind}", model, proof
+    return f"weakened, {kind}", model, whole
 
 
 # ---- random certificates -------------------------------------------------------------------------
@@ -230,15 +270,40 @@ def drawn_certificate(draw: random.Random, style: str, model: File) -> File:
     return proof
 
 
-def filled(model: File, proof: File, draw: random.Random) -> None:
+def filled(model: checker.Model, proof: File, draw: random.Random) -> None:
     """Write the start value and the uniqueness that the checker finds, most of the time."""
-    check = checker.Check(checker.Model(model), proof)
-    if [*check.violations()] and draw.random() < 0.9:
+    found = checker.Check(model, proof)
+    if [*found.violations()] and draw.random() < 0.9:
         return
-    value = check.model.sign * check.at_start()
+    value = found.model.sign * found.at_start()
     if not isnan(value):
         proof["start_value"] = str(value)
-    proof["unique"] = check.one_optimum()
+    proof["unique"] = found.one_optimum()
+
+
+def drawn_regret(draw: random.Random, style: str, model: File, best: File) -> Iterator[File]:
+    """Certificates of the regret of a random policy, for the proof of the optimum that is given."""
+    read, weights = checker.Model(model), list[int]()
+    for state in range(read.states):
+        taken = [draw.choice([0, 1, 1]) for other in read.state if other == state]
+        taken[0] += not any(taken)
+        weights += [2 // sum(taken) * weight for weight in taken]
+    pairs = [pair for pair, weight in enumerate(weights) if weight]
+    policy = {"pairs": pairs, "weights": {"top": [x for x in weights if x], "below": [2],
+                                          "group": [0] * len(pairs)}}  # fmt: skip
+    alone, inner = read.isolate(model, policy), best.keys() - {"format", "version"}
+    for _ in range(20):
+        own = drawn_certificate(draw, style, model) | {"policy": [0] * read.states}
+        own |= {"kind": best["kind"], "model": alone.digest()}
+        filled(alone, own, draw)
+        ends = [str(x["start_value"]) for x in (best, own)]
+        lost: Any = draw.choice(["inf", 0])
+        if "inf" not in "".join(ends) and draw.random() < 0.9:
+            lost = str(read.sign * (Fraction(ends[0]) - Fraction(ends[1])))
+        head = {key: best[key] for key in ("format", "version", "model", "sense")}
+        yield head | {"kind": "regret", "policy": policy, "regret": lost,
+                      "optimum": {key: best[key] for key in inner},
+                      "value": {key: own[key] for key in inner}}  # fmt: skip
 
 
 def tiny(draw: random.Random) -> Iterator[Case]:
@@ -252,9 +317,14 @@ def tiny(draw: random.Random) -> Iterator[Case]:
             continue
         for _ in range(60):
             proof = drawn_certificate(draw, style, model) | {"model": digest}
-            filled(model, proof, draw)
-            if not checker.violations(model, proof) or draw.random() < 0.03:
+            filled(checker.Model(model), proof, draw)
+            holds = not checker.violations(model, proof)
+            if holds or draw.random() < 0.03:
                 yield f"random, {style}", model, proof
+            if holds and draw.random() < 0.5:
+                for regret in drawn_regret(draw, style, model, proof):
+                    if not checker.violations(model, regret) or draw.random() < 0.02:
+                        yield f"random, {style}, regret", model, regret
 
 
 # ---- all of them ---------------------------------------------------------------------------------
@@ -282,12 +352,12 @@ def main(count: int, seed: int) -> int:
     for what, model, proof in cases(count, seed):
         found[what, verdicts(model, proof)] += 1
     outcomes = [(0, 0), (1, 1), (2, 2)]
-    print(f"{'':24}{'hold':>8}{'do not':>8}{'not read':>9}{'differ':>8}")
+    print(f"{'':32}{'hold':>8}{'do not':>8}{'not read':>9}{'differ':>8}")
     names = sorted({what for what, _ in found})
     table = {name: [found[name, both] for both in outcomes] for name in names}
     for name, row in table.items():
         other = sum(n for (what, both), n in found.items() if what == name) - sum(row)
-        print(f"{name:24}{row[0]:8}{row[1]:8}{row[2]:9}{other:8}")
+        print(f"{name:32}{row[0]:8}{row[1]:8}{row[2]:9}{other:8}")
     alike = sum(sum(row) for row in table.values())
     print(f"{alike} of {count} alike (seed {seed})")
     return int(alike != count)

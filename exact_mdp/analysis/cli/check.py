@@ -38,6 +38,7 @@ def check_command(
     max_relative_regret: str | None = None,
     html: str | None = None,
     junit: str | None = None,
+    certificate: str | None = None,
     certify: bool = False,
     no_explain: bool = False,
     subject_to: Sequence[str] = (),
@@ -77,6 +78,9 @@ def check_command(
         Write a page with the picture of the policy: .html.
     junit : FILE, .xml
         Write a JUnit report: .xml.
+    certificate : FILE, .json
+        Write the proof of the regret for `verify`, whether the policy passes or not: .json. The
+        regret has to be exact.
     certify : bool
         Use rational arithmetic, however long it takes.
     no_explain : bool
@@ -130,6 +134,9 @@ def check_command(
         "subject_to": limits_from(subject_to) or None,
     }
     audit: Audit | TrainerAudit
+    if certificate is not None:  # refused before any work
+        unproven = {"--subject-to": subject_to, "--confidence": confidence}
+        refuse_options(unproven, "a certificate", "leave it out, or --certificate")
     # One policy: an audit, of the model or of the process behind its records.
     if len(learned) == 1:
         of_many = {"--share": share, "--alpha": alpha, "--prove": prove}
@@ -140,12 +147,15 @@ def check_command(
         # Several policies: the runs of a trainer.
         of_one: dict[str, Any] = {"--html": html, "--no-explain": no_explain}
         of_one |= {"--confidence": confidence, "--by": by, "--evidence": evidence}
+        of_one |= {"--certificate": certificate}
         refuse_options(of_one, "several policies")
         asked |= {"share": share or "9/10", "alpha": alpha or "1/100", "prove": prove}
         policies = (given.policy_from(each) for each in learned)
         audit = exact_mdp.check_trainer(given.mdp, policies, runs=len(learned), **asked)
         report = given.complete_report(audit.report(learned))
         name = f"{len(report.facts['policies'])} policies"
+    if certificate is not None and isinstance(audit, Audit):
+        audit.certificate.save(certificate)
     passed = "failed"
     if audit.passed:
         passed = "passed"

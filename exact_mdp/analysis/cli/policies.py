@@ -24,10 +24,19 @@ from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.mdp.table import float_of
 from exact_mdp.solvers.exact import codec, verified
 from exact_mdp.solvers.exact.certificate import BoundedCertificate, Certificate, Proof
+from exact_mdp.solvers.exact.regret import RegretCertificate
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution, name_bounds
 from exact_mdp.solvers.objectives.totals import TotalsProof
+from exact_mdp.solvers.solution import in_float
 
-PROOFS = (Certificate, BoundedCertificate, Front, ConstrainedSolution, Rationalization)
+PROOFS = (
+    Certificate,
+    BoundedCertificate,
+    RegretCertificate,
+    Front,
+    ConstrainedSolution,
+    Rationalization,
+)
 KINDS: dict[str, Any] = {kind: proof for proof in PROOFS for kind in proof.kinds}
 
 
@@ -128,12 +137,12 @@ def solve_command(
 
 
 def verify_command(certificate: str, given: Given, *, proven: bool = False) -> Report:
-    """Check a certificate of an optimum or of a front.
+    """Check a certificate of an optimum, of a verdict or of a front.
 
-    CERTIFICATE is a file that solve wrote, with limits or without, or a front from tradeoff. The
-    checker imports no solver. With --proven a second checker, whose soundness is proven in Coq, has
-    to accept it, too; it covers all but fronts of three objectives and weights. The exit status is
-    1 if CERTIFICATE does not hold for MODEL.
+    CERTIFICATE is a file that solve wrote, with limits or without, the regret of a policy from
+    check, or a front from tradeoff. The checker imports no solver. With --proven a second checker,
+    whose soundness is proven in Coq, has to accept it, too; it covers all but fronts of three
+    objectives and weights. The exit status is 1 if CERTIFICATE does not hold for MODEL.
 
     Example: exact-mdp verify proof.json yuan2025
     Example: exact-mdp verify proof.json yuan2025 --proven
@@ -148,7 +157,10 @@ def verify_command(certificate: str, given: Given, *, proven: bool = False) -> R
     ----
     certificate: the certificate's file; holds: whether the certificate holds; violations: rules
     that are broken, empty if all hold; proven: whether the checker whose soundness is proven was
-    asked, too; objectives: the totals that a front or limits are about.
+    asked, too; objectives: the totals that a front or limits are about; shows: what is proven of a
+    policy, in a sentence; regret: loss of the policy at the start; exact_regret: the regret, "p/q";
+    optimal_value: the optimal value at the start; learned_value: the value of the policy at the
+    start.
     """
     mdp = given.mdp
     # The checker, and with --proven a second one, judge the file against the model.
@@ -174,6 +186,9 @@ def verify_command(certificate: str, given: Given, *, proven: bool = False) -> R
     if isinstance(proof, TotalsProof):
         facts |= {"kind": proof.kind, "objectives": list(proof.objectives)}
         facts |= {} if violations else _proven_totals(proof)
+    elif isinstance(proof, RegretCertificate):
+        facts |= {"kind": proof.kind, "criterion": proof.criterion}
+        facts |= {} if violations else _list_losses(proof)
     elif not violations:
         value, exact = float(proof.start.value), isinstance(proof, Certificate)
         if exact:
@@ -188,6 +203,21 @@ def verify_command(certificate: str, given: Given, *, proven: bool = False) -> R
                 more = {"unique": proof.unique}
             facts |= {"exact_start_value": Shown(proof.start_value)} | more
     return given.complete_report(Report(title="proof", facts=facts, passed=not violations))
+
+
+def _list_losses(proof: RegretCertificate) -> dict[str, Any]:
+    """Return the statement of a sound proof of a regret: a sentence, and its numbers."""
+    best, own, lost = (
+        in_float(x) for x in (proof.optimum.start_value, proof.value.start_value, proof.regret)
+    )
+    shows = f"at the start the policy is worth {own:.10g}, the optimum is {best:.10g}, and it loses"
+    return {
+        "shows": f"{shows} {lost:.10g}",
+        "regret": Shown(lost, proof.start),
+        "exact_regret": Shown(proof.regret),
+        "optimal_value": Shown(best, proof.optimum.start),
+        "learned_value": Shown(own, proof.value.start),
+    }
 
 
 def is_accepted_by_proven_checker(proof: Proof, mdp: MDP) -> bool:

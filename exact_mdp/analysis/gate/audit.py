@@ -13,6 +13,7 @@ import numpy as np
 
 from exact_mdp.analysis.gate.criteria import Total, Verdict, format_claimed_number
 from exact_mdp.analysis.gate.data.interval import RegretInterval
+from exact_mdp.analysis.gate.proof import certify_regret
 from exact_mdp.analysis.gate.reasons import (
     Disagreement,
     Findings,
@@ -22,6 +23,7 @@ from exact_mdp.analysis.gate.reasons import (
     q_error,
 )
 from exact_mdp.analysis.gate.regret import Regret, interval_of
+from exact_mdp.analysis.optimum import Contradiction, require_sound_proof
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, ReadAs
@@ -29,6 +31,7 @@ from exact_mdp.mdp.questions import describe_sense, describe_time_limit
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, format_rational
+from exact_mdp.solvers.exact.regret import RegretCertificate
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError, in_float
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -312,6 +315,49 @@ class Audit(Pictured):
     def undecided(self) -> bool:
         """Whether bounds or records leave a verdict open."""
         return any(each.decision is None for each in self.verdicts)
+
+    @cached_property
+    def certificate(self) -> RegretCertificate:
+        """The proof of the regret, which `certificate.save(path)` writes for `exact-mdp verify`.
+
+        It states the optimum, the policy, its value and its regret: also if it fails.
+
+        Raises
+        ------
+        ModelError
+            If the verdict rests on bounds, records or limits, which it does not prove.
+
+        Examples
+        --------
+        >>> from exact_mdp import check
+        >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
+        >>> check(mdp, [0, 0]).certificate
+        RegretCertificate(regret 2: worth 1 at the start, the optimum 3)
+        """
+        lost, known = self.regret, (self.regret.optimal, self.regret.learned, self.regret.at_start)
+        if self.interval is not None:
+            raise ModelError(
+                "a certificate proves a regret in the model, and this verdict rests on an interval "
+                "from records",
+                where="certificate",
+                fix="leave out confidence",
+            )
+        if not self.criterion.plain and self.criterion.name != "average":
+            raise ModelError(
+                "a certificate proves a regret against the optimum without limits",
+                where="certificate",
+                fix="leave out the limits; solve() with them has a certificate of its own",
+            )
+        if not all(isinstance(each, Certified) for each in known):
+            raise ModelError(
+                f"the regret is bounded, not exact: {lost.at_start}",
+                where="certificate",
+                fix="ask for exact values, however long they take: --certify, exact_values=True",
+            )
+        proof = certify_regret(self.chain, average=self.criterion.name == "average")
+        if proof.regret != lost.at_start.value:
+            raise Contradiction(f"the proof says {proof.regret}, the audit {lost.at_start.value}")
+        return require_sound_proof(proof)
 
     # ---- reasons -----------------------------------------------------------------------------
 

@@ -17,6 +17,7 @@ import json
 import re
 import sys
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from decimal import Decimal
 from fractions import Fraction
 from functools import partial
 from hashlib import sha256
@@ -26,13 +27,15 @@ from operator import mul
 from pathlib import Path
 from typing import Any
 
-NUMBER = re.compile(r"(-?(?:0x[0-9a-f]+|[0-9]+))(/(0x[0-9a-f]+|[0-9]+))?")
-MODEL = ("states", "discount", "sense", "start", "pairs")
+DIGITS = "(?:0x[0-9a-f]{1,100000}|[0-9]{1,4300})"  # more would take too long
+NUMBER = re.compile(f"(-?{DIGITS})(/({DIGITS}))?")
+INFINITE, MODEL = ("inf", "-inf"), ("states", "discount", "sense", "start", "pairs")
 PAIR = ("state", "action", "denominator", "next", "weight", "reward")
 LEVELS, RANKS = ("g", "h", "w", "low", "high"), ("rank", "order", "infinite")
 HEAD = {"format", "version", "kind", "model", "sense", "policy", "rank"}
 OPTIMUM = HEAD | {"g", "h", "w", "infinite", "order", "start_value", "unique"}
-KEYS = {"total": OPTIMUM, "average": OPTIMUM, "bounds": HEAD | {"low", "high"}}
+INNER, VERDICT = OPTIMUM - {"format", "version"}, HEAD - {"rank"} | {"optimum", "value", "regret"}
+KEYS = {"total": OPTIMUM, "average": OPTIMUM, "bounds": HEAD | {"low", "high"}, "regret": VERDICT}
 
 
 class Unreadable(ValueError):
@@ -45,12 +48,15 @@ def wanted(condition: object, what: str) -> None:
         raise Unreadable(what)
 
 
-def ratio(given: object, what: str) -> Fraction:
-    """Read an integer, or a text such as "-7", "0x1f" or "1/3"."""
-    match = NUMBER.fullmatch(str(given)) if type(given) in (int, str) else None
+def ratio(given: object, what: str, infinite: Container[object] = ()) -> Any:
+    """Read an integer, a text such as "-7", "0x1f" or "1/3", or one that may be infinite."""
+    if given in infinite:
+        return float(str(given))
+    text = hex(given) if type(given) is int else given
+    match = NUMBER.fullmatch(text) if type(text) is str else None
     try:
         return Fraction(int(match[1], 0), int(match[3] or "1", 0)) if match else Fraction("")
-    except (ValueError, ZeroDivisionError) as error:  # 007, 1/0, or digits beyond Python's limit
+    except (ValueError, ZeroDivisionError) as error:  # 007, 1/0
         raise Unreadable(f"{what}: {str(given)[:40]!r} is no number; long ones as 0x…") from error
 
 
@@ -144,7 +150,7 @@ class Model:
         reward = given["reward"]
         each, shares = (reward, weight) if type(reward) is list else ([reward], [below])
         wanted(len(each) == len(shares), f"{where}: the number of rewards")
-        earned = [x if type(x) is int else ratio(x, where) for x in each]
+        earned = [x if type(x) in (int, Fraction) else ratio(x, where) for x in each]
         mean = Fraction(sum(map(mul, shares, earned)), below)
         total = dict.fromkeys(sorted(after), 0)
         for s, w in zip(after, weight, strict=True):
@@ -159,6 +165,25 @@ class Model:
         weight = [*map(rate.numerator.__mul__, self.weight[pair]), -scale]
         change, unit = x.weighted(weight, [*self.next[pair], self.state[pair]])
         return int(top * scale * unit + below * change)
+
+    def isolate(self, given: Any, policy: Any) -> Model:
+        """Return the model in which the draws of a policy are the only actions."""
+        keyed(policy, ("pairs", "weights"), "policy")
+        listed = integers(policy["pairs"], "policy")
+        weights = Level(policy["weights"], "weights", len(listed))
+        wanted(listed == sorted({*listed} & {*self.pair.values()}), "policy: pairs out of order")
+        parts, pairs = dict[int, list[tuple[int, Fraction, Fraction]]](), list[Any]()
+        for place, pair in enumerate(listed):
+            share = Fraction(*weights.weighted([1], [place])) / self.under[pair]
+            mean = Fraction(self.top[pair], self.below[pair])
+            each = zip(self.next[pair], self.weight[pair], strict=True)
+            parts.setdefault(self.state[pair], []).extend((s, share * w, mean) for s, w in each)
+        for state, part in parts.items():
+            after, odds, earned = map(list, zip(*part, strict=True))
+            below = lcm(*(x.denominator for x in odds))
+            own = state, 0, below, after, [int(x * below) for x in odds], earned
+            pairs.append(dict(zip(PAIR, own, strict=True)))
+        return Model({**given, "pairs": pairs})
 
     def digest(self) -> str:
         """Return the SHA-256 of all that counts: lines of integers in hexadecimal."""
@@ -177,7 +202,7 @@ class Check:
     """What a certificate claims of a model, and what does not hold of it, in words."""
 
     def __init__(self, model: Model, given: Any) -> None:
-        self.model, self.kind = model, given["kind"]
+        self.model, self.kind, self.unique = model, given["kind"], given.get("unique")
         states, some = model.states, {key: x for key, x in given.items() if x is not None}
         self.policy = integers(given["policy"], "policy", states)
         ranks = {key: integers(some[key], key, states) for key in RANKS if key in some}
@@ -193,8 +218,7 @@ class Check:
         of_sign = ({s for s, sign in enumerate(self.infinite) if sign == x} for x in (0, -1, 1))
         self.finite, self.never, self.above = of_sign
         self.arriving, self.lost = set[int](), (model.missing == "-inf") is (model.sense == "max")
-        self.unique, start = given.get("unique"), given.get("start_value", 0)
-        self.start = float(start) if start in ("inf", "-inf") else ratio(start, "start_value")
+        self.start = ratio(given.get("start_value", 0), "start_value", INFINITE)
 
     def violations(self) -> Iterator[str]:
         """Yield what does not hold."""
@@ -316,6 +340,30 @@ class Check:
         return True
 
 
+def compare(model: Model, content: Any, given: Any) -> Iterator[str]:
+    """Yield what does not hold: of an optimum, of a policy's value, of the regret between them."""
+    for key in ("optimum", "value"):
+        keyed(given[key], INNER, key)
+    alone, best = model.isolate(content, given["policy"]), Check(model, given["optimum"])
+    own, lost = Check(alone, given["value"]), ratio(given["regret"], "regret", INFINITE)
+    for key, each in (("optimum", best), ("value", own)):
+        if [given[key]["model"], given[key]["sense"]] != [each.model.digest(), model.sense]:
+            yield f"{key}: it is of another model"
+        yield from (f"{key}: {wrong}" for wrong in each.violations())
+    alike = [best.kind, best.parts] == [own.kind, own.parts] and best.kind in ("total", "average")
+    ends = best.start, -own.start  # infinite ones alone count; both: NaN
+    if not alike or lost != model.sign * (sum(x for x in ends if abs(x) == inf) or sum(ends)):
+        yield "the regret is not the difference of an optimum and a value that are proven alike"
+
+
+def describe(given: Any) -> str:
+    """Return in a sentence what a certificate of a regret shows, ten digits of each number."""
+    said = given["value"]["start_value"], given["optimum"]["start_value"], given["regret"]
+    each = (ratio(x, "", INFINITE) for x in said)
+    own, best, lost = (x if abs(x) == inf else Decimal(x.numerator) / x.denominator for x in each)
+    return f": the policy earns {own:.10g} at the start, the best {best:.10g}; regret {lost:.10g}"
+
+
 def violations(model: object, given: Any) -> list[str]:
     """Return what does not hold, the first 20 sentences, of what two files contain; or nothing."""
     headed(given, "certificate")
@@ -323,7 +371,8 @@ def violations(model: object, given: Any) -> list[str]:
     keyed(given, KEYS[given["kind"]], "the certificate")
     if [given["model"], given["sense"]] != [(of := Model(model)).digest(), of.sense]:
         return ["the certificate is of another model"]
-    return [*islice(Check(of, given).violations(), 20)]
+    found = compare(of, model, given) if "value" in given else Check(of, given).violations()
+    return [*islice(found, 20)]
 
 
 def read(path: str) -> Any:
@@ -338,11 +387,12 @@ def main(words: Sequence[str], load: Callable[[str], Any] = read) -> int:
     """Check a certificate file against a model file, and say what does not hold."""
     try:
         wanted(len(words) == 2, "give two files: model.json certificate.json")
-        wrong = violations(load(words[0]), read(words[1]))
+        wrong = violations(load(words[0]), given := read(words[1]))
+        said = "holds" + (describe(given) if not wrong and "value" in given else "")
     except (ValueError, OSError) as error:
         print(f"not checked: {error}", file=sys.stderr)
         return 2
-    print("\n".join(f"does not hold: {what}" for what in wrong) or "holds")
+    print("\n".join(f"does not hold: {what}" for what in wrong) or said)
     return 1 if wrong else 0
 
 

@@ -1,6 +1,6 @@
 """Encode records as JSON, and decode them by the types of their fields: the file format of proofs.
 
-    int                  a text in hexadecimal, such as "-0x1f4", of any length
+    int                  a text in hexadecimal, such as "-0x1f4"
     Fraction             a text of two such numbers, "0x1/0x3"; infinite floats "inf" and "-inf"
     str, bool            as they are
     array of integers    a list of numbers
@@ -10,7 +10,8 @@
 
 A file has the keys `format` ("exact-mdp certificate") and `version` (2) beside the keys of its
 record, whose `kind` names the claim. Integers are hexadecimal because this is fast, and because
-Python refuses to read or write over 4,300 decimal digits. Reading checks only the form of a file;
+Python refuses to read or write over 4,300 decimal digits; no reader takes more than 100,000
+hexadecimal digits, so that none runs out of time or memory. Reading checks only the form of a file;
 `violations` checks its claims.
 """
 
@@ -38,7 +39,7 @@ from exact_mdp.solvers.exact.levels import make_fraction
 T = TypeVar("T")
 
 FORMAT, VERSION = "exact-mdp certificate", 2
-INTEGER = re.compile(r"-?0x(0|[1-9a-f][0-9a-f]*)")
+INTEGER = re.compile(r"-?0x(0|[1-9a-f][0-9a-f]{0,99999})")  # a stated limit, as in `checker`
 
 
 def encode_record(value: Any, integer: Callable[[int], object] = hex) -> Any:

@@ -5,18 +5,19 @@ Checks a certificate against a model, with Python's standard library alone.
     python verified.py model.json certificate.json
 
 Exit status 0: it holds, 1: it does not, 2: a file is not what it should be, or is of a kind that
-this program does not cover: it covers totals, averages and bounds, and with the package, which
-knows what is counted, limits and fronts of two objectives.
+this program does not cover: it covers totals, averages, bounds and regrets, and with the package,
+which knows what is counted, limits and fronts of two objectives.
 
-That what `check`, `check_limits` and `check_front` accept holds is a theorem, one for each, proven
-in Coq without an axiom. They speak of every policy, which may draw its actions and depend on all
-that came before. Of a total, no policy earns more in the limit of many steps than is claimed, and
-that of the certificate earns it; bounds lie on both sides; of an average, no policy earns more per
-step; values under a goal mean what the format says; under limits, no policy that keeps them earns
-more; beyond a front there is no policy. If a total that is proven by its values is said to be
-unique, then every optimal policy takes the same actions wherever it comes, unless the discount is
-0. The statements are Claims.v, LimitsClaims.v and FrontsClaims.v in proof/theories/ of the project,
-with the definitions in Spec.v.
+That what `check`, `check_regret`, `check_limits` and `check_front` accept holds is a theorem, one
+for each, proven in Coq without an axiom. They speak of every policy, which may draw its actions and
+depend on all that came before. Of a total, no policy earns more in the limit of many steps than is
+claimed, and that of the certificate earns it; bounds lie on both sides; of an average, no policy
+earns more per step; values under a goal mean what the format says. Of a regret, this holds of the
+optimum, the policy earns exactly its value, and the regret is the difference. Under limits, no
+policy that keeps them earns more; beyond a front there is no policy. If a total that is proven by
+its values is said to be unique, then every optimal policy takes the same actions wherever it comes,
+unless the discount is 0. The statements are Claims.v, RegretClaims.v, LimitsClaims.v and
+FrontsClaims.v in proof/theories/ of the project, with the definitions in Spec.v.
 
 What has to be believed besides: Coq; that it extracts the program rightly, and that a short one
 makes Python of it; and that the model file is the model meant. What follows "reading" is not
@@ -31,13 +32,14 @@ import json
 import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
+from decimal import Decimal
 from fractions import Fraction
 from functools import reduce
 from hashlib import sha256
 from itertools import pairwise
 from math import gcd, lcm
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 
 class Q(NamedTuple):
@@ -215,6 +217,19 @@ class Front(NamedTuple):
     vertices: list[Vertex]
     corners: list[Corner]
     front_rank: Callable[[int], int] | None
+
+
+class Verdict(NamedTuple):
+    """An optimum, a policy, and what the policy loses.
+
+    It takes each action of a state with its share. `own` is what it is worth, as the optimum of the
+    model in which its draws are the only pairs.
+    """
+
+    optimum: Certificate
+    share: Callable[[int, int], Q]
+    own: Certificate
+    regret: Extended
 
 
 def add_term(so_far: Ratio, term: tuple[int, Ratio]) -> Ratio:
@@ -1102,9 +1117,146 @@ def check_front(m: Model, f: Front, hs: Hints) -> bool:
     )
 
 
-def grouped(terms: list[tuple[int, tuple[int, Ratio]]]) -> Callable[[int], list[tuple[int, Ratio]]]:
+def share_of(v: Verdict, p: Pair) -> Q:
+    """Return the probability with which the policy takes a pair."""
+    return v.share(p.state, p.action)
+
+
+def share_right(v: Verdict, p: Pair) -> bool:
+    """Return whether this is 0 or more."""
+    return share_of(v, p).top >= 0
+
+
+def drawn(v: Verdict, p: Pair) -> bool:
+    """Return whether the policy may take a pair."""
+    return share_of(v, p).top > 0
+
+
+def below_of(v: Verdict, p: Pair) -> int:
+    """Return the denominator of a pair times that of its share."""
+    return p.denominator * share_of(v, p).below
+
+
+def common(v: Verdict, so_far: int, p: Pair) -> int:
+    """Return a common multiple of a number and of this denominator."""
+    return lcm(so_far, below_of(v, p))
+
+
+def drawn_outcome(v: Verdict, unit: int, p: Pair, o: Outcome) -> Outcome:
+    """Return an outcome of a pair as one of the draw, whose denominator is given."""
+    return Outcome(
+        o.next, o.weight * (share_of(v, p).top * divided(unit, below_of(v, p))), o.reward
+    )
+
+
+def drawn_outcomes(v: Verdict, unit: int, p: Pair) -> list[Outcome]:
+    """Return all outcomes of a pair as those of the draw."""
+    return [drawn_outcome(v, unit, p, o) for o in p.outcomes]
+
+
+def draw(v: Verdict, s: int, among: list[Pair]) -> Pair:
+    """Return the draw among some pairs of a state, as a pair."""
+    unit = reduce(lambda so_far, p: common(v, so_far, p), among, 1)
+    return Pair(s, 0, unit, [x for p in among for x in drawn_outcomes(v, unit, p)])
+
+
+def drawn_model(m: Model, v: Verdict) -> Model:
+    """Return the model in which the draws of the policy are the only pairs."""
+    among = grouped([(p.state, p) for p in [p for p in m.pairs if drawn(v, p)]])
+    once = [p for p in m.pairs if taken(v.optimum.actions, p)]
+    return Model(
+        m.states,
+        m.discount,
+        m.maximise,
+        m.start,
+        [draw(v, p.state, among(p.state)) for p in once],
+        m.goal,
+        m.missing_is_least,
+    )
+
+
+def form_of(c: Claim) -> int:
+    """Return a number for the way in which a claim is proven; bounds are no such way."""
+    if isinstance(c, Values):
+        return 0
+    if isinstance(c, Bounds):
+        return -1
+    if isinstance(c, Expansion):
+        return 1 if c.average else 2
+    return 3
+
+
+def same_form(a: Claim, b: Claim) -> bool:
+    """Return whether two claims are proven in the same way."""
+    return form_of(a) == form_of(b) and form_of(a) >= 0
+
+
+def unbounded(m: Model, c: Claim, p: Pair) -> bool:
+    """Return whether a state is said to be worth +∞ though missing the goal is worth the least."""
+    if isinstance(c, Reaching):
+        return m.missing_is_least and above(c.infinite, p.state)
+    return False
+
+
+def difference(m: Model, a: Q, b: Q) -> Ratio:
+    """Return the first number less the second; of costs, the second less the first."""
+    below = a.below * b.below
+    return (signed(m, a.top * b.below - b.top * a.below), below)
+
+
+def loses(m: Model, a: Q, second: Extended, lost: Q) -> bool:
+    """Return whether a value is a number, and the difference of another from it is `lost`."""
+    if isinstance(second, Finite):
+        top, below = difference(m, a, second.number)
+        return top * lost.below == lost.top * below
+    return False
+
+
+def is_difference(m: Model, first: Extended, second: Extended, lost: Q) -> bool:
+    """Return whether two values are numbers, and their difference is `lost`."""
+    if isinstance(first, Finite):
+        return loses(m, first.number, second, lost)
+    return False
+
+
+def is_apart(m: Model, first: Extended, second: Extended) -> bool:
+    """Return whether one of two start values is infinite, and the other is not the same."""
+    return (is_most(m, first) and not is_most(m, second)) or (
+        is_least(m, second) and not is_least(m, first)
+    )
+
+
+def regret_right(m: Model, v: Verdict) -> bool:
+    """Return whether the regret is what the policy loses at the start."""
+    extended = v.regret
+    if isinstance(extended, Finite):
+        return is_difference(m, v.optimum.start_value, v.own.start_value, extended.number)
+    if isinstance(extended, PlusInfinity):
+        return is_apart(m, v.optimum.start_value, v.own.start_value)
+    return False
+
+
+def check_regret(m: Model, v: Verdict, hs: Hints, hs_own: Hints) -> bool:
+    """Return whether a verdict holds of a model: if so, what it says is a theorem.
+
+    The hints are of the optimum, and of the model of the policy.
+    """
+    return (
+        check(m, v.optimum, hs)
+        and all(share_right(v, p) for p in m.pairs)
+        and check(drawn_model(m, v), v.own, hs_own)
+        and same_form(v.optimum.claims, v.own.claims)
+        and all(not unbounded(m, v.own.claims, p) for p in m.pairs)
+        and regret_right(m, v)
+    )
+
+
+T = TypeVar("T")
+
+
+def grouped(terms: list[tuple[int, T]]) -> Callable[[int], list[T]]:
     """Return the terms of each state, in their order."""
-    found: dict[int, list[tuple[int, Ratio]]] = {}
+    found: dict[int, list[T]] = {}
     for state, term in terms:
         found.setdefault(state, []).append(term)
     return lambda state: found.get(state, [])
@@ -1117,14 +1269,17 @@ def divided(a: int, b: int) -> int:
 
 # ---- reading, without proof ----------------------------------------------------------------------
 
-NUMBER = re.compile(r"(-?(?:0x[0-9a-f]+|[0-9]+))(?:/(0x[0-9a-f]+|[0-9]+))?")
+DIGITS = "(?:0x[0-9a-f]{1,100000}|[0-9]{1,4300})"  # more would take too long
+NUMBER = re.compile(f"(-?{DIGITS})(?:/({DIGITS}))?")
 PARTS = {"state", "action", "denominator", "next", "weight", "reward"}
 HEAD = {"format", "version", "kind", "model", "sense", "policy", "rank"}
 KEYS = {
     "total": HEAD | {"g", "h", "w", "infinite", "order", "start_value", "unique"},
     "average": HEAD | {"g", "h", "w", "infinite", "order", "start_value", "unique"},
     "bounds": HEAD | {"low", "high"},
+    "regret": HEAD - {"rank"} | {"optimum", "value", "regret"},
 }
+INNER = KEYS["total"] - {"format", "version"}
 LIMITED = {"format", "version", "kind", "model", "objectives", "rank", "limits", "feasible",
            "flow", "price", "dual", "shift"}  # fmt: skip
 FRONT = {"format", "version", "kind", "model", "objectives", "rank", "attained", "corners"}
@@ -1142,14 +1297,13 @@ def needed(condition: object, what: str) -> None:
 
 def fraction(given: object, where: str) -> Fraction:
     """Read an integer, or a text such as "-7", "0x1f" or "1/3"."""
-    if type(given) is int:
-        return Fraction(given)
-    match = NUMBER.fullmatch(given) if isinstance(given, str) else None
+    text = hex(given) if type(given) is int else given
+    match = NUMBER.fullmatch(text) if isinstance(text, str) else None
     needed(match, f"{where}: not a number")
     assert match
     try:
         return Fraction(int(match[1], 0), int(match[2] or "1", 0))
-    except (ValueError, ZeroDivisionError) as error:  # 007, 1/0, more digits than Python reads
+    except (ValueError, ZeroDivisionError) as error:  # 007, 1/0
         raise Unreadable(f"{where}: not a number; long ones are in hexadecimal") from error
 
 
@@ -1199,7 +1353,7 @@ def pair_of(given: object, states: int) -> Pair:
 
 
 def model_of(given: object) -> tuple[Model, str]:
-    """Read a model; return its hash, too."""
+    """Read a model; return the first line of what its hash is made of, too."""
     own = content_of(given, "model")
     for key in ("states", "discount", "sense", "start", "pairs"):
         needed(key in own, f"the model: {key} is missing")
@@ -1231,7 +1385,7 @@ def model_of(given: object) -> tuple[Model, str]:
         None if goal is None else goal.__contains__, (missing == "-inf") is (sense == "max"),
     )  # fmt: skip
     aim = "" if goal is None else f" {missing} {sorted(goal)}"
-    return model, digest(model, f"exact-mdp model 2 {sense}{aim}")
+    return model, f"exact-mdp model 2 {sense}{aim}"
 
 
 def digest(m: Model, first: str) -> str:
@@ -1271,6 +1425,13 @@ def level_of(given: object, where: str, states: int) -> Level:
     return [(x, below[k]) for x, k in zip(top, group, strict=True)].__getitem__
 
 
+def extended(given: object, where: str) -> Extended:
+    """Read a number, or an infinite one."""
+    if given in ("inf", "-inf"):
+        return PlusInfinity() if given == "inf" else MinusInfinity()
+    return Finite(Q(*fraction(given, where).as_integer_ratio()))
+
+
 def certificate_of(own: dict[str, Any], m: Model) -> Certificate | None:
     """Read a certificate; return None where its parts prove nothing of its kind."""
     some = {key: x for key, x in own.items() if x is not None}
@@ -1285,10 +1446,7 @@ def certificate_of(own: dict[str, Any], m: Model) -> Certificate | None:
         for key in ("g", "h", "w", "low", "high") if key in some
     }  # fmt: skip
     ranks = None if rank is None else rank.__getitem__
-    value: Extended = MinusInfinity() if own.get("start_value") == "-inf" else PlusInfinity()
-    if own.get("start_value", 0) not in ("inf", "-inf"):
-        number = fraction(own.get("start_value", 0), "start_value")
-        value = Finite(Q(*number.as_integer_ratio()))
+    value = extended(own.get("start_value", 0), "start_value")
     kind, parts = own["kind"], [*levels]
     claim: Claim
     if order is not None or infinite is not None:
@@ -1308,6 +1466,27 @@ def certificate_of(own: dict[str, Any], m: Model) -> Certificate | None:
         return None
     unique = own.get("unique", False)
     return Certificate(policy.__getitem__, claim, value, unique) if type(unique) is bool else None
+
+
+def verdict_of(own: dict[str, Any], m: Model) -> Verdict | None:
+    """Read a verdict on a policy; return None where a part proves nothing of its kind."""
+    inner = [with_keys(own[key], INNER, key) for key in ("optimum", "value")]
+    policy = with_keys(own["policy"], ("pairs", "weights"), "policy")
+    listed = integers(policy["pairs"], "policy")
+    weight = level_of(policy["weights"], "weights", len(listed))
+    needed(listed == sorted({*listed}), "policy: pairs that are not in their order")
+    shares, whole = [Q(0, 1)] * len(m.pairs), [Fraction(0)] * m.states
+    for number, place in enumerate(listed):
+        needed(0 <= place < len(shares) and weight(number)[0] > 0, "no pair, or no weight above 0")
+        shares[place] = Q(*weight(number))
+        whole[m.pairs[place].state] += Fraction(*weight(number))
+    needed({*whole} == {1}, "policy: weights that do not sum to 1 in a state")
+    places = {pair[:2]: k for k, pair in enumerate(m.pairs)}
+    optimum, value = (certificate_of(each, m) for each in inner)
+    lost = extended(own["regret"], "regret")
+    if optimum is None or value is None:
+        return None
+    return Verdict(optimum, counted_by(places, shares), value, lost)
 
 
 # ---- hints ---------------------------------------------------------------------------------------
@@ -1363,11 +1542,11 @@ def limits_hold(
     """
     own = with_keys(content_of(certificate, "certificate"), LIMITED, "the certificate")
     needed(own["kind"] == "limits", "not a proof of an optimum under limits")
-    m, print_of_model = model_of(model)
+    m, first = model_of(model)
     needed(type(own["feasible"]) is bool, "feasible is neither true nor false")
     c = limited_of(own, m, names, amounts)
     rewards = [Fraction(*earned(m, pair)) for pair in m.pairs]
-    if own["model"] != print_of_model or [*amounts[0]] != rewards:
+    if own["model"] != digest(m, first) or [*amounts[0]] != rewards:
         return False
     return check_limits(m, c, hints_of_totals(m, amounts))
 
@@ -1435,7 +1614,7 @@ def front_holds(model: object, certificate: object, amounts: Sequence[Sequence[F
     own = with_keys(content_of(certificate, "certificate"), FRONT, "the certificate")
     needed(own["kind"] == "front", "not a front")
     needed(len(amounts) == 2, "the proof covers fronts of two objectives")
-    m, print_of_model = model_of(model)
+    m, first_line = model_of(model)
     listed = [vertex_of(each, m) for each in objects(own["attained"], "attained")]
     vertices = [vertex for vertex in listed if vertex]
     totals = [[Fraction(*x) for x in (v.first_total, v.second_total)] for v in vertices]
@@ -1454,7 +1633,8 @@ def front_holds(model: object, certificate: object, amounts: Sequence[Sequence[F
             shares[k].append(weights[0])
     several = all(own_shares and min(own_shares) < max(own_shares) for own_shares in shares)
     alike = len({tuple(total) for total in totals}) < len(totals)
-    if own["model"] != print_of_model or len(vertices) < len(listed) or alike or not several:
+    same = own["model"] == digest(m, first_line)
+    if not same or len(vertices) < len(listed) or alike or not several:
         return False
     rank = None if own["rank"] is None else integers(own["rank"], "rank", m.states)
     needed(min(rank or [], default=0) >= 0, "a rank is negative")
@@ -1507,11 +1687,38 @@ def holds(model: object, certificate: object) -> bool:
     if not isinstance(kind, str) or kind not in KEYS:
         raise Unreadable(f"the proof covers {', '.join(KEYS)}, not {str(kind)[:40]!r}")
     with_keys(own, KEYS[kind], "the certificate")
-    m, print_of_model = model_of(model)
-    if [own["model"], own["sense"]] != [print_of_model, "max" if m.maximise else "min"]:
+    m, first = model_of(model)
+    if [own["model"], own["sense"]] != [digest(m, first), "max" if m.maximise else "min"]:
         return False
+    if kind == "regret":
+        return verdict_holds(own, m, first)
     c = certificate_of(own, m)
     return c is not None and check(m, c, hints_of(m, c))
+
+
+def verdict_holds(own: dict[str, Any], m: Model, first: str) -> bool:
+    """Return whether a verdict holds of a model; `first` is the first line of what is hashed."""
+    v = verdict_of(own, m)
+    if v is None:
+        return False
+    alone = drawn_model(m, v)
+    heads = [[own[key]["model"], own[key]["sense"]] for key in ("optimum", "value")]
+    if heads != [[own["model"], own["sense"]], [digest(alone, first), own["sense"]]]:
+        return False
+    return check_regret(m, v, hints_of(m, v.optimum), hints_of(alone, v.own))
+
+
+def describe(own: dict[str, Any]) -> str:
+    """Return in a sentence what a verdict that holds shows, ten digits of each number."""
+    said = list[str]()
+    for x in (own["value"]["start_value"], own["optimum"]["start_value"], own["regret"]):
+        if x in ("inf", "-inf"):
+            said.append(x)
+        else:
+            number = fraction(x, "")
+            said.append(f"{Decimal(number.numerator) / number.denominator:.10g}")
+    worth, best, lost = said
+    return f": the policy earns {worth} at the start, the best {best}; regret {lost}"
 
 
 def once(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
@@ -1532,12 +1739,15 @@ def main(words: Sequence[str]) -> int:
     """Check a certificate file against a model file."""
     try:
         needed(len(words) == 2, "give two files: model.json certificate.json")
-        right = holds(read(words[0]), read(words[1]))
+        right = holds(read(words[0]), certificate := read(words[1]))
     except (ValueError, OSError) as error:
         print(f"not checked: {error}", file=sys.stderr)
         return 2
-    print("holds" if right else "does not hold")
-    return 0 if right else 1
+    if not right:
+        print("does not hold")
+        return 1
+    print("holds" + (describe(certificate) if certificate["kind"] == "regret" else ""))
+    return 0
 
 
 if __name__ == "__main__":

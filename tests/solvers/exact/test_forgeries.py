@@ -221,4 +221,4 @@ def test_it_can_be_read_in_one_sitting_and_imports_nothing() -> None:
         if isinstance(node, ast.Import | ast.ImportFrom)
     }
     assert {name.partition(".")[0] for name in imported} <= sys.stdlib_module_names
-    assert len(text.splitlines()) <= 350
+    assert len(text.splitlines()) <= 400

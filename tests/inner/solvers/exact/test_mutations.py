@@ -14,7 +14,7 @@ import pytest
 from made_models import under
 from proof_models import ENDING, ISLANDS, LOOP, MODELS, THREE, TIES, of
 
-from exact_mdp import MDP, ModelError, best_cvar, certify, rationalize, solve, tradeoff
+from exact_mdp import MDP, ModelError, best_cvar, certify, check, rationalize, solve, tradeoff
 from exact_mdp.analysis.cli.policies import KINDS
 from exact_mdp.mdp.io import model_json
 from exact_mdp.solvers.bounds.gains import compute_advantages
@@ -31,6 +31,11 @@ PROOFS: dict[str, Callable[[], Any]] = {
     ),
     "bounds": lambda: certify(of(LOOP, discount="1/2"), bounded=True),
     "bounds of costs": lambda: certify(of(TIES, sense="min"), bounded=True),
+    "regret": lambda: check(of(LOOP, discount="1/2"), {0: {0: "1/4", 1: "3/4"}, 1: 0}).certificate,
+    "regret of costs": lambda: check(of(TIES, sense="min"), {0: {0: "1/2", 1: "1/2"}}).certificate,
+    "regret per step": lambda: (
+        check(of(ISLANDS), {0: {0: "2/3", 1: "1/3"}, 2: 1, 4: 1}, criterion="average").certificate
+    ),
     "front": lambda: tradeoff(THREE, ["a", "b"]),
     "front of costs": lambda: tradeoff(ENDING, ["a", "b", "c"]),
     "limits": lambda: solve(THREE, subject_to={"b": ">= 15"}),
@@ -108,6 +113,15 @@ def claims_of(proof: Any) -> list[Any]:
 def is_true(proof: Any, made: Any) -> bool:
     """Whether it is so, also of the policy and of the limits that the proof names."""
     mdp, kind = made.mdp, proof.kind
+    if kind == "regret":
+        policy: dict[int, dict[int, Fraction]] = {}
+        for pair, share in proof.policy.to_numbers().items():
+            state, action = int(mdp.pair_state[pair]), int(mdp.pair_action[pair])
+            policy.setdefault(state, {})[action] = share
+        own = check(mdp, policy, criterion=proof.criterion).certificate
+        mine, yours = (replace(x.value, mdp=None) for x in (proof, own))
+        same = claims_of(mine)[:3] == claims_of(yours)[:3] and proof.regret == own.regret
+        return same and is_true(replace(proof.optimum, mdp=mdp), made.optimum)
     if kind == "limits":
         named = {limit.name: str(limit).removeprefix(limit.name) for limit in proof.limits}
         made = solve(mdp, subject_to=named)

@@ -4,6 +4,7 @@ import ast
 import json
 import subprocess
 import sys
+from fractions import Fraction as F
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,9 @@ from inner.solvers.exact.test_checker import (
     row,
 )
 
-from exact_mdp.solvers.exact import verified
+from exact_mdp import MDP, check
+from exact_mdp.mdp.io import model_json
+from exact_mdp.solvers.exact import checker, codec, verified
 from exact_mdp.solvers.exact.verified import Unreadable, holds
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -95,6 +98,38 @@ def test_version_2_is_an_integer(version: Any) -> None:
     assert verdicts(GOOD, SOUND | {"version": version}) == (2, 2)
 
 
+LONG = "0x" + "1" * 100_000
+
+
+@pytest.mark.parametrize("number", [LONG, "-" + LONG, f"1/{LONG}", "1" * 4300])
+def test_numbers_may_have_so_many_digits(number: str) -> None:
+    assert verdicts(GOOD, SOUND | {"start_value": number}) == (1, 1)
+
+
+@pytest.mark.parametrize("number", [LONG + "1", f"{LONG}1/{LONG}", f"1/{LONG}1", "1" * 4301])
+def test_longer_numbers_are_refused(number: str) -> None:
+    limit = sys.get_int_max_str_digits()
+    sys.set_int_max_str_digits(0)  # even where Python would read them
+    try:
+        for bad in (SOUND | {"start_value": number}, SOUND | {"policy": [number] * 2}):
+            assert verdicts(GOOD, bad) == (2, 2)
+        assert verdicts(GOOD | {"discount": number}, SOUND) == (2, 2)
+        assert verdicts(GOOD | {"states": 16**100_001}, SOUND) == (2, 2)
+    finally:
+        sys.set_int_max_str_digits(limit)
+
+
+def test_a_file_with_a_long_integer_is_refused(tmp_path: Path) -> None:
+    """Python reads no integer of more than 4,300 digits: the exit status is that of bad input."""
+    given, proof = tmp_path / "model.json", tmp_path / "proof.json"
+    long = '{"a": ' + "1" * 4301 + "}"
+    for texts in ((json.dumps(GOOD), long), (long, json.dumps(SOUND))):
+        for path, text in zip((given, proof), texts, strict=True):
+            path.write_text(text, "utf-8")
+        for main in (checker.main, verified.main):
+            assert main([str(given), str(proof)]) == 2
+
+
 @pytest.mark.parametrize("given", [None, [], "exact-mdp model", 2, {}, {"format": []}, [[]]])
 def test_other_content_is_refused(given: Any) -> None:
     assert verdicts(given, SOUND) == verdicts(GOOD, given) == (2, 2)
@@ -107,7 +142,9 @@ def test_a_certificate_of_another_model_does_not_hold() -> None:
 
 def test_kinds_that_the_proof_does_not_cover_are_refused_in_words() -> None:
     for kind in ("weights", None, ["total"]):
-        with pytest.raises(Unreadable, match="the proof covers total, average, bounds, not "):
+        with pytest.raises(
+            Unreadable, match="the proof covers total, average, bounds, regret, not "
+        ):
             holds(GOOD, SOUND | {"kind": kind})
 
 
@@ -154,8 +191,39 @@ def test_the_exit_status_says_whether_it_holds(tmp_path: Path) -> None:
     assert alone(given, proof) == (1, "does not hold\n", "")
     proof.write_text(json.dumps(SOUND | {"kind": "weights"}), "utf-8")
     assert alone(given, proof) == (
-        2, "", "not checked: the proof covers total, average, bounds, not 'weights'\n"
+        2, "", "not checked: the proof covers total, average, bounds, regret, not 'weights'\n"
     )  # fmt: skip
+
+
+def test_both_checkers_say_in_a_sentence_what_is_shown_of_a_policy(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given, proof = tmp_path / "model.json", tmp_path / "proof.json"
+    rows = [(0, 0, [("1/2", 0, 1), ("1/2", 1, 1)]), (0, 1, [(1, 1, 1)]), (1, 0, [(1, 1, 0)])]
+    steps = [(s, 0, [("1/3", s, F(1, 10**30 + s)), ("2/3", s + 1, 1)]) for s in range(5)]
+    steps += [(0, 1, [(1, 1, 0)]), (5, 0, [(1, 5, 0)])]
+    falling = [(0, 0, [(1, 0, -1)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, 0)])]
+    for table, policy, said in (
+        (
+            rows,
+            {0: {0: F(1, 4), 1: F(3, 4)}},
+            "1.142857143 at the start, the best 2; regret 0.857",
+        ),
+        (steps, {0: 1}, "4.000000000 at the start, the best 5.000000000; regret 1.000000000"),
+        (falling, [0, 0], "-inf at the start, the best 0; regret inf"),
+    ):
+        audit = check(MDP.from_outcomes(table), policy)
+        given.write_text(json.dumps(model_json.encode_model(audit.mdp)), "utf-8")
+        proof.write_text(json.dumps(codec.build_file_content(audit.certificate)), "utf-8")
+        for main in (checker.main, verified.main):
+            assert main([str(given), str(proof)]) == 0
+            out = capsys.readouterr().out
+            assert out.startswith(f"holds: the policy earns {said}")
+            assert len(out) < 200
+    for describe in (checker.describe, verified.describe):  # numbers that no float holds
+        long = {"value": {"start_value": LONG}, "optimum": {"start_value": f"1/{LONG}"}}
+        out = describe(long | {"regret": "-inf"})
+        assert out.endswith("e+120410 at the start, the best 1.506002409e-120411; regret -inf")
 
 
 def test_bad_files_are_not_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
