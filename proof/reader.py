@@ -2,9 +2,9 @@
 
     python verified.py model.json certificate.json
 
-Exit status 0: it holds, 1: it does not, 2: a file is not what it should be, or is of a kind that
+Exit status 0: it holds, 1: it does not, 2: a file is not of the format, or is of a kind that
 this program does not cover: it covers totals, averages, bounds and regrets, and with the package,
-which knows what is counted, limits and fronts of two objectives.
+which knows the amounts counted, limits and fronts of two objectives.
 
 That what `check`, `check_regret`, `check_limits` and `check_front` accept holds is a theorem, one
 for each, proven in Coq without an axiom. They speak of every policy, which may draw its actions and
@@ -322,7 +322,7 @@ def verdict_of(own: dict[str, Any], m: Model) -> Verdict | None:
 
 
 def hints_of(m: Model, c: Certificate) -> Hints:
-    """Return what `check` is to test: ends, states that are reached, ways."""
+    """Return the hints that `check` tests: ends, states that are reached, ways."""
     own: list[list[Pair]] = [[] for _ in range(m.states)]
     for pair in m.pairs:
         own[pair.state].append(pair)
@@ -508,7 +508,7 @@ def counted_by(places: dict[tuple[int, int], int], numbers: Sequence[Q]) -> Call
 
 
 def holds(model: object, certificate: object) -> bool:
-    """Return whether what one file says holds of another; raises Unreadable for bad content."""
+    """Return whether the claims of one file hold for another; raises Unreadable for bad content."""
     own = content_of(certificate, "certificate")
     kind = own.get("kind")
     if kind in ("front", "limits"):

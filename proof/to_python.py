@@ -279,7 +279,7 @@ class Program:
         return self.expression(case["body"], names | self.parts(pattern, of))
 
     def parts(self, pattern: Json, of: Text) -> dict[str, Text]:
-        """Return what the names of a pattern mean: parts of what is looked at."""
+        """Return the meaning of the names of a pattern: parts of the value that is matched."""
         tuples, found = pattern["name"] == "Pair", dict[str, Text]()
         for number, name in enumerate(pattern["argnames"]):
             if name != "_":
@@ -288,7 +288,7 @@ class Program:
         return found
 
     def constructor(self, x: Json, names: dict[str, Text]) -> Text:
-        """Return what a constructor makes."""
+        """Return the object that a constructor makes."""
         if (number := self.integer(x)) is not None:
             return Text([str(number)], 9 if number >= 0 else 7, "", "")
         args = [self.expression(each, names) for each in x["args"]]

@@ -23,7 +23,7 @@ Inductive extended :=
   (* -∞ as start value. *)
   | Minus_infinity.
 
-(* What is claimed, with the levels and ranks that prove it by the rules of the format *)
+(* The claims, with the levels and ranks that prove it by the rules of the format *)
 Inductive claim :=
   (* A total by its values; a rank shows that every run ends, at discount 1. *)
   | Values (h : level) (rank : option (Z -> Z))
@@ -34,11 +34,11 @@ Inductive claim :=
   (* A total until a goal that a run may miss: `infinite` is 1 for +∞, -1 for -∞, else 0. *)
   | Reaching (h : level) (rank order infinite : Z -> Z).
 
-(* A policy, by the action of each state, and what is claimed. *)
+(* A policy, by the action of each state, and the claims. *)
 Record certificate := Certificate {
   actions : Z -> Z; claims : claim; start_value : extended; unique : bool }.
 
-(* What is found without proof. It is tested, so that a wrong hint can only refuse. Which states
+(* Results found without proof. They are tested, so that a wrong hint can only refuse. Which states
    are ends; which ones optimal pairs reach from the start; of states of +∞, the actions that
    lead to finite ones. If two pairs of a state are optimal: the number of steps to this target, or
    -1; the actions along the way; the state; both actions; and one that leaves the state or earns. *)
@@ -467,6 +467,6 @@ Definition uniqueness_right (m : model) (c : certificate) (hs : hints) : bool :=
   | _ => if unique c then one_each m (claims c) hs else two_somewhere m (claims c) hs
   end.
 
-(* Return whether a certificate holds of a model: if so, what it says is a theorem. *)
+(* Return whether a certificate holds of a model: if so, its claims are theorems. *)
 Definition check (m : model) (c : certificate) (hs : hints) : bool :=
   model_right m hs && policy_right m (actions c) && proves m c hs && uniqueness_right m c hs.

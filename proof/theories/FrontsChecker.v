@@ -73,7 +73,7 @@ Definition covering (m : model) (f : front) : bool :=
   forallb rising (combine (corners f) (tl (corners f))) &&
   forallb (meeting m f) (combine (corners f) (tl (corners f))).
 
-(* Return whether a front of two objectives holds: if so, what it says is a theorem. *)
+(* Return whether a front of two objectives holds: if so, its claims are theorems. *)
 Definition check_front (m : model) (f : front) (hs : hints) : bool :=
   model_right m hs && forallb (vertex_right m hs f) (vertices f) &&
   forallb (corner_right m hs f) (corners f) && covering m f.

@@ -15,14 +15,14 @@ Record limited := Limited {
   limits : list limit; feasible : bool; visits : Z -> Z -> ratio; dual : level; shift : Q;
   end_rank : option (Z -> Z) }.
 
-(* Return what a pair counts for a limit, as a ratio. *)
+(* Return the amount of a pair that a limit counts, as a ratio. *)
 Definition counted (p : pair) (l : limit) : ratio := ratio_of (counts l (state p) (action p)).
 
 (* Return a number times a price, as a term of a sum. *)
 Definition priced (x : ratio) (q : Q) : Z * ratio :=
   let (t, b) := x in (Qnum q, (t, b * Zpos (Qden q))).
 
-(* Return what a pair counts, priced, and its reward unless no policy keeps the limits. *)
+(* Return the priced amounts of a pair, and its reward unless no policy keeps the limits. *)
 Definition lagrangian (m : model) (c : limited) (p : pair) : ratio :=
   sum_of ((if feasible c then 1 else 0, earned m p) ::
     map (fun l => priced (counted p l) (price l)) (limits c)).
@@ -50,16 +50,16 @@ Definition goal_kept (m : model) (hs : hints) : bool :=
 (* Return the visits of a pair. *)
 Definition visits_of (c : limited) (p : pair) : ratio := visits c (state p) (action p).
 
-(* Return what an outcome of a pair that is visited so often gives to the next state. *)
+(* Return the visits to a state from an outcome of a pair that is visited so often. *)
 Definition given (m : model) (p : pair) (often : ratio) (o : outcome) : Z * (Z * ratio) :=
   let (t, b) := often in
   (next o, (Qnum (discount m) * weight o, (t, b * denominator p * Zpos (Qden (discount m))))).
 
-(* Return what a pair takes from its state, and gives to the next ones. *)
+(* Return the visits that a pair takes from its state, and gives to the next ones. *)
 Definition moved (m : model) (c : limited) (p : pair) : list (Z * (Z * ratio)) :=
   (state p, (-1, visits_of c p)) :: map (given m p (visits_of c p)) (outcomes p).
 
-(* Return what is given to each state: by the start, and by the pairs that are visited. *)
+(* Return the arrivals in each state: from the start, and from the pairs that are visited. *)
 Definition flow_terms (m : model) (c : limited) : list (Z * (Z * ratio)) :=
   map (fun sq => (fst sq, (1, ratio_of (snd sq)))) (start m) ++ flat_map (moved m c)
     (filter (fun p => negb (fst (visits_of c p) =? 0)) (pairs m)).
@@ -80,11 +80,11 @@ Definition visited_term (x y : ratio) : Z * ratio :=
   let (top, below) := y in
   (top, (t, below * b)).
 
-(* Return what the visits count for a limit. *)
+(* Return the total of a limit over the visits. *)
 Definition flow_count (m : model) (c : limited) (l : limit) : ratio :=
   sum_of (map (fun p => visited_term (counted p l) (visits_of c p)) (pairs m)).
 
-(* Return what the visits earn. *)
+(* Return the total reward of the visits. *)
 Definition flow_reward (m : model) (c : limited) : ratio :=
   sum_of (map (fun p => visited_term (earned m p) (visits_of c p)) (pairs m)).
 
@@ -113,7 +113,7 @@ Definition dual_right (m : model) (c : limited) (hs : hints) : bool :=
   forallb (ends_by_rank hs (end_rank c)) (pairs m) && goal_kept m hs &&
   level_right m (dual c) && forallb (dual_pair m hs c) (pairs m).
 
-(* Return whether a proof of an optimum under limits holds: if so, what it says is a theorem. *)
+(* Return whether a proof of an optimum under limits holds: if so, its claims are theorems. *)
 Definition check_limits (m : model) (c : limited) (hs : hints) : bool :=
   model_right m hs && dual_right m c hs && flow_right m hs c && forallb (keeps m c) (limits c) &&
   prices_right c && bound_right m c.

@@ -10,7 +10,7 @@ Import ListNotations.
 Open Scope Z_scope.
 
 (* An optimum, a policy, and what the policy loses. It takes each action of a state with its share.
-   `own` is what it is worth, as the optimum of the model in which its draws are the only pairs. *)
+   `own` is its value, as the optimum of the model in which its draws are the only pairs. *)
 Record verdict := Verdict {
   optimum : certificate; share : Z -> Z -> Q; own : certificate; regret : extended }.
 
@@ -100,7 +100,7 @@ Definition regret_right (m : model) (v : verdict) : bool :=
   | Minus_infinity => false
   end.
 
-(* Return whether a verdict holds of a model: if so, what it says is a theorem. The hints are of the
+(* Return whether a verdict holds of a model: if so, its claims are theorems. The hints are of the
    optimum, and of the model of the policy. *)
 Definition check_regret (m : model) (v : verdict) (hs hs_own : hints) : bool :=
   check m (optimum v) hs && forallb (share_right v) (pairs m) &&

@@ -79,6 +79,7 @@ MADE: dict[str, Callable[[], Any]] = {
     "PSA": lambda: em.psa(SMALL, 50, rng=0),
     "ReturnDistribution": lambda: em.return_distribution(care(), "random"),
     "Rationalization": lambda: em.rationalize(care(), "always:directive"),
+    "RegretCertificate": lambda: em.check(care(), "always:directive").certificate,
     "RegretInterval": lambda: recorded().interval,
     "RobustComparison": lambda: em.robust(care()),
     "RobustSolution": lambda: em.solve_robust(care(), em.Intervals.relative(care(), 0.1)),

@@ -100,9 +100,7 @@ def plot_transitions(
         for chance, following, gain in model.table.row(pair):
             text = _format_rational(chance) + (f", {_format_rational(gain)}" if gain else "")
             before = graph.get_edge_data(point, following, {}).get("label")
-            if before is None:
-                text = text
-            else:
+            if before is not None:
                 text = f"{before}; {text}"
             graph.add_edge(point, following, label=text, **look)
     place = nx.kamada_kawai_layout(graph.to_undirected())

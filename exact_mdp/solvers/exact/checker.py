@@ -365,7 +365,7 @@ def describe(given: Any) -> str:
 
 
 def violations(model: object, given: Any) -> list[str]:
-    """Return what does not hold, the first 20 sentences, of what two files contain; or nothing."""
+    """Return up to 20 sentences about rules that two files break: none if the claims hold."""
     headed(given, "certificate")
     wanted(str(given.get("kind")) in KEYS, f"no kind of {', '.join(KEYS)}: see exact-mdp verify")
     keyed(given, KEYS[given["kind"]], "the certificate")

@@ -4,9 +4,9 @@ Checks a certificate against a model, with Python's standard library alone.
 
     python verified.py model.json certificate.json
 
-Exit status 0: it holds, 1: it does not, 2: a file is not what it should be, or is of a kind that
+Exit status 0: it holds, 1: it does not, 2: a file is not of the format, or is of a kind that
 this program does not cover: it covers totals, averages, bounds and regrets, and with the package,
-which knows what is counted, limits and fronts of two objectives.
+which knows the amounts counted, limits and fronts of two objectives.
 
 That what `check`, `check_regret`, `check_limits` and `check_front` accept holds is a theorem, one
 for each, proven in Coq without an axiom. They speak of every policy, which may draw its actions and
@@ -139,7 +139,7 @@ Claim = Values | Bounds | Expansion | Reaching
 
 
 class Certificate(NamedTuple):
-    """A policy, by the action of each state, and what is claimed."""
+    """A policy, by the action of each state, and the claims."""
 
     actions: Callable[[int], int]
     claims: Claim
@@ -148,9 +148,9 @@ class Certificate(NamedTuple):
 
 
 class Hints(NamedTuple):
-    """What is found without proof.
+    """Results found without proof.
 
-    It is tested, so that a wrong hint can only refuse. Which states are ends; which ones optimal
+    They are tested, so that a wrong hint can only refuse. Which states are ends; which ones optimal
     pairs reach from the start; of states of +∞, the actions that lead to finite ones. If two pairs
     of a state are optimal: the number of steps to this target, or -1; the actions along the way;
     the state; both actions; and one that leaves the state or earns.
@@ -222,8 +222,8 @@ class Front(NamedTuple):
 class Verdict(NamedTuple):
     """An optimum, a policy, and what the policy loses.
 
-    It takes each action of a state with its share. `own` is what it is worth, as the optimum of the
-    model in which its draws are the only pairs.
+    It takes each action of a state with its share. `own` is its value, as the optimum of the model
+    in which its draws are the only pairs.
     """
 
     optimum: Certificate
@@ -866,7 +866,7 @@ def uniqueness_right(m: Model, c: Certificate, hs: Hints) -> bool:
 
 
 def check(m: Model, c: Certificate, hs: Hints) -> bool:
-    """Return whether a certificate holds of a model: if so, what it says is a theorem."""
+    """Return whether a certificate holds of a model: if so, its claims are theorems."""
     return (
         model_right(m, hs)
         and policy_right(m, c.actions)
@@ -876,7 +876,7 @@ def check(m: Model, c: Certificate, hs: Hints) -> bool:
 
 
 def counted(p: Pair, l: Limit) -> Ratio:
-    """Return what a pair counts for a limit, as a ratio."""
+    """Return the amount of a pair that a limit counts, as a ratio."""
     return ratio_of(l.counts(p.state, p.action))
 
 
@@ -887,7 +887,7 @@ def priced(x: Ratio, q0: Q) -> tuple[int, Ratio]:
 
 
 def lagrangian(m: Model, c: Limited, p: Pair) -> Ratio:
-    """Return what a pair counts, priced, and its reward unless no policy keeps the limits."""
+    """Return the priced amounts of a pair, and its reward unless no policy keeps the limits."""
     return sum_of(
         [
             (1 if c.feasible else 0, earned(m, p)),
@@ -928,13 +928,13 @@ def visits_of(c: Limited, p: Pair) -> Ratio:
 
 
 def given(m: Model, p: Pair, often: Ratio, o: Outcome) -> tuple[int, tuple[int, Ratio]]:
-    """Return what an outcome of a pair that is visited so often gives to the next state."""
+    """Return the visits to a state from an outcome of a pair that is visited so often."""
     t, b = often
     return (o.next, (m.discount.top * o.weight, (t, b * p.denominator * m.discount.below)))
 
 
 def moved(m: Model, c: Limited, p: Pair) -> list[tuple[int, tuple[int, Ratio]]]:
-    """Return what a pair takes from its state, and gives to the next ones."""
+    """Return the visits that a pair takes from its state, and gives to the next ones."""
     return [
         (p.state, (-1, visits_of(c, p))),
         *[given(m, p, visits_of(c, p), o) for o in p.outcomes],
@@ -942,7 +942,7 @@ def moved(m: Model, c: Limited, p: Pair) -> list[tuple[int, tuple[int, Ratio]]]:
 
 
 def flow_terms(m: Model, c: Limited) -> list[tuple[int, tuple[int, Ratio]]]:
-    """Return what is given to each state: by the start, and by the pairs that are visited."""
+    """Return the arrivals in each state: from the start, and from the pairs that are visited."""
     return [
         *[(sq[0], (1, ratio_of(sq[1]))) for sq in m.start],
         *[x for p in [p for p in m.pairs if visits_of(c, p)[0] != 0] for x in moved(m, c, p)],
@@ -965,12 +965,12 @@ def visited_term(x: Ratio, y: Ratio) -> tuple[int, Ratio]:
 
 
 def flow_count(m: Model, c: Limited, l: Limit) -> Ratio:
-    """Return what the visits count for a limit."""
+    """Return the total of a limit over the visits."""
     return sum_of([visited_term(counted(p, l), visits_of(c, p)) for p in m.pairs])
 
 
 def flow_reward(m: Model, c: Limited) -> Ratio:
-    """Return what the visits earn."""
+    """Return the total reward of the visits."""
     return sum_of([visited_term(earned(m, p), visits_of(c, p)) for p in m.pairs])
 
 
@@ -1015,7 +1015,7 @@ def dual_right(m: Model, c: Limited, hs: Hints) -> bool:
 
 
 def check_limits(m: Model, c: Limited, hs: Hints) -> bool:
-    """Return whether a proof of an optimum under limits holds: if so, what it says is a theorem."""
+    """Return whether a proof of an optimum under limits holds: if so, its claims are theorems."""
     return (
         model_right(m, hs)
         and dual_right(m, c, hs)
@@ -1108,7 +1108,7 @@ def covering(m: Model, f: Front) -> bool:
 
 
 def check_front(m: Model, f: Front, hs: Hints) -> bool:
-    """Return whether a front of two objectives holds: if so, what it says is a theorem."""
+    """Return whether a front of two objectives holds: if so, its claims are theorems."""
     return (
         model_right(m, hs)
         and all(vertex_right(m, hs, f, v) for v in f.vertices)
@@ -1237,7 +1237,7 @@ def regret_right(m: Model, v: Verdict) -> bool:
 
 
 def check_regret(m: Model, v: Verdict, hs: Hints, hs_own: Hints) -> bool:
-    """Return whether a verdict holds of a model: if so, what it says is a theorem.
+    """Return whether a verdict holds of a model: if so, its claims are theorems.
 
     The hints are of the optimum, and of the model of the policy.
     """
@@ -1493,7 +1493,7 @@ def verdict_of(own: dict[str, Any], m: Model) -> Verdict | None:
 
 
 def hints_of(m: Model, c: Certificate) -> Hints:
-    """Return what `check` is to test: ends, states that are reached, ways."""
+    """Return the hints that `check` tests: ends, states that are reached, ways."""
     own: list[list[Pair]] = [[] for _ in range(m.states)]
     for pair in m.pairs:
         own[pair.state].append(pair)
@@ -1679,7 +1679,7 @@ def counted_by(places: dict[tuple[int, int], int], numbers: Sequence[Q]) -> Call
 
 
 def holds(model: object, certificate: object) -> bool:
-    """Return whether what one file says holds of another; raises Unreadable for bad content."""
+    """Return whether the claims of one file hold for another; raises Unreadable for bad content."""
     own = content_of(certificate, "certificate")
     kind = own.get("kind")
     if kind in ("front", "limits"):
