@@ -177,7 +177,7 @@ def _compute_remainder(table: OutcomeTable) -> tuple[Numbers, Numbers]:
         return _remainder_by_outcome(table)
     amount, below = table.expected_components_exact()
     total = np.asarray(multiply(amount, to_integer_array([1]), terms=amount.shape[1]).sum(axis=1))
-    gain, bottom = table.expected_gain_exact()
+    gain, bottom = table.expected_gain_exact
     return multiply(gain, below) - multiply(total, bottom), multiply(bottom, below)
 
 

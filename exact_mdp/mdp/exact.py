@@ -42,7 +42,6 @@ from exact_mdp.mdp.table import (
     Integers,
     Numbers,
     concatenate_ranges,
-    merge_outcomes,
     multiply,
     reduce_fractions,
     row_sums,
@@ -99,8 +98,8 @@ class BellmanRows:
 def bellman_rows(model: MDP) -> BellmanRows:
     """Return the Bellman equations of a model in integers, computed once and read-only."""
     table, pair_offsets, pair_state = model.table, model.pair_offsets, model.pair_state
-    offsets, following, weight, denominator = merge_outcomes(table)
-    gain, gain_denominator = reduce_fractions(*table.expected_gain_exact())
+    offsets, following, weight, denominator = table.rows.merged
+    gain, gain_denominator = reduce_fractions(*table.expected_gain_exact)
     over, under = model.discount_exact.numerator, model.discount_exact.denominator
     # The scale of a pair is lcm(row denominator · discount denominator, reward denominator).
     bottom = multiply(denominator, to_integer_array([under]))
@@ -163,7 +162,7 @@ def fingerprint(model: MDP) -> str:
     True
     """
     # Rows in lowest terms, so that equal distributions have equal numbers.
-    offsets, following, weight, _ = merge_outcomes(model.table)
+    offsets, following, weight, _ = model.table.rows.merged
     weight = weight // np.repeat(np.gcd.reduceat(weight, offsets[:-1]), np.diff(offsets))
     rate, start = model.discount_exact, sorted((s, p) for s, p in model.start if p)
     start_numbers: list[int] = []
@@ -175,7 +174,7 @@ def fingerprint(model: MDP) -> str:
         *(
             model.pair_state,
             model.pair_action,
-            *reduce_fractions(*model.table.expected_gain_exact()),
+            *reduce_fractions(*model.table.expected_gain_exact),
         ),
         *(row_sums(weight, offsets), np.diff(offsets), following, weight),
     )

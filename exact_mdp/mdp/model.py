@@ -11,7 +11,7 @@ each number rounded once (state-action pairs: Puterman, Markov Decision Processe
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, wraps
 from pathlib import Path
 from typing import Any, Self, TypeVar
@@ -21,6 +21,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from exact_mdp.mdp import questions
+from exact_mdp.mdp.by_fields import ByFields
 from exact_mdp.mdp.components import named_components, wrong_rows
 from exact_mdp.mdp.errors import (
     ModelError,
@@ -37,9 +38,9 @@ from exact_mdp.mdp.forms.numbers import whole_numbers
 from exact_mdp.mdp.io.gymnasium import FromGymnasium
 from exact_mdp.mdp.io.transitions import FromTransitions
 from exact_mdp.mdp.questions import Questions
-from exact_mdp.mdp.result import ROWS_SHOWN, ByFields, DataFrame, data_frame, plain_report
+from exact_mdp.mdp.result import ROWS_SHOWN, DataFrame, data_frame, plain_report
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Floats, Integers, Numbers, OutcomeTable, divide, find_outcome_runs
+from exact_mdp.mdp.table import Floats, Integers, Numbers, OutcomeTable
 from exact_mdp.mdp.validate import (
     as_discount,
     as_flags,
@@ -51,6 +52,7 @@ from exact_mdp.mdp.validate import (
 )
 
 Found = TypeVar("Found")
+AMOUNTS = ("gain", "gain_denominator", "event", "components", "component_denominator")
 SHOWN = (
     *("from_arrays", "from_pairs", "from_outcomes", "from_function", "from_gymnasium"),
     *("from_transitions", "load", "save", "with_", "within", "reaching", "until", "frame"),
@@ -142,9 +144,6 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
 
     def __post_init__(self) -> None:
         fill = object.__setattr__  # the dataclass is frozen
-        # Normalize the rows and check all parts before anything is derived from them.
-        if isinstance(self.table, OutcomeTable):
-            fill(self, "table", self.table.with_normalized_rows())
         check_model(self)
         # Bring the optional parts into their canonical forms.
         for name, numbers in (("probabilities", self.table.weight), ("rewards", self.table.gain)):
@@ -171,7 +170,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         offsets = np.zeros(self.n_states + 1, dtype=np.int64)
         np.cumsum(np.bincount(self.pair_state, minlength=self.n_states), out=offsets[1:])
         fill(self, "pair_offsets", offsets)
-        fill(self, "transition", _build_transition_matrix(self.table, self.n_states))
+        fill(self, "transition", self.table.rows.build_matrix(self.n_states))
         fill(self, "reward", self.table.expected_gain())
         if not np.all(np.isfinite(self.reward)):
             raise ModelError("an expected reward is too large for a float", fix="scale the rewards")
@@ -187,7 +186,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
 
     def _lock_arrays(self) -> None:
         """Make all arrays read-only."""
-        for part in (self, self.table, self.transition):
+        for part in (self, self.table, self.table.rows, self.transition):
             for value in vars(part).values():
                 if isinstance(value, np.ndarray):
                     value.setflags(write=False)
@@ -434,7 +433,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         rows = np.flatnonzero(same)
         # Then compare pairs with as many outcomes in each array of the table.
         ours, theirs = table.of_pairs(rows), table.of_pairs(first[rows])
-        for name in [part.name for part in fields(table)[1:-1]]:  # all but the offsets, and a flag
+        for name in ("next", "weight", "denominator", *AMOUNTS):
             here, there = getattr(ours, name), getattr(theirs, name)
             if here is None:
                 continue
@@ -666,22 +665,6 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         import exact_mdp
 
         exact_mdp.save(self, path)
-
-
-def _build_transition_matrix(table: OutcomeTable, states: int) -> sp.csr_array:
-    """Return the (L, S) transition matrix, each probability rounded once."""
-    # Outcomes with the same next state become one entry, the sum of their weights.
-    data, indices, indptr = table.weight, table.next, table.offsets
-    if not table.rising:
-        first, indptr = find_outcome_runs(table)
-        data, indices = np.asarray(np.add.reduceat(data, first)), indices[first]
-    data = divide(data, table.denominator, np.diff(indptr))
-    # SciPy wants both index arrays in one type; 32 bits are enough for all but huge matrices.
-    if len(data) < 2**31 - 1:
-        indptr = indptr.astype(indices.dtype)
-    matrix = sp.csr_array((data, indices, indptr), shape=(table.pairs, states), copy=False)
-    matrix.has_canonical_format = True
-    return matrix
 
 
 def _check_components(mdp: MDP) -> None:

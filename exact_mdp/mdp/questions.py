@@ -213,9 +213,11 @@ class Questions(Parts):
         arrives = np.append(target, True)[table.next]
         order = np.argsort(2 * table.pair + arrives, kind="stable")
         arrives = arrives[order]
-        table = replace(
-            table.map_numbers(lambda _, values: values, lambda _, values: values[order]),
-            next=np.where(arrives, table.next.dtype.type(size), table.next[order]),
+        table = table.map_numbers(
+            lambda _, values: values,
+            lambda _, values: values[order],
+            offsets=table.offsets,
+            next_states=np.where(arrives, table.next.dtype.type(size), table.next[order]),
         )
         # An arrival earns 1, but the step from `reached` to itself earns 0.
         parts = {
@@ -358,10 +360,11 @@ class Questions(Parts):
 
         # The rows of one time, N times over, and one certain outcome for each state at time N.
         lengths = repeat_layers(np.diff(table.offsets), np.ones(states, np.int64))
-        layered = replace(
-            table.map_numbers(append_end, append_end),
+        layered = table.map_numbers(
+            append_end,
+            append_end,
             offsets=np.concatenate([[0], np.cumsum(lengths)]),
-            next=_list_next_states(self, own, over, rows, table, count),
+            next_states=_list_next_states(self, own, over, rows, table, count),
         )
         time = np.repeat(np.arange(count + 1), [*[len(rows)] * count, states])
 
@@ -499,16 +502,18 @@ def _redirect_pairs(table: OutcomeTable, ends: Flags, follows: Numbers) -> Outco
         return np.concatenate([values, _fill_certain(name, values, 1)])
 
     # Append one certain outcome; every redirected pair then becomes a copy of it.
-    ending = replace(
-        table.map_numbers(append_certain_pair, append_certain_pair),
+    ending = table.map_numbers(
+        append_certain_pair,
+        append_certain_pair,
         offsets=np.append(table.offsets, table.offsets[-1] + 1),
-        next=np.append(table.next, table.next.dtype.type(0)),
+        next_states=np.append(table.next, table.next.dtype.type(0)),
     )
     ended = ending.of_pairs(np.where(ends, table.pairs, np.arange(len(ends))))
     # Each copy leads to a state of its own.
     lengths = np.diff(ended.offsets)
     moved = np.repeat(np.asarray(follows), lengths).astype(ended.next.dtype)
-    return replace(ended, next=np.where(np.repeat(ends, lengths), moved, ended.next))
+    following = np.where(np.repeat(ends, lengths), moved, ended.next)
+    return replace(ended, rows=replace(ended.rows, next=following))
 
 
 def make_terminal(model: Any, states: Flags, **changes: Any) -> Any:

@@ -7,7 +7,6 @@ A result has its number in `value`, the kind of this number in `claim`, a bound 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import fields
 from reprlib import Repr
 from typing import TYPE_CHECKING, Any
 
@@ -36,20 +35,6 @@ class Brief:
         names = getattr(self, "__dataclass_fields__", {})
         parts = (f"{name}={_shorten_value(getattr(self, name))}" for name in names)
         return f"{type(self).__name__}({', '.join(parts)})"
-
-
-class ByFields:
-    """A dataclass that is copied and pickled by its fields only; arrays stay read-only."""
-
-    def __getstate__(self) -> dict[str, Any]:
-        parts: Any = self
-        return {part.name: getattr(self, part.name) for part in fields(parts)}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        for name, value in state.items():
-            if isinstance(value, np.ndarray):
-                value.setflags(write=False)
-            object.__setattr__(self, name, value)
 
 
 class Result(Brief, ABC):

@@ -24,6 +24,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from exact_mdp.mdp.by_fields import ByFields
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.forms.rows import FLOAT_ROW_TOLERANCE as FLOAT_ROW_TOLERANCE
 from exact_mdp.mdp.forms.rows import (
@@ -56,8 +57,11 @@ MOST_DIGITS = 4000  # digits of a number given as text: Python itself stops at 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class OutcomeTable:
-    """The joint distribution of next state and reward for each of L pairs, with N outcomes in all.
+class Rows(ByFields):
+    """The exact distribution of the next state for each of L pairs, with N outcomes in all.
+
+    Rows of floats are normalized once, when this object is made: they become the floats nearest to
+    the exact distributions for which they stand (`mdp.forms.rows`).
 
     Attributes
     ----------
@@ -65,42 +69,28 @@ class OutcomeTable:
         Outcomes of pair l are offsets[l] … offsets[l+1]-1, sorted by next state.
     next : (N,) int32 or int64
     weight, denominator : (N,), (L,)
-    gain, gain_denominator : (N,), or (L,) if all outcomes of a pair earn the same; (L,)
-    event : (N,) uint8, optional
-        Bit b is set on outcomes in which the model's event number b happens.
-    components, component_denominator : (N, C), or (L, C) if all outcomes have the same; (L,)
-        The reward by component, optional; without them the reward is the only component.
-    averaged : bool
-        Whether components (L, C) are means of amounts that differ between outcomes; in a table
-        without components, whether its reward is such a mean. Expectations are then exact, but
-        results that need single outcomes, such as variances and quantiles, are unknown.
+    sound : bool
+        Whether all rows are known to be normalized distributions of positive floats.
     """
 
     offsets: Integers
     next: Numbers
     weight: Numbers
     denominator: Numbers
-    gain: Numbers
-    gain_denominator: Numbers
-    event: NDArray[np.uint8] | None = None
-    components: Any = None
-    component_denominator: Any = None
-    averaged: bool = False
+    sound: bool = False
+
+    def __post_init__(self) -> None:
+        if self.weight.dtype == np.float64 and not self.sound:
+            weight = self.weight.copy()
+            sound = normalize_rows(weight, self.offsets)
+            object.__setattr__(self, "sound", sound)
+            if not np.array_equal(weight, self.weight):
+                object.__setattr__(self, "weight", weight)
 
     @property
     def pairs(self) -> int:
         """Number of pairs, L."""
         return len(self.offsets) - 1
-
-    @property
-    def pair(self) -> Integers:
-        """(N,) the pair of each outcome."""
-        return np.repeat(np.arange(self.pairs), np.diff(self.offsets))
-
-    @property
-    def joint(self) -> bool:
-        """True if rewards are stored by outcome, not by pair."""
-        return len(self.gain) == len(self.next) and self.pairs != len(self.next)
 
     @cached_property
     def rising(self) -> bool:
@@ -112,25 +102,127 @@ class OutcomeTable:
         shape = (self.pairs, int(self.next.max(initial=0)) + 1)
         return bool(sp.csr_array((self.next, self.next, offsets), shape).has_canonical_format)
 
-    def with_normalized_rows(self) -> OutcomeTable:
-        """Return the table with float rows normalized, as `mdp.forms.rows` defines it."""
-        if self.weight.dtype != np.float64 or "is_settled" in vars(self):
-            return self
-        weight = self.weight.copy()
-        normalize_rows(weight, self.offsets)
-        table = self
-        if not np.array_equal(weight, self.weight):
-            table = replace(self, weight=weight)
-        vars(table)["is_settled"] = True  # do it once
-        return table
+    @cached_property
+    def integers(self) -> tuple[Numbers, Numbers]:
+        """The exact rows as integers: (N,) weights over (L,) denominators."""
+        if self.weight.dtype != np.float64:
+            return self.weight, self.denominator
+        weight, denominator = rows_to_integers(self.weight, self.offsets)
+        lock_arrays(weight, denominator)
+        return weight, denominator
+
+    @cached_property
+    def merged(self) -> tuple[Integers, Numbers, Numbers, Numbers]:
+        """The exact (L, S) transition matrix in lowest terms, row by row.
+
+        These are offsets (L+1,), next states and weights (M,), and denominators (L,).
+        """
+        weight, denominator = self.integers
+        # Add up the weights of outcomes with the same next state.
+        first, offsets = self.find_runs()
+        following = self.next
+        if len(first) < len(following):
+            weight, following = np.asarray(np.add.reduceat(weight, first)), following[first]
+        # Cancel the greatest common divisor of each row and its denominator.
+        shared = np.gcd(np.gcd.reduceat(weight, offsets[:-1]), denominator)
+        weight, denominator = weight // np.repeat(shared, np.diff(offsets)), denominator // shared
+        lock_arrays(offsets, weight, denominator)
+        return offsets, following, weight, denominator
+
+    def find_runs(self) -> tuple[Integers, Integers]:
+        """Return the first outcome of each run with one next state, and each pair's first run."""
+        fresh = np.empty(len(self.next), dtype=bool)
+        fresh[1:] = self.next[1:] != self.next[:-1]
+        fresh[self.offsets[:-1]] = True
+        first = np.flatnonzero(fresh)
+        return first, np.searchsorted(first, self.offsets).astype(np.int64)
+
+    def build_matrix(self, states: int) -> sp.csr_array:
+        """Return the (L, S) transition matrix, each probability rounded once."""
+        # Outcomes with the same next state become one entry, the sum of their weights.
+        data, indices, indptr = self.weight, self.next, self.offsets
+        if not self.rising:
+            first, indptr = self.find_runs()
+            data, indices = np.asarray(np.add.reduceat(data, first)), indices[first]
+        data = divide(data, self.denominator, np.diff(indptr))
+        # SciPy wants both index arrays in one type; 32 bits are enough for all but huge matrices.
+        if len(data) < 2**31 - 1:
+            indptr = indptr.astype(indices.dtype)
+        matrix = sp.csr_array((data, indices, indptr), shape=(self.pairs, states), copy=False)
+        matrix.has_canonical_format = True
+        return matrix
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OutcomeTable(ByFields):
+    """The joint distribution of next state and reward for each of L pairs, with N outcomes in all.
+
+    Attributes
+    ----------
+    rows : Rows
+        The distributions of the next states.
+    gain, gain_denominator : (N,), or (L,) if all outcomes of a pair earn the same; (L,)
+    event : (N,) uint8, optional
+        Bit b is set on outcomes in which the model's event number b happens.
+    components, component_denominator : (N, C), or (L, C) if all outcomes have the same; (L,)
+        The reward by component, optional; without them the reward is the only component.
+    averaged : bool
+        Whether components (L, C) are means of amounts that differ between outcomes; in a table
+        without components, whether its reward is such a mean. Expectations are then exact, but
+        results that need single outcomes, such as variances and quantiles, are unknown.
+    """
+
+    rows: Rows
+    gain: Numbers
+    gain_denominator: Numbers
+    event: NDArray[np.uint8] | None = None
+    components: Any = None
+    component_denominator: Any = None
+    averaged: bool = False
+
+    @property
+    def pairs(self) -> int:
+        """Number of pairs, L."""
+        return self.rows.pairs
+
+    @property
+    def offsets(self) -> Integers:
+        """(L+1,) the outcomes of pair l are offsets[l] … offsets[l+1]-1."""
+        return self.rows.offsets
+
+    @property
+    def next(self) -> Numbers:
+        """(N,) the next state of each outcome."""
+        return self.rows.next
+
+    @property
+    def weight(self) -> Numbers:
+        """(N,) the numerator of the probability of each outcome."""
+        return self.rows.weight
+
+    @property
+    def denominator(self) -> Numbers:
+        """(L,) the denominator of the probabilities of each pair."""
+        return self.rows.denominator
+
+    @property
+    def pair(self) -> Integers:
+        """(N,) the pair of each outcome."""
+        return np.repeat(np.arange(self.pairs), np.diff(self.offsets))
+
+    @property
+    def joint(self) -> bool:
+        """True if rewards are stored by outcome, not by pair."""
+        return len(self.gain) == len(self.next) and self.pairs != len(self.next)
 
     def of_pairs(self, pairs: Integers) -> OutcomeTable:
         """Return the table of the given pairs (K,), in their order."""
         chosen = concatenate_ranges(self.offsets[pairs], self.offsets[pairs + 1])
-        return replace(
-            self.map_numbers(lambda _, values: values[pairs], lambda _, values: values[chosen]),
+        return self.map_numbers(
+            lambda _, values: values[pairs],
+            lambda _, values: values[chosen],
             offsets=np.concatenate([[0], np.cumsum(np.diff(self.offsets)[pairs])]),
-            next=self.next[chosen],
+            next_states=self.next[chosen],
         )
 
     def any_outcome(self, name: str) -> NDArray[np.bool_]:
@@ -143,15 +235,26 @@ class OutcomeTable:
         return np.logical_or.reduceat(some, self.offsets[:-1])
 
     def map_numbers(
-        self, of_pair: Callable[[str, Numbers], Numbers], of_outcome: Callable[[str, Numbers], Any]
+        self,
+        of_pair: Callable[[str, Numbers], Numbers],
+        of_outcome: Callable[[str, Numbers], Any],
+        *,
+        offsets: Integers,
+        next_states: Numbers,
     ) -> OutcomeTable:
         """Apply `of_pair` to each array by pair and `of_outcome` to each array by outcome.
 
-        Both take the name of the array and the array; offsets and next states stay as they are.
+        Both take the name of the array and the array. Rows have to remain distributions; `offsets`
+        and `next_states` are those of the new table.
         """
+        rows = replace(
+            self.rows,
+            offsets=offsets,
+            next=next_states,
+            weight=of_outcome("weight", self.weight),
+            denominator=of_pair("denominator", self.denominator),
+        )
         functions = {
-            "weight": of_outcome,
-            "denominator": of_pair,
             "gain": of_outcome,
             "gain_denominator": of_pair,
             "event": of_outcome,
@@ -168,7 +271,7 @@ class OutcomeTable:
             array = getattr(self, name)
             if array is not None:
                 changed[name] = function(name, array)
-        return replace(self, **changed)
+        return replace(self, rows=rows, **changed)
 
     def with_reward(self, gain: Numbers, below: Numbers) -> OutcomeTable:
         """Return the same transitions with another reward, without components."""
@@ -224,16 +327,17 @@ class OutcomeTable:
         if self.weight.dtype == np.float64 or self.gain.dtype == np.float64:
             product = self.compute_probabilities() * self.compute_gains()
             return np.asarray(np.add.reduceat(product, self.offsets[:-1]), dtype=np.float64)
-        return divide(*self.expected_gain_exact())
+        return divide(*self.expected_gain_exact)
 
+    @cached_property
     def expected_gain_exact(self) -> tuple[Numbers, Numbers]:
-        """Return integers (L,), (L,) whose ratios are the exact expected rewards."""
+        """Integers (L,), (L,) whose ratios are the exact expected rewards."""
         if len(self.gain) == self.pairs:
             return self.integer_gains()
         # Outcomes without a reward add nothing; in many models most are of this kind.
         earning = np.asarray(self.gain != 0, dtype=bool)
         offsets = np.concatenate([[0], np.cumsum(earning)])[self.offsets]
-        weight, below = self.integer_weights()
+        weight, below = self.rows.integers
         gain, gain_below = self.gain[earning], self.gain_denominator
         if gain.dtype == np.float64:
             gain, gain_below = to_dyadic_integers(gain, offsets)
@@ -256,11 +360,11 @@ class OutcomeTable:
         """Return the expected reward by component as integers (L, C) over integers (L,)."""
         # Without components, the reward is the only one.
         if self.components is None:
-            gain, below = self.expected_gain_exact()
+            gain, below = self.expected_gain_exact
             return gain[:, None], below
         if self.parted_by_outcome:
             # Take the expectation of each component, then bring all to one denominator per pair.
-            each = [part.expected_gain_exact() for part in self._each_component()]
+            each = [part.expected_gain_exact for part in self._each_component()]
             common = np.lcm.reduce([below.astype(object) for _, below in each])
             whole = []
             for top, below in each:
@@ -278,12 +382,6 @@ class OutcomeTable:
     def _each_component(self) -> list[OutcomeTable]:
         """Return one table for each component, with that component as the reward."""
         return [self.with_component_reward(number) for number in range(self.components.shape[1])]
-
-    def integer_weights(self) -> tuple[Numbers, Numbers]:
-        """Return the exact rows as integers: (N,) weights over (L,) denominators."""
-        if self.weight.dtype != np.float64:
-            return self.weight, self.denominator
-        return rows_to_integers(self.weight, self.offsets)
 
     def integer_gains(self) -> tuple[Numbers, Numbers]:
         """Return the rewards as integers: (N,) or (L,), over (L,) denominators."""
@@ -361,29 +459,10 @@ def all_rows(look: Callable[..., bool], offsets: Integers, *given: Any) -> bool:
     return all(sound)
 
 
-def merge_outcomes(table: OutcomeTable) -> tuple[Integers, Numbers, Numbers, Numbers]:
-    """Return the exact (L, S) transition matrix in lowest terms, row by row.
-
-    These are offsets (L+1,), next states and weights (M,), and denominators (L,).
-    """
-    weight, denominator = table.integer_weights()
-    # Add up the weights of outcomes with the same next state.
-    first, offsets = find_outcome_runs(table)
-    following = table.next
-    if len(first) < len(following):
-        weight, following = np.asarray(np.add.reduceat(weight, first)), following[first]
-    # Cancel the greatest common divisor of each row and its denominator.
-    shared = np.gcd(np.gcd.reduceat(weight, offsets[:-1]), denominator)
-    return offsets, following, weight // np.repeat(shared, np.diff(offsets)), denominator // shared
-
-
-def find_outcome_runs(table: OutcomeTable) -> tuple[Integers, Integers]:
-    """Return the first outcome of each run with the same next state, and each pair's first run."""
-    fresh = np.empty(len(table.next), dtype=bool)
-    fresh[1:] = table.next[1:] != table.next[:-1]
-    fresh[table.offsets[:-1]] = True
-    first = np.flatnonzero(fresh)
-    return first, np.searchsorted(first, table.offsets).astype(np.int64)
+def lock_arrays(*arrays: Numbers) -> None:
+    """Make arrays read-only."""
+    for array in arrays:
+        array.setflags(write=False)
 
 
 def reduce_fractions(top: Numbers, bottom: Numbers) -> tuple[Numbers, Numbers]:

@@ -141,8 +141,8 @@ def check_model(model: Parts) -> None:
     _check_sense(model)
     _check_pairs(model)
     _check_table(model)
-    # The constructors mark a table as sound if its rows were checked when they were normalized.
-    if not vars(model.table).get("sound", False):
+    # Rows of floats were checked when they were normalized.
+    if not model.table.rows.sound:
         _check_rows(model)
     _check_observations(model)
     _check_start(model)
@@ -424,7 +424,7 @@ def _describe_misfit(table: OutcomeTable, pairs: int) -> str:
     if not min(table.denominator.min(), table.gain_denominator.min()) > 0:
         return "a denominator is not positive"
     # Strictly rising next states are sorted; otherwise equal neighbours are allowed, falls are not.
-    if not table.rising:
+    if not table.rows.rising:
         falls, pair = table.next[1:] < table.next[:-1], table.pair
         if (falls & (pair[1:] == pair[:-1])).any():
             return "outcomes of a pair are not sorted by next state"

@@ -85,7 +85,7 @@ class Budgeted:
             )
         table, pair = mdp.table, mdp.table.pair
         # Rewards of outcomes as integer multiples of one unit.
-        (weight, denominator), (gain, below) = table.integer_weights(), table.integer_gains()
+        (weight, denominator), (gain, below) = table.rows.integers, table.integer_gains()
         if len(gain) == table.pairs:
             gain = gain[pair]
         shared = lcm(*below.tolist())
@@ -96,10 +96,10 @@ class Budgeted:
         gain = to_integer_array(g // size for g in whole)
         # Sort outcomes within their pair, so that the new states rise.
         sort = np.lexsort((-gain, table.next, pair))
+        rows = replace(table.rows, weight=weight[sort], denominator=denominator, sound=False)
         self.table = replace(
             table,
-            weight=weight[sort],
-            denominator=denominator,
+            rows=rows,
             gain=gain[sort],
             gain_denominator=make_ones(table.pairs),
             event=None,
@@ -171,14 +171,11 @@ class Budgeted:
         # One copy of each state for each of its budgets, and of its pairs for each copy.
         state = np.repeat(np.arange(old.n_states), np.diff(self.first))
         pairs = concatenate_ranges(old.pair_offsets[state], old.pair_offsets[state + 1])
+        table = self.table.of_pairs(pairs)
+        rows = replace(table.rows, next=np.concatenate([to.ravel() for to, _ in each]))
+        gain = np.concatenate([earned.ravel() for _, earned in each])
         parts: dict[str, Any] = {
-            "table": replace(
-                self.table.of_pairs(pairs).with_reward(
-                    np.concatenate([earned.ravel() for _, earned in each]),
-                    make_ones(len(pairs)),
-                ),
-                next=np.concatenate([to.ravel() for to, _ in each]),
-            ),
+            "table": replace(table, rows=rows).with_reward(gain, make_ones(len(pairs))),
             "pair_state": np.repeat(np.arange(len(state)), np.diff(old.pair_offsets)[state]),
             "pair_action": old.pair_action[pairs],
             "space": StateSpace.plain(len(state)),

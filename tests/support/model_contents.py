@@ -48,9 +48,11 @@ def assert_same(left: MDP, right: MDP, *, stored: bool = True) -> None:
     both["labels"] = [
         {name: on.tolist() for name, on in labels.items()} for labels in both["labels"]
     ]
-    for name in [field.name for field in fields(tables[0])] if stored else ["event"]:
-        both[name] = [getattr(table, name) for table in tables]
+    both["event"] = [table.event for table in tables]
     if stored:
+        arrays = (*fields(tables[0].rows), *fields(tables[0]))
+        for name in [field.name for field in arrays if field.name not in ("rows", "sound")]:
+            both[name] = [getattr(table, name) for table in tables]
         names = ("data", "indices", "indptr")
         both |= {name: [getattr(matrix, name) for matrix in matrices] for name in names}
     else:

@@ -53,7 +53,7 @@ def totals(mdp: MDP, names: list[str]) -> list[tuple[Fraction, ...]]:
         elif name in mdp.component_names:
             top, bottom = mdp.component(name)
         else:
-            top, bottom = mdp.table.expected_gain_exact()
+            top, bottom = mdp.table.expected_gain_exact
         table = replace(mdp.table, gain=top, gain_denominator=bottom)
         alone = mdp.with_(table=table)
         each.append([value_at_start(alone, choice) for choice in each_choice(alone)])

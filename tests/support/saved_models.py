@@ -12,7 +12,8 @@ from exact_mdp import MDP, Column, Parameter, Scenario, StateSpace
 CARE = Scenario.load("yuan2025").with_(tasks=[1, 2], max_trial=2)
 WIDE = Fraction(1, 3**60)
 LONG = "n" * 500
-OutcomeTable = type(CARE.compile().table)
+TABLE = CARE.compile().table
+OutcomeTable, Rows = type(TABLE), type(TABLE.rows)
 TAXI = max(name for name in gymnasium.registry if name.startswith("Taxi-v"))
 
 MODELS = {
@@ -67,8 +68,11 @@ MODELS = {
     ),
     "0 and -0": MDP(
         OutcomeTable(
-            offsets=np.array([0, 2, 3]), next=np.array([0, 0, 1]), weight=np.array([0.5, 0.5, 1.0]),
-            denominator=np.array([1, 1]), gain=np.array([-0.0, 0.0, 0.0]),
+            rows=Rows(
+                offsets=np.array([0, 2, 3]), next=np.array([0, 0, 1]),
+                weight=np.array([0.5, 0.5, 1.0]), denominator=np.array([1, 1]),
+            ),
+            gain=np.array([-0.0, 0.0, 0.0]),
             gain_denominator=np.array([1, 1]), event=np.array([1, 0, 0], dtype=np.uint8),
         ),
         np.array([0, 1]), np.zeros(2, np.int64), space=StateSpace.plain(2), actions=("go",),

@@ -148,7 +148,7 @@ def exact_values(value: np.ndarray) -> list[Fraction]:
 
 def exact_gains(mdp: MDP, value: Sequence[Fraction]) -> list[Fraction]:
     """Return what each pair adds to exact values, from the model's own exact table."""
-    top, bottom = mdp.table.expected_gain_exact()
+    top, bottom = mdp.table.expected_gain_exact
     added = []
     for pair in range(mdp.n_pairs):
         later = sum((p * value[t] for p, t, _ in mdp.table.row(pair)), F(0))

@@ -154,7 +154,7 @@ def find_zero_reward_pairs(mdp: MDP, best: Certificate, optimal: Flags) -> Flags
     """Return the optimal pairs (L,) of states of value 0 by which a policy earns 0 forever."""
     # Start from all states of value 0, and drop those that cannot stay among the others.
     worth = np.array([value == 0 for value in best.value], dtype=bool)
-    earned = np.array([gain == 0 for gain in mdp.table.expected_gain_exact()[0]], dtype=bool)
+    earned = np.array([gain == 0 for gain in mdp.table.expected_gain_exact[0]], dtype=bool)
     left = worth
     while True:
         inside = optimal & earned & left[mdp.pair_state] & (mdp.transition @ ~left == 0)

@@ -35,6 +35,7 @@ from exact_mdp.mdp.table import (
     Integers,
     Numbers,
     OutcomeTable,
+    Rows,
     concatenate_ranges,
     estimate_outcome_bytes,
     find_magnitude,
@@ -42,7 +43,7 @@ from exact_mdp.mdp.table import (
     to_integer_array,
 )
 
-Rows = dict[str, NDArray[Any]]
+Columns = dict[str, NDArray[Any]]
 """Rows of a block: their lengths, and columns of an outcome table by name."""
 
 
@@ -78,9 +79,9 @@ class SubtaskBlock:
         """Return the gain of an event, without the weights of the action and of the statuses."""
         return self.laws.gain[self.laws.rules.gains[event, place, flag]]
 
-    def build_rows(self, place: int) -> Rows:
+    def build_rows(self, place: int) -> Columns:
         """Return all rows of a subtask, by trial, flag, status and action."""
-        rules, parts = self.laws.rules, list[Rows]()
+        rules, parts = self.laws.rules, list[Columns]()
         layer = rules.flags * rules.vectors
         first = [self._build_step(place, flag) for flag in range(rules.flags)]
         for trial in range(rules.trials - (not rules.own)):
@@ -132,7 +133,7 @@ class SubtaskBlock:
 
     def _build_step(
         self, place: int, flag: int, *, tries: bool = True, skips: bool = False
-    ) -> Rows:
+    ) -> Columns:
         """Return the rows of a step, with sorted next states and without zeros.
 
         A row may have as many outcomes as status vectors times costs. So a few present vectors are
@@ -212,7 +213,7 @@ class SubtaskBlock:
         return multiply(counts, reward[rules.weights])
 
 
-def _concatenate_rows(parts: Sequence[Rows]) -> Rows:
+def _concatenate_rows(parts: Sequence[Columns]) -> Columns:
     """Return several groups of rows as one."""
     return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
 
@@ -295,15 +296,17 @@ def _compile_blocks(laws: Laws, places: Integers) -> MDP:
     last["components"] = np.zeros((1, len(rules.components)), dtype=np.int64)
     rows = _concatenate_rows([*blocks, last])
     lengths, (state, action) = rows.pop("lengths"), rules.list_pairs()
-    table = OutcomeTable(
+    distributions = Rows(
         offsets=np.concatenate([[0], np.cumsum(lengths)]),
+        next=rows.pop("next").astype(_choose_state_type(end)),
+        weight=rows.pop("weight"),
+        denominator=rows.pop("denominator"),
+    )
+    table = OutcomeTable(
+        rows=distributions,
         gain_denominator=_broadcast_integer(laws.scale, len(lengths)),
         averaged=True,  # the cost of a status depends on the next vector; its component is a mean
-        **rows
-        | {
-            "next": rows["next"].astype(_choose_state_type(end)),
-            "event": rows["event"].astype("u1"),
-        },
+        **rows | {"event": rows["event"].astype("u1")},
     )
     space = rules.build_space(len(places))
     return MDP(
@@ -339,7 +342,7 @@ def _repeat_blocks(laws: Laws, small: MDP, order: Integers) -> MDP:
     table = small.table.of_pairs(pairs)
     following = table.next + np.repeat(moves, np.diff(table.offsets))
     below = _broadcast_integer(laws.scale, len(pairs))
-    table = replace(table, next=following, gain_denominator=below)
+    table = replace(table, rows=replace(table.rows, next=following), gain_denominator=below)
     # The matrix has fewer entries if outcomes with different rewards lead to one state.
     matrix = matrix[pairs]
     columns = following

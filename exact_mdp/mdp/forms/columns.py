@@ -19,6 +19,7 @@ from exact_mdp.mdp.table import (
     Integers,
     Numbers,
     OutcomeTable,
+    Rows,
     all_rows,
     normalize_rows,
 )
@@ -88,22 +89,18 @@ def table_of(
     if by_pair:
         groups = np.arange(len(offsets))
     earned = group_numbers(np.array(gain), groups)
-    sound = taken is not None or (weight.dtype == np.float64 and normalize_rows(weight, offsets))
     if size >= 2**31:
         following = following.astype(np.int64)
-    table = OutcomeTable(
+    rows = Rows(
         offsets=offsets,
         next=following,
         weight=weight,
         denominator=below,
-        gain=earned[0],
-        gain_denominator=earned[1],
+        sound=taken is not None,
     )
-    # These facts are known now, and need not be computed again.
-    vars(table).update(is_settled=True, sound=sound)
     if by_pair:
-        vars(table)["rising"] = True
-    return table
+        vars(rows)["rising"] = True  # known now, and need not be computed again
+    return OutcomeTable(rows=rows, gain=earned[0], gain_denominator=earned[1])
 
 
 def _rank_rows(columns: list[Any]) -> Any:

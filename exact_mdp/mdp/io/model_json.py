@@ -68,6 +68,7 @@ from exact_mdp.mdp.table import (
     EXACT_IN_FLOAT,
     Numbers,
     OutcomeTable,
+    Rows,
     find_magnitude,
     over_groups,
     to_integer_array,
@@ -130,7 +131,7 @@ def encode_model(mdp: MDP) -> dict[str, Any]:
     """Return the content of the file of a model."""
     # The columns of the pairs; lists by outcome are cut into one list for each pair.
     table, offsets = mdp.table, mdp.table.offsets
-    (weight, below), (gain, under) = table.integer_weights(), table.integer_gains()
+    (weight, below), (gain, under) = table.rows.integers, table.integer_gains()
     rows = list(map(slice, offsets[:-1].tolist(), offsets[1:].tolist()))
     all_next, all_weights = table.next.tolist(), _encode_integers(weight)
     following, weights = [all_next[row] for row in rows], [all_weights[row] for row in rows]
@@ -252,14 +253,13 @@ def read_model_json(path: str | Path) -> MDP:
                 by_outcome += own
             reward, groups = by_outcome, ends
         gain, under = over_groups(reward, groups)
-        table = OutcomeTable(
+        distributions = Rows(
             offsets=ends,
             next=np.array([*chain(*following)], dtype=np.int64),
             weight=to_integer_array(chain(*weight)),
             denominator=to_integer_array(below),
-            gain=gain,
-            gain_denominator=under,
         )
+        table = OutcomeTable(rows=distributions, gain=gain, gain_denominator=under)
         parts = head["components"]
         if parts:
             columns = {name: _parse_component(name, parts[name], orders) for name in parts}

@@ -65,7 +65,7 @@ from exact_mdp.mdp.io.structured import (
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.space import Column, StateSpace
-from exact_mdp.mdp.table import Numbers, OutcomeTable
+from exact_mdp.mdp.table import Numbers, OutcomeTable, Rows
 
 FORMAT, VERSION = "exact-mdp model", 1
 
@@ -230,12 +230,13 @@ def unpack_model(source: str | Path | bytes) -> MDP:
     # Python integers are stored as rows of bytes.
     parts, there = len(head["component_names"]), [name for name in TABLE if name in arrays]
     columns: dict[str, Any] = {name: _as_integers(name, arrays[name], parts) for name in there}
+    rows = {name: columns.pop(name) for name in ("offsets", "next", "weight", "denominator")}
     sets: dict[str, Any] = {}
     for name in ("goal", "target"):
         if name in arrays:
             sets[name] = arrays[name] > 0
     return MDP(
-        OutcomeTable(**columns, averaged=bool(head["averaged"])),
+        OutcomeTable(rows=Rows(**rows), **columns, averaged=bool(head["averaged"])),
         state,
         arrays["pair_action"],
         space=space,

@@ -55,7 +55,7 @@ from exact_mdp.mdp.forms.numbers import group_numbers, has_floats, one_kind
 from exact_mdp.mdp.io.files import open_file
 from exact_mdp.mdp.io.structured import csv_of
 from exact_mdp.mdp.space import Column, StateSpace
-from exact_mdp.mdp.table import EXACT_IN_INT64, Integers, OutcomeTable, exact
+from exact_mdp.mdp.table import EXACT_IN_INT64, Integers, OutcomeTable, Rows, exact
 from exact_mdp.mdp.validate import Flags, as_discount, as_start, check_options
 
 if TYPE_CHECKING:
@@ -599,14 +599,13 @@ class TransitionRecord:
         observations = np.add.reduceat(times, begins)
         earned = one_kind([values[number] for number in outcomes[:, 3].tolist()])
         gain, under = group_numbers(earned, offsets)
-        table = OutcomeTable(
+        rows = Rows(
             offsets=offsets,
             next=outcomes[:, 2].astype(np.int32),
             weight=np.where(np.repeat(observations == 0, np.diff(offsets)), 1, times),
             denominator=np.maximum(observations, 1),
-            gain=gain,
-            gain_denominator=under,
         )
+        table = OutcomeTable(rows=rows, gain=gain, gain_denominator=under)
         # States in which episodes were cut off, and none was over, have unknown values.
         unknown = np.zeros(size, dtype=bool)
         stops = np.array([*self.stops], dtype=np.int64).reshape(-1, 2)

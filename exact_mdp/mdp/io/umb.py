@@ -294,7 +294,7 @@ def _umb_of(model: MDP) -> Any:
     if floats:
         earned = model.reward.tolist()
     else:
-        earned = _to_ratios(*table.expected_gain_exact())
+        earned = _to_ratios(*table.expected_gain_exact)
     data = None
     if model.name:
         data = description.ModelData(name=model.name)

@@ -25,7 +25,7 @@ from exact_mdp.mdp.exact import to_flint
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric.family import Family, Moved, Parametric, room_of
 from exact_mdp.mdp.space import TIME
-from exact_mdp.mdp.table import Integers, Numbers, format_rational, merge_outcomes
+from exact_mdp.mdp.table import Integers, Numbers, format_rational
 
 Entries = tuple[Integers, Numbers, Numbers]
 """Keys in rising order, and the integers whose ratios are the numbers there."""
@@ -298,7 +298,7 @@ def interpolate_polynomials(
 
 def transition_entries(mdp: MDP) -> Entries:
     """Return the entries of the transition matrix, with keys pair · S + next state."""
-    offsets, following, weight, denominator = merge_outcomes(mdp.table)
+    offsets, following, weight, denominator = mdp.table.rows.merged
     lengths = np.diff(offsets)
     pair = np.repeat(np.arange(mdp.n_pairs), lengths)
     return pair * mdp.n_states + following, weight, np.repeat(denominator, lengths)
@@ -306,7 +306,7 @@ def transition_entries(mdp: MDP) -> Entries:
 
 def reward_entries(mdp: MDP) -> Entries:
     """Return the expected rewards, with the pairs as keys."""
-    top, bottom = mdp.table.expected_gain_exact()
+    top, bottom = mdp.table.expected_gain_exact
     return np.arange(mdp.n_pairs), top, bottom
 
 

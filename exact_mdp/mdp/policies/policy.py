@@ -18,6 +18,7 @@ import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import ArrayLike, NDArray
 
+from exact_mdp.mdp.by_fields import ByFields
 from exact_mdp.mdp.errors import (
     ModelError,
     check_names,
@@ -43,7 +44,7 @@ from exact_mdp.mdp.policies.arrays import (
     of_given_array,
     rows_read,
 )
-from exact_mdp.mdp.result import ROWS_SHOWN, ByFields, data_frame, plain_report
+from exact_mdp.mdp.result import ROWS_SHOWN, data_frame, plain_report
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     FLOAT_ROW_TOLERANCE,

@@ -19,7 +19,7 @@ import numpy as np
 from exact_mdp.mdp.graph import Mask, prove_termination
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Integers, OutcomeTable, make_ones, to_integer_array
+from exact_mdp.mdp.table import Integers, OutcomeTable, Rows, make_ones, to_integer_array
 from exact_mdp.solvers.bounds.bounds import improve_policy
 from exact_mdp.solvers.endless.graph import Graph
 from exact_mdp.solvers.solution import SolverError, Status
@@ -89,7 +89,7 @@ def build_derived_model(
     if free:
         gain, below = np.zeros(len(pairs), np.int64), make_ones(len(pairs))
     elif table.joint:
-        gain, below = table.expected_gain_exact()
+        gain, below = table.expected_gain_exact
     else:
         gain, below = table.gain, table.gain_denominator
     # Behind the pairs come the rests, and one pair of the end itself; all lead to the end.
@@ -103,11 +103,15 @@ def build_derived_model(
     following = label[table.next]
     order = np.lexsort((following, table.pair))
     one = np.ones(len(extra), dtype=table.weight.dtype)
-    outcomes = OutcomeTable(
+    rows = Rows(
         offsets=np.append(table.offsets, table.offsets[-1] + 1 + np.arange(len(extra))),
         next=np.append(following[order], np.full(len(extra), size)),
         weight=np.append(table.weight[order], one),
         denominator=np.append(table.denominator, make_ones(len(extra))),
+        sound=table.rows.sound,
+    )
+    outcomes = OutcomeTable(
+        rows=rows,
         gain=np.append(gain, more),
         gain_denominator=np.append(below, under),
     )

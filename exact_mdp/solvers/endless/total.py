@@ -170,7 +170,7 @@ class Structure:
         if _missing_pays(mdp):
             return
         # Quiet components: the end components of the pairs without reward.
-        rewards, owner = np.sign(mdp.table.expected_gain_exact()[0]), label[mdp.pair_state]
+        rewards, owner = np.sign(mdp.table.expected_gain_exact[0]), label[mdp.pair_state]
         quiet, still = label, self.within
         if rewards[self.within].any():
             quiet, still = graph.end_components(self.within & (rewards == 0))

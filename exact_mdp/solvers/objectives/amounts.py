@@ -185,13 +185,13 @@ def reward_name(mdp: MDP) -> str:
 def _read_amounts(mdp: MDP, name: str) -> Column:
     """Return the exact amounts (L,) of one name, over denominators (L,)."""
     if name == reward_name(mdp):
-        return mdp.table.expected_gain_exact()
+        return mdp.table.expected_gain_exact
     if name in mdp.component_names:
         return mdp.component(name)
     if name == STEPS:
         return (~mdp.over)[mdp.pair_state].astype(np.int64), make_ones(mdp.n_pairs)
     # The probability of an event, or of stepping into a label.
-    weight, below = mdp.table.integer_weights()
+    weight, below = mdp.table.rows.integers
     if name in mdp.events:
         assert mdp.table.event is not None
         happens = (mdp.table.event >> mdp.events.index(name)) & 1 == 1

@@ -44,6 +44,7 @@ from exact_mdp.mdp.table import (
     Integers,
     Numbers,
     OutcomeTable,
+    Rows,
     divide,
     exact,
     make_ones,
@@ -372,7 +373,7 @@ class PolicyChain:
     @cached_property
     def odds(self) -> tuple[Numbers, Numbers]:
         """(N,), (S,) integers: numerators of outcomes, and one denominator for each state."""
-        share, (weight, below) = self._shares[self.pairs], self.table.integer_weights()
+        share, (weight, below) = self._shares[self.pairs], self.table.rows.integers
         if share.dtype == np.float64:
             share, _ = to_dyadic_integers(share, self._first)
         # Bring the pairs of a state over a common denominator; then divide by the sum of shares.
@@ -419,14 +420,13 @@ class PolicyChain:
             under, each = self._over_common(table.gain_denominator)
             gain = multiply(gain, each[table.pair])
         order = np.lexsort((table.next, self.source))
-        mixed = OutcomeTable(
+        rows = Rows(
             offsets=np.append(0, np.cumsum(self.outcomes)),
             next=table.next[order],
             weight=weight[order],
             denominator=below,
-            gain=gain[order],
-            gain_denominator=under,
         )
+        mixed = OutcomeTable(rows=rows, gain=gain[order], gain_denominator=under)
         own = {"pair_state": states, "pair_action": np.zeros_like(states), "events": ()}
         return mdp.with_(table=mixed, actions=("mixed",), **own)
 
