@@ -56,9 +56,16 @@ def beside_the_goal() -> MDP:
     return MDP.from_outcomes(rows, labels={"goal": [1]}, sense="min")
 
 
-def test_a_curve_beside_the_goal_is_refused() -> None:
+def test_a_curve_leaves_out_what_may_miss_the_goal() -> None:
+    asked = beside_the_goal().until("goal")
+    line = curve(asked, "reward.5", (4, 6), policy=[0, 0, 0])
+    assert [line.at(4), line.at(6)] == [8, 12]
+    assert line.violations() == []
+    for policy in ([1, 0, 0], "random"):
+        with pytest.raises(ModelError, match="the policy held fixed may miss the goal"):
+            curve(asked, "reward.5", (4, 6), policy=policy)
     with pytest.raises(ModelError, match="beside the goal"):
-        curve(beside_the_goal().until("goal"), "reward.5", (4, 6))
+        curve(asked.with_(start=2), "reward.5", (4, 6))
 
 
 def test_a_study_knows_the_goal() -> None:
@@ -75,9 +82,17 @@ def test_a_gradient_beside_the_goal_is_refused_and_one_that_arrives_is_right() -
     for exact in (True, False):
         held = gradient(asked, policy=[0, 0, 0], names=["reward.5"], exact=exact)
         assert float(held["reward.5"].value.value) == pytest.approx(2, abs=1e-12)
-        for policy in ("optimal", [1, 0, 0]):
-            with pytest.raises(ModelError, match="beside the goal"):
-                gradient(asked, policy=policy, names=["reward.5"], exact=exact)
+        with pytest.raises(ModelError, match="beside the goal"):
+            gradient(asked, policy=[1, 0, 0], names=["reward.5"], exact=exact)
+
+
+def test_a_gradient_of_the_optimum_leaves_out_what_may_miss_the_goal() -> None:
+    asked = beside_the_goal().until("goal")
+    best = gradient(asked, names=["reward.5"])
+    assert best["reward.5"].value.value == 2
+    with pytest.raises(ModelError, match="infinite, and floats cannot compare") as refused:
+        gradient(asked, names=["reward.5"], exact=False)
+    assert refused.value.fix == "ask for exact=True"
 
 
 def test_best_policy_and_robust_values_beside_the_goal_are_refused() -> None:

@@ -29,8 +29,8 @@ from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import BLOCK, Floats, Integers
 from exact_mdp.mdp.validate import Flags, require_count
 from exact_mdp.solvers.bounds.bounds import margin_weights
-from exact_mdp.solvers.bounds.gains import POLICIES, SLACK, first_of, gamma
-from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, policy_chain
+from exact_mdp.solvers.bounds.gains import POLICIES, SLACK, BoundedVector, first_of, gamma
+from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
 from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.layers import find_taken_pairs, layers_of
@@ -214,7 +214,7 @@ class PolicyRows:
         lost[~allowed] = np.inf
         return upper + error, lost.argmin(axis=2), lost.min(axis=2)
 
-    def evaluate_choices(self, choices: Integers) -> FixedPoint:
+    def evaluate_choices(self, choices: Integers) -> BoundedVector:
         """Return the start values (N,) of policies (N, K)."""
         # Blocks of policies limit the memory for values (S, N).
         n_parts = -(-len(choices) * self.mdp.n_states // BLOCK)
@@ -224,7 +224,7 @@ class PolicyRows:
             value, error = self._at_start(*self._passes.evaluate_pairs(taken))
             values.append(value)
             errors.append(error)
-        return FixedPoint(value=np.concatenate(values), error=np.concatenate(errors))
+        return BoundedVector(value=np.concatenate(values), error=np.concatenate(errors))
 
     def _at_start(self, value: Floats, apart: Floats) -> tuple[Floats, Floats]:
         """Return start values (N,) and error bounds, for values (S, N) with residuals (N,)."""

@@ -21,8 +21,7 @@ import numpy as np
 
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Numbers
-from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
-from exact_mdp.solvers.bounds.linear import FixedPoint
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, BoundedVector
 from exact_mdp.solvers.solution import SolverError
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -53,14 +52,14 @@ def _moved_by_rows(mdp: MDP, x: Floats, error: Floats) -> Floats:
     return np.add.reduceat(half * (np.abs(x - median[pair]) + error), first)
 
 
-def round_finite_values(exact: Numbers) -> FixedPoint:
+def round_finite_values(exact: Numbers) -> BoundedVector:
     """Return exact values as floats with error bounds; infinite values become 0."""
     value = np.nan_to_num(exact.astype(np.float64), posinf=0.0, neginf=0.0)
-    return FixedPoint(value=value, error=UNIT * np.abs(value) + TINY)
+    return BoundedVector(value=value, error=UNIT * np.abs(value) + TINY)
 
 
 def _compute_outcome_values(
-    mdp: MDP, known: FixedPoint, rewards: bool = True
+    mdp: MDP, known: BoundedVector, rewards: bool = True
 ) -> tuple[Floats, Floats]:
     """Return r + γ V of outcomes (N,) and error bounds, for values (S,) with error bounds."""
     gain, there, rate = mdp.table.compute_gains() * rewards, mdp.table.next, mdp.discount
@@ -68,13 +67,13 @@ def _compute_outcome_values(
     return x, rate * known.error[there] + 3 * UNIT * (np.abs(gain) + np.abs(x))
 
 
-def per_use(mdp: MDP, known: FixedPoint, *, rewards: bool = True) -> Floats:
+def per_use(mdp: MDP, known: BoundedVector, *, rewards: bool = True) -> Floats:
     """Return e (L,) for values (S,) with error bounds; without `rewards`, with r = 0."""
     moved = _moved_by_rows(mdp, *_compute_outcome_values(mdp, known, rewards))
     return (_rounded_rewards(mdp) * rewards + moved) * SLACK + TINY
 
 
-def bound_per_use(mdp: MDP, known: FixedPoint) -> float:
+def bound_per_use(mdp: MDP, known: BoundedVector) -> float:
     """Return an upper bound on all e(l), from the greatest numbers alone.
 
     Half a unit in the last place of p is at most UNIT p, and c may be the middle of all x.
@@ -87,7 +86,7 @@ def bound_per_use(mdp: MDP, known: FixedPoint) -> float:
 
 
 def compute_rounding_allowance(
-    mdp: MDP, own: tuple[PolicyChain, FixedPoint], best: tuple[PolicyChain, FixedPoint]
+    mdp: MDP, own: tuple[PolicyChain, BoundedVector], best: tuple[PolicyChain, BoundedVector]
 ) -> Fraction:
     """Return how far rounding can move the regret at the start; 0 if floats cannot bound it.
 
@@ -123,7 +122,7 @@ def compute_rounding_allowance(
     return Fraction(bound)
 
 
-def compute_tie_gaps(best: PolicyChain, known: FixedPoint) -> Floats:
+def compute_tie_gaps(best: PolicyChain, known: BoundedVector) -> Floats:
     """Return (L,) the gap up to which a pair ties with the best action.
 
     Raises SolverError if floats cannot bound it.

@@ -42,8 +42,14 @@ from exact_mdp.mdp.table import LARGEST, Floats, format_rational
 from exact_mdp.mdp.table import exact as exact_number
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.bounds import Bounds, bound_optimal_values, margin_weights
-from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, compute_advantages, first_of
-from exact_mdp.solvers.bounds.linear import FixedPoint
+from exact_mdp.solvers.bounds.gains import (
+    SLACK,
+    TINY,
+    UNIT,
+    BoundedVector,
+    compute_advantages,
+    first_of,
+)
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.certify import certify
@@ -305,10 +311,10 @@ def include_near_ties(
 
 
 def _bound_regret(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
-    own = known = FixedPoint(value=optimum.value, error=optimum.state_error)
+    own = known = BoundedVector(value=optimum.value, error=optimum.state_error)
     if not np.array_equal(chain.pairs, optimum.pairs):
         evaluation = evaluate(mdp, chain)
-        own = FixedPoint(value=evaluation.value, error=evaluation.error)
+        own = BoundedVector(value=evaluation.value, error=evaluation.error)
     # Pairs that are not proven to lose count as optimal; some of them are open.
     near, ideal = ActionBounds(mdp, optimum), chain_of_pairs(mdp, optimum.pairs)
     loses = _find_losing_pairs(ideal, known, near.least_gap)
@@ -327,7 +333,7 @@ def _bound_regret(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
     return lost
 
 
-def _find_losing_pairs(ideal: PolicyChain, known: FixedPoint, least_gap: Floats) -> Flags:
+def _find_losing_pairs(ideal: PolicyChain, known: BoundedVector, least_gap: Floats) -> Flags:
     """Return the pairs (L,) that lose more than rounding can explain."""
     mdp, loses = ideal.mdp, least_gap > 0
     if mdp.floats:

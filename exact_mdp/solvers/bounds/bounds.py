@@ -38,7 +38,7 @@ from exact_mdp.solvers.bounds.gains import (
     SLACK,
     TINY,
     UNIT,
-    Gain,
+    Advantages,
     Weights,
     choose_greedy_pairs,
     compute_advantages,
@@ -194,7 +194,7 @@ def _expected_steps(mdp: MDP) -> Floats:
 
 def improve_policy(
     mdp: MDP, pairs: Integers, reward: Floats | None = None, *, enough: float = -np.inf
-) -> tuple[Integers, Floats, Gain]:
+) -> tuple[Integers, Floats, Advantages]:
     """Return pairs (S,) of a policy, its values (S,) and advantages over it, by policy iteration.
 
     The first policy takes `pairs`; no pair has an advantage over the last one, beyond rounding or

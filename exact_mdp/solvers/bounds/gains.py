@@ -44,11 +44,17 @@ FEW = gamma(4)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Gain:
-    """The advantages of all pairs over V: d(l) = r(l) + γ P_l V - V(s)."""
+class BoundedVector:
+    """A vector in floats, with a bound on the error of each number."""
 
-    value: Floats  # (L,) d in floats
-    error: Floats  # (L,) a bound on its error
+    value: Floats  # (K,)
+    error: Floats  # (K,) |value - exact| is at most this
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Advantages(BoundedVector):
+    """The advantages of all pairs (L,) over V: d(l) = r(l) + γ P_l V - V(s)."""
+
     noise: Floats  # (L,) the effect of rounding V and q; advantages closer than this are ties
 
 
@@ -127,7 +133,7 @@ def _expectation_errors(table: OutcomeTable, earned: Floats) -> Floats:
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def compute_advantages(mdp: MDP, value: Floats, *, reward: Floats | None = None) -> Gain:
+def compute_advantages(mdp: MDP, value: Floats, *, reward: Floats | None = None) -> Advantages:
     """Return the advantage of each pair over `value` (S,), with a bound on its rounding error.
 
     A `reward` (L,) other than the model's counts as exact.
@@ -160,7 +166,7 @@ def compute_advantages(mdp: MDP, value: Floats, *, reward: Floats | None = None)
         threads.run_blocks(ends, compute_block, mdp.n_transitions)
     if not (np.all(np.isfinite(value)) and np.isfinite(columns[2].max())):
         raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
-    return Gain(value=columns[0], error=columns[1], noise=columns[2])
+    return Advantages(value=columns[0], error=columns[1], noise=columns[2])
 
 
 def row_error(leak: Any, terms: Any, flow: Any, earned: Any, own: Any) -> Any:
@@ -182,7 +188,7 @@ def largest_error(mdp: MDP, low: float, high: float) -> float:
     return float(error * SLACK)
 
 
-def choose_greedy_pairs(mdp: MDP, *levels: Gain, keep: Integers | None = None) -> Integers:
+def choose_greedy_pairs(mdp: MDP, *levels: Advantages, keep: Integers | None = None) -> Integers:
     """Return (S,) the first pair of each state that no other beats by more than rounding.
 
     Each level breaks the ties of the level before. A pair of `keep` (S,) stays if none beats it.

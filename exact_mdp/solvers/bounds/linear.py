@@ -36,7 +36,7 @@ from exact_mdp.mdp.table import (
     Numbers,
     concatenate_ranges,
 )
-from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, BoundedVector, gamma
 from exact_mdp.solvers.solution import SolverError, Status
 
 # Elimination takes milliseconds up to so many states, or transitions, and spares a process with one
@@ -53,14 +53,6 @@ STEPS, PATIENT = 400, 8000
 LEAST = 1e-14  # cosines of vectors below this are nothing but rounding
 
 Solve = Callable[[Floats], Floats]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FixedPoint:
-    """A solution and a bound on its error."""
-
-    value: Floats  # (S,)
-    error: Floats  # (S,) |value - exact| is at most this, state by state
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,13 +72,13 @@ class LinearSystem(ByFields):
     # ---- errors ------------------------------------------------------------------------------
 
     @np.errstate(over="ignore", invalid="ignore")
-    def solve(self, constant: Floats, constant_error: Floats | float = 0.0) -> FixedPoint:
+    def solve(self, constant: Floats, constant_error: Floats | float = 0.0) -> BoundedVector:
         """Return x (S,) and its error (S,); raises SolverError if no error can be verified."""
         # The constant k of the error's equation: residual, its rounding, and the error of c.
         value, residual = self._refine_solution(constant)
         rounding = self._bound_rounding(np.abs(constant), np.abs(value))
         excess = (np.abs(residual) * (1 + 4 * UNIT) + rounding + constant_error) * SLACK
-        return FixedPoint(value=value, error=self._bound_error(excess))
+        return BoundedVector(value=value, error=self._bound_error(excess))
 
     def approximate(self, constant: Floats) -> Floats:
         """Return x (S,) for a constant (S,), refined, without any claim about its error."""

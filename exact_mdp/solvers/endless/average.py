@@ -25,12 +25,18 @@ from typing import Self
 import numpy as np
 import scipy.sparse as sp
 
+from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import DataFrame
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers.bounds.gains import POLICIES, SLACK, choose_greedy_pairs, compute_advantages
-from exact_mdp.solvers.bounds.linear import FixedPoint
+from exact_mdp.solvers.bounds.gains import (
+    POLICIES,
+    SLACK,
+    BoundedVector,
+    choose_greedy_pairs,
+    compute_advantages,
+)
 from exact_mdp.solvers.dynamic.base import RELATIVE_TOLERANCE, Solver
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram, least_above, own_states
 from exact_mdp.solvers.dynamic.methods import (
@@ -39,7 +45,6 @@ from exact_mdp.solvers.dynamic.methods import (
     ValueIteration,
 )
 from exact_mdp.solvers.endless.chain import FloatChain, compute_laurent_expansion
-from exact_mdp.solvers.endless.graph import Graph
 from exact_mdp.solvers.endless.quotient import build_derived_model
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
 
@@ -129,7 +134,7 @@ def solve_average(mdp: MDP, solver: Solver) -> AverageSolution:
 def _bound_gain_above(step: MDP, bias: Floats) -> Floats:
     """Return (S,) upper bounds on the gains of all policies, from any relative values (S,)."""
     # The greatest r + P h - h in each end component, rounded up.
-    graph, added = Graph(step), compute_advantages(step, bias)
+    graph, added = PairGraph.of(step), compute_advantages(step, bias)
     label, inside = graph.end_components(np.ones(step.n_pairs, dtype=bool))
     own, most = label[step.pair_state], added.value + added.error * SLACK
     count = int(label.max()) + 1
@@ -177,7 +182,7 @@ class AveragePolicyIteration:
             chain = FloatChain(step, pairs)
             _, bias, second = compute_laurent_expansion(chain, step.reward[pairs])
             added = compute_advantages(step, bias)
-            own = FixedPoint(value=added.value[pairs], error=added.error[pairs])
+            own = BoundedVector(value=added.value[pairs], error=added.error[pairs])
             gain = chain.bounded_gain(own)
             # Stop once neither the gain nor the bias rises by more than rounding.
             if before is not None and not self._has_risen(before, gain, bias):
@@ -189,7 +194,7 @@ class AveragePolicyIteration:
         raise SolverError(Status.ITERATION_LIMIT, f"{self.max_iterations} policies were evaluated")
 
     @staticmethod
-    def _has_risen(before: tuple[Floats, Floats], gain: FixedPoint, bias: Floats) -> bool:
+    def _has_risen(before: tuple[Floats, Floats], gain: BoundedVector, bias: Floats) -> bool:
         """Return whether a policy is better than the one before, beyond rounding."""
         least = RELATIVE_TOLERANCE * float(np.abs(bias).max())
         gain_rises = (gain.value - before[0] > gain.error).any()
@@ -197,7 +202,7 @@ class AveragePolicyIteration:
 
     @staticmethod
     def _improve_pairs(
-        step: MDP, pairs: Integers, gain: FixedPoint, bias: Floats, second: Floats
+        step: MDP, pairs: Integers, gain: BoundedVector, bias: Floats, second: Floats
     ) -> Integers:
         """Return pairs (S,) that are greatest in all three levels, in their order."""
         # Gains that are equal come out of different equations: their whole error counts, not only
@@ -258,7 +263,7 @@ class RelativeValueIteration:
     @staticmethod
     def _require_one_gain(step: MDP) -> None:
         """Raise ModelError unless all states are certain to have the same optimal gain."""
-        label, _ = Graph(step).end_components(np.ones(step.n_pairs, dtype=bool))
+        label, _ = PairGraph.of(step).end_components(np.ones(step.n_pairs, dtype=bool))
         count = int(label.max()) + 1
         if count > 1:
             raise ModelError(

@@ -26,8 +26,16 @@ from exact_mdp.mdp.exact import BellmanRows
 from exact_mdp.mdp.graph import Mask, strong_components
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers, concatenate_ranges
-from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, Gain, compute_advantages, gamma
-from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, select_rows, transpose_system
+from exact_mdp.solvers.bounds.gains import (
+    SLACK,
+    TINY,
+    UNIT,
+    Advantages,
+    BoundedVector,
+    compute_advantages,
+    gamma,
+)
+from exact_mdp.solvers.bounds.linear import LinearSystem, select_rows, transpose_system
 from exact_mdp.solvers.exact.linear import (
     Matrix,
     build_equations,
@@ -173,7 +181,7 @@ class FloatChain:
             raise SolverError(Status.NO_BOUND, "the chain leaves some states too rarely")
         return total
 
-    def bounded_gain(self, step: FixedPoint) -> FixedPoint:
+    def bounded_gain(self, step: BoundedVector) -> BoundedVector:
         """Return the gain (S,), given the policy's advantages (S,) over any values."""
         # In a class the gain lies between the least and the greatest step of the policy.
         low, high = self.bound_by_class(step)
@@ -181,12 +189,12 @@ class FloatChain:
         half = half * SLACK + UNIT * (np.abs(low) + np.abs(high)) + TINY * (high != low)
         inside, own = self.classes.recurrent, self.classes.own
         # Elsewhere it is the expected gain of the class that the chain ends in.
-        gain = FixedPoint(value=middle[own] * inside, error=half[own] * inside)
+        gain = BoundedVector(value=middle[own] * inside, error=half[own] * inside)
         if inside.all():
             return gain
         return self.until_class.solve(gain.value, gain.error)
 
-    def bound_by_class(self, point: FixedPoint) -> tuple[Floats, Floats]:
+    def bound_by_class(self, point: BoundedVector) -> tuple[Floats, Floats]:
         """Return (C,) the least and the greatest of numbers (S,) in each class, errors included."""
         size, inside = len(self.classes.base), self.classes.recurrent
         low, high, own = np.full(size, np.inf), np.full(size, -np.inf), self.classes.label[inside]
@@ -195,15 +203,15 @@ class FloatChain:
         np.maximum.at(high, own, (point.value + wide)[inside])
         return low, high
 
-    def evaluate_chain(self) -> tuple[FixedPoint, FixedPoint]:
+    def evaluate_chain(self) -> tuple[BoundedVector, BoundedVector]:
         """Return gain and bias (S,); raise SolverError if floats cannot bound them."""
         mdp, classes = self.mdp, self.classes
 
-        def of_policy(added: Gain) -> FixedPoint:
+        def of_policy(added: Advantages) -> BoundedVector:
             """Return the advantages (S,) of the policy's pairs, given all advantages."""
             terms = int(np.diff(mdp.pair_offsets).max()) + self._roundings + 2
             error = added.error + gamma(terms) * np.abs(added.value)
-            return FixedPoint(value=self.taken @ added.value, error=self.taken @ error * SLACK)
+            return BoundedVector(value=self.taken @ added.value, error=self.taken @ error * SLACK)
 
         # Any bias gives bounds on the gain; w gives bounds on the error of the bias.
         _, bias, second = compute_laurent_expansion(self, self.taken @ mdp.reward)
@@ -226,9 +234,9 @@ class FloatChain:
         if not inside.all():
             # Transient states add their own residual to the error of the class that they enter.
             off = self.until_class.solve(still, np.where(inside, off, rest) * SLACK).error
-        return gain, FixedPoint(value=bias, error=off * SLACK)
+        return gain, BoundedVector(value=bias, error=off * SLACK)
 
-    def compute_limit_distribution(self) -> tuple[FixedPoint, FixedPoint]:
+    def compute_limit_distribution(self) -> tuple[BoundedVector, BoundedVector]:
         """Return (S,) the share of time in each state, from the start, and arrivals at bases.
 
         The latter are expected visits in states other than a base.
@@ -251,7 +259,7 @@ class FloatChain:
         share = mass * times / period[own]
         error = (loose * (times + doubt) + mass * doubt + share * off[own]) / (period - off)[own]
         error = (error + 8 * UNIT * share) * SLACK
-        return FixedPoint(value=share, error=error), arrivals
+        return BoundedVector(value=share, error=error), arrivals
 
 
 class ExactChain:

@@ -16,12 +16,12 @@ from fractions import Fraction
 
 import numpy as np
 
+from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.graph import Mask, prove_termination
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Integers, OutcomeTable, Rows, make_ones, to_integer_array
 from exact_mdp.solvers.bounds.bounds import improve_policy
-from exact_mdp.solvers.endless.graph import Graph
 from exact_mdp.solvers.solution import SolverError, Status
 
 
@@ -42,7 +42,7 @@ class Derived:
         if prove_termination(mdp).proven:
             return self
         # A policy that always moves nearer to the end is proper; improve it.
-        graph, pairs = Graph(mdp), mdp.pair_offsets[:-1].copy()
+        graph, pairs = PairGraph.of(mdp), mdp.pair_offsets[:-1].copy()
         every = np.ones(mdp.n_pairs, dtype=bool)
         choose_nearer_pairs(graph, mdp.terminal, every, pairs)
         pairs, _, gain = improve_policy(mdp, pairs)
@@ -134,14 +134,14 @@ def build_derived_model(
     return Derived(mdp=model, label=label, source=source)
 
 
-def choose_nearer_pairs(graph: Graph, target: Mask, pairs: Mask, chosen: Integers) -> None:
+def choose_nearer_pairs(graph: PairGraph, target: Mask, pairs: Mask, chosen: Integers) -> None:
     """Write into `chosen` (S,) one of some pairs (L,) that leads nearer to the target (S,)."""
     distance = graph.compute_distance(target, pairs)
     nearer = graph.find_falling_pairs(distance) & pairs & (distance > 0)[graph.pair_state]
     choose_first_pairs(graph, nearer, chosen)
 
 
-def choose_first_pairs(graph: Graph, pairs: Mask, chosen: Integers) -> None:
+def choose_first_pairs(graph: PairGraph, pairs: Mask, chosen: Integers) -> None:
     """Write into `chosen` (S,) the first of some pairs (L,) of each state that has one."""
     some = np.flatnonzero(pairs)
     states, first = np.unique(graph.pair_state[some], return_index=True)

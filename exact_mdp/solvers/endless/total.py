@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import Mask
 from exact_mdp.mdp.model import MDP
@@ -31,7 +32,6 @@ from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.gains import SLACK, compute_advantages
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.endless.average import AverageSolution, solve_average
-from exact_mdp.solvers.endless.graph import Graph
 from exact_mdp.solvers.endless.quotient import (
     Derived,
     build_derived_model,
@@ -148,7 +148,7 @@ class Structure:
     """
 
     def __init__(self, mdp: MDP) -> None:
-        self.mdp, self.graph, goal = mdp, Graph(mdp), mdp.goal
+        self.mdp, self.graph, goal = mdp, PairGraph.of(mdp), mdp.goal
         # (S,) the terminal states, or the goal.
         if goal is None:
             self.ends = mdp.terminal

@@ -24,6 +24,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
+from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
 from exact_mdp.mdp.graph import (
@@ -39,7 +40,6 @@ from exact_mdp.solvers.bounds.gains import POLICIES, first_of
 from exact_mdp.solvers.endless.average import AveragePolicyIteration
 from exact_mdp.solvers.endless.chain import ExactChain
 from exact_mdp.solvers.endless.chain import compute_laurent_expansion as laurent
-from exact_mdp.solvers.endless.graph import Graph
 from exact_mdp.solvers.exact.certificate import Certificate, exact_rows
 from exact_mdp.solvers.exact.levels import (
     Level,
@@ -179,10 +179,10 @@ def prove_goal_total(mdp: MDP) -> Certificate:
     if mdp.maximised.unreached == inf:
         prove = _prove_missing_pays
     assert mdp.goal is not None
-    return prove(mdp, exact_rows(mdp), Graph(mdp), mdp.goal)
+    return prove(mdp, exact_rows(mdp), PairGraph.of(mdp), mdp.goal)
 
 
-def _prove_missing_pays(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Mask) -> Certificate:
+def _prove_missing_pays(mdp: MDP, rows: BellmanRows, graph: PairGraph, goal: Mask) -> Certificate:
     """Return the proof for a model in which a run that misses the goal has the value +∞."""
     every, state = np.ones(mdp.n_pairs, dtype=bool), mdp.pair_state
     # A state has the value +∞ if some policy can reach an end component outside the goal and stay
@@ -208,7 +208,7 @@ def _prove_missing_pays(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Mask) -
     )
 
 
-def _prove_missing_costs(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Mask) -> Certificate:
+def _prove_missing_costs(mdp: MDP, rows: BellmanRows, graph: PairGraph, goal: Mask) -> Certificate:
     """Return the proof for a model in which a run that misses the goal has the value -∞."""
     every, state = np.ones(mdp.n_pairs, dtype=bool), mdp.pair_state
     # States with an order cannot be sure to reach the goal: their value is -∞.

@@ -15,7 +15,7 @@ import numpy as np
 from exact_mdp.mdp.report import MOST_LISTED, Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import Floats
-from exact_mdp.solvers.bounds.linear import FixedPoint
+from exact_mdp.solvers.bounds.gains import BoundedVector
 from exact_mdp.solvers.endless.chain import Classes, compute_laurent_expansion
 from exact_mdp.solvers.solution import Bounded, Claim, SolverError, Status
 from exact_mdp.solvers.values.policy_chain import (
@@ -37,8 +37,8 @@ class AverageEvaluation(OfPolicy, Result):
     error: Floats
     bias: Floats  # (S,)
     bias_error: Floats
-    share: FixedPoint  # (S,) share of time in each state in the long run, from the start
-    arrivals: FixedPoint  # (S,) expected visits from the start until a class's base is reached
+    share: BoundedVector  # (S,) share of time in each state in the long run, from the start
+    arrivals: BoundedVector  # (S,) expected visits from the start until a class's base is reached
 
     claim: ClassVar[Claim] = Claim.BOUNDED
 

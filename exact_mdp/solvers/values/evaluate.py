@@ -37,8 +37,8 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, list_claim_facts
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import COMPILED, Floats
-from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
-from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, BoundedVector, gamma
+from exact_mdp.solvers.bounds.linear import LinearSystem
 from exact_mdp.solvers.dynamic.methods import ModifiedPolicyIteration
 from exact_mdp.solvers.dynamic.values import NEARLY_ONE
 from exact_mdp.solvers.solution import (
@@ -262,11 +262,11 @@ class Evaluation(OfPolicy, Pictured):
         return np.where(np.isfinite(self.value), self._variance.value, np.nan)
 
     @cached_property
-    def _variance(self) -> FixedPoint:
+    def _variance(self) -> BoundedVector:
         chain, rate = self.chain, self.mdp.discount
         live: Mask = ~self.mdp.terminal & np.isfinite(self.value)
         if not chain.gain.any():
-            return FixedPoint(value=np.zeros(len(live)), error=np.zeros(len(live)))
+            return BoundedVector(value=np.zeros(len(live)), error=np.zeros(len(live)))
         value, error = np.where(live, self.value, 0.0), np.where(live, self.error, 0.0)
         here, there = value[chain.source], value[chain.table.next]
         # An overflow here is refused when the equations are solved.
@@ -288,7 +288,7 @@ class Evaluation(OfPolicy, Pictured):
             equations = chain.build_equations(rate_exact**2)
         point = equations.solve(np.where(live, constant, 0.0), np.where(live, doubt, 0.0) * SLACK)
         # A variance cannot be negative; clip rounding errors at 0.
-        return FixedPoint(value=np.maximum(point.value, 0.0), error=point.error)
+        return BoundedVector(value=np.maximum(point.value, 0.0), error=point.error)
 
     @cached_property
     @_or_unknown
@@ -303,7 +303,7 @@ class Evaluation(OfPolicy, Pictured):
         away = self.value - self.mean
         off = self.error + self.start.error + 2 * TINY + 2 * UNIT * np.abs(away)
         with np.errstate(over="ignore", invalid="ignore"):
-            square = FixedPoint(
+            square = BoundedVector(
                 value=away**2, error=(2 * np.abs(away) + off) * off + UNIT * away**2
             )
             between = at_start(self.mdp, square)
@@ -387,7 +387,7 @@ class Evaluation(OfPolicy, Pictured):
         return self._discounted.value
 
     @cached_property
-    def _discounted(self) -> FixedPoint:
+    def _discounted(self) -> BoundedVector:
         if not self.settled:
             raise ModelError(
                 "the policy goes on forever, so visits have no number",
@@ -451,7 +451,7 @@ class Evaluation(OfPolicy, Pictured):
         point = PolicyEquations(chain, possible, system, rows).solve(
             chance, gamma(chain.outcomes + chain.roundings) * chance
         )
-        ever = FixedPoint(value=np.clip(point.value, 0.0, 1.0), error=point.error)
+        ever = BoundedVector(value=np.clip(point.value, 0.0, 1.0), error=point.error)
         return at_start(self.mdp, ever)
 
 
@@ -569,7 +569,7 @@ def evaluate(
     return Evaluation(chain=chain, given=given, value=value, error=bound)
 
 
-def _evaluate_closely(chain: PolicyChain, reward: Floats, error: Floats) -> FixedPoint:
+def _evaluate_closely(chain: PolicyChain, reward: Floats, error: Floats) -> BoundedVector:
     """Return a policy's values by its equations, or next to discount 1 by iteration."""
     mdp = chain.mdp
     # Next to 1 the equations are ill-conditioned; modified policy iteration has closer bounds.
@@ -578,5 +578,5 @@ def _evaluate_closely(chain: PolicyChain, reward: Floats, error: Floats) -> Fixe
         with suppress(ModelError, SolverError), warnings.catch_warnings():
             warnings.simplefilter("ignore", PrecisionWarning)
             alone = ModifiedPolicyIteration().solve(chain.model)
-            return FixedPoint(value=np.array(alone.value), error=np.array(alone.state_error))
+            return BoundedVector(value=np.array(alone.value), error=np.array(alone.state_error))
     return chain.discounted.solve(reward, error)

@@ -18,8 +18,7 @@ from exact_mdp.mdp.model import MDP, cache_on_model
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import BLOCK, Floats, Integers, Numbers, concatenate_ranges
 from exact_mdp.mdp.validate import Flags
-from exact_mdp.solvers.bounds.gains import SLACK, TINY, gamma
-from exact_mdp.solvers.bounds.linear import FixedPoint
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, BoundedVector, gamma
 from exact_mdp.solvers.learning.sampler import QTableRows
 from exact_mdp.solvers.values.evaluate import evaluate
 
@@ -98,14 +97,14 @@ def find_taken_pairs(mdp: MDP, key: Integers, policies: Numbers) -> Integers:
     return np.where(alone, mdp.pair_offsets[:-1][:, None], chosen)
 
 
-def evaluate_row_policies(mdp: MDP, rows: QTableRows, policies: Numbers) -> FixedPoint:
+def evaluate_row_policies(mdp: MDP, rows: QTableRows, policies: Numbers) -> BoundedVector:
     """Return the start values (U,) of policies (U, K), with one action number for each Q-row."""
     if topological_levels(mdp) is None:
         evaluations = []
         for rule in policies:
             policy = Policy(space=rows.space, actions=mdp.actions, rule=rule)
             evaluations.append(evaluate(mdp, policy))
-        return FixedPoint(
+        return BoundedVector(
             value=np.array([each.mean for each in evaluations]),
             error=np.array([each.start.error for each in evaluations]),
         )
@@ -121,4 +120,4 @@ def evaluate_row_policies(mdp: MDP, rows: QTableRows, policies: Numbers) -> Fixe
     # The bound γ(d (n + 6)) W, and the sum over the start on top.
     longest = int(np.diff(mdp.transition.indptr).max())
     terms = len(layers.blocks) * (longest + 6) + mdp.n_states + 4
-    return FixedPoint(value=value, error=(gamma(terms) * size + TINY * terms) * SLACK)
+    return BoundedVector(value=value, error=(gamma(terms) * size + TINY * terms) * SLACK)

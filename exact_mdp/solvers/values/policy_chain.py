@@ -52,8 +52,8 @@ from exact_mdp.mdp.table import (
     row_sums,
     to_dyadic_integers,
 )
-from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, component_errors, gamma
-from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, select_rows, transpose_system
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, BoundedVector, component_errors, gamma
+from exact_mdp.solvers.bounds.linear import LinearSystem, select_rows, transpose_system
 from exact_mdp.solvers.endless.chain import Classes, ExactChain, FloatChain, long_run
 from exact_mdp.solvers.endless.quotient import of_pairs
 from exact_mdp.solvers.exact.levels import Level
@@ -521,7 +521,7 @@ class PolicyEquations:
     rows: Callable[[], BellmanRows]  # with rate · P in integers
 
     @cached_property
-    def visits(self) -> FixedPoint:
+    def visits(self) -> BoundedVector:
         """(S,) expected visits from the start, times rate^t at time t; arrivals at an end count."""
         chain, live, start = self.chain, self.live, self.chain.mdp.start_distribution
         rate, exact = self.system.discount, True
@@ -536,15 +536,15 @@ class PolicyEquations:
             terms = np.diff(onward.indptr) + chain.roundings + 4
             off += gamma(terms) * (start + size) + TINY * terms
             value = np.where(live, point.value, start + came)
-            point = FixedPoint(value=value, error=np.where(live, point.error, off * SLACK))
+            point = BoundedVector(value=value, error=np.where(live, point.error, off * SLACK))
             exact = is_too_inaccurate(point, chain.mdp)
         if exact:
             (visits,) = compute_expected_visits(self.rows(), live, chain.mdp.start)
             point = round_fractions(visits.to_fractions())
         # Visits cannot be negative; clip rounding errors at 0.
-        return FixedPoint(value=np.maximum(point.value, 0.0), error=point.error)
+        return BoundedVector(value=np.maximum(point.value, 0.0), error=point.error)
 
-    def solve(self, constant: Floats, error: Floats | float = 0.0) -> FixedPoint:
+    def solve(self, constant: Floats, error: Floats | float = 0.0) -> BoundedVector:
         """Return x (S,) and its error bound, for a constant with an error of at most `error`.
 
         Raises SolverError if floats cannot bound x and rationals would take too long, or if x is
@@ -562,15 +562,15 @@ class PolicyEquations:
         rows = self.rows()
         matrix = build_equations(rows, self.live)
 
-        def solve_exactly(side: Floats) -> FixedPoint:
+        def solve_exactly(side: Floats) -> BoundedVector:
             exact_side = [*map(Fraction, side.tolist())]
             return round_fractions(solve_policy_equations(matrix, rows, exact_side).to_fractions())
 
         value, off = solve_exactly(constant), solve_exactly(doubt)
-        return FixedPoint(value=value.value, error=value.error + off.value * SLACK)
+        return BoundedVector(value=value.value, error=value.error + off.value * SLACK)
 
 
-def is_too_inaccurate(point: FixedPoint, mdp: MDP) -> bool:
+def is_too_inaccurate(point: BoundedVector, mdp: MDP) -> bool:
     """Return whether fewer than half of the digits are sure, in a model small enough for more."""
     # A float with half of its 53 binary digits right has a relative error of 2^-26.
     return mdp.n_states <= FEW and point.error.max() > 2.0**-26 * np.abs(point.value).max()
@@ -588,14 +588,14 @@ def floats_first(mdp: MDP) -> Iterator[None]:
             raise SolverError(Status.TOO_LARGE, detail) from error
 
 
-def round_fractions(numbers: Iterable[Fraction]) -> FixedPoint:
+def round_fractions(numbers: Iterable[Fraction]) -> BoundedVector:
     """Return (S,) exact numbers as floats, each rounded once."""
     exactly = [*numbers]
     try:
         value = np.array([float(number) for number in exactly])
     except OverflowError:
         raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats") from None
-    return FixedPoint(
+    return BoundedVector(
         value=value, error=UNIT * np.abs(value) + TINY * np.array([*map(bool, exactly)])
     )
 

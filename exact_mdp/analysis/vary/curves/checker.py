@@ -21,7 +21,13 @@ import numpy as np
 from flint import fmpq_poly
 from numpy.typing import NDArray
 
-from exact_mdp.analysis.vary.curves.equations import Mix, SectionEquations, Values, sum_weighted
+from exact_mdp.analysis.vary.curves.equations import (
+    Mix,
+    SectionEquations,
+    Values,
+    list_pairs,
+    sum_weighted,
+)
 from exact_mdp.analysis.vary.curves.roots import (
     compute_coefficient_signs,
     is_nonnegative,
@@ -156,6 +162,12 @@ def _not_optimal(equations: SectionEquations, piece: CurvePiece, open_: set[int]
         yield f"the piece from {at} on is outside its section"
     if not is_positive(piece.values[1], piece.low[0], piece.high[1]):
         yield f"the denominator from {at} on is not positive"
+    if equations.improper:
+        optimal = np.flatnonzero(piece.optimal).tolist()
+        if not equations.can_end(optimal, piece.low[0], piece.high[1]):
+            yield f"nothing proves that an optimal policy from {at} on ends"
+    if piece.optimal[equations.barred].any():
+        yield f"a pair by which a run may miss the goal counts as optimal from {at} on"
     for state, pairs in equations.pairs.items():
         marked = [bool(piece.optimal[pair]) for pair in pairs]
         if not any(marked) or marked != [equations.gap[pair].degree() < 0 for pair in pairs]:
@@ -173,6 +185,12 @@ def _not_of(equations: SectionEquations, piece: CurvePiece, mix: Mix) -> Iterato
         return
     if not is_positive(values[1], piece.low[0], piece.high[1]):
         yield f"the denominator of the policy held fixed from {at} on is not positive"
+    taken = list_pairs(mix)
+    if not set(taken).isdisjoint(equations.barred):
+        yield f"the policy held fixed may miss the goal from {at} on"
+        return
+    if equations.improper and not equations.can_end(taken, piece.low[0], piece.high[1]):
+        yield f"nothing proves that the policy held fixed ends from {at} on"
     for state in equations.live:
         ahead = (share * equations.compute_action_value(pair, values) for pair, share in mix[state])
         if values[0][state] != sum(ahead, fmpq_poly()):

@@ -5,8 +5,10 @@ N_s / D of polynomials, and the suboptimality gap h_l of pair l in state s is
 
     D h_l = N_s - D r_l - γ Σ p(l, s') N_s'.
 
-The equations have one solution if transitions close no cycle, if γ Σ P < 1, or if γ Σ P ≤ 1 and
-some transition of each pair leads to a state nearer to the end (see `solvers.exact.checker`).
+The equations have one solution if transitions close no cycle, if γ Σ P < 1, or if no policy can
+stay forever. If staying forever costs something at every step, the optimum is the solution that
+belongs to a policy that ends (Bertsekas and Tsitsiklis, Mathematics of Operations Research 16,
+1991).
 Nothing here imports a solver: the checker of curves relies on this module.
 """
 
@@ -15,8 +17,10 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from fractions import Fraction
+from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
 
+import numpy as np
 from flint import fmpq, fmpq_poly
 
 from exact_mdp.analysis.vary.curves.roots import (
@@ -26,9 +30,9 @@ from exact_mdp.analysis.vary.curves.roots import (
     isolate_roots,
     remove_double_roots,
 )
+from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.exact import to_flint
 from exact_mdp.mdp.graph import beside_goal, find_reachable_states
-from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.parametric.row_change import (
     Piece,
@@ -40,6 +44,8 @@ from exact_mdp.mdp.parametric.row_change import (
 
 Values = tuple[Sequence[fmpq_poly], fmpq_poly]
 """N of each state, and D: values are N / D."""
+Steps = dict[int, list[tuple[int, fmpq_poly]]]
+"""For each pair, next states with their probabilities."""
 Mix = Sequence[Sequence[tuple[int, fmpq]]]
 """For each state, the pairs that a policy takes there, with their probabilities."""
 
@@ -79,15 +85,23 @@ class SectionEquations:
         terminal: list[bool] = ended.tolist()
         self.state: list[int] = mdp.pair_state.tolist()
         self.live = [state for state, ends in enumerate(terminal) if not ends]
-        self.pairs = {state: mdp.pairs_of(state) for state in self.live}
-        self.following: dict[int, list[tuple[int, fmpq_poly]]] = {}
+        self.pairs: dict[int, Sequence[int]] = {state: mdp.pairs_of(state) for state in self.live}
+        self.following: Steps = {}
         for pairs in self.pairs.values():
             for pair in pairs:
                 self.following[pair] = []
+        missing: Steps = {pair: [] for pair in self.following}  # steps to ends that are no goal
+        outside: list[bool] = beside_goal(mdp).tolist()
         for key, p in sorted(weight.items()):
             pair, state = divmod(key, mdp.n_states)
             if pair in self.following and not terminal[state]:
                 self.following[pair].append((state, p * self.rate))
+            elif pair in self.following and outside[state]:
+                missing[pair].append((state, p))
+        self.values: Values = ((), fmpq_poly())
+        self.gap = [fmpq_poly()] * mdp.n_pairs
+        self.barred = list[int]()  # pairs of live states by which a run may miss the goal
+        self.may_miss_goal = self._leave_out_misses(missing)
         # An order in which next states come first, if there is one.
         after: dict[int, set[int]] = {}
         for state, pairs in self.pairs.items():
@@ -97,8 +111,40 @@ class SectionEquations:
         self.order: list[int] | None = None
         with suppress(CycleError):
             self.order = [*TopologicalSorter(after).static_order()]
-        self.values: Values = ((), fmpq_poly())
-        self.gap = [fmpq_poly()] * mdp.n_pairs
+
+    def _leave_out_misses(self, missing: Steps) -> bool:
+        """Leave out the pairs by which a run may miss the goal; return whether one may do so still.
+
+        A run that misses the goal is worth -∞ at discount 1: no optimal policy takes such a pair,
+        nor a pair that leads to states from which no policy is sure of the goal. If missing is
+        worth +∞, or if the discount moves, no run of the section may miss the goal.
+        """
+        if not any(missing.values()) or self.mdp.target is None:
+            return self._finds_missed_goal()
+        if self.rate != fmpq_poly([1]) or self.mdp.unreached > 0:
+            return self._finds_missed_goal()
+        # At a point where some transition vanishes more pairs may be safe, and the optimum jumps.
+        found: list[list[bool]] = []
+        for place in self._list_places():
+            graph = self._build_graph(place, missing)
+            end = np.arange(graph.states) == graph.states - 1
+            unsafe = graph.compute_rounds(end, ~np.zeros(len(missing), dtype=bool)) != 0
+            each = [*unsafe.tolist(), *graph.find_pairs_into(unsafe).tolist()]
+            if each not in found:
+                found.append(each)
+        if len(found) > 1:
+            return True
+        unsafe_states, barred = each[: graph.states], each[graph.states :]
+        for pair, leads in zip(missing, barred, strict=True):
+            if leads or unsafe_states[self.state[pair]]:
+                del self.following[pair]
+            if leads and not unsafe_states[self.state[pair]]:
+                self.barred.append(pair)
+                self.gap[pair] = fmpq_poly([1])  # never optimal
+        self.live = [state for state in self.live if not unsafe_states[state]]
+        kept = self.following.keys()
+        self.pairs = {s: [pair for pair in self.pairs[s] if pair in kept] for s in self.live}
+        return any(unsafe_states[state] for state, weight in self.mdp.start if weight)
 
     def compute_action_value(self, pair: int, values: Values) -> fmpq_poly:
         """Return D Q of a pair: D r + γ Σ p N; from its gap, if the values of next states stay."""
@@ -144,28 +190,25 @@ class SectionEquations:
         nonnegative = [*_remove_duplicates(chances), *self._list_exit_probabilities()]
         if not all(is_nonnegative(p, low, high) for p in nonnegative):
             yield "a probability is negative, or probabilities pass 1"
-        elif not self.one_solution():
+        elif self.improper and not self.staying_costs():
             yield "nothing proves that the Bellman equations have one solution"
-        if self.find_missed_goal() is not None:
+        if self.may_miss_goal:
             yield "a run may end beside the goal, which is worth infinity"
 
-    def find_missed_goal(self) -> MDP | None:
-        """Return a model of the section in which a run may miss the goal; None if there is none.
+    def _finds_missed_goal(self) -> bool:
+        """Return whether a run may miss the goal in some model of the section.
 
         The goal of a total counts at discount 1 alone, so an end of the section with discount
         1 is looked at, too. States that are reachable there are reachable inside.
         """
         if self.mdp.target is None:
-            return None
+            return False
         models = [self.mdp]
         for end in (self.low, self.high):
             if self.mdp.discount_exact != 1 and self.rate(to_flint(end)) == 1:
                 models.append(self.family.at({self.change.name: end}))
         met = find_reachable_states(self.mdp)
-        for mdp in models:
-            if (beside_goal(mdp) & met).any():
-                return mdp
-        return None
+        return any((beside_goal(mdp) & met).any() for mdp in models)
 
     def one_solution(self) -> bool:
         """Whether the equations have one solution on the whole section, ends included."""
@@ -175,16 +218,80 @@ class SectionEquations:
             is_positive(each, low, high) for each in self._list_exit_probabilities()
         ):
             return True
-        # Every pair comes nearer to the end, except at roots of the chances of doing so.
-        falls = self._compute_progress_chances(None)
-        if falls is None:
+        return not self.staying_pairs
+
+    @cached_property
+    def improper(self) -> bool:
+        """Whether some policy may never end: the equations may have several solutions."""
+        return not self.one_solution()
+
+    def staying_costs(self) -> bool:
+        """Whether a policy that never ends loses at every step, and so is worth -∞.
+
+        The optimum is then the solution that belongs to a policy that ends.
+        """
+        if self.rate != fmpq_poly([1]):
             return False
-        # Look at these roots, and at both ends, one by one.
-        nowhere = fmpq_poly()
-        places = [Root(poly=nowhere, low=end, high=end) for end in (low, high)]
-        for fall in falls:
-            places += isolate_roots(remove_double_roots(fall), low, high)
-        return all(self._compute_progress_chances(place) is not None for place in places)
+        return all(
+            is_positive(-self.reward[pair], self.low, self.high) for pair in self.staying_pairs
+        )
+
+    @cached_property
+    def staying_pairs(self) -> list[int]:
+        """The pairs by which a policy may stay forever at some point of the section."""
+        staying = np.zeros(len(self.following), dtype=bool)
+        for _, graph in self._graphs:
+            staying |= graph.end_components(~np.zeros(len(staying), dtype=bool))[1]
+        pairs: list[int] = np.array([*self.following])[staying].tolist()
+        return pairs
+
+    def can_end(self, pairs: Collection[int], low: Fraction, high: Fraction) -> bool:
+        """Whether some policy of the given pairs ends from every state, between two points."""
+        taken = np.isin([*self.following], [*pairs])
+        for place, graph in self._graphs:
+            if place is None or (place.low <= high and low <= place.high):
+                end = np.arange(graph.states) == graph.states - 1
+                if (graph.compute_distance(end, taken)[self.live] < 0).any():
+                    return False
+        return True
+
+    @cached_property
+    def _graphs(self) -> list[tuple[Root | None, PairGraph]]:
+        """The graph of the pairs at each of the places."""
+        return [(place, self._build_graph(place, {})) for place in self._list_places()]
+
+    def _list_places(self) -> list[Root | None]:
+        """Return the points at which some transition vanishes; None stands for all others."""
+        places: list[Root | None] = [None]
+        for end in (self.low, self.high):
+            places.append(Root(poly=fmpq_poly(), low=end, high=end))
+        chances = self._list_exit_probabilities()
+        for row in self.following.values():
+            chances += [p for _, p in row]
+        for chance in _remove_duplicates(chances):
+            places += isolate_roots(remove_double_roots(chance), self.low, self.high)
+        return places
+
+    def _build_graph(self, place: Root | None, missing: Steps) -> PairGraph:
+        """Return the graph of the pairs of live states; the last state is the end.
+
+        With `missing` steps to other ends, it is the goal alone.
+        """
+
+        def is_zero(chance: fmpq_poly) -> bool:
+            if place is None or chance.degree() < 1:
+                return bool(chance.degree() < 0)
+            return place.is_of(chance)
+
+        offsets, following, end = [0], list[int](), self.mdp.n_states
+        for pair, row in self.following.items():
+            others = missing.get(pair, [])
+            following += [to for to, p in (*row, *others) if not is_zero(p)]
+            if not is_zero(self._compute_exit_probability(pair) - sum(p for _, p in others)):
+                following.append(end)
+            offsets.append(len(following))
+        owner = np.array([self.state[pair] for pair in self.following], dtype=np.int64)
+        return PairGraph(end + 1, owner, np.array(offsets), np.array(following))
 
     def _compute_exit_probability(self, pair: int) -> fmpq_poly:
         """Return 1 - γ Σ P of a pair, over live states."""
@@ -193,35 +300,13 @@ class SectionEquations:
     def _list_exit_probabilities(self) -> list[fmpq_poly]:
         return _remove_duplicates(map(self._compute_exit_probability, self.following))
 
-    def _compute_progress_chances(self, at: Root | None) -> list[fmpq_poly] | None:
-        """Return the chances by which pairs come nearer to the end; None if some policy stays.
 
-        They must be positive `at` one point of the section or, without it, at all but some points.
-        """
-
-        def is_zero(chance: fmpq_poly) -> bool:
-            if at is None:
-                return bool(chance.degree() < 0)
-            return at.is_of(chance)
-
-        chances: list[fmpq_poly] = []
-        near, left = set[int](), self.live
-        while left:
-            # The next layer: states whose pairs all lead to an earlier layer, or out.
-            layer = list[int]()
-            for state in left:
-                falls = []
-                for pair in self.pairs[state]:
-                    nearer = (p for to, p in self.following[pair] if to in near)
-                    falls.append(sum(nearer, self._compute_exit_probability(pair)))
-                if not any(map(is_zero, falls)):
-                    layer.append(state)
-                    chances += falls
-            if not layer:
-                return None
-            near.update(layer)
-            left = [state for state in left if state not in near]
-        return _remove_duplicates(chances)
+def list_pairs(mix: Mix) -> list[int]:
+    """Return the pairs that a policy takes."""
+    pairs = []
+    for each in mix:
+        pairs += [pair for pair, weight in each if weight]
+    return pairs
 
 
 def sum_weighted(

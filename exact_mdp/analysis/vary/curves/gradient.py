@@ -30,6 +30,7 @@ from exact_mdp.analysis.gate.regret import EXACT_TRANSITIONS, certify_and_check
 from exact_mdp.analysis.vary.curves.walk import make_improper_error
 from exact_mdp.analysis.vary.ranges import unit_of
 from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.end_components import is_shortest_path
 from exact_mdp.mdp.errors import ModelError, named_options, require_list
 from exact_mdp.mdp.exact import from_flint, to_flint
 from exact_mdp.mdp.graph import (
@@ -248,7 +249,8 @@ def gradient(
     Raises
     ------
     ModelError
-        For unknown names; at discount 1 if some policy never ends; for rows that are not
+        For unknown names; at discount 1 if some policy never ends, unless each of its steps costs
+        something; for rows that are not
         polynomials of the stated degree; with floats, if ties cannot be told from small gaps.
 
     Examples
@@ -267,7 +269,11 @@ def gradient(
     # Derivatives of a total at discount 1 need runs that end, of all policies or of the given one.
     mdp = family.at({})
     reoptimised = isinstance(policy, str) and policy == "optimal"
-    if has_improper_policy(mdp) and (reoptimised or not has_sure_end(PolicyChain.of(mdp, policy))):
+    if reoptimised:
+        finite = not has_improper_policy(mdp) or is_shortest_path(mdp)
+    else:
+        finite = not has_improper_policy(mdp) or has_sure_end(PolicyChain.of(mdp, policy))
+    if not finite:
         raise make_improper_error(
             "today's parameters", beside=prove_termination(mdp).proven, ranges=False
         )
@@ -349,7 +355,9 @@ def _exact_pass(mdp: MDP, policy: PolicyLike) -> Pass:
         values, start = level.to_fractions(), Certified(value=level.compute_mean(mdp.start))
     else:
         values, start = certificate.value, certificate.start
-    value = np.array([*map(to_flint, values)], dtype=object)
+    # An infinite value is 0 here: a parameter that leads to it is refused below.
+    finite = [v if isinstance(v, Fraction) else Fraction(0) for v in values]
+    value = np.array([*map(to_flint, finite)], dtype=object)
 
     # Forward: the expected uses of pairs. A terminal state below discount 1 is visited forever.
     uses = np.array([to_flint(0)] * mdp.n_pairs, dtype=object)
@@ -374,11 +382,15 @@ def _exact_pass(mdp: MDP, policy: PolicyLike) -> Pass:
         if certificate is None:
             _refuse_silence(mdp, begun & met & undecided, change.name)
         unique = certificate is None or (certificate.unique and not (begun & met).any())
-        if unique:
-            # Only pairs that the policy uses contribute.
-            used = np.asarray(uses != 0, dtype=bool)[keys // mdp.n_states]
-            keys, slopes = keys[used], slopes[used]
-            _refuse_infinite(mdp, keys[np.asarray(slopes != 0)], infinite, change.name)
+        if certificate is None or unique:
+            used = np.asarray(uses != 0, dtype=bool)
+        else:
+            seen = find_reachable_states(mdp, pairs=certificate.optimal_pairs)
+            used = certificate.optimal_pairs & seen[mdp.pair_state]
+        # Only pairs that some optimal policy, or the given one, uses contribute.
+        among = used[keys // mdp.n_states]
+        keys, slopes = keys[among], slopes[among]
+        _refuse_infinite(mdp, keys[np.asarray(slopes != 0)], infinite, change.name)
         earned = _compute_pair_slopes(keys, slopes, gain_keys, gains, value, mdp.n_pairs)
         _refuse_endless(mdp, earned != 0, change.name)
         if certificate is None or unique:
@@ -452,6 +464,12 @@ def _bounded_pass(mdp: MDP, policy: PolicyLike) -> Pass:
     met, undecided = find_reachable_states(mdp), ~mdp.forced
     if isinstance(policy, str) and policy == "optimal":
         solution = solve(mdp)
+        if not np.isfinite(solution.value).all():
+            place = mdp.space.place(int((~np.isfinite(solution.value)).argmax()))
+            what = (
+                "the optimal value of a state is infinite, and floats cannot compare actions there"
+            )
+            raise ModelError(what, where=place, fix="ask for exact=True")
         gain = compute_advantages(mdp, solution.value)
         tied = mdp.sign * gain.value >= -2 * (solution.error_bound + gain.noise)
         several = np.add.reduceat(tied, mdp.pair_offsets[:-1], dtype=np.int64) != 1

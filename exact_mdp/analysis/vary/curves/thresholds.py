@@ -267,7 +267,7 @@ def thresholds(
     ModelError
         For an unknown name, an empty range, a model with cycles that is too large, rows that are
         not polynomials of the degree that a family states, or at discount 1 if some policy never
-        ends.
+        ends, unless each of its steps costs something.
 
     Examples
     --------

@@ -28,7 +28,12 @@ from flint import fmpq, fmpq_mat, fmpq_poly, fmpz_poly
 
 from exact_mdp.analysis.gate.regret import certify_and_check
 from exact_mdp.analysis.vary.curves.checker import Bracket, CurvePiece
-from exact_mdp.analysis.vary.curves.equations import Mix, SectionEquations, Values
+from exact_mdp.analysis.vary.curves.equations import (
+    Mix,
+    SectionEquations,
+    Values,
+    list_pairs,
+)
 from exact_mdp.analysis.vary.curves.roots import (
     Root,
     compute_sign,
@@ -210,13 +215,14 @@ def _find_earlier_root(one: Root, other: Root) -> Root:
 def make_improper_error(where: str, *, beside: bool = False, ranges: bool = True) -> ModelError:
     """Return the error of an analysis that needs finite values, and may take `ranges`.
 
-    The reason is that some policy never ends, or that some run ends `beside` the goal.
+    The reason is that some policy never ends and does not lose at every step, or that some run
+    ends `beside` the goal.
     """
     ways = ["give a discount below 1 (--discount 0.95)"]
     if beside:
         what, ends = "some run may end beside the goal, and is worth infinity", "at the goal"
     else:
-        what, ends = "some policy never ends", "for sure"
+        what, ends = "some policy never ends, and some of its steps cost nothing", "for sure"
         ways.append("a number of steps (--horizon N, mdp.within(N))")
     if ranges:
         ways.append(f"a range in which every run ends {ends}")
@@ -245,17 +251,45 @@ def pieces_of(
     pieces, sections, policy = list[CurvePiece](), list[SectionEquations](), None
     for low, high in pairwise(sorted({span.low, *inside, span.high})):
         equations = _build_section_equations(family, name, low, high)
-        beside = equations.find_missed_goal() is not None
-        if beside or not equations.one_solution():
-            between = f"for some {name} from {format_rational(low)} to {format_rational(high)}"
-            raise make_improper_error(between, beside=beside)
+        _require_finite_values(equations, mix)
         sweep = Sweep(equations, mix, sign)
-        if policy is None:
+        # The optimal policy of the section before may never end in this one.
+        if policy is None or equations.improper:
             policy, _ = find_optimal_pairs(equations.mdp)
         pieces += sweep.yield_pieces(policy)
         policy = sweep.policy
         sections.append(equations)
     return pieces, sections
+
+
+def _require_finite_values(equations: SectionEquations, mix: Mix | None) -> None:
+    """Raise ModelError unless the optimum, and the policy held fixed, are finite on a section."""
+    low, high = equations.low, equations.high
+    between = (
+        f"for some {equations.change.name} from {format_rational(low)} to {format_rational(high)}"
+    )
+    if equations.may_miss_goal:
+        raise make_improper_error(between, beside=True)
+    if equations.improper and not equations.staying_costs():
+        raise make_improper_error(between)
+    where = f"the total at discount 1, {between}"
+    if equations.improper and not equations.can_end([*equations.following], low, high):
+        raise ModelError(
+            "from some state no policy ends, and the total is infinite",
+            where=where,
+            fix="choose a range in which every state has a way to the end",
+        )
+    if mix is None:
+        return
+    taken, fix = list_pairs(mix), "leave the policy out, or take one that reaches the end for sure"
+    if not set(taken).isdisjoint(equations.barred):
+        raise ModelError("the policy held fixed may miss the goal", where=where, fix=fix)
+    if equations.improper and not equations.can_end(taken, low, high):
+        raise ModelError(
+            "the policy held fixed never ends from some state, and its total is infinite",
+            where=where,
+            fix=fix,
+        )
 
 
 def _build_section_equations(
@@ -337,22 +371,28 @@ def _interpolate_values(
     equations: SectionEquations, degree: int, entries: Entries, side: Sequence[fmpq_poly]
 ) -> tuple[list[fmpq_poly], fmpq_poly]:
     """Return N of live states, and D, from their values at `degree` + 1 points inside."""
-    low, size, count = equations.low, degree + 1, len(side)
+    low, size, states = equations.low, degree + 1, len(side)
     step = (equations.high - low) / (size + 1)
-    samples: list[list[fmpq]] = []
-    for k in range(1, size + 1):
-        at, matrix = to_flint(low + step * k), [to_flint(0)] * count**2
-        matrix[:: count + 1] = [to_flint(1)] * count
+    numbers, samples = list[int](), list[list[fmpq]]()
+    for k in count(1):
+        if len(samples) == size:
+            break
+        at, matrix = to_flint(low + step * k), [to_flint(0)] * states**2
+        matrix[:: states + 1] = [to_flint(1)] * states
         for place, p in entries:
             matrix[place] -= p(at)
-        # At each point D is the determinant, and N = D V.
-        system = fmpq_mat(count, count, matrix)
+        # At each point D is the determinant, and N = D V. D is 0 at a few points at most: where a
+        # policy that may stay forever does so.
+        system = fmpq_mat(states, states, matrix)
         scale = system.det()
-        values = system.solve(fmpq_mat(count, 1, [each(at) for each in side])).entries()
+        if not scale:
+            continue
+        values = system.solve(fmpq_mat(states, 1, [each(at) for each in side])).entries()
         samples.append([*(scale * each for each in values), scale])
+        numbers.append(k)
     # Polynomials of the number k of a point become polynomials of θ = low + step k.
     number = fmpq_poly([to_flint(-low / step), to_flint(1 / step)])
-    *tops, below = (each(number) for each in interpolate_polynomials(range(1, size + 1), samples))
+    *tops, below = (each(number) for each in interpolate_polynomials(numbers, samples))
     return tops, below
 
 

@@ -17,7 +17,7 @@ from exact_mdp.analysis.gate.forgiveness import (
     per_use,
     round_finite_values,
 )
-from exact_mdp.solvers.bounds.linear import FixedPoint
+from exact_mdp.solvers.bounds.gains import BoundedVector
 from exact_mdp.solvers.solution import Status
 from exact_mdp.solvers.values.policy_chain import PolicyChain, PolicyEquations
 
@@ -91,14 +91,14 @@ def test_what_one_use_of_a_pair_can_move(discount: F) -> None:
     for seed in range(12):
         mdp = in_floats(seed, discount)
         value = np.random.default_rng(seed).normal(size=mdp.n_states) * 10
-        known = FixedPoint(value=value, error=np.zeros(mdp.n_states))
+        known = BoundedVector(value=value, error=np.zeros(mdp.n_states))
         for rewards in (True, False):
             wanted = moved_by_use(mdp, value, rewards)
             found = per_use(mdp, known, rewards=rewards)
             assert (found >= wanted).all()
             assert found == pytest.approx(wanted, rel=1e-5, abs=1e-29)
         doubt = np.arange(1, mdp.n_states + 1) / 8
-        unsure = FixedPoint(value=value, error=doubt)
+        unsure = BoundedVector(value=value, error=doubt)
         more = per_use(mdp, unsure) - per_use(mdp, known)
         for pair, row in outcomes(mdp):
             wide = sum(half(p) * doubt[t] for p, t, _ in row if p < 1) * mdp.float_probabilities
@@ -149,7 +149,7 @@ def test_where_a_policy_stays_for_ever_nothing_moves() -> None:
     ]
     mdp = MDP.from_outcomes(rows)
     stays, leaves = PolicyChain.of(mdp, [0, 0, 0]), PolicyChain.of(mdp, [0, 1, 0])
-    zero = FixedPoint(value=np.zeros(3), error=np.zeros(3))
+    zero = BoundedVector(value=np.zeros(3), error=np.zeros(3))
     found = float(compute_rounding_allowance(mdp, (stays, zero), (leaves, zero)))
     assert found == pytest.approx(0.3 * half(0.3), rel=1e-3)
     again = float(compute_rounding_allowance(mdp, (stays, zero), (stays, zero)))
@@ -159,8 +159,8 @@ def test_where_a_policy_stays_for_ever_nothing_moves() -> None:
 def test_nothing_is_forgiven_where_visits_are_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
     mdp = in_floats(0, F(1, 2))
     one, other = policies(mdp, 0)
-    known = FixedPoint(value=np.zeros(mdp.n_states), error=np.zeros(mdp.n_states))
-    endless = FixedPoint(value=np.full(mdp.n_states, np.inf), error=np.zeros(mdp.n_states))
+    known = BoundedVector(value=np.zeros(mdp.n_states), error=np.zeros(mdp.n_states))
+    endless = BoundedVector(value=np.full(mdp.n_states, np.inf), error=np.zeros(mdp.n_states))
     assert compute_rounding_allowance(mdp, (one, endless), (other, endless)) == 0
 
     def unbounded(_: Any) -> Any:
@@ -210,7 +210,7 @@ def test_no_use_of_a_pair_is_forgiven_more_than_the_widest(exact: bool, seed: in
     rewards = rng.normal(size=(2, 3, 3)) * 10.0 ** rng.integers(-9, 9, size=(2, 3, 1))
     mdp = MDP.from_arrays(rows, rewards, discount="1/2")
     value = rng.normal(size=3) * 10.0 ** rng.integers(-9, 9)
-    known = FixedPoint(value=value, error=np.abs(value) / 10.0 ** rng.integers(1, 16))
+    known = BoundedVector(value=value, error=np.abs(value) / 10.0 ** rng.integers(1, 16))
     assert per_use(mdp, known).max() <= bound_per_use(mdp, known)
 
 
@@ -223,5 +223,5 @@ def test_the_widest_is_no_wider_than_the_greatest_numbers() -> None:
         size = float(np.abs(gain).max() + np.abs(value).max())
         spread = float(np.ptp(gain)) + float(np.ptp(value) + 2 * error.max()) / 2
         wanted = mdp.float_rewards * size + mdp.float_probabilities * spread / 2
-        found = bound_per_use(mdp, FixedPoint(value=value, error=error))
+        found = bound_per_use(mdp, BoundedVector(value=value, error=error))
         assert found == pytest.approx(wanted * 2.0**-53, rel=1e-5, abs=1e-29)

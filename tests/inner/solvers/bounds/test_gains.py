@@ -15,7 +15,7 @@ from exact_mdp.solvers.bounds.gains import (
     SLACK,
     TINY,
     UNIT,
-    Gain,
+    Advantages,
     Weights,
     choose_greedy_pairs,
     component_errors,
@@ -199,7 +199,7 @@ def test_the_first_pair_that_no_other_beats_is_taken() -> None:
         for _ in range(2):
             value = rng.integers(-2, 3, mdp.n_pairs).astype(float)
             noise = rng.choice([0.0, 0.25, 0.5, 1.0], mdp.n_pairs)
-            levels.append(Gain(value=value, error=noise, noise=noise))
+            levels.append(Advantages(value=value, error=noise, noise=noise))
         wanted, left = list[int](), set[int]()
         for pairs in of_states(mdp):
             for level in levels:

@@ -6,7 +6,7 @@ import numpy as np
 from oracle import every_policy_ends, rows_of
 
 from exact_mdp import MDP
-from exact_mdp.solvers.endless.graph import Graph
+from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.solvers.endless.quotient import (
     build_derived_model,
     choose_first_pairs,
@@ -64,7 +64,7 @@ def test_a_model_of_some_pairs_has_their_rows() -> None:
 
 
 def test_pairs_toward_a_target_come_nearer_with_each_step() -> None:
-    graph, every = Graph(MODEL), np.ones(5, dtype=bool)
+    graph, every = PairGraph.of(MODEL), np.ones(5, dtype=bool)
     chosen = np.full(4, -7)
     choose_nearer_pairs(graph, np.arange(4) == 2, every, chosen)
     assert chosen.tolist() == [0, 2, -7, 4]

@@ -21,7 +21,7 @@ from small_models import (
 )
 
 from exact_mdp import MDP, ModelError, SolverError, evaluate, solve
-from exact_mdp.solvers.bounds.linear import FixedPoint
+from exact_mdp.solvers.bounds.gains import BoundedVector
 from exact_mdp.solvers.dynamic.methods import ModifiedPolicyIteration
 from exact_mdp.solvers.solution import Bounded, Status
 from exact_mdp.solvers.values import evaluate as module
@@ -451,7 +451,7 @@ def test_a_mixture_of_starts_adds_the_spread_between_them() -> None:
         value=np.array([1.0, 5.0, 0.0]),
         error=np.array([0.25, 0.5, 0.0]),
     )
-    vars(own)["_variance"] = FixedPoint(
+    vars(own)["_variance"] = BoundedVector(
         value=np.array([2.0, 8.0, 0.0]), error=np.array([1.0, 0.5, 0.0])
     )
     number = own.numbers["variance"]

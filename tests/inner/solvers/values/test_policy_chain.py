@@ -13,8 +13,7 @@ from small_models import Chances, given, random_policy, small_model
 
 from exact_mdp import MDP, ModelError, SolverError, solve
 from exact_mdp.mdp.exact import BellmanRows
-from exact_mdp.solvers.bounds.gains import UNIT
-from exact_mdp.solvers.bounds.linear import FixedPoint
+from exact_mdp.solvers.bounds.gains import UNIT, BoundedVector
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.solution import Status
 from exact_mdp.solvers.values import policy_chain
@@ -53,7 +52,7 @@ def ends_of(mdp: MDP) -> list[int]:
     return np.flatnonzero(mdp.terminal).tolist()
 
 
-def near(point: FixedPoint, wanted: Any, room: float = 200) -> None:
+def near(point: BoundedVector, wanted: Any, room: float = 200) -> None:
     """Hold numbers to exact ones within their errors, which are a few units of the last digit."""
     size = max([abs(float(x)) for x in wanted], default=0.0) + 1
     for value, error, exact in zip(point.value, point.error, wanted, strict=True):
@@ -128,7 +127,7 @@ def test_rewards_and_transitions_are_those_of_the_mixture() -> None:
     for mdp, chances, chain in chains():
         law = law_of(mdp, chances)
         earned, error = chain.reward
-        near(FixedPoint(value=earned, error=error), [row[2] for row in law], 100)
+        near(BoundedVector(value=earned, error=error), [row[2] for row in law], 100)
         dense = chain.transition.toarray()
         assert chain.transition.has_sorted_indices
         for state, _, _, row in law:
@@ -683,9 +682,9 @@ def test_poor_floats_have_less_than_half_of_their_digits(monkeypatch: pytest.Mon
     mdp = small_model(0)
     value = np.array([-4.0, 1.0])
     for error, wanted in ((2.0**-24, False), (2.0**-23.9, True), (2.0**-25, False)):
-        point = FixedPoint(value=value, error=np.array([0.0, error]))
+        point = BoundedVector(value=value, error=np.array([0.0, error]))
         assert is_too_inaccurate(point, mdp) == wanted
-    coarse = FixedPoint(value=value, error=value**2)
+    coarse = BoundedVector(value=value, error=value**2)
     for most, wanted in ((mdp.n_states, True), (mdp.n_states - 1, False)):
         monkeypatch.setattr(policy_chain, "FEW", most)
         assert is_too_inaccurate(coarse, mdp) == wanted

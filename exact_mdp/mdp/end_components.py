@@ -9,6 +9,7 @@ removing states that cannot stay and splitting into strongly connected component
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import count
 
@@ -16,16 +17,23 @@ import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.mdp.graph import Backward, Mask, strong_components
-from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Integers, concatenate_ranges
+from exact_mdp.mdp.model import MDP, cache_on_model
+from exact_mdp.mdp.table import Integers, Numbers, concatenate_ranges
 
 
-class Graph:
-    """The graph of a model with S states and L pairs, from its exact outcomes."""
+@dataclass(frozen=True, eq=False)
+class PairGraph:
+    """The graph of S `states` and L pairs: pair l may lead to next[offsets[l]:offsets[l+1]]."""
 
-    def __init__(self, mdp: MDP) -> None:
-        self.states, self.pair_state = mdp.n_states, mdp.pair_state
-        self.offsets, self.next = mdp.table.offsets, mdp.table.next
+    states: int
+    pair_state: Integers
+    offsets: Integers
+    next: Numbers
+
+    @classmethod
+    def of(cls, mdp: MDP) -> PairGraph:
+        """Return the graph of a model, from its exact outcomes."""
+        return cls(mdp.n_states, mdp.pair_state, mdp.table.offsets, mdp.table.next)
 
     @cached_property
     def _backward(self) -> Backward:
@@ -104,3 +112,26 @@ class Graph:
                 number[stays] = label
                 return number, inside
             inside[chosen[apart]] = False
+
+
+@cache_on_model
+def is_shortest_path(mdp: MDP) -> bool:
+    """Return whether staying forever costs something at every step, and every state can end.
+
+    Policies that never end are then worth -∞ (+∞ for costs), and the optimum is the best of those
+    that end (stochastic shortest paths: Bertsekas and Tsitsiklis, Mathematics of Operations
+    Research 16, 1991). With a goal, runs end there, and missing it has to be the worst of all:
+    states from which no policy is sure of the goal may then exist, but not at the start.
+    """
+    graph, every, ends = PairGraph.of(mdp), np.ones(mdp.n_pairs, dtype=bool), mdp.terminal
+    if mdp.goal is not None:
+        ends = mdp.goal
+    safe = graph.compute_rounds(ends, every) == 0
+    needed = ~ends  # all states that are not ends, or those of the start
+    if mdp.goal is not None and mdp.sign * mdp.unreached < 0:
+        needed = mdp.start_distribution > 0
+    inside = (safe & ~ends)[mdp.pair_state] & graph.find_pairs_within(safe)
+    _, staying = graph.end_components(inside)
+    earned, _ = mdp.table.expected_gain_exact
+    costs = np.asarray(mdp.sign * earned < 0, dtype=bool)
+    return bool(safe[needed].all() and costs[staying].all())

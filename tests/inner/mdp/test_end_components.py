@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from exact_mdp import MDP
-from exact_mdp.solvers.endless.graph import Graph
+from exact_mdp.mdp.end_components import PairGraph
 
 
 def drawn(seed: int) -> tuple[MDP, list[tuple[int, set[int]]]]:
@@ -28,7 +28,7 @@ def subsets(size: int) -> list[set[int]]:
 @pytest.mark.parametrize("seed", range(30))
 def test_pairs_that_lead_into_a_set(seed: int) -> None:
     mdp, pairs = drawn(seed)
-    graph, inside = Graph(mdp), {0, 3}
+    graph, inside = PairGraph.of(mdp), {0, 3}
     mask = np.isin(np.arange(5), [0, 3])
     assert graph.find_pairs_within(mask).tolist() == [after <= inside for _, after in pairs]
     assert graph.find_pairs_into(mask).tolist() == [bool(after & inside) for _, after in pairs]
@@ -45,7 +45,7 @@ def test_a_distance_is_that_of_networkx(seed: int) -> None:
     edges = nx.DiGraph([(t, s) for k, (s, after) in enumerate(pairs) if allowed[k] for t in after])
     edges.add_nodes_from(range(5))
     far = nx.single_source_shortest_path_length(edges, 4)
-    graph = Graph(mdp)
+    graph = PairGraph.of(mdp)
     found = graph.compute_distance(np.arange(5) == 4, allowed)
     assert found.tolist() == [far.get(s, -1) for s in range(5)]
     least = [min((found[t] for t in after if found[t] >= 0), default=5) for _, after in pairs]
@@ -59,7 +59,7 @@ def test_a_distance_is_that_of_networkx(seed: int) -> None:
 def test_who_reaches_a_target_for_sure_and_who_cannot_help_it(seed: int) -> None:
     """For sure: in the largest set whose states have ways to it by pairs that stay inside."""
     mdp, pairs = drawn(seed)
-    graph, every = Graph(mdp), np.ones(len(pairs), dtype=bool)
+    graph, every = PairGraph.of(mdp), np.ones(len(pairs), dtype=bool)
     sure: set[int] = set()
     for inside in subsets(5):
         own = [(s, after) for s, after in pairs if s in inside and after <= inside]
@@ -81,7 +81,7 @@ def test_who_reaches_a_target_for_sure_and_who_cannot_help_it(seed: int) -> None
 @pytest.mark.parametrize("seed", range(30))
 def test_end_components_are_the_largest_sets_that_can_be_stayed_in(seed: int) -> None:
     mdp, pairs = drawn(seed)
-    number, inside = Graph(mdp).end_components(np.ones(len(pairs), dtype=bool))
+    number, inside = PairGraph.of(mdp).end_components(np.ones(len(pairs), dtype=bool))
 
     def stays(states: set[int]) -> bool:
         own = [(s, after) for s, after in pairs if s in states and after <= states]

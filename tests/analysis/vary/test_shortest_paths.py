@@ -1,0 +1,173 @@
+"""Shortest paths with policies that never end: curves and gradients beside exact optima."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction as F
+from random import Random
+
+import numpy as np
+import pytest
+
+from exact_mdp import MDP, Family, ModelError, certify, curve, evaluate, gradient, solve, thresholds
+
+RANGE = F(1, 10), F(9, 10)
+
+
+def random_family(rng: Random, *, sense: str = "min") -> Family:
+    """Return a random shortest path of four states, in which a policy can wait forever at a cost.
+
+    State 3 is the end. Whatever is drawn, action 0 goes to a higher state with some probability.
+    """
+    drawn = []
+    for state in range(3):
+        for action in range(rng.randint(2, 3)):
+            ahead = state + 1 if action == 0 else rng.randrange(4)
+            behind = rng.randrange(4)
+            drawn.append((state, action, ahead, behind, rng.randint(1, 4), rng.randint(0, 3)))
+
+    def build(at: dict[str, F]) -> MDP:
+        rows = []
+        for state, action, ahead, behind, cost, slope in drawn:
+            paid = (cost + slope * at["toll"]) * (1 if sense == "min" else -1)
+            chances = {ahead: F(0), behind: F(0)}
+            chances[ahead] += 1 - at["slip"] / 2
+            chances[behind] += at["slip"] / 2
+            rows.append((state, action, [(p, to, paid) for to, p in chances.items()]))
+            if action == 0:
+                rows.append((state, 9, [(1, state, paid)]))  # wait
+        rows.append((3, 0, [(1, 3, 0)]))
+        return MDP.from_outcomes(rows, discount=1, sense=sense)
+
+    return Family(parameters={"slip": "1/2", "toll": "1/3"}, build=build)
+
+
+@pytest.mark.parametrize("sense", ["min", "max"])
+def test_curves_agree_with_the_optimum_at_every_point(sense: str) -> None:
+    several = 0
+    for seed in range(12):
+        family = random_family(Random(seed), sense=sense)
+        for name in ("slip", "toll"):
+            line = curve(family, name, RANGE)
+            assert line.violations() == []
+            several += len(line.pieces) > 1
+            for at in (F(1, 10), F(1, 3), F(5, 8), F(9, 10)):
+                assert line.at(at) == certify(family.at({name: at})).start_value
+    assert several
+
+
+def test_a_policy_held_fixed_is_worth_its_own_value() -> None:
+    family = random_family(Random(1))
+    policy = [0, 0, 0, 0]
+    line = curve(family, "slip", RANGE, policy=policy)
+    assert line.violations() == []
+    for at in (F(1, 4), F(3, 4)):
+        piece = next(each for each in line.pieces if each.low[1] <= at <= each.high[0])
+        assert piece.fixed is not None
+        value = evaluate(family.at({"slip": at}), policy).start_value
+        assert float(piece.fixed.at(at)) == pytest.approx(value, rel=1e-12)
+    # A proof of another policy does not hold: one that waits forever has no finite value.
+    with pytest.raises(ModelError, match="the policy held fixed never ends") as refused:
+        curve(family, "slip", RANGE, policy=[9, 9, 9, 0])
+    assert "leave the policy out" in refused.value.fix
+
+
+def test_gradients_are_the_slopes_of_the_curve() -> None:
+    for seed in range(12):
+        family = random_family(Random(seed))
+        slopes, floats = gradient(family), None
+        if certify(family.at({})).unique:
+            floats = gradient(family, exact=False)
+        for name in ("slip", "toll"):
+            line = curve(family, name, RANGE)
+            today = next(each.value for each in family.parameters if each.name == name)
+            step = F(1, 10**9)
+            right = (line.at(today + step) - line.at(today)) / step
+            left = (line.at(today) - line.at(today - step)) / step
+            assert float(slopes[name].right.value) == pytest.approx(float(right), rel=1e-6)
+            assert float(slopes[name].left.value) == pytest.approx(float(left), rel=1e-6)
+            if floats is not None:
+                bounded = floats[name].value
+                assert abs(F(bounded.value) - slopes[name].value.value) <= F(bounded.error)
+
+
+def pitfalls(rng: Random) -> Family:
+    """Return a random family with a pit beside the goal, which some pairs may fall into."""
+    plain, falls = random_family(rng), [rng.random() < 0.4 for _ in range(12)]
+
+    def build(at: dict[str, F]) -> MDP:
+        rows, listed = plain.at(at), []
+        for pair in range(rows.n_pairs):
+            outcomes = [(p, to, paid) for p, to, paid in rows.table.row(pair)]
+            state, action = int(rows.pair_state[pair]), int(rows.pair_action[pair])
+            if state < 3 and action in (1, 2) and falls[pair]:
+                outcomes = [(p / 2, to, paid) for p, to, paid in outcomes]
+                outcomes.append((F(1, 2), 4, outcomes[0][2]))
+            listed.append((state, action, outcomes))
+        listed.append((4, 0, [(1, 4, 0)]))
+        goal = {"goal": [3]}
+        return MDP.from_outcomes(listed, discount=1, sense="min", labels=goal).until("goal")
+
+    return Family(parameters={"slip": "1/2", "toll": "1/3"}, build=build)
+
+
+def test_pairs_that_may_miss_the_goal_are_left_out() -> None:
+    for seed in range(12):
+        family = pitfalls(Random(seed))
+        slopes = gradient(family)
+        for name in ("slip", "toll"):
+            line = curve(family, name, RANGE)
+            assert line.violations() == []
+            for at in (F(1, 10), F(1, 3), F(5, 8), F(9, 10)):
+                assert line.at(at) == certify(family.at({name: at})).start_value
+            today = next(each.value for each in family.parameters if each.name == name)
+            step = F(1, 10**9)
+            right = (line.at(today + step) - line.at(today)) / step
+            assert float(slopes[name].right.value) == pytest.approx(float(right), rel=1e-6)
+
+
+def test_what_waits_for_nothing_is_refused() -> None:
+    """Without a cost of waiting, or with a reward for it, a policy may never end."""
+    for paid in (0, -1):
+
+        def build(at: dict[str, F], paid: int = paid) -> MDP:
+            rows = [
+                (0, 0, [(1 - at["slip"], 1, 1), (at["slip"], 0, 1)]),
+                (0, 1, [(1, 0, paid)]),
+                (1, 0, [(1, 1, 0)]),
+            ]
+            return MDP.from_outcomes(rows, discount=1, sense="min")
+
+        with pytest.raises(ModelError, match="some policy never ends"):
+            curve(Family(parameters={"slip": "1/2"}, build=build), "slip", RANGE)
+
+
+def test_where_no_policy_ends_a_curve_is_refused_and_a_smaller_range_is_not() -> None:
+
+    def build(at: dict[str, F]) -> MDP:
+        rows = [
+            (0, 0, [(p, to, 1) for p, to in ((1 - at["slip"], 1), (at["slip"], 0)) if p]),
+            (0, 1, [(1, 0, 1)]),
+            (1, 0, [(1, 1, 0)]),
+        ]
+        return MDP.from_outcomes(rows, discount=1, sense="min")
+
+    family = Family(parameters={"slip": "1/2"}, build=build)
+    with pytest.raises(ModelError, match="from some state no policy ends"):
+        curve(family, "slip", (0, 1))
+    line = curve(family, "slip", (0, "9/10"))
+    assert line.violations() == []
+    assert line.at("9/10") == 10  # 1 / (1 - slip)
+    assert len(line.pieces) == 1
+    assert thresholds(family, "slip", (0, "9/10")).frame().empty
+
+
+def test_a_piece_whose_policy_never_ends_is_no_proof() -> None:
+    """Waiting at no loss keeps any value: the equations hold, and the checker must refuse them."""
+    family = random_family(Random(2))
+    line = curve(family, "toll", RANGE)
+    (piece, *_) = line.pieces
+    waits = np.zeros_like(piece.optimal)
+    forged = replace(line, pieces=(replace(piece, optimal=waits), *line.pieces[1:]))
+    assert any("ends" in each for each in forged.violations())
+    assert solve(family.at({})).start_value == pytest.approx(float(line.at("1/3")))
