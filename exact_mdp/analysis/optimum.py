@@ -9,6 +9,7 @@ that status that have a choice and are reached by some policy.
 from __future__ import annotations
 
 import io
+import warnings
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar
@@ -34,7 +35,6 @@ from exact_mdp.solvers.solution import (
     PrecisionWarning,
     Solution,
     SolverError,
-    warn_at_caller,
 )
 from exact_mdp.solvers.solver import SOLVERS, Criterion, is_average, solve
 
@@ -222,7 +222,7 @@ def compute_optimum(
     except SolverError as error:
         if not certify:
             raise
-        warn_at_caller(f"{error} (the exact values stand)", PrecisionWarning)
+        warnings.warn(f"{error} (the exact values stand)", PrecisionWarning, stacklevel=2)
     # The exact optimum, with a proof that its checker has accepted.
     if certify:
         exact = require_sound_proof(certified(model, criterion=criterion))

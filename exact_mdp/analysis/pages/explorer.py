@@ -147,7 +147,7 @@ def explore(
         raise ModelError(f"{n} values", where="explorer", fix="choose from 2 to 101")
     # The ranges, each of which has to leave room to move.
     family = parametric(model)
-    spans = ranges_of(family, names, ranges, relative)
+    spans = ranges_of(family, names, ranges, relative, stacklevel=3)
     for name, span in spans.items():
         if span.low == span.high:
             raise ModelError(f"{name} has no range", where="explorer", fix="state a range")

@@ -299,7 +299,7 @@ def worst_point(
     ('3/50', True)
     """
     family = parametric(model)
-    spans = spans_of(family, None, ranges, relative)
+    spans = spans_of(family, None, ranges, relative, stacklevel=3)
     names = [parameter.name for parameter in spans]
     if isinstance(family, ScenarioFamily) and not family.asks:
         highest = {parameter.name: span.high for parameter, span in spans.items()}
