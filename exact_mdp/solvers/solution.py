@@ -307,7 +307,7 @@ class Found(Valued):
 
     @cached_property
     def policy(self) -> Any:
-        """The policy, which is also an array (S,) of action numbers; None if it was given."""
+        """The policy, whose `rule` (S,) holds action numbers; None if it was given."""
         if self.pairs is None:
             return None
         mdp = self.mdp
@@ -361,7 +361,7 @@ class Solution(Found, Pictured):
     --------
     >>> from exact_mdp.solvers import solve
     >>> solution = solve(MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]]))
-    >>> solution.value.tolist(), solution.policy.tolist(), solution.start.interval
+    >>> solution.value.tolist(), solution.policy.rule.tolist(), solution.start.interval
     ([3.0, 0.0], [1, 0], (2.99..., 3.00...))
     >>> solution.frame().action.tolist(), solution.q.tolist(), solution.gap_table.tolist()
     (['1', '0'], [[1.0, 3.0], [0.0, 0.0]], [[2.0, 0.0], [0.0, 0.0]])

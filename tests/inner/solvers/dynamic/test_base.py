@@ -44,7 +44,7 @@ def test_a_solution_has_the_middle_of_the_bounds() -> None:
     solution = conclude(Status.CONVERGED)
     assert abs(solution.value[0] - 4) <= solution.state_error[0]
     assert (solution.iterations, solution.method) == (7, "policy-iteration")
-    assert solution.policy.tolist() == [1]
+    assert solution.policy.rule.tolist() == [1]
     assert solution.regret_bound >= 0
     assert 0 <= solution.seconds < 60
 
@@ -74,4 +74,4 @@ def test_a_tolerance_beyond_floats_is_in_the_status_and_in_a_warning(sense: str)
 def test_costs_are_solved_as_negated_rewards() -> None:
     costs = MDP.from_arrays([[[1]], [[1]]], [[1, 2]], discount="1/2", sense="min")
     solution = PolicyIteration().solve(costs)
-    assert (solution.value.tolist(), solution.policy.tolist()) == ([2.0], [0])
+    assert (solution.value.tolist(), solution.policy.rule.tolist()) == ([2.0], [0])
