@@ -64,7 +64,7 @@ class Table:
     note: str = ""
     count: int = 0  # the number of all rows, if `rows` has only the first of them
 
-    def heading(self) -> str:
+    def format_heading(self) -> str:
         """Return the title, with the number of rows if not all are shown."""
         if len(self.rows) <= self.first:
             return self.title
@@ -131,7 +131,7 @@ class Report:
     def lines(self) -> dict[str, str]:
         """Return the facts that are shown as lines, {name: text}."""
         lines = {}
-        for key, value in self._seen():
+        for key, value in self._list_visible():
             if key not in self.tables and not _is_table(value):
                 lines[key.replace("_", " ")] = format_fact(value)
         return lines
@@ -140,7 +140,7 @@ class Report:
         """Return the tables that have rows."""
         tables = []
         # Facts without a layout of their own.
-        for key, value in self._seen():
+        for key, value in self._list_visible():
             if key not in self.tables and _is_table(value):
                 tables.append(_build_table(key.replace("_", " "), value))
         # Tables with a layout; a table without rows of its own takes the rows of a fact.
@@ -161,7 +161,7 @@ class Report:
         """Return the HTML for a notebook: title, notes, lines, and the first rows of tables."""
         return str(load_template(TEMPLATE).module.notebook(self, first))
 
-    def _seen(self) -> Iterator[tuple[str, Any]]:
+    def _list_visible(self) -> Iterator[tuple[str, Any]]:
         """Yield the keys and values of the facts that people see."""
         for key, value in self.facts.items():
             if isinstance(value, Shown):

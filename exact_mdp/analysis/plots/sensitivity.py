@@ -235,7 +235,7 @@ def plot_two_way(grid: TwoWay, *, ax: Axes | None = None) -> Axes:
     x, y = (np.unique(column) for column in grid.table.points.T.astype(float))
     # A legend has room for eight policies, and for four lines in an inch.
     count, room = int(shown.max()) + 1, 4 * ax.figure.bbox.height / ax.figure.dpi
-    listed = [grid.chosen(number) for number in range(min(count, 8))]
+    listed = [grid.list_actions(number) for number in range(min(count, 8))]
     entries = _describe_policies(listed)
     while len(listed) > 2 and "\n".join(entries).count("\n") > room:
         entries = _describe_policies(listed := listed[:-1])

@@ -286,7 +286,7 @@ class TwoWay(Pictured):
         """Return one row for each point of the grid."""
         return self.table.frame(["x", "y"]).assign(policy=self.policy.reshape(-1))
 
-    def chosen(self, number: int) -> dict[str, str]:
+    def list_actions(self, number: int) -> dict[str, str]:
         """Return the actions of a numbered policy, in states with a choice that it reaches."""
         mdp, choices = self.mdp, self.choices[self.policy == number][0]
         taken = mdp.pair_action == choices[mdp.pair_state]

@@ -137,7 +137,7 @@ def of_function(model: MDP, ask: Callable[[Any], Any], kind: str = "auto") -> Pa
     for state in np.unique(rows_read(model, space)[model.asked]).tolist():
         thing = state
         if len(space.columns) == 1 and state < space.columns[0].size:
-            thing = space.columns[0].thing(state)
+            thing = space.columns[0].find_object(state)
         choices[state] = ask(thing)
         # Answers of functions that forget to return, and of agents that also return their state.
         if choices[state] is None:

@@ -249,7 +249,7 @@ class Policy(ByFields):
         """
         return self._fill_weights(require_type(model, MDP, "model", MODEL))[0]
 
-    def undecided(self, model: MDP) -> NDArray[np.bool_]:
+    def find_undecided(self, model: MDP) -> NDArray[np.bool_]:
         """Return (S,) True for states with a choice for which the policy gives no action.
 
         In these states the action does not matter: the episode is over, or all actions have the

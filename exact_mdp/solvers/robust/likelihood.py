@@ -36,8 +36,8 @@ class Likelihood(Ball):
     NAME = "a likelihood radius"
 
     @np.errstate(over="ignore", under="ignore")
-    def least(self, block: RowBlock, payoff: Floats) -> tuple[Floats, Floats]:
-        """See `Ambiguity.least`."""
+    def minimise(self, block: RowBlock, payoff: Floats) -> tuple[Floats, Floats]:
+        """See `Ambiguity.minimise`."""
         p, beta = block.probability, self.list_radii(block)
         d = payoff - payoff.min(axis=1, keepdims=True)
         # Rows in which the scale is 0 are solved in closed form.

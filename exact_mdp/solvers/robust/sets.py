@@ -52,7 +52,7 @@ class Ambiguity(ABC):
     """A set of distributions for each row, independent of others: (s, a)-rectangular."""
 
     @abstractmethod
-    def least(self, block: RowBlock, payoff: Floats) -> tuple[Floats, Floats]:
+    def minimise(self, block: RowBlock, payoff: Floats) -> tuple[Floats, Floats]:
         """Return members q (K, n) of the sets and b (K,): no member's mean is below Σ q x - b.
 
         Both hold up to rounding, which `solve_inner_problem` accounts for.
@@ -139,8 +139,8 @@ class Intervals(Ambiguity):
                 fix="give 0 ≤ lower ≤ upper ≤ 1 with sums below and above 1",
             )
 
-    def least(self, block: RowBlock, payoff: Floats) -> tuple[Floats, Floats]:
-        """See `Ambiguity.least`."""
+    def minimise(self, block: RowBlock, payoff: Floats) -> tuple[Floats, Floats]:
+        """See `Ambiguity.minimise`."""
         # Every outcome gets its lower bound; the remaining mass goes to the least payoffs first,
         # each up to its upper bound.
         lower = np.where(block.filled, 0.0, self.lower[block.outcome])
@@ -194,8 +194,8 @@ class L1Ball(Ball):
 
     NAME = "an L1 radius"
 
-    def least(self, block: RowBlock, payoff: Floats) -> tuple[Floats, Floats]:
-        """See `Ambiguity.least`."""
+    def minimise(self, block: RowBlock, payoff: Floats) -> tuple[Floats, Floats]:
+        """See `Ambiguity.minimise`."""
         # Move mass from the greatest payoffs to the least: half the radius, as it counts twice.
         p = block.probability
         order = np.argsort(-payoff, axis=1)
@@ -297,10 +297,10 @@ def solve_inner_problem(
             raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
         # A maximum is minus the minimum of -x; the tolerance `short` is on nature's side.
         if against:
-            q, below = ambiguity.least(block, payoff)
+            q, below = ambiguity.minimise(block, payoff)
             above = np.zeros(len(q))
         else:
-            q, above = ambiguity.least(block, -payoff)
+            q, above = ambiguity.minimise(block, -payoff)
             below = np.zeros(len(q))
         # Differences from the first payoff lose no digits to the common part.
         base = payoff[:, :1]

@@ -124,7 +124,7 @@ class PolicyChain:
         if isinstance(policy, Valued) or (isinstance(policy, str) and policy == "optimal"):
             open_ = mdp.over & ~mdp.forced
         elif chain.policy is not None:
-            open_ = chain.policy.undecided(mdp)
+            open_ = chain.policy.find_undecided(mdp)
         return chain, open_
 
     def require_said(self, undecided: Mask, where: str) -> None:

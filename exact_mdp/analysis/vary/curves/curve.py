@@ -356,7 +356,7 @@ def curve(
     family = parametric(model)
     mdp = family.at({})
     if mdp.sense == "min":
-        family = family.posed(attrgetter("maximised"))
+        family = family.with_question(attrgetter("maximised"))
     span = range_of(family, name, ranges, "whole" if relative is None else relative)
 
     # A range of discounts ends below 1 if some policy is improper there.

@@ -671,7 +671,7 @@ def test_levels_are_weighted_as_fractions_are() -> None:
             weights = [F(int(n), 5) for n in rng.integers(-4, 5, 3)]
             wanted = sum((w * F(top[s], below[group[s]])
                           for w, s in zip(weights, chosen, strict=True)), F(0))  # fmt: skip
-            number, unit = given.weighted(weights, chosen)
+            number, unit = given.weigh(weights, chosen)
             assert F(number) / unit == wanted
 
 
