@@ -232,9 +232,8 @@ def compute_optimum(
     if exact is not None:
         # Certified values are exact; as floats they are rounded once, by less than their spacing.
         value, start = exact.value_float, exact.start
-        state_error, rounding = (
-            np.nan_to_num(np.spacing(np.abs(x))) for x in (value, float(start))
-        )
+        state_error = np.nan_to_num(np.spacing(np.abs(value)))
+        rounding = np.nan_to_num(np.spacing(np.abs(float(start))))
         error_bound = float(max(state_error.max(), rounding))
         # Both answers must agree within the error that the solver states.
         if solution is not None:

@@ -76,7 +76,10 @@ class Table:
         if hasattr(rows, "to_dict"):  # a data frame
             rows = rows.to_dict("records")
         keys = [column.partition(":")[0] for column in self.columns.values()]
-        return [[_unwrap_numpy(row.get(key)) for key in keys] for row in rows]
+        shown = []
+        for row in rows:
+            shown.append([_unwrap_numpy(row.get(key)) for key in keys])
+        return shown
 
     def cells(self) -> list[list[str]]:
         """Return the texts of the rows that are shown."""
@@ -202,7 +205,10 @@ def _build_table(title: str, value: Any) -> Table:
     def is_flat(value: Any) -> bool:
         return not isinstance(value, Mapping) and (_has_claim(value) or not is_dataclass(value))
 
-    shown = [key for key in keys if all(is_flat(row.get(key)) for row in rows)]
+    shown = []
+    for key in keys:
+        if all(is_flat(row.get(key)) for row in rows):
+            shown.append(key)
     return Table(title=title, rows=rows, columns={key.replace("_", " "): key for key in shown})
 
 

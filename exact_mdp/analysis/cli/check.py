@@ -191,10 +191,12 @@ def _of_one(
 def _write_junit(
     path: str, given: Given, audit: Audit | TrainerAudit, name: str, text: str, seconds: float
 ) -> None:
-    cases = [
-        ci.Case(each.name) if each.passed else ci.Case(each.name, "failure", each.told, text)
-        for each in audit.verdicts
-    ]
+    cases = []
+    for each in audit.verdicts:
+        if each.passed:
+            cases.append(ci.Case(each.name))
+        else:
+            cases.append(ci.Case(each.name, "failure", each.told, text))
     model = given.loaded.name
     asked = {"question": given.in_words(), "sense": given.mdp.sense}
     values = {"model": model, "learned": name} | audit.measures

@@ -88,7 +88,9 @@ def _format_pipe_table(
     headings: Sequence[str], right: Sequence[bool], rows: Sequence[Sequence[str]]
 ) -> str:
     sides = ["---:" if side else "---" for side in right]
-    lines = [[_escape_markdown(each) for each in row] for row in (headings, *rows)]
+    lines = []
+    for row in (headings, *rows):
+        lines.append([_escape_markdown(each) for each in row])
     return "".join(f"| {' | '.join(line)} |\n" for line in (lines[0], sides, *lines[1:]))
 
 

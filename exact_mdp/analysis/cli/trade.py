@@ -116,7 +116,9 @@ def risk_command(
     facts, tables = {**report.facts, "policies": beside}, {"policies": table, **report.tables}
     report = replace(report, facts=facts, tables=tables)
     if policy_out:  # its actions by state and reward so far, exactly
-        rules = [{k: str(value) for k, value in rule.items()} for rule in report.facts["policy"]]
+        rules = []
+        for rule in report.facts["policy"]:
+            rules.append({k: str(value) for k, value in rule.items()})
         content = json.dumps(rules, indent=2, ensure_ascii=False) + "\n"
         if not policy_out.lower().endswith(".json"):
             table = data_frame(rules, columns=["state", "from", "to", "action"])

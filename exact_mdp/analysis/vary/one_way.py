@@ -235,7 +235,9 @@ def tornado(
     design = [{parameter.name: parameter.value for parameter in family.parameters}]
     for name, span in spans.items():
         design += [design[0] | {name: span.low}, design[0] | {name: span.high}]
-    columns = {name: [point[name] for point in design] for name in design[0]}
+    columns = {}
+    for name in design[0]:
+        columns[name] = [point[name] for point in design]
     return Tornado(
         model=family.name,
         spans={parameter_of(family, name): span for name, span in spans.items()},
@@ -351,7 +353,7 @@ def two_way(
     # The grid: x changes first.
     spans = ranges_of(family, [x, y], ranges, relative)
     across, along = (make_grid(spans[name], points) for name in (x, y))
-    columns = {x: across * points, y: [at for at in along for _ in across]}
+    columns = {x: across * points, y: [*np.repeat(along, points)]}
     mdp, table = family.at({}), study(family, columns, [policy])
 
     # Policies are numbered by their actions in the states with a choice that they reach.

@@ -96,10 +96,11 @@ class RobustComparison(Result):
         label, moved = self.mdp.space.label, np.isin(self.mdp.pair_state, self.changed)
         both = self.policy, self.robust.policy.weights(self.mdp)
         before, after = (actions_of(self.mdp, moved & (weights > 0)) for weights in both)
-        changes = [
-            {"state": label(s), "before": " or ".join(before[s]), "after": after[s][0]}
-            for s in self.changed.tolist()
-        ]
+        changes = []
+        for s in self.changed.tolist():
+            changes.append(
+                {"state": label(s), "before": " or ".join(before[s]), "after": after[s][0]}
+            )
         own, worst, best = self.robust_value, self.robust.start, self.optimistic.start
         values = [
             {"policy": "held", "right": self.value, "worst": self.worst, "best": self.best},

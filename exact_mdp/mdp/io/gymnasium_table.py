@@ -100,7 +100,10 @@ def _without_rounding(outcomes: list[Outcome]) -> list[Outcome]:
     rounding = sum(float(np.finfo(type(chance)).eps) for chance in chances) / 2
     if min(numbers) < 0 or abs(total - 1) > rounding:
         return outcomes
-    return [(each / total, *rest) for each, (_, *rest) in zip(numbers, outcomes, strict=True)]
+    scaled = []
+    for each, (_, *rest) in zip(numbers, outcomes, strict=True):
+        scaled.append((each / total, *rest))
+    return scaled
 
 
 def _list_items(table: Any, where: str, what: str) -> Iterator[tuple[int, Any]]:

@@ -76,10 +76,10 @@ def _by_pair(
     kinds = (int, float, Fraction, np.number)
     if not pairs or not all(isinstance(value, kinds) for value in entries.values()):
         return {}
+    each = []
     try:
-        each = [
-            (number(state), model.action_names.find_number(action)) for state, action in entries
-        ]
+        for state, action in entries:
+            each.append((number(state), model.action_names.find_number(action)))
     except ModelError:
         return {}
     # Does every available action of a state with a choice have a number?

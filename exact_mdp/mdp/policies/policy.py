@@ -536,8 +536,11 @@ def _compute_proportions(given: Numbers, table: Floats, *, exactly: bool) -> Num
     if plain and not exactly:
         return None
     said = np.flatnonzero(~np.isnan(table).all(axis=1)).tolist()
-    chances = {row: [exact(number) for number in given[row]] for row in said}
-    if not exactly and all(table[row].tolist() == numbers for row, numbers in chances.items()):
+    chances = {}
+    for row in said:
+        chances[row] = [*map(exact, given[row])]
+        exactly = exactly or table[row].tolist() != chances[row]
+    if not exactly:
         return None
     numbers: list[int] = []
     for row in range(len(table)):

@@ -286,10 +286,9 @@ class Certificate(Proof, Pictured):
     @cached_property
     def losses(self) -> list[Numbers]:
         """(L,) for each level: a pair's loss of gain and, if that is 0, its loss of h."""
-        each = [
-            _freeze_column(make_fraction(-top, below) for top, below in gain)
-            for gain in self._gains
-        ]
+        each = []
+        for gain in self._gains:
+            each.append(_freeze_column(make_fraction(-top, below) for top, below in gain))
         return [each[0], *(np.asarray(short * (each[0] == 0)) for short in each[1:])]
 
     @cached_property

@@ -38,9 +38,15 @@ class Totals:
 
     def __init__(self, model: Model, names: Sequence[str], amounts: Sequence[Point]) -> None:
         self.model, self.names, self.amounts = model, [*names], amounts
-        earning = {s for own in amounts for s, x in zip(model.state, own, strict=True) if x}
-        moving = {s for s, after in zip(model.state, model.next, strict=True) if after != [s]}
-        self.ends = {*range(model.states)} - earning - moving
+        # A state ends runs if its pairs lead back to it alone, and no amount is earned there.
+        self.ends = {*range(model.states)}
+        for state, after in zip(model.state, model.next, strict=True):
+            if after != [state]:
+                self.ends.discard(state)
+        for own in amounts:
+            for state, amount in zip(model.state, own, strict=True):
+                if amount:
+                    self.ends.discard(state)
 
     def find_faults(self, rank: Any) -> Iterator[str]:
         """Yield a fault where the equations of a policy may have several solutions."""
@@ -48,16 +54,17 @@ class Totals:
         if model.discount == 1:
             fits = rank is not None and len(rank) == model.states and min(rank) >= 0
             ensure(fits, "the rank is missing, or negative")
-            pairs = zip(model.state, model.next, strict=True)
-            if any(s not in self.ends and min(rank[t] for t in a) >= rank[s] for s, a in pairs):
-                yield "the rank does not show that every policy ends"
+            for state, after in zip(model.state, model.next, strict=True):
+                if state not in self.ends and min(rank[t] for t in after) >= rank[state]:
+                    yield "the rank does not show that every policy ends"
+                    break
         if model.goal is not None:
-            after: list[set[int]] = [set() for _ in range(model.states)]
+            onward: list[set[int]] = [set() for _ in range(model.states)]
             for state, following in zip(model.state, model.next, strict=True):
-                after[state].update(following)
+                onward[state].update(following)
             met = {*(waiting := [*model.odds[1]])}
             for state in waiting:
-                waiting += (fresh := after[state] - met)
+                waiting += (fresh := onward[state] - met)
                 met |= fresh
             if met & self.ends - model.goal:
                 yield "a run may end beside the goal, and its totals are not finite"
@@ -104,7 +111,9 @@ class Totals:
         ensure({*pairs} <= {*range(len(model.state))}, "a pair is none of the model")
         ensure(len({*pairs}) == len(pairs) and min(visits.top, default=1) > 0, "visits are not > 0")
         unit = lcm(*visits.below)
-        top = [n * (unit // visits.below[k]) for n, k in zip(visits.top, visits.group, strict=True)]
+        top = []
+        for n, k in zip(visits.top, visits.group, strict=True):
+            top.append(n * (unit // visits.below[k]))
         left = [Counter[int]() for _ in range(model.states)]  # by denominator
         for state, share in model.start:
             left[state][share.denominator] += share.numerator * unit
@@ -236,7 +245,9 @@ def check_weights(totals: Totals, proof: Any) -> Iterator[str]:
 
     if not is_optimal(proof.multipliers, proof.dual):
         yield "the values do not prove the policy optimal for the weights"
-    leads = [[cut.multiplier * x for x in compute_lead(cut.flow)] for cut in proof.cuts]
+    leads = []
+    for cut in proof.cuts:
+        leads.append([cut.multiplier * x for x in compute_lead(cut.flow)])
     total = [sum(column, Fraction()) for column in zip(*leads, strict=True)]
     least, size = max(Fraction(), sum(total, Fraction())), sum(map(abs, total))
     if any(cut.multiplier < 0 for cut in proof.cuts) or least != proof.change * size:

@@ -75,10 +75,12 @@ class Objectives:
         self.rows = replace(rows, constant=np.zeros(mdp.n_pairs, dtype=np.int64))
         own = rows.scale[mdp.pair_state].astype(object)
         # (L,) expected amounts times scale, negated in a model of costs
-        self.amounts = tuple(
-            to_integer_array((mdp.sign * top.astype(object) * (own // bottom)).tolist())
-            for top, bottom in columns
-        )
+        amounts = []
+        for top, bottom in columns:
+            amounts.append(
+                to_integer_array((mdp.sign * top.astype(object) * (own // bottom)).tolist())
+            )
+        self.amounts = tuple(amounts)
         self._require_finite()
 
     @property
@@ -103,7 +105,9 @@ class Objectives:
             self.rows.scale[self.mdp.pair_state],
         )
         each = [zip(own.tolist(), scale.tolist(), strict=True) for own in self.amounts]
-        amounts = [[Fraction(top, below) for top, below in own] for own in each]
+        amounts = []
+        for own in each:
+            amounts.append([Fraction(top, below) for top, below in own])
         return Totals(model, self.names, amounts)
 
     def _require_finite(self) -> None:
@@ -168,9 +172,10 @@ def _combine_terms(mdp: MDP, terms: Terms) -> Column:
     """Return the amounts (L,) of a linear combination, over denominators (L,)."""
     columns = [(factor, *_read_amounts(mdp, name)) for factor, name in terms]
     below = np.lcm.reduce([f.denominator * b.astype(object) for f, _, b in columns])
-    top = sum(
-        t.astype(object) * (f.numerator * (below // (b * f.denominator))) for f, t, b in columns
-    )
+    added = []
+    for f, t, b in columns:
+        added.append(t.astype(object) * (f.numerator * (below // (b * f.denominator))))
+    top = sum(added)
     return np.asarray(top), below
 
 

@@ -530,9 +530,8 @@ class PolicyEquations:
             point = transpose_system(self.system).solve(start, UNIT * start)
             # One more step forward gives the arrivals at the other states, with its rounding.
             onward = select_rows(chain.transition, np.arange(len(live)), live).T.tocsr()
-            came, size, off = (
-                rate * (onward @ each) for each in (point.value, np.abs(point.value), point.error)
-            )
+            came, size = rate * (onward @ point.value), rate * (onward @ np.abs(point.value))
+            off = rate * (onward @ point.error)
             terms = np.diff(onward.indptr) + chain.roundings + 4
             off += gamma(terms) * (start + size) + TINY * terms
             value = np.where(live, point.value, start + came)

@@ -228,10 +228,9 @@ class ReturnDistribution(Pictured):
         if self.exact is not None:
             facts["exact_distribution"] = dict(zip(law, self.exact, strict=True))
         below = accumulate(law.values())
-        rows = [
-            {"return": value, "chance": chance, "sum": most}
-            for (value, chance), most in zip(law.items(), below, strict=True)
-        ]
+        rows = []
+        for (value, chance), most in zip(law.items(), below, strict=True):
+            rows.append({"return": value, "chance": chance, "sum": most})
         columns = {"return": "return", "probability": "chance", "at most that": "sum"}
         table = Table(title="distribution", rows=rows, columns=columns, first=MOST_LISTED)
         return Report(

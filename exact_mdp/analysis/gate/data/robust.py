@@ -222,10 +222,10 @@ class Operators:
         if later is not None:
             then = vars(later)
         # V^π and V*, each from below (0) and from above (1).
-        own, best = (
-            np.array([self.bound_fixed_point(most, then[whose], mixing=mixing) for most in (0, 1)])
-            for whose, mixing in (("own", self.mixing), ("best", None))
-        )
+        own, best = np.zeros((2, 2, self.sets.mdp.n_states))
+        for most in (0, 1):
+            own[most] = self.bound_fixed_point(most, then["own"], mixing=self.mixing)
+            best[most] = self.bound_fixed_point(most, then["best"], mixing=None)
         after: dict[str, Any] = {"own": own, "best": best}
         if later is not None:
             after = vars(later)
@@ -297,9 +297,8 @@ class Operators:
         mdp, own, mixing = self.sets.mdp, self.own, self.mixing
         middle = (low + high) / 2
         half = np.maximum(high - middle, middle - low)
-        least, most = (
-            self.sets.solve_inner_problem(middle, most=side).bound for side in (False, True)
-        )
+        least = self.sets.solve_inner_problem(middle, most=False).bound
+        most = self.sets.solve_inner_problem(middle, most=True).bound
         # γ Σ |P_l - P_π| h: at the recorded shares, and by what the rows may move from there.
         moved = np.minimum(np.sqrt(2 * self.sets.radius) * SLACK, 2.0) * float(half.max())
         state = mdp.pair_state
