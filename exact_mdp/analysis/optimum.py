@@ -64,7 +64,7 @@ class Optimum:
     value: Floats  # (S,), from the certificate if there is one
     state_error: Floats  # (S,) error bounds; rounding alone if the values are certified
     start: Certified | Bounded  # the value of the start distribution
-    error_bound: float  # of the start value and of the value of every state, as floats
+    error_bound: float  # bounds the errors of the start value and of all values, as floats
 
     @property
     def best(self) -> Any:

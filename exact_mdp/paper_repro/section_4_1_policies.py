@@ -145,8 +145,8 @@ def ranking_by_experiments(reading: Reading) -> Finding:
     return judge_statement(
         chance >= NEARLY_ALL,
         f"{EXPERIMENTS:,} experiments with each rank them so with probability {chance:.5f}, by the "
-        "normal law with the exact means and variances, 1000 and 0100 as written; 95 % or more "
-        "counts as told",
+        "normal distribution with the exact means and variances, 1000 and 0100 as written; 95 % or "
+        "more counts as told",
         number=Estimated(value=chance, standard_error=1e-5),
         number_is="probability of this order",
     )
@@ -216,11 +216,12 @@ def return_distributions(reading: Reading) -> Figure:
         "random": "random actions",
     }
     for ax, (name, label) in zip(panels, shown.items(), strict=True):
-        law = return_distribution(reading.mdp, reading.build_policy(name))
-        values = np.asarray(law.multiples, dtype=float) * float(law.unit)
+        distribution = return_distribution(reading.mdp, reading.build_policy(name))
+        values = np.asarray(distribution.multiples, dtype=float) * float(distribution.unit)
         bins = np.floor(values / 10) * 10
         at = np.unique(bins)
-        ax.bar(at + 5, [law.probabilities[bins == b].sum() for b in at], width=9.4, color=BLUE)
+        shares = [distribution.probabilities[bins == b].sum() for b in at]
+        ax.bar(at + 5, shares, width=9.4, color=BLUE)
         mean = reading.evaluate_policy(name).mean
         ax.axvline(mean, color="black", ls="--", lw=1)
         ax.set_title(

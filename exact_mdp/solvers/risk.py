@@ -151,7 +151,7 @@ class Budgeted:
 
     @property
     def thresholds(self) -> range:
-        """The returns from the start, of which one is the best threshold."""
+        """The returns from the start; one of them is the best threshold."""
         begins = [state for state, _ in self.mdp.start]
         return range(int(min(self.low[begins])), int(max(self.high[begins])) + 1)
 
@@ -311,15 +311,15 @@ class CVaROptimum(Result):
 
     def violations(self) -> list[str]:
         """Return the violations in words: an empty list if the policy is optimal."""
-        of, law = self.budgeted, self.distribution()
+        of, distribution = self.budgeted, self.distribution()
         wrong, threshold = self.certificate.violations(), self.threshold / self._unit
         each: dict[Any, Fraction]
         each = {k: of.compute_cvar(self.values, k, self.level) for k in of.thresholds}
         if not each.get(threshold) == max(each.values()) == self.value / self._unit:
             wrong.append("another threshold gives more")
-        if tail_mean(law, self.level, highest=self.mdp.sense == "min") != self.value:
+        if tail_mean(distribution, self.level, highest=self.mdp.sense == "min") != self.value:
             wrong.append("the worst episodes of the policy have another mean")
-        if sum(z * p for z, p in law.items()) != self.mean:
+        if sum(z * p for z, p in distribution.items()) != self.mean:
             wrong.append("the policy has another mean")
         return wrong
 

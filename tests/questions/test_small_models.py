@@ -42,11 +42,11 @@ from exact_mdp import (
     tradeoff,
 )
 
-# ---- a run that ends beside the goal is worth +∞ -------------------------------------------------
+# ---- a run that ends outside the goal is worth +∞ ------------------------------------------------
 
 
 def beside_the_goal() -> MDP:
-    """Action 0 costs 5 and arrives with 1/2, action 1 costs 1 and ends beside the goal."""
+    """Action 0 costs 5 and arrives with 1/2, action 1 costs 1 and ends outside the goal."""
     rows = [
         (0, 0, [("1/2", 1, 5), ("1/2", 0, 5)]),
         (0, 1, [(1, 2, 1)]),
@@ -57,7 +57,7 @@ def beside_the_goal() -> MDP:
 
 
 def test_a_curve_beside_the_goal_is_refused() -> None:
-    with pytest.raises(ModelError, match="beside the goal"):
+    with pytest.raises(ModelError, match="outside the goal"):
         curve(beside_the_goal().until("goal"), "reward.5", (4, 6))
 
 
@@ -76,13 +76,13 @@ def test_a_gradient_beside_the_goal_is_refused_and_one_that_arrives_is_right() -
         held = gradient(asked, policy=[0, 0, 0], names=["reward.5"], exact=exact)
         assert float(held["reward.5"].value.value) == pytest.approx(2, abs=1e-12)
         for policy in ("optimal", [1, 0, 0]):
-            with pytest.raises(ModelError, match="beside the goal"):
+            with pytest.raises(ModelError, match="outside the goal"):
                 gradient(asked, policy=policy, names=["reward.5"], exact=exact)
 
 
 def test_best_policy_and_robust_values_beside_the_goal_are_refused() -> None:
     for ask in (lambda mdp: best_policy(mdp, []), robust):
-        with pytest.raises(ModelError, match="ends beside the goal is worth infinity"):
+        with pytest.raises(ModelError, match="ends outside the goal is worth infinity"):
             ask(beside_the_goal().until("goal"))
 
 

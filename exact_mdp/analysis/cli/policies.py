@@ -310,8 +310,8 @@ def returns_command(given: Given, policy: Policy, *, exact: bool = False) -> Rep
     distribution: {return: probability}; exact_distribution: the distribution with probabilities
     "p/q", or null; mean: expected return; sd: standard deviation of the return.
     """
-    law = exact_mdp.return_distribution(given.mdp, policy, exact=exact)
-    report, moments = law.report(), exact_mdp.evaluate(given.mdp, policy).report().facts
+    distribution = exact_mdp.return_distribution(given.mdp, policy, exact=exact)
+    report, moments = distribution.report(), exact_mdp.evaluate(given.mdp, policy).report().facts
     bounds = {name: moments["error_bounds"].value[name] for name in ("mean", "sd")}
     more = {name: moments[name] for name in bounds} | {"error_bounds": Shown(bounds)}
     return given.complete_report(replace(report, facts={**report.facts, **more}))

@@ -106,9 +106,9 @@ def risk_command(
     report = exact_mdp.best_cvar(given.mdp, cvar).report()
     beside = list[dict[str, Any]]()
     for form, policy in named.items():
-        law = exact_mdp.return_distribution(given.mdp, policy, exact=True)
-        tail = law.tail_mean(cvar, highest=given.mdp.sense == "min")
-        beside.append({"policy": form, "mean": law.tail_mean(1), "cvar": tail})
+        distribution = exact_mdp.return_distribution(given.mdp, policy, exact=True)
+        tail = distribution.tail_mean(cvar, highest=given.mdp.sense == "min")
+        beside.append({"policy": form, "mean": distribution.tail_mean(1), "cvar": tail})
     table = Table(
         title="the policies beside it",
         columns={"policy": "policy", "mean": "mean:.10g", "of the worst": "cvar:.10g"},

@@ -54,7 +54,7 @@ class Outcomes(Pictured):
     first_run: dict[
         str, Any
     ]  # the most frequent greedy policy in the last episodes of the first run
-    steps: int  # of all runs
+    steps: int  # in all runs together
     cut_short: int  # episodes that did not end
 
     def __repr__(self) -> str:

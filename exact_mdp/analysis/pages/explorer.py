@@ -145,7 +145,7 @@ def explore(
         )
     if not 2 <= require_count(n, "n", 2) <= 101:
         raise ModelError(f"{n} values", where="explorer", fix="choose from 2 to 101")
-    # The ranges, each of which has to leave room to move.
+    # The ranges; each has to leave room to move.
     family = parametric(model)
     spans = ranges_of(family, names, ranges, relative, stacklevel=3)
     for name, span in spans.items():

@@ -63,7 +63,7 @@ class Edge:
 
     start: int
     end: int
-    change: Point  # of the totals, from start to end
+    change: Point  # how the totals change from start to end
     rate: Fraction | Point
 
 

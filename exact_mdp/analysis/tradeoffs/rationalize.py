@@ -73,7 +73,7 @@ class Rationalization(TotalsProof):
     flow: OccupancyMeasure  # expected visits of pairs under the policy
     dual: Level  # values that no policy exceeds under the weights
     cuts: tuple[Cut, ...]  # policies that would stay better after any smaller change
-    intervals: tuple[WeightInterval, ...]  # of each component alone
+    intervals: tuple[WeightInterval, ...]  # one for each component alone
 
     kinds: ClassVar[tuple[str, ...]] = ("weights",)
 

@@ -223,17 +223,17 @@ class Uncertain:
         (4.75, 14.25)
         """
         where = f"distribution of {name}"
-        law = KINDS[require_known_name(kind, KINDS, "distribution", where)]
+        family = KINDS[require_known_name(kind, KINDS, "distribution", where)]
         # A normal distribution's own numbers are its moments.
-        if kind != "normal" and set(said) == {*law.own}:
-            numbers = tuple(said[name] for name in law.own)
+        if kind != "normal" and set(said) == {*family.own}:
+            numbers = tuple(said[name] for name in family.own)
         else:
             numbers = _of_moments(kind, said, where)
-        if not (all(map(math.isfinite, numbers)) and law.sound(*numbers)):
+        if not (all(map(math.isfinite, numbers)) and family.sound(*numbers)):
             stated = ", ".join(f"{each} = {number:g}" for each, number in said.items())
-            raise ModelError(f"a {kind} with {stated}", where=where, fix=f"give {law.needs}")
+            raise ModelError(f"a {kind} with {stated}", where=where, fix=f"give {family.needs}")
         # Moments that were given are kept as they are, without the rounding of a conversion.
-        mean, sd = law.moments(*numbers)
+        mean, sd = family.moments(*numbers)
         mean = said.get("mean", mean)
         if "sd" in said:
             sd = said["sd"]

@@ -22,7 +22,7 @@ from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, room_of
 from exact_mdp.mdp.parametric.family import place_of
 from exact_mdp.mdp.table import FLOAT_RANGE, exact, format_beside_limits, format_rational
 
-RELATIVE = Fraction(1, 5)  # of today's value; every result states its ranges
+RELATIVE = Fraction(1, 5)  # a share of today's value; every result states its ranges
 
 
 def unit_of(parameter: Parameter) -> str:

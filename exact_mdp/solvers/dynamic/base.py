@@ -21,7 +21,7 @@ from exact_mdp.solvers.solution import (
     warn_of_precision,
 )
 
-RELATIVE_TOLERANCE = 1e-9  # of the largest value, if no tolerance is given
+RELATIVE_TOLERANCE = 1e-9  # relative to the largest value, if no tolerance is given
 
 
 class Solver(ABC):

@@ -257,7 +257,7 @@ class Check:
         if one and not ends and not self.falls(pair, self.rank, range(self.model.states)):
             return "the rank does not show that every policy ends"
         if one and ends and goal is not None and state not in goal:
-            return "a run may end here, beside the goal"
+            return "a run may end here, outside the goal"
         if one and ends and not self.low.top[state] <= 0 <= self.high.top[state]:
             return "an end is not worth 0"
         gain = self.gain(pair, self.high)

@@ -67,7 +67,7 @@ class Totals:
                 waiting += (fresh := onward[state] - met)
                 met |= fresh
             if met & self.ends - model.goal:
-                yield "a run may end beside the goal, and its totals are not finite"
+                yield "a run may end outside the goal, and its totals are not finite"
 
     def compute_advantage_sign(self, weights: Point, value: Level, pair: int) -> int:
         """Return the sign of w c + γ P V - V; at an end, of -V."""

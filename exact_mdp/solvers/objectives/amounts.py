@@ -127,7 +127,7 @@ class Objectives:
             goal = mdp.goal
         if (beside := find_reachable_states(mdp) & self.ending.terminal & ~goal).any():
             raise ModelError(
-                "no total is finite: a policy may end beside the goal",
+                "no total is finite: a policy may end outside the goal",
                 where=mdp.space.place(int(np.flatnonzero(beside)[0])),
                 fix="count in the model itself, without --until, or leave out what leads there",
             )

@@ -272,7 +272,7 @@ class ConstrainedSolution(TotalsProof):
         if keeps:
             columns["kept"] = "kept"
         if self.feasible:
-            note = "price: what the optimum gains for one point by which the limit is moved"
+            note = "price: what the optimum gains if the limit is moved by one point"
             columns |= {"price": "price:.10g"}
         else:
             note = "closest: all moved by the same step, the least with which a policy keeps them"

@@ -10,9 +10,9 @@ between L^π and U^π, h half their distance and π(l) the probability of l,
     A_P(l) = (1 - π(l)) (r_l + γ P_l c) - Σ_{k ≠ l} π(k) (r_k + γ P_k c) + γ (P_l - P_π) (V^π - c),
 
 whose last term is at most γ Σ |P_l - P_π| h: h weighted by the recorded shares, and the largest h
-times √(2 KL), by which a row may move (Pinsker). Every bound comes from a monotone operator T: v +
-e / (1 - γ) is an upper bound on its fixed point if T v ≤ v + e. At discount 1 T maps a valid bound
-to a valid bound, so a range that the user states can be narrowed step by step.
+times √(2 KL), the distance that a row may move (Pinsker). Every bound comes from a monotone
+operator T: v + e / (1 - γ) is an upper bound on its fixed point if T v ≤ v + e. At discount 1 T
+maps a valid bound to a valid bound, so a range that the user states can be narrowed step by step.
 """
 
 from __future__ import annotations
@@ -151,10 +151,10 @@ class RobustBounds:
     """Bounds of the values and the regret of a policy, for every model within sets of rows."""
 
     sets: RowSets
-    range: Ends  # of the values of all states
-    own: Sides  # of V^π
-    best: Sides  # of V*
-    lost: Sides  # of V* - V^π
+    range: Ends  # the range of the values of all states
+    own: Sides  # bounds of V^π
+    best: Sides  # bounds of V*
+    lost: Sides  # bounds of V* - V^π
 
     def at_start(self, mdp: MDP, whose: Sides) -> Ends:
         """Return the bounds of a value at the start, in the sense of the model given."""
@@ -280,11 +280,11 @@ class Operators:
         bound = mixing @ pairs + off * (mixing @ np.abs(pairs))
 
         def compute_piece() -> tuple[sp.csr_array, Floats]:
-            laws, constant = nature.piece()
+            rows, constant = nature.piece()
             if losing is not None:
-                laws = laws.multiply(alone.astype(np.float64)[:, None])
+                rows = rows.multiply(alone.astype(np.float64)[:, None])
                 constant = np.where(alone, advantage, apart)
-            mixed = sp.csr_array(mixing @ sp.csr_array(laws))
+            mixed = sp.csr_array(mixing @ sp.csr_array(rows))
             if unknown.any():
                 mixed = sp.csr_array(mixed.multiply((~unknown).astype(np.float64)[:, None]))
             return mixed, np.where(unknown, gain, mixing @ constant)

@@ -146,7 +146,7 @@ class SectionEquations:
         elif not self.one_solution():
             yield "nothing proves that the Bellman equations have one solution"
         if self.find_missed_goal() is not None:
-            yield "a run may end beside the goal, which is worth infinity"
+            yield "a run may end outside the goal, which is worth infinity"
 
     def find_missed_goal(self) -> MDP | None:
         """Return a model of the section in which a run may miss the goal; None if there is none.
@@ -193,7 +193,7 @@ class SectionEquations:
         return _remove_duplicates(map(self._compute_exit_probability, self.following))
 
     def _compute_progress_chances(self, at: Root | None) -> list[fmpq_poly] | None:
-        """Return the chances by which pairs come nearer to the end; None if some policy stays.
+        """Return the chances that pairs come nearer to the end; None if some policy stays.
 
         They must be positive `at` one point of the section or, without it, at all but some points.
         """

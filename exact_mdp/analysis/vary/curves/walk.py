@@ -214,7 +214,7 @@ def make_improper_error(where: str, *, beside: bool = False, ranges: bool = True
     """
     ways = ["give a discount below 1 (--discount 0.95)"]
     if beside:
-        what, ends = "some run may end beside the goal, and is worth infinity", "at the goal"
+        what, ends = "some run may end outside the goal, and is worth infinity", "at the goal"
     else:
         what, ends = "some policy never ends", "for sure"
         ways.append("a number of steps (--horizon N, mdp.within(N))")

@@ -268,7 +268,7 @@ def test_a_run_may_miss_the_goal_at_discount_1_alone(discount: str, high: F) -> 
         )
         missed = beside and high == 1
         assert (equations.find_missed_goal() is not None) == missed
-        words = "a run may end beside the goal, which is worth infinity"
+        words = "a run may end outside the goal, which is worth infinity"
         assert (words in [*equations.find_faults()]) == missed
     assert made(True).find_missed_goal() is None
 
