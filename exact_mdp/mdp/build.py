@@ -391,7 +391,7 @@ def _move_actions_first(values: Any, where: str) -> Any:
     """Return an array (S, S, A) as (A, S, S), and other arrays as they are."""
     if isinstance(values, Mapping) or _holds_sparse(values):
         raise ModelError(
-            "dictionaries and lists of sparse matrices go by action",
+            "a dictionary, or a list of sparse matrices, has one entry for each action",
             where=where,
             fix='leave layout="ssa" out',
         )

@@ -318,7 +318,7 @@ def require_termination(mdp: MDP) -> None:
     if prove_termination(mdp).proven:
         said = "a run that ends outside the goal is worth infinity, and some policy has such a run"
     else:
-        said = "discount 1 needs every policy to end, and one does not"
+        said = "discount 1 needs every policy to end, and some policy does not"
         ways.append("add a way out: a terminal state stays put and earns 0")
     raise ModelError(said, where=where_endless(mdp), fix=ways_out(mdp, *ways))
 

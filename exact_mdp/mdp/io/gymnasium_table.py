@@ -75,13 +75,13 @@ def _count_states(rows: Rows, empty: Mapping[int, Any], where: str) -> int:
         if state in alive or state not in over:
             raise _no_action(f"P[{state}]", row, where)
     for state in sorted(alive)[:1]:
-        what = f"there is no next state {state}: P does not list it, and an outcome that is not "
+        what = f"P does not list state {state}, and an outcome that is not terminated leads there"
         fix = f"list it, or let that outcome be terminated; {stays}"
-        raise ModelError(f"{what}terminated leads there", where=where, fix=fix)
+        raise ModelError(what, where=where, fix=fix)
     known = named | over
     if len(known) <= max(known):
         state = next(number for number in range(len(known) + 1) if number not in known)
-        what = f"state {state} is without action: P does not list it, and no outcome ends there"
+        what = f"state {state} has no action: P does not list it, and no outcome ends there"
         raise ModelError(what, where=where, fix=f"number states from 0 without gaps; {stays}")
     return len(known)
 

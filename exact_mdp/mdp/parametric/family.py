@@ -347,7 +347,7 @@ def moving(
         total = sum((today[name] for name in names.values()), Fraction(0))
         if total >= 1 or not all(today[name] for name in names.values()):
             raise ModelError(
-                "an entry has probability 0, or the named entries are all of a row",
+                "an entry has probability 0, or every entry of the row is named",
                 where=model.where(pair),
                 fix="name positive entries, and leave at least one of the row unnamed",
             )

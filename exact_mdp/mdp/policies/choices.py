@@ -262,7 +262,7 @@ def _is_row(model: MDP, choice: Any, kind: str) -> bool:
     if kind == "auto" and (action or equal):
         raise ModelError(
             f"{choice} may be the action of that name, or a row of numbers for all actions, "
-            "which differ",
+            "and the two differ",
             fix="give the action by its name, as text, or rows as one array with kind=",
         )
     return True

@@ -452,7 +452,7 @@ class Policy(ByFields):
                 rows = [row for row in given if isinstance(row, tuple)]
             if any(map(model.action_names.has_name, rows)):
                 raise ModelError(
-                    "the list may hold actions, or rows of numbers, which differ",
+                    "the list may hold actions, or rows of numbers, and the two differ",
                     fix="give {state: action}, or np.array(rows)",
                 )
             return cls(**of_given_array(model, numbers_of(given), kind))

@@ -133,9 +133,9 @@ class Proof(Result):
         proof = codec.load_proof(dict.fromkeys(cls.kinds, cls), path)
         if model is not None and proof.model != fingerprint(model):
             raise ModelError(
-                "the certificate is of another model",
+                "the certificate belongs to another model",
                 where=str(path),
-                fix="give the model that it is of",
+                fix="give the model that it belongs to",
             )
         return replace(proof, mdp=model)
 
@@ -362,10 +362,10 @@ class Certificate(Proof, Pictured):
         endless = self.g is not None or self.infinite is not None
         if endless and several.any():
             raise ModelError(
-                "several actions are optimal, and not every policy ends: drawn among, they may not "
-                "be optimal together",
+                "several actions are optimal, but a policy that draws one of them at each step "
+                "may never end, and is then not optimal",
                 where=mdp.space.place(int(np.flatnonzero(several)[0])),
-                fix="take certificate.policy, which is",
+                fix="take certificate.policy, which is optimal",
             )
         return build_uniform_policy(mdp, optimal)
 

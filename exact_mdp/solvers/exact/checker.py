@@ -348,7 +348,7 @@ def compare(model: Model, content: Any, given: Any) -> Iterator[str]:
     own, lost = Check(alone, given["value"]), ratio(given["regret"], "regret", INFINITE)
     for key, each in (("optimum", best), ("value", own)):
         if [given[key]["model"], given[key]["sense"]] != [each.model.digest(), model.sense]:
-            yield f"{key}: it is of another model"
+            yield f"{key}: it belongs to another model"
         yield from (f"{key}: {wrong}" for wrong in each.violations())
     alike = [best.kind, best.parts] == [own.kind, own.parts] and best.kind in ("total", "average")
     ends = best.start, -own.start  # infinite ones alone count; both: NaN
@@ -370,7 +370,7 @@ def violations(model: object, given: Any) -> list[str]:
     ensure(str(given.get("kind")) in KEYS, f"no kind of {', '.join(KEYS)}: see exact-mdp verify")
     check_keys(given, KEYS[given["kind"]], "the certificate")
     if [given["model"], given["sense"]] != [(of := Model(model)).digest(), of.sense]:
-        return ["the certificate is of another model"]
+        return ["the certificate belongs to another model"]
     found = compare(of, model, given) if "value" in given else Check(of, given).violations()
     return [*islice(found, 20)]
 

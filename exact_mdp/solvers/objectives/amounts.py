@@ -117,7 +117,7 @@ class Objectives:
             return
         if not prove_termination(self.ending).proven:
             raise ModelError(
-                "a policy need not end, and totals at discount 1 would count forever",
+                "some policy never ends, and its totals at discount 1 would grow forever",
                 where=where_endless(self.ending),
                 fix=ways_out(mdp),
             )
@@ -215,6 +215,6 @@ def _find_arrivals(mdp: MDP, label: str) -> Numbers:
         raise ModelError(
             f"the probability of label {label!r} is not an expected total here",
             where="objectives",
-            fix="count a label at discount 1 whose states are not left again, and not started in",
+            fix="count a label at discount 1 that is never left again, and in which no run starts",
         )
     return np.asarray(there & ~here)

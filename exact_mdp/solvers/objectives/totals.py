@@ -169,7 +169,7 @@ class TotalsProof(Proof):
 
     def _find_violations(self, mdp: MDP) -> list[str]:
         if self.model != fingerprint(mdp):
-            return ["the certificate is of another model"]
+            return ["the certificate belongs to another model"]
         proof = codec.rebuild_proof(self)
         return duals.list_totals_violations(Objectives(mdp, proof.objectives).to_totals(), proof)
 

@@ -390,7 +390,7 @@ class Evaluation(OfPolicy, Pictured):
     def _discounted(self) -> FixedPoint:
         if not self.settled:
             raise ModelError(
-                "the policy goes on forever, so visits have no number",
+                "the policy goes on forever, so the number of visits is infinite",
                 where="visits",
                 fix=ways_out(self.mdp),
             )

@@ -456,7 +456,7 @@ def test_what_is_said_of_a_policy_and_of_another_model() -> None:
         assert violations(given, claim(given, 0, policy=policy, **parts)) == said
     other = claim(given, 0, policy=[0, 2], **parts)
     for change in ({"sense": "min"}, {"model": "0" * 64}, {"model": None}):
-        assert violations(given, other | change) == ["the certificate is of another model"]
+        assert violations(given, other | change) == ["the certificate belongs to another model"]
     many = model(*(row(s, 0, [s]) for s in range(30)))
     wrong = violations(many, claim(many, 1, h=level(*[1] * 30), rank=[0] * 30))
     assert wrong == [f"state {s}, action 0: an end is not worth 0" for s in range(20)]
