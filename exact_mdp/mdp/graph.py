@@ -97,8 +97,10 @@ def longest_ways(graph: sp.csr_array) -> tuple[Integers, Integers]:
     """
     # Contract each component to a node; the edges between components have no cycle.
     label = components_in_order(graph)
-    here, there = (label[each] for each in graph.tocoo().coords)
-    count, apart = int(label.max(initial=-1)) + 1, here != there
+    count = int(label.max(initial=-1)) + 1
+    starts, ends = graph.tocoo().coords
+    here, there = label[starts], label[ends]
+    apart = here != there
     edges = sp.csr_array((np.ones(apart.sum()), (here[apart], there[apart])), (count, count))
     edges.sum_duplicates()
     # A component is ranked when all of its successors are: one more than the last of them.
