@@ -201,11 +201,12 @@ def _find_best_total(mdp: MDP, solver: Any, tol: float | None, start: Any = None
     return break_near_ties(solution)
 
 
-def _run_solver(solver: Solver, mdp: MDP) -> Solution:
+def _run_solver(solver: Any, mdp: MDP) -> Solution:
     """Return the solution of a model of rewards, by a solver of the toolkit or a user's own."""
     if isinstance(solver, Solver):
         return solver.solve_rewards(mdp)  # without a warning: `solve` gives it
-    return solver.solve(mdp)
+    solution: Solution = solver.solve(mdp)
+    return solution
 
 
 def _check_fit(

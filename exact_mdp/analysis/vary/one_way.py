@@ -353,7 +353,10 @@ def two_way(
     # The grid: x changes first.
     spans = ranges_of(family, [x, y], ranges, relative)
     across, along = (make_grid(spans[name], points) for name in (x, y))
-    columns = {x: across * points, y: [*np.repeat(along, points)]}
+    rows = []
+    for at in along:
+        rows += [at] * points
+    columns = {x: across * points, y: rows}
     mdp, table = family.at({}), study(family, columns, [policy])
 
     # Policies are numbered by their actions in the states with a choice that they reach.
