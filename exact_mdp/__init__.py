@@ -26,12 +26,12 @@ from typing import Any
 def _read_public_names() -> dict[str, tuple[str, str]]:
     """Return the module of each public name, and its name there."""
     source = Path(__file__).with_suffix(".pyi").read_text("utf-8")
-    return {
-        alias.asname or alias.name: (node.module or "", alias.name)
-        for node in ast.parse(source).body
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(__name__)
-        for alias in node.names
-    }
+    places = {}
+    for node in ast.parse(source).body:
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(__name__):
+            for alias in node.names:
+                places[alias.asname or alias.name] = (node.module or "", alias.name)
+    return places
 
 
 _HOMES = _read_public_names()

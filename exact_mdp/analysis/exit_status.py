@@ -171,7 +171,11 @@ def _describe_failure(
 ) -> tuple[int, ModelError]:
     """Return the exit status and the message of a failure."""
     kinds = [base.__name__ for base in type(error).__mro__]
-    options = {name: each for each in command.params for name in each.opts if name[:1] == "-"}
+    options = {}
+    for each in command.params:
+        for name in each.opts:
+            if name[:1] == "-":
+                options[name] = each
     # A signal.
     if isinstance(error, KeyboardInterrupt):
         number = error.args[0] if error.args else signal.SIGINT

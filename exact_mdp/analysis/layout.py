@@ -268,12 +268,18 @@ def choose_symbols(actions: Sequence[str]) -> dict[str, str]:
     """
     names = [name.strip().lower() for name in actions]
     words = [*COMPASS, *(letters for letters in INITIALS if set(letters) <= set(names))]
-    known = {word: arrow for each in words for word, arrow in zip(each, ARROWS, strict=True)}
+    known: dict[str, str] = {}
+    for each in words:
+        known.update(zip(each, ARROWS, strict=True))
     short = all(len(name) <= SHORT for name in actions)
-    return {
-        given: known.get(name) or (given if short else f"a{number}")
-        for number, (name, given) in enumerate(zip(names, actions, strict=True))
-    }
+    drawn = {}
+    for number, (name, given) in enumerate(zip(names, actions, strict=True)):
+        drawn[given] = f"a{number}"
+        if known.get(name):
+            drawn[given] = known[name]
+        elif short:
+            drawn[given] = given
+    return drawn
 
 
 # ---- what an audit says of each state, in a figure and on a page ---------------------------------

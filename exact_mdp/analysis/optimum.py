@@ -9,6 +9,7 @@ that status that have a choice and are reached by some policy.
 from __future__ import annotations
 
 import io
+import warnings
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar
@@ -34,7 +35,6 @@ from exact_mdp.solvers.solution import (
     PrecisionWarning,
     Solution,
     SolverError,
-    warn_at_caller,
 )
 from exact_mdp.solvers.solver import SOLVERS, Criterion, is_average, solve
 
@@ -64,7 +64,7 @@ class Optimum:
     value: Floats  # (S,), from the certificate if there is one
     state_error: Floats  # (S,) error bounds; rounding alone if the values are certified
     start: Certified | Bounded  # the value of the start distribution
-    error_bound: float  # of the start value and of the value of every state, as floats
+    error_bound: float  # bounds the errors of the start value and of all values, as floats
 
     @property
     def best(self) -> Any:
@@ -222,7 +222,7 @@ def compute_optimum(
     except SolverError as error:
         if not certify:
             raise
-        warn_at_caller(f"{error} (the exact values stand)", PrecisionWarning)
+        warnings.warn(f"{error} (the exact values stand)", PrecisionWarning, stacklevel=2)
     # The exact optimum, with a proof that its checker has accepted.
     if certify:
         exact = require_sound_proof(certified(model, criterion=criterion))
@@ -232,9 +232,8 @@ def compute_optimum(
     if exact is not None:
         # Certified values are exact; as floats they are rounded once, by less than their spacing.
         value, start = exact.value_float, exact.start
-        state_error, rounding = (
-            np.nan_to_num(np.spacing(np.abs(x))) for x in (value, float(start))
-        )
+        state_error = np.nan_to_num(np.spacing(np.abs(value)))
+        rounding = np.nan_to_num(np.spacing(np.abs(float(start))))
         error_bound = float(max(state_error.max(), rounding))
         # Both answers must agree within the error that the solver states.
         if solution is not None:

@@ -56,8 +56,8 @@ class ErrorCosts(Pictured):
     """The losses of a policy by errors of perception."""
 
     statuses: tuple[str, ...]  # names of the bits, the most significant first
-    value: Bounded  # of the policy under the perception
-    perfect: Bounded  # of the policy under perfect perception
+    value: Bounded  # the value of the policy under the perception
+    perfect: Bounded  # its value under perfect perception
     derivative: Floats  # (Z, Z) dV / dC(s, z); only differences within a row have a meaning
     loss: Floats  # (Z, Z) the loss by reading s as z; the sum is the loss against `perfect`
     # The gain per unit of a status's sensitivity and specificity, other statuses unchanged.

@@ -293,7 +293,7 @@ class FromArrays(Parts):
                 "numbers for states and actions",
             ) from error
         size = int(max([*state, *following], default=-1)) + 1
-        chance, gain = ([each[place] for each in every] for place in (0, 2))
+        chance, gain = [each[0] for each in every], [each[2] for each in every]
         lengths = [len(pairs[number][2]) for number in order]
         offsets = np.cumsum([0, *lengths])
         # Amounts of components by outcome: in place of rewards, or listed in `components`.
@@ -391,7 +391,7 @@ def _move_actions_first(values: Any, where: str) -> Any:
     """Return an array (S, S, A) as (A, S, S), and other arrays as they are."""
     if isinstance(values, Mapping) or _holds_sparse(values):
         raise ModelError(
-            "dictionaries and lists of sparse matrices go by action",
+            "a dictionary, or a list of sparse matrices, has one entry for each action",
             where=where,
             fix='leave layout="ssa" out',
         )

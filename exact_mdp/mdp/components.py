@@ -52,9 +52,9 @@ def with_components(
         amounts, bottom = np.stack([top for top, _ in columns], axis=1), make_ones(table.pairs)
     else:
         # Exact columns come over one denominator for each pair, the least common multiple.
-        each = [
-            _cancel_common_divisor(*_column_to_integers(column, table), table) for column in columns
-        ]
+        each = []
+        for column in columns:
+            each.append(_cancel_common_divisor(*_column_to_integers(column, table), table))
         common = np.lcm.reduce([below.astype(object) for _, below in each])
         whole = []
         for top, below in each:

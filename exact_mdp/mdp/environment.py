@@ -37,7 +37,7 @@ class MDPEnv(gymnasium.Env[np.int64, np.int64]):
     ----------
     mdp : MDP
     state : int
-        The current state, of which the agent may observe only a part.
+        The current state; the agent may observe only a part of it.
     observed : StateSpace
         The space of the observations: `observed.label(observation)` is one in words.
 

@@ -97,8 +97,10 @@ def longest_ways(graph: sp.csr_array) -> tuple[Integers, Integers]:
     """
     # Contract each component to a node; the edges between components have no cycle.
     label = components_in_order(graph)
-    here, there = (label[each] for each in graph.tocoo().coords)
-    count, apart = int(label.max(initial=-1)) + 1, here != there
+    count = int(label.max(initial=-1)) + 1
+    starts, ends = graph.tocoo().coords
+    here, there = label[starts], label[ends]
+    apart = here != there
     edges = sp.csr_array((np.ones(apart.sum()), (here[apart], there[apart])), (count, count))
     edges.sum_duplicates()
     # A component is ranked when all of its successors are: one more than the last of them.
@@ -179,14 +181,14 @@ def prove_termination(mdp: MDP) -> Termination:
 
 
 def has_improper_policy(mdp: MDP) -> bool:
-    """Return whether the discount is 1 and some policy never ends, or ends beside the goal."""
+    """Return whether the discount is 1 and some policy never ends, or ends outside the goal."""
     if mdp.discount_exact != 1:
         return False
     return bool(beside_goal(mdp).any()) or not prove_termination(mdp).proven
 
 
 def beside_goal(mdp: MDP) -> Mask:
-    """Return (S,) True for terminal states beside the goal; all False without a goal.
+    """Return (S,) True for terminal states outside the goal; all False without a goal.
 
     A run that ends there has missed the goal: its value is `unreached` instead of 0.
     """
@@ -266,14 +268,14 @@ def _compile_peeling() -> Any:
 
 
 def where_endless(mdp: MDP) -> str:
-    """Return in words where a policy can stay forever, or end beside the goal."""
+    """Return in words where a policy can stay forever, or end outside the goal."""
     ending = prove_termination(mdp)
     labels = mdp.space.labels
     if ending.policy is None:
         states = np.flatnonzero(mdp.terminal)
         if mdp.goal is not None:
             states = np.flatnonzero(beside_goal(mdp))
-        before = "it ends beside the goal in "
+        before = "it ends outside the goal in "
         named = [f"({label})" for label in labels(states[:4])]
     else:
         states, before = ending.trapped, "it stays forever in "
@@ -316,9 +318,9 @@ def require_termination(mdp: MDP) -> None:
         return
     ways = ["for the optimum of all policies use solve(mdp) or certify(mdp)"]
     if prove_termination(mdp).proven:
-        said = "a run that ends beside the goal is worth infinity, and some policy has such a run"
+        said = "a run that ends outside the goal is worth infinity, and some policy has such a run"
     else:
-        said = "discount 1 needs every policy to end, and one does not"
+        said = "discount 1 needs every policy to end, and some policy does not"
         ways.append("add a way out: a terminal state stays put and earns 0")
     raise ModelError(said, where=where_endless(mdp), fix=ways_out(mdp, *ways))
 

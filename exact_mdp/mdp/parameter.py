@@ -70,7 +70,7 @@ class Parameter:
         if self.low is not None and self.high is not None and self.low > self.high:
             raise ModelError(
                 f"low is {format_rational(self.low)}, "
-                f"above high, which is {format_rational(self.high)}",
+                f"and high is less: {format_rational(self.high)}",
                 where=f"parameter {self.name}",
                 fix="give the lower end as low",
             )

@@ -64,7 +64,7 @@ class Table:
     note: str = ""
     count: int = 0  # the number of all rows, if `rows` has only the first of them
 
-    def heading(self) -> str:
+    def format_heading(self) -> str:
         """Return the title, with the number of rows if not all are shown."""
         if len(self.rows) <= self.first:
             return self.title
@@ -76,7 +76,10 @@ class Table:
         if hasattr(rows, "to_dict"):  # a data frame
             rows = rows.to_dict("records")
         keys = [column.partition(":")[0] for column in self.columns.values()]
-        return [[_unwrap_numpy(row.get(key)) for key in keys] for row in rows]
+        shown = []
+        for row in rows:
+            shown.append([_unwrap_numpy(row.get(key)) for key in keys])
+        return shown
 
     def cells(self) -> list[list[str]]:
         """Return the texts of the rows that are shown."""
@@ -131,7 +134,7 @@ class Report:
     def lines(self) -> dict[str, str]:
         """Return the facts that are shown as lines, {name: text}."""
         lines = {}
-        for key, value in self._seen():
+        for key, value in self._list_visible():
             if key not in self.tables and not _is_table(value):
                 lines[key.replace("_", " ")] = format_fact(value)
         return lines
@@ -140,7 +143,7 @@ class Report:
         """Return the tables that have rows."""
         tables = []
         # Facts without a layout of their own.
-        for key, value in self._seen():
+        for key, value in self._list_visible():
             if key not in self.tables and _is_table(value):
                 tables.append(_build_table(key.replace("_", " "), value))
         # Tables with a layout; a table without rows of its own takes the rows of a fact.
@@ -161,7 +164,7 @@ class Report:
         """Return the HTML for a notebook: title, notes, lines, and the first rows of tables."""
         return str(load_template(TEMPLATE).module.notebook(self, first))
 
-    def _seen(self) -> Iterator[tuple[str, Any]]:
+    def _list_visible(self) -> Iterator[tuple[str, Any]]:
         """Yield the keys and values of the facts that people see."""
         for key, value in self.facts.items():
             if isinstance(value, Shown):
@@ -202,7 +205,10 @@ def _build_table(title: str, value: Any) -> Table:
     def is_flat(value: Any) -> bool:
         return not isinstance(value, Mapping) and (_has_claim(value) or not is_dataclass(value))
 
-    shown = [key for key in keys if all(is_flat(row.get(key)) for row in rows)]
+    shown = []
+    for key in keys:
+        if all(is_flat(row.get(key)) for row in rows):
+            shown.append(key)
     return Table(title=title, rows=rows, columns={key.replace("_", " "): key for key in shown})
 
 

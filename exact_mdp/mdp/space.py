@@ -74,7 +74,7 @@ class Column:
             return format(value, f"0{self.bits}b")
         return str(value)
 
-    def thing(self, value: int) -> Hashable:
+    def find_object(self, value: int) -> Hashable:
         """Return the object of a value; without objects its word; without words the value."""
         if self.objects:
             return self.objects[value]

@@ -366,7 +366,7 @@ def _check_pairs(model: Parts) -> None:
         if len(gaps):
             missing = int(gaps[0])
         raise ModelError(
-            "a state without action",
+            "a state has no action",
             where=model.space.place(missing),
             fix="add an action; a state where the process ends stays put with probability 1",
         )

@@ -6,8 +6,8 @@ An *input* went into the model, so its agreement shows a faithful transcription 
 
 entries    every number of a table is the same rational number in the model
 about      within 5 of a number that the text says approximately
-average    the chance that an average of so many experiments is as far from its exact mean, by the
-           normal law with the exact standard error, is .0027 (three standard errors) or more
+average    the chance that an average of so many experiments is as far from its exact mean, by a
+           normal distribution with the exact standard error, is .0027 (three of them) or more
 share      in 95 % or more of the training runs; if in fewer, only the share is stated
 statement  a predicate of the exact model
 open       nothing here can decide it

@@ -87,10 +87,9 @@ def build_tables(reading: Reading) -> dict[str, list[list[str]]]:
         return f"{float(100 * share):g} %"
 
     def table_2(action: int, name: str) -> list[str]:
-        stays = {
-            s: [compute_status_probability(mdp, b, a, s) for a in (action, 0)]
-            for s, b in BITS.items()
-        }
+        stays = {}
+        for s, b in BITS.items():
+            stays[s] = [compute_status_probability(mdp, b, a, s) for a in (action, 0)]
         listed = [f"{s} {per_cent(with_)}" for s, (with_, alone) in stays.items() if with_ != alone]
         said = ASSISTANCE.get(name, {"brief": "the robot keeps silent", "examples": []})
         weight = format_rounded(float(weight_of[f"assist.{name}"]))
@@ -159,10 +158,10 @@ def render_readme(results: Mapping[str, Any], *, code: str = "") -> str:
     environment.filters["code"] = _build_link_filter(code)
     claims = results["claims"]
     by_name = {entry["name"]: entry for entry in claims}
-    groups = {
-        name: [e for e in claims if e["source"].startswith(name) and e["kind"] == "finding"]
-        for name in SECTIONS
-    }
+    findings = [entry for entry in claims if entry["kind"] == "finding"]
+    groups = {}
+    for name in SECTIONS:
+        groups[name] = [entry for entry in findings if entry["source"].startswith(name)]
     return environment.from_string(TEMPLATE.read_text("utf-8")).render(
         **results,
         claim=by_name,

@@ -154,15 +154,14 @@ def compute_values(reading: Reading) -> dict[str, Any]:
     And the final one with directive assistance where the text says nothing.
     """
     named = {name: reading.evaluate_policy(name).mean for name in ("optimal", "random")}
-    orders = {
-        o: {start: reading.evaluate_policy(start, o).mean for start in AVERAGES} for o in ORDERS
-    }
-    silent = {
-        ", ".join(statuses): evaluate(
+    orders = {}
+    for o in ORDERS:
+        orders[o] = {start: reading.evaluate_policy(start, o).mean for start in AVERAGES}
+    silent = {}
+    for statuses in (OPEN[1:], OPEN):
+        silent[", ".join(statuses)] = evaluate(
             reading.mdp, reading.find_reported_policy(FINAL) | dict.fromkeys(statuses, "directive")
         ).mean
-        for statuses in (OPEN[1:], OPEN)
-    }
     return {**named, **orders, "directive_in": silent}
 
 
@@ -176,7 +175,10 @@ def find_claim(name: str) -> PaperClaim:
 
 def draw_figure(name: str, out: Path, runs: int) -> list[Path]:
     """Draw one figure into a folder; raises ModelError for an unknown one."""
-    by_place = {each.place.removeprefix("Figure "): each for each in FIGURES.values() if each.place}
+    by_place = {}
+    for each in FIGURES.values():
+        if each.place:
+            by_place[each.place.removeprefix("Figure ")] = each
     number = name.lower().removeprefix("figure").strip()
     picture = by_place.get(number) or FIGURES[require_known_name(name, FIGURES, "figure", "figure")]
     require_matplotlib()

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from fractions import Fraction
 from functools import partial
-from itertools import pairwise
+from itertools import pairwise, product
 from math import prod
 from typing import TYPE_CHECKING
 
@@ -165,9 +165,10 @@ def no_recovery_alone(reading: Reading) -> Finding:
     """Without assistance a status hardly ever goes away by itself: it stays with a probability of
     almost 1.
     """
-    leaves = max(
-        1 - compute_status_probability(reading.mdp, bit, 0, status) for status, bit in BITS.items()
-    )
+    chances = []
+    for status, bit in BITS.items():
+        chances.append(1 - compute_status_probability(reading.mdp, bit, 0, status))
+    leaves = max(chances)
     why = f"a status alone goes away with probability {float(leaves):.0%} at most"
     number, number_is = Certified(value=leaves), "the largest of these probabilities"
     return judge_statement(leaves <= Fraction(1, 100), why, number=number, number_is=number_is)
@@ -179,14 +180,15 @@ def statuses_are_independent(reading: Reading) -> Finding:
     mdp, products = reading.mdp, 0
     for vector in range(16):
         for action in range(len(ACTIONS)):
-            ones = {
-                bit: compute_status_probability(mdp, vector, action, name)
-                for name, bit in BITS.items()
-            }
-            products += all(
-                p == prod(one if after & bit else 1 - one for bit, one in ones.items())
-                for after, p in compute_status_distribution(mdp, vector, action).items()
-            )
+            ones = {}
+            for name, bit in BITS.items():
+                ones[bit] = compute_status_probability(mdp, vector, action, name)
+            independent = {}
+            for after in range(16):
+                factors = [p if after & bit else 1 - p for bit, p in ones.items()]
+                independent[after] = prod(factors)
+            joint = compute_status_distribution(mdp, vector, action)
+            products += all(p == independent[after] for after, p in joint.items())
     return judge_undecided(
         "the text gives the probability of each status alone and does not say that the four are "
         f"independent given statuses and assistance; here they are, in {products} of 64 rows"
@@ -197,10 +199,15 @@ def statuses_are_independent(reading: Reading) -> Finding:
 def anger_weighs_most(reading: Reading) -> Finding:
     """Confusion, anger and disengagement raise forgetfulness, anger the most; and anger contributes
     more to the other statuses than they to each other."""
-    effects = {s: {t: compute_effect(reading.mdp, s, t) for t in BITS if t != s} for s in BITS}
+    effects = {}
+    for s in BITS:
+        effects[s] = {t: compute_effect(reading.mdp, s, t) for t in BITS if t != s}
     on = {s: effects[s]["forgetfulness"] for s in BITS if s != "forgetfulness"}
     total = {s: sum(each.values(), Fraction(0)) for s, each in effects.items()}
-    holds = all(each["anger"] > each[s] for each in (on, total) for s in each if s != "anger")
+    holds = True
+    for each in (on, total):
+        others = [points for s, points in each.items() if s != "anger"]
+        holds = holds and each["anger"] > max(others)
     why = (
         f"percentage points on forgetfulness: {format_points(on)}; "
         f"on the other three: {format_points(total)}"
@@ -274,12 +281,11 @@ def skip_keeps_statuses(reading: Reading) -> Finding:
 def stress_on_memory(reading: Reading) -> Finding:
     """What a skip leaves of forgetfulness and confusion reflects emotional stress."""
     stress = BITS["anger"] | BITS["disengagement"]
-    moved = any(
-        _stays_on_skip(reading, vector, name) != _stays_on_skip(reading, vector & ~stress, name)
-        for vector in range(16)
-        for name in COGNITIVE
-        if vector & BITS[name]
-    )
+    moved = False
+    for vector, name in product(range(16), COGNITIVE):
+        if vector & BITS[name]:
+            calm = _stays_on_skip(reading, vector & ~stress, name)
+            moved = moved or _stays_on_skip(reading, vector, name) != calm
     return judge_statement(
         moved,
         "anger or disengagement changes them"
@@ -394,8 +400,10 @@ def draw_trials(reading: Reading) -> Figure:
     reached = [trial_flow(reading, name) for name in ("optimal", "random")]
     last, gap = reading.scenario.trials, 1.75
     end, wide, box = gap * last, gap * (last - 1), partial(Box, width=1.15, height=0.9)
-    said = ["\n".join(f"{p[t]:.1%}" for p in reached) for t in range(last)]
-    boxes = {f"t{t}": box(gap * t, 0, f"trial {t + 1}\n{said[t]}") for t in range(last)}
+    boxes = {}
+    for t in range(last):
+        chances = "\n".join(f"{p[t]:.1%}" for p in reached)
+        boxes[f"t{t}"] = box(gap * t, 0, f"trial {t + 1}\n{chances}")
     order = [*boxes, "skipped", "next"]
     skipped = "\n".join(f"{p[last]:.2%}" for p in reached)
     boxes["skipped"] = box(end, 0, f"skipped\n{skipped}", ROBOT)
@@ -439,13 +447,12 @@ def draw_mechanism(reading: Reading) -> Figure:
                 side, aside = ("top", -0.1)
             added = f"+{float(100 * compute_effect(mdp, source, status)):g} points"
             ax.text(1.65, y + aside, added, fontsize=7.5, va=side)
-        acts = [
-            f"{action}: "
-            f"{float(compute_status_probability(mdp, bit, number, status)):.0%} if present, "
-            f"{float(compute_status_probability(mdp, 0, number, status)):.0%} from absent"
-            for number, action in enumerate(ACTIONS)
-            if status in PAPER["assistance"].get(action, {})
-        ]
+        acts = []
+        for number, action in enumerate(ACTIONS):
+            if status in PAPER["assistance"].get(action, {}):
+                present = float(compute_status_probability(mdp, bit, number, status))
+                absent = float(compute_status_probability(mdp, 0, number, status))
+                acts.append(f"{action}: {present:.0%} if present, {absent:.0%} from absent")
         boxes["assistance"] = Box(
             2.6, -0.1, "assistance\n" + "\n".join(acts), ROBOT, width=6.2, height=1.05
         )

@@ -63,23 +63,22 @@ def compute_losses(reading: Reading, status: str, action: int) -> list[Fraction]
     """
     mdp, value = reading.mdp, reading.certificate.value
     here = (mdp.space.values("status") == int(status, 2)) & ~mdp.forced & ~mdp.terminal
-    return [
-        value[state]
-        - sum(
-            p * (gain + mdp.discount_exact * value[after])
-            for p, after, gain in list_outcomes(mdp, state, action)
-        )
-        for state in np.flatnonzero(here).tolist()
-    ]
+    gaps = []
+    for state in np.flatnonzero(here).tolist():
+        gap = value[state]
+        for p, after, gain in list_outcomes(mdp, state, action):
+            gap -= p * (gain + mdp.discount_exact * value[after])
+        gaps.append(gap)
+    return gaps
 
 
 def optimal_actions(reading: Reading, status: str) -> list[set[str]]:
     """Return the set of optimal actions of every state with a status and a choice."""
     by_action = [compute_losses(reading, status, action) for action in range(len(ACTIONS))]
-    return [
-        {name for name, lost in zip(ACTIONS, state, strict=True) if lost == 0}
-        for state in zip(*by_action, strict=True)
-    ]
+    best = []
+    for state in zip(*by_action, strict=True):
+        best.append({name for name, lost in zip(ACTIONS, state, strict=True) if lost == 0})
+    return best
 
 
 @register_claim("actions.max-trial", "Section 3.2.2", "Section 2.1", kind="input", open=True)

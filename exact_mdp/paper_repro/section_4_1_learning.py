@@ -147,7 +147,10 @@ def learning_curves(reading: Reading) -> Figure:
 
 def name_actions(policy: np.ndarray) -> dict[str, str]:
     """Return a policy (16,) by status."""
-    return {status: ACTIONS[int(action)] for status, action in zip(STATUSES, policy, strict=True)}
+    named = {}
+    for status, action in zip(STATUSES, policy, strict=True):
+        named[status] = ACTIONS[int(action)]
+    return named
 
 
 UNIQUE = {s: f"{SHOWN[s]} the run suggests {n}" for s, n in REPORTED["unique_policies"].items()}
@@ -196,7 +199,9 @@ def learned_stated(reading: Reading, schedule: str) -> Finding:
     """The run with {means} learns the stated actions of 1100, 1000 and 0100."""
     final = [name_actions(policy) for policy in reading.train_runs(schedule).final]
     # The text leaves open which action belongs to 1000 and which to 0100: count both orders.
-    orders = {order: sum(has_stated_actions(policy, order) for policy in final) for order in ORDERS}
+    orders = {}
+    for order in ORDERS:
+        orders[order] = sum(has_stated_actions(policy, order) for policy in final)
     whole = sum(are_as_described([policy]) for policy in final)
     shares = ", ".join(f"{order} {count / len(final):.1%}" for order, count in orders.items())
     why = (
@@ -208,12 +213,16 @@ def learned_stated(reading: Reading, schedule: str) -> Finding:
 
 def are_as_described(policies: Iterable[dict[str, str]]) -> bool:
     """Return whether the text's statements about statuses hold for all of some policies."""
-    return all(
-        all(policy[status] == "supportive" for status in ANGRY)
-        and any(has_stated_actions(policy, order) for order in ORDERS)
-        and policy["0000"] in AVERAGES
-        for policy in policies
-    )
+    for policy in policies:
+        supportive = all(policy[status] == "supportive" for status in ANGRY)
+        if not supportive or policy["0000"] not in AVERAGES or not has_either_order(policy):
+            return False
+    return True
+
+
+def has_either_order(policy: dict[str, str]) -> bool:
+    """Return whether a policy takes the stated actions, with "respectively" read in some order."""
+    return any(has_stated_actions(policy, order) for order in ORDERS)
 
 
 @register_claim("learning.same-but-first", "Section 4.1", "Figure 10", rule="share", learns=True)
@@ -283,20 +292,21 @@ def told_together(reading: Reading) -> dict[str, np.ndarray]:
         return bool((policies[:, places] == NUMBER["supportive"]).all())
 
     def take_stated_actions(policies: np.ndarray) -> bool:
-        return all(
-            any(has_stated_actions(name_actions(policy), order) for order in ORDERS)
-            for policy in policies
-        )
+        return all(has_either_order(name_actions(policy)) for policy in policies)
 
     # Sets of actions in 0000 as bit masks, so that a union is an "or".
-    starts = [[sum(1 << a for a in set(p[:, 0].tolist())) for p in run.last] for run in runs]
+    def mask_first_actions(policies: np.ndarray) -> int:
+        return sum(1 << action for action in set(policies[:, 0].tolist()))
+
+    starts = [[*map(mask_first_actions, run.last)] for run in runs]
     three = sum(1 << NUMBER[start] for start in AVERAGES)
     one, two = runs[0].final, runs[1].final
     numbers = REPORTED["unique_policies"]
+    as_many = []
+    for run in runs:
+        as_many.append([len(policies) == numbers[run.schedule] for policies in run.last])
     return {
-        "three and two policies": pair_runs(
-            *([len(p) == numbers[run.schedule] for p in run.last] for run in runs)
-        ),
+        "three and two policies": pair_runs(*as_many),
         "each run's differ in 0000 alone": pair_runs(
             *(map(differ_in_first_alone, run.last) for run in runs)
         ),
@@ -403,11 +413,10 @@ def first_status(reading: Reading) -> Figure:
     from matplotlib.patches import Patch
 
     fig, (above, below) = drawing.create_axes(7.6, 5.0, nrows=2)
-    rows = [
-        (f"{shown}, {step}", view.train_runs(name))
-        for step, view in (("constant rate", reading), ("falling step", reading.falling))
-        for name, shown in SHOWN.items()
-    ]
+    rows = []
+    for step, view in (("constant rate", reading), ("falling step", reading.falling)):
+        for name, shown in SHOWN.items():
+            rows.append((f"{shown}, {step}", view.train_runs(name)))
     for row, (_, learned) in enumerate(rows):
         counts = learned.outcomes.choices(0)[: len(ACTIONS)]
         left = 0.0
@@ -424,10 +433,9 @@ def first_status(reading: Reading) -> Figure:
     for ax in (above, below):
         ax.set_yticks(range(len(rows)), [label for label, _ in rows])
         ax.invert_yaxis()
-    handles = [
-        Patch(facecolor=fill, hatch=hatch, edgecolor="black", label=action)
-        for action, (fill, hatch) in FILLS.items()
-    ]
+    handles = []
+    for action, (fill, hatch) in FILLS.items():
+        handles.append(Patch(facecolor=fill, hatch=hatch, edgecolor="black", label=action))
     above.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1), ncols=4)
     above.set(xlim=(0, 1), xlabel="share of runs by their final action in 0000")
     below.axvline(0, color="black", lw=0.8)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import replace
 from fractions import Fraction
-from itertools import pairwise
+from itertools import pairwise, product
 from math import erfc, exp, pi, sqrt
 from typing import TYPE_CHECKING
 
@@ -62,20 +62,24 @@ def random_return(reading: Reading) -> Finding:
 def policies_beat_random(reading: Reading) -> Finding:
     """The learned policies are superior to the random strategy."""
     random = reading.evaluate_policy("random").mean
-    lowest = min(
-        reading.evaluate_policy(start, order).mean for start in AVERAGES for order in ORDERS
-    )
+    means = []
+    for start in AVERAGES:
+        for order in ORDERS:
+            means.append(reading.evaluate_policy(start, order).mean)
+    lowest = min(means)
     why = f"the least of the three policies in both orders earns {lowest:.1f}, random {random:.1f}"
     return judge_statement(lowest > random + 1e-6, why)
 
 
 def both_orders(reading: Reading, start: str) -> str:
     """Return the value of a reported policy in both orders, with its distance from the paper's."""
-    return ", ".join(
-        f"{order} {reading.evaluate_policy(start, order).mean:.2f} "
-        f"({reading.compute_deviation(start, order):+.1f} s.e.)"
-        for order in ORDERS
-    )
+    listed = []
+    for order in ORDERS:
+        listed.append(
+            f"{order} {reading.evaluate_policy(start, order).mean:.2f} "
+            f"({reading.compute_deviation(start, order):+.1f} s.e.)"
+        )
+    return ", ".join(listed)
 
 
 @register_claim(
@@ -122,11 +126,13 @@ def first_status_ranking(reading: Reading) -> Finding:
     """In status 0000 non-directive assistance is better than directive, and that better than
     supportive.
     """
-    means = {
-        order: [reading.evaluate_policy(start, order).mean for start in AVERAGES]
-        for order in ORDERS
-    }
-    listed = "; ".join(f"{o} {' > '.join(f'{m:.2f}' for m in each)}" for o, each in means.items())
+    means = {}
+    for order in ORDERS:
+        means[order] = [reading.evaluate_policy(start, order).mean for start in AVERAGES]
+    rankings = []
+    for order, each in means.items():
+        rankings.append(f"{order} {' > '.join(f'{mean:.2f}' for mean in each)}")
+    listed = "; ".join(rankings)
     falls = all(a > b + 1e-6 for a, b in pairwise(means[reading.order]))
     return judge_statement(falls, f"exact values of {', '.join(AVERAGES)}, 1000 and 0100 {listed}")
 
@@ -139,8 +145,8 @@ def ranking_by_experiments(reading: Reading) -> Finding:
     return judge_statement(
         chance >= NEARLY_ALL,
         f"{EXPERIMENTS:,} experiments with each rank them so with probability {chance:.5f}, by the "
-        "normal law with the exact means and variances, 1000 and 0100 as written; 95 % or more "
-        "counts as told",
+        "normal distribution with the exact means and variances, 1000 and 0100 as written; 95 % or "
+        "more counts as told",
         number=Estimated(value=chance, standard_error=1e-5),
         number_is="probability of this order",
     )
@@ -150,10 +156,10 @@ def probability_of_ranking(means: list[float], errors: list[float]) -> float:
     """Return P(A > B > C) for independent normal averages."""
     nodes = np.linspace(-10.0, 10.0, 4001)  # the trapezoidal rule is exact to rounding here
     middle = means[1] + errors[1] * nodes
-    above, below = (
-        np.array([erfc(-x / sqrt(2)) / 2 for x in apart])
-        for apart in ((means[0] - middle) / errors[0], (middle - means[2]) / errors[2])
-    )
+    below_first = (means[0] - middle) / errors[0]
+    above_last = (middle - means[2]) / errors[2]
+    above = np.array([erfc(-x / sqrt(2)) / 2 for x in below_first])
+    below = np.array([erfc(-x / sqrt(2)) / 2 for x in above_last])
     density = np.exp(-0.5 * nodes**2) / sqrt(2 * pi)
     return float((density * above * below).sum() * (nodes[1] - nodes[0]))
 
@@ -176,7 +182,7 @@ def three_policies(reading: Reading) -> Figure:
     which the text says nothing.
     """
     fig, ax = drawing.create_axes(6.4, 4.0)
-    rows = [(start, order) for start in AVERAGES for order in ORDERS]
+    rows = [*product(AVERAGES, ORDERS)]
     for row, (start, order) in enumerate(rows):
         exact, error = reading.evaluate_policy(start, order), reading.standard_error(start, order)
         for reach, width in ((3, 1.2), (1, 4.0)):
@@ -210,11 +216,12 @@ def return_distributions(reading: Reading) -> Figure:
         "random": "random actions",
     }
     for ax, (name, label) in zip(panels, shown.items(), strict=True):
-        law = return_distribution(reading.mdp, reading.build_policy(name))
-        values = np.asarray(law.multiples, dtype=float) * float(law.unit)
+        distribution = return_distribution(reading.mdp, reading.build_policy(name))
+        values = np.asarray(distribution.multiples, dtype=float) * float(distribution.unit)
         bins = np.floor(values / 10) * 10
         at = np.unique(bins)
-        ax.bar(at + 5, [law.probabilities[bins == b].sum() for b in at], width=9.4, color=BLUE)
+        shares = [distribution.probabilities[bins == b].sum() for b in at]
+        ax.bar(at + 5, shares, width=9.4, color=BLUE)
         mean = reading.evaluate_policy(name).mean
         ax.axvline(mean, color="black", ls="--", lw=1)
         ax.set_title(
@@ -252,7 +259,9 @@ BEST = {  # statuses and the action that the text gives
 def best_action(reading: Reading, place: str) -> Finding:
     """{means}."""
     statuses, action = BEST[place]
-    best = [each for status in statuses for each in optimal_actions(reading, status)]
+    best = []
+    for status in statuses:
+        best.extend(optimal_actions(reading, status))
     right = sum(action in each for each in best)
     others = sorted(set().union(*(each for each in best if action not in each)))
     instead = "".join(f"; elsewhere {other} is" for other in others)
@@ -271,10 +280,12 @@ def respectively_holds(reading: Reading) -> Finding:
     is meant.
     """
     best = {status: optimal_actions(reading, status) for status in ("1000", "0100")}
-    holds = any(
-        all(action in each for status, action in pair.items() for each in best[status])
-        for pair in ORDERS.values()
-    )
+    holds = False
+    for pair in ORDERS.values():
+        optimal = True
+        for status, action in pair.items():
+            optimal = optimal and all(action in each for each in best[status])
+        holds = holds or optimal
     listed = ", ".join(f"{s}: {'/'.join(sorted(set().union(*each)))}" for s, each in best.items())
     return judge_statement(holds, f"optimal actions are {listed}")
 
@@ -297,10 +308,11 @@ def assistance_is_personal(reading: Reading) -> Finding:
 def final_is_optimal(reading: Reading) -> Finding:
     """The final policy, with non-directive assistance in 0000, is optimal."""
     audits = {order: check(reading.mdp, reading.build_policy(FINAL, order)) for order in ORDERS}
-    sentence = ", ".join(
-        f"{order} {float(audit.regret.at_start.value):.2f} ({audit.relative_regret:.1%})"
-        for order, audit in audits.items()
-    )
+    losses = []
+    for order, audit in audits.items():
+        loss = float(audit.regret.at_start.value)
+        losses.append(f"{order} {loss:.2f} ({audit.relative_regret:.1%})")
+    sentence = ", ".join(losses)
     audit, by_status = audits[reading.order], defaultdict[str, float](float)
     for each in audit.disagreements:
         by_status[reading.mdp.space.as_dict(each.state)["status"]] += each.cost

@@ -35,16 +35,10 @@ def saved_as_text(reading: Reading) -> Finding:
     with TemporaryDirectory() as folder:
         record = build_conversation(Scripted(), seed=0).hold(Path(folder) / "talk", limit=3)
         text = (Path(folder) / "talk" / "conversation.txt").read_text("utf-8")
-    parts = [
-        part
-        for step in record.steps
-        for part in (
-            step["status"],
-            clean_text(step["behaviour"]["nonverbal"]),
-            step["action"],
-            clean_text(step["assistance"]),
-        )
-    ]
+    parts = []
+    for step in record.steps:
+        parts += [step["status"], clean_text(step["behaviour"]["nonverbal"])]
+        parts += [step["action"], clean_text(step["assistance"])]
     return judge_statement(
         bool(parts) and all(part in text for part in parts),
         "conversation.txt holds them, conversation.jsonl everything behind them",
@@ -99,7 +93,9 @@ def confusion_supported(reading: Reading) -> Finding:
 @register_claim("agents.anger-encouraged", "Section 4.2", "Section 4.1", rule="open")
 def anger_encouraged(reading: Reading) -> Finding:
     """An angry person is met with encouragement."""
-    best = [actions for status in ANGRY for actions in optimal_actions(reading, status)]
+    best = []
+    for status in ANGRY:
+        best.extend(optimal_actions(reading, status))
     right = sum("supportive" in actions for actions in best)
     return judge_undecided(
         "needs the authors' model: one example is told. In the decision model supportive "
@@ -110,10 +106,11 @@ def anger_encouraged(reading: Reading) -> Finding:
 @register_claim("agents.perception-errors", "Section 4.2", rule="open")
 def perception_errors(reading: Reading) -> Finding:
     """Despite errors of perception the robot goes on to help effectively."""
-    listed = ", ".join(
-        f"{level:.0%}: {value_as_perceived(reading, independent([level] * 4, [level] * 4)):.1f}"
-        for level in (0.99, 0.95, 0.9, 0.8)  # accuracies of perception, status by status
-    )
+    values = []
+    for accuracy in (0.99, 0.95, 0.9, 0.8):  # of perception, status by status
+        errors = independent([accuracy] * 4, [accuracy] * 4)
+        values.append(f"{accuracy:.0%}: {value_as_perceived(reading, errors):.1f}")
+    listed = ", ".join(values)
     return judge_undecided(
         "how often the authors' model errs is not reported. The optimal policy earns "
         f"{reading.evaluate_policy('optimal').mean:.1f} with perfect perception, random actions "

@@ -191,13 +191,13 @@ class Support:
 
     def of_options(self) -> dict[str, dict[str, float]]:
         """Return the weight of each option of each point."""
-        return {
-            point: {
-                option: float(self.weights[[c[point] == option for c in self.choices]].sum())
-                for option in options
-            }
-            for point, options in OPTIONS.items()
-        }
+        shares: dict[str, dict[str, float]] = {}
+        for point, options in OPTIONS.items():
+            shares[point] = {}
+            for option in options:
+                chosen = [choice[point] == option for choice in self.choices]
+                shares[point][option] = float(self.weights[chosen].sum())
+        return shares
 
 
 def compute_support(base: Reading, progress: Callable[[str], None] = lambda text: None) -> Support:
@@ -206,11 +206,10 @@ def compute_support(base: Reading, progress: Callable[[str], None] = lambda text
     for options in product(*POINTS.values()):
         # The label of a combination names the points that differ from the default.
         chosen = dict(zip(POINTS, options, strict=True))
-        changes = [
-            POINTS[point][option]
-            for point, option in chosen.items()
-            if option != next(iter(POINTS[point]))
-        ]
+        changes = []
+        for point, option in chosen.items():
+            if option != next(iter(POINTS[point])):
+                changes.append(POINTS[point][option])
         scenario = base.scenario.with_(readings=chosen)
         one = replace(base, scenario=scenario)
         for order in ORDERS:
@@ -240,7 +239,7 @@ def describe_readings(evidence: Support, changed: Sequence[Reading]) -> dict[str
         }
 
     # The default in both orders, then each single change in the order that fits better.
-    rows = [describe_reading(each, order) for each in changed[:1] for order in ORDERS]
+    rows = [describe_reading(changed[0], order) for order in ORDERS]
     for each in changed[1:]:
         if each.order == "as written":
             rows.append(
@@ -249,12 +248,19 @@ def describe_readings(evidence: Support, changed: Sequence[Reading]) -> dict[str
     # Changes of other numbers than the silent points: how far their averages are at best.
     far = [row for row in rows if row["label"] in ELSEWHERE]
     chosen = evidence.choices[int(evidence.weights.argmax())].items()
-    changes = [f"readings.{p}={option}" for p, option in chosen if option != next(iter(OPTIONS[p]))]
+    changes = []
+    for p, option in chosen:
+        if option != next(iter(OPTIONS[p])):
+            changes.append(f"readings.{p}={option}")
     options = evidence.of_options()
+    sizes = []
+    for row in far:
+        for error in row["errors"].values():
+            sizes.append(abs(error))
     return {
         "combinations": len(evidence.readings) // len(ORDERS),
         "identified": [p for p, each in options.items() if max(each.values()) >= 0.95],
-        "least_elsewhere": min(abs(error) for row in far for error in row["errors"].values()),
+        "least_elsewhere": min(sizes),
         "options": options,
         "best": describe_reading(best, best.order)
         | {"weight": float(evidence.weights.max()), "set": changes},

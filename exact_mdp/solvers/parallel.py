@@ -261,4 +261,7 @@ def join_blocks(blocks: Sequence[Arrays], names: Iterable[str] | None = None) ->
     """Return arrays of all draws, by name: of all names by default."""
     if names is None:
         names = blocks[0]
-    return {name: np.concatenate([block[name] for block in blocks]) for name in names}
+    joined = {}
+    for name in names:
+        joined[name] = np.concatenate([block[name] for block in blocks])
+    return joined

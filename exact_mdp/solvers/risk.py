@@ -89,9 +89,9 @@ class Budgeted:
         if len(gain) == table.pairs:
             gain = gain[pair]
         shared = lcm(*below.tolist())
-        whole = [
-            g * (shared // b) for g, b in zip(gain.tolist(), below[pair].tolist(), strict=True)
-        ]
+        whole = []
+        for g, b in zip(gain.tolist(), below[pair].tolist(), strict=True):
+            whole.append(g * (shared // b))
         size = gcd(*whole) or shared
         gain = to_integer_array(g // size for g in whole)
         # Sort outcomes within their pair, so that the new states rise.
@@ -151,7 +151,7 @@ class Budgeted:
 
     @property
     def thresholds(self) -> range:
-        """The returns from the start, of which one is the best threshold."""
+        """The returns from the start; one of them is the best threshold."""
         begins = [state for state, _ in self.mdp.start]
         return range(int(min(self.low[begins])), int(max(self.high[begins])) + 1)
 
@@ -205,10 +205,10 @@ def _solve_budgeted(of: Budgeted) -> tuple[Integers, Level, Level]:
         times = table.weight[here] * (below[state] // scale)
         starts = table.offsets[own.start : own.stop] - here.start
         # Two totals of each pair and budget: minus the shortage, and the return itself.
-        totals, means = (
-            np.add.reduceat(times * (x[after] + below[to] * gains), starts, axis=1)
-            for x, gains in ((value, earned), (mean, table.gain[here]))
-        )
+        shortage = value[after] + below[to] * earned
+        returned = mean[after] + below[to] * table.gain[here]
+        totals = np.add.reduceat(times * shortage, starts, axis=1)
+        means = np.add.reduceat(times * returned, starts, axis=1)
         # Least shortage first; among pairs that share it, the greatest mean return.
         most = totals.max(axis=1)
         means = np.where(totals == most[:, None], means, means.min() - 1)
@@ -308,21 +308,24 @@ class CVaROptimum(Result):
 
     def violations(self) -> list[str]:
         """Return the violations in words: an empty list if the policy is optimal."""
-        of, law = self.budgeted, self.distribution()
+        of, distribution = self.budgeted, self.distribution()
         wrong, threshold = self.certificate.violations(), self.threshold / self._unit
         each: dict[Any, Fraction]
         each = {k: of.compute_cvar(self.values, k, self.level) for k in of.thresholds}
         if not each.get(threshold) == max(each.values()) == self.value / self._unit:
             wrong.append("another threshold gives more")
-        if tail_mean(law, self.level, highest=self.mdp.sense == "min") != self.value:
+        if tail_mean(distribution, self.level, highest=self.mdp.sense == "min") != self.value:
             wrong.append("the worst episodes of the policy have another mean")
-        if sum(z * p for z, p in law.items()) != self.mean:
+        if sum(z * p for z, p in distribution.items()) != self.mean:
             wrong.append("the policy has another mean")
         return wrong
 
     def report(self) -> Report:
         """Return the mean of the worst episodes and of all, and the policy."""
         label = self.mdp.space.label
+        listed = []
+        for state, low, high, action in self.rules():
+            listed.append({"state": label(state), "from": low, "to": high, "action": action})
         facts = {
             "claim": Shown(self.claim),
             "measure": Shown("cvar"),
@@ -331,10 +334,7 @@ class CVaROptimum(Result):
             "mean": Shown(self.mean, Certified(value=self.mean)),
             "threshold": self.threshold,
             "distribution": Shown(self.distribution()),
-            "policy": [
-                {"state": label(state), "from": low, "to": high, "action": action}
-                for state, low, high, action in self.rules()
-            ],
+            "policy": listed,
         }
         rules = Table(
             title="best policy for the worst episodes, by state and reward so far",
@@ -384,10 +384,10 @@ def best_cvar(model: MDP | Scenario, level: object) -> CVaROptimum:
     of = Budgeted(mdp)
     pairs, values, means = _solve_budgeted(of)
     # The best threshold: the greatest CVaR, then the greatest mean, then the lowest threshold.
-    value, mean, least = max(
-        (of.compute_cvar(values, k, share), means.compute_mean(of.list_start(k)), -k)
-        for k in of.thresholds
-    )
+    rated = []
+    for k in of.thresholds:
+        rated.append((of.compute_cvar(values, k, share), means.compute_mean(of.list_start(k)), -k))
+    value, mean, least = max(rated)
     unit = mdp.sign * of.unit
     return CVaROptimum(
         mdp=mdp,

@@ -8,7 +8,6 @@ sensitivity) and `Estimated` (a sample mean and its standard error).
 
 from __future__ import annotations
 
-import inspect
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -29,7 +28,6 @@ from exact_mdp.mdp.result import ROWS_SHOWN, DataFrame, Pictured, data_frame, pl
 from exact_mdp.mdp.table import Floats, Integers
 
 NORMAL = 1.959963984540054  # the 97.5 % quantile of the standard normal distribution
-OWN = (__name__.partition(".")[0], "numpy")  # packages whose frames a warning skips
 
 
 class Claim(StrEnum):
@@ -72,22 +70,10 @@ class PrecisionWarning(UserWarning):
     """The tolerance is beyond double precision; the error bound says how near the result came."""
 
 
-def warn_of_precision(error: float) -> None:
-    """Issue a PrecisionWarning at the line that called this package."""
-    warn_at_caller(f"the error bound is {error:.2g}: {Status.PRECISION}", PrecisionWarning)
-
-
-def warn_at_caller(message: str, category: type[Warning]) -> None:
-    """Issue a warning at the line that called this package."""
-    # Go up to the first frame outside this package; NumPy's decorators may lie between its frames.
-    frame, level = inspect.currentframe(), 1
-    while frame and frame.f_back:
-        # Code that is executed from a string has no module name.
-        package = frame.f_globals.get("__name__", "").partition(".")[0]
-        if package not in OWN:
-            break
-        frame, level = frame.f_back, level + 1
-    warnings.warn(message, category, stacklevel=level)
+def warn_of_precision(error: float, *, stacklevel: int = 2) -> None:
+    """Issue a PrecisionWarning; `stacklevel` is 2 for the line that called the caller."""
+    message = f"the error bound is {error:.2g}: {Status.PRECISION}"
+    warnings.warn(message, PrecisionWarning, stacklevel=stacklevel + 1)
 
 
 class SolverError(RuntimeError):
@@ -321,7 +307,7 @@ class Found(Valued):
 
     @cached_property
     def policy(self) -> Any:
-        """The policy, which is also an array (S,) of action numbers; None if it was given."""
+        """The policy, whose `rule` (S,) holds action numbers; None if it was given."""
         if self.pairs is None:
             return None
         mdp = self.mdp
@@ -375,7 +361,7 @@ class Solution(Found, Pictured):
     --------
     >>> from exact_mdp.solvers import solve
     >>> solution = solve(MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]]))
-    >>> solution.value.tolist(), solution.policy.tolist(), solution.start.interval
+    >>> solution.value.tolist(), solution.policy.rule.tolist(), solution.start.interval
     ([3.0, 0.0], [1, 0], (2.99..., 3.00...))
     >>> solution.frame().action.tolist(), solution.q.tolist(), solution.gap_table.tolist()
     (['1', '0'], [[1.0, 3.0], [0.0, 0.0]], [[2.0, 0.0], [0.0, 0.0]])

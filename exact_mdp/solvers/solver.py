@@ -155,33 +155,58 @@ def solve(
         require_no_horizon(horizon)
         require_no_target(mdp)
         check_tolerance("solve", tol)
-        chosen: Solver = PolicyIteration()
-        if solver != "auto":
-            chosen = _configure_solver(solver, tol=tol)
-        try:
-            solution: Solution = solve_average(mdp, _configure_solver(chosen, start=start))
-        except SolverError:  # the chain mixes too slowly for floats
-            if solver != "auto" or mdp.n_transitions > COMPILED:
-                raise
-            solution = round_exact_solution(mdp, "average")
-        return _check_precision(solution, tol)
-    # Reduce horizons and costs to a model of maximised rewards; improper policies are apart.
-    if horizon is not None:
-        mdp = mdp.within(horizon, terminal_value=terminal_value)
-    if subject_to is not None:
-        return solve_under(mdp, subject_to)
+        solution = _find_best_average(mdp, solver, tol, start)
+    else:
+        if horizon is not None:
+            mdp = mdp.within(horizon, terminal_value=terminal_value)
+        if subject_to is not None:
+            return solve_under(mdp, subject_to)
+        solution = _find_best_total(mdp, solver, tol, start)
+    if solution.status is Status.PRECISION:
+        warn_of_precision(solution.error_bound, stacklevel=3)  # `named_options` is in between
+    return solution
+
+
+def _find_best_average(mdp: MDP, solver: Any, tol: float | None, start: Any) -> Solution:
+    """Return the solution for the average reward; floats fail if a chain mixes too slowly."""
+    chosen: Solver = PolicyIteration()
+    if solver != "auto":
+        chosen = _configure_solver(solver, tol=tol)
+    try:
+        solution: Solution = solve_average(mdp, _configure_solver(chosen, start=start))
+    except SolverError:
+        if solver != "auto" or mdp.n_transitions > COMPILED:
+            raise
+        solution = round_exact_solution(mdp, "average")
+    return _mark_if_imprecise(solution, tol)
+
+
+def _find_best_total(mdp: MDP, solver: Any, tol: float | None, start: Any = None) -> Solution:
+    """Return the solution for the total reward; costs and improper policies are reduced first."""
     if mdp.sense == "min":
-        return solve_negated(
-            mdp, partial(solve, solver=solver, tol=tol, start=negate_start(mdp, start))
+        find_best = partial(
+            _find_best_total, solver=solver, tol=tol, start=negate_start(mdp, start)
         )
+        negated: Solution = solve_negated(mdp, find_best)
+        return negated
     if has_improper_policy(mdp):
-        return solve_total(mdp, partial(solve, solver=solver, tol=tol))
+        return solve_total(mdp, partial(_find_best_total, solver=solver, tol=tol))
     if solver == "auto" and is_acyclic(mdp):
         check_tolerance("solve", tol)
-        return break_near_ties(_check_precision(BackwardInduction().solve(mdp), tol))
-    if solver == "auto":
-        solver = ModifiedPolicyIteration()
-    return break_near_ties(_configure_solver(solver, tol=tol, start=start).solve(mdp))
+        solution = _mark_if_imprecise(BackwardInduction().solve_rewards(mdp), tol)
+    else:
+        if solver == "auto":
+            solver = ModifiedPolicyIteration()
+        solution = _run_solver(_configure_solver(solver, tol=tol, start=start), mdp)
+    return break_near_ties(solution)
+
+
+def _run_solver(solver: Any, mdp: MDP) -> Solution:
+    """Return the solution of a model of rewards, by a solver of the toolkit or a user's own."""
+    if isinstance(solver, Solver):
+        return solver.solve_rewards(mdp)  # without a warning: `solve` gives it
+    solution: Solution = solver.solve(mdp)
+    return solution
 
 
 def _check_fit(
@@ -264,9 +289,8 @@ def _configure_solver(solver: Any, **settings: Any) -> Solver:
     return chosen
 
 
-def _check_precision(solution: Solution, tol: float | None) -> Solution:
-    """Return a direct solution; warn if its error bound exceeds the tolerance."""
+def _mark_if_imprecise(solution: Solution, tol: float | None) -> Solution:
+    """Return a direct solution; its status becomes PRECISION if its error bound exceeds `tol`."""
     if tol is None or solution.error_bound <= tol:
         return solution
-    warn_of_precision(solution.error_bound)
     return replace(solution, status=Status.PRECISION)

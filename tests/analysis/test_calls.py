@@ -171,7 +171,7 @@ def test_a_table_by_state_and_action_is_never_one_by_row_and_column() -> None:
         read = Policy.of(lake, by_pair, kind=kind)
         assert (read.rule.tolist(), read.read_as) == (table.rule.tolist(), "q")
     by_place = {(row, column): (row + column) % 4 for row in range(4) for column in range(4)}
-    assert Policy.of(lake, by_place).tolist() == list(by_place.values())
+    assert Policy.of(lake, by_place).rule.tolist() == list(by_place.values())
     lakes: Any = ("gymnasium:FrozenLake-v1", gymnasium.make("FrozenLake-v1"))
     named, made = (check(each, values, kind="q").value for each in lakes)
     assert named == made == check(MDP.from_gymnasium("FrozenLake-v1"), values, kind="q").value

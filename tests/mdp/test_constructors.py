@@ -516,7 +516,7 @@ def test_a_start_goes_by_names_or_by_the_models_order() -> None:
     timed = tuples.within(2)
     assert timed.with_(start=timed.start).start == timed.start
     for model, start, what in (
-        (mdp, {1: THIRD, 2: 1 - THIRD}, "in the model's order, which differ"),
+        (mdp, {1: THIRD, 2: 1 - THIRD}, "in the model's order, and the two differ"),
         (words, {"a": "1/3", 0: "2/3"}, "state a appears twice"),
         (tuples, [(0, 1)], "1 entries for 2 states"),
     ):

@@ -42,11 +42,11 @@ from exact_mdp import (
     tradeoff,
 )
 
-# ---- a run that ends beside the goal is worth +∞ -------------------------------------------------
+# ---- a run that ends outside the goal is worth +∞ ------------------------------------------------
 
 
 def beside_the_goal() -> MDP:
-    """Action 0 costs 5 and arrives with 1/2, action 1 costs 1 and ends beside the goal."""
+    """Action 0 costs 5 and arrives with 1/2, action 1 costs 1 and ends outside the goal."""
     rows = [
         (0, 0, [("1/2", 1, 5), ("1/2", 0, 5)]),
         (0, 1, [(1, 2, 1)]),
@@ -64,7 +64,7 @@ def test_a_curve_leaves_out_what_may_miss_the_goal() -> None:
     for policy in ([1, 0, 0], "random"):
         with pytest.raises(ModelError, match="the policy held fixed may miss the goal"):
             curve(asked, "reward.5", (4, 6), policy=policy)
-    with pytest.raises(ModelError, match="beside the goal"):
+    with pytest.raises(ModelError, match="outside the goal"):
         curve(asked.with_(start=2), "reward.5", (4, 6))
 
 
@@ -82,7 +82,7 @@ def test_a_gradient_beside_the_goal_is_refused_and_one_that_arrives_is_right() -
     for exact in (True, False):
         held = gradient(asked, policy=[0, 0, 0], names=["reward.5"], exact=exact)
         assert float(held["reward.5"].value.value) == pytest.approx(2, abs=1e-12)
-        with pytest.raises(ModelError, match="beside the goal"):
+        with pytest.raises(ModelError, match="outside the goal"):
             gradient(asked, policy=[1, 0, 0], names=["reward.5"], exact=exact)
 
 
@@ -97,7 +97,7 @@ def test_a_gradient_of_the_optimum_leaves_out_what_may_miss_the_goal() -> None:
 
 def test_best_policy_and_robust_values_beside_the_goal_are_refused() -> None:
     for ask in (lambda mdp: best_policy(mdp, []), robust):
-        with pytest.raises(ModelError, match="ends beside the goal is worth infinity"):
+        with pytest.raises(ModelError, match="ends outside the goal is worth infinity"):
             ask(beside_the_goal().until("goal"))
 
 

@@ -163,7 +163,7 @@ def asked(method: str, mdp: MDP) -> Any:
 
 
 def taken(mdp: MDP, answer: Any) -> list[int]:
-    return [mdp.pair(s, int(a)) for s, a in enumerate(answer.policy)]
+    return [mdp.pair(s, int(a)) for s, a in enumerate(np.asarray(answer.policy).tolist())]
 
 
 def at_start(mdp: MDP, value: Values) -> F:

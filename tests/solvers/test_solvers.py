@@ -72,7 +72,7 @@ def test_a_solver_has_a_name_and_gives_the_same_every_time(name: str) -> None:
     one, two = (solve(case_model("pig-turn"), name) for _ in range(2))
     assert one.value.tobytes() == two.value.tobytes()
     assert one.state_error.tobytes() == two.state_error.tobytes()
-    assert one.policy.tolist() == two.policy.tolist()
+    assert one.policy.rule.tolist() == two.policy.rule.tolist()
 
 
 @pytest.mark.parametrize("costs", [False, True])

@@ -113,7 +113,7 @@ def check_command(
     regret_by_state: loss from each state; optimal_value: the optimal value at the start;
     learned_value: the value of the policy at the start; learned: the policy that was checked;
     limits: the limits, as they were given; kept: whether each limit is kept, or null; prices: gain
-    of the optimum for each unit by which a limit moves, "p/q"; closest: nearest values of the
+    of the optimum for each unit that a limit moves, "p/q"; closest: nearest values of the
     limits that some policy keeps; by: `robust`, `posterior` or `off-policy`; disagreements: states
     where it is not optimal, the costliest first, with state, learned, optimal, gap and
     expected_visits; rows: rows of the policy that were learned badly, with the gain of changing
@@ -191,10 +191,12 @@ def _of_one(
 def _write_junit(
     path: str, given: Given, audit: Audit | TrainerAudit, name: str, text: str, seconds: float
 ) -> None:
-    cases = [
-        ci.Case(each.name) if each.passed else ci.Case(each.name, "failure", each.told, text)
-        for each in audit.verdicts
-    ]
+    cases = []
+    for each in audit.verdicts:
+        if each.passed:
+            cases.append(ci.Case(each.name))
+        else:
+            cases.append(ci.Case(each.name, "failure", each.told, text))
     model = given.loaded.name
     asked = {"question": given.in_words(), "sense": given.mdp.sense}
     values = {"model": model, "learned": name} | audit.measures

@@ -199,9 +199,9 @@ class Given:
             return parametric(self.mdp)
         family: Parametric = ScenarioFamily(scenario=scenario, base=self.loaded.mdp)
         if self.question is not None:
-            family = family.posed(self.question)
+            family = family.with_question(self.question)
         if self.horizon is not None:
-            family = family.posed(Question("within", {"steps": self.horizon}))
+            family = family.with_question(Question("within", {"steps": self.horizon}))
         return family
 
     @cached_property

@@ -227,14 +227,15 @@ def _report_estimate(
     seen, ends, never = observations_of(mdp), list_entered_states(mdp), never_taken(mdp)
     label, few = mdp.space.label, np.flatnonzero((seen > 0) & (seen < rare))
     # Gaps: pairs that were seldom seen, actions that nobody took, states with an unknown value.
-    rows = [
-        {
-            "state": label(int(mdp.pair_state[pair])),
-            "action": mdp.actions[mdp.pair_action[pair]],
-            "observations": int(seen[pair]),
-        }
-        for pair in few[np.argsort(seen[few], kind="stable")].tolist()
-    ]
+    rows = []
+    for pair in few[np.argsort(seen[few], kind="stable")].tolist():
+        rows.append(
+            {
+                "state": label(int(mdp.pair_state[pair])),
+                "action": mdp.actions[mdp.pair_action[pair]],
+                "observations": int(seen[pair]),
+            }
+        )
     named = [f"{label(s)}: {mdp.actions[a]}" for s, a in never[:MOST_LISTED].tolist()]
     unknown = [label(s) for s in np.flatnonzero(cut_off(mdp)).tolist()]
     facts = {

@@ -37,7 +37,9 @@ PROOFS = (
     ConstrainedSolution,
     Rationalization,
 )
-KINDS: dict[str, Any] = {kind: proof for proof in PROOFS for kind in proof.kinds}
+KINDS: dict[str, Any] = {}
+for _proof in PROOFS:
+    KINDS.update(dict.fromkeys(_proof.kinds, _proof))
 
 
 # ---- the optimum ---------------------------------------------------------------------------------
@@ -207,9 +209,8 @@ def verify_command(certificate: str, given: Given, *, proven: bool = False) -> R
 
 def _list_losses(proof: RegretCertificate) -> dict[str, Any]:
     """Return the statement of a sound proof of a regret: a sentence, and its numbers."""
-    best, own, lost = (
-        in_float(x) for x in (proof.optimum.start_value, proof.value.start_value, proof.regret)
-    )
+    best, own = in_float(proof.optimum.start_value), in_float(proof.value.start_value)
+    lost = in_float(proof.regret)
     shows = f"at the start the policy is worth {own:.10g}, the optimum is {best:.10g}, and it loses"
     return {
         "shows": f"{shows} {lost:.10g}",
@@ -259,10 +260,8 @@ def _proven_totals(proof: TotalsProof) -> dict[str, Any]:
     assert isinstance(proof, ConstrainedSolution)
     # An optimum under limits; limits are shown with the texts of their totals.
     text = dict(zip(proof.of.names, texts, strict=True))
-    limits, moved = (
-        [replace(limit, name=text[limit.name]) for limit in each]
-        for each in (proof.limits, proof.moved)
-    )
+    limits = [replace(limit, name=text[limit.name]) for limit in proof.limits]
+    moved = [replace(limit, name=text[limit.name]) for limit in proof.moved]
     closest = name_bounds(limits, moved)
     none = "none: no policy keeps the limits (proven)"
     return {
@@ -311,8 +310,8 @@ def returns_command(given: Given, policy: Policy, *, exact: bool = False) -> Rep
     distribution: {return: probability}; exact_distribution: the distribution with probabilities
     "p/q", or null; mean: expected return; sd: standard deviation of the return.
     """
-    law = exact_mdp.return_distribution(given.mdp, policy, exact=exact)
-    report, moments = law.report(), exact_mdp.evaluate(given.mdp, policy).report().facts
+    distribution = exact_mdp.return_distribution(given.mdp, policy, exact=exact)
+    report, moments = distribution.report(), exact_mdp.evaluate(given.mdp, policy).report().facts
     bounds = {name: moments["error_bounds"].value[name] for name in ("mean", "sd")}
     more = {name: moments[name] for name in bounds} | {"error_bounds": Shown(bounds)}
     return given.complete_report(replace(report, facts={**report.facts, **more}))

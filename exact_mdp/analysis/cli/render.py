@@ -58,7 +58,7 @@ def format_report_text(report: Report) -> str:
                 grid.add_column(_to_console_text(heading), overflow="fold", justify=side)
             for row in each.cells():
                 grid.add_row(*map(_to_console_text, row))
-            out.print(_to_console_text(f"\n{each.heading()}"))
+            out.print(_to_console_text(f"\n{each.format_heading()}"))
             if each.note:
                 out.print(_to_console_text(each.note))
             out.print(grid)
@@ -79,7 +79,7 @@ def format_report_markdown(report: Report) -> str:
         if each.note:
             note = f"{_escape_markdown(each.note)}\n\n"
         grid = _format_pipe_table(list(each.columns), each.numeric(), each.cells())
-        parts.append(f"### {_escape_markdown(each.heading())}\n\n{note}{grid}")
+        parts.append(f"### {_escape_markdown(each.format_heading())}\n\n{note}{grid}")
     parts += [f"Note: {_escape_markdown(note)}\n" for note in report.notes]
     return "\n".join(parts)
 
@@ -88,7 +88,9 @@ def _format_pipe_table(
     headings: Sequence[str], right: Sequence[bool], rows: Sequence[Sequence[str]]
 ) -> str:
     sides = ["---:" if side else "---" for side in right]
-    lines = [[_escape_markdown(each) for each in row] for row in (headings, *rows)]
+    lines = []
+    for row in (headings, *rows):
+        lines.append([_escape_markdown(each) for each in row])
     return "".join(f"| {' | '.join(line)} |\n" for line in (lines[0], sides, *lines[1:]))
 
 

@@ -106,9 +106,9 @@ def risk_command(
     report = exact_mdp.best_cvar(given.mdp, cvar).report()
     beside = list[dict[str, Any]]()
     for form, policy in named.items():
-        law = exact_mdp.return_distribution(given.mdp, policy, exact=True)
-        tail = law.tail_mean(cvar, highest=given.mdp.sense == "min")
-        beside.append({"policy": form, "mean": law.tail_mean(1), "cvar": tail})
+        distribution = exact_mdp.return_distribution(given.mdp, policy, exact=True)
+        tail = distribution.tail_mean(cvar, highest=given.mdp.sense == "min")
+        beside.append({"policy": form, "mean": distribution.tail_mean(1), "cvar": tail})
     table = Table(
         title="the policies beside it",
         columns={"policy": "policy", "mean": "mean:.10g", "of the worst": "cvar:.10g"},
@@ -116,7 +116,9 @@ def risk_command(
     facts, tables = {**report.facts, "policies": beside}, {"policies": table, **report.tables}
     report = replace(report, facts=facts, tables=tables)
     if policy_out:  # its actions by state and reward so far, exactly
-        rules = [{k: str(value) for k, value in rule.items()} for rule in report.facts["policy"]]
+        rules = []
+        for rule in report.facts["policy"]:
+            rules.append({k: str(value) for k, value in rule.items()})
         content = json.dumps(rules, indent=2, ensure_ascii=False) + "\n"
         if not policy_out.lower().endswith(".json"):
             table = data_frame(rules, columns=["state", "from", "to", "action"])

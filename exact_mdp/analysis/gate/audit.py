@@ -209,12 +209,13 @@ class Audit(Pictured):
 
     def frame(self, *, full: bool = False) -> DataFrame:
         """Return the disagreements, indexed by state number; `full` adds expected visits."""
-        rows = [
-            row
-            | {"label": row["state"], "state": row["number"]}
-            | {"optimal": " or ".join(row["optimal_actions"])}
-            for row in self._listed
-        ]
+        rows = []
+        for row in self._listed:
+            rows.append(
+                row
+                | {"label": row["state"], "state": row["number"]}
+                | {"optimal": " or ".join(row["optimal_actions"])}
+            )
         names = ["state", "label", "learned", "optimal", "cost", "share", "gap"]
         if full:
             names.append("expected_visits")
@@ -292,9 +293,8 @@ class Audit(Pictured):
             text = "it is undefined, because the optimal value is, or may be, 0"
             if ratio is not None:
                 # The optimal value may lie anywhere between its bounds, and so may the limit.
-                low, high = sorted(
-                    share * abs(Fraction(end)) for end in interval_of(regret.optimal)
-                )
+                ends = [abs(Fraction(end)) for end in interval_of(regret.optimal)]
+                low, high = share * min(ends), share * max(ends)
                 if regret.keeps_limit(low):
                     decision = True
                 elif regret.keeps_limit(high) is False:
@@ -472,11 +472,12 @@ class Audit(Pictured):
     def _describe_costliest(self, most: int) -> list[str]:
         """Return a line for each of the `most` costliest states, and one for the others."""
         met = [each for each in self.disagreements if each.expected_visits != 0]
-        lines = [
-            f"  {each.label}: yours {each.learned}, "
-            f"optimal {format_alternatives(each.optimal)}; {_describe_loss(each)}"
-            for each in met[:most]
-        ]
+        lines = []
+        for each in met[:most]:
+            lines.append(
+                f"  {each.label}: yours {each.learned}, "
+                f"optimal {format_alternatives(each.optimal)}; {_describe_loss(each)}"
+            )
         if len(met) > most:
             cost = sum(each.cost for each in met[most:])
             lines.append(f"  and {len(met) - most} more, {cost:.6g} in all")

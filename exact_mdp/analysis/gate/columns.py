@@ -57,11 +57,11 @@ class BestPolicy(Result):
     def actions(self) -> dict[str, str]:
         """The action in each row that has a choice."""
         space, names = self.policy.space, self.policy.actions
-        return {
-            space.label(row) or "all states": names[int(chances.argmax())]
-            for row, chances in enumerate(self.policy.table)
-            if chances.max() > 0
-        }
+        taken = {}
+        for row, chances in enumerate(self.policy.table):
+            if chances.max() > 0:
+                taken[space.label(row) or "all states"] = names[int(chances.argmax())]
+        return taken
 
     def __repr__(self) -> str:
         read = ", ".join(self.columns)

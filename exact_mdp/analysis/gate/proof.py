@@ -62,7 +62,7 @@ def _isolate_policy(chain: PolicyChain) -> MDP:
 
 
 def _prove_value(alone: MDP, best: Certificate) -> Certificate:
-    """Return the proof of a policy's value, by the rules by which the optimum is proven."""
+    """Return the proof of a policy's value, by the same rules as the optimum."""
     if best.infinite is not None:
         return prove_goal_total(alone)
     if best.g is not None:

@@ -156,7 +156,7 @@ class Representation:
     learning error larger. The learning error is negative if the policy gains by mixing actions.
     """
 
-    best: BestPolicy  # of the columns that the policy reads
+    best: BestPolicy  # the best one that reads the same columns
     loss: Certified | Bounded  # the first bracket
     learning_error: Certified | Bounded  # the second
     rows: tuple[dict[str, Any], ...]  # rows of a deterministic policy whose change alone gains
@@ -237,7 +237,7 @@ def _find_row_changes(rows: PolicyRows, policy: Policy) -> tuple[dict[str, Any],
 class QError:
     """Errors of a Q-table against the optimal action values."""
 
-    largest: float  # of |error|
+    largest: float  # the greatest |error|
     where: str  # state and action of that error
     mean: float  # positive if the table promises too much
     root_mean_square: float

@@ -71,7 +71,7 @@ def to_blame(chain: PolicyChain, best: Certificate, lost: Floats) -> Flags:
 
 
 def _giving_up(chain: PolicyChain, best: Certificate, lost: Floats, known: Flags) -> Flags:
-    """Return the pairs (L,) by which a policy gives up an infinite value, if none is known yet.
+    """Return the pairs (L,) with which a policy gives up an infinite value, if none is known yet.
 
     Each of them alone may keep that value if an optimal policy follows; this policy goes on until
     it has left the states of infinite value.
@@ -108,7 +108,7 @@ def charge_class_losses(
     `came` (S,) are arrivals in the classes of `label`, 0 in states that the policy never reaches. A
     class in which some state has a gap (S,) loses by that gap, not by waiting.
     """
-    # The loss of a class: arrivals times regret, over the states by which it is entered.
+    # The loss of a class: arrivals times regret, over the states where it is entered.
     inside = label >= 0
     lost = np.where(inside & (came > 0), came * np.where(came > 0, by_state, 0.0), 0.0)
     whole = np.bincount(label[inside], weights=lost[inside], minlength=len(label))
@@ -151,7 +151,7 @@ def find_attaining_pairs(mdp: MDP, best: Certificate, optimal: Flags, state: int
 
 
 def find_zero_reward_pairs(mdp: MDP, best: Certificate, optimal: Flags) -> Flags:
-    """Return the optimal pairs (L,) of states of value 0 by which a policy earns 0 forever."""
+    """Return the optimal pairs (L,) of states of value 0 that earn a policy 0 forever."""
     # Start from all states of value 0, and drop those that cannot stay among the others.
     worth = np.array([value == 0 for value in best.value], dtype=bool)
     earned = np.array([gain == 0 for gain in mdp.table.expected_gain_exact[0]], dtype=bool)

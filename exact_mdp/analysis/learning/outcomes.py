@@ -54,7 +54,7 @@ class Outcomes(Pictured):
     first_run: dict[
         str, Any
     ]  # the most frequent greedy policy in the last episodes of the first run
-    steps: int  # of all runs
+    steps: int  # in all runs together
     cut_short: int  # episodes that did not end
 
     def __repr__(self) -> str:
@@ -147,25 +147,26 @@ class Outcomes(Pictured):
         losses = self.regret, self.learning_error, self.selected_regret
         optimal, good, chosen = (self._estimate_share(int((each == 0).sum())) for each in losses)
         lost, learning, selected = map(_summarise_losses, losses)
-        quantiles = ", ".join(
-            f"{float(q):.0%}: {format_number(v)}" for q, v in lost["quantiles"].items()
-        )
+        shown = []
+        for q, v in lost["quantiles"].items():
+            shown.append(f"{float(q):.0%}: {format_number(v)}")
+        quantiles = ", ".join(shown)
         apart = "" if ends is None else f" (95 %: {_format_percent_interval(ends, '.4g')})"
         mean = f"mean regret {format_number(lost['mean'])}{apart}; quantiles {quantiles}"
         # Each final policy with its share of the runs.
         rows = zip(self.frame().to_dict("records"), self.policies[self.counts > 0], strict=True)
-        listed = [
-            row
-            | self._estimate_share(row["count"])
-            | {"policy": _name_choices(self.mdp, self.rows, policy)}
-            for row, policy in rows
-        ]
+        listed = []
+        for row, rule in rows:
+            choices = _name_choices(self.mdp, self.rows, rule)
+            listed.append(row | self._estimate_share(row["count"]) | {"policy": choices})
         # How many policies the runs have in their last episodes, and where these differ.
         many, runs = np.unique(self.distinct, return_counts=True)
-        distinct = {
-            str(n): {"count": k} | self._estimate_share(k)
-            for n, k in zip(many, runs.tolist(), strict=True)
-        }
+        distinct = {}
+        for n, k in zip(many, runs.tolist(), strict=True):
+            distinct[str(n)] = {"count": k} | self._estimate_share(k)
+        shown_distinct = {}
+        for number, each in distinct.items():
+            shown_distinct[number] = {"count": each["count"], "interval": each["interval"]}
         labels = self.rows.space.labels(range(self.rows.space.size))
         changes = zip(labels, self.changed.sum(axis=0).tolist(), strict=True)
         changed = {row: self._estimate_share(count) for row, count in changes if count}
@@ -196,10 +197,7 @@ class Outcomes(Pictured):
             ),
             "first_run": Shown(self.first_run),
             "policies": listed,
-            "distinct_in_last": {
-                many: {"count": each["count"], "interval": each["interval"]}
-                for many, each in distinct.items()
-            },
+            "distinct_in_last": shown_distinct,
             "changed_in_last": changed,
             "steps": self.steps,
             "cut_short": self.cut_short,
@@ -216,10 +214,10 @@ class Outcomes(Pictured):
             return ", ".join(f"{row} {action}" for row, action in own.items())
 
         def rows_of(shares: dict[str, Any]) -> list[dict[str, Any]]:
-            return [
-                {"": k} | s | {"interval": _format_percent_interval(s["interval"])}
-                for k, s in shares.items()
-            ]
+            listed = []
+            for k, s in shares.items():
+                listed.append({"": k} | s | {"interval": _format_percent_interval(s["interval"])})
+            return listed
 
         share = {"share of runs": "fraction:.1%", "95 %": "interval"}
         tables = {
@@ -297,7 +295,9 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
     def number(policy: Numbers) -> int:
         return known.setdefault(tuple(policy.tolist()), len(known))
 
-    candidates = [[number(run.policies[i]) for i in run.last_counts()][:CANDIDATES] for run in runs]
+    candidates = []
+    for run in runs:
+        candidates.append([number(run.policies[i]) for i in run.last_counts()][:CANDIDATES])
     final = np.array([number(run.final) for run in runs])
     values = evaluate_row_policies(mdp, rows, policies := np.array([*known]))
     # Each run selects the best of its candidates by exact value.
@@ -312,6 +312,16 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
     recent, last = [run.policies[np.unique(run.last)] for run in runs], runs[0].last_counts()
     top = zip(last.values(), candidates[0], strict=False)
     partial = len(rows.space.columns) < len(mdp.space.columns)
+    first = []
+    for episodes, index in top:
+        first.append(
+            {
+                "episodes": episodes,
+                "value": float(values.value[index]),
+                "error_bound": float(values.error[index]),
+                "policy": _name_choices(mdp, rows, policies[index]),
+            }
+        )
     return Outcomes(
         mdp=mdp,
         rows=rows,
@@ -324,19 +334,7 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
         changed=np.array([(each != each[0]).any(axis=0) for each in recent]),
         optimum=solve(mdp).start,
         best=best_policy(mdp, rows.space.names) if partial and bound else None,
-        first_run={
-            "episodes": sum(last.values()),
-            "distinct": len(last),
-            "top": [
-                {
-                    "episodes": episodes,
-                    "value": float(values.value[i]),
-                    "error_bound": float(values.error[i]),
-                    "policy": _name_choices(mdp, rows, policies[i]),
-                }
-                for episodes, i in top
-            ],
-        },
+        first_run={"episodes": sum(last.values()), "distinct": len(last), "top": first},
         steps=sum(run.steps for run in runs),
         cut_short=sum(run.cut_short for run in runs),
     )

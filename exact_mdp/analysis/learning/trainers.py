@@ -60,8 +60,8 @@ class TrainerAudit(Pictured):
 
     names: tuple[Any, ...]  # the name of each run: its seed, or its number
     audits: tuple[Audit, ...]
-    intervals: tuple[Interval, ...]  # of the share after each run; all hold together
-    share: Fraction  # of seeds that has to be within the limits
+    intervals: tuple[Interval, ...]  # encloses the share after each run; all hold together
+    share: Fraction  # the share of seeds that has to be within the limits
     alpha: Fraction  # the risk of error
     runs: int  # how many there might have been
     proven: bool | None  # whether the share of all seeds is at least `share`; None if it is open

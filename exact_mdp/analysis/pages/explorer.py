@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from html import escape
-from itertools import pairwise
+from itertools import chain, pairwise
 from math import lcm
 from typing import Any
 
@@ -145,9 +145,9 @@ def explore(
         )
     if not 2 <= require_count(n, "n", 2) <= 101:
         raise ModelError(f"{n} values", where="explorer", fix="choose from 2 to 101")
-    # The ranges, each of which has to leave room to move.
+    # The ranges; each has to leave room to move.
     family = parametric(model)
-    spans = ranges_of(family, names, ranges, relative)
+    spans = ranges_of(family, names, ranges, relative, stacklevel=3)
     for name, span in spans.items():
         if span.low == span.high:
             raise ModelError(f"{name} has no range", where="explorer", fix="state a range")
@@ -157,9 +157,9 @@ def explore(
         second, span = parameter_of(family, names[1]), spans[names[1]]
         steps = {span.low + (span.high - span.low) * k / (n - 1) for k in range(n)}
         grid = sorted(steps | {x for x in (second.value,) if span.low <= x <= span.high})
-        models = [
-            (f"{names[1]} = {format_rational(x)}", held_at(family, names[1], x)) for x in grid
-        ]
+        models = []
+        for x in grid:
+            models.append((f"{names[1]} = {format_rational(x)}", held_at(family, names[1], x)))
     # One curve for each of them; at some points its value is compared with a proven optimum.
     curves = []
     for where, here in models:
@@ -199,7 +199,10 @@ def held_at(family: Parametric, name: str, value: Fraction) -> Parametric:
 def list_certified_points(curve: ValueFunction) -> list[Fraction]:
     """Return the values of the parameter at which the optimum is proved, in rising order."""
     low, high, today = curve.range.low, curve.range.high, curve.parameter.value
-    ends = {end for piece in curve.pieces for end in (*piece.low, *piece.high)}
+    ends = set()
+    for piece in curve.pieces:
+        for end in (*piece.low, *piece.high):
+            ends.add(end)
     return sorted({low, high, min(max(today, low), high)} | ends)
 
 
@@ -220,7 +223,10 @@ def _build_page_data(explorer: Explorer) -> dict[str, Any]:
     curves = [_encode_curve(curve, number_action_sets) for curve in explorer.curves]
     taken = None if first.chain is None else number_action_sets(first.chain.chosen > 0)
     # States whose optimal actions change somewhere.
-    every = np.array([piece["sets"] for curve in curves for piece in curve["pieces"]])
+    sets = []
+    for curve in curves:
+        sets += [piece["sets"] for piece in curve["pieces"]]
+    every = np.array(sets)
     moving = np.flatnonzero((every != every[0]).any(axis=0)).tolist()
     for curve in curves:  # of each piece but the first, only what has changed
         pieces = curve["pieces"]
@@ -261,8 +267,9 @@ def _build_page_data(explorer: Explorer) -> dict[str, Any]:
 def _encode_curve(curve: ValueFunction, numbers: Callable[[Flags], list[int]]) -> dict[str, Any]:
     """Return the pieces of a curve, and the different values of the policy held fixed."""
     fixed = list(dict.fromkeys(piece.fixed for piece in curve.pieces if piece.fixed is not None))
-    return {
-        "pieces": [
+    pieces = []
+    for piece in curve.pieces:
+        pieces.append(
             {
                 "low": [_encode_rational(end) for end in piece.low],
                 "high": [_encode_rational(end) for end in piece.high],
@@ -270,8 +277,9 @@ def _encode_curve(curve: ValueFunction, numbers: Callable[[Flags], list[int]]) -
                 "fixed": fixed.index(piece.fixed) if piece.fixed is not None else None,
                 "sets": numbers(piece.optimal),
             }
-            for piece in curve.pieces
-        ],
+        )
+    return {
+        "pieces": pieces,
         "fixed": [_encode_polynomials(each) for each in fixed],
         "certified": [_encode_rational(point) for point in list_certified_points(curve)],
     }
@@ -289,5 +297,8 @@ def _encode_rational(number: Fraction) -> str:
 def _encode_polynomials(ratio: RationalFunction) -> list[list[str]]:
     """Return the coefficients of N and of D, times a number that makes them whole."""
     both: tuple[Sequence[Fraction], ...] = (ratio.numerator, ratio.denominator)
-    scale = lcm(*(c.denominator for part in both for c in part))
-    return [[f"{int(c * scale):x}" for c in part] for part in both]
+    scale = lcm(*(c.denominator for c in chain(*both)))
+    coded = []
+    for part in both:
+        coded.append([f"{int(c * scale):x}" for c in part])
+    return coded

@@ -136,8 +136,13 @@ def _draw_graph(
     """Draw nodes with a size, a fill and perhaps a label, and edges with a label, ink and width."""
     import networkx as nx
 
-    sizes, fills = ([own[key] for _, own in graph.nodes(data=True)] for key in ("size", "fill"))
-    inks, widths = ([own[key] for *_, own in graph.edges(data=True)] for key in ("ink", "width"))
+    sizes, fills, inks, widths = [], [], [], []
+    for _, look in graph.nodes(data=True):
+        sizes.append(look["size"])
+        fills.append(look["fill"])
+    for *_, look in graph.edges(data=True):
+        inks.append(look["ink"])
+        widths.append(look["width"])
     names = nx.get_node_attributes(graph, "label")
     curved = {"ax": ax, "connectionstyle": f"arc3,rad={bend}"}
     nx.draw_networkx_nodes(
@@ -233,7 +238,9 @@ def plot_influence(scenario: Scenario, *, ax: Axes | None = None) -> Axes:
             look = {"label": f"+{100 * amount:g}", "width": 0.6 + 16 * amount, "ink": "0.55"}
             graph.add_edge(*(names if forwards else names[::-1]), **look)
     angles = 3 * np.pi / 4 - 2 * np.pi * np.arange(len(graph)) / len(graph)  # four make a square
-    place = {status: (np.cos(at), np.sin(at)) for status, at in zip(graph, angles, strict=True)}
+    place = {}
+    for node, angle in zip(graph, angles, strict=True):
+        place[node] = np.cos(angle), np.sin(angle)
     # Labels are nearer to the beginning of an arrow, so that they do not meet.
     _draw_graph(ax, graph, place, font=9, head=16, bend=0.11, at=0.35)
     ax.margins(0.2)
@@ -245,11 +252,10 @@ def plot_error_costs(costs: ErrorCosts, *, ax: Axes | None = None) -> Axes:
     """Draw the loss by status: missed where present, and seen where absent."""
     by_cost = sorted(costs.by_status.items(), key=lambda item: -sum(item[1]))
     names = [name for name, _ in by_cost]
-    drawn = [
-        (row + aside, loss, look | {"height": 0.38})
-        for row, (_, losses) in enumerate(by_cost)
-        for aside, loss, look in zip((-0.2, 0.2), losses, (LOW, HIGH), strict=True)
-    ]
+    drawn = []
+    for row, (_, (missed, invented)) in enumerate(by_cost):
+        drawn.append((row - 0.2, missed, LOW | {"height": 0.38}))
+        drawn.append((row + 0.2, invented, HIGH | {"height": 0.38}))
     ax = add_bars(axes_or_new(ax, names * 2), names, drawn)
     for place, loss, _ in drawn:
         ax.text(loss, place, f" {loss:.2f}", va="center", fontsize=8)

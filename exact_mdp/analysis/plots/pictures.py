@@ -39,7 +39,7 @@ def draw(result: object, ax: Axes | None = None, **settings: Any) -> Axes:
 
     Parameters
     ----------
-    result : a solution, certificate, audit, curve or another result of which there is a picture
+    result : a solution, certificate, audit, curve or another result that has a picture
     ax : Axes, optional
         The axes of a new figure unless given.
     **settings

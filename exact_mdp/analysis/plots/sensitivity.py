@@ -109,10 +109,12 @@ def plot_tornado(
     order = np.argsort(-np.abs(reach).max(axis=1), kind="stable")[:most]
     rows = table[["parameter", "low", "high"]].iloc[order]
     names = [_with_range(*row) for row in rows.itertuples(index=False)]
-    ends = (zip(each, (LOW, HIGH), strict=True) for each in reach[order])
     # The wider of two ends is drawn first, so that the other stays visible.
-    wider_first = (sorted(each, key=lambda end: -abs(end[0])) for each in ends)
-    drawn = ((row, *end) for row, each in enumerate(wider_first) for end in each)
+    drawn = []
+    for row, both in enumerate(reach[order]):
+        ends = zip(both, (LOW, HIGH), strict=True)
+        for end, look in sorted(ends, key=lambda each: -abs(each[0])):
+            drawn.append((row, end, look))
     what = "regret" if output == "regret" else "value"
     return label_axes(
         add_bars(ax, names, drawn, middle),
@@ -235,7 +237,7 @@ def plot_two_way(grid: TwoWay, *, ax: Axes | None = None) -> Axes:
     x, y = (np.unique(column) for column in grid.table.points.T.astype(float))
     # A legend has room for eight policies, and for four lines in an inch.
     count, room = int(shown.max()) + 1, 4 * ax.figure.bbox.height / ax.figure.dpi
-    listed = [grid.chosen(number) for number in range(min(count, 8))]
+    listed = [grid.list_actions(number) for number in range(min(count, 8))]
     entries = _describe_policies(listed)
     while len(listed) > 2 and "\n".join(entries).count("\n") > room:
         entries = _describe_policies(listed := listed[:-1])
@@ -264,7 +266,9 @@ def _describe_policies(listed: Sequence[Mapping[str, str]]) -> list[str]:
     for number, own in enumerate(listed):
         states, others = list[str](), [each for each in listed if each is not own]
         while others:
-            apart = {state: sum(each.get(state) != own[state] for each in others) for state in own}
+            apart = {}
+            for state in own:
+                apart[state] = sum(each.get(state) != own[state] for each in others)
             states.append(max(apart, key=apart.__getitem__))
             others = [each for each in others if each.get(states[-1]) == own[states[-1]]]
         said = [f"{state}: {own[state]}" for state in states or [*own][:3]]
@@ -291,14 +295,15 @@ def plot_sobol(
     order = np.argsort(-each.total, kind="stable")[:most]
     every = [_with_range(each.name, r.low, r.high) for each, r in indices.spans.items()]
     # Two bars for each parameter, with intervals: first order above, total below.
-    drawn = [
-        (row + aside, lengths[place], look | {"height": 0.38, "xerr": half[place]})
-        for aside, lengths, half, look in (
-            (-0.19, each.first, each.first_half, HIGH),
-            (0.19, each.total, each.total_half, LOW),
-        )
-        for row, place in enumerate(order.tolist())
-    ]
+    drawn = []
+    for aside, lengths, half, look in (
+        (-0.19, each.first, each.first_half, HIGH),
+        (0.19, each.total, each.total_half, LOW),
+    ):
+        for row, place in enumerate(order.tolist()):
+            drawn.append(
+                (row + aside, lengths[place], look | {"height": 0.38, "xerr": half[place]})
+            )
     ax = add_bars(ax, [every[place] for place in order.tolist()], drawn)
     ax.set_xlim(right=max(1.0, ax.get_xlim()[1]))
     return label_axes(

@@ -9,6 +9,7 @@ down, across and the columns held fixed.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -224,7 +225,7 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
     Darker cells cost more.
     """
     layout, mdp = _place_states(audit.mdp, place), audit.mdp
-    drawn = [each for row in build_cells(audit, layout) for each in row if each is not None]
+    drawn = [each for each in chain(*build_cells(audit, layout)) if each is not None]
     ends, shown = ends_of(mdp), dict[int, tuple[str, Look]]()
     # The look of each cell: wrong ones have a fill by their loss and a heavy frame.
     for each in drawn:
@@ -305,7 +306,7 @@ def _draw_map(
     sizes = ((30, 10), (2 * NUMBERED, 8), (700, 6 if wide > 20 else 7))
     font = next((size for most, size in sizes if len(shown) <= most), 0)
     texts = [text.split("\n") for text, _ in shown.values()]
-    letters = max(1, *(len(each) for text in texts for each in text))
+    letters = max(1, *map(len, chain(*texts)))
     deep = max(map(len, texts))
     room = 72 / ax.figure.dpi * np.array([ax.bbox.width / wide / letters, ax.bbox.height / high])
     # A letter is 0.85 sizes of the font wide, a line 1.3 high; nobody reads less than 3.5 points.
@@ -395,7 +396,9 @@ def _draw_state_bars(ax: Axes, model: MDP, values: Floats, texts: list[str], lab
     for state in np.flatnonzero(~np.isfinite(values)):
         texts[state] += f"\n{values[state]:g}"
     if count <= MOST_NAMED:
-        shown = ["" if over else text for over, text in zip(model.over, texts, strict=True)]
+        shown = []
+        for over, text in zip(model.over, texts, strict=True):
+            shown.append("" if over else text)
         ax.bar_label(bars, shown, padding=2, fontsize=8, rotation=turned)
     ax.axhline(0, color=BLACK, linewidth=0.8)
     ax.margins(x=0.01, y=0.3 if turned and count <= MOST_NAMED else 0.12)

@@ -39,6 +39,7 @@ from exact_mdp.mdp.table import Integers, to_common_denominator
 from exact_mdp.solvers.exact.duals import weigh_values
 from exact_mdp.solvers.exact.levels import Level, combine_levels
 from exact_mdp.solvers.objectives.amounts import Objectives
+from exact_mdp.solvers.objectives.simplex import list_unit_vectors
 from exact_mdp.solvers.objectives.totals import (
     Attained,
     Point,
@@ -62,7 +63,7 @@ class Edge:
 
     start: int
     end: int
-    change: Point  # of the totals, from start to end
+    change: Point  # how the totals change from start to end
     rate: Fraction | Point
 
 
@@ -98,7 +99,10 @@ class Front(TotalsProof, Pictured):
     def vertices(self) -> list[Point]:
         """The totals of each vertex, in the order of `names`."""
         sign = self.of.sign
-        return [tuple(sign * value for value in a.total) for a in self.attained]
+        totals = []
+        for a in self.attained:
+            totals.append(tuple(sign * value for value in a.total))
+        return totals
 
     @property
     def policies(self) -> list[Integers]:
@@ -143,9 +147,10 @@ class Front(TotalsProof, Pictured):
         """
         of = self.of
         own = flow_of(of, policy).compute_totals(of)
-        return min(
-            c.dual.compute_mean(of.mdp.start) - weigh_values(c.weights, own) for c in self.corners
-        )
+        distances = []
+        for c in self.corners:
+            distances.append(c.dual.compute_mean(of.mdp.start) - weigh_values(c.weights, own))
+        return min(distances)
 
     def report(self, policies: Mapping[str, PolicyLike] | None = None) -> Report:
         """Return vertices, edges and facets; `policies`, by name, are compared with the front."""
@@ -155,33 +160,37 @@ class Front(TotalsProof, Pictured):
 
         mdp, two = self.of.mdp, len(self.names) == 2
         # Vertices with the actions of their policies, edges, facets, and the given policies.
-        choices = ([mdp.actions[action] for action in policy] for policy in self.policies)
+        choices = []
+        for policy in self.policies:
+            choices.append([mdp.actions[action] for action in policy])
         each = {name: f"{name}:.10g" for name in self.names}
         note = "rate: how much {1} one point of {0} costs on the way from the row above"
-        facts: dict[str, Any] = {
-            "names": list(self.names),
-            "claim": self.claim,
-            "vertices": [
-                {"values": name_totals(vertex), "policy": of_every_state(mdp, names)}
-                for vertex, names in zip(self.vertices, choices, strict=True)
-            ],
-            "edges": Shown(
-                [
-                    {"from": e.start, "to": e.end, "rate": e.rate if two else name_totals(e.rate)}
-                    for e in self.edges
-                ]
-            ),
-            "facets": Shown(
-                [{"weights": name_totals(w), "vertices": list(tight)} for w, tight in self.facets]
-            ),
-            "policies": [
+        points = []
+        for vertex, names in zip(self.vertices, choices, strict=True):
+            points.append({"values": name_totals(vertex), "policy": of_every_state(mdp, names)})
+        edges = []
+        for e in self.edges:
+            edges.append(
+                {"from": e.start, "to": e.end, "rate": e.rate if two else name_totals(e.rate)}
+            )
+        compared = []
+        for name, p in (policies or {}).items():
+            compared.append(
                 {
                     "policy": name,
                     "values": name_totals(self.totals(p)),
                     "distance": self.distance(p),
                 }
-                for name, p in (policies or {}).items()
-            ],
+            )
+        facts: dict[str, Any] = {
+            "names": list(self.names),
+            "claim": self.claim,
+            "vertices": points,
+            "edges": Shown(edges),
+            "facets": Shown(
+                [{"weights": name_totals(w), "vertices": list(tight)} for w, tight in self.facets]
+            ),
+            "policies": compared,
         }
         # For people: the vertices in a row, with the rate between neighbours.
         vertices = Table(
@@ -286,7 +295,7 @@ class _FrontSearch:
     def __init__(self, of: Objectives):
         size = len(of.names)
         self.of = of
-        self.simplex = [tuple(int(i == k) for i in range(size)) for k in range(size)]
+        self.simplex = [*map(tuple, list_unit_vectors(size, 1))]
         self.vertices: list[Attained] = []
         self.cells: list[list[Weights]] = []
         self.best: dict[Weights, Attained] = {}
@@ -331,7 +340,9 @@ def _clip_polygon(polygon: list[Weights], normal: Sequence[int]) -> list[Weights
         before, there = polygon[i - 1], side[i - 1]
         # An edge that crosses the line is cut at the point that divides it by the two distances.
         if (here > 0) != (there > 0) and here and there:
-            between = [abs(here) * a + abs(there) * b for a, b in zip(before, point, strict=True)]
+            between = []
+            for a, b in zip(before, point, strict=True):
+                between.append(abs(here) * a + abs(there) * b)
             shared = gcd(*between)
             inside.append(tuple(w // shared for w in between))
         if here >= 0:

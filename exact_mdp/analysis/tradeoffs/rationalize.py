@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from math import inf
+from operator import neg
 from typing import ClassVar
 
 from exact_mdp.mdp.care.scenario import Scenario
@@ -28,7 +29,7 @@ from exact_mdp.mdp.result import DataFrame, data_frame
 from exact_mdp.solvers.exact.duals import solve_inequalities, weigh_values
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.objectives.amounts import Objectives
-from exact_mdp.solvers.objectives.simplex import solve_linear_program
+from exact_mdp.solvers.objectives.simplex import list_unit_vectors, solve_linear_program
 from exact_mdp.solvers.objectives.totals import (
     OccupancyMeasure,
     Point,
@@ -72,7 +73,7 @@ class Rationalization(TotalsProof):
     flow: OccupancyMeasure  # expected visits of pairs under the policy
     dual: Level  # values that no policy exceeds under the weights
     cuts: tuple[Cut, ...]  # policies that would stay better after any smaller change
-    intervals: tuple[WeightInterval, ...]  # of each component alone
+    intervals: tuple[WeightInterval, ...]  # one for each component alone
 
     kinds: ClassVar[tuple[str, ...]] = ("weights",)
 
@@ -94,10 +95,12 @@ class Rationalization(TotalsProof):
     @property
     def alone(self) -> dict[str, tuple[Fraction, Fraction | float] | None]:
         """For each component the multipliers, 0 or more, that are enough alone, or None."""
-        return {
-            name: None if own.low is None or own.high is None else (own.low, own.high)
-            for name, own in zip(self.of.names, self.intervals, strict=True)
-        }
+        intervals: dict[str, tuple[Fraction, Fraction | float] | None] = {}
+        for name, own in zip(self.of.names, self.intervals, strict=True):
+            intervals[name] = None
+            if own.low is not None and own.high is not None:
+                intervals[name] = own.low, own.high
+        return intervals
 
     def __repr__(self) -> str:
         done = "no change below 1"
@@ -136,10 +139,9 @@ class Rationalization(TotalsProof):
 
     def frame(self) -> DataFrame:
         """Return a row for each component: its multiplier, and those that are enough alone."""
-        rows = [
-            (name, weight, *(self.alone[name] or (None, None)))
-            for name, weight in self.weights.items()
-        ]
+        rows = []
+        for name, weight in self.weights.items():
+            rows.append((name, weight, *(self.alone[name] or (None, None))))
         return data_frame(rows, columns=["component", "multiplier", "alone from", "to"])
 
 
@@ -206,11 +208,16 @@ class _WeightSearch:
     def find_least_change(self) -> tuple[list[Fraction], Fraction, Level, tuple[Cut, ...]]:
         """Return weights and the change, with proofs of optimality and of the change."""
         size = len(self.totals)
-        unit = [[Fraction(i == k) for i in range(size)] for k in range(size)]
-        bounds = [[*row, ONE] for row in unit] + [[*(-x for x in row), ONE] for row in unit]
+        # |w - 1| is at most the change: a column for each weight and either sign.
+        bounds = []
+        for sign in (ONE, -ONE):
+            for row in list_unit_vectors(size, sign):
+                bounds.append([*row, ONE])
         gain = [ONE] * size + [-ONE] * size
         while True:
-            columns = bounds + [[*(-x for x in lead), ZERO] for _, lead in self.policies]
+            columns = bounds.copy()
+            for _, lead in self.policies:
+                columns.append([*map(neg, lead), ZERO])
             x, (*weights, change) = solve_linear_program(
                 [*gain, *[ZERO] * len(self.policies)], columns, [*[ZERO] * size, ONE]
             )

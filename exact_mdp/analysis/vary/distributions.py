@@ -161,7 +161,7 @@ KINDS = {
 }
 EVERY = (*KINDS, "dirichlet")
 MOMENTS = ("mean", "sd", SPREAD, SIZE)
-NUMBERS = {*MOMENTS, *(name for kind in KINDS.values() for name in kind.own)}
+NUMBERS = {*MOMENTS}.union(*(kind.own for kind in KINDS.values()))
 SETTINGS = (*sorted(NUMBERS), "distribution", "fixed")
 ELSEWHERE = {  # other names of settings and distributions, each with the remedy
     "se": "state sd: the standard error of an estimate is the sd of its distribution",
@@ -223,17 +223,17 @@ class Uncertain:
         (4.75, 14.25)
         """
         where = f"distribution of {name}"
-        law = KINDS[require_known_name(kind, KINDS, "distribution", where)]
+        family = KINDS[require_known_name(kind, KINDS, "distribution", where)]
         # A normal distribution's own numbers are its moments.
-        if kind != "normal" and set(said) == {*law.own}:
-            numbers = tuple(said[name] for name in law.own)
+        if kind != "normal" and set(said) == {*family.own}:
+            numbers = tuple(said[name] for name in family.own)
         else:
             numbers = _of_moments(kind, said, where)
-        if not (all(map(math.isfinite, numbers)) and law.sound(*numbers)):
+        if not (all(map(math.isfinite, numbers)) and family.sound(*numbers)):
             stated = ", ".join(f"{each} = {number:g}" for each, number in said.items())
-            raise ModelError(f"a {kind} with {stated}", where=where, fix=f"give {law.needs}")
+            raise ModelError(f"a {kind} with {stated}", where=where, fix=f"give {family.needs}")
         # Moments that were given are kept as they are, without the rounding of a conversion.
-        mean, sd = law.moments(*numbers)
+        mean, sd = family.moments(*numbers)
         mean = said.get("mean", mean)
         if "sd" in said:
             sd = said["sd"]
@@ -461,9 +461,10 @@ def uncertainty(
         if name not in rows and not any(_has_prefix(known, name) for known in parameters):
             parameter_of(model, name)
     with locate_errors("rows"):
-        label_of = once_each(
-            (parameter_of(model, name).name, label) for label, row in rows.items() for name in row
-        )
+        labelled = []
+        for label, row in rows.items():
+            labelled += [(parameter_of(model, name).name, label) for name in row]
+        label_of = once_each(labelled)
 
     # 2. The parameters to draw.
     asked = [*parameters] if names is None else require_list(names, "names")
@@ -510,10 +511,9 @@ def _of_sample(model: Parametric, frame: Any) -> Uncertainty:
     spread = np.zeros(len(names))
     if len(sample) > 1:
         spread = sample.std(axis=0, ddof=1)
-    parts = [
-        Uncertain(names=(n,), kind="sample", numbers=(), mean=(m,), sd=(s,), label=n)
-        for n, m, s in zip(names, sample.mean(axis=0).tolist(), spread.tolist(), strict=True)
-    ]
+    parts = []
+    for n, m, s in zip(names, sample.mean(axis=0).tolist(), spread.tolist(), strict=True):
+        parts.append(Uncertain(names=(n,), kind="sample", numbers=(), mean=(m,), sd=(s,), label=n))
     fixed = {p.name: "not in the sample" for p in model.parameters if p.name not in names}
     return Uncertainty(parts=tuple(parts), fixed=fixed, sample=sample)
 

@@ -141,10 +141,10 @@ class CostEffectiveness(Pictured):
     ) -> dict[str, PartialInformation]:
         """Return the value of knowing groups of parameters, by default as in `PSA.evppi`."""
         value = self._equalise_ties(parse_price(wtp))
-        return {
-            label: estimate_evppi(value, self.draws[:, columns], names)
-            for label, names, columns in groups_of(self.uncertainty, groups)
-        }
+        found = {}
+        for label, names, columns in groups_of(self.uncertainty, groups):
+            found[label] = estimate_evppi(value, self.draws[:, columns], names)
+        return found
 
     def icers(self) -> DataFrame:
         """Return mean cost, effect and ICER of every strategy, the cheapest first.
@@ -381,10 +381,13 @@ def cost_effectiveness(
         require_known_name(name, solver.mdp.component_names, "component", "cost-effectiveness")
     # Cost and effect of each strategy, block by block, with error bounds.
     weights = [solver.hold_policy(policy) for policy in strategies.values()]
-    every = [
-        solver.compute_totals(draws[first : first + solver.block], weights, (effect, cost), first)
-        for first in range(0, len(draws), solver.block)
-    ]
+    every = []
+    for first in range(0, len(draws), solver.block):
+        every.append(
+            solver.compute_totals(
+                draws[first : first + solver.block], weights, (effect, cost), first
+            )
+        )
     totals, errors = (np.concatenate(each) for each in zip(*every, strict=True))
     return CostEffectiveness(
         strategies=tuple(strategies),

@@ -66,7 +66,7 @@ def confidence_of(given: object) -> Fraction:
         raise ModelError(
             f"a confidence of {given}",
             where="confidence",
-            fix="give more than 0 and less than 1, as a float too",
+            fix="give more than 0 and less than 1, not so near that its float is 0 or 1",
         )
     return confidence
 

@@ -235,7 +235,9 @@ def tornado(
     design = [{parameter.name: parameter.value for parameter in family.parameters}]
     for name, span in spans.items():
         design += [design[0] | {name: span.low}, design[0] | {name: span.high}]
-    columns = {name: [point[name] for point in design] for name in design[0]}
+    columns = {}
+    for name in design[0]:
+        columns[name] = [point[name] for point in design]
     return Tornado(
         model=family.name,
         spans={parameter_of(family, name): span for name, span in spans.items()},
@@ -286,7 +288,7 @@ class TwoWay(Pictured):
         """Return one row for each point of the grid."""
         return self.table.frame(["x", "y"]).assign(policy=self.policy.reshape(-1))
 
-    def chosen(self, number: int) -> dict[str, str]:
+    def list_actions(self, number: int) -> dict[str, str]:
         """Return the actions of a numbered policy, in states with a choice that it reaches."""
         mdp, choices = self.mdp, self.choices[self.policy == number][0]
         taken = mdp.pair_action == choices[mdp.pair_state]
@@ -351,7 +353,10 @@ def two_way(
     # The grid: x changes first.
     spans = ranges_of(family, [x, y], ranges, relative)
     across, along = (make_grid(spans[name], points) for name in (x, y))
-    columns = {x: across * points, y: [at for at in along for _ in across]}
+    rows = []
+    for at in along:
+        rows += [at] * points
+    columns = {x: across * points, y: rows}
     mdp, table = family.at({}), study(family, columns, [policy])
 
     # Policies are numbered by their actions in the states with a choice that they reach.

@@ -5,6 +5,7 @@ A range file is TOML: `"base.anger" = [0.02, 0.10]`, or tables that spell the do
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
@@ -21,9 +22,8 @@ from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, room_of
 from exact_mdp.mdp.parametric.family import place_of
 from exact_mdp.mdp.table import FLOAT_RANGE, exact, format_beside_limits, format_rational
-from exact_mdp.solvers.solution import warn_at_caller
 
-RELATIVE = Fraction(1, 5)  # of today's value; every result states its ranges
+RELATIVE = Fraction(1, 5)  # a share of today's value; every result states its ranges
 
 
 def unit_of(parameter: Parameter) -> str:
@@ -191,11 +191,14 @@ def ranges_of(
     names: Iterable[str] | None = None,
     ranges: Stated | None = None,
     relative: object | None = None,
+    *,
+    stacklevel: int = 4,
 ) -> Ranges:
     """Return the range of each parameter: the stated one, or one around today's value.
 
     By default `names` are all parameters with a stated range or, if there are none, all parameters;
-    `relative` is 1/5.
+    `relative` is 1/5. A warning is issued at `stacklevel`, as in `warnings.warn`: 4 is the line
+    that called an analysis with `named_options` that called this function.
     """
     stated = read_ranges(model, ranges)
     if names is None:
@@ -214,11 +217,11 @@ def ranges_of(
         # A number below 1 that is varied beyond 1 may be a utility: ask for its limits.
         plain = parameter.unit is None and parameter.low is None and parameter.high is None
         if relative is None and plain and 0 < parameter.value < 1 < spans[name].high:
-            warn_at_caller(
+            warnings.warn(
                 f"{name}, {format_rational(parameter.value)} today, is varied up to "
                 f"{format_rational(spans[name].high)}; if it is a utility or a probability, state "
                 f'Parameter(name="{name}", value=…, low=0, high=1), else its range',
-                UserWarning,
+                stacklevel=stacklevel,
             )
     return spans
 
@@ -227,7 +230,7 @@ def range_of(model: Parametric, name: str, ranges: object = None, relative: obje
     """Return the range of one parameter; `ranges` may be its (low, high) alone."""
     if not isinstance(ranges, Mapping | str | Path | None):
         ranges = {name: ranges}
-    span = ranges_of(model, [name], ranges, relative)[name]
+    span = ranges_of(model, [name], ranges, relative, stacklevel=5)[name]
     if span.low == span.high:
         raise ModelError(
             f"the range of {name} has one point, {format_rational(span.low)}: a share of 0 is 0",
@@ -260,15 +263,17 @@ def spans_of(
     names: Iterable[str] | None = None,
     ranges: Stated | None = None,
     relative: object | None = None,
+    *,
+    stacklevel: int = 4,
 ) -> dict[Parameter, Range]:
     """Return the parameters to vary together, with their ranges.
 
     Unless ranges are stated, the discount is left out, and so are parameters that are 0 today.
+    `stacklevel` is as in `ranges_of`.
     """
     stated = read_ranges(model, ranges)
-    every = ranges_of(
-        model, names or list(stated) or list_usual_parameters(model), stated, relative
-    )
+    names = names or list(stated) or list_usual_parameters(model)
+    every = ranges_of(model, names, stated, relative, stacklevel=stacklevel + 1)
     spans = {parameter_of(model, n): span for n, span in every.items() if span.low < span.high}
     if not spans:
         raise ModelError("no parameter has a range", where=place_of(model), fix="state a range")

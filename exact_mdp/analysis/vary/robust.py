@@ -52,17 +52,17 @@ class RobustComparison(Result):
 
     mdp: MDP
     policy: Floats  # (L,) probability of each pair under the nominal policy
-    value: Bounded  # of the nominal policy in the nominal model
-    worst: Bounded  # of the nominal policy in its worst case
+    value: Bounded  # the nominal policy in the nominal model
+    worst: Bounded  # the nominal policy in its worst case
     best: Bounded  # and in its best case
     robust: RobustSolution  # the best policy for the worst case
     optimistic: RobustSolution  # and for the best case
-    robust_value: Bounded  # of the robust policy in the nominal model
+    robust_value: Bounded  # the robust policy in the nominal model
     robust_best: Bounded  # and in its best case
 
     def __repr__(self) -> str:
         return (
-            f"Robust(value {self.value}; worst case {self.worst}, of the robust policy "
+            f"Robust(value {self.value}; worst case {self.worst}, under the robust policy "
             f"{self.robust.start})"
         )
 
@@ -96,10 +96,11 @@ class RobustComparison(Result):
         label, moved = self.mdp.space.label, np.isin(self.mdp.pair_state, self.changed)
         both = self.policy, self.robust.policy.weights(self.mdp)
         before, after = (actions_of(self.mdp, moved & (weights > 0)) for weights in both)
-        changes = [
-            {"state": label(s), "before": " or ".join(before[s]), "after": after[s][0]}
-            for s in self.changed.tolist()
-        ]
+        changes = []
+        for s in self.changed.tolist():
+            changes.append(
+                {"state": label(s), "before": " or ".join(before[s]), "after": after[s][0]}
+            )
         own, worst, best = self.robust_value, self.robust.start, self.optimistic.start
         values = [
             {"policy": "held", "right": self.value, "worst": self.worst, "best": self.best},
@@ -141,8 +142,8 @@ class RobustComparison(Result):
             ("robust", "best", self.robust_best),
             ("optimistic", "best", self.optimistic.start),
         ]
-        headings = ["policy", "laws", "value (reward)", "error bound (reward)"]
-        table = [(policy, laws, number.value, number.error) for policy, laws, number in rows]
+        headings = ["policy", "distributions", "value (reward)", "error bound (reward)"]
+        table = [(policy, which, number.value, number.error) for policy, which, number in rows]
         return data_frame(table, columns=headings)
 
 
@@ -217,12 +218,12 @@ def robust(
     return RobustComparison(
         mdp=model,
         policy=chain.weights,
-        value=finite_worth(model, chain, "today's laws"),
+        value=finite_worth(model, chain, "today's distributions"),
         worst=evaluate_case(chain.weights, "worst"),
         best=evaluate_case(chain.weights, "best"),
         robust=best,
         optimistic=solve_robust(model, sets, nature="best"),
-        robust_value=finite_worth(model, own, "today's laws"),
+        robust_value=finite_worth(model, own, "today's distributions"),
         robust_best=evaluate_case(own, "best"),
     )
 
@@ -235,7 +236,7 @@ class WorstPoint(Result):
     """The worst corner found."""
 
     point: Mapping[str, Fraction]  # the value of each parameter
-    value: Bounded  # of the policy there; its worst case is at most as good
+    value: Bounded  # the value of the policy there; its worst case is at most as good
     optimum: Bounded  # the optimal value there; no policy has a better worst case
     corners: int  # number of corners evaluated
 
@@ -299,7 +300,7 @@ def worst_point(
     ('3/50', True)
     """
     family = parametric(model)
-    spans = spans_of(family, None, ranges, relative)
+    spans = spans_of(family, None, ranges, relative, stacklevel=3)
     names = [parameter.name for parameter in spans]
     if isinstance(family, ScenarioFamily) and not family.asks:
         highest = {parameter.name: span.high for parameter, span in spans.items()}

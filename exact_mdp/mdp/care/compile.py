@@ -215,7 +215,10 @@ class SubtaskBlock:
 
 def _concatenate_rows(parts: Sequence[Columns]) -> Columns:
     """Return several groups of rows as one."""
-    return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+    joined = {}
+    for key in parts[0]:
+        joined[key] = np.concatenate([part[key] for part in parts])
+    return joined
 
 
 def _multiply_matrices(left: Numbers, right: Numbers) -> Numbers:

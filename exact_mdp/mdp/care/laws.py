@@ -118,7 +118,10 @@ class Laws:
     def compute_denominators(self, which: Integers) -> list[int]:
         """Return the denominators of rows with the probabilities `which` (R, n)."""
         bottom = self.bottom.tolist()
-        return [prod(bottom[k] for k in row) for row in which.tolist()]
+        products = []
+        for row in which.tolist():
+            products.append(prod(bottom[k] for k in row))
+        return products
 
     def compute_distributions(self, which: Integers) -> tuple[Numbers, Numbers]:
         """Return the distributions of the next vector: integers (R, 2^n) over (R,)."""

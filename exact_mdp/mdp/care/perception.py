@@ -313,7 +313,7 @@ def read_counts(path: str | Path, model: MDP) -> Integers:
                     break  # the writer was stopped in the middle of the last line
                 raise
             if not isinstance(entry, dict):
-                raise ModelError("a line that is not an object", fix="correct the line")
+                raise ModelError("a line is not a JSON object", fix="correct the line")
             if names and entry.get("statuses", names) != names:
                 what = f"a recording with the statuses {entry['statuses']}"
                 raise ModelError(what, fix="choose the scenario that it was made with")

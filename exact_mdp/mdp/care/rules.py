@@ -108,11 +108,10 @@ class Rules:
         rows: dict[tuple[int, ...], int] = {}
         self.gains = np.zeros((3, 3, 2), dtype=np.int64)
         for event, place, flag in np.ndindex(self.gains.shape):
-            charged = [
-                weight
-                for of, weight, reading in CHARGES
-                if of == event and (reading is None or self.readings[reading[0]] == reading[1])
-            ]
+            charged = []
+            for of, weight, reading in CHARGES:
+                if of == event and (reading is None or self.readings[reading[0]] == reading[1]):
+                    charged.append(weight)
             charged += ["task-complete"] * (place != INSIDE and (event, flag) in paid)
             row = tuple(self.position[f"reward.{weight}"] for weight in charged)
             self.gains[event, place, flag] = rows.setdefault(row, len(rows))

@@ -116,8 +116,8 @@ class ScenarioFamily(Parametric):
         )
         return (*self.scenario.parameters, rate)
 
-    def made(self, moved: Mapping[str, Fraction]) -> MDP:
-        """See `Parametric.made`."""
+    def build_model(self, moved: Mapping[str, Fraction]) -> MDP:
+        """See `Parametric.build_model`."""
         if not moved and self.base is not None:
             return self.base
         there = self.scenario.with_(parameters=moved)

@@ -184,8 +184,8 @@ class Listed:
             raise ShapeError(f"rewards have shape {array.shape}", where=where, fix=fix)
         if array.ndim == 2 and size[1] in (3, 4) and len(pairs) == size[0]:
             raise ModelError(
-                f"rewards of shape {array.shape} may be of states and actions, or rows (s, a, r) "
-                "or (s, a, t, r), which are not read",
+                f"rewards of shape {array.shape} may be by state and action, or rows (s, a, r) "
+                "or (s, a, t, r); such rows are not read",
                 where=where,
                 fix=f"give {REWARDS}",
             )
@@ -232,8 +232,8 @@ class Listed:
         lasting = [amounts[place] for place, state in enumerate(states) if state in self.ends]
         if states != sorted(states) or any(lasting):
             raise ModelError(
-                f"{len(states)} amounts may be by state, so that an end earns its own once, or by "
-                "pair, in the order of P, so that an end earns its own at each step",
+                f"{len(states)} amounts may be by state, and an end then earns its amount once; "
+                "or by pair, in the order of P, and an end then earns it at each step",
                 where=where,
                 fix="give {state: amount} or {state: {action: amount}}",
             )

@@ -138,8 +138,7 @@ class Names:
             one, two = self.label(first), self.label(second)
             raise ModelError(
                 f"{_to_python_objects(thing)!r} may be {one}, by its name, "
-                f"or {two}, number {second} in the "
-                "model's order, which differ",
+                f"or {two}, number {second} in the model's order, and the two differ",
                 fix=f'write "{one}" or "{two}"',
             )
         return known[0]

@@ -205,14 +205,18 @@ def _of_the_map(env: Any, states: int) -> dict[str, Any]:
 
 def _find_toy_names(env: Any, states: int, actions: int) -> tuple[list[str], tuple[Column, ...]]:
     """Return the names of the actions, and the columns of the states, or () if unknown."""
-    kinds = [kind.__name__ for kind in type(env).__mro__ if kind.__module__.startswith(TOY_TEXT)]
+    kinds = []
+    for kind in type(env).__mro__:
+        if kind.__module__.startswith(TOY_TEXT):
+            kinds.append(kind.__name__)
     names, columns = TOYS.get("".join(kinds[:1]), ((), ()))
     # A map has as many rows and columns as the environment says.
     shape = getattr(env, "shape", (getattr(env, "nrow", 0), getattr(env, "ncol", 0)))
     if columns == GRID:
-        columns = tuple(
-            replace(each, size=int(size)) for each, size in zip(GRID, shape, strict=True)
-        )
+        sized = []
+        for each, size in zip(GRID, shape, strict=True):
+            sized.append(replace(each, size=int(size)))
+        columns = tuple(sized)
     if StateSpace(columns=columns).size == states and len(names) == actions:
         return list(names), columns
     return [str(number) for number in range(actions)], ()

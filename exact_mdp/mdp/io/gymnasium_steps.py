@@ -255,9 +255,9 @@ class _Trial:
             near = abs(float(exact(gain)) - reward) <= 1e-6 * max(1.0, abs(reward))
             if exact(chance) > 0 and same and near:
                 return
-        listed = [
-            f"({target}, {float(exact(gain)):g}, {ends})" for _, target, gain, ends in outcomes[:4]
-        ]
+        listed = []
+        for _, target, gain, ends in outcomes[:4]:
+            listed.append(f"({target}, {float(exact(gain)):g}, {ends})")
         if len(outcomes) > 4:
             listed.append("…")
         raise self._mismatch_error(

@@ -75,13 +75,13 @@ def _count_states(rows: Rows, empty: Mapping[int, Any], where: str) -> int:
         if state in alive or state not in over:
             raise _no_action(f"P[{state}]", row, where)
     for state in sorted(alive)[:1]:
-        what = f"there is no next state {state}: P does not list it, and an outcome that is not "
+        what = f"P does not list state {state}, and an outcome that is not terminated leads there"
         fix = f"list it, or let that outcome be terminated; {stays}"
-        raise ModelError(f"{what}terminated leads there", where=where, fix=fix)
+        raise ModelError(what, where=where, fix=fix)
     known = named | over
     if len(known) <= max(known):
         state = next(number for number in range(len(known) + 1) if number not in known)
-        what = f"state {state} is without action: P does not list it, and no outcome ends there"
+        what = f"state {state} has no action: P does not list it, and no outcome ends there"
         raise ModelError(what, where=where, fix=f"number states from 0 without gaps; {stays}")
     return len(known)
 
@@ -100,7 +100,10 @@ def _without_rounding(outcomes: list[Outcome]) -> list[Outcome]:
     rounding = sum(float(np.finfo(type(chance)).eps) for chance in chances) / 2
     if min(numbers) < 0 or abs(total - 1) > rounding:
         return outcomes
-    return [(each / total, *rest) for each, (_, *rest) in zip(numbers, outcomes, strict=True)]
+    scaled = []
+    for each, (_, *rest) in zip(numbers, outcomes, strict=True):
+        scaled.append((each / total, *rest))
+    return scaled
 
 
 def _list_items(table: Any, where: str, what: str) -> Iterator[tuple[int, Any]]:

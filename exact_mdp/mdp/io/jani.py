@@ -30,7 +30,11 @@ def list_variables(text: str, where: str) -> list[str]:
     for own in automata:
         for number, edge in enumerate(_list_objects(own, "edges")):
             _check_destinations(edge, rewards, f"automaton {own.get('name')}, edge {number}")
-    return [str(each.get("name")) for each in variables if each.get("transient") is not True]
+    names = []
+    for each in variables:
+        if each.get("transient") is not True:
+            names.append(str(each.get("name")))
+    return names
 
 
 def _list_objects(content: Any, key: str) -> Iterator[dict[str, Any]]:

@@ -300,9 +300,9 @@ def _parse_pair(
         with locate_errors(f"pairs, {number}"):
             refuse_value(weight, "a list with a weight, or a reward, for each next state")
     order = sorted(range(len(next)), key=lambda k: [column[k] for column in each])
-    next, weight, *rewards = ([column[k] for k in order] for column in each)
-    if rewards:
-        reward = tuple(rewards[0])
+    next, weight = [next[k] for k in order], [weight[k] for k in order]
+    if isinstance(reward, tuple):
+        reward = tuple(reward[k] for k in order)
     return state, action, reward, denominator, next, weight, order
 
 

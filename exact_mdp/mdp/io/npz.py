@@ -181,6 +181,9 @@ def pack_model(model: MDP) -> bytes:
     averaged = {}
     if model.table.averaged:
         averaged = {"averaged": True}
+    parameters = []
+    for p in model.parameters:
+        parameters.append({name: getattr(p, name) for name in PARAMETER})
     header = {name: getattr(model, name) for name in SAME} | {
         "format": FORMAT,
         "version": VERSION,
@@ -189,7 +192,7 @@ def pack_model(model: MDP) -> bytes:
         **_encode_objects(model.action_objects, model.actions),
         "columns": columns,
         "extra": model.space.extra,
-        "parameters": [{name: getattr(p, name) for name in PARAMETER} for p in model.parameters],
+        "parameters": parameters,
         "labels": [*model.labels],
         "unreached": str(model.unreached),
         **averaged,

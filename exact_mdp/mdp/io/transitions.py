@@ -480,10 +480,10 @@ class TransitionRecord:
         self, episode: Integers, state: Integers, then: Integers, cut: Flags
     ) -> None:
         """Check that each row begins where the one before led; count the starts and the stops."""
-        before, left, over = (
-            np.concatenate([[last], each[:-1]])
-            for last, each in zip(self._last, (episode, then, cut), strict=True)
-        )
+        last_episode, last_state, last_cut = self._last
+        before = np.concatenate([[last_episode], episode[:-1]])
+        left = np.concatenate([[last_state], then[:-1]])
+        over = np.concatenate([[last_cut], cut[:-1]])
         goes_on = episode == before
         # Episodes are numbered in order of appearance: a new one has the highest number so far.
         known = ~goes_on & (episode <= np.maximum.accumulate(before))

@@ -193,7 +193,10 @@ def _read_model_parts(umb: Any, name: str) -> dict[str, Any]:
     rewards = _read_annotations(umb, "rewards")
     choice_words, action_names = _read_actions(umb, choices)
     # The reward of a state without choices would never be earned.
-    ends = [state for state, own in enumerate(pairwise(first_choice)) if own[0] == own[1]]
+    ends = []
+    for state, own in enumerate(pairwise(first_choice)):
+        if own[0] == own[1]:
+            ends.append(state)
     for title, values in rewards.items():
         for end in ends:
             if "states" in values and values["states"][end]:

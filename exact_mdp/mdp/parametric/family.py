@@ -77,21 +77,21 @@ class Parametric(ABC):
         moved = moved_from(self, values)
         mdp = self.own
         if moved:
-            mdp = self.made(moved)
+            mdp = self.build_model(moved)
         for ask in self.asks:
             mdp = ask(mdp)
         return mdp
 
     @abstractmethod
-    def made(self, moved: Mapping[str, Fraction]) -> MDP:
+    def build_model(self, moved: Mapping[str, Fraction]) -> MDP:
         """Return the model at values that differ from the present ones."""
 
     @cached_property
     def own(self) -> MDP:
         """The model at the present values."""
-        return self.made({})
+        return self.build_model({})
 
-    def posed(self, ask: Callable[[MDP], MDP]) -> Self:
+    def with_question(self, ask: Callable[[MDP], MDP]) -> Self:
         """Return the family with one more question about each of its models."""
         return replace(self, asks=(*self.asks, ask))
 
@@ -173,8 +173,8 @@ class Family(Parametric):
                 with locate_errors(what):
                     parameter_of(self, name)
 
-    def made(self, moved: Mapping[str, Fraction]) -> MDP:
-        """See `Parametric.made`."""
+    def build_model(self, moved: Mapping[str, Fraction]) -> MDP:
+        """See `Parametric.build_model`."""
         built = self.build({**{p.name: p.value for p in self.parameters}, **moved})
         fix = "end it with: return MDP.from_arrays(P, R)"
         mdp: MDP = require_type(built, MDP, "what build returns", fix)
@@ -255,7 +255,7 @@ def parametric(source: Any) -> Parametric:
 def pose_questions(family: Parametric, origin: Origin) -> Parametric:
     """Return a family with the questions of an origin asked about each of its models."""
     for question in origin.questions:
-        family = family.posed(question)
+        family = family.with_question(question)
     return family
 
 
@@ -347,7 +347,7 @@ def moving(
         total = sum((today[name] for name in names.values()), Fraction(0))
         if total >= 1 or not all(today[name] for name in names.values()):
             raise ModelError(
-                "an entry has probability 0, or the named entries are all of a row",
+                "an entry has probability 0, or every entry of the row is named",
                 where=model.where(pair),
                 fix="name positive entries, and leave at least one of the row unnamed",
             )

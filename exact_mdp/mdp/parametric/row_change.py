@@ -119,10 +119,9 @@ def row_change(model: Parametric, name: str, piece: Piece, base: MDP) -> RowChan
             check_alike(base, other, start=True)
     # Fit a polynomial through the points for each entry that changes.
     steps = [to_flint(point - origin) for point in points]
-    changes = [
-        _interpolate_changes(models, steps, entries)
-        for entries in (transition_entries, reward_entries)
-    ]
+    changes = []
+    for entries in (transition_entries, reward_entries):
+        changes.append(_interpolate_changes(models, steps, entries))
     # A higher degree than stated shows that some point does not fit.
     for change, targets in zip(changes, (base.n_states, 1), strict=True):
         for key, moved in zip(change.key.tolist(), change.moved, strict=True):
@@ -204,7 +203,10 @@ def _build_sample_models(
     counts = [count]
     if len(sides) == 2:
         counts = [count - count // 2, count // 2]
-    found = [build_side(side, own) for side, own in zip(sides, counts, strict=True) if own]
+    found = []
+    for side, points in zip(sides, counts, strict=True):
+        if points:
+            found.append(build_side(side, points))
     # If one side has no models, the other side gets all points.
     if not all(found):
         others = [side for side, own in zip(sides, found, strict=False) if own]
@@ -273,9 +275,9 @@ def _interpolate_changes(
     moved = np.zeros(len(keys), dtype=bool)
     for top, bottom in zip(tops[1:], bottoms[1:], strict=True):
         moved |= np.asarray(top * bottoms[0] != tops[0] * bottom, dtype=bool)
-    samples = [
-        to_flint_ratios(top[moved], below[moved]) for top, below in zip(tops, bottoms, strict=True)
-    ]
+    samples = []
+    for top, bottom in zip(tops, bottoms, strict=True):
+        samples.append(to_flint_ratios(top[moved], bottom[moved]))
     through = interpolate_polynomials(steps, samples)
     return Change(key=keys[moved], moved=[each - each[0] for each in through])
 

@@ -146,7 +146,7 @@ def of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
             if kind == "auto" and ((array >= 0) & (array < model.n_actions)).all():
                 raise ModelError(
                     f"an array of shape {array.shape} may be action numbers by time and state, or "
-                    "a table of states and actions, which differ",
+                    "a table of states and actions, and the two differ",
                     where="policy",
                     fix='give probabilities (N, S, A), or say kind="q" for a Q-table: '
                     'Policy.of(model, array, kind="q"), in commands --kind q',
@@ -395,7 +395,7 @@ def _refuse_names(model: MDP, numbers: Numbers) -> None:
     if None not in named and named != answers:
         raise ModelError(
             f"{answers} are names of actions, but the numbers of an array count from 0 to "
-            f"{model.n_actions - 1} in the model's order, which differ",
+            f"{model.n_actions - 1} in the model's order, and the two differ",
             where="policy",
             fix="give names: {state: action}; or Policy(space=model.space, actions=model.actions, "
             "rule=numbers)",

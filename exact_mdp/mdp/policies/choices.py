@@ -76,10 +76,10 @@ def _by_pair(
     kinds = (int, float, Fraction, np.number)
     if not pairs or not all(isinstance(value, kinds) for value in entries.values()):
         return {}
+    each = []
     try:
-        each = [
-            (number(state), model.action_names.find_number(action)) for state, action in entries
-        ]
+        for state, action in entries:
+            each.append((number(state), model.action_names.find_number(action)))
     except ModelError:
         return {}
     # Does every available action of a state with a choice have a number?
@@ -137,7 +137,7 @@ def of_function(model: MDP, ask: Callable[[Any], Any], kind: str = "auto") -> Pa
     for state in np.unique(rows_read(model, space)[model.asked]).tolist():
         thing = state
         if len(space.columns) == 1 and state < space.columns[0].size:
-            thing = space.columns[0].thing(state)
+            thing = space.columns[0].find_object(state)
         choices[state] = ask(thing)
         # Answers of functions that forget to return, and of agents that also return their state.
         if choices[state] is None:
@@ -262,7 +262,7 @@ def _is_row(model: MDP, choice: Any, kind: str) -> bool:
     if kind == "auto" and (action or equal):
         raise ModelError(
             f"{choice} may be the action of that name, or a row of numbers for all actions, "
-            "which differ",
+            "and the two differ",
             fix="give the action by its name, as text, or rows as one array with kind=",
         )
     return True

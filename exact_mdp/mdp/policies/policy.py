@@ -7,7 +7,7 @@ that action is taken.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
 
 import numpy as np
-from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import ArrayLike, NDArray
 
 from exact_mdp.mdp.by_fields import ByFields
@@ -64,11 +63,10 @@ MODEL = "give an MDP first, then the policy; a scenario is compiled: scenario.co
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Policy(ByFields, NDArrayOperatorsMixin):
+class Policy(ByFields):
     """A policy π(a | columns): an action, or probabilities, for each combination of column values.
 
-    A policy also works as the array `rule`: in indexing, `len`, iteration, arithmetic, NumPy
-    functions, and with the methods of an array. Comparison is by element.
+    `policy[row]` and `np.asarray(policy)` are entries of `rule`, and the whole of it.
 
     Attributes
     ----------
@@ -159,38 +157,14 @@ class Policy(ByFields, NDArrayOperatorsMixin):
     def __repr__(self) -> str:
         over = ", ".join(self.columns) or "no column"  # a policy that is the same everywhere
         if not self.deterministic:
-            return f"Policy(mixed {self.shape}, over {over})"
+            return f"Policy(mixed {self.rule.shape}, over {over})"
         return f"Policy({np.array2string(self.rule, threshold=20, edgeitems=8)}, over {over})"
-
-    # ---- as an array -------------------------------------------------------------------------
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> Numbers:
         return np.array(self.rule, dtype=dtype, copy=copy)
 
-    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **settings: Any) -> Any:
-        plain = []
-        for given in inputs:
-            if isinstance(given, Policy):
-                given = given.rule
-            plain.append(given)
-        return getattr(ufunc, method)(*plain, **settings)
-
-    def __len__(self) -> int:
-        return len(self.rule)
-
-    def __iter__(self) -> Iterator[Any]:
-        return iter(self.rule)
-
     def __getitem__(self, key: Any) -> Any:
         return self.rule[key]
-
-    __hash__ = object.__hash__
-
-    def __getattr__(self, name: str) -> Any:
-        """Return an attribute of the array."""
-        if name in ("rule", "shares") or name.startswith("_") or not hasattr(np.ndarray, name):
-            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-        return getattr(self.rule, name)
 
     # ---- actions and probabilities -----------------------------------------------------------
 
@@ -237,7 +211,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         0     0      1
         1     1      0
         """
-        return self._frame_rows(len(self))
+        return self._frame_rows(len(self.rule))
 
     def _frame_rows(self, first: int) -> DataFrame:
         """Return the first rows of the table of the policy."""
@@ -262,8 +236,8 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         return [Fraction(int(share), total) for share in self.shares[row]]
 
     def _repr_html_(self) -> str:
-        few = self._frame_rows(min(len(self), ROWS_SHOWN))
-        return plain_report(self, few, len(self)).html(ROWS_SHOWN)
+        few = self._frame_rows(min(len(self.rule), ROWS_SHOWN))
+        return plain_report(self, few, len(self.rule)).html(ROWS_SHOWN)
 
     def weights(self, model: MDP) -> Floats:
         """Return (L,) the probability of each pair given its state.
@@ -276,7 +250,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         """
         return self._fill_weights(require_type(model, MDP, "model", MODEL))[0]
 
-    def undecided(self, model: MDP) -> NDArray[np.bool_]:
+    def find_undecided(self, model: MDP) -> NDArray[np.bool_]:
         """Return (S,) True for states with a choice for which the policy gives no action.
 
         In these states the action does not matter: the episode is over, or all actions have the
@@ -479,7 +453,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
                 rows = [row for row in given if isinstance(row, tuple)]
             if any(map(model.action_names.has_name, rows)):
                 raise ModelError(
-                    "the list may hold actions, or rows of numbers, which differ",
+                    "the list may hold actions, or rows of numbers, and the two differ",
                     fix="give {state: action}, or np.array(rows)",
                 )
             return cls(**of_given_array(model, numbers_of(given), kind))
@@ -563,8 +537,11 @@ def _compute_proportions(given: Numbers, table: Floats, *, exactly: bool) -> Num
     if plain and not exactly:
         return None
     said = np.flatnonzero(~np.isnan(table).all(axis=1)).tolist()
-    chances = {row: [exact(number) for number in given[row]] for row in said}
-    if not exactly and all(table[row].tolist() == numbers for row, numbers in chances.items()):
+    chances = {}
+    for row in said:
+        chances[row] = [*map(exact, given[row])]
+        exactly = exactly or table[row].tolist() != chances[row]
+    if not exactly:
         return None
     numbers: list[int] = []
     for row in range(len(table)):

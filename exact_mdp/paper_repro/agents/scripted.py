@@ -15,7 +15,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import product
+from itertools import chain, product
 from string import Template
 from typing import Any
 
@@ -66,10 +66,11 @@ class Scripted:
 
     def _detect_statuses(self, facts: Mapping[str, Any], names: Any) -> dict[str, bool]:
         text, tables = f"{facts['nonverbal']} {facts['verbal']}", PHRASES["behaviour"]
-        return {
-            name: any(phrase in text for part in tables[name].values() for phrase in part)
-            for name in names
-        }
+        found = {}
+        for name in names:
+            phrases = chain(*tables[name].values())
+            found[name] = any(phrase in text for phrase in phrases)
+        return found
 
     def _compose_speech(self, facts: Mapping[str, Any], rng: np.random.Generator) -> str:
         table = PHRASES["speech"][facts["action"]]
@@ -93,8 +94,12 @@ def _compose_line(
     """Return one text of each part, in a line that was not said before, if possible."""
     said = facts.get("said", ())
     heard = " ".join(said)
-    filled = [[_fill_template(text, facts) for text in texts] for texts in parts]
-    fresh = [[t for t in texts if not t or t not in heard] or texts for texts in filled]
+    filled = []
+    for texts in parts:
+        filled.append([_fill_template(text, facts) for text in texts])
+    fresh = []
+    for texts in filled:
+        fresh.append([t for t in texts if not t or t not in heard] or texts)
     drawn = [texts[int(rng.integers(len(texts)))] for texts in fresh]
     orders = [[one, *rng.permutation(texts)] for one, texts in zip(drawn, filled, strict=True)]
     lines = [" ".join(filter(None, chosen)) for chosen in product(*orders)]

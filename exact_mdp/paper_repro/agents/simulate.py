@@ -173,22 +173,22 @@ class Conversation:
                 sample_index([chance for _, chance in starts], seed_for_purpose("start"))
             ][0]
             total = Fraction(0)
-        subtask, trial, bits = (
-            self.read_coordinate(state, name) for name in ("subtask", "trial", "status")
-        )
+        subtask = self.read_coordinate(state, "subtask")
+        trial, bits = self.read_coordinate(state, "trial"), self.read_coordinate(state, "status")
         label, status = self.name_status(bits)
         place = modules.describe_place(subtask, trial + 1, self.scenario.trials)
         # Prompts recall only what could be seen and heard, not the status.
-        exchanges = [
-            {
-                "timestep": step["timestep"],
-                "step": modules.steps[step["subtask"]]["step"],
-                "nonverbal": step["behaviour"]["nonverbal"],
-                "verbal": step["behaviour"]["verbal"],
-                "caregiver": step["assistance"],
-            }
-            for step in past
-        ]
+        exchanges = []
+        for step in past:
+            exchanges.append(
+                {
+                    "timestep": step["timestep"],
+                    "step": modules.steps[step["subtask"]]["step"],
+                    "nonverbal": step["behaviour"]["nonverbal"],
+                    "verbal": step["behaviour"]["verbal"],
+                    "caregiver": step["assistance"],
+                }
+            )
         # The person behaves, and the robot perceives.
         behaviour = self.backend.answer(
             modules.ask_behaviour(place, exchanges, status, seed_for_purpose("behaviour"))

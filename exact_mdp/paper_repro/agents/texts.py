@@ -57,10 +57,10 @@ class Request:
 def status_lines(statuses: Sequence[str]) -> str:
     """Return a line for each status: its meaning and its signs."""
     entries = {status: TEXTS["status"][status] for status in statuses}
-    return "\n".join(
-        f"- {status}: {entry['meaning']}. For instance: {'; '.join(entry['signs'])}."
-        for status, entry in entries.items()
-    )
+    lines = []
+    for status, entry in entries.items():
+        lines.append(f"- {status}: {entry['meaning']}. For instance: {'; '.join(entry['signs'])}.")
+    return "\n".join(lines)
 
 
 def assistance_lines(*, detailed: bool) -> str:
@@ -115,11 +115,10 @@ class Modules:
                 where="tasks",
                 fix="set fewer",
             )
-        steps = (
-            {"goal": task["goal"], **step}
-            for task, n in zip(ACTIVITY["task"], tasks, strict=False)
-            for step in task["step"][:n]
-        )
+        steps = []
+        for task, n in zip(ACTIVITY["task"], tasks, strict=False):
+            for step in task["step"][:n]:
+                steps.append({"goal": task["goal"], **step})
         return cls(steps=tuple(steps), statuses=tuple(scenario.statuses), **more)
 
     def describe_place(self, subtask: int, attempt: int, attempts: int) -> dict[str, str]:
@@ -132,7 +131,10 @@ class Modules:
         latest = ""
         if past:
             latest = str(past[-1]["caregiver"])
-        said = [exchange[part] for exchange in past for part in ("nonverbal", "verbal")]
+        said = []
+        for exchange in past:
+            for part in ("nonverbal", "verbal"):
+                said.append(exchange[part])
         return self._build_request(
             "behaviour",
             {"nonverbal": "text", "verbal": "text"},

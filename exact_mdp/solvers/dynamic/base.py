@@ -21,7 +21,7 @@ from exact_mdp.solvers.solution import (
     warn_of_precision,
 )
 
-RELATIVE_TOLERANCE = 1e-9  # of the largest value, if no tolerance is given
+RELATIVE_TOLERANCE = 1e-9  # relative to the largest value, if no tolerance is given
 
 
 class Solver(ABC):
@@ -32,8 +32,15 @@ class Solver(ABC):
     def solve(self, model: MDP) -> Solution:
         """Return optimal values, a policy and their error bounds; see `solvers.solve`."""
         if require_type(model, MDP, "model", "give an MDP").sense == "min":
-            costs: Solution = solve_negated(model, self.solve)
-            return costs
+            solution: Solution = solve_negated(model, self.solve_rewards)
+        else:
+            solution = self.solve_rewards(model)
+        if solution.status is Status.PRECISION:
+            warn_of_precision(solution.error_bound)
+        return solution
+
+    def solve_rewards(self, model: MDP) -> Solution:
+        """Return the solution of a model whose sense is "max"; its status alone tells of `tol`."""
         with np.errstate(over="ignore", invalid="ignore"):
             return self.maximise(model)
 
@@ -45,7 +52,7 @@ class Solver(ABC):
 def conclude_solution(
     mdp: MDP, solver: Solver, bounds: Bounds, *, status: Status, iterations: int, started: float
 ) -> Solution:
-    """Return the solution; warn if the tolerance is beyond double precision.
+    """Return the solution, whose status says whether the tolerance is met.
 
     Raises
     ------
@@ -64,8 +71,6 @@ def conclude_solution(
         iterations=iterations,
         seconds=perf_counter() - started,
     )
-    if status is Status.PRECISION:
-        warn_of_precision(solution.error_bound)
     if status in (Status.ITERATION_LIMIT, Status.NO_BOUND):
         detail = f"{solution.error_bound:.2g} is the error bound after {iterations} iterations"
         raise SolverError(status, detail, solution)

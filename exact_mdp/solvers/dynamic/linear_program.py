@@ -109,7 +109,7 @@ def least_above(cost: Floats, matrix: sp.sparray, least: Floats, solver: str) ->
     above = sp.csc_array(matrix) @ x >= least
     problem: Any = cvxpy.Problem(cvxpy.Minimize(cost @ x), [above])
     try:
-        # An inaccurate solution, of which cvxpy would only warn, is an error here.
+        # cvxpy would only warn of an inaccurate solution; here it is an error.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             problem.solve(solver=solver)

@@ -192,7 +192,7 @@ class PolicyIteration(Solver):
     >>> stay, go = [[1, 0], [0, 1]], [[0, 1], [0, 1]]
     >>> mdp = MDP.from_arrays([stay, go], [[1, 0], [2, 2]], discount="1/2")
     >>> solution = PolicyIteration().solve(mdp)
-    >>> solution.value.tolist(), solution.policy.tolist()
+    >>> solution.value.tolist(), solution.policy.rule.tolist()
     ([2.0, 4.0], [0, 0])
     """
 

@@ -67,7 +67,7 @@ class AverageSolution(Solution):
     >>> from exact_mdp.solvers import solve
     >>> mdp = MDP.from_arrays([[[0, 1], [1, 0]], [[1, 0], [0, 1]]], [[2, 0], [3, "1/2"]])
     >>> solution = solve(mdp.with_(discount="1/2"), criterion="average")
-    >>> solution.value.tolist(), solution.bias.tolist(), solution.policy.tolist()
+    >>> solution.value.tolist(), solution.bias.tolist(), solution.policy.rule.tolist()
     ([2.5, 2.5], [-0.25, 0.25], [0, 0])
     """
 

@@ -133,9 +133,9 @@ class Proof(Result):
         proof = codec.load_proof(dict.fromkeys(cls.kinds, cls), path)
         if model is not None and proof.model != fingerprint(model):
             raise ModelError(
-                "the certificate is of another model",
+                "the certificate belongs to another model",
                 where=str(path),
-                fix="give the model that it is of",
+                fix="give the model that it belongs to",
             )
         return replace(proof, mdp=model)
 
@@ -286,10 +286,9 @@ class Certificate(Proof, Pictured):
     @cached_property
     def losses(self) -> list[Numbers]:
         """(L,) for each level: a pair's loss of gain and, if that is 0, its loss of h."""
-        each = [
-            _freeze_column(make_fraction(-top, below) for top, below in gain)
-            for gain in self._gains
-        ]
+        each = []
+        for gain in self._gains:
+            each.append(_freeze_column(make_fraction(-top, below) for top, below in gain))
         return [each[0], *(np.asarray(short * (each[0] == 0)) for short in each[1:])]
 
     @cached_property
@@ -363,10 +362,10 @@ class Certificate(Proof, Pictured):
         endless = self.g is not None or self.infinite is not None
         if endless and several.any():
             raise ModelError(
-                "several actions are optimal, and not every policy ends: drawn among, they may not "
-                "be optimal together",
+                "several actions are optimal, but a policy that draws one of them at each step "
+                "may never end, and is then not optimal",
                 where=mdp.space.place(int(np.flatnonzero(several)[0])),
-                fix="take certificate.policy, which is",
+                fix="take certificate.policy, which is optimal",
             )
         return build_uniform_policy(mdp, optimal)
 

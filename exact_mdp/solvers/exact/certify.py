@@ -106,8 +106,8 @@ def certify(
         )
     if bounded and has_improper_policy(mdp):
         raise ModelError(
-            "bounds that a checker reads need every policy to end, at the goal if there is one; "
-            "one does not",
+            "bounds that a checker reads need every policy to end, at the goal if there is one, "
+            "and some policy does not",
             where=where_endless(mdp),
             fix="leave out bounded=True: the proof is exact; solve() gives floats with bounds",
         )
@@ -150,7 +150,9 @@ def _certify_bounds(mdp: MDP, solution: Solution | None) -> BoundedCertificate:
             warnings.simplefilter("ignore", PrecisionWarning)  # the bounds show the precision
             solution = solve(mdp)
     elif len(solution.value) != mdp.n_states or solution.mdp.n_pairs != mdp.n_pairs:
-        raise ModelError("the solution is of another model", where="certify", fix="solve this one")
+        raise ModelError(
+            "the solution belongs to another model", where="certify", fix="solve this one"
+        )
     # Weights w with their margins, rounded down, and the advantages over the solution's values.
     weight = np.where(mdp.terminal, 0.0, margin_weights(mdp).value)
     lost = compute_advantages(mdp, weight, reward=np.zeros(mdp.n_pairs))

@@ -42,7 +42,7 @@ class Unreadable(ValueError):
     """What is no model, or no certificate."""
 
 
-def wanted(condition: object, what: str) -> None:
+def ensure(condition: object, what: str) -> None:
     """Raise Unreadable unless a condition holds."""
     if not condition:
         raise Unreadable(what)
@@ -62,28 +62,28 @@ def ratio(given: object, what: str, infinite: Container[object] = ()) -> Any:
 
 def integers(given: Any, what: str, length: int | None = None) -> list[int]:
     """Read a list of integers, of a length if one is given."""
-    wanted(type(given) is list and length in (None, len(given)), f"{what}: no list, or its length")
+    ensure(type(given) is list and length in (None, len(given)), f"{what}: no list, or its length")
     read = given if {*map(type, given)} <= {int} else [ratio(each, what) for each in given]
-    wanted(read is given or {x.denominator for x in read} <= {1}, f"{what}: not all are integers")
+    ensure(read is given or {x.denominator for x in read} <= {1}, f"{what}: not all are integers")
     return [*map(int, read)]
 
 
-def headed(given: Any, kind: str) -> None:
+def check_head(given: Any, kind: str) -> None:
     """Raise Unreadable unless content is of a kind and of version 2; as texts, 2.0 is another."""
     head = str([given.get("format"), given.get("version")] if type(given) is dict else None)
-    wanted(head == f"['exact-mdp {kind}', 2]", f"no {kind}: format and version are {head[:80]}")
+    ensure(head == f"['exact-mdp {kind}', 2]", f"no {kind}: format and version are {head[:80]}")
 
 
-def keyed(given: Any, keys: Iterable[str], what: str) -> None:
+def check_keys(given: Any, keys: Iterable[str], what: str) -> None:
     """Raise Unreadable unless an object has these keys."""
     other = ", ".join(sorted({*keys} ^ {*given} if type(given) is dict else keys))
-    wanted(not other, f"{what}: keys missing, or too many: {other[:80]}")
+    ensure(not other, f"{what}: keys missing, or too many: {other[:80]}")
 
 
 def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Return an object of a JSON file; raises Unreadable for a key that is written twice."""
     keys = [key for key, _ in pairs]
-    wanted(len({*keys}) == len(keys), f"{max(keys, key=keys.count, default='')!r} is written twice")
+    ensure(len({*keys}) == len(keys), f"{max(keys, key=keys.count, default='')!r} is written twice")
     return dict(pairs)
 
 
@@ -91,15 +91,15 @@ class Level:
     """Numbers of the states: top[s] / below[group[s]], integers."""
 
     def __init__(self, given: Any, what: str, states: int) -> None:
-        keyed(given, ("top", "below", "group"), what)
+        check_keys(given, ("top", "below", "group"), what)
         self.top = integers(given["top"], f"{what}.top", states)
         self.below = integers(given["below"], f"{what}.below")
         self.group = integers(given["group"], f"{what}.group", states)
         fits = {*self.group} == {*range(len(self.below))} and min(self.below, default=1) > 0
-        wanted(fits, f"{what}: a number below is not positive, or those are not the groups'")
+        ensure(fits, f"{what}: a number below is not positive, or those are not the groups'")
         self._times: dict[frozenset[int], tuple[int, dict[int, int]]] = {}
 
-    def weighted(self, weight: Sequence[Any], states: Sequence[int]) -> tuple[Any, int]:
+    def weigh(self, weight: Sequence[Any], states: Sequence[int]) -> tuple[Any, int]:
         """Return the weighted sum of the numbers of some states: top and below."""
         groups = [*map(self.group.__getitem__, states)]
         if (key := frozenset(groups)) not in self._times:
@@ -114,42 +114,42 @@ class Model:
     """States and actions of pairs; expected rewards top / below; rows weight / under."""
 
     def __init__(self, given: Any) -> None:
-        headed(given, "model")
-        keyed(dict.fromkeys(given.keys() & {*MODEL}), MODEL, "the model")
+        check_head(given, "model")
+        check_keys(dict.fromkeys(given.keys() & {*MODEL}), MODEL, "the model")
         states, discount, self.sense, start, pairs = map(given.get, MODEL)
         (self.states,), self.discount = integers([states], "states"), ratio(discount, "discount")
         self.missing, self.sign = given.get("unreached", "inf"), 1 if self.sense == "max" else -1
         fits = 0 <= self.discount <= 1 and self.sense in ("max", "min")
-        wanted(fits, "the discount is not from 0 to 1, or sense is neither max nor min")
-        wanted(self.missing in ("inf", "-inf"), "unreached is neither inf nor -inf")
+        ensure(fits, "the discount is not from 0 to 1, or sense is neither max nor min")
+        ensure(self.missing in ("inf", "-inf"), "unreached is neither inf nor -inf")
         fits = type(start) is dict and type(pairs) is list and self.states <= len(pairs)
-        wanted(fits, "start is no object, or pairs no list with a pair of each state")
+        ensure(fits, "start is no object, or pairs no list with a pair of each state")
         odds = [ratio(share, "start") for share in start.values()]
         self.start = sorted(x for x in zip(integers([*start], "start"), odds, strict=True) if x[1])
         self.odds = [p for _, p in self.start], [s for s, _ in self.start]
         fits = {*self.odds[1]} <= {*range(self.states)} and sum(odds) == 1 and min(odds) >= 0
-        wanted(fits, "start: no distribution of states")
+        ensure(fits, "start: no distribution of states")
         rows = map(list, zip(*sorted(map(self._row, pairs)), strict=True))
         self.state, self.action, self.top, self.below, self.under, self.next, self.weight = rows
         self.pair = {key: l for l, key in enumerate(zip(self.state, self.action, strict=True))}
         fits = len(self.pair) == len(pairs) and {*self.state} == {*range(self.states)}
-        wanted(fits, "two pairs have the same state and action, or the states are not 0, 1, …")
+        ensure(fits, "two pairs have the same state and action, or the states are not 0, 1, …")
         moving = zip(self.state, self.top, self.next, strict=True)
         self.ends = {*range(self.states)} - {s for s, top, after in moving if top or after != [s]}
         self.goal = None if given.get("goal") is None else {*integers(given["goal"], "goal")}
-        wanted(self.goal is None or (self.discount == 1 and self.goal <= self.ends), "the goal")
+        ensure(self.goal is None or (self.discount == 1 and self.goal <= self.ends), "the goal")
 
     def _row(self, given: Any) -> tuple[Any, ...]:
-        keyed(given, PAIR, "a pair")
+        check_keys(given, PAIR, "a pair")
         state, action, below = integers([given[key] for key in PAIR[:3]], "a pair")
         where = f"state {state}, action {action}"
         after, weight = integers(given["next"], where), integers(given["weight"], where)
         fits = len(after) == len(weight) and min(weight, default=0) > 0 and sum(weight) == below
-        wanted(fits, f"{where}: weights, not one for each, above 0, with the denominator as sum")
-        wanted(min(after) >= 0 and max(after) < self.states, f"{where}: a next state is none")
+        ensure(fits, f"{where}: weights, not one for each, above 0, with the denominator as sum")
+        ensure(min(after) >= 0 and max(after) < self.states, f"{where}: a next state is none")
         reward = given["reward"]
         each, shares = (reward, weight) if type(reward) is list else ([reward], [below])
-        wanted(len(each) == len(shares), f"{where}: the number of rewards")
+        ensure(len(each) == len(shares), f"{where}: the number of rewards")
         earned = [x if type(x) in (int, Fraction) else ratio(x, where) for x in each]
         mean = Fraction(sum(map(mul, shares, earned)), below)
         total = dict.fromkeys(sorted(after), 0)
@@ -163,18 +163,18 @@ class Model:
         top, below = earned or (self.sign * self.top[pair], self.below[pair])
         scale = rate.denominator * self.under[pair]
         weight = [*map(rate.numerator.__mul__, self.weight[pair]), -scale]
-        change, unit = x.weighted(weight, [*self.next[pair], self.state[pair]])
+        change, unit = x.weigh(weight, [*self.next[pair], self.state[pair]])
         return int(top * scale * unit + below * change)
 
     def isolate(self, given: Any, policy: Any) -> Model:
         """Return the model in which the draws of a policy are the only actions."""
-        keyed(policy, ("pairs", "weights"), "policy")
+        check_keys(policy, ("pairs", "weights"), "policy")
         listed = integers(policy["pairs"], "policy")
         weights = Level(policy["weights"], "weights", len(listed))
-        wanted(listed == sorted({*listed} & {*self.pair.values()}), "policy: pairs out of order")
+        ensure(listed == sorted({*listed} & {*self.pair.values()}), "policy: pairs out of order")
         parts, pairs = dict[int, list[tuple[int, Fraction, Fraction]]](), list[Any]()
         for place, pair in enumerate(listed):
-            share = Fraction(*weights.weighted([1], [place])) / self.under[pair]
+            share = Fraction(*weights.weigh([1], [place])) / self.under[pair]
             mean = Fraction(self.top[pair], self.below[pair])
             each = zip(self.next[pair], self.weight[pair], strict=True)
             parts.setdefault(self.state[pair], []).extend((s, share * w, mean) for s, w in each)
@@ -209,7 +209,7 @@ class Check:
         levels = {key: Level(some[key], key, states) for key in LEVELS if key in some}
         self.parts = [*levels, *ranks]
         self.rank, self.order, self.infinite = (ranks.get(key, []) for key in RANKS)
-        wanted(min(self.rank + self.order, default=0) >= 0, "a rank is negative")
+        ensure(min(self.rank + self.order, default=0) >= 0, "a rank is negative")
         zero = Level({"top": [0] * states, "below": [1], "group": [0] * states}, "zero", states)
         self.g, self.h, self.w = (levels.get(key, zero) for key in LEVELS[:3])
         self.low, self.high = (levels.get(key, self.h) for key in LEVELS[3:])
@@ -228,11 +228,11 @@ class Check:
         taken, one = {model.pair[key] for key in enumerate(self.policy)}, self.discount == 1
         total, alone = self.kind == "total", ["low", "high"] if self.kind == "bounds" else ["h"]
         if self.kind != "average" and self.parts == alone + ["rank"] * one:
-            judge = self.alone
+            judge = self.judge_values
         elif self.parts == ["g", "h", "w"] and one and not (total and model.goal is not None):
-            judge = self.expansion
+            judge = self.judge_expansion
         elif self.parts == ["h", *RANKS] and total and model.goal is not None:
-            judge = self.reaching
+            judge = self.judge_goal
         else:
             yield f"{', '.join(self.parts) or 'no levels'} prove no {self.kind} of such a model"
             return
@@ -251,13 +251,13 @@ class Check:
         own = rank[self.model.state[pair]]
         return any(rank[s] < own and s in inside for s in self.model.next[pair])
 
-    def alone(self, pair: int, state: int, taken: bool) -> str:
+    def judge_values(self, pair: int, state: int, taken: bool) -> str:
         """Check U ≥ r + γ P U, of the policy L ≤ r + γ P L, of values both; and that runs end."""
         one, ends, goal = self.discount == 1, state in self.model.ends, self.model.goal
         if one and not ends and not self.falls(pair, self.rank, range(self.model.states)):
             return "the rank does not show that every policy ends"
         if one and ends and goal is not None and state not in goal:
-            return "a run may end here, beside the goal"
+            return "a run may end here, outside the goal"
         if one and ends and not self.low.top[state] <= 0 <= self.high.top[state]:
             return "an end is not worth 0"
         gain = self.gain(pair, self.high)
@@ -267,10 +267,10 @@ class Check:
         less = taken and self.gain(pair, self.low) < 0
         return "the policy is worth less than is claimed" if less else ""
 
-    def expansion(self, pair: int, state: int, taken: bool) -> str:
+    def judge_expansion(self, pair: int, state: int, taken: bool) -> str:
         """Check g, h and w: the first level that is not 0 is negative; all are 0 for the policy."""
         top, below = self.model.sign * self.model.top[pair], self.model.below[pair]
-        (mean, under), (bias, over) = (x.weighted([1], [state]) for x in (self.g, self.h))
+        (mean, under), (bias, over) = (x.weigh([1], [state]) for x in (self.g, self.h))
         earned = ((0, 1), (top * under - below * mean, below * under), (-bias, over))
         levels = zip("ghw", (self.g, self.h, self.w), earned, strict=True)
         gains = ((name, self.gain(pair, x, each)) for name, x, each in levels)
@@ -282,7 +282,7 @@ class Check:
             return f"its {name} is more than is claimed"
         return f"the policy's {name} is less than is claimed" if gain and taken else ""
 
-    def reaching(self, pair: int, state: int, taken: bool) -> str:
+    def judge_goal(self, pair: int, state: int, taken: bool) -> str:
         """Check values where a run that never reaches the goal is worth +∞, or -∞ (`lost`).
 
         +∞: each pair of a finite state may lower the rank, so that every policy arrives; elsewhere
@@ -321,10 +321,10 @@ class Check:
     def at_start(self) -> Fraction | float:
         """Return the value of the start; of discounted values, their limit at discount 1."""
         if self.kind == "average":
-            return Fraction(*self.g.weighted(*self.model.odds))
+            return Fraction(*self.g.weigh(*self.model.odds))
         signs = {(self.infinite or self.g.top)[s] for s, _ in self.model.start} - {0}
         infinite = {inf if sign > 0 else -inf for sign in signs}
-        return sum(infinite) or Fraction(*self.h.weighted(*self.model.odds))  # NaN for both
+        return sum(infinite) or Fraction(*self.h.weigh(*self.model.odds))  # NaN for both
 
     def one_optimum(self) -> bool:
         """Return whether states that optimal pairs reach from the start have one each, or end."""
@@ -343,12 +343,12 @@ class Check:
 def compare(model: Model, content: Any, given: Any) -> Iterator[str]:
     """Yield what does not hold: of an optimum, of a policy's value, of the regret between them."""
     for key in ("optimum", "value"):
-        keyed(given[key], INNER, key)
+        check_keys(given[key], INNER, key)
     alone, best = model.isolate(content, given["policy"]), Check(model, given["optimum"])
     own, lost = Check(alone, given["value"]), ratio(given["regret"], "regret", INFINITE)
     for key, each in (("optimum", best), ("value", own)):
         if [given[key]["model"], given[key]["sense"]] != [each.model.digest(), model.sense]:
-            yield f"{key}: it is of another model"
+            yield f"{key}: it belongs to another model"
         yield from (f"{key}: {wrong}" for wrong in each.violations())
     alike = [best.kind, best.parts] == [own.kind, own.parts] and best.kind in ("total", "average")
     ends = best.start, -own.start  # infinite ones alone count; both: NaN
@@ -366,16 +366,16 @@ def describe(given: Any) -> str:
 
 def violations(model: object, given: Any) -> list[str]:
     """Return up to 20 sentences about rules that two files break: none if the claims hold."""
-    headed(given, "certificate")
-    wanted(str(given.get("kind")) in KEYS, f"no kind of {', '.join(KEYS)}: see exact-mdp verify")
-    keyed(given, KEYS[given["kind"]], "the certificate")
+    check_head(given, "certificate")
+    ensure(str(given.get("kind")) in KEYS, f"no kind of {', '.join(KEYS)}: see exact-mdp verify")
+    check_keys(given, KEYS[given["kind"]], "the certificate")
     if [given["model"], given["sense"]] != [(of := Model(model)).digest(), of.sense]:
-        return ["the certificate is of another model"]
+        return ["the certificate belongs to another model"]
     found = compare(of, model, given) if "value" in given else Check(of, given).violations()
     return [*islice(found, 20)]
 
 
-def read(path: str) -> Any:
+def read_json(path: str) -> Any:
     """Return the content of a JSON file."""
     try:
         return json.loads(Path(path).read_text("utf-8-sig"), object_pairs_hook=once)
@@ -383,11 +383,11 @@ def read(path: str) -> Any:
         raise Unreadable(f"{path}: {error}") from error
 
 
-def main(words: Sequence[str], load: Callable[[str], Any] = read) -> int:
+def main(words: Sequence[str], load: Callable[[str], Any] = read_json) -> int:
     """Check a certificate file against a model file, and say what does not hold."""
     try:
-        wanted(len(words) == 2, "give two files: model.json certificate.json")
-        wrong = violations(load(words[0]), given := read(words[1]))
+        ensure(len(words) == 2, "give two files: model.json certificate.json")
+        wrong = violations(load(words[0]), given := read_json(words[1]))
         said = "holds" + (describe(given) if not wrong and "value" in given else "")
     except (ValueError, OSError) as error:
         print(f"not checked: {error}", file=sys.stderr)

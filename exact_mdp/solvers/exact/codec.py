@@ -33,7 +33,7 @@ import numpy as np
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import LARGEST, read_bytes, write_atomically
 from exact_mdp.mdp.table import Integers
-from exact_mdp.solvers.exact.checker import Unreadable, keyed, once, wanted
+from exact_mdp.solvers.exact.checker import Unreadable, check_keys, ensure, once
 from exact_mdp.solvers.exact.levels import make_fraction
 
 T = TypeVar("T")
@@ -146,10 +146,10 @@ def load_proof(kinds: Mapping[str, type[T]], path: str | Path) -> T:
         for key, known in head.items():
             own, each = data.get(key), " or ".join(map(repr, known))
             right = own in known and type(own) is type(known[0])  # 2.0 equals 2, too
-            wanted(right, f"{key} is {str(own)[:40]!r}, not {each}")
+            ensure(right, f"{key} is {str(own)[:40]!r}, not {each}")
         record = kinds[data["kind"]]
         types, read = _list_field_types(cast(Any, record)), dict[str, Any]()
-        keyed(data, {"format", "version", *types}, "the certificate")
+        check_keys(data, {"format", "version", *types}, "the certificate")
         for part, kind in types.items():
             fault = f"{part} is damaged"
             read[part] = decode_record(kind, data[part])

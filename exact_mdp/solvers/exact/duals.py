@@ -22,7 +22,7 @@ from itertools import pairwise
 from math import inf, lcm
 from typing import Any
 
-from exact_mdp.solvers.exact.checker import Level, Model, wanted
+from exact_mdp.solvers.exact.checker import Level, Model, ensure
 
 Point = Sequence[Fraction]
 
@@ -38,29 +38,36 @@ class Totals:
 
     def __init__(self, model: Model, names: Sequence[str], amounts: Sequence[Point]) -> None:
         self.model, self.names, self.amounts = model, [*names], amounts
-        earning = {s for own in amounts for s, x in zip(model.state, own, strict=True) if x}
-        moving = {s for s, after in zip(model.state, model.next, strict=True) if after != [s]}
-        self.ends = {*range(model.states)} - earning - moving
+        # A state ends runs if its pairs lead back to it alone, and no amount is earned there.
+        self.ends = {*range(model.states)}
+        for state, after in zip(model.state, model.next, strict=True):
+            if after != [state]:
+                self.ends.discard(state)
+        for own in amounts:
+            for state, amount in zip(model.state, own, strict=True):
+                if amount:
+                    self.ends.discard(state)
 
     def find_faults(self, rank: Any) -> Iterator[str]:
         """Yield a fault where the equations of a policy may have several solutions."""
         model = self.model
         if model.discount == 1:
             fits = rank is not None and len(rank) == model.states and min(rank) >= 0
-            wanted(fits, "the rank is missing, or negative")
-            pairs = zip(model.state, model.next, strict=True)
-            if any(s not in self.ends and min(rank[t] for t in a) >= rank[s] for s, a in pairs):
-                yield "the rank does not show that every policy ends"
+            ensure(fits, "the rank is missing, or negative")
+            for state, after in zip(model.state, model.next, strict=True):
+                if state not in self.ends and min(rank[t] for t in after) >= rank[state]:
+                    yield "the rank does not show that every policy ends"
+                    break
         if model.goal is not None:
-            after: list[set[int]] = [set() for _ in range(model.states)]
+            onward: list[set[int]] = [set() for _ in range(model.states)]
             for state, following in zip(model.state, model.next, strict=True):
-                after[state].update(following)
+                onward[state].update(following)
             met = {*(waiting := [*model.odds[1]])}
             for state in waiting:
-                waiting += (fresh := after[state] - met)
+                waiting += (fresh := onward[state] - met)
                 met |= fresh
             if met & self.ends - model.goal:
-                yield "a run may end beside the goal, and its totals are not finite"
+                yield "a run may end outside the goal, and its totals are not finite"
 
     def compute_advantage_sign(self, weights: Point, value: Level, pair: int) -> int:
         """Return the sign of w c + γ P V - V; at an end, of -V."""
@@ -74,7 +81,7 @@ class Totals:
     def is_upper_bound(self, weights: Point, given: Any, most: Fraction) -> bool:
         """Return whether values prove that no policy has a weighted total above `most`."""
         value = _read_level(given, self.model.states)
-        at_start = Fraction(*value.weighted(*self.model.odds))
+        at_start = Fraction(*value.weigh(*self.model.odds))
         pairs = range(len(self.model.state))
         return at_start <= most and all(
             self.compute_advantage_sign(weights, value, pair) <= 0 for pair in pairs
@@ -84,16 +91,16 @@ class Totals:
         """Return whether a policy has these values, and these totals at the start."""
         model = self.model
         each = [_read_level(value, model.states) for value in values]
-        wanted(len(each) == len(total) == len(self.names), "not one total for each objective")
+        ensure(len(each) == len(total) == len(self.names), "not one total for each objective")
         listed = [*map(int, pairs)]
-        wanted({*listed} <= {*range(len(model.state))}, "a pair is none of the model")
+        ensure({*listed} <= {*range(len(model.state))}, "a pair is none of the model")
         if [model.state[pair] for pair in listed] != [*range(model.states)]:
             return False
         for k, (value, claimed) in enumerate(zip(each, total, strict=True)):
             unit = [Fraction(k == i) for i in range(len(each))]
             if any(self.compute_advantage_sign(unit, value, pair) for pair in listed):
                 return False
-            if Fraction(*value.weighted(*model.odds)) != claimed:
+            if Fraction(*value.weigh(*model.odds)) != claimed:
                 return False
         return True
 
@@ -101,10 +108,12 @@ class Totals:
         """Return the totals of visits; raises Unreadable unless they are the visits of a policy."""
         model, pairs = self.model, [*map(int, flow.pairs)]
         visits = _read_level(flow.visits, len(pairs))
-        wanted({*pairs} <= {*range(len(model.state))}, "a pair is none of the model")
-        wanted(len({*pairs}) == len(pairs) and min(visits.top, default=1) > 0, "visits are not > 0")
+        ensure({*pairs} <= {*range(len(model.state))}, "a pair is none of the model")
+        ensure(len({*pairs}) == len(pairs) and min(visits.top, default=1) > 0, "visits are not > 0")
         unit = lcm(*visits.below)
-        top = [n * (unit // visits.below[k]) for n, k in zip(visits.top, visits.group, strict=True)]
+        top = []
+        for n, k in zip(visits.top, visits.group, strict=True):
+            top.append(n * (unit // visits.below[k]))
         left = [Counter[int]() for _ in range(model.states)]  # by denominator
         for state, share in model.start:
             left[state][share.denominator] += share.numerator * unit
@@ -115,8 +124,8 @@ class Totals:
                 left[state][below] += model.discount.numerator * weight * number
         for state, parts in enumerate(left):
             rest = sum(Fraction(number, below) for below, number in parts.items())
-            wanted(state in self.ends or not rest, "visits are not those of a policy")
-        wanted(self.ends.isdisjoint(model.state[pair] for pair in pairs), "visits of an end")
+            ensure(state in self.ends or not rest, "visits are not those of a policy")
+        ensure(self.ends.isdisjoint(model.state[pair] for pair in pairs), "visits of an end")
         earned = []
         for own in self.amounts:
             parts = Counter[int]()
@@ -136,7 +145,7 @@ def check_front(totals: Totals, proof: Any) -> Iterator[str]:
     two vertices share no area, so that areas add up: a vertex that is written twice is refused.
     """
     size, vertices = len(totals.names), proof.attained
-    wanted(size in (2, 3), "a front is of two or three objectives")
+    ensure(size in (2, 3), "a front is of two or three objectives")
     for number, vertex in enumerate(vertices):
         if not totals.is_attained(vertex.pairs, vertex.values, vertex.total):
             yield f"vertex {number} has other totals"
@@ -144,7 +153,7 @@ def check_front(totals: Totals, proof: Any) -> Iterator[str]:
         yield "a vertex is written twice"
     cells: list[list[Point]] = [[] for _ in vertices]
     for corner in proof.corners:
-        wanted(len(corner.weights) == size, "not one weight for each objective")
+        ensure(len(corner.weights) == size, "not one weight for each objective")
         totals_of = [weigh_values(corner.weights, vertex.total) for vertex in vertices]
         most = max(totals_of, default=Fraction())
         tight = [number for number, own in enumerate(totals_of) if own == most]
@@ -194,9 +203,9 @@ def check_limits(totals: Totals, proof: Any) -> Iterator[str]:
     optimal. Without the reward, such a bound proves that no policy keeps the limits.
     """
     names, sign, prices, reward = totals.names, totals.model.sign, proof.price, proof.feasible
-    wanted({x.name for x in proof.limits} <= {*names[1:]}, "what is limited is not counted")
-    wanted(len(prices) == len(proof.limits), "not one price for each limit")
-    wanted({x.sign for x in proof.limits} <= {1, -1}, "a limit is neither >= nor <=")
+    ensure({x.name for x in proof.limits} <= {*names[1:]}, "what is limited is not counted")
+    ensure(len(prices) == len(proof.limits), "not one price for each limit")
+    ensure({x.sign for x in proof.limits} <= {1, -1}, "a limit is neither >= nor <=")
     rewards = zip(totals.amounts[0], totals.model.top, totals.model.below, strict=True)
     if any(own * below != sign * top for own, top, below in rewards):
         yield "what is maximised is not the reward"
@@ -224,7 +233,7 @@ def check_weights(totals: Totals, proof: Any) -> Iterator[str]:
     under which π is optimal, so that |w - 1| ≤ t needs t ≥ Σ D / Σ |D|.
     """
     names, own = totals.names, totals.compute_earnings(proof.flow)
-    wanted(len(proof.multipliers) == len(proof.intervals) == len(names), "not one of each weight")
+    ensure(len(proof.multipliers) == len(proof.intervals) == len(names), "not one of each weight")
     if max(abs(w - 1) for w in proof.multipliers) != proof.change:
         yield "the weights are not changed by that much"
 
@@ -236,7 +245,9 @@ def check_weights(totals: Totals, proof: Any) -> Iterator[str]:
 
     if not is_optimal(proof.multipliers, proof.dual):
         yield "the values do not prove the policy optimal for the weights"
-    leads = [[cut.multiplier * x for x in compute_lead(cut.flow)] for cut in proof.cuts]
+    leads = []
+    for cut in proof.cuts:
+        leads.append([cut.multiplier * x for x in compute_lead(cut.flow)])
     total = [sum(column, Fraction()) for column in zip(*leads, strict=True)]
     least, size = max(Fraction(), sum(total, Fraction())), sum(map(abs, total))
     if any(cut.multiplier < 0 for cut in proof.cuts) or least != proof.change * size:

@@ -159,10 +159,11 @@ def _iterate_policies(
             return pairs, [level for level, *_ in levels], sign
         # Compare advantages as fractions, one level after the other, and take the best of each
         # state.
-        columns = (yield_level_advantages(rows, step, gaining) for step in levels)
-        each = zip(
-            *([make_fraction(x, a * b) for x, a, b in gain] for gain in columns), strict=True
-        )
+        columns = []
+        for step in levels:
+            column = yield_level_advantages(rows, step, gaining)
+            columns.append([make_fraction(x, a * b) for x, a, b in column])
+        each = zip(*columns, strict=True)
         pairs, most = pairs.copy(), dict[int, tuple[Fraction, ...]]()
         for pair, gain in zip(gaining.tolist(), each, strict=True):
             state = int(rows.pair_state[pair])

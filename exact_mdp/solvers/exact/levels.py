@@ -79,9 +79,8 @@ class Level:
     def to_fractions(self, sign: int = 1) -> Numbers:
         """Return the numbers (S,) as Fractions, times a sign."""
         numbers = np.empty(len(self.top), dtype=object)
-        numbers[:] = [
-            make_fraction(sign * a, b) for a, b in zip(self.top, self.each_below, strict=True)
-        ]
+        for state, (a, b) in enumerate(zip(self.top, self.each_below, strict=True)):
+            numbers[state] = make_fraction(sign * a, b)
         numbers.setflags(write=False)
         return numbers
 
@@ -140,7 +139,9 @@ def list_level_steps(rows: BellmanRows, *levels: Level) -> list[Step]:
     g, h, w = levels
     scale, state = rows.scale.tolist(), rows.pair_state.tolist()
     mean, bias = g.each_below, h.each_below
-    each = [(own, s, mean[s], scale[s]) for own, s in zip(constant, state, strict=True)]
+    each = []
+    for own, s in zip(constant, state, strict=True):
+        each.append((own, s, mean[s], scale[s]))
     return [
         (g, [0] * len(state), ones),
         (h, [own * m - k * g.top[s] for own, s, m, k in each], [m for _, _, m, _ in each]),

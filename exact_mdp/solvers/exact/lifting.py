@@ -152,7 +152,7 @@ class Lifting:
             below, taken, count = None, count, min(most, int(count * 1.2) + 1)
 
     def _yield_digits(self, side: Sequence[Any], lead: int) -> Iterator[Integers]:
-        """Yield the digits (K,) of the solution, of which `lead` stand before the point."""
+        """Yield the digits (K,) of the solution; the first `lead` stand before the point."""
         size, limb = self.size, self._limb
         coming = _digits_of(side, self.width, lead)
         rest = np.zeros(len(self._scales) * size, dtype=np.int64)

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
-from itertools import pairwise
+from itertools import chain, pairwise
 from operator import mul
 from typing import TYPE_CHECKING, Any
 
@@ -204,12 +204,13 @@ class _Solution:
                 continue
             # A component of several unknowns: solve for each right side over one denominator.
             base = _compute_common_multiple(self._by_base(states))
-            each = [
-                _solve_component(block, right, matrix.denominators, states[0])
-                for right in self._right_sides(base, states)
-            ]
+            each = []
+            for right in self._right_sides(base, states):
+                each.append(_solve_component(block, right, matrix.denominators, states[0]))
             unit = _compute_common_multiple(below for _, below in each)
-            tops = [[n * (unit // below) for n in top] for top, below in each]
+            tops = []
+            for top, below in each:
+                tops.append([n * (unit // below) for n in top])
             self._store_solution(states, tops, base * unit)
 
     def _by_base(self, states: Sequence[int]) -> dict[fmpz, list[int]]:
@@ -225,9 +226,13 @@ class _Solution:
 
     def _right_sides(self, base: fmpz, states: Sequence[int]) -> list[list[fmpz]]:
         """Return the residual b - A x times `base`, for each right side."""
-        ahead = {t for s in states for t in self._rows[s][0]}
+        ahead: set[int] = set()
+        for s in states:
+            ahead.update(self._rows[s][0])
         # Bring the solved unknowns to the denominator `base`.
-        times = {group: base // self.below[group] for group in {self.group[t] for t in ahead}}
+        times = {}
+        for group in {self.group[t] for t in ahead}:
+            times[group] = base // self.below[group]
         reduced = []
         for side, top in zip(self.sides, self.tops, strict=True):
             known = {}
@@ -235,11 +240,12 @@ class _Solution:
                 known[t] = top[t]
                 if top[t]:
                     known[t] = top[t] * times[self.group[t]]
-            flow = (
-                sum(map(mul, map(known.__getitem__, x), a))
-                for x, a in map(self._rows.__getitem__, states)
-            )
-            reduced.append([base * side[s] - own for s, own in zip(states, flow, strict=True)])
+            residual = []
+            for s in states:
+                columns, entries = self._rows[s]
+                flow = sum(map(mul, map(known.__getitem__, columns), entries))
+                residual.append(base * side[s] - flow)
+            reduced.append(residual)
         return reduced
 
     def _substitute(self, base: fmpz, states: Sequence[int]) -> None:
@@ -257,7 +263,9 @@ class _Solution:
             groups = [[i] for i in places]
         for some in groups:
             unit = _compute_common_multiple(pivots[i] for i in some)
-            tops = [[side[i] * (unit // pivots[i]) for i in some] for side in sides]
+            tops = []
+            for side in sides:
+                tops.append([side[i] * (unit // pivots[i]) for i in some])
             self._store_solution([states[i] for i in some], tops, base * unit)
 
     def _store_solution(
@@ -265,7 +273,7 @@ class _Solution:
     ) -> None:
         """Keep the numbers of some unknowns, all over one denominator in lowest terms."""
         # Reduce to lowest terms.
-        listed, shared = [n for top in tops for n in top], below
+        listed, shared = [*chain(*tops)], below
         for n in listed:
             if shared == 1:
                 break

@@ -100,11 +100,12 @@ class RegretCertificate(Proof):
     kinds: ClassVar[tuple[str, ...]] = ("regret",)
 
     def __repr__(self) -> str:
-        lost, own, best = (
-            f"{in_float(x):.12g}"
-            for x in (self.regret, self.value.start_value, self.optimum.start_value)
+        lost, own = in_float(self.regret), in_float(self.value.start_value)
+        best = in_float(self.optimum.start_value)
+        return (
+            f"RegretCertificate(regret {lost:.12g}: worth {own:.12g} at the start, "
+            f"the optimum {best:.12g})"
         )
-        return f"RegretCertificate(regret {lost}: worth {own} at the start, the optimum {best})"
 
     @property
     def start(self) -> Certified:

@@ -178,10 +178,8 @@ class QLearning:
         from exact_mdp.solvers.kernels import learning as kernels
 
         laid_out, source = build_sampling_tables(mdp, read), make_random_stream(rng)
-        exploration, rate = (
-            np.array(each.values(self.epochs), dtype=float)
-            for each in (self.exploration, self.rate)
-        )
+        exploration = np.array(self.exploration.values(self.epochs), dtype=float)
+        rate = np.array(self.rate.values(self.epochs), dtype=float)
         # Episodes in portions, between which Python can be interrupted.
         steps, cut_short, episode = 0, 0, 0
         while episode < self.epochs * self.episodes:

@@ -75,10 +75,12 @@ class Objectives:
         self.rows = replace(rows, constant=np.zeros(mdp.n_pairs, dtype=np.int64))
         own = rows.scale[mdp.pair_state].astype(object)
         # (L,) expected amounts times scale, negated in a model of costs
-        self.amounts = tuple(
-            to_integer_array((mdp.sign * top.astype(object) * (own // bottom)).tolist())
-            for top, bottom in columns
-        )
+        amounts = []
+        for top, bottom in columns:
+            amounts.append(
+                to_integer_array((mdp.sign * top.astype(object) * (own // bottom)).tolist())
+            )
+        self.amounts = tuple(amounts)
         self._require_finite()
 
     @property
@@ -103,7 +105,9 @@ class Objectives:
             self.rows.scale[self.mdp.pair_state],
         )
         each = [zip(own.tolist(), scale.tolist(), strict=True) for own in self.amounts]
-        amounts = [[Fraction(top, below) for top, below in own] for own in each]
+        amounts = []
+        for own in each:
+            amounts.append([Fraction(top, below) for top, below in own])
         return Totals(model, self.names, amounts)
 
     def _require_finite(self) -> None:
@@ -113,7 +117,7 @@ class Objectives:
             return
         if not prove_termination(self.ending).proven:
             raise ModelError(
-                "a policy need not end, and totals at discount 1 would count forever",
+                "some policy never ends, and its totals at discount 1 would grow forever",
                 where=where_endless(self.ending),
                 fix=ways_out(mdp),
             )
@@ -123,7 +127,7 @@ class Objectives:
             goal = mdp.goal
         if (beside := find_reachable_states(mdp) & self.ending.terminal & ~goal).any():
             raise ModelError(
-                "no total is finite: a policy may end beside the goal",
+                "no total is finite: a policy may end outside the goal",
                 where=mdp.space.place(int(np.flatnonzero(beside)[0])),
                 fix="count in the model itself, without --until, or leave out what leads there",
             )
@@ -168,9 +172,10 @@ def _combine_terms(mdp: MDP, terms: Terms) -> Column:
     """Return the amounts (L,) of a linear combination, over denominators (L,)."""
     columns = [(factor, *_read_amounts(mdp, name)) for factor, name in terms]
     below = np.lcm.reduce([f.denominator * b.astype(object) for f, _, b in columns])
-    top = sum(
-        t.astype(object) * (f.numerator * (below // (b * f.denominator))) for f, t, b in columns
-    )
+    added = []
+    for f, t, b in columns:
+        added.append(t.astype(object) * (f.numerator * (below // (b * f.denominator))))
+    top = sum(added)
     return np.asarray(top), below
 
 
@@ -210,6 +215,6 @@ def _find_arrivals(mdp: MDP, label: str) -> Numbers:
         raise ModelError(
             f"the probability of label {label!r} is not an expected total here",
             where="objectives",
-            fix="count a label at discount 1 whose states are not left again, and not started in",
+            fix="count a label at discount 1 that is never left again, and in which no run starts",
         )
     return np.asarray(there & ~here)

@@ -42,7 +42,7 @@ from exact_mdp.solvers.exact.levels import (
     list_level_steps,
 )
 from exact_mdp.solvers.objectives.amounts import Objectives, reward_name
-from exact_mdp.solvers.objectives.simplex import solve_linear_program
+from exact_mdp.solvers.objectives.simplex import list_unit_vectors, solve_linear_program
 from exact_mdp.solvers.objectives.totals import (
     Attained,
     OccupancyMeasure,
@@ -216,7 +216,9 @@ class ConstrainedSolution(TotalsProof):
     def report(self) -> Report:
         """Return the report of the optimum, or of the proof that no policy keeps the limits."""
         mdp, limits, feasible = self.of.mdp, self.limits, self.feasible
-        drawn = [{mdp.actions[a]: c for a, c in enumerate(row) if c} for row in self.rule]
+        drawn = []
+        for row in self.rule:
+            drawn.append({mdp.actions[a]: c for a, c in enumerate(row) if c})
         if feasible:
             said, error_bound = ["they can be kept"], Shown(0.0)
         else:
@@ -255,21 +257,22 @@ class ConstrainedSolution(TotalsProof):
         """
         near = [limit.format_limit(10) for limit in self.moved]
         each = zip(self.limits, self.price, near, keeps or near, strict=True)
-        rows = [
-            {
-                "limit": str(x),
-                "total": totals[x.name],
-                "price": price,
-                "closest": moved,
-                "kept": word,
-            }
-            for x, price, moved, word in each
-        ]
+        rows = []
+        for x, price, moved, word in each:
+            rows.append(
+                {
+                    "limit": str(x),
+                    "total": totals[x.name],
+                    "price": price,
+                    "closest": moved,
+                    "kept": word,
+                }
+            )
         columns = {"limit": "limit", "total": "total:.10g"}
         if keeps:
             columns["kept"] = "kept"
         if self.feasible:
-            note = "price: what the optimum gains for one point by which the limit is moved"
+            note = "price: what the optimum gains if the limit is moved by one point"
             columns |= {"price": "price:.10g"}
         else:
             note = "closest: all moved by the same step, the least with which a policy keeps them"
@@ -368,13 +371,13 @@ def _combine_policies(
     # Phase 1 (`short`) minimises the step t; if it reaches 0, phase 2 maximises the return.
     size, short = len(limits), True
     policies = [find_extreme_policy(of, [1] + [0] * (len(of.names) - 1))]
-    spare = [[ZERO, *(Fraction(-(i == k)) for i in range(size))] for k in range(size)]
+    spare = [[ZERO, *row] for row in list_unit_vectors(size, -ONE)]
     bounds = [limit.sign * limit.bound for limit in limits]
     while True:
         # The column of a policy: 1, as shares sum to 1, and its room below or above each limit.
-        columns = [
-            [ONE, *map(sub, _orient_totals(of, limits, own.total), bounds)] for own in policies
-        ]
+        columns = []
+        for own in policies:
+            columns.append([ONE, *map(sub, _orient_totals(of, limits, own.total), bounds)])
         # A spare column for each limit, as room may be left; in phase 1 one for the step t.
         columns += spare
         if short:
@@ -393,7 +396,10 @@ def _combine_policies(
         price = (Fraction(not short), *(-each for each in due))
         pairs, dual = solve_weighted(of, _weigh_objectives(of, limits, price), policies[-1].pairs)
         if dual.compute_mean(of.mdp.start) == most + weigh_values(price[1:], bounds):
-            shares = [each for each in zip(policies, x, strict=False) if each[1]]
+            shares = []
+            for each in zip(policies, x, strict=False):
+                if each[1]:
+                    shares.append(each)
             return shares, shift, price, dual
         policies.append(evaluate_objectives(of, pairs))
 
@@ -419,7 +425,9 @@ def _as_one(
         flow = OccupancyMeasure.of(taken)
         # The room of each limit, and how each exchange of pairs changes its total.
         totals = _orient_totals(of, limits, flow.compute_totals(of))
-        room = [total - x.sign * x.bound + shift for total, x in zip(totals, limits, strict=True)]
+        room = []
+        for reached, limit in zip(totals, limits, strict=True):
+            room.append(reached - limit.sign * limit.bound + shift)
         moves = [_exchange_pair(of, pair, own) for pair in further]
         changes = []
         for move in moves:
@@ -435,7 +443,9 @@ def _as_one(
         if not count:
             return flow
         times = [Fraction(int(free[i, 0])) for i in range(len(further))]
-        change = {l: weigh_values(times, [x.get(l, ZERO) for x in moves]) for l in taken}
+        change = {}
+        for l in taken:
+            change[l] = weigh_values(times, [x.get(l, ZERO) for x in moves])
         # The longest step that keeps all limits and all visits at least 0.
         falling = []
         for gain, left in zip(gains, room, strict=True):

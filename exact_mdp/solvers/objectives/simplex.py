@@ -11,10 +11,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction
+from typing import Any
 
 import flint
 
 from exact_mdp.mdp.exact import from_flint, to_flint
+
+
+def list_unit_vectors(size: int, one: Any) -> list[list[Any]]:
+    """Return the rows of the unit matrix, times a number."""
+    rows = [[0 * one] * size for _ in range(size)]
+    for k in range(size):
+        rows[k][k] = one
+    return rows
 
 
 def solve_linear_program(
@@ -33,7 +42,7 @@ def solve_linear_program(
         if b[k] < 0:
             unit[k] = Fraction(-1)
         units.append(unit)
-    turned = flint.fmpq_mat([[to_flint(x) for x in column] for column in [*columns, *units]])
+    turned = flint.fmpq_mat([[*map(to_flint, column)] for column in [*columns, *units]])
     matrix, right = turned.transpose(), flint.fmpq_mat([[to_flint(value)] for value in b])
     # Costs are pairs, compared in their order: a part that outweighs any number, and the rest.
     cost = [(flint.fmpq(0), to_flint(value)) for value in c] + [(flint.fmpq(-1),) * 2] * rows
@@ -54,5 +63,7 @@ def solve_linear_program(
     each = ((due[j], cost[j][1]) for j in range(size) if due[j][0] > 0)
     enough = max(((own - later) / first for (first, later), own in each), default=flint.fmpq(0))
     first, later = price.tolist()
-    y = [from_flint(then + enough * now) for now, then in zip(first, later, strict=True)]
+    y = []
+    for now, then in zip(first, later, strict=True):
+        y.append(from_flint(then + enough * now))
     return [from_flint(basic.get(j, flint.fmpq(0))) for j in range(size)], y

@@ -36,6 +36,7 @@ from exact_mdp.solvers.exact.levels import (
 )
 from exact_mdp.solvers.exact.linear import compute_expected_visits, evaluate_exactly
 from exact_mdp.solvers.objectives.amounts import Objectives
+from exact_mdp.solvers.objectives.simplex import list_unit_vectors
 
 Point = tuple[Fraction, ...]
 Weights = Sequence[int] | Sequence[Fraction]
@@ -147,7 +148,7 @@ def find_extreme_policy(
     """
     # Break ties by the sum of all objectives, then by each of them.
     size = len(weights)
-    ties = [[1] * size, *([int(i == k) for i in range(size)] for k in range(size))]
+    ties = [[1] * size, *list_unit_vectors(size, 1)]
     _, _, sign = optimise_exactly(
         of.rows, first, [of.rows_for(each)[0].constant for each in (weights, *ties)]
     )
@@ -168,7 +169,7 @@ class TotalsProof(Proof):
 
     def _find_violations(self, mdp: MDP) -> list[str]:
         if self.model != fingerprint(mdp):
-            return ["the certificate is of another model"]
+            return ["the certificate belongs to another model"]
         proof = codec.rebuild_proof(self)
         return duals.list_totals_violations(Objectives(mdp, proof.objectives).to_totals(), proof)
 

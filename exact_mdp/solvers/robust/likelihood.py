@@ -36,8 +36,8 @@ class Likelihood(Ball):
     NAME = "a likelihood radius"
 
     @np.errstate(over="ignore", under="ignore")
-    def least(self, block: RowBlock, payoff: Floats) -> tuple[Floats, Floats]:
-        """See `Ambiguity.least`."""
+    def minimise(self, block: RowBlock, payoff: Floats) -> tuple[Floats, Floats]:
+        """See `Ambiguity.minimise`."""
         p, beta = block.probability, self.list_radii(block)
         d = payoff - payoff.min(axis=1, keepdims=True)
         # Rows in which the scale is 0 are solved in closed form.
@@ -54,15 +54,15 @@ class Likelihood(Ball):
             p, d, beta, s = p[rows], d[rows], beta[rows], span[rows]
             s *= np.exp(_find_scale(p, d / s[:, None], inside[rows] * (1 - 2 * NEAR)))
             u = d / s[:, None]
-            law = p / (1 + u)
-            law /= law.sum(axis=1, keepdims=True)
+            worst = p / (1 + u)
+            worst /= worst.sum(axis=1, keepdims=True)
             # The lower bound -s + e^-β Π (d_i + s)^p_i, rounded down.
             mean = (p * np.log1p(u)).sum(axis=1)
             low = s * np.expm1(mean - beta)
             low -= gamma(2 * d.shape[1] + 16) * s * (mean + beta) * np.exp(mean - beta)
             low = np.maximum(low - 4 * UNIT * np.abs(low), 0.0)
-            q[rows] = law
-            short[rows] = np.maximum((law * d).sum(axis=1) - low, 0.0)
+            q[rows] = worst
+            short[rows] = np.maximum((worst * d).sum(axis=1) - low, 0.0)
         return q, short
 
 

@@ -127,7 +127,7 @@ def solve_robust(
     beside = beside_goal(model)
     if model.discount_exact == 1 and beside.any():
         raise ModelError(
-            "a run that ends beside the goal is worth infinity, and robust values are finite",
+            "a run that ends outside the goal is worth infinity, and robust values are finite",
             where=model.space.place(int(beside.argmax())),
             fix="choose a discount below 1, or ask for the chance of getting there "
             "(--reach LABEL, model.reaching(label))",
@@ -146,7 +146,7 @@ def solve_robust(
     if policy is None:
         pairs = model.pair_offsets[:-1].copy()
         pairs[game.live] = game.pairs[share == 1]
-    chain, earned = game.build_chain(asked.laws, share)
+    chain, earned = game.build_chain(asked.distributions, share)
     if status is Status.PRECISION:
         warn_of_precision(float(error.max()))
     return RobustSolution(
@@ -232,12 +232,14 @@ class Game:
 
     def solve_chain(self, asked: Inner, share: Floats, order: Integers | None) -> Floats:
         """Solve for the values (S,) under nature's choice and the agent's shares (U,)."""
-        chain, earned = self.build_chain(asked.laws, share)
+        chain, earned = self.build_chain(asked.distributions, share)
         return LinearSystem(chain, self.mdp.discount, order=order).approximate(earned)
 
-    def build_chain(self, laws: list[Floats], share: Floats) -> tuple[sp.csr_array, Floats]:
+    def build_chain(
+        self, distributions: list[Floats], share: Floats
+    ) -> tuple[sp.csr_array, Floats]:
         """Return transitions (S, S) and rewards (S,) under distributions and shares (U,)."""
-        place, following, probability, earned = list_entries(self.blocks, laws)
+        place, following, probability, earned = list_entries(self.blocks, distributions)
         source, states = self.live[self.row_state], self.mdp.n_states
         taken = share[place] > 0
         place, following, probability = place[taken], following[taken], probability[taken]
@@ -263,7 +265,8 @@ def verify_margins(game: Game) -> tuple[Floats, Floats]:
     later = np.maximum.reduceat(late.solve_inner_problem(weight).high, game.first)
     margin = np.asarray((weight[game.live] - later) * (1 - 4 * UNIT))
     if not np.all(margin > 0):
-        raise SolverError(Status.NO_BOUND, "no margin against the worst laws can be verified")
+        what = "no margin against the worst distributions can be verified"
+        raise SolverError(Status.NO_BOUND, what)
     return weight, margin
 
 
@@ -277,7 +280,7 @@ def _maximise_expected_steps(game: Game) -> Floats:
         # If no pair adds half a step or more, all margins exceed a half.
         if iteration and gain.max() < 0.5:
             return weight
-        chain, _ = game.build_chain(asked.laws, game.choose_pairs(asked.value))
+        chain, _ = game.build_chain(asked.distributions, game.choose_pairs(asked.value))
         # The expected number of steps is infinite if some state has no way to the end.
         stuck = np.flatnonzero(~find_reachable_nodes(chain.T.tocsr(), mdp.terminal.copy()))
         if len(stuck):
@@ -286,15 +289,16 @@ def _maximise_expected_steps(game: Game) -> Floats:
             if len(stuck) > 4:
                 more = f" and {len(stuck) - 4} more"
             raise ModelError(
-                "discount 1 needs every episode to end, and under laws within the sets one does "
-                "not",
+                "discount 1 needs every episode to end, and under some distributions within the "
+                "sets one does not",
                 where=f"it stays forever among {named}{more}",
                 fix="choose a discount below 1, or smaller sets that keep a way out possible",
             )
         weight = LinearSystem(chain).approximate(live.astype(np.float64))
         if not np.all(np.isfinite(weight)):
             break
-    raise SolverError(Status.NO_BOUND, "the end is too many steps away under the worst laws")
+    what = "the end is too many steps away under the worst distributions"
+    raise SolverError(Status.NO_BOUND, what)
 
 
 def _iterate_values(

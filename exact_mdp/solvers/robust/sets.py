@@ -52,7 +52,7 @@ class Ambiguity(ABC):
     """A set of distributions for each row, independent of others: (s, a)-rectangular."""
 
     @abstractmethod
-    def least(self, block: RowBlock, payoff: Floats) -> tuple[Floats, Floats]:
+    def minimise(self, block: RowBlock, payoff: Floats) -> tuple[Floats, Floats]:
         """Return members q (K, n) of the sets and b (K,): no member's mean is below Σ q x - b.
 
         Both hold up to rounding, which `solve_inner_problem` accounts for.
@@ -133,14 +133,14 @@ class Intervals(Ambiguity):
         if bad.any():
             pair = int(np.flatnonzero(bad)[0])
             raise ModelError(
-                "no law lies within the intervals of a row: lower bounds sum to "
+                "no distribution lies within the intervals of a row: lower bounds sum to "
                 f"{least[pair]:g}, upper bounds to {most[pair]:g}",
                 where=model.where(pair),
                 fix="give 0 ≤ lower ≤ upper ≤ 1 with sums below and above 1",
             )
 
-    def least(self, block: RowBlock, payoff: Floats) -> tuple[Floats, Floats]:
-        """See `Ambiguity.least`."""
+    def minimise(self, block: RowBlock, payoff: Floats) -> tuple[Floats, Floats]:
+        """See `Ambiguity.minimise`."""
         # Every outcome gets its lower bound; the remaining mass goes to the least payoffs first,
         # each up to its upper bound.
         lower = np.where(block.filled, 0.0, self.lower[block.outcome])
@@ -194,8 +194,8 @@ class L1Ball(Ball):
 
     NAME = "an L1 radius"
 
-    def least(self, block: RowBlock, payoff: Floats) -> tuple[Floats, Floats]:
-        """See `Ambiguity.least`."""
+    def minimise(self, block: RowBlock, payoff: Floats) -> tuple[Floats, Floats]:
+        """See `Ambiguity.minimise`."""
         # Move mass from the greatest payoffs to the least: half the radius, as it counts twice.
         p = block.probability
         order = np.argsort(-payoff, axis=1)
@@ -205,7 +205,7 @@ class L1Ball(Ball):
         moved = np.minimum(self.list_radii(block) / 2, free)[:, None]
         before = np.cumsum(mass, axis=1) - mass
         taken = np.clip(moved - before, 0.0, mass)
-        # An outcome of which only rounding is left becomes impossible.
+        # An outcome with nothing left but rounding becomes impossible.
         mass = np.where(taken >= mass - 8 * UNIT, 0.0, mass - taken)
         q = np.empty_like(p)
         np.put_along_axis(q, order, mass, axis=1)
@@ -228,12 +228,12 @@ def radius_of(given: object, what: str) -> float:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Inner:
-    """Nature's optimum of U rows: it lies in [low, high], and `laws` have about the `value`."""
+    """Nature's optimum of U rows, in [low, high]; `distributions` have about the `value`."""
 
     low: Floats
     high: Floats
     value: Floats
-    laws: list[Floats]  # (K, n) the distributions of each block
+    distributions: list[Floats]  # (K, n) the distributions of each block
 
 
 def side_by_side(
@@ -283,7 +283,7 @@ def solve_inner_problem(
     """
     count = sum(len(block.place) for block in blocks)
     low, high, middle = np.empty(count), np.empty(count), np.empty(count)
-    laws = []
+    distributions = []
     for block in blocks:
         # The payoff x of each outcome, and the size on which its rounding depends.
         later = value[block.next]
@@ -297,10 +297,10 @@ def solve_inner_problem(
             raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
         # A maximum is minus the minimum of -x; the tolerance `short` is on nature's side.
         if against:
-            q, below = ambiguity.least(block, payoff)
+            q, below = ambiguity.minimise(block, payoff)
             above = np.zeros(len(q))
         else:
-            q, above = ambiguity.least(block, -payoff)
+            q, above = ambiguity.minimise(block, -payoff)
             below = np.zeros(len(q))
         # Differences from the first payoff lose no digits to the common part.
         base = payoff[:, :1]
@@ -312,21 +312,21 @@ def solve_inner_problem(
         low[block.place] = worst - error - below
         high[block.place] = worst + error + above
         middle[block.place] = worst
-        laws.append(q)
-    return Inner(low=low, high=high, value=middle, laws=laws)
+        distributions.append(q)
+    return Inner(low=low, high=high, value=middle, distributions=distributions)
 
 
 def list_entries(
-    blocks: Sequence[RowBlock], laws: Sequence[Floats]
+    blocks: Sequence[RowBlock], distributions: Sequence[Floats]
 ) -> tuple[Integers, Integers, Floats, Floats]:
     """Return place, next state and probability (N,) of all outcomes, and rows' rewards (U,)."""
     earned = np.zeros(sum(len(block.place) for block in blocks))
     nothing: Integers = np.zeros(0, dtype=np.int64)
     place, following, weight = [nothing], [nothing], [np.zeros(0)]
-    for block, law in zip(blocks, laws, strict=True):
-        earned[block.place] = np.einsum("kn,kn->k", law, block.gain)
-        positive = law > 0
+    for block, chances in zip(blocks, distributions, strict=True):
+        earned[block.place] = np.einsum("kn,kn->k", chances, block.gain)
+        positive = chances > 0
         place.append(np.repeat(block.place, positive.sum(axis=1)))
         following.append(block.next[positive])
-        weight.append(law[positive])
+        weight.append(chances[positive])
     return np.concatenate(place), np.concatenate(following), np.concatenate(weight), earned

@@ -103,10 +103,10 @@ class Evaluation(OfPolicy, Pictured):
     Examples
     --------
     >>> from exact_mdp import Scenario
-    >>> law = evaluate(Scenario.load("yuan2025"), "random")
-    >>> print(f"{law.mean:.4f} {law.sd:.4f} {law.steps:.4f} {law.skip_probability:.4f}")
+    >>> run = evaluate(Scenario.load("yuan2025"), "random")
+    >>> print(f"{run.mean:.4f} {run.sd:.4f} {run.steps:.4f} {run.skip_probability:.4f}")
     85.0285 71.5334 7.4267 0.5481
-    >>> print(law.start)
+    >>> print(run.start)
     85.0285... ± ... (bounded)
     """
 
@@ -390,7 +390,7 @@ class Evaluation(OfPolicy, Pictured):
     def _discounted(self) -> BoundedVector:
         if not self.settled:
             raise ModelError(
-                "the policy goes on forever, so visits have no number",
+                "the policy goes on forever, so the number of visits is infinite",
                 where="visits",
                 fix=ways_out(self.mdp),
             )

@@ -1,4 +1,4 @@
-"""Evaluate many policies, or many sets of actions, of an acyclic model at once.
+"""Evaluate many policies of an acyclic model at once, or many sets of actions.
 
     V(s) = max_a Q(s, a)  or  Σ_a π(a | s) Q(s, a),    Q(s, a) = r(s, a) + γ Σ_s' P(s' | s, a) V(s')
 
@@ -61,7 +61,7 @@ class Layers:
     def evaluate_pairs(
         self, taken: Integers, reward: Floats | None = None
     ) -> tuple[Floats, Floats]:
-        """Return V (S, N) of policies that take these pairs (S, N), and its error (N,)."""
+        """Return V (S, N) for policies that take these pairs (S, N), and its error (N,)."""
         mdp = self.mdp
         if reward is None:
             reward = mdp.reward
@@ -89,7 +89,7 @@ layers_of = cache_on_model(Layers)
 
 
 def find_taken_pairs(mdp: MDP, key: Integers, policies: Numbers) -> Integers:
-    """Return the pairs (S, N) of policies (N, K), where state s reads entry key[s] of each."""
+    """Return the pairs (S, N) that policies (N, K) take; state s reads entry key[s] of each."""
     pair = mdp.by_action(np.arange(mdp.n_pairs), -1).astype(np.int64)
     chosen = pair[np.arange(mdp.n_states)[:, None], policies[:, key].T]
     # In a state with a single action the policy has no effect.
@@ -98,7 +98,7 @@ def find_taken_pairs(mdp: MDP, key: Integers, policies: Numbers) -> Integers:
 
 
 def evaluate_row_policies(mdp: MDP, rows: QTableRows, policies: Numbers) -> BoundedVector:
-    """Return the start values (U,) of policies (U, K), with one action number for each Q-row."""
+    """Return the start values (U,) for policies (U, K), with one action number for each Q-row."""
     if topological_levels(mdp) is None:
         evaluations = []
         for rule in policies:

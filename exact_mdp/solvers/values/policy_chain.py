@@ -125,7 +125,7 @@ class PolicyChain:
         if isinstance(policy, Valued) or (isinstance(policy, str) and policy == "optimal"):
             open_ = mdp.over & ~mdp.forced
         elif chain.policy is not None:
-            open_ = chain.policy.undecided(mdp)
+            open_ = chain.policy.find_undecided(mdp)
         return chain, open_
 
     def require_said(self, undecided: Mask, where: str) -> None:
@@ -530,9 +530,8 @@ class PolicyEquations:
             point = transpose_system(self.system).solve(start, UNIT * start)
             # One more step forward gives the arrivals at the other states, with its rounding.
             onward = select_rows(chain.transition, np.arange(len(live)), live).T.tocsr()
-            came, size, off = (
-                rate * (onward @ each) for each in (point.value, np.abs(point.value), point.error)
-            )
+            came, size = rate * (onward @ point.value), rate * (onward @ np.abs(point.value))
+            off = rate * (onward @ point.error)
             terms = np.diff(onward.indptr) + chain.roundings + 4
             off += gamma(terms) * (start + size) + TINY * terms
             value = np.where(live, point.value, start + came)

@@ -75,7 +75,7 @@ class MassFlow:
         self.cyclic = np.bincount(self.block[source[inner]], minlength=self.last + 1) > 0
         if exact and self.cyclic.any():
             raise ModelError(
-                "states lead back to each other, so returns have no end",
+                "states lead back to each other, so there are infinitely many returns",
                 where="policy",
                 fix="leave out exact=True: all but 10^-12 of the probability is then found",
             )

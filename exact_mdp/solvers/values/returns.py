@@ -71,8 +71,8 @@ class ReturnDistribution(Pictured):
     Examples
     --------
     >>> rows = [(0, 0, [("1/2", 1, "1/2"), ("1/2", 1, 2)]), (1, 0, [(1, 1, 0)])]
-    >>> law = return_distribution(MDP.from_outcomes(rows), "random")
-    >>> law.mean, law.cdf(1), law.quantile(0.5)
+    >>> distribution = return_distribution(MDP.from_outcomes(rows), "random")
+    >>> distribution.mean, distribution.cdf(1), distribution.quantile(0.5)
     (1.25, 0.5, Fraction(1, 2))
     """
 
@@ -188,8 +188,8 @@ class ReturnDistribution(Pictured):
         Examples
         --------
         >>> rows = [(0, 0, [("1/2", 1, 10), ("1/2", 1, 0)]), (1, 0, [(1, 1, 0)])]
-        >>> law = return_distribution(MDP.from_outcomes(rows), [0, 0], exact=True)
-        >>> str(law.tail_mean("3/4")), str(law.tail_mean(1))
+        >>> distribution = return_distribution(MDP.from_outcomes(rows), [0, 0], exact=True)
+        >>> str(distribution.tail_mean("3/4")), str(distribution.tail_mean(1))
         ('10/3', '5')
         """
         part = parse_tail_share(share)
@@ -197,8 +197,8 @@ class ReturnDistribution(Pictured):
             what = f"returns with a probability of up to {self.remaining:.2g} are not listed"
             fix = "choose a greater share, or a horizon, which ends cycles"
             raise ModelError(what, where="conditional value at risk", fix=fix)
-        law = zip(self.values, self.exact or self.probabilities.tolist(), strict=True)
-        mean: Fraction | float = tail_mean(dict(law), part, highest=highest)
+        distribution = zip(self.values, self.exact or self.probabilities.tolist(), strict=True)
+        mean: Fraction | float = tail_mean(dict(distribution), part, highest=highest)
         return mean
 
     def as_dict(self) -> dict[Fraction | float, float]:
@@ -212,7 +212,7 @@ class ReturnDistribution(Pictured):
 
     def report(self) -> Report:
         """Return the distribution of the return."""
-        law = {format_decimal(value): chance for value, chance in self.as_dict().items()}
+        distribution = {format_decimal(value): chance for value, chance in self.as_dict().items()}
         error = float(self.error.max())
         facts: dict[str, Any] = {
             "claim": Shown(self.claim),
@@ -223,15 +223,14 @@ class ReturnDistribution(Pictured):
             ),
             "remaining": Shown(self.remaining, self.remaining or None),
             "never_ends": Shown(self.never_ends, self.never_ends or None),
-            "distribution": law,
+            "distribution": distribution,
         }
         if self.exact is not None:
-            facts["exact_distribution"] = dict(zip(law, self.exact, strict=True))
-        below = accumulate(law.values())
-        rows = [
-            {"return": value, "chance": chance, "sum": most}
-            for (value, chance), most in zip(law.items(), below, strict=True)
-        ]
+            facts["exact_distribution"] = dict(zip(distribution, self.exact, strict=True))
+        below = accumulate(distribution.values())
+        rows = []
+        for (value, chance), most in zip(distribution.items(), below, strict=True):
+            rows.append({"return": value, "chance": chance, "sum": most})
         columns = {"return": "return", "probability": "chance", "at most that": "sum"}
         table = Table(title="distribution", rows=rows, columns=columns, first=MOST_LISTED)
         return Report(
@@ -260,12 +259,12 @@ def parse_tail_share(level: object) -> Fraction:
     return share
 
 
-def tail_mean(law: Mapping[Any, Any], level: Fraction, *, highest: bool = False) -> Any:
+def tail_mean(distribution: Mapping[Any, Any], level: Fraction, *, highest: bool = False) -> Any:
     """Return the mean of the lowest, or the highest, share of returns with their probabilities."""
     left: Any = level
     total: Any = Fraction(0)
-    for value in sorted(law, reverse=highest):
-        part = min(left, law[value])
+    for value in sorted(distribution, reverse=highest):
+        part = min(left, distribution[value])
         # 0 times an infinite return would be NaN.
         if part:
             total += part * value
@@ -290,7 +289,7 @@ def return_distribution(
         With discount 1.
     policy, kind : as for `evaluate`
     exact : bool
-        Compute the probabilities as exact rationals; for chains without cycles, of modest size.
+        Compute the probabilities as exact rationals; for small chains without cycles.
     horizon : int, optional
         Stop after this many steps; see `evaluate`.
 
@@ -307,8 +306,8 @@ def return_distribution(
     Examples
     --------
     >>> rows = [(0, 0, [("1/2", 1, "1/2"), ("1/2", 1, 2)]), (1, 0, [(1, 1, 0)])]
-    >>> law = return_distribution(MDP.from_outcomes(rows), "random")
-    >>> print(*law.values, law.probabilities.tolist())
+    >>> distribution = return_distribution(MDP.from_outcomes(rows), "random")
+    >>> print(*distribution.values, distribution.probabilities.tolist())
     1/2 2 [0.5, 0.5]
     """
     mdp = mdp_of(model)

@@ -116,10 +116,10 @@ NOW = MDP.from_outcomes(  # what is gained in the state that comes next does not
     [
         (HOME, ["home", "quick=-1*steps"], [(F(1, 2), -1), (1, F(-3, 2))]),
         (HOME, ["home", "away"], [(F(1, 2), F(1, 2)), (1, 0)]),
-        (STAYS, ["b", "a"], "count forever"),
+        (STAYS, ["b", "a"], "grow forever"),
         (STAYS.with_(discount="1/2"), ["a", "b"], [(2, 1)]),
-        (EARNS, ["c", "steps"], "count forever"),
-        (EARNS, ["a", "c"], "count forever"),
+        (EARNS, ["c", "steps"], "grow forever"),
+        (EARNS, ["a", "c"], "grow forever"),
         (RINGS, ["bell", "steps"], [(4, 4)]),
         (RINGS.with_(start=1), ["bell", "steps"], [(0, 0)]),
         (MISSES, ["reward", "steps"], [(3, 1)]),

@@ -166,7 +166,7 @@ def test_a_tornado_shows_the_policy_that_was_given() -> None:
 def test_a_map_of_two_parameters_says_what_its_policies_do() -> None:
     for wide in ("1/1000", 1):
         over = two_way(MODEL, "gain", "price", relative=wide, points=3)
-        every = [over.chosen(number) for number in range(int(over.policy.max()) + 1)]
+        every = [over.list_actions(number) for number in range(int(over.policy.max()) + 1)]
         said = [f"policy {n}: state 0: {own['state 0']}" for n, own in enumerate(every)]
         assert legend_of(over.plot()) == [*said, "today"]
 
@@ -189,7 +189,7 @@ def test_policies_in_a_map_are_told_apart() -> None:
     said = [entry.partition(": ")[2] for entry in entries]
     assert (today, len({*said})) == ("today", len(said))
     assert ax.get_legend().get_title().get_text() == f"how the policies differ ({len(said)} of 24)"
-    every = [over.chosen(number) for number in range(len(said))]
+    every = [over.list_actions(number) for number in range(len(said))]
     for own, entry in zip(every, said, strict=True):
         told = dict(part.rsplit(": ", 1) for part in entry.split("; "))
         assert told.items() <= own.items()

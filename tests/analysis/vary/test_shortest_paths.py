@@ -92,7 +92,7 @@ def test_gradients_are_the_slopes_of_the_curve() -> None:
 
 
 def pitfalls(rng: Random) -> Family:
-    """Return a random family with a pit beside the goal, which some pairs may fall into."""
+    """Return a random family with a pit outside the goal, which some pairs may fall into."""
     plain, falls = random_family(rng), [rng.random() < 0.4 for _ in range(12)]
 
     def build(at: dict[str, F]) -> MDP:

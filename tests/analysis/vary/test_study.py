@@ -233,8 +233,17 @@ def test_a_range_that_passes_1_by_default_is_warned_of() -> None:
     family = Family(
         parameters={"u": "17/20"}, build=lambda at: MDP.from_arrays([[[1]]], [at["u"]], "1/2")
     )
-    with pytest.warns(UserWarning, match=r'u, 0.85 today, .* to 1.02; .*name="u", .*high=1'):
-        tornado(family)
+    analyses = (
+        lambda: tornado(family),
+        lambda: one_way(family, "u", points=2),
+        lambda: sobol(family, n=4),
+        lambda: worst_point(family),
+    )
+    for analyse in analyses:
+        match = r'u, 0.85 today, .* to 1.02; .*name="u", .*high=1'
+        with pytest.warns(UserWarning, match=match) as caught:
+            analyse()
+        assert [each.filename for each in caught] == [__file__]
     assert tornado(family, ranges={"u": (0, 1)}).frame()["high"][0] == 1
     assert tornado(family, relative="1/5").frame()["high"][0] == 1.02
     bounded = replace(family, parameters=(Parameter(name="u", value="17/20", low=0, high=1),))

@@ -83,7 +83,7 @@ def test_models_end_as_they_say_and_a_policy_that_does_not_is_named() -> None:
     rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 2, 0)]), (1, 0, [(1, 0, 0)]), (2, 0, [(1, 2, 0)])]
     mdp = MDP.from_outcomes(rows, states=["left", "right", "end"], actions=["go", "stop"])
     refused(
-        lambda: require_termination(mdp), "every policy to end, and one does not",
+        lambda: require_termination(mdp), "every policy to end, and some policy does not",
         "it stays forever in (state left) with action go, (state right) with action go",
         "choose a discount below 1 (--discount 0.95",
     )  # fmt: skip

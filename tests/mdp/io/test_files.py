@@ -123,7 +123,7 @@ def test_numbers_of_every_type_come_through(tmp_path: Path, kind: Any) -> None:
         np.save(tmp_path / "q.npy", np.asarray(values, order=order))
         np.savez_compressed(tmp_path / "q.npz", q=np.asarray(values, order=order), other=values)
         for name in ("q.npy", "q.npz"):
-            assert Policy.of(mdp, tmp_path / name, kind="q").tolist() == [1, 2]
+            assert Policy.of(mdp, tmp_path / name, kind="q").rule.tolist() == [1, 2]
 
 
 class Trap:

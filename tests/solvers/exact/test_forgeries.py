@@ -50,7 +50,7 @@ FORGED: dict[str, tuple[MDP, dict[str, Any], str]] = {
         {"policy": [0, 0], "h": level(0, 0), "start_value": "0x0/0x1"},
         "it is worth more than is claimed",
     ),
-    "waiting beside the goal, called 0": (
+    "waiting outside the goal, called 0": (
         until_goal([(0, 0, [(1, 0, 0)]), (0, 1, [(1, 1, 1)]), END], sense="min"),
         {"policy": [0, 0], "h": level(0, 0), "start_value": "0x0/0x1"},
         "the rank does not show that the goal is reached",

@@ -10,9 +10,9 @@ between L^π and U^π, h half their distance and π(l) the probability of l,
     A_P(l) = (1 - π(l)) (r_l + γ P_l c) - Σ_{k ≠ l} π(k) (r_k + γ P_k c) + γ (P_l - P_π) (V^π - c),
 
 whose last term is at most γ Σ |P_l - P_π| h: h weighted by the recorded shares, and the largest h
-times √(2 KL), by which a row may move (Pinsker). Every bound comes from a monotone operator T: v +
-e / (1 - γ) is an upper bound on its fixed point if T v ≤ v + e. At discount 1 T maps a valid bound
-to a valid bound, so a range that the user states can be narrowed step by step.
+times √(2 KL), the distance that a row may move (Pinsker). Every bound comes from a monotone
+operator T: v + e / (1 - γ) is an upper bound on its fixed point if T v ≤ v + e. At discount 1 T
+maps a valid bound to a valid bound, so a range that the user states can be narrowed step by step.
 """
 
 from __future__ import annotations
@@ -151,10 +151,10 @@ class RobustBounds:
     """Bounds of the values and the regret of a policy, for every model within sets of rows."""
 
     sets: RowSets
-    range: Ends  # of the values of all states
-    own: Sides  # of V^π
-    best: Sides  # of V*
-    lost: Sides  # of V* - V^π
+    range: Ends  # the range of the values of all states
+    own: Sides  # bounds of V^π
+    best: Sides  # bounds of V*
+    lost: Sides  # bounds of V* - V^π
 
     def at_start(self, mdp: MDP, whose: Sides) -> Ends:
         """Return the bounds of a value at the start, in the sense of the model given."""
@@ -222,10 +222,10 @@ class Operators:
         if later is not None:
             then = vars(later)
         # V^π and V*, each from below (0) and from above (1).
-        own, best = (
-            np.array([self.bound_fixed_point(most, then[whose], mixing=mixing) for most in (0, 1)])
-            for whose, mixing in (("own", self.mixing), ("best", None))
-        )
+        own, best = np.zeros((2, 2, self.sets.mdp.n_states))
+        for most in (0, 1):
+            own[most] = self.bound_fixed_point(most, then["own"], mixing=self.mixing)
+            best[most] = self.bound_fixed_point(most, then["best"], mixing=None)
         after: dict[str, Any] = {"own": own, "best": best}
         if later is not None:
             after = vars(later)
@@ -280,11 +280,11 @@ class Operators:
         bound = mixing @ pairs + off * (mixing @ np.abs(pairs))
 
         def compute_piece() -> tuple[sp.csr_array, Floats]:
-            laws, constant = nature.piece()
+            rows, constant = nature.piece()
             if losing is not None:
-                laws = laws.multiply(alone.astype(np.float64)[:, None])
+                rows = rows.multiply(alone.astype(np.float64)[:, None])
                 constant = np.where(alone, advantage, apart)
-            mixed = sp.csr_array(mixing @ sp.csr_array(laws))
+            mixed = sp.csr_array(mixing @ sp.csr_array(rows))
             if unknown.any():
                 mixed = sp.csr_array(mixed.multiply((~unknown).astype(np.float64)[:, None]))
             return mixed, np.where(unknown, gain, mixing @ constant)
@@ -297,9 +297,8 @@ class Operators:
         mdp, own, mixing = self.sets.mdp, self.own, self.mixing
         middle = (low + high) / 2
         half = np.maximum(high - middle, middle - low)
-        least, most = (
-            self.sets.solve_inner_problem(middle, most=side).bound for side in (False, True)
-        )
+        least = self.sets.solve_inner_problem(middle, most=False).bound
+        most = self.sets.solve_inner_problem(middle, most=True).bound
         # γ Σ |P_l - P_π| h: at the recorded shares, and by what the rows may move from there.
         moved = np.minimum(np.sqrt(2 * self.sets.radius) * SLACK, 2.0) * float(half.max())
         state = mdp.pair_state

@@ -1,4 +1,4 @@
-"""Sets of rows that the records allow: one around each counted row, all of which hold at once.
+"""Sets of rows that the records allow: one around each counted row; all of them hold at once.
 
 A pair seen n times, with shares p of m states that followed, has an unknown row q. The likelihood
 ratio of a Dirichlet mixture against q has mean 1 at every n, so it ever exceeds 1/δ with
@@ -54,7 +54,7 @@ class Step(NamedTuple):
 class RowSets:
     """A set of rows for each pair of a model with counts."""
 
-    mdp: MDP  # of rewards, not costs
+    mdp: MDP  # a model of rewards, not costs
     counted: Floats  # (L,) observations; 0 for rows that are as certain as the model says
     doubt: float  # the probability that some row is outside of its set
     known: bool  # whether state, action and next state determine the reward
@@ -258,15 +258,15 @@ class RowSets:
         bound = bound + reward + sign * (length * 4 * UNIT * size + TINY * (size > 0))
 
         def compute_piece() -> tuple[sp.csr_array, Floats]:
-            place, following, weight, earned = list_entries(blocks, values.laws)
+            place, following, weight, earned = list_entries(blocks, values.distributions)
             following = np.where(following == mdp.n_states, far, following)
             certain = mdp.transition.multiply((self.counted == 0).reshape(-1, 1)).tocoo()
             row = np.concatenate([pairs[place], certain.coords[0]])
             column = np.concatenate([following, certain.coords[1]])
-            laws = (np.append(weight, certain.data), (row, column))
+            entries = (np.append(weight, certain.data), (row, column))
             total = reward.copy()
             total[pairs] += earned
-            return sp.csr_array(laws, mdp.transition.shape), total
+            return sp.csr_array(entries, mdp.transition.shape), total
 
         return Step(bound, compute_piece)
 

@@ -95,13 +95,13 @@ class RationalFunction:
 class CurvePiece:
     """The optimal pairs and values between two thresholds."""
 
-    low: Bracket  # of the left end
-    high: Bracket  # of the right end
+    low: Bracket  # encloses the left end
+    high: Bracket  # encloses the right end
     section: Piece
     optimal: NDArray[np.bool_]  # (L,) the pairs that are optimal throughout
     start: Start  # weights of the start states; negative for costs
-    values: Values  # of all states; for costs, the values of negated costs
-    fixed_values: Values | None = None  # of the policy held fixed
+    values: Values  # the values of all states; for costs, the values of negated costs
+    fixed_values: Values | None = None  # the values of the policy held fixed
 
     @cached_property
     def value(self) -> RationalFunction:

@@ -278,18 +278,20 @@ class ValueFunction(Pictured):
 
     def frame(self) -> DataFrame:
         """Return one row for each piece."""
-        return data_frame(
-            {
-                "parameter": self.parameter.name,
-                "low": float(piece.low[0]),
-                "high": float(piece.high[1]),
-                "degree": len(piece.value.numerator) - 1,
-                "value_low": float(piece.value.at(piece.low[1])),
-                "value_high": float(piece.value.at(piece.high[0])),
-                "claim": str(self.claim),
-            }
-            for piece in self.pieces
-        )
+        rows = []
+        for piece in self.pieces:
+            rows.append(
+                {
+                    "parameter": self.parameter.name,
+                    "low": float(piece.low[0]),
+                    "high": float(piece.high[1]),
+                    "degree": len(piece.value.numerator) - 1,
+                    "value_low": float(piece.value.at(piece.low[1])),
+                    "value_high": float(piece.value.at(piece.high[0])),
+                    "claim": str(self.claim),
+                }
+            )
+        return data_frame(rows)
 
 
 def _is_limit_kept(sides: Sequence[fmpq_poly], low: Fraction, high: Fraction) -> bool:
@@ -356,7 +358,7 @@ def curve(
     family = parametric(model)
     mdp = family.at({})
     if mdp.sense == "min":
-        family = family.posed(attrgetter("maximised"))
+        family = family.with_question(attrgetter("maximised"))
     span = range_of(family, name, ranges, "whole" if relative is None else relative)
 
     # A range of discounts ends below 1 if some policy is improper there.
@@ -405,4 +407,7 @@ def _to_rational_weights(chain: PolicyChain | None) -> Mix | None:
     if chain is None:
         return None
     weights = map(chain.exact_weights, range(chain.mdp.n_states))
-    return [[(pair, to_flint(weight)) for pair, weight in each.items()] for each in weights]
+    rows = []
+    for each in weights:
+        rows.append([(pair, to_flint(weight)) for pair, weight in each.items()])
+    return rows

@@ -66,16 +66,15 @@ class SectionEquations:
         # Changes are polynomials of θ - θ0, with θ0 the origin of the section.
         shift = fmpq_poly([to_flint(-section.origin), 1])
         self.rate: fmpq_poly = change.rate(shift) + to_flint(mdp.discount_exact)
-        self.reward: list[fmpq_poly] = [
-            fmpq_poly([r]) for r in to_flint_ratios(*reward_entries(mdp)[1:])
-        ]
+        self.reward: list[fmpq_poly] = []
+        for number in to_flint_ratios(*reward_entries(mdp)[1:]):
+            self.reward.append(fmpq_poly([number]))
         for pair, moved in zip(change.reward.key.tolist(), change.reward.moved, strict=True):
             self.reward[pair] += moved(shift)
         keys, top, bottom = transition_entries(mdp)
-        weight: dict[int, fmpq_poly] = {
-            key: fmpq_poly([p])
-            for key, p in zip(keys.tolist(), to_flint_ratios(top, bottom), strict=True)
-        }
+        weight: dict[int, fmpq_poly] = {}
+        for key, number in zip(keys.tolist(), to_flint_ratios(top, bottom), strict=True):
+            weight[key] = fmpq_poly([number])
         for key, moved in zip(change.transition.key.tolist(), change.transition.moved, strict=True):
             weight[key] = weight.get(key, fmpq_poly()) + moved(shift)
         # A terminal state with a row that changes is terminal at θ0 alone, and counts as live.
@@ -167,11 +166,11 @@ class SectionEquations:
 
         Gaps of pairs `taken` are 0, as the values belong to the policy that takes them.
         """
-        gaps = {
-            pair: values[0][self.state[pair]] - self.compute_action_value(pair, values)
-            for pair in self.following
-            if pair not in taken
-        }
+        gaps = {}
+        for pair in self.following:
+            if pair not in taken:
+                own = values[0][self.state[pair]]
+                gaps[pair] = own - self.compute_action_value(pair, values)
         gaps |= dict.fromkeys(taken, fmpq_poly())
         changed = {pair for pair, gap in gaps.items() if gap != self.gap[pair]}
         for pair in changed:
@@ -193,7 +192,7 @@ class SectionEquations:
         elif self.improper and not self.staying_costs():
             yield "nothing proves that the Bellman equations have one solution"
         if self.may_miss_goal:
-            yield "a run may end beside the goal, which is worth infinity"
+            yield "a run may end outside the goal, which is worth infinity"
 
     def _finds_missed_goal(self) -> bool:
         """Return whether a run may miss the goal in some model of the section.

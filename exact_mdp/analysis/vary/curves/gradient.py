@@ -194,20 +194,21 @@ class Gradient(Pictured):
         return data_frame(self._list_derivative_rows())
 
     def _list_derivative_rows(self) -> list[dict[str, Any]]:
-        rows: list[dict[str, Any]] = [
-            {
-                "parameter": name,
-                "value": float(each.parameter.value),
-                "unit": unit_of(each.parameter),
-                SLOPE: _slope_to_float(each.value),
-                "left": _slope_to_float(each.left),
-                "right": _slope_to_float(each.right),
-                ELASTICITY: np.nan if each.elasticity is None else each.elasticity,
-                "policy": "re-optimised" if self.reoptimised else "fixed",
-                "claim": str(each.claim),
-            }
-            for name, each in self.derivatives.items()
-        ]
+        rows: list[dict[str, Any]] = []
+        for name, each in self.derivatives.items():
+            rows.append(
+                {
+                    "parameter": name,
+                    "value": float(each.parameter.value),
+                    "unit": unit_of(each.parameter),
+                    SLOPE: _slope_to_float(each.value),
+                    "left": _slope_to_float(each.left),
+                    "right": _slope_to_float(each.right),
+                    ELASTICITY: np.nan if each.elasticity is None else each.elasticity,
+                    "policy": "re-optimised" if self.reoptimised else "fixed",
+                    "claim": str(each.claim),
+                }
+            )
         rows.sort(key=lambda row: -np.nan_to_num(abs(row[ELASTICITY])))
         return rows
 
@@ -285,12 +286,13 @@ def gradient(
     else:
         passed = _bounded_pass(mdp, policy)
     start, _ = passed
+    derivatives = {}
+    for each in parameters:
+        derivatives[each.name] = _compute_derivative(family, mdp, passed, each)
     return Gradient(
         model=family.name,
         start=start,
-        derivatives={
-            each.name: _compute_derivative(family, mdp, passed, each) for each in parameters
-        },
+        derivatives=derivatives,
         reoptimised=reoptimised,
     )
 
@@ -530,10 +532,8 @@ def _list_slopes(
     mdp: MDP, change: RowChange, kind: Callable[[fmpq], Any], rows: tuple[Integers, Numbers]
 ) -> tuple[Integers, Numbers, Integers, Numbers]:
     """Return keys and slopes of discounted transitions (P has `rows`), and of rewards."""
-    slopes, gains = (
-        np.array([kind(each) for each in part.slope], dtype=rows[1].dtype)
-        for part in (change.transition, change.reward)
-    )
+    slopes = np.array([*map(kind, change.transition.slope)], dtype=rows[1].dtype)
+    gains = np.array([*map(kind, change.reward.slope)], dtype=rows[1].dtype)
     keys, slopes = change.transition.key, slopes * kind(to_flint(mdp.discount_exact))
     if change.rate[1]:
         keys = np.concatenate([keys, rows[0]])

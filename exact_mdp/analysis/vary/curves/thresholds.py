@@ -292,14 +292,16 @@ def _find_switches(mdp: MDP, before: Flags, after: Flags) -> tuple[Switch, ...]:
     states = np.unique(mdp.pair_state[before != after]).tolist()
     seen = find_reachable_states(mdp, pairs=before) | find_reachable_states(mdp, pairs=after)
     below, above = actions_of(mdp, before), actions_of(mdp, after)
-    return tuple(
-        Switch(
-            state=state,
-            label=mdp.space.label(state),
-            columns=dict(mdp.space.as_dict(state)),
-            before=below[state],
-            after=above[state],
-            reached=bool(seen[state]),
+    switches = []
+    for state in states:
+        switches.append(
+            Switch(
+                state=state,
+                label=mdp.space.label(state),
+                columns=dict(mdp.space.as_dict(state)),
+                before=below[state],
+                after=above[state],
+                reached=bool(seen[state]),
+            )
         )
-        for state in states
-    )
+    return tuple(switches)

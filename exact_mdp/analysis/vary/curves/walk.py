@@ -220,7 +220,7 @@ def make_improper_error(where: str, *, beside: bool = False, ranges: bool = True
     """
     ways = ["give a discount below 1 (--discount 0.95)"]
     if beside:
-        what, ends = "some run may end beside the goal, and is worth infinity", "at the goal"
+        what, ends = "some run may end outside the goal, and is worth infinity", "at the goal"
     else:
         what, ends = "some policy never ends, and some of its steps cost nothing", "for sure"
         ways.append("a number of steps (--horizon N, mdp.within(N))")
@@ -318,10 +318,10 @@ def compute_policy_values(equations: SectionEquations, mix: Mix) -> Values:
         # Acyclic: backward induction, next states first.
         values = value, fmpq_poly([1])
         for state in equations.order:
-            ahead = (
-                equations.compute_action_value(pair, values) * share for pair, share in mix[state]
-            )
-            value[state] = sum(ahead, fmpq_poly())
+            total = fmpq_poly()
+            for pair, share in mix[state]:
+                total += equations.compute_action_value(pair, values) * share
+            value[state] = total
         return values
     # The system (D I - γ P_π) N = r_π over the live states, by the place of each entry.
     live, change = equations.live, equations.change
@@ -349,9 +349,11 @@ def _bound_degree(equations: SectionEquations) -> int:
     live, where = len(equations.live), f"parameter {equations.change.name}"
     degree = 0
     for pairs in equations.pairs.values():
-        entries = (p for pair in pairs for _, p in equations.following[pair])
-        rewards = (equations.reward[pair] for pair in pairs)
-        degree += max(0, *(each.degree() for each in chain(entries, rewards)))
+        degrees = [0]
+        for pair in pairs:
+            degrees.append(equations.reward[pair].degree())
+            degrees += [p.degree() for _, p in equations.following[pair]]
+        degree += max(degrees)
     if live > LARGEST:
         raise ModelError(
             f"{live} states with cycles among them",
@@ -412,8 +414,9 @@ def _by_powers(
         columns.append(vector.entries())
         vector = matrix * vector
     below = fmpz_poly(matrix.charpoly().coeffs()[::-1])  # det(I - z A), z = γ / q
-    numerators = [
-        fmpq_poly((below * fmpz_poly(list(powers))).coeffs()[:count])(rate / unit)
-        for powers in zip(*columns, strict=True)
-    ]
+    numerators = []
+    for powers in zip(*columns, strict=True):
+        numerators.append(
+            fmpq_poly((below * fmpz_poly(list(powers))).coeffs()[:count])(rate / unit)
+        )
     return numerators, fmpq_poly(below)(rate / unit) * times

@@ -589,6 +589,6 @@ def test_so_many_random_rows_are_drawn_and_no_more(monkeypatch: pytest.MonkeyPat
 def test_rows_are_drawn_together_whatever_is_asked_of_their_model() -> None:
     rows = [["1/2", "1/4", "1/4"], [0, 1, 0], [0, 0, 1]]
     family = row_family(MDP.from_arrays([rows], [1, 0, 0], "1/2"))
-    for model in (family, family.posed(negated)):
+    for model in (family, family.with_question(negated)):
         (part,) = uncertainty(model).parts
         assert (part.kind, len(part.names)) == ("dirichlet", 2)

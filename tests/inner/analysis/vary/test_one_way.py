@@ -157,7 +157,7 @@ def test_a_map_has_the_best_policy_of_each_point(sense: str) -> None:
         number = found.policy[j, i]
         reached = (0, second) if choice[0] == 0 else (1, None)
         assert seen.setdefault(reached, number) == number
-        assert found.chosen(number) == (
+        assert found.list_actions(number) == (
             {"state 0": "0", "state 1": str(second)} if choice[0] == 0 else {"state 0": "1"}
         )
         own = frame.iloc[row]
@@ -178,8 +178,8 @@ def test_policies_that_differ_where_a_state_is_reached_are_two() -> None:
     found = two_way(model_of("max"), "z", "x", ranges=ranges, points=2)
     assert found.choices[0, :, 1].tolist() == [1, 0]
     assert len({*found.policy.ravel().tolist()}) == 2
-    assert found.chosen(int(found.policy[0, 1])) == {"state 0": "0", "state 1": "0"}
-    assert found.chosen(int(found.policy[0, 0])) == {"state 0": "0", "state 1": "1"}
+    assert found.list_actions(int(found.policy[0, 1])) == {"state 0": "0", "state 1": "0"}
+    assert found.list_actions(int(found.policy[0, 0])) == {"state 0": "0", "state 1": "1"}
     unreached = two_way(model_of("max"), "z", "x", ranges=ranges | {"x": (0, 1)}, points=2)
     assert unreached.choices[0, :, 1].tolist() == [1, 0]
     assert unreached.policy.tolist() == [[0, 0], [0, 0]]

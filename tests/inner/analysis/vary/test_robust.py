@@ -92,7 +92,7 @@ def test_cases_are_those_of_the_least_and_the_greatest_chances(
               max(most)]  # fmt: skip
     assert frame["value (reward)"].tolist() == pytest.approx([sign * v for v in values], abs=1e-9)
     assert frame["policy"].tolist() == ["nominal"] * 3 + ["robust"] * 3 + ["optimistic"]
-    assert frame["laws"].tolist() == [*("nominal", "worst", "best") * 2, "best"]
+    assert frame["distributions"].tolist() == [*("nominal", "worst", "best") * 2, "best"]
     told = json.loads(found.report().json())
     changes = [{"state": "state 1", "before": str(own), "after": str(hedged)}]
     assert told["policy_changes"] == (changes if own != hedged else [])

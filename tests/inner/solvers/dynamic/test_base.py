@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from exact_mdp import MDP, ModelError, PolicyIteration, SolverError, Status
+from exact_mdp import MDP, ModelError, PolicyIteration, SolverError, Status, ValueIteration, solve
 from exact_mdp.solvers.bounds.bounds import bound_optimal_values
 from exact_mdp.solvers.dynamic.base import check_counts, check_tolerance, conclude_solution
 from exact_mdp.solvers.solution import PrecisionWarning
@@ -44,7 +44,7 @@ def test_a_solution_has_the_middle_of_the_bounds() -> None:
     solution = conclude(Status.CONVERGED)
     assert abs(solution.value[0] - 4) <= solution.state_error[0]
     assert (solution.iterations, solution.method) == (7, "policy-iteration")
-    assert solution.policy.tolist() == [1]
+    assert solution.policy.rule.tolist() == [1]
     assert solution.regret_bound >= 0
     assert 0 <= solution.seconds < 60
 
@@ -55,11 +55,23 @@ def test_a_search_without_a_proof_raises_and_keeps_its_solution() -> None:
             conclude(status)
         assert caught.value.status is status
         assert caught.value.solution.iterations == 7
-    with pytest.warns(PrecisionWarning):
-        conclude(Status.PRECISION)
+
+
+@pytest.mark.parametrize("sense", ["max", "min"])
+def test_a_tolerance_beyond_floats_is_in_the_status_and_in_a_warning(sense: str) -> None:
+    assert conclude(Status.PRECISION).status is Status.PRECISION
+    thirds = MDP.from_arrays([[["1/3", "2/3"], ["1/7", "6/7"]]], [1, 0], "9/10", sense=sense)
+    for ask in (
+        lambda: ValueIteration(tol=1e-30).solve(thirds),
+        lambda: solve(thirds, "value-iteration", tol=1e-30),
+    ):
+        with pytest.warns(PrecisionWarning) as caught:
+            solution = ask()
+        assert solution.status is Status.PRECISION
+        assert [each.filename for each in caught] == [__file__]
 
 
 def test_costs_are_solved_as_negated_rewards() -> None:
     costs = MDP.from_arrays([[[1]], [[1]]], [[1, 2]], discount="1/2", sense="min")
     solution = PolicyIteration().solve(costs)
-    assert (solution.value.tolist(), solution.policy.tolist()) == ([2.0], [0])
+    assert (solution.value.tolist(), solution.policy.rule.tolist()) == ([2.0], [0])

@@ -33,7 +33,7 @@ def test_policy_iteration_is_howards() -> None:
         values = np.linalg.solve(np.eye(5) - 0.9 * chain, REWARD[np.arange(5), policy])
     found = PolicyIteration().solve(RING)
     assert found.value == pytest.approx(values, rel=1e-13)
-    assert (found.policy == seen[-1]).all()
+    assert (found.policy.rule == seen[-1]).all()
     assert found.iterations <= len(seen) + 1
 
 
@@ -62,6 +62,6 @@ def test_backward_induction_counts_back_from_the_end() -> None:
         )
     found = BackwardInduction().solve(mdp)
     assert found.value.tolist() == value
-    assert found.policy.tolist()[:8] == [0] * 8
+    assert found.policy.rule.tolist()[:8] == [0] * 8
     with pytest.raises(ModelError, match="without cycles"):
         BackwardInduction().solve(RING)

@@ -257,7 +257,7 @@ def test_a_proof_is_of_the_model_given_or_its_own(tmp_path: Path) -> None:
             require_model(None, None, where)
         assert caught.value.where == where
     assert proof.violations() == proof.violations(PLAIN) == []
-    assert proof.violations(other) == ["the certificate is of another model"]
+    assert proof.violations(other) == ["the certificate belongs to another model"]
     proof.save(path := tmp_path / "proof.json")
     alone, owned = Certificate.load(path), Certificate.load(path, PLAIN)
     assert alone.mdp is None
@@ -267,7 +267,7 @@ def test_a_proof_is_of_the_model_given_or_its_own(tmp_path: Path) -> None:
         with pytest.raises(ModelError, match="does not contain the model") as caught:
             getattr(alone, name)
         assert caught.value.where == name
-    with pytest.raises(ModelError, match="the certificate is of another model"):
+    with pytest.raises(ModelError, match="the certificate belongs to another model"):
         Certificate.load(path, other)
     with pytest.raises(ModelError, match="kind is 'total', not 'bounds'"):
         BoundedCertificate.load(path)

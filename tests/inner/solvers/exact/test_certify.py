@@ -69,7 +69,7 @@ def test_what_does_not_apply_is_refused() -> None:
     wide: Any = [*ENDING, (2, 0, [(1, 1, 0)])]
     more: Any = [*ENDING[:2], (1, 0, [(1, 1, 0)]), (1, 1, [(1, 1, 0)])]
     for rows in (wide, more):
-        with pytest.raises(ModelError, match="the solution is of another model"):
+        with pytest.raises(ModelError, match="the solution belongs to another model"):
             certify(mdp, bounded=True, solution=solve(MDP.from_outcomes(rows)))
 
 

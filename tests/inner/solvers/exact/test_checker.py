@@ -74,9 +74,9 @@ FALSE: dict[str, Case] = {
         "state 0, action 0: the rank does not show that every policy ends",
         h=level(5, 0), rank=[1, 0],
     ),
-    "an end beside the goal, which counts as the goal": case(
+    "an end outside the goal, which counts as the goal": case(
         model(row(0, 0, [1, 2]), row(1, 0, [1]), row(2, 0, [2]), goal=[1], **LEAST), 0,
-        "state 2, action 0: a run may end here, beside the goal", h=level(0, 0, 0), rank=[1, 0, 0],
+        "state 2, action 0: a run may end here, outside the goal", h=level(0, 0, 0), rank=[1, 0, 0],
     ),
     "a policy that earns nothing, said to earn 1": case(
         model(row(0, 0, [1]), row(1, 0, [1])), 1,
@@ -207,7 +207,7 @@ WEAKER: list[tuple[str, str, str]] = [
     ("if one and not ends and not self.falls(pair, self.rank, range(self.model.states)):",
      "if False:", "waiting for ever for 5 that never come"),
     ("if one and ends and goal is not None and state not in goal:", "if False:",
-     "an end beside the goal, which counts as the goal"),
+     "an end outside the goal, which counts as the goal"),
     ("less = taken and self.gain(pair, self.low) < 0", "less = False",
      "a policy that earns nothing, said to earn 1"),
     ('is less than is claimed" if gain and taken else ""', 'is less" if False else ""',
@@ -456,7 +456,7 @@ def test_what_is_said_of_a_policy_and_of_another_model() -> None:
         assert violations(given, claim(given, 0, policy=policy, **parts)) == said
     other = claim(given, 0, policy=[0, 2], **parts)
     for change in ({"sense": "min"}, {"model": "0" * 64}, {"model": None}):
-        assert violations(given, other | change) == ["the certificate is of another model"]
+        assert violations(given, other | change) == ["the certificate belongs to another model"]
     many = model(*(row(s, 0, [s]) for s in range(30)))
     wrong = violations(many, claim(many, 1, h=level(*[1] * 30), rank=[0] * 30))
     assert wrong == [f"state {s}, action 0: an end is not worth 0" for s in range(20)]
@@ -671,7 +671,7 @@ def test_levels_are_weighted_as_fractions_are() -> None:
             weights = [F(int(n), 5) for n in rng.integers(-4, 5, 3)]
             wanted = sum((w * F(top[s], below[group[s]])
                           for w, s in zip(weights, chosen, strict=True)), F(0))  # fmt: skip
-            number, unit = given.weighted(weights, chosen)
+            number, unit = given.weigh(weights, chosen)
             assert F(number) / unit == wanted
 
 

@@ -263,7 +263,7 @@ def test_a_rank_is_a_number_of_each_state(rank: Any) -> None:
 def test_runs_end_at_the_goal(start: int, goal: int, fault: bool) -> None:
     model = Model(content(GO, F(1), start={str(start): 1}, goal=[goal]))
     faults = [*Totals(model, ["c"], PAY).find_faults([2, 1, 0, 1, 0])]
-    assert faults == ["a run may end beside the goal, and its totals are not finite"] * fault
+    assert faults == ["a run may end outside the goal, and its totals are not finite"] * fault
 
 
 # ---- geometry ------------------------------------------------------------------------------------

@@ -133,7 +133,7 @@ def test_a_policy_may_not_end_beside_a_goal() -> None:
     parts = {key: x for key, x in other.items() if key not in ("format", "version")}
     proof = codec.decode_record(ConstrainedSolution, parts)
     assert duals.list_totals_violations(wide, proof) == [
-        "a run may end beside the goal, and its totals are not finite"
+        "a run may end outside the goal, and its totals are not finite"
     ]
 
 

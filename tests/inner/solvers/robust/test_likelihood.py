@@ -20,7 +20,7 @@ def block(p: np.ndarray) -> RowBlock:
 def test_the_law_is_in_the_region_and_no_other_is_worse(seed: int, radius: float) -> None:
     rng = np.random.default_rng(seed)
     p, x = rng.dirichlet(np.ones(4), 1), rng.normal(size=(1, 4))
-    q, short = Likelihood(radius=radius).least(block(p), x)
+    q, short = Likelihood(radius=radius).minimise(block(p), x)
     assert q.sum() == pytest.approx(1)
     assert (p * np.log(p / q)).sum() <= radius * (1 + 1e-9)
     limits = [
@@ -37,13 +37,13 @@ def test_the_law_is_in_the_region_and_no_other_is_worse(seed: int, radius: float
 def test_an_outcome_that_was_never_seen_may_happen() -> None:
     """With p = (1, 0): all q with log(1/q_1) ≤ β, so that q_2 is up to 1 - e^-β."""
     p, x = np.array([[1.0, 0.0]]), np.array([[5.0, 2.0]])
-    q, short = Likelihood(radius=0.5).least(block(p), x)
+    q, short = Likelihood(radius=0.5).minimise(block(p), x)
     assert q[0] == pytest.approx([np.exp(-0.5), 1 - np.exp(-0.5)])
     assert short[0] < 1e-12
 
 
 def test_a_radius_of_0_leaves_the_frequencies() -> None:
     p, x = np.array([[0.25, 0.75]]), np.array([[5.0, 2.0]])
-    q, short = Likelihood(radius=0).least(block(p), x)
+    q, short = Likelihood(radius=0).minimise(block(p), x)
     assert q.tolist() == p.tolist()
     assert short[0] == 0

@@ -44,7 +44,7 @@ def test_intervals_and_l1_balls_are_the_programs_over_them(seed: int, against: b
                        A_eq=[[1] * 5 + [-1] * 5], b_eq=[0])  # fmt: skip
         wanted = sign * (both.fun + cost @ p[pair])
         assert ball.value[pair] == pytest.approx(wanted)
-    place, following, weight, earned = list_entries(blocks, own.laws)
+    place, following, weight, earned = list_entries(blocks, own.distributions)
     law = np.zeros((10, 5))
     np.add.at(law, (place, following), weight)
     assert law.sum(axis=1) == pytest.approx(np.ones(10))

@@ -263,7 +263,7 @@ def test_an_infinite_mean_is_all_that_is_known() -> None:
     assert isnan(law.sd)
     assert np.isnan(law.variance).all()
     assert law.numbers["sd"].error == law.numbers["variance"].error == inf
-    with pytest.raises(ModelError, match="visits have no number"):
+    with pytest.raises(ModelError, match="number of visits is infinite"):
         _ = law.visits
     parts = evaluate(
         mdp.with_(components={"a": [1, 1, 0, 0, 0, 0], "b": [2, 0, -1, 0, 0, "7/2"]}), "random"

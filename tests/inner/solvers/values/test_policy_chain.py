@@ -596,11 +596,11 @@ def test_a_policy_comes_in_many_forms() -> None:
     chain = PolicyChain.of(mdp, "optimal")
     assert PolicyChain.of(mdp, chain) is chain
     best = solve(mdp)
-    assert mdp.pair_action[chain.pairs].tolist() == best.policy.tolist()
+    assert mdp.pair_action[chain.pairs].tolist() == best.policy.rule.tolist()
     with pytest.raises(ModelError, match="another model"):
         PolicyChain.of(small_model(4, "1/2"), chain)
     q = np.zeros((mdp.n_states, mdp.n_actions))
-    q[np.arange(mdp.n_states), best.policy] = 1
+    q[np.arange(mdp.n_states), best.policy.rule] = 1
     for kind in ("q", "policy"):
         own = PolicyChain.of(mdp, q, kind=kind)
         assert own.read_as == kind

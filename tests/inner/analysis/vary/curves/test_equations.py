@@ -269,7 +269,7 @@ def test_a_run_may_miss_the_goal_at_discount_1_alone(discount: str, high: F) -> 
         )
         missed = beside and high == 1
         assert equations.may_miss_goal == missed
-        words = "a run may end beside the goal, which is worth infinity"
+        words = "a run may end outside the goal, which is worth infinity"
         assert (words in [*equations.find_faults()]) == missed
     assert not made(True).may_miss_goal
 

@@ -325,7 +325,7 @@ def test_where_values_may_be_infinite_is_said_with_the_ways_out() -> None:
     assert "some policy never ends" in plain.what
     assert "within(N)" in plain.fix
     assert "every run ends for sure" in plain.fix
-    assert "beside the goal" in both.what
+    assert "outside the goal" in both.what
     assert "within(N)" not in both.fix
     assert "every run ends at the goal" in both.fix
     assert "range" not in make_improper_error("here", ranges=False).fix
@@ -388,5 +388,5 @@ def test_a_run_that_may_end_beside_the_goal_is_refused_at_discount_1() -> None:
         if not refused:
             assert curve(family, "x", ("1/4", "3/4")).at("1/2") == -1
             continue
-        with pytest.raises(ModelError, match="beside the goal"):
+        with pytest.raises(ModelError, match="outside the goal"):
             curve(family, "x", ("1/4", "3/4"))
