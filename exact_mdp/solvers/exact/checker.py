@@ -155,7 +155,8 @@ class Model:
         total = dict.fromkeys(sorted(after), 0)
         for s, w in zip(after, weight, strict=True):
             total[s] += w
-        row = [w // (shared := gcd(below, *total.values())) for w in total.values()]
+        shared = gcd(below, *total.values())
+        row = [w // shared for w in total.values()]
         return state, action, *mean.as_integer_ratio(), below // shared, [*total], row
 
     def gain(self, rate: Fraction, pair: int, x: Level, earned: Any = None) -> int:

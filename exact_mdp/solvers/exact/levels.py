@@ -192,12 +192,15 @@ def compute_surpluses(
     return surpluses
 
 
-def compute_surplus_signs(rows: BellmanRows, step: Step, own: Integers | None = None) -> Integers:
-    """Return the sign (L,) of each advantage; it is 0 for the policy's pairs `own`."""
-    # The policy's own pairs have an advantage of 0 by definition of its values.
+def compute_surplus_signs(rows: BellmanRows, step: Step, known: Integers | None = None) -> Integers:
+    """Return the sign (L,) of each advantage; it is 0, without being computed, for `known` pairs.
+
+    These are the pairs of the policy, whose advantages are 0 by definition of its values, and
+    those that an earlier level has decided.
+    """
     others = np.ones(len(rows.constant), dtype=bool)
-    if own is not None:
-        others[own] = False
+    if known is not None:
+        others[known] = False
     sign = np.zeros(len(others), dtype=np.int64)
     each = yield_level_advantages(rows, step, np.flatnonzero(others))
     sign[others] = [(top > 0) - (top < 0) for top, _, _ in each]
