@@ -142,12 +142,11 @@ class Model:
     def _row(self, given: Any) -> tuple[Any, ...]:
         keyed(given, PAIR, "a pair")
         state, action, below = integers([given[key] for key in PAIR[:3]], "a pair")
-        where = f"state {state}, action {action}"
+        where, reward = f"state {state}, action {action}", given["reward"]
         after, weight = integers(given["next"], where), integers(given["weight"], where)
         fits = len(after) == len(weight) and min(weight, default=0) > 0 and sum(weight) == below
         wanted(fits, f"{where}: weights, not one for each, above 0, with the denominator as sum")
         wanted(min(after) >= 0 and max(after) < self.states, f"{where}: a next state is none")
-        reward = given["reward"]
         each, shares = (reward, weight) if type(reward) is list else ([reward], [below])
         wanted(len(each) == len(shares), f"{where}: the number of rewards")
         earned = [x if type(x) in (int, Fraction) else ratio(x, where) for x in each]
