@@ -1,6 +1,8 @@
 """Property tests draw the same examples in every run, unless EXPLORE=1 asks for new ones."""
 
+import gc
 import os
+import sys
 from collections.abc import Callable, Iterator
 from functools import wraps
 from typing import Any
@@ -17,6 +19,8 @@ settings.register_profile(
 settings.register_profile(
     "explore", deadline=None, suppress_health_check=[HealthCheck.too_slow], print_blob=True
 )
+# What nbformat would import to check addresses, which no notebook has, takes a second.
+sys.modules["rfc3987_syntax"] = None  # type: ignore[assignment]
 for name in ("GITHUB_ACTIONS", "GITHUB_STEP_SUMMARY"):  # tests that need them set them
     os.environ.pop(name, None)
 
@@ -27,6 +31,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Ignore that a scenario cuts off chances at 1; mdp/care/test_scenario.py tests the warning."""
     for item in items:
         item.add_marker(pytest.mark.filterwarnings("ignore::exact_mdp.ScenarioWarning"))
+
+
+def pytest_collection_finish() -> None:
+    """Leave the thousands of tests out of each search for garbage: they stay until the end."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -59,17 +59,11 @@ def status_suffices(reading: Reading) -> Finding:
 def compute_losses(reading: Reading, status: str, action: int) -> list[Fraction]:
     """Return the suboptimality gap of an action in each state with a status and a choice.
 
-    All else is optimal: V(s) - Σ p (r + γ V(s')), exactly, V by the certificate.
+    All else is optimal: V(s) - Σ p (r + γ V(s')), exactly, by the certificate.
     """
-    mdp, value = reading.mdp, reading.certificate.value
+    mdp, losses = reading.mdp, reading.certificate.losses[-1]
     here = (mdp.space.values("status") == int(status, 2)) & ~mdp.forced & ~mdp.terminal
-    gaps = []
-    for state in np.flatnonzero(here).tolist():
-        gap = value[state]
-        for p, after, gain in list_outcomes(mdp, state, action):
-            gap -= p * (gain + mdp.discount_exact * value[after])
-        gaps.append(gap)
-    return gaps
+    return [losses[mdp.pair(state, action)] for state in np.flatnonzero(here).tolist()]
 
 
 def optimal_actions(reading: Reading, status: str) -> list[set[str]]:

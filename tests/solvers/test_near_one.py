@@ -286,7 +286,7 @@ def clusters(states: int, size: int, leak: float) -> sp.csr_array:
 def drawn(states: int, width: int, share: float) -> sp.csr_array:
     """Rows that lead anywhere, in no order."""
     rng = np.random.default_rng(8)
-    after = np.stack([rng.permutation(states)[:width] for _ in range(states)]).ravel()
+    after = np.stack([rng.choice(states, width, replace=False) for _ in range(states)]).ravel()
     chance = share * rng.dirichlet(np.ones(width), states).ravel()
     return sp.csr_array((chance, after, np.arange(0, width * states + 1, width)))
 

@@ -107,6 +107,7 @@ class Oracle:
         # for every subtask, whether it is the last of its task
         self.last = [i == size - 1 for size in self.tasks for i in range(size)]
         self._outcomes: dict[tuple[State, str], list[Outcome]] = {}
+        self._following: dict[tuple[Status, str], list[tuple[Fraction, Status]]] = {}
         self._optimal: dict[State, tuple[Fraction, frozenset[str]]] = {
             END: (Fraction(0), frozenset())
         }
@@ -155,6 +156,13 @@ class Oracle:
                 result.append(self.parameters[f"skip.{status}.persistence"])
         return result
 
+    def following(self, s: Status, action: str) -> list[tuple[Fraction, Status]]:
+        """The statuses after an action, or after a skip: the same in each trial and subtask."""
+        if (s, action) not in self._following:
+            chances = self.skip_chances(s) if action == "skip" else self.chances(s, action)
+            self._following[s, action] = list(independent(chances))
+        return self._following[s, action]
+
     # ------------------------------------------------------------ one timestep
 
     def actions(self, state: State) -> tuple[str, ...]:
@@ -183,11 +191,11 @@ class Oracle:
         assert not isinstance(state, str)
         k, t, c, s = state
         if action == "skip":  # only where skipping takes a timestep of its own
-            for p, z in independent(self.skip_chances(s)):
+            for p, z in self.following(s, "skip"):
                 earned = {"timestep", *self._status_names(s, z), *self._skip_names(k)}
                 yield p, self._move_on(k, c, z, skipped=True), frozenset(earned), True
             return
-        for p, s2 in independent(self.chances(s, action)):
+        for p, s2 in self.following(s, action):
             earned = {"timestep", *self._status_names(s, s2)}
             if s2 == self.clear:
                 earned |= {"subtask-complete", f"assist.{action}"}
@@ -202,7 +210,7 @@ class Oracle:
                 yield p, (k, t + 1, c, s2), frozenset(earned), False
                 continue
             earned |= self._skip_names(k)
-            for q, z in independent(self.skip_chances(s2)):
+            for q, z in self.following(s2, "skip"):
                 yield p * q, self._move_on(k, c, z, skipped=True), frozenset(earned), True
 
     def _status_names(self, now: Status, nxt: Status) -> set[str]:
@@ -244,12 +252,11 @@ class Oracle:
     def _best(self, state: State) -> tuple[Fraction, frozenset[str]]:
         if state not in self._optimal:  # (k, t) only grows: the recursion ends, and is shallow
             values = {
-                action: sum(
-                    (
+                action: total(
+                    [
                         p * (sum(rewards.values()) + self.discount * self.value(nxt))
                         for p, nxt, rewards, _ in self.outcomes(state, action)
-                    ),
-                    Fraction(0),
+                    ]
                 )
                 for action in self.actions(state)
             }

@@ -142,12 +142,11 @@ class Model:
     def _row(self, given: Any) -> tuple[Any, ...]:
         check_keys(given, PAIR, "a pair")
         state, action, below = integers([given[key] for key in PAIR[:3]], "a pair")
-        where = f"state {state}, action {action}"
+        where, reward = f"state {state}, action {action}", given["reward"]
         after, weight = integers(given["next"], where), integers(given["weight"], where)
         fits = len(after) == len(weight) and min(weight, default=0) > 0 and sum(weight) == below
         ensure(fits, f"{where}: weights, not one for each, above 0, with the denominator as sum")
         ensure(min(after) >= 0 and max(after) < self.states, f"{where}: a next state is none")
-        reward = given["reward"]
         each, shares = (reward, weight) if type(reward) is list else ([reward], [below])
         ensure(len(each) == len(shares), f"{where}: the number of rewards")
         earned = [x if type(x) in (int, Fraction) else ratio(x, where) for x in each]
@@ -155,7 +154,8 @@ class Model:
         total = dict.fromkeys(sorted(after), 0)
         for s, w in zip(after, weight, strict=True):
             total[s] += w
-        row = [w // (shared := gcd(below, *total.values())) for w in total.values()]
+        shared = gcd(below, *total.values())
+        row = [w // shared for w in total.values()]
         return state, action, *mean.as_integer_ratio(), below // shared, [*total], row
 
     def gain(self, rate: Fraction, pair: int, x: Level, earned: Any = None) -> int:

@@ -152,7 +152,8 @@ def _iterate_policies(
         levels, sign = evaluate(pairs), np.zeros(len(rows.constant), dtype=np.int64)
         # Each level breaks the ties of the levels before.
         for step in levels:
-            sign = np.where(sign == 0, compute_surplus_signs(rows, step, pairs), sign)
+            known = np.union1d(pairs, np.flatnonzero(sign))
+            sign += compute_surplus_signs(rows, step, known)
         # Only pairs of live states can improve the policy.
         gaining = np.flatnonzero((sign > 0) & ~rows.terminal[rows.pair_state])
         if not len(gaining):

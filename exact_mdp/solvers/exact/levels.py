@@ -162,12 +162,21 @@ def yield_level_advantages(
     numbers: Iterable[int] = range(len(state))
     if pairs is not None:
         numbers = pairs.tolist()
+    last, known = -1, dict[tuple[int, ...], tuple[int, int, int]]()
     for pair in numbers:
-        # γ P x - x over the scale of the state and the common denominator of x; then the reward.
         own, here = state[pair], slice(offsets[pair], offsets[pair + 1])
-        values, unit = x.over_one([*following[here], own], group)
-        flow = sum(map(mul, weight[here], values)) - scale[own] * values[-1]
-        yield tops[pair] * unit + flow * belows[pair], unit, scale[own] * belows[pair]
+        if own != last:
+            last, known = own, {}
+        # Actions of a state are often alike: pairs with the same row and reward are computed once.
+        key = (tops[pair], belows[pair], *following[here], *weight[here])
+        if key not in known:
+            # γ P x - x over the scale of the state and the common denominator of x; then the
+            # reward.
+            values, unit = x.over_one([*following[here], own], group)
+            flow = sum(map(mul, weight[here], values)) - scale[own] * values[-1]
+            top = tops[pair] * unit + flow * belows[pair]
+            known[key] = top, unit, scale[own] * belows[pair]
+        yield known[key]
 
 
 def compute_surpluses(
@@ -184,12 +193,15 @@ def compute_surpluses(
     return surpluses
 
 
-def compute_surplus_signs(rows: BellmanRows, step: Step, own: Integers | None = None) -> Integers:
-    """Return the sign (L,) of each advantage; it is 0 for the policy's pairs `own`."""
-    # The policy's own pairs have an advantage of 0 by definition of its values.
+def compute_surplus_signs(rows: BellmanRows, step: Step, known: Integers | None = None) -> Integers:
+    """Return the sign (L,) of each advantage; it is 0, without being computed, for `known` pairs.
+
+    These are the pairs of the policy, whose advantages are 0 by definition of its values, and
+    those that an earlier level has decided.
+    """
     others = np.ones(len(rows.constant), dtype=bool)
-    if own is not None:
-        others[own] = False
+    if known is not None:
+        others[known] = False
     sign = np.zeros(len(others), dtype=np.int64)
     each = yield_level_advantages(rows, step, np.flatnonzero(others))
     sign[others] = [(top > 0) - (top < 0) for top, _, _ in each]
