@@ -23,7 +23,7 @@ from exact_mdp.mdp.errors import ModelError, ShapeError, words_of
 from exact_mdp.mdp.forms import listed
 from exact_mdp.mdp.forms.columns import table_of
 from exact_mdp.mdp.forms.names import name_things
-from exact_mdp.mdp.forms.numbering import action_names
+from exact_mdp.mdp.forms.numbering import OutcomeColumns, action_names
 from exact_mdp.mdp.forms.numbers import (
     array_of,
     as_given,
@@ -33,7 +33,7 @@ from exact_mdp.mdp.forms.numbers import (
     whole_numbers,
 )
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Integers, Numbers, exact
+from exact_mdp.mdp.table import Integers, Numbers, concatenate_ranges, exact
 from exact_mdp.mdp.validate import COUNTED, Parts, as_discount, as_start, check_options
 
 # An action number from here on, without names for the actions, is more likely a typing error, and a
@@ -119,8 +119,8 @@ class FromArrays(Parts):
             if layout not in (None, "sas"):
                 fix = "leave it out; dictionaries go by state, then action"
                 raise ModelError(f"dictionaries are not {layout!r}", where="layout", fix=fix)
-            pairs, names = listed.rows_from_listed(P, R, {**names, "start": start})
-            return cls.from_outcomes(pairs, discount, **names)
+            columns, names = listed.columns_from_listed(P, R, {**names, "start": start})
+            return cls._from_columns(columns, discount, names.pop("start"), names)
         # Bring P into rows (L, S), sorted by state, then action.
         if layout == ACTIONS_LAST:
             P, R, layout = _move_actions_first(P, "P"), _move_actions_first(R, "R"), "ass"
@@ -275,16 +275,12 @@ class FromArrays(Parts):
         [0.5, 0.0]
         """
         check_options(names, COUNTED)
-        # Sort the pairs by state, then action, and list all outcomes in this order.
+        columns = OutcomeColumns()
         try:
-            pairs = [(index(row[0]), index(row[1]), list(row[2])) for row in rows]
-            order = np.array(sorted(range(len(pairs)), key=lambda each: pairs[each][:2]), np.int64)
-            state = np.array([row[0] for row in pairs], dtype=np.int64)[order]
-            action = np.array([row[1] for row in pairs], dtype=np.int64)[order]
-            every = []
-            for number in order:
-                every += [(p, index(to), r) for p, to, r in pairs[number][2]]
-            following = np.array([to for _, to, _ in every], dtype=np.int64)
+            for row in rows:
+                outcomes = [(p, index(to), r) for p, to, r in row[2]]
+                columns.add_pair(index(row[0]), index(row[1]), outcomes)
+            np.array([*columns.state, *columns.action, *columns.following], dtype=np.int64)
         except (TypeError, ValueError, LookupError, OverflowError) as error:
             raise ModelError(
                 f"a row or an outcome has the wrong form: {error}",
@@ -292,24 +288,39 @@ class FromArrays(Parts):
                 fix="give (state, action, [(probability, next state, reward), …]) with whole "
                 "numbers for states and actions",
             ) from error
-        size = int(max([*state, *following], default=-1)) + 1
-        chance, gain = [each[0] for each in every], [each[2] for each in every]
-        lengths = [len(pairs[number][2]) for number in order]
+        return cls._from_columns(columns, discount, start, names)
+
+    @classmethod
+    def _from_columns(
+        cls, columns: OutcomeColumns, discount: object, start: object, names: dict[str, Any]
+    ) -> Self:
+        """Return the model of pairs in any order, and their outcomes; see `from_outcomes`."""
+        # Sort the pairs by state, then action, and their outcomes with them.
+        given = (columns.state, columns.action, columns.length, columns.following)
+        state, action, length, following = (np.array(each, dtype=np.int64) for each in given)
+        order, ends = np.lexsort((action, state)), np.cumsum(length)
+        places = concatenate_ranges((ends - length)[order], ends[order])
+        state, action, following = state[order], action[order], following[places]
+        chance, gain = (
+            [each[k] for k in places.tolist()] for each in (columns.chance, columns.gain)
+        )
+        size = int(max(state.max(initial=-1), following.max(initial=-1))) + 1
+        lengths = length[order].tolist()
         offsets = np.cumsum([0, *lengths])
         # Amounts of components by outcome: in place of rewards, or listed in `components`.
         amounts: dict[str, Any] = {}
-        if any(isinstance(reward, Mapping) for reward in gain):
+        if any(issubclass(kind, Mapping) for kind in set(map(type, gain))):
             amounts = _collect_amounts(gain, names)
             gain = [_add_amounts(reward) for reward in gain]
         listed = _list_outcome_amounts(names.get("components"), lengths, order)
         if listed:
             amounts = listed
             names.pop("components")
-        columns = offsets, following, one_kind(chance), one_kind(gain)
-        each_component(names, lambda values, where: require_length(values, where, len(pairs)))
+        each_component(names, lambda values, where: require_length(values, where, len(order)))
         names |= {"discount": discount, "start": start}
+        outcomes = offsets, following, one_kind(chance), one_kind(gain)
         settings: dict[str, Any] = {"by_pair": False, "amounts": amounts}
-        return cls(**_parts_from_columns(state, action, *columns, size, order, names, **settings))
+        return cls(**_parts_from_columns(state, action, *outcomes, size, order, names, **settings))
 
 
 def _add_amounts(reward: Any) -> Any:

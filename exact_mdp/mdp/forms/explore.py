@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Mapping
+from fractions import Fraction
 from typing import Any, Self
 
 import numpy as np
@@ -137,7 +138,7 @@ class FromFunction(FromArrays):
                     )
         # States without a row are ends; list them in the order in which they were found.
         ends = states.number.keys() - {state for state, _, _ in rows}
-        listed, parts = number_rows(rows, states, filter(ends.__contains__, [*states.number]))
+        columns, parts = number_rows(rows, states, filter(ends.__contains__, [*states.number]))
         # Ask the functions of labels for all states.
         flags = dict(labels or {})
         for name, holds in flags.items():
@@ -153,15 +154,16 @@ class FromFunction(FromArrays):
                         )
                 flags[name] = np.array(answers)
         places = ByNumber((states.number[state], chance) for state, chance in begins)
-        return cls.from_outcomes(
-            listed, discount, **(parts | {"start": places, "labels": flags} | names)
-        )
+        names = parts | {"start": places, "labels": flags} | names
+        return cls._from_columns(columns, discount, names.pop("start"), names)
 
 
 def _call_user_function(ask: Callable[..., Any], *of: Any, where: str, fix: str) -> list[Any]:
     """Call a user's function and return its answer as a list; None for actions is an empty list."""
     with annotate_errors(where):  # the code of a generator runs when it is listed
         answer = ask(*of)
+        if type(answer) is list:
+            return answer
         if isinstance(answer, Iterable):
             return list(answer)
     if answer is None and len(of) == 1:
@@ -175,6 +177,8 @@ def _parse_outcome(given: Any) -> tuple[Any, Hashable, Any]:
         probability, following, reward = given
     except (TypeError, ValueError) as error:
         raise ModelError(f"an outcome is {given!r}", fix=OUTCOMES) from error
+    if type(reward) is int or type(reward) is Fraction:  # isinstance takes longer
+        return probability, following, reward
     amounts = [reward]
     if isinstance(reward, Mapping):
         amounts = [*reward.values()]

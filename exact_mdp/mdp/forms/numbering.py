@@ -9,7 +9,7 @@ reward 0; or it earns a given reward once, and leads to an additional state.
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -19,8 +19,10 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.forms.names import integer_of, name_things, text_of
 from exact_mdp.mdp.space import Column, StateSpace
 
-Row = tuple[Hashable, Hashable, Sequence[tuple[Any, Hashable, Any]]]
-"""State, action and outcomes: probability, next state, reward."""
+Outcome = tuple[Any, Any, Any]
+"""Probability, next state, reward."""
+Row = tuple[Hashable, Hashable, Sequence[Outcome]]
+"""State, action and outcomes."""
 
 
 class Numbering:
@@ -65,40 +67,59 @@ def _count_from_zero(things: Sequence[Any]) -> bool:
     return all(map(_is_whole, things)) and [*things] == [*range(len(things))]
 
 
+@dataclass(frozen=True, eq=False)
+class OutcomeColumns:
+    """Pairs in numbers, in the order given, and all their outcomes."""
+
+    state: list[int] = field(default_factory=list)  # (L,)
+    action: list[int] = field(default_factory=list)  # (L,)
+    length: list[int] = field(default_factory=list)  # (L,) the number of outcomes
+    chance: list[Any] = field(default_factory=list)  # (N,)
+    following: list[int] = field(default_factory=list)  # (N,)
+    gain: list[Any] = field(default_factory=list)  # (N,)
+
+    def add_pair(self, state: int, action: int, outcomes: Sequence[Outcome]) -> None:
+        """Add a pair with its outcomes."""
+        for chance, following, gain in outcomes:
+            self.chance.append(chance)
+            self.following.append(following)
+            self.gain.append(gain)
+        self.state.append(state)
+        self.action.append(action)
+        self.length.append(len(outcomes))
+
+
 def number_rows(
     rows: Iterable[Row],
     states: Numbering,
     ends: Iterable[Hashable],
     paid: Mapping[Hashable, Any] = MappingProxyType({}),
-) -> tuple[list[Any], dict[str, Any]]:
-    """Return rows for `MDP.from_outcomes`, with numbers for things, and the names of the things.
+) -> tuple[OutcomeColumns, dict[str, Any]]:
+    """Return rows with numbers for things, and the names of the things.
 
-    `ends` are the states without actions. Those in `paid` {end: reward} earn the reward once and
-    lead to an additional state.
+    `states` has all states of the rows. `ends` are the states without actions. Those in `paid`
+    {end: reward} earn the reward once and lead to an additional state.
     """
-    # Number all states and actions as they occur.
+    # Number all actions as they occur.
     actions, listed = Numbering(), list(rows)
-    for state, action, outcomes in listed:
+    for state, action, _ in listed:
         actions.add_thing(action, "an action", f"state {state}")
-        states.add_thing(state, "a state", "rows")
-        for _, following, _ in outcomes:
-            states.add_thing(following, "a next state", f"state {state}, action {action}")
     things, doing = states.list_in_order(), actions.list_in_order() or ["stay"]
     number, act = states.number, actions.number
     # Write the rows in numbers.
-    chosen: list[Any] = []
+    columns = OutcomeColumns()
     for state, action, outcomes in listed:
         numbered = [(p, number[then], r) for p, then, r in outcomes]
-        chosen.append((number[state], act[action], numbered))
+        columns.add_pair(number[state], act[action], numbered)
     # Ends stay put, or earn their reward and lead to the additional state, which has number S.
     last = len(things)
     for end in ends:
         outcome = (1, number[end], 0)
         if end in paid:
             outcome = (1, last, paid[end])
-        chosen.append((number[end], 0, [outcome]))
+        columns.add_pair(number[end], 0, [outcome])
     if paid:
-        chosen.append((last, 0, [(1, last, 0)]))
+        columns.add_pair(last, 0, [(1, last, 0)])
     # Its name must differ from the names of all other states.
     name = "end"
     while name in map(text_of, things):
@@ -110,7 +131,7 @@ def number_rows(
     if not _count_from_zero(things):
         column = replace(column, words=name_things(things, "state"), objects=tuple(things))
     space = StateSpace(columns=(column,), extra=extra)
-    return chosen, {"space": space, **action_names(doing)}
+    return columns, {"space": space, **action_names(doing)}
 
 
 def action_names(things: Sequence[Any]) -> dict[str, Any]:
