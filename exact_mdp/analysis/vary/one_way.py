@@ -50,7 +50,8 @@ class Tornado(Pictured):
         widest = ""
         if self.spans:
             widest = f", the widest of {self.frame()['parameter'][0]}"
-        return f"Tornado({len(self.spans)} bars{widest}; value today {self.today['optimal']})"
+        today = f"{self.table.measure} today {self.today['optimal']}"
+        return f"Tornado({len(self.spans)} bars{widest}; {today})"
 
     @property
     def today(self) -> dict[str, Bounded]:
@@ -70,7 +71,10 @@ class Tornado(Pictured):
         def make_table(policy: str, what: str, rows: Any = ()) -> Table:
             columns = {"parameter": "parameter", "from": "low:.6g", "to": "high:.6g"}
             columns |= {"at low": f"{what}_low:.6g", "at high": f"{what}_high:.6g"}
-            title = f"start value at both ends, policy {policy}"
+            start = "start value"
+            if self.table.criterion_facts:
+                start = self.table.measure
+            title = f"{start} at both ends, policy {policy}"
             return Table(title=title, rows=rows, columns=columns | {"regret": "regret:.3g"})
 
         # The policy held fixed has a table of its own unless it is today's optimum.
@@ -80,6 +84,7 @@ class Tornado(Pictured):
         return Report(
             title="tornado",
             facts={
+                **self.table.criterion_facts,
                 **list_claim_facts("start_value", today["optimal"]),
                 "policy_value": Shown(today["fixed"].value, today["fixed"]),
                 "regret": Shown(lost.value, lost),
@@ -125,14 +130,16 @@ class Curve(Pictured):
     def __repr__(self) -> str:
         ends = " to ".join(f"{self.table.optimal[k]:.6g}" for k in (0, -1))
         count = len(self.table.points)
-        return f"Curve({count} points of {self.parameter.name}; value {ends})"
+        return f"Curve({count} points of {self.parameter.name}; {self.table.measure} {ends})"
 
     def report(self) -> Report:
         """Return the values along the range."""
         points = self.frame().drop(columns="claim").to_dict("records")
-        table = Table(title="value at the start", columns={self.parameter.name: "at:.6g"} | VALUES)
+        columns = {self.parameter.name: "at:.6g"} | VALUES
+        table = Table(title=f"{self.table.measure} at the start", columns=columns)
         claim = Shown(self.table.claim)
-        facts = {"parameter": self.parameter.name, "claim": claim, "points": points}
+        facts = self.table.criterion_facts | {"parameter": self.parameter.name, "claim": claim}
+        facts["points"] = points
         return Report(title="one-way", facts=facts, tables={"points": table})
 
     def frame(self) -> DataFrame:
@@ -149,6 +156,7 @@ def one_way(
     policy: PolicyLike = "optimal",
     relative: object | None = None,
     points: int = 21,
+    criterion: str = "total",
 ) -> Curve:
     """Return value curves along one parameter, for the optimum and for a policy held fixed.
 
@@ -163,6 +171,8 @@ def one_way(
         As for `tornado`.
     points : int
         Number of evenly spaced points, the ends included.
+    criterion : "total" or "average"
+        As for `study`.
 
     Returns
     -------
@@ -182,7 +192,7 @@ def one_way(
     """
     family = parametric(model)
     values = make_grid(range_of(family, name, ranges, relative), points)
-    table = study(family, {name: values}, [policy])
+    table = study(family, {name: values}, [policy], criterion=criterion)
     return Curve(model=family.name, parameter=parameter_of(family, name), table=table)
 
 
@@ -194,6 +204,7 @@ def tornado(
     names: Iterable[str] | None = None,
     ranges: Stated | None = None,
     relative: object | None = None,
+    criterion: str = "total",
 ) -> Tornado:
     """Return the tornado of the start value over the ranges of parameters.
 
@@ -211,6 +222,8 @@ def tornado(
         Half the width of the other ranges, as a share of today's value (1/5 by default), or "whole"
         for the parameter's limits. Such a range ends at the limits of the model and of the
         parameter: declare a utility as `Parameter(name="u", value="0.85", low=0, high=1)`.
+    criterion : "total" or "average"
+        As for `study`.
 
     Returns
     -------
@@ -241,7 +254,7 @@ def tornado(
     return Tornado(
         model=family.name,
         spans={parameter_of(family, name): span for name, span in spans.items()},
-        table=study(family, columns, [policy]),
+        table=study(family, columns, [policy], criterion=criterion),
     )
 
 
@@ -276,12 +289,15 @@ class TwoWay(Pictured):
         return Report(
             title="two-way",
             facts={
+                **self.table.criterion_facts,
                 "parameters": [self.x.name, self.y.name],
                 "policies": int(self.policy.max()) + 1,
                 "claim": Shown(self.table.claim),
                 "points": self.frame().drop(columns="claim").to_dict("records"),
             },
-            tables={"points": Table(title="value at the start", columns=names | VALUES)},
+            tables={
+                "points": Table(title=f"{self.table.measure} at the start", columns=names | VALUES)
+            },
         )
 
     def frame(self) -> DataFrame:
@@ -306,6 +322,7 @@ def two_way(
     ranges: Stated | None = None,
     relative: object | None = None,
     points: int = 11,
+    criterion: str = "total",
 ) -> TwoWay:
     """Return the map of the optimal policy over two parameters.
 
@@ -318,6 +335,8 @@ def two_way(
         As for `tornado`.
     points : int
         Number of evenly spaced points along each side, the ends included.
+    criterion : "total" or "average"
+        As for `study`.
 
     Returns
     -------
@@ -357,7 +376,7 @@ def two_way(
     for at in along:
         rows += [at] * points
     columns = {x: across * points, y: rows}
-    mdp, table = family.at({}), study(family, columns, [policy])
+    mdp, table = family.at({}), study(family, columns, [policy], criterion=criterion)
 
     # Policies are numbered by their actions in the states with a choice that they reach.
     taken = [mdp.pair_action == row[mdp.pair_state] for row in table.rows]

@@ -107,8 +107,9 @@ class PSA(Pictured):
         return len(self.table.optimal)
 
     def __repr__(self) -> str:
+        asked = "".join(f"; {each.text}" for each in self.table.criterion_facts.values())
         text = (
-            f"{', '.join(self.names[:3])}; draws {len(self):,}; optimum on average "
+            f"{', '.join(self.names[:3])}{asked}; draws {len(self):,}; optimum on average "
             f"{self.value}, expected loss of {self.candidates[0].name} {mean_loss(self.regret())}"
         )
         if self.uncertainty.assumption:
@@ -241,6 +242,7 @@ class PSA(Pictured):
         return Report(
             title="probabilistic sensitivity analysis",
             facts={
+                **self.table.criterion_facts,
                 **list_claim_facts("start_value", self.start),
                 "claim": "estimated",
                 "draws": Shown(len(self), f"{len(self):,}, each re-solved"),
@@ -425,6 +427,7 @@ def psa(
     uncertain: Stated | None = None,
     effective_sample_size: float | None = None,
     policy: PolicyLike = "optimal",
+    criterion: str = "total",
     n_jobs: int | None = 1,
     folder: str | Path | None = None,
     progress: bool = False,
@@ -445,6 +448,8 @@ def psa(
         `effective_sample_size` for probabilities without a stated distribution.
     policy : PolicyLike
         The policy held fixed; "optimal" is the optimum at today's values.
+    criterion : "total" or "average"
+        As for `study`.
     n_jobs, folder, progress : optional
         See `solvers.parallel.run_pieces`. A larger sample with the same seed reuses the complete
         pieces of an earlier one in the folder.
@@ -467,7 +472,7 @@ def psa(
     # Draw the parameters.
     family, seed = drawn_family(model), seed_of(rng)
     chosen = uncertainty(family, uncertain, default=effective_sample_size)
-    solver = solver_of(family, chosen.names)
+    solver = solver_of(family, chosen.names, criterion)
     points = sample_parameters(family, chosen, n, seed, solver.block)
     # The policies held fixed: the given one first, and today's optimum.
     today, fixed_policy = solver.hold_policy("optimal"), solver.hold_policy(policy)

@@ -239,6 +239,7 @@ class WorstPoint(Result):
     value: Bounded  # the value of the policy there; its worst case is at most as good
     optimum: Bounded  # the optimal value there; no policy has a better worst case
     corners: int  # number of corners evaluated
+    criterion_facts: Mapping[str, Shown]  # none for a total reward
 
     claim = Claim.ESTIMATED  # a worse point may exist
 
@@ -250,6 +251,7 @@ class WorstPoint(Result):
         return Report(
             title="worst corner",
             facts={
+                **self.criterion_facts,
                 "claim": Shown(self.claim),
                 "nature": "one choice of the parameters for all states",
                 "worst_case": Shown(value | {"point": point, "optimum": self.optimum}, said),
@@ -271,6 +273,7 @@ def worst_point(
     ranges: Stated | None = None,
     *,
     relative: object | None = None,
+    criterion: str = "total",
 ) -> WorstPoint:
     """Return the worst corner of the parameters' ranges that a search finds for a policy.
 
@@ -283,6 +286,8 @@ def worst_point(
         By default today's values ± 20 %, for all parameters but the discount.
     relative : number, optional
         A share other than 20 %.
+    criterion : "total" or "average"
+        As for `study`.
 
     Returns
     -------
@@ -305,7 +310,7 @@ def worst_point(
     if isinstance(family, ScenarioFamily) and not family.asks:
         highest = {parameter.name: span.high for parameter, span in spans.items()}
         family.warn_of_cutoffs(highest, where=" at the upper ends of the ranges")
-    solver = solver_of(family, names)
+    solver = solver_of(family, names, criterion)
     fixed, sign = solver.hold_policy(policy), solver.mdp.sign
     ends = np.array([[float(span.low), float(span.high)] for span in spans.values()])
     every = np.arange(len(names))
@@ -340,5 +345,12 @@ def worst_point(
         else:
             point[parameter.name] = span.low
     design = {name: [at] for name, at in point.items()}
-    optimum, value = study(family, design, [fixed]).bound_point_values(0)
-    return WorstPoint(point=point, value=value, optimum=optimum, corners=corners)
+    table = study(family, design, [fixed], criterion=criterion)
+    optimum, value = table.bound_point_values(0)
+    return WorstPoint(
+        point=point,
+        value=value,
+        optimum=optimum,
+        corners=corners,
+        criterion_facts=table.criterion_facts,
+    )

@@ -83,10 +83,15 @@ class Sobol(Pictured):
     regret: Indices
     n: int
     seed: int
+    criterion_facts: Mapping[str, Shown]  # none for a total reward
 
     def __repr__(self) -> str:
         mean, sd = self.optimal.mean, self.optimal.sd
-        return f"Sobol(parameters {len(self.names)}, n {self.n:,}; optimum {mean:.6g}, sd {sd:.3g})"
+        asked = "".join(f"; {each.text}" for each in self.criterion_facts.values())
+        return (
+            f"Sobol(parameters {len(self.names)}, n {self.n:,}{asked}; "
+            f"optimum {mean:.6g}, sd {sd:.3g})"
+        )
 
     @property
     def draws(self) -> int:
@@ -108,6 +113,7 @@ class Sobol(Pictured):
         lost = self.regret
         indices = self._list_indices(self.optimal)
         facts = {
+            **self.criterion_facts,
             "claim": "estimated",
             "draws": self.draws,
             "seed": self.seed,
@@ -166,6 +172,7 @@ def sobol(
     ranges: Stated | None = None,
     relative: Fraction | None = None,
     n: int = 1024,
+    criterion: str = "total",
     rng: RNG = 0,
     n_jobs: int | None = 1,
     folder: str | Path | None = None,
@@ -182,6 +189,8 @@ def sobol(
         As for `tornado`; the discount, and parameters of 0 today, vary only if ranges are stated.
     n : int
         A power of 2; the model is solved at n (P + 2) points.
+    criterion : "total" or "average"
+        As for `study`.
     rng : int or numpy.random.Generator
     n_jobs, folder, progress : optional
         See `solvers.parallel.run_pieces`.
@@ -220,7 +229,8 @@ def sobol(
     require_room_for_points(n * (len(spans) + 2), len(spans), fewer)
     how = How(n_jobs=n_jobs, folder=folder, progress=progress)
     draws = _build_design(list(spans.values()), n, default_rng(spawn_child_seed(seed, 0)))
-    table = study(family, dict(zip((p.name for p in spans), draws.T, strict=True)), [policy], **how)
+    points = dict(zip((p.name for p in spans), draws.T, strict=True))
+    table = study(family, points, [policy], criterion=criterion, **how)
     # 200 bootstrap resamples give a standard deviation to within 5 %, 1 / √(2 · 200).
     resamples = default_rng(spawn_child_seed(seed, 1)).integers(n, size=(200, n))
     # A regret within two error bounds counts as 0, and may be off by as much again.
@@ -228,7 +238,12 @@ def sobol(
     every = (table.optimal, table.fixed, table.regret)
     indices = (_estimate_indices(each.reshape(n, -1), noise, resamples) for each in every)
     return Sobol(
-        model=family.name, spans=spans, n=n, seed=seed, **dict(zip(OUTPUTS, indices, strict=True))
+        model=family.name,
+        spans=spans,
+        n=n,
+        seed=seed,
+        criterion_facts=table.criterion_facts,
+        **dict(zip(OUTPUTS, indices, strict=True)),
     )
 
 

@@ -36,15 +36,16 @@ from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.parametric.row_change import check_alike
 from exact_mdp.mdp.policies.arrays import find_distinct_rows
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.report import format_cell
+from exact_mdp.mdp.report import Shown, format_cell
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import BLOCK, MOST_BYTES, Floats, Integers, Numbers, exact
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.gains import component_errors, compute_advantages
 from exact_mdp.solvers.care import ScenarioStack
+from exact_mdp.solvers.endless.average import AverageSolution
 from exact_mdp.solvers.parallel import Arrays, How, folder_of, join_blocks, run_pieces
 from exact_mdp.solvers.solution import Bounded, Claim, Solution, compute_regrets
-from exact_mdp.solvers.solver import solve
+from exact_mdp.solvers.solver import is_average, solve
 from exact_mdp.solvers.stacked import StackedModel
 from exact_mdp.solvers.values.evaluate import Evaluation, evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -69,11 +70,26 @@ class Study(Result):
     counts: Integers  # (X, A) points in which an action is optimal up to rounding, by label
     lost: Floats  # (D, A) gap of each first action, NaN if not available; (D, 0) for many starts
     cut: np.ndarray  # (D,) whether a probability was cut off at 1; care scenarios only
+    criterion: str = "total"  # or "average": all values are rewards per step
 
     claim: ClassVar[Claim] = Claim.BOUNDED
 
     def __repr__(self) -> str:
         return f"Study({len(self.points):,} points of {', '.join(self.names[:3])})"
+
+    @property
+    def measure(self) -> str:
+        """What the values are, in words."""
+        if is_average(self.criterion):
+            return "average reward"
+        return "value"
+
+    @property
+    def criterion_facts(self) -> dict[str, Shown]:
+        """The facts of a report that say so; none for a total."""
+        if is_average(self.criterion):
+            return {"criterion": Shown(self.criterion, "average reward per step")}
+        return {}
 
     @property
     def regret(self) -> Floats:
@@ -110,6 +126,8 @@ def study(
     model: Scenario | MDP | Parametric,
     points: Mapping[str, Sequence[object]] | DataFrame,
     policies: Sequence[PolicyLike] = ("optimal",),
+    *,
+    criterion: str = "total",
     **how: Unpack[How],
 ) -> Study:
     """Return the optimal value and the values of policies at every point.
@@ -121,6 +139,8 @@ def study(
         A column for each parameter that is varied, a row for each point.
     policies : sequence of PolicyLike
         Policies held fixed at every point; "optimal" is the optimum at today's values.
+    criterion : "total" or "average"
+        Whether values are total rewards, or rewards per step in the long run.
     **how
         n_jobs, folder and progress; see `solvers.parallel.run_pieces`.
 
@@ -146,7 +166,7 @@ def study(
         raise ModelError(f"{points!r:.60} is not a table of points", where="points", fix=fix)
     family, names = parametric(model), tuple(points)
     table = read_points(family, points)
-    solver = solver_of(family, names)
+    solver = solver_of(family, names, criterion)
     weights = [solver.hold_policy(policy) for policy in require_list(policies, "policies")]
     key = {
         "parameters": list(names),
@@ -255,6 +275,7 @@ class StudyDraws:
             counts=np.sum([block["counts"] for block in done], axis=0),
             lost=whole["lost"],
             cut=whole["cut"],
+            criterion=solver.criterion,
         )
 
     def with_policies(self, table: Study, policies: Sequence[Floats]) -> Study:
@@ -282,6 +303,7 @@ class StudyDraws:
                 "model": fingerprint(solver.mdp),
                 "first_draw": fingerprint(start),  # models may be the same today alone
                 "compiled": solver.compiled,
+                "criterion": solver.criterion,
                 "block": self.size,
                 **self.key,
                 **more,
@@ -323,8 +345,10 @@ class _Drawn:
         models: Sequence[MDP] = (),
         at: Callable[[int], str] = "draw {}".format,
         cut: Flags | None = None,
+        criterion: str = "total",
     ) -> None:
         self.mdp, self.stacked, self.models, self.at = mdp, stacked, models, at
+        self.criterion = criterion
         self.cut = np.zeros(len(models), dtype=bool) if cut is None else cut
         self.size = KEPT  # numbers in memory: models that are not stacked are not kept
         if stacked is not None:
@@ -336,7 +360,10 @@ class _Drawn:
         if self.stacked is not None:
             optimum = self.stacked.optimum()
         if self.stacked is None or optimum is None:
-            each = [self._solve_model(d) for d in range(len(self.models))]
+            solve_model = self._solve_model
+            if is_average(self.criterion):
+                solve_model = self._solve_average
+            each = [solve_model(d) for d in range(len(self.models))]
             start, error, gap, doubt, policy = map(np.array, zip(*each, strict=True))
             return start, error, gap, doubt, policy
         value, off, gap, doubt = optimum
@@ -362,6 +389,27 @@ class _Drawn:
         taken = np.asarray(solution.policy)
         return solution.start.value, solution.start.error, lost, off + noise, taken
 
+    def _solve_average(self, d: int) -> tuple[float, float, Floats, Floats, Integers]:
+        """Return the same of the average reward.
+
+        A pair that keeps the gain of its state falls short by its loss of bias, r - g + P h < h.
+        """
+        mdp = self.models[d]
+        step, here = mdp.undiscounted, mdp.pair_state
+        solution = solve(mdp, criterion=self.criterion)
+        assert isinstance(solution, AverageSolution)
+        # The gain that a pair gives up, and the bias, with bounds on the errors of both.
+        error, off = solution.state_error, solution.bias_error
+        ahead = compute_advantages(step, solution.value, reward=np.zeros(mdp.n_pairs))
+        gap = -mdp.sign * ahead.value
+        doubt = ahead.noise + error[here] + step.transition @ error
+        once = mdp.sign * (solution.bias[here] - solution.q)
+        noise = compute_advantages(step, solution.bias).noise
+        unsure = noise + 2 * error[here] + off[here] + step.transition @ off
+        keeps = gap <= doubt
+        gap, doubt = np.where(keeps, once, gap), np.where(keeps, unsure, doubt)
+        return solution.start.value, solution.start.error, gap, doubt, np.asarray(solution.policy)
+
     def evaluate_policies(
         self, policies: Sequence[Floats], undecided: Sequence[Flags]
     ) -> tuple[Floats, Floats]:
@@ -378,7 +426,7 @@ class _Drawn:
         value, error = np.empty((2, len(self.models), len(policies)))
         for d, mdp in enumerate(self.models):
             for n, weights in enumerate(policies):
-                found = finite_worth(mdp, weights, self.at(d))
+                found = finite_worth(mdp, weights, self.at(d), self.criterion)
                 value[d, n], error[d, n] = found.value, found.error
         return value, error
 
@@ -424,14 +472,16 @@ def hash_policies(*policies: Floats) -> str:
     return sha256(content).hexdigest()
 
 
-def finite_optimum(mdp: MDP, where: str) -> Solution:
+def finite_optimum(mdp: MDP, where: str, criterion: str = "total") -> Solution:
     """Return the optimum; raise ModelError if it is infinite at the start."""
-    solution: Solution = solve(mdp)
+    solution: Solution = solve(mdp, criterion=criterion)
     return _require_finite_start("the optimum", solution, mdp, where)
 
 
-def finite_worth(mdp: MDP, policy: PolicyLike, where: str) -> Bounded:
+def finite_worth(mdp: MDP, policy: PolicyLike, where: str, criterion: str = "total") -> Bounded:
     """Return a policy's value at the start; raise ModelError if it is infinite."""
+    if is_average(criterion):
+        return evaluate(mdp, policy, criterion="average").start
     return _require_finite_start(HELD, evaluate(mdp, policy), mdp, where).start
 
 
@@ -466,8 +516,9 @@ class ModelSolver:
     pool = 32  # draws of largest regret in which candidate policies are compared
     compiled = False  # whether threads can share the work
 
-    def __init__(self, model: Parametric, names: Sequence[str]) -> None:
+    def __init__(self, model: Parametric, names: Sequence[str], criterion: str = "total") -> None:
         self.model, self.names, self.mdp = model, tuple(names), model.at({})
+        self.criterion = criterion
         forced = self.mdp.forced
         self.reported, self.choices = np.flatnonzero(~forced), self.mdp.n_actions
         self.labels = tuple(self.mdp.space.labels(self.reported))
@@ -481,7 +532,7 @@ class ModelSolver:
     @cached_property
     def solution(self) -> Solution:
         """Today's optimum."""
-        return finite_optimum(self.mdp, "today's parameters")
+        return finite_optimum(self.mdp, "today's parameters", self.criterion)
 
     def hold_policy(self, policy: PolicyLike) -> Floats:
         """Return the probabilities of pairs (L,) of a policy; "optimal" is today's optimum."""
@@ -542,7 +593,10 @@ class ModelSolver:
                 fix += "beta stays in [0, 1], a gamma and a log-normal above 0; draw "
                 fix += "probabilities of one row together: rows={label: [names]}"
                 raise type(error)(error.what, where=error.where, fix=fix) from error
-        return _Drawn(models[0], StackedModel.of(models), models, at)
+        stacked = None
+        if not is_average(self.criterion):
+            stacked = StackedModel.of(models)
+        return _Drawn(models[0], stacked, models, at, criterion=self.criterion)
 
     def _describe_draw(self, draws: Numbers, first: int, d: int) -> str:
         """Return the number of a draw and the first three parameters that it moves."""
@@ -565,8 +619,10 @@ class ModelSolver:
             start, error, gap, doubt, actions = drawn.solve_models()
             # A pair counts as optimal if its gap is within its error bound.
             counts[mdp.pair_state, mdp.pair_action] += (gap <= doubt).sum(axis=0)
-            lost = np.full((len(gap), self.choices if len(mdp.start) == 1 else 0), np.nan)
-            if len(mdp.start) == 1:
+            # The losses of first actions add up to a regret in a total alone.
+            single = len(mdp.start) == 1 and not is_average(self.criterion)
+            lost = np.full((len(gap), self.choices if single else 0), np.nan)
+            if single:
                 lost[:, mdp.pair_action[here]] = np.where(gap > doubt, gap, 0.0)[:, here]
             policies.append(actions.astype(np.int32))
             parts.append({"start": start, "start_error": error, "lost": lost, "cut": drawn.cut})
@@ -635,8 +691,10 @@ class CareSolver(ModelSolver):
         return _Drawn(self.mdp, stacked, cut=cut)
 
 
-def solver_of(model: Parametric, names: Sequence[str]) -> ModelSolver:
+def solver_of(model: Parametric, names: Sequence[str], criterion: str = "total") -> ModelSolver:
     """Return the fastest way to solve a model at many draws of some parameters."""
+    if is_average(criterion):
+        return ModelSolver(model, names, criterion)
     if isinstance(model, ScenarioFamily) and not model.asks:
         scenario = model.scenario
         # Six statuses have 4^6 transition probabilities for each action; actions are int8.
