@@ -30,6 +30,7 @@ from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, list_claim_facts
 from exact_mdp.mdp.table import exact, float_of
+from exact_mdp.solvers.solver import is_average
 
 ROUNDED = "of the perception, and the probabilities of actions that it makes, as rounded to floats"
 """Qualifies a certified number under a perception: a file may state 1/3, which is not a float."""
@@ -58,7 +59,8 @@ def tornado_command(given: Given) -> Report:
     value of the policy held fixed; regret: loss of that policy at the start.
     """
     spans, without = _select_ranges(given)
-    result = exact_mdp.tornado(given.family, policy=given.fixed, names=list(spans), ranges=spans)
+    held = {"policy": given.fixed, "criterion": given.criterion}
+    result = exact_mdp.tornado(given.family, names=list(spans), ranges=spans, **held)
     # its effect on the policy
     by = "swing"
     if given.perception:
@@ -173,7 +175,8 @@ def one_way_command(given: Given, *, parameters: Sequence[str] = (), points: int
     """
     (name,) = _require_parameter_count(parameters, 1, "one-way")
     spans, _ = _select_ranges(given, [name])
-    result = exact_mdp.one_way(given.family, name, spans, policy=given.fixed, points=points)
+    held = {"policy": given.fixed, "criterion": given.criterion}
+    result = exact_mdp.one_way(given.family, name, spans, points=points, **held)
     return _report_with_policy(given, "one-way", result.report(), **_claim_start_value(given))
 
 
@@ -196,7 +199,8 @@ def two_way_command(given: Given, *, parameters: Sequence[str] = (), points: int
     """
     x, y = _require_parameter_count(parameters, 2, "two-way")
     spans, _ = _select_ranges(given, [x, y])
-    result = exact_mdp.two_way(given.family, x, y, policy=given.fixed, points=points, ranges=spans)
+    held = {"policy": given.fixed, "criterion": given.criterion}
+    result = exact_mdp.two_way(given.family, x, y, ranges=spans, points=points, **held)
     return _report_with_policy(given, "two-way", result.report(), **_claim_start_value(given))
 
 
@@ -258,9 +262,9 @@ def psa_command(
     if effective_sample_size is not None:
         size = float_of(effective_sample_size, "--effective-sample-size")
     chosen = exact_mdp.uncertainty(model, uncertain, default=size, names=names)
-    n = samples or (10_000 if solver_of(model, ()).compiled else 500)
-    how = _read_work_options(n_jobs, out)
-    result = exact_mdp.psa(model, n, rng=seed, uncertain=chosen, policy=given.fixed, **how)
+    n = samples or (10_000 if solver_of(model, (), given.criterion).compiled else 500)
+    how = _read_work_options(n_jobs, out) | {"policy": given.fixed, "criterion": given.criterion}
+    result = exact_mdp.psa(model, n, rng=seed, uncertain=chosen, **how)
     report = result.report(given.policy or "optimal", evppi=True)
     report = _report_with_policy(given, "psa", report, effective_sample_size=chosen.default)
     return given.save_report(report, out, "psa.json", ("psa", seed))
@@ -303,6 +307,7 @@ def sobol_command(
             fix="give a range: --range NAME=LOW:HIGH",
         )
     how = _read_work_options(n_jobs, out) | {"n": samples, "rng": seed, "policy": given.fixed}
+    how["criterion"] = given.criterion
     result = exact_mdp.sobol(given.family, names=list(spans), ranges=spans, **how)
     report = _report_with_policy(
         given, "sobol", result.report(), **_claim_start_value(given), without_range=without
@@ -348,6 +353,8 @@ def robust_command(
         return _report_worst_point(given, any(boxed.values()))
     meaning = ROWS[require_known_name(set_kind, [*ROWS, BOX], "set", "--set-kind")]
     refuse_options(boxed, "rows on their own", "add --set-kind box, or give --radius instead")
+    averaged = {"--criterion average": is_average(given.criterion)}
+    refuse_options(averaged, "rows on their own", "add --set-kind box, or leave it out")
     size = exact(SETS[set_kind][1] if radius is None else radius, "radius")
     result = exact_mdp.robust(given.mdp, set_kind, radius=size, policy=given.fixed)
     kind = Shown(set_kind, meaning.format(f"{float(size):.4g}"))
@@ -365,10 +372,10 @@ def _report_worst_point(given: Given, stated: bool) -> Report:
             where="--set-kind box",
             fix="give a range (--range NAME=LOW:HIGH), or another kind of set",
         )
-    report = exact_mdp.worst_point(family, given.fixed, box).report()
-    start = list_claim_facts(
-        "start_value", finite_worth(given.mdp, given.fixed, "today's parameters")
-    )
+    criterion = given.criterion
+    report = exact_mdp.worst_point(family, given.fixed, box, criterion=criterion).report()
+    today = finite_worth(given.mdp, given.fixed, "today's parameters", criterion)
+    start = list_claim_facts("start_value", today)
     ends = {name: [float(span.low), float(span.high)] for name, span in box.items()}
     if stated:
         radius = None
@@ -436,7 +443,8 @@ def _require_parameter_count(parameters: Sequence[str], count: int, kind: str) -
 
 
 def _claim_start_value(given: Given) -> dict[str, Any]:
-    return list_claim_facts("start_value", exact_mdp.solve(given.mdp).start)
+    best = exact_mdp.solve(given.mdp, criterion=given.criterion)
+    return list_claim_facts("start_value", best.start)
 
 
 def _select_ranges(given: Given, names: Sequence[str] | None = None) -> tuple[Ranges, list[str]]:

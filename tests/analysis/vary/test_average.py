@@ -109,7 +109,7 @@ def test_the_reports_say_that_rewards_are_per_step(tmp_path: Path) -> None:
         parameters=family.parameters,
         build=lambda at: queue_at(at).with_(discount="1/2"),
     )
-    with pytest.raises(ModelError, match="other work: its record differs in .*criterion"):
+    with pytest.raises(ModelError, match=r"other work: its record differs in .*criterion"):
         study(below, points, folder=tmp_path)
 
 
