@@ -68,7 +68,7 @@ class Tornado(Pictured):
         bars, today = self.frame(by).drop(columns="claim"), self.today
         lost = today["regret"]
 
-        def make_table(policy: str, what: str, rows: Any = ()) -> Table:
+        def make_table(policy: str, what: str, rows: Any = None) -> Table:
             columns = {"parameter": "parameter", "from": "low:.6g", "to": "high:.6g"}
             columns |= {"at low": f"{what}_low:.6g", "at high": f"{what}_high:.6g"}
             start = "start value"

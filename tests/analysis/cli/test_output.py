@@ -53,6 +53,32 @@ def test_people_read_words_and_tables(line: str) -> None:
     assert [words for words in TEXTS[line].split("|") if words not in done.out] == []
 
 
+VARIED = f"yuan2025 {SMALL} --parameter base.anger"
+TABLES = {
+    f"tornado {VARIED}": "start value at both ends, policy re-optimised",
+    f"gradient {VARIED}": "derivatives of the start value",
+    f"curve {VARIED}": "pieces of the optimal value",
+    f"one-way {VARIED} --points 3": "value at the start",
+    f"two-way {VARIED} --parameter discount --points 2": "value at the start",
+    f"sobol {VARIED} --samples 4": "shares of the variance of the start value",
+    f"psa {VARIED} --samples 30 --n-jobs 1": "policies held fixed in every draw",
+    f"tradeoff yuan2025 {SMALL} anger steps": "",
+    f"evaluate yuan2025 {SMALL} random": "",
+    f"check yuan2025 {SMALL} random": "",
+}
+
+
+@pytest.mark.parametrize("line", TABLES)
+def test_each_table_is_printed_with_its_rows(line: str) -> None:
+    """A report without its table looks complete: nothing else says that the table is missing."""
+    lines = run(line).out.splitlines()
+    rules = [number for number, text in enumerate(lines) if text.startswith("─")]
+    assert rules
+    titles = [number for number, text in enumerate(lines) if text.startswith(TABLES[line])]
+    assert any(title < rule <= title + 4 for title in titles for rule in rules)
+    assert all(lines[rule + 1].strip() for rule in rules)
+
+
 def test_names_of_states_are_printed_as_they_are(tmp_path: Path) -> None:
     names = ["[bold]no markup[/bold]", "Zustand β :smile:"]
     mdp = MDP.from_arrays([[[0, 1], [0, 1]]], [1, 0], states=names, actions=["[red]go"])
