@@ -120,18 +120,20 @@ def is_shortest_path(mdp: MDP) -> bool:
 
     Policies that never end are then worth -∞ (+∞ for costs), and the optimum is the best of those
     that end (stochastic shortest paths: Bertsekas and Tsitsiklis, Mathematics of Operations
-    Research 16, 1991). With a goal, runs end there, and missing it has to be the worst of all:
-    states from which no policy is sure of the goal may then exist, but not at the start.
+    Research 16, 1991). With a goal, runs end there. If missing it is the worst of all, states from
+    which no policy is sure of the goal may exist, but not at the start; if it pays, no run may.
     """
     graph, every, ends = PairGraph.of(mdp), np.ones(mdp.n_pairs, dtype=bool), mdp.terminal
     if mdp.goal is not None:
         ends = mdp.goal
     safe = graph.compute_rounds(ends, every) == 0
-    needed = ~ends  # all states that are not ends, or those of the start
-    if mdp.goal is not None and mdp.sign * mdp.unreached < 0:
-        needed = mdp.start_distribution > 0
+    needed, pays = ~ends, False
+    if mdp.goal is not None:
+        pays = mdp.sign * mdp.unreached > 0
+        if not pays:
+            needed = mdp.start_distribution > 0
     inside = (safe & ~ends)[mdp.pair_state] & graph.find_pairs_within(safe)
     _, staying = graph.end_components(inside)
     earned, _ = mdp.table.expected_gain_exact
     costs = np.asarray(mdp.sign * earned < 0, dtype=bool)
-    return bool(safe[needed].all() and costs[staying].all())
+    return bool(safe[needed].all() and costs[staying].all() and not (pays and staying.any()))

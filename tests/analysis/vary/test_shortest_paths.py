@@ -171,3 +171,21 @@ def test_a_piece_whose_policy_never_ends_is_no_proof() -> None:
     forged = replace(line, pieces=(replace(piece, optimal=waits), *line.pieces[1:]))
     assert any("ends" in each for each in forged.violations())
     assert solve(family.at({})).start_value == pytest.approx(float(line.at("1/3")))
+
+
+def test_where_missing_the_goal_pays_staying_forever_does_too() -> None:
+    """The optimum of rewards is +∞: a run that stays at a loss misses the goal as well."""
+
+    def build(at: dict[str, F]) -> MDP:
+        rows = [
+            (0, 0, [(1 - at["slip"], 1, -1), (at["slip"], 0, -1)]),
+            (0, 1, [(1, 0, -1)]),
+            (1, 0, [(1, 1, 0)]),
+        ]
+        return MDP.from_outcomes(rows, discount=1, labels={"goal": [1]}).until("goal")
+
+    family = Family(parameters={"slip": "1/2"}, build=build)
+    assert certify(family.at({})).start_value == np.inf
+    for ask in (lambda: curve(family, "slip", RANGE), lambda: gradient(family)):
+        with pytest.raises(ModelError, match="some policy never ends"):
+            ask()

@@ -227,9 +227,11 @@ class SectionEquations:
     def staying_costs(self) -> bool:
         """Whether a policy that never ends loses at every step, and so is worth -∞.
 
-        The optimum is then the solution that belongs to a policy that ends.
+        The optimum is then the solution that belongs to a policy that ends. If missing the goal
+        pays +∞, so does staying forever.
         """
-        if self.rate != fmpq_poly([1]):
+        pays = self.mdp.target is not None and self.mdp.unreached > 0
+        if pays or self.rate != fmpq_poly([1]):
             return False
         return all(
             is_positive(-self.reward[pair], self.low, self.high) for pair in self.staying_pairs

@@ -376,15 +376,16 @@ def _interpolate_values(
     low, size, states = equations.low, degree + 1, len(side)
     step = (equations.high - low) / (size + 1)
     numbers, samples = list[int](), list[list[fmpq]]()
-    for k in count(1):
+    # D is 0 at a few points at most, where a policy that may stay forever does so: its degree is
+    # below `size`, so that twice as many points are enough.
+    for k in range(1, 2 * size + 1):
         if len(samples) == size:
             break
         at, matrix = to_flint(low + step * k), [to_flint(0)] * states**2
         matrix[:: states + 1] = [to_flint(1)] * states
         for place, p in entries:
             matrix[place] -= p(at)
-        # At each point D is the determinant, and N = D V. D is 0 at a few points at most: where a
-        # policy that may stay forever does so.
+        # At each point D is the determinant, and N = D V.
         system = fmpq_mat(states, states, matrix)
         scale = system.det()
         if not scale:
@@ -392,6 +393,8 @@ def _interpolate_values(
         values = system.solve(fmpq_mat(states, 1, [each(at) for each in side])).entries()
         samples.append([*(scale * each for each in values), scale])
         numbers.append(k)
+    if len(samples) < size:
+        raise RuntimeError("a policy that never ends has no values")
     # Polynomials of the number k of a point become polynomials of θ = low + step k.
     number = fmpq_poly([to_flint(-low / step), to_flint(1 / step)])
     *tops, below = (each(number) for each in interpolate_polynomials(numbers, samples))
