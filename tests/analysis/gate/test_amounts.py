@@ -40,7 +40,10 @@ def test_a_state_that_earns_nothing_is_not_over_where_an_amount_is_counted() -> 
     over = WORK.with_(components={"effort": [1, 0, 0]})
     assert over.over.tolist() == [False, True]
     assert Policy.of(over, {0: 0}).weights(over).tolist() == [1, 1, 0]
-    assert Policy.of(over, np.array([[1, -np.inf], [np.nan] * 2]), kind="q").tolist() == [0, -1]
+    assert Policy.of(over, np.array([[1, -np.inf], [np.nan] * 2]), kind="q").rule.tolist() == [
+        0,
+        -1,
+    ]
 
 
 def test_within_n_steps_an_amount_is_counted_n_times() -> None:

@@ -185,7 +185,10 @@ def test_what_xml_cannot_hold(tmp_path: Path) -> None:
 
 
 def test_an_error_names_options_that_there_are() -> None:
-    described = [click.Context(each).to_info_dict() for each in (cli, reproduce, agents)]
+    described = [
+        click.Context(each, **each.context_settings).to_info_dict()
+        for each in (cli, reproduce, agents)
+    ]
     known = {"--help", *re.findall(r"'(--[a-z-]+)'", str(described))}
     wrong = []
     for path in Path(exact_mdp.__file__).parent.rglob("*.py"):
