@@ -145,8 +145,13 @@ ORDINARY = ("corridor", "queue", "grid", "garnet")  # where sweeps alone take lo
 
 
 @cache
+def small(name: str) -> MDP:
+    return SMALL[name]()
+
+
+@cache
 def made(name: str, copies: int) -> tuple[MDP, Any]:
-    return in_copies(SMALL[name](), copies)
+    return in_copies(small(name), copies)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -159,7 +164,7 @@ def test_bounds_hold_and_runs_in_which_nothing_is_gained_end(
     living, near_an_end = name.startswith("living"), name.startswith(("off", "beside"))
     tight = kind is ModifiedPolicyIteration if living else near_an_end and not large
     most = 26 if living else 200 if name.startswith("walks") else 300
-    mdp, exact = made(name, 1 + large * 8000 // SMALL[name]().n_transitions)
+    mdp, exact = made(name, 1 + large * 8000 // small(name).n_transitions)
     for tol in (None, 1e-3, 1e-9) if hasattr(kind, "tol") else (None,):
         try:
             solution = quietly(solve, mdp, kind() if tol is None else kind(tol=tol))

@@ -281,7 +281,8 @@ class Oracle:
         def at(state: State) -> dict[str, Fraction]:
             if state in memo:
                 return memo[state]
-            here = {**dict.fromkeys(figures, zero), "steps": Fraction(1)}
+            parts: dict[str, list[Fraction]] = {name: [] for name in figures}
+            parts["steps"].append(Fraction(1))
             to: dict[State, Fraction] = defaultdict(Fraction)
             jumps: dict[tuple[State, Fraction], Fraction] = defaultdict(Fraction)
             for action, share in self._choices(policy, state).items():
@@ -289,17 +290,18 @@ class Oracle:
                     w, r, later = share * p, sum(rewards.values(), zero), at(nxt)
                     to[nxt] += w
                     jumps[nxt, r] += w
-                    here["skip"] += w * (1 if skipped else later["skip"])
+                    parts["skip"].append(w * (1 if skipped else later["skip"]))
                     for name, reward in rewards.items():
-                        here[name] += w * reward
+                        parts[name].append(w * reward)
             for nxt, w in to.items():
-                here["steps"] += w * at(nxt)["steps"]
+                parts["steps"].append(w * at(nxt)["steps"])
                 for name in COMPONENTS:
-                    here[name] += w * g * at(nxt)[name]
+                    parts[name].append(w * g * at(nxt)[name])
             for (nxt, r), w in jumps.items():  # E(r + g G) and E(r + g G)^2
                 mean, square = at(nxt)["mean"], at(nxt)["square"]
-                here["mean"] += w * (r + g * mean)
-                here["square"] += w * (r * r + 2 * r * g * mean + g * g * square)
+                parts["mean"].append(w * (r + g * mean))
+                parts["square"].append(w * (r * r + 2 * r * g * mean + g * g * square))
+            here = {name: total(each) for name, each in parts.items()}
             if distribution and g == 1:
                 terms: dict[Fraction, list[Fraction]] = defaultdict(list)
                 for (nxt, r), w in jumps.items():

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cache
 from itertools import product
 from typing import Any
 
@@ -47,8 +48,9 @@ def model_of(
     return MDP.from_outcomes(rows, discount, start=start)
 
 
+@cache
 def of_case(case: Any) -> MDP:
-    """The model of a published case."""
+    """The model of a published case, the same for all tests."""
     return model_of(case.n_states, case.pairs, case.discount, start=case.start)
 
 

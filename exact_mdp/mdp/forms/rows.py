@@ -273,7 +273,7 @@ def to_dyadic_integers(values: Numbers, offsets: Integers) -> tuple[Numbers, Num
     if values.size and int(size.max()) <= 62 and int(-lowest.min()) <= 62:
         return whole << shift, np.left_shift(np.int64(1), -lowest)
     top = np.empty(len(whole), dtype=object)
-    top[:] = [int(a) << int(s) for a, s in zip(whole, shift, strict=True)]
+    top[:] = [a << s for a, s in zip(whole.tolist(), shift.tolist(), strict=True)]
     bottom = np.empty(len(lowest), dtype=object)
-    bottom[:] = [1 << int(-p) for p in lowest]
+    bottom[:] = [1 << -p for p in lowest.tolist()]
     return top, bottom
