@@ -136,21 +136,31 @@ def is_acyclic(mdp: MDP) -> bool:
 @cache_on_model
 def topological_levels(mdp: MDP) -> Integers | None:
     """Return (S,) the greatest number of steps to a terminal state; None if there is a cycle."""
-    if not mdp.terminal.any():
-        return None
     edges = _build_edges(mdp)
-    # Without cycles, some state leads to terminal states only. Most models with cycles have no such
-    # state, which is quickly seen.
-    last = np.logical_and.reduceat(mdp.terminal[edges.indices], edges.indptr[:-1]) & ~mdp.terminal
-    if not last.any() and not mdp.terminal.all():
+    return rank_acyclic_states(edges.indptr, edges.indices, mdp.terminal)
+
+
+def rank_acyclic_states(offsets: Numbers, following: Numbers, ended: Mask) -> Integers | None:
+    """Return (S,) the greatest number of steps to an end; None if there is a cycle.
+
+    State s leads to following[offsets[s]:offsets[s+1]], in which states may be repeated.
+    """
+    if not ended.any():
+        return None
+    # Without cycles, some state leads to ends only. Most models with cycles have no such state,
+    # which is quickly seen.
+    last = np.logical_and.reduceat(ended[following], offsets[:-1]) & ~ended
+    if not last.any() and not ended.all():
         return None
     # Rank states backward, each when all of its successors are ranked.
+    size = len(ended)
+    edges = sp.csr_array((np.ones(len(following), np.int8), following, offsets), (size, size))
     edges = edges.copy()
     edges.sum_duplicates()
     steps, each = np.diff(edges.indptr), np.arange(len(edges.indices) + 1)
-    owner = np.repeat(np.arange(mdp.n_states), steps)
-    backward = Backward.of(each, edges.indices, owner, mdp.n_states)
-    level, _ = backward.rank_states(mdp.terminal, ~mdp.terminal[owner], steps)
+    owner = np.repeat(np.arange(size), steps)
+    backward = Backward.of(each, edges.indices, owner, size)
+    level, _ = backward.rank_states(ended, ~ended[owner], steps)
     if (level < 0).any():
         return None
     return level

@@ -40,7 +40,6 @@ from exact_mdp.mdp.report import format_cell
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import MOST_BYTES, Floats, Integers, Numbers, exact
 from exact_mdp.mdp.validate import Flags
-from exact_mdp.solvers.batch import Batch
 from exact_mdp.solvers.bounds.gains import component_errors, compute_advantages
 from exact_mdp.solvers.care import (
     evaluate_care_policies,
@@ -49,6 +48,7 @@ from exact_mdp.solvers.care import (
 from exact_mdp.solvers.parallel import Arrays, How, folder_of, join_blocks, run_pieces
 from exact_mdp.solvers.solution import Bounded, Claim, Solution, compute_regrets
 from exact_mdp.solvers.solver import solve
+from exact_mdp.solvers.stacked import StackedModel
 from exact_mdp.solvers.values.evaluate import Evaluation, evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -316,22 +316,22 @@ class _Built:
 
     def __init__(self, models: list[MDP], at: Callable[[int], str]) -> None:
         self.models, self.at = models, at  # `at` describes a draw in words, by its number
-        self.batch, self.sign = Batch.of(models), models[0].sign
-        self.size = KEPT  # numbers in memory: without a batch, too many to be kept
-        if self.batch is not None:
-            self.size = self.batch.rows.size
+        self.stacked, self.sign = StackedModel.of(models), models[0].sign
+        self.size = KEPT  # numbers in memory: models that are not stacked are not kept
+        if self.stacked is not None:
+            self.size = self.stacked.size
 
     def solve_models(self) -> tuple[Floats, Floats, Floats, Floats, Integers]:
         """Return start and error (D,), gap and doubt (D, L), and the actions (D, S)."""
-        mdp, batch = self.models[0], None
-        if self.batch is not None:
-            batch = self.batch.solve_models()
-        if self.batch is None or batch is None:
+        mdp, optimum = self.models[0], None
+        if self.stacked is not None:
+            optimum = self.stacked.optimum()
+        if self.stacked is None or optimum is None:
             each = [self._solve_model(d) for d in range(len(self.models))]
             start, error, gap, doubt, policy = map(np.array, zip(*each, strict=True))
             return start, error, gap, doubt, policy
-        value, off, gap, doubt = batch
-        start, error = self.batch.at_start(value, off)
+        value, off, gap, doubt = optimum
+        start, error = self.stacked.at_start(value, off)
         # The optimal action of a state: the lowest number among ties.
         tied = np.where(gap <= doubt, np.arange(mdp.n_pairs), mdp.n_pairs)
         policy = mdp.pair_action[np.minimum.reduceat(tied, mdp.pair_offsets[:-1], axis=1)]
@@ -360,9 +360,9 @@ class _Built:
         action matters in some model.
         """
         self._require_said(weights, undecided)
-        if self.batch is not None:
-            mean, error = self.batch.of_policy(weights)
-            return 0.0 + self.sign * mean, error
+        if self.stacked is not None:
+            mean, error = self.stacked.evaluate([weights])
+            return 0.0 + self.sign * mean[:, 0], error[:, 0]
         every = [finite_worth(mdp, weights, self.at(d)) for d, mdp in enumerate(self.models)]
         return np.array([x.value for x in every]), np.array([x.error for x in every])
 
@@ -375,10 +375,10 @@ class _Built:
         for name in names:  # models may list their components in different orders
             columns = [mdp.components[:, mdp.component_names.index(name)] for mdp in self.models]
             amounts.append(np.stack(columns))
-        batch = self.batch
+        stacked = self.stacked
         # A component that is counted in a terminal state goes on forever, which only the analysis
         # of a single model takes into account.
-        if batch is None or any((each * ~batch.live[:, batch.state]).any() for each in amounts):
+        if stacked is None or any(stacked.pays_at_end(each) for each in amounts):
             totals, errors = [], []
             for mdp in self.models:
                 numbers = evaluate(mdp, weights).numbers
@@ -391,22 +391,15 @@ class _Built:
         each = []
         for name, earned in zip(names, amounts, strict=True):
             own = off[:, :, self.models[0].component_names.index(name)]
-            each.append(self._isolate_component(batch, earned, own).of_policy(weights))
-        value, error = zip(*each, strict=True)
-        return np.column_stack(value), np.column_stack(error)
+            each.append(stacked.with_reward(earned, own).evaluate([weights]))
+        value, error = (np.concatenate(parts, axis=1) for parts in zip(*each, strict=True))
+        return value, error
 
     def _require_said(self, weights: Floats, undecided: Flags) -> None:
         """Raise ModelError if a policy (L,) is silent in states (S,) where the action matters."""
         if undecided.any():
             for d, mdp in enumerate(self.models):
                 PolicyChain.of(mdp, weights).require_said(undecided, self.at(d))
-
-    def _isolate_component(self, batch: Batch, amounts: Floats, errors: Floats) -> Batch:
-        """Return the models with one component (D, L) as the reward, known up to an error."""
-        alone = replace(batch, reward=amounts, reward_error=errors)
-        # The weights depend on transitions only, and need not be computed again.
-        vars(alone)["weights"] = batch.weights
-        return alone
 
 
 def hash_policies(*policies: Floats) -> str:

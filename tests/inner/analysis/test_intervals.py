@@ -19,7 +19,7 @@ from exact_mdp.analysis.gate.data.robust import robust_bounds
 from exact_mdp.analysis.gate.data.sets import RowSets, _bound_mean_above, _compute_radii
 from exact_mdp.analysis.vary.intervals import mean_at_least
 from exact_mdp.mdp.questions import split_by_time
-from exact_mdp.solvers import batch
+from exact_mdp.solvers import stacked
 
 SEEDS = st.integers(0, 10**6)
 Model = tuple[np.ndarray, np.ndarray]  # rows (L, S) and rewards (L,)
@@ -252,7 +252,7 @@ def test_drawn_models_whose_policies_do_not_settle_are_refused(
     models = sample_models(mdp, np.zeros(mdp.n_pairs, dtype=bool), 1.0, np.random.default_rng(0), 3)
     own = np.array([1.0, 0.0, 1.0, 0.0])  # the first policy that is tried, and two are better
     assert (drawn_regrets(models, own) > 0).all()
-    monkeypatch.setattr(batch, "POLICIES", 1)
+    monkeypatch.setattr(stacked, "POLICIES", 1)
     with pytest.raises(ModelError, match="drawn from the posterior has no solution"):
         drawn_regrets(models, own)
 

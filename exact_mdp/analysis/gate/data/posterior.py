@@ -32,10 +32,10 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import BLOCK, MOST_NUMBERS, Floats, exact, format_rational
 from exact_mdp.mdp.validate import RNG, require_count, seed_of
-from exact_mdp.solvers.batch import Batch
 from exact_mdp.solvers.bounds.gains import SLACK, gamma
 from exact_mdp.solvers.parallel import Arrays, join_blocks, run_pieces, seed_blocks
 from exact_mdp.solvers.solution import compute_regrets
+from exact_mdp.solvers.stacked import StackedModel, Structure
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,7 +139,7 @@ class Posterior:
 
 def sample_models(
     mdp: MDP, known: np.ndarray, prior: float, rng: np.random.Generator, count: int
-) -> Batch:
+) -> StackedModel:
     """Return models drawn from the posterior; rows of pairs without counts stay as they are.
 
     `known` (L,) marks the pairs with counts.
@@ -176,27 +176,37 @@ def sample_models(
     ended = mdp.terminal & ~np.logical_or.reduceat(known, mdp.pair_offsets[:-1])
     lost = float(1 - mdp.discount_exact)
     live = ~ended | (lost > 0)
-    return Batch(
-        rows=rows,
-        reward=mdp.reward + earned / total,
+    # Every state may follow every pair.
+    outcomes = np.arange(shape[0] * shape[1])
+    structure = Structure(
+        state=np.array(mdp.pair_state),
+        first=np.array(mdp.pair_offsets[:-1]),
+        offsets=np.arange(shape[0] + 1) * shape[1],
+        column=outcomes % shape[1],
+        number=outcomes,
+        earned=np.arange(shape[0]),
+        ended=~live,
+    )
+    return StackedModel(
+        structure=structure,
+        chances=rows.reshape(count, -1).T,
+        amounts=(mdp.reward + earned / total).T,
         reward_error=np.zeros((1, 1)),
         rate=np.full(count, mdp.discount),
         leak=np.array([[lost]]),
         terms=mdp.n_states,
         live=np.tile(live, (count, 1)),
         start=begun,
-        state=np.array(mdp.pair_state),
-        first=np.array(mdp.pair_offsets[:-1]),
     )
 
 
-def drawn_regrets(models: Batch, own: Floats) -> Floats:
+def drawn_regrets(models: StackedModel, own: Floats) -> Floats:
     """Return the regrets (D,) of a policy (L,) in some models; 0 if rounding may explain them.
 
     A policy (N, L) by time is for episodes of N steps, which backward induction solves.
     """
     if own.ndim == 1:
-        optimum = models.solve_models()
+        optimum = models.optimum()
         if optimum is None:
             raise ModelError(
                 "a model drawn from the posterior has no solution: an episode may never end",
@@ -204,15 +214,16 @@ def drawn_regrets(models: Batch, own: Floats) -> Floats:
                 fix="choose a discount below 1, or a larger prior",
             )
         best, error = models.at_start(*optimum[:2])
-        value, off = models.of_policy(own)
-        return compute_regrets(best, value, error + off)
+        value, off = models.evaluate([own])
+        return compute_regrets(best, value[:, 0], error + off[:, 0])
     # Backward induction with two values for each state: of the optimum, and of the policy.
-    value = np.zeros((len(models.rows), len(models.first), 2))
+    first = models.structure.first
+    value = np.zeros((*models.start.shape, 2))
     for taken in own[::-1]:
         ahead = models.rate[0] * np.einsum("dls,dsv->dlv", models.rows, value)
         q = models.reward[:, :, None] + ahead
-        best = np.maximum.reduceat(q[:, :, 0], models.first, axis=1)
-        value = np.stack([best, np.add.reduceat(q[:, :, 1] * taken, models.first, axis=1)], axis=2)
+        best = np.maximum.reduceat(q[:, :, 0], first, axis=1)
+        value = np.stack([best, np.add.reduceat(q[:, :, 1] * taken, first, axis=1)], axis=2)
     best, mine = np.einsum("dsv,ds->vd", value, models.start)
     # Each value is a sum over N steps, with at most L + S + 4 roundings in each.
     size = len(own) * np.abs(models.reward).max(axis=1)

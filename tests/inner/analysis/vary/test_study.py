@@ -114,10 +114,10 @@ PLACES = [{"p": F(1, 3), "r": F(2)}, {"p": F(1), "r": F(-3)}, {"p": F(1, 7), "r"
 def test_models_are_solved_all_at_once_or_one_by_one(sense: str, together: bool) -> None:
     models = [varied({**at, "p": min(at["p"], F(6, 7))}, sense) for at in PLACES]
     built = _Built(models, "draw {}".format)
-    assert built.batch is not None
-    assert built.size == built.batch.rows.size == 3 * 6 * 3
+    assert built.stacked is not None
+    assert built.size == built.stacked.rows.size == 3 * 6 * 3
     if not together:
-        built.batch = None
+        built.stacked = None
     start, error, gap, doubt, policy = built.solve_models()
     for d, mdp in enumerate(models):
         best, lost = exactly(mdp)

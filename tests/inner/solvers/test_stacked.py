@@ -7,7 +7,7 @@ import pytest
 from oracle import mean, mixed, policy_values, rows_of, solve_exact
 
 from exact_mdp import MDP
-from exact_mdp.solvers.batch import Batch
+from exact_mdp.solvers.stacked import StackedModel
 
 
 def drawn(seed: int, discount: str, sense: str) -> MDP:
@@ -24,16 +24,19 @@ def drawn(seed: int, discount: str, sense: str) -> MDP:
 
 @pytest.mark.parametrize("sense", ["max", "min"])
 @pytest.mark.parametrize("discount", ["0", "9/10", "1"])
-def test_a_batch_is_its_models_one_by_one(discount: str, sense: str) -> None:
+def test_stacked_models_are_what_each_is_alone(discount: str, sense: str) -> None:
     models = [drawn(seed, discount, sense) for seed in range(25)]
-    batch = Batch.of(models)
-    assert batch is not None
-    found = batch.solve_models()
+    stacked = StackedModel.of(models)
+    assert stacked is not None
+    found = stacked.optimum()
     assert found is not None
     shares = np.array([0.5, 0.25, 0.25, 0, 1, 0.125, 0.875, 1])
     amounts = np.stack([np.arange(8.0), np.ones(8)], axis=1)
-    own, off = batch.of_policy(shares)
-    totals = batch.compute_totals(shares, np.stack([amounts] * len(models)))
+    own, off = (each[:, 0] for each in stacked.evaluate([shares]))
+    totals = []
+    for column in amounts.T:
+        counting = stacked.with_reward(np.tile(column, (len(models), 1)), np.zeros((len(models), 8)))
+        totals.append(counting.evaluate([shares])[0][:, 0])
     for k, mdp in enumerate(models):
         sign, rate, rows = mdp.sign, mdp.discount_exact, rows_of(mdp)
         ended = {3} if rate == 1 else set()
@@ -52,12 +55,12 @@ def test_a_batch_is_its_models_one_by_one(discount: str, sense: str) -> None:
         for c in range(2):
             counted = [(s, a, F(amounts[l, c]), law) for l, (s, a, _, law) in enumerate(rows)]
             exact = policy_values(mixed(counted, chances), rate, ended)
-            assert totals[k, c] == pytest.approx(float(exact[0] / 4 + 3 * exact[2] / 4))
+            assert totals[c][k] == pytest.approx(float(exact[0] / 4 + 3 * exact[2] / 4))
 
 
 def test_models_that_do_not_fit_together_are_no_batch() -> None:
     one = drawn(0, "9/10", "max")
     other = MDP.from_arrays(np.eye(4)[None], np.zeros((4, 1)), discount="9/10")
-    assert Batch.of([one, other]) is None
+    assert StackedModel.of([one, other]) is None
     for_ever = MDP.from_arrays([[[1, 0], [0, 1]], [[0, 1], [0, 1]]], [[1, 1], [0, 0]], discount=1)
-    assert Batch.of([for_ever]) is None
+    assert StackedModel.of([for_ever]) is None
