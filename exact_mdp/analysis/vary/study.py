@@ -3,15 +3,15 @@
 A point gives values to some parameters; the others keep today's values. At each point the optimum
 is found (the policy re-optimised) and each given policy is evaluated (held fixed). Tornado, grid,
 Sobol indices and probabilistic analyses are designs of points and summaries of their tables. They
-compare values, so infinite ones, at discount 1, are refused. A care scenario goes through
-compiled loops that never form the model (`solvers.care`), small models are solved many at once
-(`solvers.batch`), others one by one. Blocks of points have a fixed size, so that any number of
-workers gives the same bytes.
+compare values, so infinite ones, at discount 1, are refused. The models of many points are one stacked
+model where that is possible (`solvers.stacked`), and that of a care scenario is made without them
+(`solvers.care`); other models are solved one by one. Blocks of points have a fixed size, so that
+any number of workers gives the same bytes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from hashlib import sha256
@@ -41,10 +41,7 @@ from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import MOST_BYTES, Floats, Integers, Numbers, exact
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.gains import component_errors, compute_advantages
-from exact_mdp.solvers.care import (
-    evaluate_care_policies,
-    solve_care_draws,
-)
+from exact_mdp.solvers.care import ScenarioStack
 from exact_mdp.solvers.parallel import Arrays, How, folder_of, join_blocks, run_pieces
 from exact_mdp.solvers.solution import Bounded, Claim, Solution, compute_regrets
 from exact_mdp.solvers.solver import solve
@@ -71,7 +68,7 @@ class Study(Result):
     which: Integers  # (D,) the row of each point's optimal policy
     counts: Integers  # (X, A) points in which an action is optimal up to rounding, by label
     lost: Floats  # (D, A) gap of each first action, NaN if not available; (D, 0) for many starts
-    cut: np.ndarray  # (D,) whether a probability was cut off at 1; compiled solvers only
+    cut: np.ndarray  # (D,) whether a probability was cut off at 1; care scenarios only
 
     claim: ClassVar[Claim] = Claim.BOUNDED
 
@@ -270,7 +267,7 @@ class StudyDraws:
     def _run_blocks(
         self, what: str, work: Callable[[Any], Arrays], more: Mapping[str, object]
     ) -> list[Arrays]:
-        """Run all blocks: compiled loops in threads, other models in processes.
+        """Run all blocks: draws of a care scenario in threads, other models in processes.
 
         In a folder each block has its size in its name, so that larger samples can reuse whole
         blocks.
@@ -308,22 +305,31 @@ def _evaluate_block(
     return solver.evaluate_policies(draws, policies, first)
 
 
-# ---- models that are built -----------------------------------------------------------------------
+# ---- the models of some draws --------------------------------------------------------------------
 
 
-class _Built:
-    """The models of some draws, solved all at once if possible, otherwise one by one."""
+class _Drawn:
+    """The models of some draws, solved all at once if they can be stacked, else one by one.
 
-    def __init__(self, models: list[MDP], at: Callable[[int], str]) -> None:
-        self.models, self.at = models, at  # `at` describes a draw in words, by its number
-        self.stacked, self.sign = StackedModel.of(models), models[0].sign
+    `mdp` is a model with the same pairs. `models` may be left out if the stacked model was made
+    without them; `at` describes a draw in words, by its number.
+    """
+
+    def __init__(
+        self,
+        mdp: MDP,
+        stacked: StackedModel | None,
+        models: Sequence[MDP] = (),
+        at: Callable[[int], str] = "draw {}".format,
+    ) -> None:
+        self.mdp, self.stacked, self.models, self.at = mdp, stacked, models, at
         self.size = KEPT  # numbers in memory: models that are not stacked are not kept
-        if self.stacked is not None:
-            self.size = self.stacked.size
+        if stacked is not None:
+            self.size = stacked.size
 
     def solve_models(self) -> tuple[Floats, Floats, Floats, Floats, Integers]:
         """Return start and error (D,), gap and doubt (D, L), and the actions (D, S)."""
-        mdp, optimum = self.models[0], None
+        mdp, optimum = self.mdp, None
         if self.stacked is not None:
             optimum = self.stacked.optimum()
         if self.stacked is None or optimum is None:
@@ -335,7 +341,7 @@ class _Built:
         # The optimal action of a state: the lowest number among ties.
         tied = np.where(gap <= doubt, np.arange(mdp.n_pairs), mdp.n_pairs)
         policy = mdp.pair_action[np.minimum.reduceat(tied, mdp.pair_offsets[:-1], axis=1)]
-        return 0.0 + self.sign * start, error, gap, doubt, policy  # no -0.0
+        return 0.0 + mdp.sign * start, error, gap, doubt, policy  # no -0.0
 
     def _solve_model(self, d: int) -> tuple[float, float, Floats, Floats, Integers]:
         mdp = self.models[d]
@@ -353,18 +359,25 @@ class _Built:
         taken = np.asarray(solution.policy)
         return solution.start.value, solution.start.error, lost, off + noise, taken
 
-    def evaluate_policy(self, weights: Floats, undecided: Flags) -> tuple[Floats, Floats]:
-        """Return the value at the start and its error (D,) of a policy (L,).
+    def evaluate_policies(
+        self, policies: Sequence[Floats], undecided: Sequence[Flags]
+    ) -> tuple[Floats, Floats]:
+        """Return the values at the start and their errors (D, N) of policies (N, L).
 
-        Raises ModelError if the policy is silent in a state, among `undecided` (S,), in which the
+        Raises ModelError if a policy is silent in a state, among `undecided` (N, S), in which the
         action matters in some model.
         """
-        self._require_said(weights, undecided)
+        for weights, silent in zip(policies, undecided, strict=True):
+            self._require_said(weights, silent)
         if self.stacked is not None:
-            mean, error = self.stacked.evaluate([weights])
-            return 0.0 + self.sign * mean[:, 0], error[:, 0]
-        every = [finite_worth(mdp, weights, self.at(d)) for d, mdp in enumerate(self.models)]
-        return np.array([x.value for x in every]), np.array([x.error for x in every])
+            mean, error = self.stacked.evaluate(policies)
+            return 0.0 + self.mdp.sign * mean, error
+        value, error = np.empty((2, len(self.models), len(policies)))
+        for d, mdp in enumerate(self.models):
+            for n, weights in enumerate(policies):
+                found = finite_worth(mdp, weights, self.at(d))
+                value[d, n], error[d, n] = found.value, found.error
+        return value, error
 
     def compute_totals(
         self, weights: Floats, names: Sequence[str], undecided: Flags
@@ -387,11 +400,11 @@ class _Built:
                 errors.append([number.error for number in row])
             return np.array(totals), np.array(errors)
         # All models at once: each component in turn is the reward, known up to its error.
-        off = np.stack([component_errors(mdp) for mdp in self.models])
-        each = []
+        off, each = [component_errors(mdp) for mdp in self.models], []
         for name, earned in zip(names, amounts, strict=True):
-            own = off[:, :, self.models[0].component_names.index(name)]
-            each.append(stacked.with_reward(earned, own).evaluate([weights]))
+            columns = zip(self.models, off, strict=True)
+            own = [errors[:, mdp.component_names.index(name)] for mdp, errors in columns]
+            each.append(stacked.with_reward(earned, np.stack(own)).evaluate([weights]))
         value, error = (np.concatenate(parts, axis=1) for parts in zip(*each, strict=True))
         return value, error
 
@@ -441,23 +454,26 @@ class ModelSolver:
 
     `mdp` is the model at today's values. A policy is given by its probabilities of pairs (L,), as
     pairs are the same at all values. `labels` (X,) name the states in which a policy is reported,
-    here the states with a choice; `place` (S,) is the label of each state, -1 for none.
+    here the `reported` states, those with a choice; `place` (S,) is the label of each state, -1 for
+    none. The first `choices` actions are reported.
     """
 
     block = 64  # draws in a piece of work
+    together = 64  # draws in memory at the same time
     pool = 32  # draws of largest regret in which candidate policies are compared
     compiled = False  # whether threads can share the work
 
     def __init__(self, model: Parametric, names: Sequence[str]) -> None:
         self.model, self.names, self.mdp = model, tuple(names), model.at({})
         forced = self.mdp.forced
-        self.labels = tuple(self.mdp.space.labels(np.flatnonzero(~forced)))
+        self.reported, self.choices = np.flatnonzero(~forced), self.mdp.n_actions
+        self.labels = tuple(self.mdp.space.labels(self.reported))
         self.place = np.where(forced, -1, np.cumsum(~forced) - 1)
-        self.built: dict[str, _Built] = {}
+        self.drawn: dict[str, _Drawn] = {}
         self.undecided: dict[str, Flags] = {}  # by policy: the states in which it is silent
 
     def __getstate__(self) -> dict[str, Any]:
-        return vars(self) | {"built": {}}
+        return vars(self) | {"drawn": {}}
 
     @cached_property
     def solution(self) -> Solution:
@@ -493,11 +509,11 @@ class ModelSolver:
         chosen = [self.mdp.actions[action] for action in number.tolist()]
         return dict(zip(self.labels, chosen, strict=True))
 
-    def _build_models(self, draws: Numbers, first: int) -> _Built:
+    def _build_models(self, draws: Numbers, first: int) -> _Drawn:
         """Return the models of draws, built once for repeated questions about the same draws."""
         # The last models are kept, as several questions concern the same draws.
         key = repr(draws.tolist())
-        if key not in self.built:
+        if key not in self.drawn:
             models, at = [], partial(self._describe_draw, draws, first)
             for d, row in enumerate(draws.tolist()):
                 try:
@@ -509,12 +525,12 @@ class ModelSolver:
                     fix += "beta stays in [0, 1], a gamma and a log-normal above 0; draw "
                     fix += "probabilities of one row together: rows={label: [names]}"
                     raise type(error)(error.what, where=error.where, fix=fix) from error
-            made = _Built(models, at)
+            made = _Drawn(models[0], StackedModel.of(models), models, at)
             # Models that do not fit in the memory for kept ones are built again next time.
-            if sum(each.size for each in (made, *self.built.values())) > KEPT:
+            if sum(each.size for each in (made, *self.drawn.values())) > KEPT:
                 return made
-            self.built[key] = made
-        return self.built[key]
+            self.drawn[key] = made
+        return self.drawn[key]
 
     def _describe_draw(self, draws: Numbers, first: int, d: int) -> str:
         """Return the number of a draw and the first three parameters that it moves."""
@@ -528,40 +544,42 @@ class ModelSolver:
             words += ", …"
         return f"draw {first + d}, {words}"
 
+    def _draw_models(self, draws: Numbers, first: int) -> tuple[_Drawn, Flags]:
+        """Return the models of draws, and whether a probability is cut off at 1 in each (D,)."""
+        return self._build_models(draws, first), np.zeros(len(draws), dtype=bool)
+
+    def _split_draws(self, draws: Numbers, first: int) -> Iterator[tuple[_Drawn, Flags]]:
+        """Yield the models of draws, some at a time."""
+        for begin in range(0, len(draws), self.together):
+            yield self._draw_models(draws[begin : begin + self.together], first + begin)
+
     def solve_draws(self, draws: Numbers, first: int = 0) -> Arrays:
         """Return the optima of draws (D, Q): start, start_error (D,), and others as in `Study`."""
-        mdp = self.mdp
-        start, error, gap, doubt, policies = self._build_models(draws, first).solve_models()
-        # A pair counts as optimal if its gap is within its error bound.
-        rows, which = find_distinct_rows(policies.astype(np.int32))
+        mdp, parts, policies = self.mdp, list[Arrays](), list[Integers]()
+        here = mdp.pair_state == mdp.start[0][0]
         counts = np.zeros((mdp.n_states, mdp.n_actions), dtype=np.int64)
-        counts[mdp.pair_state, mdp.pair_action] = (gap <= doubt).sum(axis=0)
-        begins = [state for state, _ in mdp.start]
-        lost = np.full((len(gap), mdp.n_actions if len(begins) == 1 else 0), np.nan)
-        if len(begins) == 1:
-            here = mdp.pair_state == begins[0]
-            lost[:, mdp.pair_action[here]] = np.where(gap > doubt, gap, 0.0)[:, here]
-        return {
-            "start": start,
-            "start_error": error,
-            "rows": rows,
-            "which": which,
-            "counts": counts[~mdp.forced],
-            "lost": lost,
-            "cut": np.zeros(len(draws), dtype=bool),
-        }
+        for drawn, cut in self._split_draws(draws, first):
+            start, error, gap, doubt, actions = drawn.solve_models()
+            # A pair counts as optimal if its gap is within its error bound.
+            counts[mdp.pair_state, mdp.pair_action] += (gap <= doubt).sum(axis=0)
+            lost = np.full((len(gap), self.choices if len(mdp.start) == 1 else 0), np.nan)
+            if len(mdp.start) == 1:
+                lost[:, mdp.pair_action[here]] = np.where(gap > doubt, gap, 0.0)[:, here]
+            policies.append(actions.astype(np.int32))
+            parts.append({"start": start, "start_error": error, "lost": lost, "cut": cut})
+        rows, which = find_distinct_rows(np.concatenate(policies))
+        counts = counts[self.reported, : self.choices]
+        return join_blocks(parts) | {"rows": rows, "which": which, "counts": counts}
 
     def evaluate_policies(
         self, draws: Numbers, policies: Sequence[Floats], first: int = 0
     ) -> Arrays:
         """Return values and errors (D, N) of N policies, each given by probabilities (L,)."""
-        built = self._build_models(draws, first)
-        held = [
-            built.evaluate_policy(weights, self._find_undecided_states(weights))
-            for weights in policies
-        ]
-        value, error = np.array(held).swapaxes(0, 1)
-        return {"value": value.T, "error": error.T}
+        undecided, parts = [self._find_undecided_states(weights) for weights in policies], []
+        for drawn, _ in self._split_draws(draws, first):
+            value, error = drawn.evaluate_policies(policies, undecided)
+            parts.append({"value": value, "error": error})
+        return join_blocks(parts)
 
     def compute_totals(
         self, draws: Numbers, policies: Sequence[Floats], components: Sequence[str], first: int
@@ -598,41 +616,19 @@ class CareSolver(ModelSolver):
 
     def __init__(self, model: ScenarioFamily, names: Sequence[str]) -> None:
         super().__init__(model, names)
-        self.scenario, space = model.scenario, self.mdp.space
-        states, statuses = np.arange(self.mdp.n_states), len(self.scenario.statuses)
-        # The compiled loops leave out a last trial in which skipping is the only action.
-        self.tried = (space.values("trial") < self.scenario.trials) & (states < space.regular)
+        scenario, space = model.scenario, self.mdp.space
+        states, statuses = np.arange(self.mdp.n_states), len(scenario.statuses)
+        self.stack = ScenarioStack(scenario, self.mdp, names)
+        # Skipping is the only action of a last trial that takes a timestep of its own.
+        self.tried = (space.values("trial") < scenario.trials) & (states < space.regular)
         self.labels = tuple(f"{number:0{statuses}b}" for number in range(2**statuses))
         self.place = np.where(self.tried, states % len(self.labels), -1)
+        self.reported, self.choices = np.arange(len(self.labels)), len(scenario.actions)
 
-    def solve_draws(self, draws: Numbers, first: int = 0) -> Arrays:
-        """See `ModelSolver.solve_draws`."""
-        mdp, optima = self.mdp, solve_care_draws(self.scenario, self.names, draws.astype(float))
-        gaps = np.where(optima.gaps > 2 * optima.error[:, None, None], optima.gaps, 0.0)
-        taken, which = find_distinct_rows(optima.actions.reshape(len(draws), -1))
-        rows = np.tile(mdp.pair_action[mdp.pair_offsets[:-1]].astype(np.int32), (len(taken), 1))
-        rows[:, self.tried] = taken
-        return {
-            "start": optima.start,
-            "start_error": optima.error,
-            "counts": (gaps == 0).sum(axis=0),
-            "lost": gaps[:, 0],
-            "rows": rows,
-            "which": which,
-            "cut": optima.cut,
-        }
-
-    def evaluate_policies(
-        self, draws: Numbers, policies: Sequence[Floats], first: int = 0
-    ) -> Arrays:
-        """See `ModelSolver.evaluate_policies`."""
-        mdp, actions = self.mdp, len(self.scenario.actions)
-        tables = [MDP.by_action(mdp, weights, 0.0)[self.tried, :actions] for weights in policies]
-        stages = np.stack(tables).reshape(len(tables), -1, len(self.labels), actions)
-        value, error = evaluate_care_policies(
-            self.scenario, self.names, draws.astype(float), stages
-        )
-        return {"value": value, "error": np.repeat(error[:, None], len(tables), axis=1)}
+    def _draw_models(self, draws: Numbers, first: int) -> tuple[_Drawn, Flags]:
+        """See `ModelSolver._draw_models`; no model is built."""
+        stacked, cut = self.stack.stack_draws(draws.astype(float))
+        return _Drawn(self.mdp, stacked), cut
 
 
 def solver_of(model: Parametric, names: Sequence[str]) -> ModelSolver:

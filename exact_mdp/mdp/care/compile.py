@@ -24,7 +24,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.care.laws import Laws
-from exact_mdp.mdp.care.rules import COMPLETE, FAIL, FINAL, SKIPPED
+from exact_mdp.mdp.care.rules import COMPLETE, FAIL, FINAL, SKIPPED, Rules
 from exact_mdp.mdp.care.tables import SKIP
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
@@ -47,79 +47,124 @@ Rows = dict[str, NDArray[Any]]
 
 
 class Branches(NamedTuple):
-    """Outcomes of a step for some next vectors: one for each vector, or after a skip.
+    """Outcomes of a step, one for each of some next vectors.
 
-    Outcome c has the probability Σ_{s'} K(s, s') M(s', c) over the next vectors `chosen`.
+    Outcome c has the probability Σ_{s'} K(s, s') M(s', c) over the next vectors `chosen`; without a
+    `scatter` M, one of them leads to one outcome.
     """
 
     event: int  # the bit of the model's event
     chosen: Integers  # (m,) next vectors
-    gain: Numbers  # (1 or A, k)
+    gain: Numbers  # (1 or A, k, …)
     state: Integers  # (k,) counted from the block's start
-    scatter: Numbers | None = None  # (m, k) weights M over `scale`, or each vector by itself
+    scatter: Numbers | None = None  # (m, k) weights M over `scale`
 
 
-class SubtaskBlock:
-    """The rows of a subtask, by its place."""
+class Step(NamedTuple):
+    """A step of a subtask, with a trial (`tries`), a skip (`skips`) or both."""
+
+    trial: int
+    flag: int
+    tries: bool
+    skips: bool
+
+
+def list_steps(rules: Rules) -> list[Step]:
+    """Return the steps of a subtask, in the order of their states."""
+    steps = []
+    for trial in range(rules.trials - (not rules.own)):
+        for flag in range(rules.flags):
+            steps.append(Step(trial, flag, tries=True, skips=False))
+    # The last trial, or a skip with a timestep of its own, after which the flag is 1.
+    for flag in range(rules.flags):
+        last = flag
+        if rules.own:
+            last = 1
+        steps.append(Step(rules.trials - (not rules.own), last, tries=not rules.own, skips=True))
+    return steps
+
+
+class Subtask:
+    """The outcomes of the steps of a subtask, exact or for draws."""
 
     def __init__(self, laws: Laws) -> None:
         self.laws, rules = laws, laws.rules
-        shape = rules.vectors, rules.assistive
         step, bottom = laws.compute_distributions(rules.step.reshape(-1, rules.step.shape[2]))
-        self.step, self.bottom = step.reshape(*shape, -1), bottom.reshape(shape)
-        skip, bottoms = laws.compute_distributions(rules.skip)
-        self.scale = lcm(*bottoms.tolist())  # of the law of a skip (2^n, 2^n)
-        # The type of the denominator holds all sums of a row's weights, which are not greater.
-        shared = to_integer_array([self.scale // each for each in bottoms.tolist()])
-        self.skip = multiply(skip, shared[:, None]).astype(to_integer_array([self.scale]).dtype)
+        shape = rules.vectors, rules.assistive
+        self.step, self.bottom = step.reshape(*shape, *step.shape[1:]), bottom.reshape(shape)
+        self.skip, self.skip_bottom = laws.compute_distributions(rules.skip)
         self.present, self.following = rules.now * laws.cost, rules.next * laws.cost
 
     def compute_event_gain(self, event: int, place: int, flag: int = 0) -> Any:
         """Return the gain of an event, without the weights of the action and of the statuses."""
         return self.laws.gain[self.laws.rules.gains[event, place, flag]]
 
-    def build_rows(self, place: int) -> Rows:
-        """Return all rows of a subtask, by trial, flag, status and action."""
-        rules, parts = self.laws.rules, list[Rows]()
-        layer = rules.flags * rules.vectors
-        first = [self._build_step(place, flag) for flag in range(rules.flags)]
-        for trial in range(rules.trials - (not rules.own)):
-            for rows in first:  # the same rows for each trial, shifted
-                shift = np.where(rows["next"] < rules.size, trial * layer, 0)
-                parts.append(rows | {"next": rows["next"] + shift})
-        # The last trial, or a skip with a timestep of its own, after which the flag is 1.
-        for flag in range(rules.flags):
-            last = flag
-            if rules.own:
-                last = 1
-            parts.append(self._build_step(place, last, tries=not rules.own, skips=True))
-        return _concatenate_rows(parts)
+    def list_outcomes(self, place: int, step: Step) -> list[Branches]:
+        """Return the outcomes of a step by the vector that follows its trial, or else its skip.
 
-    def _list_outcomes(self, place: int, flag: int, *, tries: bool, skips: bool) -> list[Branches]:
-        """Return the outcomes of a step, with a trial (`tries`), a skip (`skips`) or both."""
+        A gain is without the costs of statuses. If a skip follows the trial, its outcomes are the
+        next vectors of the trial, and its states those to which each vector of the skip leads.
+        """
         # Without a trial every vector is followed by a skip; with one, all but 0.
-        rules = self.laws.rules
-        others = np.arange(int(tries), rules.vectors)
-        gain = self.following[others]
-        outcomes = []
-        if tries:
-            done = self.compute_event_gain(COMPLETE, place, flag) + self.laws.assist[:, None]
-            home = rules.list_next_states(flag, place)[:1]
-            outcomes.append(Branches(0, np.array([0]), done, home))
-            gain = gain + self.compute_event_gain(FAIL, place)
-        if not skips:  # the next trial
-            layer = (rules.flags + flag) * rules.vectors
-            return [*outcomes, Branches(0, others, gain[None], layer + others)]
+        rules, others = self.laws.rules, np.arange(int(step.tries), self.laws.rules.vectors)
+        outcomes, gain = [], 0
+        if step.tries:
+            done = self.compute_event_gain(COMPLETE, place, step.flag) + self.laws.assist
+            home = rules.list_next_states(step.flag, place)[:1]
+            outcomes.append(Branches(0, np.array([0]), done[:, None], home))
+            gain = self.compute_event_gain(FAIL, place)
+        if not step.skips:  # the next trial
+            layer = ((step.trial + 1) * rules.flags + step.flag) * rules.vectors
+            return [*outcomes, Branches(0, others, np.array([[gain]]), layer + others)]
         # A skip leads to the next subtask.
         gain = gain + self.compute_event_gain(SKIPPED, place, 1)
         ends = rules.list_next_states(1, place)
-        if not tries and place != FINAL:
-            return [Branches(1, others, gain[None], ends)]
+        if place == FINAL:  # all vectors lead to the end
+            ends = ends[others]
+        return [*outcomes, Branches(1, others, np.array([[gain]]), ends)]
+
+
+class SubtaskBlock(Subtask):
+    """The exact rows of a subtask, by its place."""
+
+    def __init__(self, laws: Laws) -> None:
+        super().__init__(laws)
+        bottoms = self.skip_bottom.tolist()
+        self.scale = lcm(*bottoms)  # of the law of a skip (2^n, 2^n)
+        # The type of the denominator holds all sums of a row's weights, which are not greater.
+        shared = to_integer_array([self.scale // each for each in bottoms])
+        kind = to_integer_array([self.scale]).dtype
+        self.skip = multiply(self.skip, shared[:, None]).astype(kind)
+
+    def build_rows(self, place: int) -> Rows:
+        """Return all rows of a subtask, by trial, flag, status and action."""
+        rules, parts = self.laws.rules, list[Rows]()
+        layer, first = rules.flags * rules.vectors, dict[int, Rows]()
+        for step in list_steps(rules):
+            if step.skips:
+                parts.append(self._build_step(place, step))
+                continue
+            # The rows are the same for each trial, shifted.
+            if step.trial == 0:
+                first[step.flag] = self._build_step(place, step)
+            rows = first[step.flag]
+            shift = np.where(rows["next"] < rules.size, step.trial * layer, 0)
+            parts.append(rows | {"next": rows["next"] + shift})
+        return _concatenate_rows(parts)
+
+    def _join_outcomes(self, place: int, step: Step) -> list[Branches]:
+        """Return the outcomes of a step with their whole gains; those after a skip are joined."""
+        outcomes = []
+        for branch in self.list_outcomes(place, step):
+            outcomes.append(branch._replace(gain=branch.gain + self.following[branch.chosen]))
+        if not step.skips or (not step.tries and place != FINAL):
+            return outcomes
         # Outcomes with the same gain are joined, by a product with the distribution of the skip.
         # After the last subtask only the end follows, so the vector does not matter.
         scale = 1
-        if tries:
+        if step.tries:
             scale = self.scale
+        _, others, (gain,), ends, _ = outcomes.pop()
         for amount in sorted(set(gain.tolist())):
             chosen, there = others[gain == amount], np.array([0])
             scatter = np.full((len(chosen), 1), scale, self.skip.dtype)
@@ -130,22 +175,20 @@ class SubtaskBlock:
             outcomes.append(Branches(1, chosen, gains, ends[there], scatter))
         return outcomes
 
-    def _build_step(
-        self, place: int, flag: int, *, tries: bool = True, skips: bool = False
-    ) -> Rows:
+    def _build_step(self, place: int, step: Step) -> Rows:
         """Return the rows of a step, with sorted next states and without zeros.
 
         A row may have as many outcomes as status vectors times costs. So a few present vectors are
         computed at a time, and of each product only the columns that can be positive.
         """
         # The distribution of the vectors after the step, over a denominator for each row.
-        outcomes = self._list_outcomes(place, flag, tries=tries, skips=skips)
+        outcomes = self._join_outcomes(place, step)
         laws, bottom = self.step, self.bottom
-        if not tries:
+        if not step.tries:
             laws = self.skip[:, None]
             bottom = np.broadcast_to(to_integer_array([self.scale]), laws.shape[:2])
         actions, scale = bottom.shape[1], to_integer_array([1])
-        if tries and skips:
+        if step.tries and step.skips:
             scale = to_integer_array([self.scale])
         # The columns of all outcomes, sorted by next state.
         below, states = multiply(bottom, scale), np.concatenate([each.state for each in outcomes])
@@ -153,7 +196,7 @@ class SubtaskBlock:
         kind = np.repeat([each.event for each in outcomes], [len(o.state) for o in outcomes])
         gains = [np.broadcast_to(o.gain, (actions, len(o.state))) for o in outcomes]
         gain, event = np.concatenate(gains, axis=1)[:, order], kind[order].astype(np.uint8)
-        amount = self._compute_components(laws, bottom, place, flag, tries, skips)
+        amount = self._compute_components(laws, bottom, place, step)
         # The weights, for as many present vectors at a time as memory allows.
         each = max(1, BLOCK // (actions * len(states)))
         parts = []
@@ -187,7 +230,7 @@ class SubtaskBlock:
         }
 
     def _compute_components(
-        self, law: Numbers, bottom: Numbers, place: int, flag: int, tries: bool, skips: bool
+        self, law: Numbers, bottom: Numbers, place: int, step: Step
     ) -> Numbers:
         """Return the expected reward components (V, A, C) as integers over the row denominators."""
         # Count how often each weight is charged, times its probability: first the statuses.
@@ -198,15 +241,15 @@ class SubtaskBlock:
             counts[:, :, i] += rules.next * law[:, :, on == 1].sum(axis=2)
         # Then the events, with their probabilities and flags.
         failed, shares = bottom, []
-        if tries:
+        if step.tries:
             failed = bottom - law[:, :, 0]
-            shares += [(COMPLETE, law[:, :, 0], flag), (FAIL, failed, 0)]
-        if skips:
+            shares += [(COMPLETE, law[:, :, 0], step.flag), (FAIL, failed, 0)]
+        if step.skips:
             shares.append((SKIPPED, failed, 1))
         for event, share, of in shares:
             counts += share[:, :, None] * rules.charged[rules.gains[event, place, of]]
         # Then the action, which is charged if the subtask is completed.
-        if tries:
+        if step.tries:
             own = np.eye(rules.assistive, dtype=np.int64)
             counts[:, :, -rules.assistive :] += law[:, :, 0, None] * own
         return multiply(counts, reward[rules.weights])

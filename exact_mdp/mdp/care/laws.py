@@ -4,8 +4,8 @@ With the probability p_i of each status, the next vector has the distribution of
 
     K(s') = Π_i p_i^{s'_i} (1 - p_i)^{1 - s'_i}.
 
-Numbers are integers over denominators, or floats with an axis of draws in front: the explicit
-matrix and batches of drawn parameters use the same rules. A sum above 1 is not a probability:
+Numbers are integers over denominators, or floats with an axis of draws at the end: the explicit
+matrix and stacked models of drawn parameters use the same rules. A sum above 1 is not a probability:
 `warn_of_excess` reports it when a model is built.
 Source: Yuan et al. (2025), Section 2.1.
 """
@@ -37,15 +37,15 @@ from exact_mdp.mdp.table import (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Laws:
-    """The rules of a scenario with its numbers, or with D draws of them, on an axis in front."""
+    """The rules of a scenario with its numbers, or with D draws of them, on an axis at the end."""
 
     scenario: ScenarioTables
     rules: Rules
-    sums: Numbers  # (…, U) the sums of terms, not cut off, over `one`
+    sums: Numbers  # (U, …) the sums of terms, not cut off, over `one`
     one: int
-    top: Numbers  # (…, U) the chances, cut off at 1, in lowest terms
-    bottom: Numbers  # (U,)
-    reward: Numbers  # (…, P+1) the weights by position, over `scale`
+    top: Numbers  # (U, …) the chances, cut off at 1, in lowest terms
+    bottom: Numbers  # (U,), or (U, 1) of ones for draws
+    reward: Numbers  # (P+1, …) the weights by position, over `scale`
     scale: int
 
     @classmethod
@@ -83,9 +83,10 @@ class Laws:
 
     @classmethod
     def from_draws(cls, scenario: ScenarioTables, numbers: Floats) -> Self:
-        """Return the laws of draws (D, P+1) of all parameters, and 0."""
+        """Return the laws of draws (P+1, D) of all parameters, and 0."""
         rules = rules_of(scenario)
-        sums, bottom = _sum_at_positions(numbers, rules.terms), np.ones(len(rules.terms))
+        sums = _sum_at_positions(numbers, rules.terms)
+        bottom = np.ones((len(rules.terms), 1), dtype=np.int64)
         return cls(
             scenario=scenario,
             rules=rules,
@@ -99,17 +100,17 @@ class Laws:
 
     @cached_property
     def gain(self) -> Numbers:
-        """(…, G) the gains."""
+        """(G, …) the gains."""
         return _sum_at_positions(self.reward, self.rules.charges)
 
     @cached_property
     def assist(self) -> Numbers:
-        """(…, A) the weight of each action, charged if the subtask is completed."""
-        return np.asarray(self.reward[..., self.rules.weights[-self.rules.assistive :]])
+        """(A, …) the weight of each action, charged if the subtask is completed."""
+        return np.asarray(self.reward[self.rules.weights[-self.rules.assistive :]])
 
     @cached_property
     def cost(self) -> Numbers:
-        """(…, 2^n) the sum of the weights of the statuses in each vector."""
+        """(2^n, …) the sum of the weights of the statuses in each vector."""
         bits, charged = self.rules.bits, self.rules.weights
         return _sum_at_positions(
             self.reward, np.where(bits, charged[: bits.shape[1]], len(self.rules.names))
@@ -117,21 +118,22 @@ class Laws:
 
     def compute_denominators(self, which: Integers) -> list[int]:
         """Return the denominators of rows with the probabilities `which` (R, n)."""
-        bottom = self.bottom.tolist()
+        bottom = self.bottom.reshape(-1).tolist()
         return [prod(bottom[k] for k in row) for row in which.tolist()]
 
     def compute_distributions(self, which: Integers) -> tuple[Numbers, Numbers]:
-        """Return the distributions of the next vector: integers (R, 2^n) over (R,)."""
+        """Return the distributions of the next vector: numbers (R, 2^n, …) over integers (R,)."""
         bottom = to_integer_array(self.compute_denominators(which))
+        kind = np.result_type(self.top, bottom)
         chances = self.top, self.bottom - self.top
-        one, none = (each[which.T].astype(bottom.dtype) for each in chances)
-        law = np.empty((1 << len(one), len(which)), dtype=bottom.dtype)
+        one, none = (each[which.T].astype(kind) for each in chances)
+        law = np.empty((1 << len(one), *one.shape[1:]), dtype=kind)
         fill_joint_distribution(one, none, law)
-        return law.T, bottom
+        return law.swapaxes(0, 1), bottom
 
 
 def fill_joint_distribution(one: Numbers, none: Numbers, law: Numbers) -> None:
-    """Write the distribution (2^n, R) of n independent bits with weights (n, R) of 1 and 0."""
+    """Write the distribution (2^n, R, …) of n independent bits, whose weights are (n, R, …)."""
     # Each bit splits the entries of all vectors of the bits before it in two, in place.
     law[0] = 1
     for i in range(len(one)):
@@ -141,8 +143,8 @@ def fill_joint_distribution(one: Numbers, none: Numbers, law: Numbers) -> None:
 
 
 def _sum_at_positions(numbers: Numbers, places: Integers) -> Numbers:
-    """Return the sums (…, k) of numbers (…, P+1) at the places (k, m)."""
-    return reduce(np.add, (np.take(numbers, column, axis=-1) for column in places.T))
+    """Return the sums (k, …) of numbers (P+1, …) at the places (k, m)."""
+    return reduce(np.add, (numbers[column] for column in places.T))
 
 
 def describe_excess(laws: Laws) -> str | None:

@@ -12,7 +12,7 @@ from exact_mdp import MDP, Family, Parameter, Scenario, parametric, study
 from exact_mdp.analysis.vary.study import (
     CareSolver,
     ModelSolver,
-    _Built,
+    _Drawn,
     finite_optimum,
     finite_worth,
     hash_policies,
@@ -22,6 +22,7 @@ from exact_mdp.analysis.vary.study import (
 )
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.table import MOST_BYTES
+from exact_mdp.solvers.stacked import StackedModel
 
 POINTS = {"p": [F(1, 4), F(1, 2), F(3, 4)], "r": [F(0), F(-2), F(5)]}
 
@@ -113,12 +114,11 @@ PLACES = [{"p": F(1, 3), "r": F(2)}, {"p": F(1), "r": F(-3)}, {"p": F(1, 7), "r"
 @pytest.mark.parametrize("sense", ["max", "min"])
 def test_models_are_solved_all_at_once_or_one_by_one(sense: str, together: bool) -> None:
     models = [varied({**at, "p": min(at["p"], F(6, 7))}, sense) for at in PLACES]
-    built = _Built(models, "draw {}".format)
-    assert built.stacked is not None
-    assert built.size == built.stacked.rows.size == 3 * 6 * 3
-    if not together:
-        built.stacked = None
-    start, error, gap, doubt, policy = built.solve_models()
+    stacked = StackedModel.of(models)
+    assert stacked is not None
+    assert stacked.size == stacked.rows.size == 3 * 6 * 3
+    drawn = _Drawn(models[0], stacked if together else None, models)
+    start, error, gap, doubt, policy = drawn.solve_models()
     for d, mdp in enumerate(models):
         best, lost = exactly(mdp)
         assert abs(F(start[d]) - best[0]) <= F(error[d]) < F(1, 10**9)
@@ -130,8 +130,8 @@ def test_models_are_solved_all_at_once_or_one_by_one(sense: str, together: bool)
         assert {*enumerate(policy[d].tolist())} <= taken
     weights = np.array([0.25, 0.75, 1, 0.5, 0.5, 0])
     nowhere = np.zeros(3, dtype=bool)
-    value, off = built.evaluate_policy(weights, nowhere)
-    totals, far = built.compute_totals(weights, ["tip", "fare"], nowhere)
+    value, off = (each[:, 0] for each in drawn.evaluate_policies([weights], [nowhere]))
+    totals, far = drawn.compute_totals(weights, ["tip", "fare"], nowhere)
     for d, mdp in enumerate(models):
         for amounts, got, bound in (
             (mdp.reward, value[d], off[d]),
@@ -148,6 +148,24 @@ def test_models_are_solved_all_at_once_or_one_by_one(sense: str, together: bool)
             exact = policy_values(mixed, F(3, 4))[0]
             assert abs(F(got) - exact) <= F(bound) + F(1, 10**12)
             assert bound < 1e-9
+
+
+def test_errors_of_totals_follow_components_whose_order_differs_between_draws() -> None:
+    def build(at: dict[str, F]) -> MDP:
+        parts = {"cost": [F(10**9, 3), 0], "tip": [F(1, 3), 0]}
+        if at["p"] > F(1, 2) and at["swap"]:
+            parts = dict(reversed(parts.items()))
+        rows = [(0, 0, [(at["p"], 0, 1), (1 - at["p"], 1, 1)]), (1, 0, [(1, 1, 0)])]
+        return MDP.from_outcomes(rows, "1/2", components=parts)
+
+    found = []
+    for swap in (0, 1):
+        family = Family(parameters={"p": "1/2", "swap": swap}, build=build)
+        solver = ModelSolver(family, ("p",))
+        draws, policy = np.array([[0.25], [0.75]]), np.ones(2)
+        found.append(solver.compute_totals(draws, [policy], ["cost", "tip"], 0))
+    for straight, swapped in zip(*found, strict=True):
+        assert straight.tolist() == swapped.tolist()
 
 
 def test_a_study_counts_optimal_actions_and_what_first_actions_lose() -> None:
@@ -236,7 +254,7 @@ def test_a_solver_says_what_a_policy_does() -> None:
 # ---- care scenarios ------------------------------------------------------------------------------
 
 
-def test_loops_of_a_care_scenario_are_as_its_models() -> None:
+def test_draws_of_a_care_scenario_are_as_its_models() -> None:
     scenario = parametric(Scenario.load("yuan2025").with_(tasks=[2, 1], max_trial=2))
     today = scenario.parameters[0]
     name = today.name
@@ -253,7 +271,7 @@ def test_loops_of_a_care_scenario_are_as_its_models() -> None:
     assert mine["value"] == pytest.approx(theirs["value"], rel=1e-12)
     assert mine["error"].shape == (2, 1)
     assert mine["value"][0, 0] == pytest.approx(one["start"][0])
-    statuses = len(fast.scenario.statuses)
+    statuses = len(scenario.scenario.statuses)
     assert fast.labels == tuple("".join(bits) for bits in product("01", repeat=statuses))
     space = fast.mdp.space
     for state in np.flatnonzero(fast.tried).tolist():
