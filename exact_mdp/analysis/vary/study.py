@@ -312,7 +312,8 @@ class _Drawn:
     """The models of some draws, solved all at once if they can be stacked, else one by one.
 
     `mdp` is a model with the same pairs. `models` may be left out if the stacked model was made
-    without them; `at` describes a draw in words, by its number.
+    without them; `at` describes a draw in words, by its number. `cut` (D,) is whether a probability
+    of a draw is cut off at 1.
     """
 
     def __init__(
@@ -321,8 +322,10 @@ class _Drawn:
         stacked: StackedModel | None,
         models: Sequence[MDP] = (),
         at: Callable[[int], str] = "draw {}".format,
+        cut: Flags | None = None,
     ) -> None:
         self.mdp, self.stacked, self.models, self.at = mdp, stacked, models, at
+        self.cut = np.zeros(len(models), dtype=bool) if cut is None else cut
         self.size = KEPT  # numbers in memory: models that are not stacked are not kept
         if stacked is not None:
             self.size = stacked.size
@@ -509,28 +512,37 @@ class ModelSolver:
         chosen = [self.mdp.actions[action] for action in number.tolist()]
         return dict(zip(self.labels, chosen, strict=True))
 
-    def _build_models(self, draws: Numbers, first: int) -> _Drawn:
-        """Return the models of draws, built once for repeated questions about the same draws."""
-        # The last models are kept, as several questions concern the same draws.
-        key = repr(draws.tolist())
-        if key not in self.drawn:
-            models, at = [], partial(self._describe_draw, draws, first)
-            for d, row in enumerate(draws.tolist()):
-                try:
-                    with locate_errors(at(d)), annotate_errors(at(d)):
-                        models.append(self.model.at(dict(zip(self.names, row, strict=True))))
-                        check_alike(self.mdp, models[-1], start=len(self.mdp.start) == 1)
-                except DistributionError as error:
-                    fix = "choose ranges, or distributions, all of whose numbers make a model: a "
-                    fix += "beta stays in [0, 1], a gamma and a log-normal above 0; draw "
-                    fix += "probabilities of one row together: rows={label: [names]}"
-                    raise type(error)(error.what, where=error.where, fix=fix) from error
-            made = _Drawn(models[0], StackedModel.of(models), models, at)
-            # Models that do not fit in the memory for kept ones are built again next time.
-            if sum(each.size for each in (made, *self.drawn.values())) > KEPT:
-                return made
-            self.drawn[key] = made
-        return self.drawn[key]
+    def _split_draws(self, draws: Numbers, first: int) -> Iterator[_Drawn]:
+        """Yield the models of draws, some at a time, made once for repeated questions."""
+        for begin in range(0, len(draws), self.together):
+            some = draws[begin : begin + self.together]
+            # The last models are kept, as several questions concern the same draws.
+            if some.dtype == object:
+                key = repr(some.tolist())
+            else:
+                key = hash_policies(some)
+            made = self.drawn.get(key)
+            if made is None:
+                made = self._make_models(some, first + begin)
+                # Models that do not fit in the memory for kept ones are made again next time.
+                if sum(each.size for each in (made, *list(self.drawn.values()))) <= KEPT:
+                    self.drawn[key] = made
+            yield made
+
+    def _make_models(self, draws: Numbers, first: int) -> _Drawn:
+        """Return the models of draws."""
+        models, at = [], partial(self._describe_draw, draws, first)
+        for d, row in enumerate(draws.tolist()):
+            try:
+                with locate_errors(at(d)), annotate_errors(at(d)):
+                    models.append(self.model.at(dict(zip(self.names, row, strict=True))))
+                    check_alike(self.mdp, models[-1], start=len(self.mdp.start) == 1)
+            except DistributionError as error:
+                fix = "choose ranges, or distributions, all of whose numbers make a model: a "
+                fix += "beta stays in [0, 1], a gamma and a log-normal above 0; draw "
+                fix += "probabilities of one row together: rows={label: [names]}"
+                raise type(error)(error.what, where=error.where, fix=fix) from error
+        return _Drawn(models[0], StackedModel.of(models), models, at)
 
     def _describe_draw(self, draws: Numbers, first: int, d: int) -> str:
         """Return the number of a draw and the first three parameters that it moves."""
@@ -544,21 +556,12 @@ class ModelSolver:
             words += ", …"
         return f"draw {first + d}, {words}"
 
-    def _draw_models(self, draws: Numbers, first: int) -> tuple[_Drawn, Flags]:
-        """Return the models of draws, and whether a probability is cut off at 1 in each (D,)."""
-        return self._build_models(draws, first), np.zeros(len(draws), dtype=bool)
-
-    def _split_draws(self, draws: Numbers, first: int) -> Iterator[tuple[_Drawn, Flags]]:
-        """Yield the models of draws, some at a time."""
-        for begin in range(0, len(draws), self.together):
-            yield self._draw_models(draws[begin : begin + self.together], first + begin)
-
     def solve_draws(self, draws: Numbers, first: int = 0) -> Arrays:
         """Return the optima of draws (D, Q): start, start_error (D,), and others as in `Study`."""
         mdp, parts, policies = self.mdp, list[Arrays](), list[Integers]()
         here = mdp.pair_state == mdp.start[0][0]
         counts = np.zeros((mdp.n_states, mdp.n_actions), dtype=np.int64)
-        for drawn, cut in self._split_draws(draws, first):
+        for drawn in self._split_draws(draws, first):
             start, error, gap, doubt, actions = drawn.solve_models()
             # A pair counts as optimal if its gap is within its error bound.
             counts[mdp.pair_state, mdp.pair_action] += (gap <= doubt).sum(axis=0)
@@ -566,7 +569,7 @@ class ModelSolver:
             if len(mdp.start) == 1:
                 lost[:, mdp.pair_action[here]] = np.where(gap > doubt, gap, 0.0)[:, here]
             policies.append(actions.astype(np.int32))
-            parts.append({"start": start, "start_error": error, "lost": lost, "cut": cut})
+            parts.append({"start": start, "start_error": error, "lost": lost, "cut": drawn.cut})
         rows, which = find_distinct_rows(np.concatenate(policies))
         counts = counts[self.reported, : self.choices]
         return join_blocks(parts) | {"rows": rows, "which": which, "counts": counts}
@@ -576,7 +579,7 @@ class ModelSolver:
     ) -> Arrays:
         """Return values and errors (D, N) of N policies, each given by probabilities (L,)."""
         undecided, parts = [self._find_undecided_states(weights) for weights in policies], []
-        for drawn, _ in self._split_draws(draws, first):
+        for drawn in self._split_draws(draws, first):
             value, error = drawn.evaluate_policies(policies, undecided)
             parts.append({"value": value, "error": error})
         return join_blocks(parts)
@@ -585,8 +588,8 @@ class ModelSolver:
         self, draws: Numbers, policies: Sequence[Floats], components: Sequence[str], first: int
     ) -> tuple[Floats, Floats]:
         """Return the totals (D, N, C) of some reward components under N policies, and errors."""
-        built = self._build_models(draws, first)
-        for d, mdp in enumerate(built.models):
+        drawn = self._make_models(draws, first)
+        for d, mdp in enumerate(drawn.models):
             if not {*components} <= {*mdp.component_names}:
                 raise ModelError(
                     f"the model's components are {', '.join(mdp.component_names)} there, and "
@@ -595,7 +598,7 @@ class ModelSolver:
                     fix="make the model by a function that gives its components: Family(build=…)",
                 )
         every = [
-            built.compute_totals(own, components, self._find_undecided_states(own))
+            drawn.compute_totals(own, components, self._find_undecided_states(own))
             for own in policies
         ]
         totals, error = (np.stack(each, axis=1) for each in zip(*every, strict=True))
@@ -625,10 +628,10 @@ class CareSolver(ModelSolver):
         self.place = np.where(self.tried, states % len(self.labels), -1)
         self.reported, self.choices = np.arange(len(self.labels)), len(scenario.actions)
 
-    def _draw_models(self, draws: Numbers, first: int) -> tuple[_Drawn, Flags]:
-        """See `ModelSolver._draw_models`; no model is built."""
+    def _make_models(self, draws: Numbers, first: int) -> _Drawn:
+        """See `ModelSolver._make_models`; no model is built."""
         stacked, cut = self.stack.stack_draws(draws.astype(float))
-        return _Drawn(self.mdp, stacked), cut
+        return _Drawn(self.mdp, stacked, cut=cut)
 
 
 def solver_of(model: Parametric, names: Sequence[str]) -> ModelSolver:
