@@ -23,7 +23,7 @@ from exact_mdp.mdp.errors import ModelError, ShapeError, words_of
 from exact_mdp.mdp.forms import listed
 from exact_mdp.mdp.forms.columns import table_of
 from exact_mdp.mdp.forms.names import name_things
-from exact_mdp.mdp.forms.numbering import action_names
+from exact_mdp.mdp.forms.numbering import OutcomeColumns, action_names
 from exact_mdp.mdp.forms.numbers import (
     array_of,
     as_given,
@@ -33,7 +33,7 @@ from exact_mdp.mdp.forms.numbers import (
     whole_numbers,
 )
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Integers, Numbers, exact
+from exact_mdp.mdp.table import Integers, Numbers, concatenate_ranges, exact
 from exact_mdp.mdp.validate import COUNTED, Parts, as_discount, as_start, check_options
 
 # An action number from here on, without names for the actions, is more likely a typing error, and a
@@ -275,16 +275,11 @@ class FromArrays(Parts):
         [0.5, 0.0]
         """
         check_options(names, COUNTED)
-        # Sort the pairs by state, then action, and list all outcomes in this order.
+        columns = OutcomeColumns()
         try:
-            pairs = [(index(row[0]), index(row[1]), list(row[2])) for row in rows]
-            order = np.array(sorted(range(len(pairs)), key=lambda each: pairs[each][:2]), np.int64)
-            state = np.array([row[0] for row in pairs], dtype=np.int64)[order]
-            action = np.array([row[1] for row in pairs], dtype=np.int64)[order]
-            every = []
-            for number in order:
-                every += [(p, index(to), r) for p, to, r in pairs[number][2]]
-            following = np.array([to for _, to, _ in every], dtype=np.int64)
+            for state, action, outcomes in ((row[0], row[1], row[2]) for row in rows):
+                columns.add_pair(index(state), index(action), list(outcomes))
+            columns = columns.to_arrays()
         except (TypeError, ValueError, LookupError, OverflowError) as error:
             raise ModelError(
                 f"a row or an outcome has the wrong form: {error}",
@@ -292,24 +287,40 @@ class FromArrays(Parts):
                 fix="give (state, action, [(probability, next state, reward), …]) with whole "
                 "numbers for states and actions",
             ) from error
-        size = int(max([*state, *following], default=-1)) + 1
-        chance, gain = ([each[place] for each in every] for place in (0, 2))
-        lengths = [len(pairs[number][2]) for number in order]
+        return cls._from_columns(columns, discount, start, names)
+
+    @classmethod
+    def _from_columns(
+        cls, columns: OutcomeColumns, discount: object, start: object, names: dict[str, Any]
+    ) -> Self:
+        """Return the model of pairs in any order, and their outcomes; see `from_outcomes`."""
+        # Sort the pairs by state, then action, and their outcomes with them.
+        order = np.lexsort((columns.action, columns.state))
+        state, action = (np.asarray(each)[order] for each in (columns.state, columns.action))
+        ends = np.cumsum(columns.length, dtype=np.int64)
+        first = ends - columns.length
+        places = concatenate_ranges(first[order], ends[order])
+        following = np.asarray(columns.following)[places]
+        chance, gain = columns.chance, columns.gain
+        if not np.array_equal(order, np.arange(len(order))):
+            chance, gain = ([each[k] for k in places.tolist()] for each in (chance, gain))
+        size = int(max(state.max(initial=-1), following.max(initial=-1))) + 1
+        lengths = np.asarray(columns.length)[order].tolist()
         offsets = np.cumsum([0, *lengths])
         # Amounts of components by outcome: in place of rewards, or listed in `components`.
         amounts: dict[str, Any] = {}
-        if any(isinstance(reward, Mapping) for reward in gain):
+        if any(issubclass(kind, Mapping) for kind in set(map(type, gain))):
             amounts = _collect_amounts(gain, names)
             gain = [_add_amounts(reward) for reward in gain]
         listed = _list_outcome_amounts(names.get("components"), lengths, order)
         if listed:
             amounts = listed
             names.pop("components")
-        columns = offsets, following, one_kind(chance), one_kind(gain)
-        each_component(names, lambda values, where: require_length(values, where, len(pairs)))
+        each_component(names, lambda values, where: require_length(values, where, len(order)))
         names |= {"discount": discount, "start": start}
+        outcomes = offsets, following, one_kind(chance), one_kind(gain)
         settings: dict[str, Any] = {"by_pair": False, "amounts": amounts}
-        return cls(**_parts_from_columns(state, action, *columns, size, order, names, **settings))
+        return cls(**_parts_from_columns(state, action, *outcomes, size, order, names, **settings))
 
 
 def _add_amounts(reward: Any) -> Any:

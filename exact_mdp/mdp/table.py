@@ -392,9 +392,18 @@ def reduce_fractions(top: Numbers, bottom: Numbers) -> tuple[Numbers, Numbers]:
     return np.asarray(top // shared), np.asarray(bottom // shared)
 
 
+@lru_cache(4096)
+def whole_fraction(number: int) -> Fraction:
+    """Return an integer as a Fraction, one object for each: most rewards are few integers."""
+    return Fraction(number)
+
+
 def exact(number: object, where: str = "") -> Fraction:
     """Return a number, "p/q" or decimal as a Fraction; raise ModelError for anything else."""
-    if isinstance(number, Fraction):
+    # The exact type is compared first: isinstance is slow for abstract classes.
+    if type(number) is int:
+        return whole_fraction(number)
+    if type(number) is Fraction or isinstance(number, Fraction):
         return number
     if isinstance(number, np.longdouble) and np.isfinite(number):
         return Fraction(*number.as_integer_ratio())  # wider than Python's floats

@@ -9,7 +9,8 @@ reward 0; or it earns a given reward once, and leads to an additional state.
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from operator import index
 from types import MappingProxyType
 from typing import Any
 
@@ -18,6 +19,7 @@ import numpy as np
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.forms.names import integer_of, name_things, text_of
 from exact_mdp.mdp.space import Column, StateSpace
+from exact_mdp.mdp.table import Integers
 
 Row = tuple[Hashable, Hashable, Sequence[tuple[Any, Hashable, Any]]]
 """State, action and outcomes: probability, next state, reward."""
@@ -55,6 +57,12 @@ class Numbering:
             self.number = {thing: number for number, thing in enumerate(whole)}
         return whole
 
+    def renumber(self) -> tuple[list[Any], Integers]:
+        """Return `list_in_order`, and the new number of each old one."""
+        found = list(self.number)
+        things = self.list_in_order()
+        return things, np.array([self.number[thing] for thing in found], dtype=np.int64)
+
 
 def _is_whole(thing: Any) -> bool:
     return not isinstance(thing, str) and integer_of(thing) is not None
@@ -65,6 +73,35 @@ def _count_from_zero(things: Sequence[Any]) -> bool:
     return all(map(_is_whole, things)) and [*things] == [*range(len(things))]
 
 
+@dataclass(frozen=True, eq=False)
+class OutcomeColumns:
+    """Pairs in numbers, in the order given, and all their outcomes: lists, or arrays of numbers."""
+
+    state: Any = field(default_factory=list)  # (L,)
+    action: Any = field(default_factory=list)  # (L,)
+    length: Any = field(default_factory=list)  # (L,) the number of outcomes
+    following: Any = field(default_factory=list)  # (N,)
+    chance: list[Any] = field(default_factory=list)  # (N,)
+    gain: list[Any] = field(default_factory=list)  # (N,)
+
+    def add_pair(self, state: int, action: int, outcomes: Sequence[tuple[Any, int, Any]]) -> None:
+        """Add a pair with its outcomes (probability, next state, reward)."""
+        for chance, following, gain in outcomes:
+            self.chance.append(chance)
+            self.following.append(index(following))
+            self.gain.append(gain)
+        self.state.append(state)
+        self.action.append(action)
+        self.length.append(len(outcomes))
+
+    def to_arrays(self) -> OutcomeColumns:
+        """Return the same with arrays of whole numbers."""
+        parts = {}
+        for name in ("state", "action", "length", "following"):
+            parts[name] = np.array(getattr(self, name), dtype=np.int64)
+        return replace(self, **parts)
+
+
 def number_rows(
     rows: Iterable[Row],
     states: Numbering,
@@ -73,16 +110,13 @@ def number_rows(
 ) -> tuple[list[Any], dict[str, Any]]:
     """Return rows for `MDP.from_outcomes`, with numbers for things, and the names of the things.
 
-    `ends` are the states without actions. Those in `paid` {end: reward} earn the reward once and
+    `states` has all states of the rows. `ends` are the states without actions. Those in `paid` {end: reward} earn the reward once and
     lead to an additional state.
     """
-    # Number all states and actions as they occur.
+    # Number all actions as they occur.
     actions, listed = Numbering(), list(rows)
-    for state, action, outcomes in listed:
+    for state, action, _ in listed:
         actions.add_thing(action, "an action", f"state {state}")
-        states.add_thing(state, "a state", "rows")
-        for _, following, _ in outcomes:
-            states.add_thing(following, "a next state", f"state {state}, action {action}")
     things, doing = states.list_in_order(), actions.list_in_order() or ["stay"]
     number, act = states.number, actions.number
     # Write the rows in numbers.
@@ -106,11 +140,15 @@ def number_rows(
     extra: tuple[str, ...] = ()
     if paid:
         extra = (name,)
+    return chosen, {"space": name_space(things, extra), **action_names(doing)}
+
+
+def name_space(things: Sequence[Any], extra: tuple[str, ...] = ()) -> StateSpace:
+    """Return the space of states given as things, and of `extra` states."""
     column = Column(name="state", size=len(things))
     if not _count_from_zero(things):
         column = replace(column, words=name_things(things, "state"), objects=tuple(things))
-    space = StateSpace(columns=(column,), extra=extra)
-    return chosen, {"space": space, **action_names(doing)}
+    return StateSpace(columns=(column,), extra=extra)
 
 
 def action_names(things: Sequence[Any]) -> dict[str, Any]:

@@ -32,6 +32,7 @@ from exact_mdp.mdp.table import (
     make_ones,
     over_groups,
     to_integer_array,
+    whole_fraction,
 )
 
 
@@ -83,6 +84,8 @@ def as_given(value: object) -> Fraction | float:
     # is called for each number.
     if type(value) is float or type(value) is Fraction:
         return value
+    if type(value) is int:
+        return whole_fraction(value)
     if isinstance(value, np.floating) and float(value) == value:
         return float(value)
     if isinstance(value, float):
@@ -286,11 +289,14 @@ def merge_entries(
     if len(row) and not 0 <= column.min() <= column.max() < 2**31:
         column = np.unique(columns, return_inverse=True)[1]
     place = row * (int(column.max(initial=0)) + 1) + column
-    if keys is None:
-        order = np.argsort(place, kind="stable")
-        parted = [place[order]]
-    else:
-        rank = np.unique(keys, return_inverse=True)[1]
+    order = np.argsort(place, kind="stable")
+    parted = [place[order]]
+    if keys is not None:
+        # Keys are compared only where the place is the same: to order fractions takes long.
+        same = np.flatnonzero(parted[0][1:] == parted[0][:-1])
+        shared = order[np.union1d(same, same + 1)]
+        rank = np.zeros(len(row), dtype=np.int64)
+        rank[shared] = np.unique(keys[shared], return_inverse=True)[1]
         order = np.lexsort((rank, place))
         parted = [place[order], rank[order]]
     columns, values = columns[order], values[order]
@@ -329,7 +335,10 @@ def one_kind(values: Sequence[Any]) -> Numbers:
     if kinds == {int} and find_magnitude(to_integer_array(values)) < EXACT_IN_INT64:
         return np.array(values)
     numbers = np.empty(len(values), dtype=object)
-    numbers[:] = [as_given(value) for value in values]
+    if kinds == {Fraction}:
+        numbers[:] = values
+    else:
+        numbers[:] = [as_given(value) for value in values]
     return numbers
 
 
@@ -337,7 +346,7 @@ def has_floats(values: Numbers) -> bool:
     """Return whether some numbers were given as floats."""
     if values.dtype != object:
         return values.dtype.kind == "f"
-    return any(isinstance(value, float) for value in values)
+    return any(issubclass(kind, float) for kind in set(map(type, values)))
 
 
 def group_numbers(values: Any, offsets: Integers) -> tuple[Numbers, Numbers]:
@@ -345,7 +354,10 @@ def group_numbers(values: Any, offsets: Integers) -> tuple[Numbers, Numbers]:
     below = make_ones(len(offsets) - 1)
     if isinstance(values, np.ndarray) and values.dtype in (np.float64, np.int64):
         return np.ascontiguousarray(values), below
-    flat = [as_given(value) for value in values]
+    flat = values.tolist() if isinstance(values, np.ndarray) else values
+    if set(map(type, flat)) == {Fraction}:
+        return over_groups(flat, offsets)
+    flat = [as_given(value) for value in flat]
     floats = [value for value in flat if isinstance(value, float)]
     if not all(map(isfinite, floats)):
         # Validation refuses the model, with the place of the number.
@@ -362,9 +374,9 @@ def rationalize_rows(values: Numbers, offsets: Integers) -> tuple[Numbers, Numbe
     if values.dtype != object:
         return group_numbers(values, offsets)
     flat = [as_given(value) for value in values]
-    rows = [flat[first:last] for first, last in pairwise(offsets.tolist())]
     if not has_floats(values):
         return group_numbers(flat, offsets)
+    rows = [flat[first:last] for first, last in pairwise(offsets.tolist())]
     if all(_in_floats(row) for row in rows):
         return np.array([float(value) for value in flat]), make_ones(len(rows))
     exactly: list[Fraction | float] = []

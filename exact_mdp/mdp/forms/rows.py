@@ -105,6 +105,8 @@ def put_right(weight: Numbers, offsets: Integers) -> Numbers:
     """
     # Exact numbers are NaN here, so no comparison holds of them.
     if weight.dtype == object:
+        if set(map(type, weight)) == {Fraction}:
+            return weight
         floats = [np.nan] * len(weight)
         for place, number in enumerate(weight):
             if isinstance(number, float):

@@ -36,7 +36,7 @@ from exact_mdp.mdp.forms.numbers import one_kind
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.questions import Origin, origin_of
-from exact_mdp.mdp.table import Numbers, OutcomeTable, exact, format_beside_limits, format_rational
+from exact_mdp.mdp.table import Integers, Numbers, OutcomeTable, exact, format_beside_limits, format_rational
 from exact_mdp.mdp.validate import require_count
 
 DISCOUNT = "discount"
@@ -404,31 +404,56 @@ class Moved:
             amounts[name] = [exact(a) / b for a, b in pairs]
         return amounts
 
+    @cached_property
+    def _columns(self) -> tuple[Numbers, Numbers, Numbers]:
+        """The next state, the exact probability and the exact reward of each outcome (N,)."""
+        table = self.model.table
+        chances, gains = np.empty((2, len(table.next)), dtype=object)
+        for pair in range(table.pairs):
+            here = slice(*table.offsets[pair : pair + 2].tolist())
+            row = table.row(pair)
+            chances[here] = [p for p, _, _ in row]
+            gains[here] = [gain for _, _, gain in row]
+        return np.asarray(table.next), chances, gains
+
+    @cached_property
+    def _rewarded(self) -> dict[Fraction, Integers]:
+        """The outcomes that earn each reward with a name."""
+        gains = self._columns[2]
+        return {reward: np.flatnonzero(gains == reward) for reward in self.earned}
+
     def __call__(self, values: Mapping[str, Fraction]) -> MDP:
         """Return the model at values of all parameters."""
         model, rate = self.model, values.get(DISCOUNT, self.model.discount_exact)
         if all(values[p.name] == p.value for p in self.parameters):
             return model.with_(discount=rate)
-        # Change the rows and the rewards; an outcome of probability 0 is dropped.
+        # Change the rows with named entries; an outcome of probability 0 is dropped.
+        following, chances, gains = self._columns
+        places, lengths = np.arange(len(following)), np.diff(model.table.offsets)
+        if self.named:
+            chances, kept = chances.copy(), np.ones(len(chances), dtype=bool)
+            for pair in sorted(self.named):
+                here = slice(*model.table.offsets[pair : pair + 2].tolist())
+                chances[here] = self._move_row(pair, following[here], chances[here], values)
+                kept[here] = chances[here] != 0
+                lengths[pair] = kept[here].sum()
+            places = places[kept]
+        # Change the rewards.
         moved = {r: values[name] for r, name in self.earned.items() if values[name] != r}
-        chances, following, gains, places, offsets = [], [], [], [], [0]
-        for pair in range(model.n_pairs):
-            for p, to, gain, place in self._move_row(pair, values):
-                chances.append(p)
-                following.append(to)
-                gains.append(moved.get(gain, gain))
-                places.append(place)
-            offsets.append(len(places))
+        if moved:
+            gains = gains.copy()
+            for reward, value in moved.items():
+                gains[self._rewarded[reward]] = value
         # The components of the outcomes that are left, unless rewards change.
         parts: dict[str, Any] = {}
         if not moved:
             for name, amounts in self._amounts.items():
-                parts[name] = one_kind([amounts[place] for place in places])
+                parts[name] = one_kind([amounts[place] for place in places.tolist()])
         table = table_of(
-            np.array(offsets, dtype=np.int64),
-            np.array(following, dtype=model.table.next.dtype),
-            one_kind(chances),
-            one_kind(gains),
+            np.append(0, np.cumsum(lengths)),
+            following[places],
+            chances[places],
+            gains[places],
             model.n_states,
             {},
             parts,
@@ -444,17 +469,13 @@ class Moved:
         return model.with_(table=table, discount=rate, events=(), **own)
 
     def _move_row(
-        self, pair: int, values: Mapping[str, Fraction]
-    ) -> list[tuple[Fraction, int, Fraction, int]]:
-        """Return the outcomes of a pair: probability, next state, reward, and old number.
+        self, pair: int, following: Numbers, row: Numbers, values: Mapping[str, Fraction]
+    ) -> list[Fraction]:
+        """Return the new probabilities of a pair's outcomes; today they are `row`.
 
         Named entries have their values, and the others share the remaining probability.
         """
-        first = int(self.model.table.offsets[pair])
-        row = [(*outcome, first + k) for k, outcome in enumerate(self.model.table.row(pair))]
-        names = self.named.get(pair, {})
-        if not names:
-            return row
+        names = self.named[pair]
         left = 1 - sum((values[name] for name in names.values()), Fraction(0))
         if left < 0:
             raise ModelError(
@@ -464,16 +485,11 @@ class Moved:
                 fix="choose smaller values",
             )
         # Several outcomes may lead to one next state; they keep their proportions as well.
-        rest = sum((p for p, to, _, _ in row if to not in names), Fraction(0))
-        factor = {}
-        for to, name in names.items():
-            factor[to] = values[name] / _find_probability(self.model, pair, to)
-        outcomes = []
-        for p, to, gain, k in row:
-            p *= factor.get(to, left / rest)
-            if p:
-                outcomes.append((p, to, gain, k))
-        return outcomes
+        outcomes = list(zip(following.tolist(), row.tolist(), strict=True))
+        rest = sum((p for to, p in outcomes if to not in names), Fraction(0))
+        today = {parameter.name: parameter.value for parameter in self.parameters}
+        factor = {to: values[name] / today[name] for to, name in names.items()}
+        return [p * factor.get(to, left / rest) for to, p in outcomes]
 
 
 def _find_entries(model: MDP, listed: Any, where: str) -> list[tuple[int, int]]:
