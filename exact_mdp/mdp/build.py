@@ -119,8 +119,8 @@ class FromArrays(Parts):
             if layout not in (None, "sas"):
                 fix = "leave it out; dictionaries go by state, then action"
                 raise ModelError(f"dictionaries are not {layout!r}", where="layout", fix=fix)
-            pairs, names = listed.rows_from_listed(P, R, {**names, "start": start})
-            return cls.from_outcomes(pairs, discount, **names)
+            columns, names = listed.columns_from_listed(P, R, {**names, "start": start})
+            return cls._from_columns(columns, discount, names.pop("start"), names)
         # Bring P into rows (L, S), sorted by state, then action.
         if layout == ACTIONS_LAST:
             P, R, layout = _move_actions_first(P, "P"), _move_actions_first(R, "R"), "ass"
@@ -277,9 +277,10 @@ class FromArrays(Parts):
         check_options(names, COUNTED)
         columns = OutcomeColumns()
         try:
-            for state, action, outcomes in ((row[0], row[1], row[2]) for row in rows):
-                columns.add_pair(index(state), index(action), list(outcomes))
-            columns = columns.to_arrays()
+            for row in rows:
+                outcomes = [(p, index(to), r) for p, to, r in row[2]]
+                columns.add_pair(index(row[0]), index(row[1]), outcomes)
+            np.array([*columns.state, *columns.action, *columns.following], dtype=np.int64)
         except (TypeError, ValueError, LookupError, OverflowError) as error:
             raise ModelError(
                 f"a row or an outcome has the wrong form: {error}",
@@ -295,17 +296,16 @@ class FromArrays(Parts):
     ) -> Self:
         """Return the model of pairs in any order, and their outcomes; see `from_outcomes`."""
         # Sort the pairs by state, then action, and their outcomes with them.
-        order = np.lexsort((columns.action, columns.state))
-        state, action = (np.asarray(each)[order] for each in (columns.state, columns.action))
-        ends = np.cumsum(columns.length, dtype=np.int64)
-        first = ends - columns.length
-        places = concatenate_ranges(first[order], ends[order])
-        following = np.asarray(columns.following)[places]
-        chance, gain = columns.chance, columns.gain
-        if not np.array_equal(order, np.arange(len(order))):
-            chance, gain = ([each[k] for k in places.tolist()] for each in (chance, gain))
+        given = (columns.state, columns.action, columns.length, columns.following)
+        state, action, length, following = (np.array(each, dtype=np.int64) for each in given)
+        order, ends = np.lexsort((action, state)), np.cumsum(length)
+        places = concatenate_ranges((ends - length)[order], ends[order])
+        state, action, following = state[order], action[order], following[places]
+        chance, gain = (
+            [each[k] for k in places.tolist()] for each in (columns.chance, columns.gain)
+        )
         size = int(max(state.max(initial=-1), following.max(initial=-1))) + 1
-        lengths = np.asarray(columns.length)[order].tolist()
+        lengths = length[order].tolist()
         offsets = np.cumsum([0, *lengths])
         # Amounts of components by outcome: in place of rewards, or listed in `components`.
         amounts: dict[str, Any] = {}

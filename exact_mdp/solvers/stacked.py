@@ -196,8 +196,11 @@ class StackedModel:
         return self.chances.size
 
     def pays_at_end(self, amounts: Floats) -> bool:
-        """Return whether some amounts (D, L) other than 0 belong to terminal states."""
-        return bool((amounts * ~self.live[:, self.structure.state]).any())
+        """Return whether some amounts (D, L) other than 0 belong to states that count as ended."""
+        ended = ~self.live
+        if self.structure.steps is not None:
+            ended = ended | self.structure.ended
+        return bool((amounts * ended[:, self.structure.state]).any())
 
     def with_reward(self, reward: Floats, error: Floats) -> StackedModel:
         """Return the models with another reward (D, L), known up to an error (D, L)."""
@@ -274,7 +277,7 @@ class StackedModel:
 
         count = len(self.rate)
         value = np.zeros((len(self.structure.first), count))
-        loops.write_policy_values(self._stack, chosen, value, np.empty(count))
+        loops.write_policy_values(self._stack, np.array(chosen), value, np.empty(count))
         error = self._bound_backward_errors(value)
         if error is None:
             error = np.full(value.T.shape, np.inf)

@@ -101,7 +101,7 @@ class PSA(Pictured):
     candidates: tuple[Candidate, ...]  # the given policy comes first
     labels: tuple[str, ...]  # (X,) statuses at subtask 0, trial 0; else the states with a choice
     actions: tuple[str, ...]  # (A,)
-    compiled: bool  # whether the compiled loops of the care model were used
+    compiled: bool  # whether draws of a care scenario were stacked by its rules
 
     def __len__(self) -> int:
         return len(self.table.optimal)

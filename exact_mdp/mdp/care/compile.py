@@ -229,9 +229,7 @@ class SubtaskBlock(Subtask):
             ),
         }
 
-    def _compute_components(
-        self, law: Numbers, bottom: Numbers, place: int, step: Step
-    ) -> Numbers:
+    def _compute_components(self, law: Numbers, bottom: Numbers, place: int, step: Step) -> Numbers:
         """Return the expected reward components (V, A, C) as integers over the row denominators."""
         # Count how often each weight is charged, times its probability: first the statuses.
         rules, reward = self.laws.rules, self.laws.reward

@@ -5,8 +5,8 @@ With the probability p_i of each status, the next vector has the distribution of
     K(s') = Π_i p_i^{s'_i} (1 - p_i)^{1 - s'_i}.
 
 Numbers are integers over denominators, or floats with an axis of draws at the end: the explicit
-matrix and stacked models of drawn parameters use the same rules. A sum above 1 is not a probability:
-`warn_of_excess` reports it when a model is built.
+matrix and stacked models of drawn parameters use the same rules. A sum above 1 is not a
+probability: `warn_of_excess` reports it when a model is built.
 Source: Yuan et al. (2025), Section 2.1.
 """
 

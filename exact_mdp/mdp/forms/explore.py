@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Mapping
-from dataclasses import replace
 from fractions import Fraction
 from typing import Any, Self
 
@@ -19,7 +18,7 @@ import numpy as np
 from exact_mdp.mdp.build import FromArrays
 from exact_mdp.mdp.errors import ModelError, annotate_errors, locate_errors, require_type
 from exact_mdp.mdp.forms.names import ByNumber
-from exact_mdp.mdp.forms.numbering import Numbering, OutcomeColumns, action_names, name_space
+from exact_mdp.mdp.forms.numbering import Numbering, Row, number_rows
 from exact_mdp.mdp.forms.numbers import as_given
 from exact_mdp.mdp.table import exact
 from exact_mdp.mdp.validate import COUNTED, check_options, require_count
@@ -98,7 +97,7 @@ class FromFunction(FromArrays):
         require_type(outcomes, Callable, "outcomes", fix)
         max_states = require_count(max_states, "max_states")
         require_type(labels or {}, Mapping, "labels", "give {name: function of a state}")
-        states, doing, columns = Numbering(), Numbering(), OutcomeColumns()
+        states, rows = Numbering(), list[Row]()
         if isinstance(start, ByNumber):
             raise ModelError(
                 "the start of another model has numbers of states, but a function needs objects",
@@ -124,38 +123,28 @@ class FromFunction(FromArrays):
                 with locate_errors(where):
                     every = [*map(_parse_outcome, answer)]
                     possible = [each for each in every if exact(each[0])]
+                rows.append((state, action, possible))
                 if not impossible:
                     every = possible
                 for _, following, _ in every:
                     known = len(states.number)
                     if states.add_thing(following, "a next state", where) == known:
                         waiting.append(following)
-                act = doing.add_thing(action, "an action", f"state {state}")
-                numbered = [(chance, states.number[then], gain) for chance, then, gain in possible]
-                columns.add_pair(states.number[state], act, numbered)
                 if len(states.number) > max_states:
                     raise ModelError(
                         f"more than {max_states:,} states can be reached",
                         where=where,
                         fix="raise max_states, or describe states by less",
                     )
-        # States without a row are ends: they stay put with reward 0.
-        for end in sorted({*range(len(states.number))} - {*columns.state}):
-            columns.add_pair(end, 0, [(1, end, 0)])
-        columns = columns.to_arrays()
-        # Number states and actions that are whole numbers as themselves.
-        things, place = states.renumber()
-        acts, rank = doing.renumber()
-        columns = replace(columns, state=place[columns.state], following=place[columns.following])
-        if acts:
-            columns = replace(columns, action=rank[columns.action])
-        parts = {"space": name_space(things), **action_names(acts or ["stay"])}
+        # States without a row are ends; list them in the order in which they were found.
+        ends = states.number.keys() - {state for state, _, _ in rows}
+        columns, parts = number_rows(rows, states, filter(ends.__contains__, [*states.number]))
         # Ask the functions of labels for all states.
         flags = dict(labels or {})
         for name, holds in flags.items():
             if callable(holds):
                 with annotate_errors(f"label {name}"):
-                    answers = [holds(state) for state in things]
+                    answers = [holds(state) for state in states.list_in_order()]
                 for answer in answers:  # a function that forgets to return gives None
                     if not isinstance(answer, bool | np.bool_):
                         raise ModelError(
@@ -165,9 +154,8 @@ class FromFunction(FromArrays):
                         )
                 flags[name] = np.array(answers)
         places = ByNumber((states.number[state], chance) for state, chance in begins)
-        return cls._from_columns(
-            columns, discount, names.pop("start", places), parts | {"labels": flags} | names
-        )
+        names = parts | {"start": places, "labels": flags} | names
+        return cls._from_columns(columns, discount, names.pop("start"), names)
 
 
 def _call_user_function(ask: Callable[..., Any], *of: Any, where: str, fix: str) -> list[Any]:

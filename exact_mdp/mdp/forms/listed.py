@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError, ShapeError, locate_errors, require_type
-from exact_mdp.mdp.forms.numbering import Numbering, number_rows
+from exact_mdp.mdp.forms.numbering import Numbering, OutcomeColumns, number_rows
 from exact_mdp.mdp.forms.numbers import array_of, as_given, to_dense
 from exact_mdp.mdp.table import exact
 
@@ -245,8 +245,10 @@ class Listed:
         return {end: amount for end, amount in given.items() if amount and amount == amount}
 
 
-def rows_from_listed(P: Any, R: Any, names: dict[str, Any]) -> tuple[list[Any], dict[str, Any]]:
-    """Return the arguments of `MDP.from_outcomes` for the model of P and R: rows, and names.
+def columns_from_listed(
+    P: Any, R: Any, names: dict[str, Any]
+) -> tuple[OutcomeColumns, dict[str, Any]]:
+    """Return the pairs and outcomes of the model of P and R, and names.
 
     `names` are the names given with P and R; the returned names include them.
     """

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from operator import index
 from types import MappingProxyType
 from typing import Any
 
@@ -19,10 +18,11 @@ import numpy as np
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.forms.names import integer_of, name_things, text_of
 from exact_mdp.mdp.space import Column, StateSpace
-from exact_mdp.mdp.table import Integers
 
-Row = tuple[Hashable, Hashable, Sequence[tuple[Any, Hashable, Any]]]
-"""State, action and outcomes: probability, next state, reward."""
+Outcome = tuple[Any, Any, Any]
+"""Probability, next state, reward."""
+Row = tuple[Hashable, Hashable, Sequence[Outcome]]
+"""State, action and outcomes."""
 
 
 class Numbering:
@@ -57,12 +57,6 @@ class Numbering:
             self.number = {thing: number for number, thing in enumerate(whole)}
         return whole
 
-    def renumber(self) -> tuple[list[Any], Integers]:
-        """Return `list_in_order`, and the new number of each old one."""
-        found = list(self.number)
-        things = self.list_in_order()
-        return things, np.array([self.number[thing] for thing in found], dtype=np.int64)
-
 
 def _is_whole(thing: Any) -> bool:
     return not isinstance(thing, str) and integer_of(thing) is not None
@@ -75,31 +69,24 @@ def _count_from_zero(things: Sequence[Any]) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class OutcomeColumns:
-    """Pairs in numbers, in the order given, and all their outcomes: lists, or arrays of numbers."""
+    """Pairs in numbers, in the order given, and all their outcomes."""
 
-    state: Any = field(default_factory=list)  # (L,)
-    action: Any = field(default_factory=list)  # (L,)
-    length: Any = field(default_factory=list)  # (L,) the number of outcomes
-    following: Any = field(default_factory=list)  # (N,)
+    state: list[int] = field(default_factory=list)  # (L,)
+    action: list[int] = field(default_factory=list)  # (L,)
+    length: list[int] = field(default_factory=list)  # (L,) the number of outcomes
     chance: list[Any] = field(default_factory=list)  # (N,)
+    following: list[int] = field(default_factory=list)  # (N,)
     gain: list[Any] = field(default_factory=list)  # (N,)
 
-    def add_pair(self, state: int, action: int, outcomes: Sequence[tuple[Any, int, Any]]) -> None:
-        """Add a pair with its outcomes (probability, next state, reward)."""
+    def add_pair(self, state: int, action: int, outcomes: Sequence[Outcome]) -> None:
+        """Add a pair with its outcomes."""
         for chance, following, gain in outcomes:
             self.chance.append(chance)
-            self.following.append(index(following))
+            self.following.append(following)
             self.gain.append(gain)
         self.state.append(state)
         self.action.append(action)
         self.length.append(len(outcomes))
-
-    def to_arrays(self) -> OutcomeColumns:
-        """Return the same with arrays of whole numbers."""
-        parts = {}
-        for name in ("state", "action", "length", "following"):
-            parts[name] = np.array(getattr(self, name), dtype=np.int64)
-        return replace(self, **parts)
 
 
 def number_rows(
@@ -107,11 +94,11 @@ def number_rows(
     states: Numbering,
     ends: Iterable[Hashable],
     paid: Mapping[Hashable, Any] = MappingProxyType({}),
-) -> tuple[list[Any], dict[str, Any]]:
-    """Return rows for `MDP.from_outcomes`, with numbers for things, and the names of the things.
+) -> tuple[OutcomeColumns, dict[str, Any]]:
+    """Return rows with numbers for things, and the names of the things.
 
-    `states` has all states of the rows. `ends` are the states without actions. Those in `paid` {end: reward} earn the reward once and
-    lead to an additional state.
+    `states` has all states of the rows. `ends` are the states without actions. Those in `paid`
+    {end: reward} earn the reward once and lead to an additional state.
     """
     # Number all actions as they occur.
     actions, listed = Numbering(), list(rows)
@@ -120,19 +107,19 @@ def number_rows(
     things, doing = states.list_in_order(), actions.list_in_order() or ["stay"]
     number, act = states.number, actions.number
     # Write the rows in numbers.
-    chosen: list[Any] = []
+    columns = OutcomeColumns()
     for state, action, outcomes in listed:
         numbered = [(p, number[then], r) for p, then, r in outcomes]
-        chosen.append((number[state], act[action], numbered))
+        columns.add_pair(number[state], act[action], numbered)
     # Ends stay put, or earn their reward and lead to the additional state, which has number S.
     last = len(things)
     for end in ends:
         outcome = (1, number[end], 0)
         if end in paid:
             outcome = (1, last, paid[end])
-        chosen.append((number[end], 0, [outcome]))
+        columns.add_pair(number[end], 0, [outcome])
     if paid:
-        chosen.append((last, 0, [(1, last, 0)]))
+        columns.add_pair(last, 0, [(1, last, 0)])
     # Its name must differ from the names of all other states.
     name = "end"
     while name in map(text_of, things):
@@ -140,15 +127,11 @@ def number_rows(
     extra: tuple[str, ...] = ()
     if paid:
         extra = (name,)
-    return chosen, {"space": name_space(things, extra), **action_names(doing)}
-
-
-def name_space(things: Sequence[Any], extra: tuple[str, ...] = ()) -> StateSpace:
-    """Return the space of states given as things, and of `extra` states."""
     column = Column(name="state", size=len(things))
     if not _count_from_zero(things):
         column = replace(column, words=name_things(things, "state"), objects=tuple(things))
-    return StateSpace(columns=(column,), extra=extra)
+    space = StateSpace(columns=(column,), extra=extra)
+    return columns, {"space": space, **action_names(doing)}
 
 
 def action_names(things: Sequence[Any]) -> dict[str, Any]:

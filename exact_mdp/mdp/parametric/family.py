@@ -36,7 +36,14 @@ from exact_mdp.mdp.forms.numbers import one_kind
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.questions import Origin, origin_of
-from exact_mdp.mdp.table import Integers, Numbers, OutcomeTable, exact, format_beside_limits, format_rational
+from exact_mdp.mdp.table import (
+    Integers,
+    Numbers,
+    OutcomeTable,
+    exact,
+    format_beside_limits,
+    format_rational,
+)
 from exact_mdp.mdp.validate import require_count
 
 DISCOUNT = "discount"

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from exact_mdp import READINGS, ModelError, Scenario, certify, evaluate, parametric
-from exact_mdp.mdp.care.laws import Laws
-from exact_mdp.mdp.care.stack import ScenarioOutcomes, compute_numbers
 from exact_mdp.solvers.care import ScenarioStack
 
 SMALL = Scenario.load("yuan2025").with_(tasks=[2, 1], max_trial=2)
@@ -41,12 +39,11 @@ def test_rows_and_rewards_are_those_of_the_explicit_model(options: tuple[str, ..
 
 def test_equal_numbers_are_stored_once() -> None:
     scenario = Scenario.load("yuan2025")
-    outcomes = ScenarioOutcomes.of(scenario)
-    numbers = np.array([*(float(p.value) for p in scenario.parameters), 0.0])[:, None]
-    chances, amounts = compute_numbers(Laws.from_draws(scenario, numbers))
-    assert len(outcomes.number) > 15_000
-    assert len(chances) == outcomes.number.max() + 1 == 2 * 16 * 4 * 16 + 1
-    assert len(amounts) == outcomes.earned.max() + 1 == 2 * 2 * 64 + 1
+    models, _ = stacked(scenario).stack_draws(DRAWS)
+    mine = models.structure
+    assert len(mine.number) > 15_000
+    assert len(models.chances) == mine.number.max() + 1 == 2 * 16 * 4 * 16 + 1
+    assert len(models.amounts) == mine.earned.max() + 1 == 2 * 2 * 64 + 1
 
 
 def test_the_optimum_of_each_draw_is_that_of_its_model() -> None:

@@ -35,7 +35,9 @@ def test_stacked_models_are_what_each_is_alone(discount: str, sense: str) -> Non
     own, off = (each[:, 0] for each in stacked.evaluate([shares]))
     totals = []
     for column in amounts.T:
-        counting = stacked.with_reward(np.tile(column, (len(models), 1)), np.zeros((len(models), 8)))
+        counting = stacked.with_reward(
+            np.tile(column, (len(models), 1)), np.zeros((len(models), 8))
+        )
         totals.append(counting.evaluate([shares])[0][:, 0])
     for k, mdp in enumerate(models):
         sign, rate, rows = mdp.sign, mdp.discount_exact, rows_of(mdp)

@@ -168,6 +168,19 @@ def test_errors_of_totals_follow_components_whose_order_differs_between_draws() 
         assert straight.tolist() == swapped.tolist()
 
 
+def test_components_that_go_on_in_a_terminal_state_are_counted_forever() -> None:
+    """They cancel, so the state earns nothing and the model has no cycle but this one."""
+    parts = {"cost": [0, -1], "tip": [1, 1]}
+    rows = [(0, 0, [(1, 1, 1)]), (1, 0, [(1, 1, 0)])]
+    family = Family(
+        parameters={"rate": "1/2"},
+        build=lambda at: MDP.from_outcomes(rows, at["rate"], components=parts),
+    )
+    solver = ModelSolver(family, ("rate",))
+    totals, _ = solver.compute_totals(np.array([[0.5], [0.75]]), [np.ones(2)], ["cost", "tip"], 0)
+    assert totals[:, 0].tolist() == [pytest.approx([-1, 2]), pytest.approx([-3, 4])]
+
+
 def test_a_study_counts_optimal_actions_and_what_first_actions_lose() -> None:
     family = Family(parameters={"p": "1/2", "r": 1}, build=varied)
     places = [{**at, "p": min(at["p"], F(6, 7))} for at in PLACES]
