@@ -40,6 +40,7 @@ class ScenarioStack:
     def __init__(self, scenario: Scenario, mdp: MDP, names: Sequence[str]) -> None:
         self.scenario, self.start = scenario, np.array(mdp.start_distribution)
         self.structure = self._build_structure(mdp)
+        self.steps = self.structure.count_steps()
         # One row of numbers for each parameter of the scenario, 0, and the discount.
         rules, zero = scenario.laws.rules, len(scenario.names)
         today = [float(parameter.value) for parameter in scenario.parameters]
@@ -62,6 +63,7 @@ class ScenarioStack:
         subtask = Subtask(laws)
         stacked = StackedModel(
             structure=self.structure,
+            steps=self.steps,
             chances=self._compute_chances(subtask),
             amounts=self._compute_rewards(subtask),
             reward_error=(self._bound_rewards(laws) * self.unit)[:, None],
@@ -78,7 +80,7 @@ class ScenarioStack:
     def _build_structure(self, mdp: MDP) -> Structure:
         """Return all outcomes of the explicit model, also those that are impossible today.
 
-        Sets `kinds`, the places and steps that differ in their rewards.
+        Sets `kinds`, the places and steps that differ in their rewards, and `rows`, of the chances.
         """
         subtask, kinds = Subtask(self.scenario.laws), dict[tuple[int, Step], int]()
         rules, rewards = subtask.laws.rules, 0
@@ -103,14 +105,14 @@ class ScenarioStack:
                     kinds[kind], rewards = rewards, rewards + len(rows)
                 earned.append(kinds[kind] + np.arange(len(rows)))
         # The end stays put, with the last of the chances, which is 1, and earns the last reward, 0.
-        last = (trying + (vectors if rules.own else trying)) * vectors
-        lasts = (1, len(rules.places) * rules.size, last, rewards)
+        self.rows = (trying + (vectors if rules.own else trying)) * vectors + 1  # of chances
+        lasts = (1, len(rules.places) * rules.size, self.rows - 1, rewards)
         for parts, number in zip((lengths, columns, numbers, earned), lasts, strict=True):
             parts.append(np.array([number]))
         self.kinds = [*kinds]
         return Structure(
             state=np.array(mdp.pair_state),
-            first=np.array(mdp.pair_offsets[:-1]),
+            first=np.array(mdp.pair_offsets),
             offsets=np.append(0, np.cumsum(np.concatenate(lengths))),
             column=np.concatenate(columns),
             number=np.concatenate(numbers),

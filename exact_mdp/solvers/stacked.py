@@ -31,14 +31,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, NamedTuple
+from functools import cached_property, reduce
+from typing import NamedTuple
 
 import numpy as np
 
 from exact_mdp.mdp.graph import beside_goal, rank_acyclic_states
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Integers, Numbers
+from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.gains import (
     POLICIES,
@@ -55,76 +55,20 @@ DENSE = 2**16  # entries of dense rows: with more, sparse solvers are as fast
 MOST_CHANCES = 2**24  # numbers in memory
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Structure:
+class Structure(NamedTuple):
     """The pairs and outcomes that models share; equal chances and rewards may share a row."""
 
     state: Integers  # (L,) the state of each pair
-    first: Integers  # (S,) the first pair of each state
+    first: Integers  # (S + 1,) the first pair of each state
     offsets: Integers  # (L + 1,) the first outcome of each pair
     column: Integers  # (N,) the next state of each outcome
     number: Integers  # (N,) the row of its chance
     earned: Integers  # (L,) the row of the reward of each pair
     ended: Flags  # (S,) states that are terminal in all models
 
-    @classmethod
-    def of(cls, models: Sequence[MDP]) -> Structure:
-        """Return the structure of models with the same pairs: all outcomes of any of them."""
-        one = models[0]
-        offsets, column = (
-            each.astype(np.int64) for each in (one.transition.indptr, one.transition.indices)
-        )
-        if not all(_has_outcomes(other, offsets, column) for other in models[1:]):
-            keys = np.unique(np.concatenate([_list_keys(mdp) for mdp in models]))
-            pair, column = np.divmod(keys, one.n_states)
-            offsets = np.searchsorted(pair, np.arange(one.n_pairs + 1))
-        return cls(
-            state=np.array(one.pair_state),
-            first=np.array(one.pair_offsets[:-1]),
-            offsets=offsets,
-            column=column,
-            number=np.arange(len(column)),
-            earned=np.arange(one.n_pairs),
-            ended=np.logical_and.reduce([mdp.terminal for mdp in models]),
-        )
-
-    @cached_property
-    def pair(self) -> Integers:
-        """(N,) the pair of each outcome."""
-        return np.repeat(np.arange(len(self.state)), np.diff(self.offsets))
-
-    @cached_property
-    def steps(self) -> Integers | None:
-        """(S,) the greatest number of steps to the end; None if some state may come back."""
-        cuts = self.offsets[np.append(self.first, len(self.state))]
-        return rank_acyclic_states(cuts, self.column, self.ended)
-
-    @cached_property
-    def order(self) -> Integers:
-        """The states that are not ended, each after all states that it leads to."""
-        assert self.steps is not None
-        return np.argsort(self.steps, kind="stable")[int(self.ended.sum()) :]
-
-    def align_chances(self, mdp: MDP) -> Floats:
-        """Return the chance (N,) of each outcome in a model; 0 for an outcome that it lacks."""
-        if _has_outcomes(mdp, self.offsets, self.column):
-            return np.asarray(mdp.transition.data)
-        chances = np.zeros(len(self.column))
-        keys = self.pair * len(self.first) + self.column
-        chances[np.searchsorted(keys, _list_keys(mdp))] = mdp.transition.data
-        return chances
-
-
-def _has_outcomes(mdp: MDP, offsets: Numbers, column: Numbers) -> bool:
-    """Return whether the outcomes of a model are these."""
-    mine = mdp.transition
-    return np.array_equal(mine.indptr, offsets) and np.array_equal(mine.indices, column)
-
-
-def _list_keys(mdp: MDP) -> Integers:
-    """Return pair · S + next state of the outcomes of a model, rising."""
-    pair = np.repeat(np.arange(mdp.n_pairs), np.diff(mdp.transition.indptr))
-    return pair * mdp.n_states + mdp.transition.indices
+    def count_steps(self) -> Integers | None:
+        """Return (S,) the most steps from each state to the end; None if a state may come back."""
+        return rank_acyclic_states(self.offsets[self.first], self.column, self.ended)
 
 
 class Optimum(NamedTuple):
@@ -141,6 +85,7 @@ class StackedModel:
     """D models with one structure of L pairs and S states; rewards are maximised."""
 
     structure: Structure
+    steps: Integers | None  # (S,) as in `Structure.count_steps`
     chances: Floats  # (K, D)
     amounts: Floats  # (R, D) rewards
     reward_error: Floats  # (D, L), or (D, 1)
@@ -166,15 +111,32 @@ class StackedModel:
                 return None
         if any(mdp.discount_exact == 1 and beside_goal(mdp).any() for mdp in models):
             return None
+        # The outcomes of all models, as pair · S + next state; most have the same ones.
+        keys = [_list_outcome_keys(mdp) for mdp in models]
+        union = reduce(np.union1d, {key.tobytes(): key for key in keys}.values())
+        pair, column = np.divmod(union, one.n_states)
+        structure = Structure(
+            state=np.array(one.pair_state),
+            first=np.array(one.pair_offsets),
+            offsets=np.searchsorted(pair, np.arange(one.n_pairs + 1)),
+            column=column,
+            number=np.arange(len(column)),
+            earned=np.arange(one.n_pairs),
+            ended=np.logical_and.reduce([mdp.terminal for mdp in models]),
+        )
         # Dense rows of large models would take more time than sparse solvers.
-        structure = Structure.of(models)
-        if structure.steps is None and one.n_pairs * one.n_states > DENSE:
+        steps = structure.count_steps()
+        if steps is None and one.n_pairs * one.n_states > DENSE:
             return None
         # Stack the numbers of all models; costs are negated.
+        chances = np.zeros((len(union), len(models)))
+        for d, (mdp, key) in enumerate(zip(models, keys, strict=True)):
+            chances[np.searchsorted(union, key), d] = mdp.transition.data
         facts = [rounding_facts(mdp) for mdp in models]
         stacked = cls(
             structure=structure,
-            chances=np.stack([structure.align_chances(mdp) for mdp in models], axis=1),
+            steps=steps,
+            chances=chances,
             amounts=np.stack([mdp.sign * mdp.reward for mdp in models], axis=1),
             reward_error=np.stack([reward_errors(mdp) for mdp in models]),
             rate=np.array([mdp.discount for mdp in models]),
@@ -184,104 +146,86 @@ class StackedModel:
             start=np.stack([mdp.start_distribution for mdp in models]),
         )
         # Without verified weights, some policy may never end.
-        if structure.steps is None and stacked.weights is None:
+        if steps is None and stacked.weights is None:
             return None
         return stacked
 
     @property
     def size(self) -> int:
         """Numbers in memory."""
-        if self.structure.steps is None:
-            return len(self.rate) * len(self.structure.state) * len(self.structure.first)
+        if self.steps is None:
+            return self.rows.size
         return self.chances.size
 
     def pays_at_end(self, amounts: Floats) -> bool:
         """Return whether some amounts (D, L) other than 0 belong to states that count as ended."""
         ended = ~self.live
-        if self.structure.steps is not None:
+        if self.steps is not None:
             ended = ended | self.structure.ended
         return bool((amounts * ended[:, self.structure.state]).any())
 
     def with_reward(self, reward: Floats, error: Floats) -> StackedModel:
         """Return the models with another reward (D, L), known up to an error (D, L)."""
-        structure = replace(self.structure, earned=np.arange(reward.shape[1]))
+        structure = self.structure._replace(earned=np.arange(reward.shape[1]))
         amounts = np.ascontiguousarray(reward.T)
         other = replace(self, structure=structure, amounts=amounts, reward_error=error)
-        # The order of states and the weights depend on transitions only.
-        vars(structure)["steps"] = self.structure.steps
-        if "weights" in vars(self):
+        # The weights depend on transitions only, and need not be computed again.
+        if self.steps is None:
             vars(other)["weights"] = self.weights
         return other
 
     def optimum(self) -> Optimum | None:
         """Return the optima; None if the iteration does not settle, or values overflow."""
-        if self.structure.steps is None:
+        if self.steps is None:
             return self._iterate_policies()
         from exact_mdp.solvers.kernels import stacked as loops
 
         # The end is worth nothing, and its pairs lose nothing.
-        count, structure = len(self.rate), self.structure
-        value, q = np.zeros((len(structure.first), count)), np.zeros((len(structure.state), count))
-        loops.write_optimum(self._stack, value, q)
+        state, count = self.structure.state, len(self.rate)
+        value, q = (np.zeros((size, count)) for size in (len(self.steps), len(state)))
+        loops.write_optimum(*self._loop_inputs, value, q)
         error = self._bound_backward_errors(value)
-        if error is None:
+        if not np.isfinite(error).all():
             return None
         # The value of a pair has the error of its state.
-        gap = value[structure.state] - q
-        return Optimum(value.T, error, gap.T, 2 * error[:, structure.state])
+        return Optimum(value.T, error, (value[state] - q).T, 2 * error[:, state])
 
     def evaluate(self, policies: Sequence[Floats]) -> tuple[Floats, Floats]:
         """Return the values at the start (D, N) of policies (N, L), and bounds on their errors."""
         evaluate = self._evaluate_by_solving
-        if self.structure.steps is not None:
+        if self.steps is not None:
             evaluate = self._evaluate_backward
-        found = [evaluate(chosen) for chosen in policies]
+        found = [self.at_start(*evaluate(np.array(chosen))) for chosen in policies]
         value, error = (np.stack(each, axis=1) for each in zip(*found, strict=True))
         return value, error
 
-    # ---- backward induction -----------------------------------------------------------------
+    # ---- backward induction ------------------------------------------------------------------
 
-    @cached_property
-    def _stack(self) -> Any:
-        """The arrays that compiled loops take."""
-        from exact_mdp.solvers.kernels import stacked as loops
+    @property
+    def _loop_inputs(self) -> tuple[Integers, Structure, NamedTuple]:
+        """The order of the states, the structure and the numbers, as compiled loops take them."""
+        from exact_mdp.solvers.kernels.stacked import Numbers
 
-        mine = self.structure
-        return loops.Stack(
-            order=mine.order,
-            first=np.append(mine.first, len(mine.state)),
-            offsets=mine.offsets,
-            column=mine.column,
-            number=mine.number,
-            earned=mine.earned,
-            chances=self.chances,
-            amounts=self.amounts,
-            rate=self.rate,
-        )
-
-    def _bound_backward_errors(self, value: Floats) -> Floats | None:
-        """Return bounds (D, S) on the errors of values (S, D); None if they are not finite."""
-        assert self.structure.steps is not None
-        most = int(np.diff(np.append(self.structure.first, len(self.structure.state))).max())
-        terms = self.terms + most + 16
-        largest, earned = np.abs(value).max(axis=0), np.abs(self.amounts).max(axis=0)
-        once = gamma(terms) * (earned + largest) + self.row_error * largest
-        once += self.reward_error.max(axis=1) + TINY * (1 + largest) * terms
-        if not np.isfinite(once).all():
-            return None
-        return np.asarray(once[:, None] * (self.structure.steps * SLACK))
+        order = np.argsort(self.steps, kind="stable")[np.count_nonzero(self.structure.ended) :]
+        return order, self.structure, Numbers(self.chances, self.amounts, self.rate)
 
     def _evaluate_backward(self, chosen: Floats) -> tuple[Floats, Floats]:
-        """Return the values at the start (D,) of a policy (L,), and bounds on their errors."""
+        """Return the values (D, S) of a policy (L,), and bounds on their errors."""
         from exact_mdp.solvers.kernels import stacked as loops
 
-        count = len(self.rate)
-        value = np.zeros((len(self.structure.first), count))
-        loops.write_policy_values(self._stack, np.array(chosen), value, np.empty(count))
-        error = self._bound_backward_errors(value)
-        if error is None:
-            error = np.full(value.T.shape, np.inf)
-        return self.at_start(value.T, error)
+        value = np.zeros((self.start.shape[1], len(self.rate)))
+        room = np.empty(len(self.rate))
+        loops.write_policy_values(*self._loop_inputs, chosen, value, room)
+        return value.T, self._bound_backward_errors(value)
+
+    def _bound_backward_errors(self, value: Floats) -> Floats:
+        """Return bounds (D, S) on the errors of values (S, D), as in the header of this module."""
+        terms = self.terms + int(np.diff(self.structure.first).max()) + 16
+        with np.errstate(over="ignore", invalid="ignore"):
+            largest, earned = np.abs(value).max(axis=0), np.abs(self.amounts).max(axis=0)
+            once = gamma(terms) * (earned + largest) + self.row_error * largest
+            once += self.reward_error.max(axis=1) + TINY * (1 + largest) * terms
+            return np.asarray(once[:, None] * (np.asarray(self.steps) * SLACK))
 
     # ---- policy iteration -------------------------------------------------------------------
 
@@ -289,8 +233,9 @@ class StackedModel:
     def rows(self) -> Floats:
         """(D, L, S) the dense rows."""
         mine = self.structure
-        rows = np.zeros((len(self.rate), len(mine.state), len(mine.first)))
-        rows[:, mine.pair, mine.column] = self.chances[mine.number].T
+        rows = np.zeros((len(self.rate), len(mine.state), self.start.shape[1]))
+        pair = np.repeat(np.arange(len(mine.state)), np.diff(mine.offsets))
+        rows[:, pair, mine.column] = self.chances[mine.number].T
         return rows
 
     @cached_property
@@ -318,25 +263,23 @@ class StackedModel:
         return np.where(alive, gain, 0.0), np.where(alive, error * SLACK, 0.0)
 
     def solve_chains(self, rows: Floats, rewards: Floats) -> Floats:
-        """Return (D, S, C) the values of chains (D, S, S) with several rewards (D, S, C)."""
-        live = self.live[:, :, None]
-        rows = np.where(live, rows * self.rate[:, None, None], 0.0)
-        earned = np.where(live, rewards, 0.0)
-        return np.asarray(np.linalg.solve(np.eye(rows.shape[1]) - rows, earned))
+        """Return the values (D, S) of chains (D, S, S) with rewards (D, S)."""
+        rows = np.where(self.live[:, :, None], rows * self.rate[:, None, None], 0.0)
+        earned = np.where(self.live, rewards, 0.0)[:, :, None]
+        return np.asarray(np.linalg.solve(np.eye(rows.shape[1]) - rows, earned)[:, :, 0])
 
     def improve_policies(self, reward: Floats) -> tuple[Floats, Integers] | None:
         """Return values (D, S) and pairs (D, S) that no pair improves by more than rounding.
 
         Policy iteration; None if an improper policy or an overflow makes equations unsolvable.
         """
-        first, count = self.structure.first, len(self.rate)
+        first, count = self.structure.first[:-1], len(self.rate)
         draw, pairs = np.arange(count)[:, None], np.tile(first, (count, 1))
         number = np.arange(len(self.structure.state))
         for _ in range(POLICIES):
             # Evaluate the policies of all models: one batch of linear systems.
             try:
-                rewards = reward[draw, pairs][:, :, None]
-                value = self.solve_chains(self.rows[draw, pairs], rewards)[:, :, 0]
+                value = self.solve_chains(self.rows[draw, pairs], reward[draw, pairs])
             except np.linalg.LinAlgError:
                 return None
             if not np.isfinite(value).all():
@@ -390,28 +333,31 @@ class StackedModel:
         return Optimum(value, error, -gain, doubt)
 
     def _evaluate_by_solving(self, chosen: Floats) -> tuple[Floats, Floats]:
-        """Return the values at the start (D,) of a policy (L,), and bounds on their errors."""
+        """Return the values (D, S) of a policy (L,), and bounds on their errors."""
         assert self.weights is not None
         weight, least = self.weights
-        first = self.structure.first
-        rows, earned = (
-            np.add.reduceat(each * chosen[:, None], first, axis=1)
-            for each in (self.rows, self.reward[:, :, None])
-        )
-        value = self.solve_chains(rows, earned)[:, :, 0]
+        first = self.structure.first[:-1]
+        rows = np.add.reduceat(self.rows * chosen[:, None], first, axis=1)
+        value = self.solve_chains(rows, np.add.reduceat(self.reward * chosen, first, axis=1))
         # The residual of a policy is the mean of its pairs' advantages; it would be 0 exactly.
         gain, noise = self.compute_advantages(value)
         noise = noise + gamma(len(self.structure.state) + 16) * np.abs(gain)
         off = np.abs(np.add.reduceat(gain * chosen, first, axis=1))
         off += np.add.reduceat(noise * chosen, first, axis=1)
-        return self.at_start(value, weight * (off.max(axis=1) / least * SLACK)[:, None])
+        return value, weight * (off.max(axis=1) / least * SLACK)[:, None]
 
     def at_start(self, value: Floats, error: Floats) -> tuple[Floats, Floats]:
         """Return values (D, S) and their errors at the start, (D,) each."""
-        count = gamma(len(self.structure.first) + 2)
+        count = gamma(self.start.shape[1] + 2)
         mean = np.einsum("ds,ds->d", self.start, value)
         size = np.einsum("ds,ds->d", self.start, np.abs(value))
         off = np.einsum("ds,ds->d", self.start, error)
         # A single start state adds no rounding.
         rounding = np.where((self.start == 1).any(axis=1), 0.0, count * size)
         return mean, (off + rounding) * SLACK
+
+
+def _list_outcome_keys(mdp: MDP) -> Integers:
+    """Return pair · S + next state of the outcomes of a model, rising."""
+    pair = np.repeat(np.arange(mdp.n_pairs), np.diff(mdp.transition.indptr))
+    return pair * mdp.n_states + mdp.transition.indices

@@ -38,7 +38,7 @@ from exact_mdp.mdp.policies.arrays import find_distinct_rows
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import format_cell
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
-from exact_mdp.mdp.table import MOST_BYTES, Floats, Integers, Numbers, exact
+from exact_mdp.mdp.table import BLOCK, MOST_BYTES, Floats, Integers, Numbers, exact
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.gains import component_errors, compute_advantages
 from exact_mdp.solvers.care import ScenarioStack
@@ -622,6 +622,7 @@ class CareSolver(ModelSolver):
         scenario, space = model.scenario, self.mdp.space
         states, statuses = np.arange(self.mdp.n_states), len(scenario.statuses)
         self.stack = ScenarioStack(scenario, self.mdp, names)
+        self.together = max(1, min(self.together, BLOCK // self.stack.rows))
         # Skipping is the only action of a last trial that takes a timestep of its own.
         self.tried = (space.values("trial") < scenario.trials) & (states < space.regular)
         self.labels = tuple(f"{number:0{statuses}b}" for number in range(2**statuses))

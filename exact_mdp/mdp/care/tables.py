@@ -284,7 +284,7 @@ def check_scenario(scenario: ScenarioTables) -> None:
         convert(getattr(scenario, AS_READINGS.get(key, key)))
     for name in READINGS:
         check_reading(name, scenario.readings.get(name, ""))
-    # Solving without a matrix takes 27 bytes for each state: 5.4 GB for the greatest number.
+    # Even the names and numbers of more states would not fit in memory.
     where, count = f"scenario {scenario.name}", len(scenario.statuses)
     states, most = sum(scenario.tasks) * scenario.trials * 2**count, 200_000_000
     if states > most:

@@ -8,48 +8,47 @@ outcomes in one order, so that neither blocks nor threads change a bit.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from exact_mdp.mdp.forms.compiling import compile_loop, inline_loop
 from exact_mdp.mdp.table import Floats, Integers
 
 
-class Stack(NamedTuple):
-    """The structure and numbers of D models, as in `solvers.stacked`."""
+class Numbers(NamedTuple):
+    """The numbers of D models; `solvers.stacked.Structure` says where each of them belongs."""
 
-    order: Integers  # states that are not ended, each after all states that it leads to
-    first: Integers  # (S + 1,)
-    offsets: Integers  # (L + 1,)
-    column: Integers  # (N,)
-    number: Integers  # (N,)
-    earned: Integers  # (L,)
     chances: Floats  # (K, D)
     amounts: Floats  # (R, D)
     rate: Floats  # (D,)
 
 
 @inline_loop
-def write_pair_values(stack: Stack, l: int, value: Floats, q: Floats) -> None:
+def write_pair_values(structure: Any, numbers: Numbers, l: int, value: Floats, q: Floats) -> None:
     """Write the values (D,) of a pair, given the values (S, D) of the states it leads to."""
     draws = len(q)
     for d in range(draws):
         q[d] = 0.0
-    for n in range(stack.offsets[l], stack.offsets[l + 1]):
-        k, s = stack.number[n], stack.column[n]
+    for n in range(structure.offsets[l], structure.offsets[l + 1]):
+        k, s = structure.number[n], structure.column[n]
         for d in range(draws):
-            q[d] += stack.chances[k, d] * value[s, d]
-    r = stack.earned[l]
+            q[d] += numbers.chances[k, d] * value[s, d]
+    r = structure.earned[l]
     for d in range(draws):
-        q[d] = stack.amounts[r, d] + stack.rate[d] * q[d]
+        q[d] = numbers.amounts[r, d] + numbers.rate[d] * q[d]
 
 
 @compile_loop
-def write_optimum(stack: Stack, value: Floats, q: Floats) -> None:
-    """Write the optimal values (S, D), and those of all pairs (L, D)."""
-    for s in stack.order:
-        first, last = stack.first[s], stack.first[s + 1]
+def write_optimum(
+    order: Integers, structure: Any, numbers: Numbers, value: Floats, q: Floats
+) -> None:
+    """Write the optimal values (S, D), and those of all pairs (L, D).
+
+    `order` has the states whose values are written, each after all states that it leads to.
+    """
+    for s in order:
+        first, last = structure.first[s], structure.first[s + 1]
         for l in range(first, last):
-            write_pair_values(stack, l, value, q[l])
+            write_pair_values(structure, numbers, l, value, q[l])
         for d in range(value.shape[1]):
             value[s, d] = q[first, d]
         for l in range(first + 1, last):
@@ -58,13 +57,15 @@ def write_optimum(stack: Stack, value: Floats, q: Floats) -> None:
 
 
 @compile_loop
-def write_policy_values(stack: Stack, chosen: Floats, value: Floats, q: Floats) -> None:
+def write_policy_values(
+    order: Integers, structure: Any, numbers: Numbers, chosen: Floats, value: Floats, q: Floats
+) -> None:
     """Write the values (S, D) of a policy (L,); `q` (D,) is working memory."""
-    for s in stack.order:
+    for s in order:
         for d in range(value.shape[1]):
             value[s, d] = 0.0
-        for l in range(stack.first[s], stack.first[s + 1]):
+        for l in range(structure.first[s], structure.first[s + 1]):
             if chosen[l] > 0.0:
-                write_pair_values(stack, l, value, q)
+                write_pair_values(structure, numbers, l, value, q)
                 for d in range(value.shape[1]):
                     value[s, d] += chosen[l] * q[d]

@@ -30,7 +30,8 @@ def test_rows_and_rewards_are_those_of_the_explicit_model(options: tuple[str, ..
     for d, draw in enumerate(DRAWS):
         mdp, mine = at(scenario, draw), models.structure
         rows = np.zeros(mdp.transition.shape)
-        np.add.at(rows, (mine.pair, mine.column), models.chances[mine.number, d])
+        pair = np.repeat(np.arange(mdp.n_pairs), np.diff(mine.offsets))
+        np.add.at(rows, (pair, mine.column), models.chances[mine.number, d])
         unit = models.row_error
         assert np.abs(rows - mdp.transition.toarray()).sum(axis=1).max() <= unit < 1e-12
         assert np.abs(models.reward[d] - mdp.reward).max() <= models.reward_error[d, 0] < 1e-10

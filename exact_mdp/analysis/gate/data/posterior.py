@@ -180,7 +180,7 @@ def sample_models(
     outcomes = np.arange(shape[0] * shape[1])
     structure = Structure(
         state=np.array(mdp.pair_state),
-        first=np.array(mdp.pair_offsets[:-1]),
+        first=np.array(mdp.pair_offsets),
         offsets=np.arange(shape[0] + 1) * shape[1],
         column=outcomes % shape[1],
         number=outcomes,
@@ -189,6 +189,7 @@ def sample_models(
     )
     return StackedModel(
         structure=structure,
+        steps=None,
         chances=rows.reshape(count, -1).T,
         amounts=(mdp.reward + earned / total).T,
         reward_error=np.zeros((1, 1)),
@@ -217,7 +218,7 @@ def drawn_regrets(models: StackedModel, own: Floats) -> Floats:
         value, off = models.evaluate([own])
         return compute_regrets(best, value[:, 0], error + off[:, 0])
     # Backward induction with two values for each state: of the optimum, and of the policy.
-    first = models.structure.first
+    first = models.structure.first[:-1]
     value = np.zeros((*models.start.shape, 2))
     for taken in own[::-1]:
         ahead = models.rate[0] * np.einsum("dls,dsv->dlv", models.rows, value)
