@@ -21,7 +21,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from exact_mdp.mdp.care.compile import Step, Subtask, list_steps
+from exact_mdp.mdp.care.compile import Subtask, SubtaskStep, list_steps
 from exact_mdp.mdp.care.laws import Laws
 from exact_mdp.mdp.care.rules import FINAL
 from exact_mdp.mdp.care.scenario import Scenario
@@ -31,7 +31,7 @@ from exact_mdp.mdp.parametric import DISCOUNT
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
-from exact_mdp.solvers.stacked import StackedModel, Structure
+from exact_mdp.solvers.stacked import StackedModel, StackedStructure
 
 
 class ScenarioStack:
@@ -77,12 +77,12 @@ class ScenarioStack:
         # A sum that is exactly 1 stays below this after eight roundings.
         return stacked, (laws.sums > 1 + 8 * UNIT).any(axis=0)
 
-    def _build_structure(self, mdp: MDP) -> Structure:
+    def _build_structure(self, mdp: MDP) -> StackedStructure:
         """Return all outcomes of the explicit model, also those that are impossible today.
 
         Sets `kinds`, the places and steps that differ in their rewards, and `rows`, of the chances.
         """
-        subtask, kinds = Subtask(self.scenario.laws), dict[tuple[int, Step], int]()
+        subtask, kinds = Subtask(self.scenario.laws), dict[tuple[int, SubtaskStep], int]()
         rules, rewards = subtask.laws.rules, 0
         vectors, trying = rules.vectors, rules.vectors * rules.assistive
         lengths, columns, numbers, earned = [list[Integers]() for _ in range(4)]
@@ -110,7 +110,7 @@ class ScenarioStack:
         for parts, number in zip((lengths, columns, numbers, earned), lasts, strict=True):
             parts.append(np.array([number]))
         self.kinds = [*kinds]
-        return Structure(
+        return StackedStructure(
             state=np.array(mdp.pair_state),
             first=np.array(mdp.pair_offsets),
             offsets=np.append(0, np.cumsum(np.concatenate(lengths))),

@@ -55,7 +55,7 @@ DENSE = 2**16  # entries of dense rows: with more, sparse solvers are as fast
 MOST_CHANCES = 2**24  # numbers in memory
 
 
-class Structure(NamedTuple):
+class StackedStructure(NamedTuple):
     """The pairs and outcomes that models share; equal chances and rewards may share a row."""
 
     state: Integers  # (L,) the state of each pair
@@ -71,7 +71,7 @@ class Structure(NamedTuple):
         return rank_acyclic_states(self.offsets[self.first], self.column, self.ended)
 
 
-class Optimum(NamedTuple):
+class StackedOptimum(NamedTuple):
     """The optima of D models: values, suboptimality gaps of all pairs, bounds on their errors."""
 
     value: Floats  # (D, S)
@@ -84,8 +84,8 @@ class Optimum(NamedTuple):
 class StackedModel:
     """D models with one structure of L pairs and S states; rewards are maximised."""
 
-    structure: Structure
-    steps: Integers | None  # (S,) as in `Structure.count_steps`
+    structure: StackedStructure
+    steps: Integers | None  # (S,) as in `StackedStructure.count_steps`
     chances: Floats  # (K, D)
     amounts: Floats  # (R, D) rewards
     reward_error: Floats  # (D, L), or (D, 1)
@@ -115,7 +115,7 @@ class StackedModel:
         keys = [_list_outcome_keys(mdp) for mdp in models]
         union = reduce(np.union1d, {key.tobytes(): key for key in keys}.values())
         pair, column = np.divmod(union, one.n_states)
-        structure = Structure(
+        structure = StackedStructure(
             state=np.array(one.pair_state),
             first=np.array(one.pair_offsets),
             offsets=np.searchsorted(pair, np.arange(one.n_pairs + 1)),
@@ -174,7 +174,7 @@ class StackedModel:
             vars(other)["weights"] = self.weights
         return other
 
-    def optimum(self) -> Optimum | None:
+    def optimum(self) -> StackedOptimum | None:
         """Return the optima; None if the iteration does not settle, or values overflow."""
         if self.steps is None:
             return self._iterate_policies()
@@ -188,7 +188,7 @@ class StackedModel:
         if not np.isfinite(error).all():
             return None
         # The value of a pair has the error of its state.
-        return Optimum(value.T, error, (value[state] - q).T, 2 * error[:, state])
+        return StackedOptimum(value.T, error, (value[state] - q).T, 2 * error[:, state])
 
     def evaluate(self, policies: Sequence[Floats]) -> tuple[Floats, Floats]:
         """Return the values at the start (D, N) of policies (N, L), and bounds on their errors."""
@@ -202,7 +202,7 @@ class StackedModel:
     # ---- backward induction ------------------------------------------------------------------
 
     @property
-    def _loop_inputs(self) -> tuple[Integers, Structure, NamedTuple]:
+    def _loop_inputs(self) -> tuple[Integers, StackedStructure, NamedTuple]:
         """The order of the states, the structure and the numbers, as compiled loops take them."""
         from exact_mdp.solvers.kernels.stacked import Numbers
 
@@ -314,7 +314,7 @@ class StackedModel:
             return (most[0], least)
         return None
 
-    def _iterate_policies(self) -> Optimum | None:
+    def _iterate_policies(self) -> StackedOptimum | None:
         """Return the optima by policy iteration."""
         best = self.improve_policies(self.reward)
         if best is None or self.weights is None:
@@ -330,7 +330,7 @@ class StackedModel:
         # A gap moves with the error of its own state and of the states that follow.
         ahead = np.einsum("dls,ds->dl", self.rows, error)
         doubt = (noise + error[:, self.structure.state] + ahead) * SLACK
-        return Optimum(value, error, -gain, doubt)
+        return StackedOptimum(value, error, -gain, doubt)
 
     def _evaluate_by_solving(self, chosen: Floats) -> tuple[Floats, Floats]:
         """Return the values (D, S) of a policy (L,), and bounds on their errors."""

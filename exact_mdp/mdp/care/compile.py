@@ -60,7 +60,7 @@ class Branches(NamedTuple):
     scatter: Numbers | None = None  # (m, k) weights M over `scale`
 
 
-class Step(NamedTuple):
+class SubtaskStep(NamedTuple):
     """A step of a subtask, with a trial (`tries`), a skip (`skips`) or both."""
 
     trial: int
@@ -69,18 +69,17 @@ class Step(NamedTuple):
     skips: bool
 
 
-def list_steps(rules: Rules) -> list[Step]:
+def list_steps(rules: Rules) -> list[SubtaskStep]:
     """Return the steps of a subtask, in the order of their states."""
-    steps = []
-    for trial in range(rules.trials - (not rules.own)):
+    steps, last = [], rules.trials - (not rules.own)
+    for trial in range(last):
         for flag in range(rules.flags):
-            steps.append(Step(trial, flag, tries=True, skips=False))
+            steps.append(SubtaskStep(trial, flag, tries=True, skips=False))
     # The last trial, or a skip with a timestep of its own, after which the flag is 1.
     for flag in range(rules.flags):
-        last = flag
         if rules.own:
-            last = 1
-        steps.append(Step(rules.trials - (not rules.own), last, tries=not rules.own, skips=True))
+            flag = 1
+        steps.append(SubtaskStep(last, flag, tries=not rules.own, skips=True))
     return steps
 
 
@@ -99,7 +98,7 @@ class Subtask:
         """Return the gain of an event, without the weights of the action and of the statuses."""
         return self.laws.gain[self.laws.rules.gains[event, place, flag]]
 
-    def list_outcomes(self, place: int, step: Step) -> list[Branches]:
+    def list_outcomes(self, place: int, step: SubtaskStep) -> list[Branches]:
         """Return the outcomes of a step by the vector that follows its trial, or else its skip.
 
         A gain is without the costs of statuses. If a skip follows the trial, its outcomes are the
@@ -152,7 +151,7 @@ class SubtaskBlock(Subtask):
             parts.append(rows | {"next": rows["next"] + shift})
         return _concatenate_rows(parts)
 
-    def _join_outcomes(self, place: int, step: Step) -> list[Branches]:
+    def _join_outcomes(self, place: int, step: SubtaskStep) -> list[Branches]:
         """Return the outcomes of a step with their whole gains; those after a skip are joined."""
         outcomes = []
         for branch in self.list_outcomes(place, step):
@@ -175,7 +174,7 @@ class SubtaskBlock(Subtask):
             outcomes.append(Branches(1, chosen, gains, ends[there], scatter))
         return outcomes
 
-    def _build_step(self, place: int, step: Step) -> Rows:
+    def _build_step(self, place: int, step: SubtaskStep) -> Rows:
         """Return the rows of a step, with sorted next states and without zeros.
 
         A row may have as many outcomes as status vectors times costs. So a few present vectors are
@@ -229,7 +228,9 @@ class SubtaskBlock(Subtask):
             ),
         }
 
-    def _compute_components(self, law: Numbers, bottom: Numbers, place: int, step: Step) -> Numbers:
+    def _compute_components(
+        self, law: Numbers, bottom: Numbers, place: int, step: SubtaskStep
+    ) -> Numbers:
         """Return the expected reward components (V, A, C) as integers over the row denominators."""
         # Count how often each weight is charged, times its probability: first the statuses.
         rules, reward = self.laws.rules, self.laws.reward

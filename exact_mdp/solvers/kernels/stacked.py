@@ -15,7 +15,7 @@ from exact_mdp.mdp.table import Floats, Integers
 
 
 class Numbers(NamedTuple):
-    """The numbers of D models; `solvers.stacked.Structure` says where each of them belongs."""
+    """The numbers of D models; `StackedStructure` says where each of them belongs."""
 
     chances: Floats  # (K, D)
     amounts: Floats  # (R, D)

@@ -35,7 +35,7 @@ from exact_mdp.mdp.validate import RNG, require_count, seed_of
 from exact_mdp.solvers.bounds.gains import SLACK, gamma
 from exact_mdp.solvers.parallel import Arrays, join_blocks, run_pieces, seed_blocks
 from exact_mdp.solvers.solution import compute_regrets
-from exact_mdp.solvers.stacked import StackedModel, Structure
+from exact_mdp.solvers.stacked import StackedModel, StackedStructure
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,7 +178,7 @@ def sample_models(
     live = ~ended | (lost > 0)
     # Every state may follow every pair.
     outcomes = np.arange(shape[0] * shape[1])
-    structure = Structure(
+    structure = StackedStructure(
         state=np.array(mdp.pair_state),
         first=np.array(mdp.pair_offsets),
         offsets=np.arange(shape[0] + 1) * shape[1],
