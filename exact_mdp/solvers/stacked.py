@@ -206,6 +206,7 @@ class StackedModel:
         """The order of the states, the structure and the numbers, as compiled loops take them."""
         from exact_mdp.solvers.kernels.stacked import Numbers
 
+        assert self.steps is not None
         order = np.argsort(self.steps, kind="stable")[np.count_nonzero(self.structure.ended) :]
         return order, self.structure, Numbers(self.chances, self.amounts, self.rate)
 
@@ -360,4 +361,4 @@ class StackedModel:
 def _list_outcome_keys(mdp: MDP) -> Integers:
     """Return pair · S + next state of the outcomes of a model, rising."""
     pair = np.repeat(np.arange(mdp.n_pairs), np.diff(mdp.transition.indptr))
-    return pair * mdp.n_states + mdp.transition.indices
+    return np.asarray(pair * mdp.n_states + mdp.transition.indices)

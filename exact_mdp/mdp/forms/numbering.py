@@ -100,9 +100,9 @@ def name_columns(
     found = list(states.number), list(actions.number)
     things, doing = states.list_in_order(), actions.list_in_order() or ["stay"]
     parts = (states, columns.state), (states, columns.following), (actions, columns.action)
-    for (numbering, column), before in zip(parts, (found[0], *found), strict=True):
+    for (numbering, numbers), before in zip(parts, (found[0], *found), strict=True):
         place = [numbering.number[thing] for thing in before]
-        column[:] = [place[number] for number in column]
+        numbers[:] = [place[old] for old in numbers]
     # Ends stay put, or earn their reward and lead to the additional state, which has number S.
     number, last = states.number, len(things)
     for end in ends:
