@@ -169,9 +169,9 @@ class StackedModel:
         structure = self.structure._replace(earned=np.arange(reward.shape[1]))
         amounts = np.ascontiguousarray(reward.T)
         other = replace(self, structure=structure, amounts=amounts, reward_error=error)
-        # The weights depend on transitions only, and need not be computed again.
+        # Dense rows and weights depend on transitions only, and need not be computed again.
         if self.steps is None:
-            vars(other)["weights"] = self.weights
+            vars(other).update(rows=self.rows, weights=self.weights)
         return other
 
     def optimum(self) -> StackedOptimum | None:
