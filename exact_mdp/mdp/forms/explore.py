@@ -120,9 +120,12 @@ class FromFunction(FromArrays):
             ):
                 where = f"state {state}, action {action}"
                 answer = _call_user_function(outcomes, state, action, where=where, fix=OUTCOMES)
-                with locate_errors(where):
+                try:
                     every = [*map(_parse_outcome, answer)]
                     possible = [each for each in every if exact(each[0])]
+                except ModelError:
+                    with locate_errors(where):
+                        raise
                 if not impossible:
                     every = possible
                 for _, following, _ in every:
@@ -163,12 +166,15 @@ class FromFunction(FromArrays):
 
 def _call_user_function(ask: Callable[..., Any], *of: Any, where: str, fix: str) -> list[Any]:
     """Call a user's function and return its answer as a list; None for actions is an empty list."""
-    with annotate_errors(where):  # the code of a generator runs when it is listed
+    try:  # to enter a context for each pair would take longer
         answer = ask(*of)
         if type(answer) is list:
             return answer
         if isinstance(answer, Iterable):
-            return list(answer)
+            return list(answer)  # the code of a generator runs here
+    except Exception:
+        with annotate_errors(where):
+            raise
     if answer is None and len(of) == 1:
         return []
     raise ModelError(f"the function returns {answer!r}, not a list", where=where, fix=fix)
