@@ -113,7 +113,8 @@ class StackedModel:
             return None
         # The outcomes of all models, as pair · S + next state; most have the same ones.
         keys = [_list_outcome_keys(mdp) for mdp in models]
-        union = reduce(np.union1d, {key.tobytes(): key for key in keys}.values())
+        alike = {key.tobytes(): key for key in keys}
+        union = reduce(np.union1d, alike.values())
         pair, column = np.divmod(union, one.n_states)
         structure = StackedStructure(
             state=np.array(one.pair_state),
@@ -129,14 +130,15 @@ class StackedModel:
         if steps is None and one.n_pairs * one.n_states > DENSE:
             return None
         # Stack the numbers of all models; costs are negated.
-        chances = np.zeros((len(union), len(models)))
-        for d, (mdp, key) in enumerate(zip(models, keys, strict=True)):
-            chances[np.searchsorted(union, key), d] = mdp.transition.data
+        places = {content: np.searchsorted(union, key) for content, key in alike.items()}
+        chances = np.zeros((len(models), len(union)))
+        for row, mdp, key in zip(chances, models, keys, strict=True):
+            row[places[key.tobytes()]] = mdp.transition.data
         facts = [rounding_facts(mdp) for mdp in models]
         stacked = cls(
             structure=structure,
             steps=steps,
-            chances=chances,
+            chances=np.ascontiguousarray(chances.T),
             amounts=np.stack([mdp.sign * mdp.reward for mdp in models], axis=1),
             reward_error=np.stack([reward_errors(mdp) for mdp in models]),
             rate=np.array([mdp.discount for mdp in models]),
