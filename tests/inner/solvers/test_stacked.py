@@ -1,5 +1,6 @@
 """Many models at once: each one's optimum and a policy's values are those of rationals."""
 
+from dataclasses import replace
 from fractions import Fraction as F
 
 import numpy as np
@@ -86,6 +87,21 @@ def test_policies_are_evaluated_side_by_side() -> None:
         one, off = stacked.evaluate([policy])
         assert value[:, n].tolist() == one[:, 0].tolist()
         assert error[:, n].tolist() == off[:, 0].tolist()
+
+
+def test_errors_of_backward_induction_grow_with_each_step_and_with_the_rows() -> None:
+    stacked = StackedModel.of([drawn(seed, "1", "max", cycles=False) for seed in range(3)])
+    assert stacked is not None
+    found = stacked.optimum()
+    assert found is not None
+    once = found.error[:, 1]
+    assert (once > 0).all()
+    assert found.error == pytest.approx(once[:, None] * np.array([3, 1, 2, 0]))
+    known = replace(stacked, reward_error=np.full((3, 8), 0.5), row_error=0.25).optimum()
+    assert known is not None
+    size = np.abs(found.value).max(axis=1)
+    assert known.error[:, 1] == pytest.approx(0.5 + 0.25 * size)
+    assert known.doubt[:, 0] == pytest.approx(2 * known.error[:, 0])
 
 
 def test_values_beyond_floats_have_no_optimum() -> None:
