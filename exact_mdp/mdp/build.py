@@ -119,8 +119,8 @@ class FromArrays(Parts):
             if layout not in (None, "sas"):
                 fix = "leave it out; dictionaries go by state, then action"
                 raise ModelError(f"dictionaries are not {layout!r}", where="layout", fix=fix)
-            columns, names = listed.columns_from_listed(P, R, {**names, "start": start})
-            return cls._from_columns(columns, discount, names.pop("start"), names)
+            outcomes, names = listed.columns_from_listed(P, R, {**names, "start": start})
+            return cls._from_columns(outcomes, discount, names.pop("start"), names)
         # Bring P into rows (L, S), sorted by state, then action.
         if layout == ACTIONS_LAST:
             P, R, layout = _move_actions_first(P, "P"), _move_actions_first(R, "R"), "ass"

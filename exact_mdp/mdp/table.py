@@ -559,6 +559,8 @@ def to_common_denominator(numbers: Sequence[Fraction]) -> tuple[list[int], int]:
 
 def over_groups(values: Sequence[Fraction], offsets: Integers) -> tuple[Numbers, Numbers]:
     """Return rationals (N,) as integers (N,), with one common denominator for each group."""
+    if all(number.denominator == 1 for number in values):
+        return to_integer_array(number.numerator for number in values), make_ones(len(offsets) - 1)
     tops: list[int] = []
     bottoms: list[int] = []
     for first, last in pairwise(offsets.tolist()):

@@ -75,7 +75,7 @@ class ScenarioStack:
             start=np.tile(self.start, (count, 1)),
         )
         # A sum that is exactly 1 stays below this after eight roundings.
-        return stacked, (laws.sums > 1 + 8 * UNIT).any(axis=0)
+        return stacked, np.any(laws.sums > 1 + 8 * UNIT, axis=0)
 
     def _build_structure(self, mdp: MDP) -> StackedStructure:
         """Return all outcomes of the explicit model, also those that are impossible today.

@@ -113,7 +113,8 @@ class StackedModel:
             return None
         # The outcomes of all models, as pair · S + next state; most have the same ones.
         keys = [_list_outcome_keys(mdp) for mdp in models]
-        union = reduce(np.union1d, {key.tobytes(): key for key in keys}.values())
+        alike = {key.tobytes(): key for key in keys}
+        union = reduce(np.union1d, alike.values())
         pair, column = np.divmod(union, one.n_states)
         structure = StackedStructure(
             state=np.array(one.pair_state),
@@ -129,14 +130,15 @@ class StackedModel:
         if steps is None and one.n_pairs * one.n_states > DENSE:
             return None
         # Stack the numbers of all models; costs are negated.
-        chances = np.zeros((len(union), len(models)))
-        for d, (mdp, key) in enumerate(zip(models, keys, strict=True)):
-            chances[np.searchsorted(union, key), d] = mdp.transition.data
+        places = {content: np.searchsorted(union, key) for content, key in alike.items()}
+        chances = np.zeros((len(models), len(union)))
+        for row, mdp, key in zip(chances, models, keys, strict=True):
+            row[places[key.tobytes()]] = mdp.transition.data
         facts = [rounding_facts(mdp) for mdp in models]
         stacked = cls(
             structure=structure,
             steps=steps,
-            chances=chances,
+            chances=np.ascontiguousarray(chances.T),
             amounts=np.stack([mdp.sign * mdp.reward for mdp in models], axis=1),
             reward_error=np.stack([reward_errors(mdp) for mdp in models]),
             rate=np.array([mdp.discount for mdp in models]),
@@ -169,9 +171,9 @@ class StackedModel:
         structure = self.structure._replace(earned=np.arange(reward.shape[1]))
         amounts = np.ascontiguousarray(reward.T)
         other = replace(self, structure=structure, amounts=amounts, reward_error=error)
-        # The weights depend on transitions only, and need not be computed again.
+        # Dense rows and weights depend on transitions only, and need not be computed again.
         if self.steps is None:
-            vars(other)["weights"] = self.weights
+            vars(other).update(rows=self.rows, weights=self.weights)
         return other
 
     def optimum(self) -> StackedOptimum | None:
@@ -206,6 +208,7 @@ class StackedModel:
         """The order of the states, the structure and the numbers, as compiled loops take them."""
         from exact_mdp.solvers.kernels.stacked import Numbers
 
+        assert self.steps is not None
         order = np.argsort(self.steps, kind="stable")[np.count_nonzero(self.structure.ended) :]
         return order, self.structure, Numbers(self.chances, self.amounts, self.rate)
 
@@ -360,4 +363,4 @@ class StackedModel:
 def _list_outcome_keys(mdp: MDP) -> Integers:
     """Return pair · S + next state of the outcomes of a model, rising."""
     pair = np.repeat(np.arange(mdp.n_pairs), np.diff(mdp.transition.indptr))
-    return pair * mdp.n_states + mdp.transition.indices
+    return np.asarray(pair * mdp.n_states + mdp.transition.indices)

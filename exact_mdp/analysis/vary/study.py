@@ -453,11 +453,12 @@ class _Drawn:
         # All models at once: each component in turn is the reward, known up to its error.
         off, each = [component_errors(mdp) for mdp in self.models], []
         for name, earned in zip(names, amounts, strict=True):
-            columns = zip(self.models, off, strict=True)
-            own = [errors[:, mdp.component_names.index(name)] for mdp, errors in columns]
+            own = []
+            for mdp, parts in zip(self.models, off, strict=True):
+                own.append(parts[:, mdp.component_names.index(name)])
             each.append(stacked.with_reward(earned, np.stack(own)).evaluate([weights]))
-        value, error = (np.concatenate(parts, axis=1) for parts in zip(*each, strict=True))
-        return value, error
+        value, error = zip(*each, strict=True)
+        return np.hstack(value), np.hstack(error)
 
     def _require_said(self, weights: Floats, undecided: Flags) -> None:
         """Raise ModelError if a policy (L,) is silent in states (S,) where the action matters."""

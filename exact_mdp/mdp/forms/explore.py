@@ -18,7 +18,7 @@ import numpy as np
 from exact_mdp.mdp.build import FromArrays
 from exact_mdp.mdp.errors import ModelError, annotate_errors, locate_errors, require_type
 from exact_mdp.mdp.forms.names import ByNumber
-from exact_mdp.mdp.forms.numbering import Numbering, Row, number_rows
+from exact_mdp.mdp.forms.numbering import Numbering, OutcomeColumns, name_columns
 from exact_mdp.mdp.forms.numbers import as_given
 from exact_mdp.mdp.table import exact
 from exact_mdp.mdp.validate import COUNTED, check_options, require_count
@@ -97,7 +97,7 @@ class FromFunction(FromArrays):
         require_type(outcomes, Callable, "outcomes", fix)
         max_states = require_count(max_states, "max_states")
         require_type(labels or {}, Mapping, "labels", "give {name: function of a state}")
-        states, rows = Numbering(), list[Row]()
+        states, doing, columns = Numbering(), Numbering(), OutcomeColumns()
         if isinstance(start, ByNumber):
             raise ModelError(
                 "the start of another model has numbers of states, but a function needs objects",
@@ -120,16 +120,21 @@ class FromFunction(FromArrays):
             ):
                 where = f"state {state}, action {action}"
                 answer = _call_user_function(outcomes, state, action, where=where, fix=OUTCOMES)
-                with locate_errors(where):
+                try:
                     every = [*map(_parse_outcome, answer)]
                     possible = [each for each in every if exact(each[0])]
-                rows.append((state, action, possible))
+                except ModelError:
+                    with locate_errors(where):
+                        raise
                 if not impossible:
                     every = possible
                 for _, following, _ in every:
                     known = len(states.number)
                     if states.add_thing(following, "a next state", where) == known:
                         waiting.append(following)
+                act, number = doing.add_thing(action, "an action", f"state {state}"), states.number
+                numbered = ((chance, number[then], gain) for chance, then, gain in possible)
+                columns.add_pair(number[state], act, numbered)
                 if len(states.number) > max_states:
                     raise ModelError(
                         f"more than {max_states:,} states can be reached",
@@ -137,8 +142,9 @@ class FromFunction(FromArrays):
                         fix="raise max_states, or describe states by less",
                     )
         # States without a row are ends; list them in the order in which they were found.
-        ends = states.number.keys() - {state for state, _, _ in rows}
-        columns, parts = number_rows(rows, states, filter(ends.__contains__, [*states.number]))
+        acting = {*columns.state}
+        ends = [state for state, number in states.number.items() if number not in acting]
+        parts = name_columns(columns, states, doing, ends)
         # Ask the functions of labels for all states.
         flags = dict(labels or {})
         for name, holds in flags.items():
@@ -160,12 +166,15 @@ class FromFunction(FromArrays):
 
 def _call_user_function(ask: Callable[..., Any], *of: Any, where: str, fix: str) -> list[Any]:
     """Call a user's function and return its answer as a list; None for actions is an empty list."""
-    with annotate_errors(where):  # the code of a generator runs when it is listed
+    try:  # to enter a context for each pair would take longer
         answer = ask(*of)
         if type(answer) is list:
             return answer
         if isinstance(answer, Iterable):
-            return list(answer)
+            return list(answer)  # the code of a generator runs here
+    except Exception:
+        with annotate_errors(where):
+            raise
     if answer is None and len(of) == 1:
         return []
     raise ModelError(f"the function returns {answer!r}, not a list", where=where, fix=fix)

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError, ShapeError, locate_errors, require_type
-from exact_mdp.mdp.forms.numbering import Numbering, OutcomeColumns, number_rows
+from exact_mdp.mdp.forms.numbering import Numbering, OutcomeColumns, name_columns
 from exact_mdp.mdp.forms.numbers import array_of, as_given, to_dense
 from exact_mdp.mdp.table import exact
 
@@ -285,15 +285,19 @@ def columns_from_listed(
             parts[name].append(_merge_equal_amounts(outcomes))
         parts[name] += [ends.get(end, 0) for end in listed.ends]
     # Write the rows in numbers. If an end is paid, there is one more state, with one more pair.
-    rows = [(*pair, listed.list_rewarded_outcomes(pair, rewards, "R")) for pair in pairs]
-    made, own = number_rows(rows, listed.states, listed.ends, paid)
+    columns, actions, number = OutcomeColumns(), Numbering(), listed.states.number
+    for state, action in pairs:
+        outcomes = listed.list_rewarded_outcomes((state, action), rewards, "R")
+        act = actions.add_thing(action, "an action", f"state {state}")
+        columns.add_pair(number[state], act, ((p, number[then], r) for p, then, r in outcomes))
+    own = name_columns(columns, listed.states, actions, listed.ends, paid)
     if paid:
         names |= _with_the_end(names, len(listed.states.number), own["space"].extra[0])
         for amounts_of_pairs in parts.values():
             amounts_of_pairs.append(0)
     if parts:
         names["components"] = parts
-    return made, own | names
+    return columns, own | names
 
 
 def _merge_equal_amounts(outcomes: list[tuple[Any, Any, Any]]) -> Any:

@@ -19,11 +19,6 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.forms.names import integer_of, name_things, text_of
 from exact_mdp.mdp.space import Column, StateSpace
 
-Outcome = tuple[Any, Any, Any]
-"""Probability, next state, reward."""
-Row = tuple[Hashable, Hashable, Sequence[Outcome]]
-"""State, action and outcomes."""
-
 
 class Numbering:
     """Numbers for things, in the order in which they first occur."""
@@ -78,41 +73,38 @@ class OutcomeColumns:
     following: list[int] = field(default_factory=list)  # (N,)
     gain: list[Any] = field(default_factory=list)  # (N,)
 
-    def add_pair(self, state: int, action: int, outcomes: Sequence[Outcome]) -> None:
-        """Add a pair with its outcomes."""
+    def add_pair(self, state: int, action: int, outcomes: Iterable[tuple[Any, int, Any]]) -> None:
+        """Add a pair with its outcomes: probability, next state, reward."""
+        before = len(self.chance)
         for chance, following, gain in outcomes:
             self.chance.append(chance)
             self.following.append(following)
             self.gain.append(gain)
         self.state.append(state)
         self.action.append(action)
-        self.length.append(len(outcomes))
+        self.length.append(len(self.chance) - before)
 
 
-def number_rows(
-    rows: Iterable[Row],
+def name_columns(
+    columns: OutcomeColumns,
     states: Numbering,
+    actions: Numbering,
     ends: Iterable[Hashable],
     paid: Mapping[Hashable, Any] = MappingProxyType({}),
-) -> tuple[OutcomeColumns, dict[str, Any]]:
-    """Return rows with numbers for things, and the names of the things.
+) -> dict[str, Any]:
+    """Return the names of states and actions; change their numbers in `columns`, and add the ends.
 
-    `states` has all states of the rows. `ends` are the states without actions. Those in `paid`
-    {end: reward} earn the reward once and lead to an additional state.
+    Numbers change if things are whole numbers. `ends` are the states without actions. Those in
+    `paid` {end: reward} earn the reward once and lead to an additional state.
     """
-    # Number all actions as they occur.
-    actions, listed = Numbering(), list(rows)
-    for state, action, _ in listed:
-        actions.add_thing(action, "an action", f"state {state}")
+    found = list(states.number), list(actions.number)
     things, doing = states.list_in_order(), actions.list_in_order() or ["stay"]
-    number, act = states.number, actions.number
-    # Write the rows in numbers.
-    columns = OutcomeColumns()
-    for state, action, outcomes in listed:
-        numbered = [(p, number[then], r) for p, then, r in outcomes]
-        columns.add_pair(number[state], act[action], numbered)
+    parts = (states, columns.state), (states, columns.following), (actions, columns.action)
+    for (numbering, numbers), before in zip(parts, (found[0], *found), strict=True):
+        place = [numbering.number[thing] for thing in before]
+        numbers[:] = [place[old] for old in numbers]
     # Ends stay put, or earn their reward and lead to the additional state, which has number S.
-    last = len(things)
+    number, last = states.number, len(things)
     for end in ends:
         outcome = (1, number[end], 0)
         if end in paid:
@@ -131,7 +123,7 @@ def number_rows(
     if not _count_from_zero(things):
         column = replace(column, words=name_things(things, "state"), objects=tuple(things))
     space = StateSpace(columns=(column,), extra=extra)
-    return columns, {"space": space, **action_names(doing)}
+    return {"space": space, **action_names(doing)}
 
 
 def action_names(things: Sequence[Any]) -> dict[str, Any]:
