@@ -357,7 +357,7 @@ def bounded_optimum(mdp: MDP) -> Bounds:
     # tolerance of 1e-9, while the values of a policy are exact up to rounding.
     if bounds.error <= 2.0**-36 * float(np.abs(bounds.value).max()):
         return bounds
-    better = bound_optimal_values(mdp, PolicyIteration(start=solved).solve(mdp).value)
+    better = bound_optimal_values(mdp, PolicyIteration(start=solved).solve_rewards(mdp).value)
     if better.error <= bounds.error:
         return better
     return bounds

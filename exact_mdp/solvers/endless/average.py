@@ -148,7 +148,7 @@ def _bound_gain_above(step: MDP, bias: Floats) -> Floats:
     pairs = np.flatnonzero(~inside)
     rests = [(number, Fraction(value)) for number, value in enumerate(top.tolist())]
     model = build_derived_model(step, pairs, label, free=True, rests=rests)
-    solution = PolicyIteration().solve(model.mdp)
+    solution = PolicyIteration().solve_rewards(model.mdp)
     most = np.nextafter(solution.value + solution.state_error * SLACK, np.inf)
     return np.asarray(most[model.label])
 

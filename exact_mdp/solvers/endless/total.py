@@ -70,7 +70,7 @@ def solve_total(mdp: MDP, solved: Callable[[MDP], Solution]) -> Solution:
         raise
     # If the omission cannot be verified with these values, try the closer ones of policy iteration.
     if not _is_reduction_sound(whole, part, solution):
-        closest = PolicyIteration().solve(part.mdp)
+        closest = PolicyIteration().solve_rewards(part.mdp)
         if not _is_reduction_sound(whole, part, closest):
             raise SolverError(Status.NO_BOUND, "staying forever loses too little a step")
     # Back to the states of the model.
