@@ -332,13 +332,15 @@ def build_cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
                 f"yours {each.learned}, optimal {format_alternatives(each.optimal)}; "
                 f"{each.expected_visits:.6g} expected visits, loses {each.cost:.6g}"
             )
+        if state in begins:
+            said += ", start"
         grid[layout.row[state]][layout.column[state]] = Cell(
             state=state,
             kind="wrong" if each is not None else "idle" if idle[state] else "",
             text=text,
             small=best,
             name=label.removeprefix("state ") if layout.named_in_cells else "",
-            title=f"{label}: {said}" + ", start" * (state in begins),
+            title=f"{label}: {said}",
             start=state in begins,
             shade=0.0 if each is None else 1.0 if each.cost == most else each.cost / most,
         )

@@ -253,7 +253,12 @@ def list_claims() -> str:
     for claim in CLAIMS.values():
         says = fill(claim.says, wide, initial_indent="    ", subsequent_indent="    ")
         lines.append(f"{claim.id} ({', '.join(claim.places)})\n{says}")
-    named = [each.name + f" ({each.place})" * bool(each.place) for each in FIGURES.values()]
+    named = []
+    for each in FIGURES.values():
+        name = each.name
+        if each.place:
+            name += f" ({each.place})"
+        named.append(name)
     return "\n".join([*lines, fill(f"figures: {', '.join(named)}", wide, subsequent_indent="    ")])
 
 

@@ -214,7 +214,10 @@ def compute_support(base: Reading, progress: Callable[[str], None] = lambda text
         one = replace(base, scenario=scenario)
         for order in ORDERS:
             logs.append(log_likelihood(one, order))
-            label = "; ".join(changes + [SWAPPED] * (order == "swapped")) or "default"
+            named = [*changes]
+            if order == "swapped":
+                named.append(SWAPPED)
+            label = "; ".join(named) or "default"
             # A new reading each time, so that cached results do not fill memory.
             readings.append(replace(base, scenario=scenario, order=order, label=label))
             choices.append({**chosen, "respectively": order})

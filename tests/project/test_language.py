@@ -80,6 +80,36 @@ def test_the_code_is_plain() -> None:
     assert comments >= 2.7 / 100 * code
 
 
+def is_text(node: ast.expr) -> bool:
+    """Return whether an expression is a text, or a list."""
+    if isinstance(node, ast.Constant):
+        return isinstance(node.value, str)
+    return isinstance(node, ast.JoinedStr | ast.List)
+
+
+def is_truth_value(node: ast.expr) -> bool:
+    """Return whether an expression is plainly a truth value."""
+    if isinstance(node, ast.Call):
+        return ast.unparse(node.func) == "bool"
+    negated = isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not)
+    return negated or isinstance(node, ast.Compare | ast.BoolOp)
+
+
+def test_no_text_is_multiplied_by_a_truth_value() -> None:
+    for path, tree in modules():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult):
+                for one, other in ((node.left, node.right), (node.right, node.left)):
+                    said = path, ast.unparse(node)
+                    assert not (is_text(one) and is_truth_value(other)), said
+
+
+def test_no_frame_is_walked_and_no_text_is_run() -> None:
+    for path, tree in modules():
+        called = {ast.unparse(n.func) for n in ast.walk(tree) if isinstance(n, ast.Call)}
+        assert not called & {"exec", "eval", "sys._getframe", "inspect.currentframe"}, path
+
+
 def test_the_english_is_plain() -> None:
     """A relative clause is not a noun: "the value" reads more easily than "what it is worth"."""
     allowed = {"checker.py", "duals.py"}  # whose sentences others compare with

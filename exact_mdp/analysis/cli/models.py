@@ -256,9 +256,16 @@ def _report_estimate(
     }
     keys = {key: key for key in ("state", "action", "observations")}
     table = Table(title=f"pairs observed fewer than {rare} times", columns=keys)
-    notes = [ONE_ACTION] * (mdp.n_actions == 1)
-    notes += [UNUSED.format(", ".join(record.unused))] * bool(record.unused)
-    notes += [UNKNOWN] * bool(unknown) + [ENDS] * bool(ends) + [ADVICE]
+    notes = []
+    if mdp.n_actions == 1:
+        notes.append(ONE_ACTION)
+    if record.unused:
+        notes.append(UNUSED.format(", ".join(record.unused)))
+    if unknown:
+        notes.append(UNKNOWN)
+    if ends:
+        notes.append(ENDS)
+    notes.append(ADVICE)
     return Report(title=f"model from {file}", facts=facts, tables={"rare": table}, notes=notes)
 
 

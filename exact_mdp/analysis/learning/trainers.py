@@ -277,9 +277,11 @@ def _require_runs(runs: int, share: Fraction, alpha: Fraction) -> None:
     """Raise ModelError if so few runs leave the share open even if none is within the limits."""
     if is_share_excluded(share, 0, runs, alpha):
         return
-    least = count_fewest_misses(share, alpha)
+    least, noun = count_fewest_misses(share, alpha), "runs"
+    if runs == 1:
+        noun = "run"
     raise ModelError(
-        f"of {runs} run{'s' * (runs > 1)} no outcome could fail: even if none keeps the limits, a "
+        f"of {runs} {noun} no outcome could fail: even if none keeps the limits, a "
         f"share of {format_rational(share, 10)} stays possible",
         where="runs",
         fix=f"give {least} runs or more, or ask for a proof that the share is kept (--prove, "

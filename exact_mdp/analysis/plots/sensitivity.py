@@ -62,7 +62,9 @@ def _format_short_number(value: float | Fraction) -> str:
 
 def _format_shown_count(shown: int, every: int, what: str = "parameters") -> str:
     """Return the addition to a title if not all are shown."""
-    return f", {shown} of {every} {what}" * (shown < every)
+    if shown < every:
+        return f", {shown} of {every} {what}"
+    return ""
 
 
 def _label_axis(parameter: Parameter) -> str:
@@ -254,8 +256,11 @@ def plot_two_way(grid: TwoWay, *, ax: Axes | None = None) -> Axes:
     today = (float(grid.x.value), float(grid.y.value))
     (mark,) = ax.plot(*today, "D", color=BLACK, markersize=5, label="today")
     names = {"x": _label_axis(grid.x), "y": _label_axis(grid.y)}
-    legend = "how the policies differ" * (count > 1)
-    legend += f" ({len(listed)} of {count})" * (count > len(listed))
+    legend = ""
+    if count > 1:
+        legend = "how the policies differ"
+    if count > len(listed):
+        legend += f" ({len(listed)} of {count})"
     what = "Which policy is optimal"
     return label_axes(ax, what, grid.mdp.name, handles=[*handles, mark], legend=legend, **names)
 
@@ -272,8 +277,9 @@ def _describe_policies(listed: Sequence[Mapping[str, str]]) -> list[str]:
             states.append(max(apart, key=apart.__getitem__))
             others = [each for each in others if each.get(states[-1]) == own[states[-1]]]
         said = [f"{state}: {own[state]}" for state in states or [*own][:3]]
-        more = ["…"] * (not states and len(own) > len(said))
-        entries.append(fill(f"policy {number}: {'; '.join(said + more)}", 36))
+        if not states and len(own) > len(said):
+            said.append("…")
+        entries.append(fill(f"policy {number}: {'; '.join(said)}", 36))
     return entries
 
 
@@ -334,7 +340,10 @@ def plot_acceptability(draws: PSA, *, ax: Axes | None = None) -> Axes:
     shares = {each.name: draws.acceptability(at, n) for n, each in enumerate(draws.candidates)}
     curves = {name: (at, share) for name, (share, _, _) in shares.items()}
     bands = {name: (at, low, high) for name, (_, low, high) in shares.items()}
-    add_lines(ax, curves, bands, inks=INKS, marker="o" * (len(at) == 1))
+    marker = ""
+    if len(at) == 1:
+        marker = "o"
+    add_lines(ax, curves, bands, inks=INKS, marker=marker)
     ax.set_ylim(-0.02, 1.02)
     if len(at) > 1:
         ax.set_xscale("symlog", linthresh=at[1], linscale=0.3)

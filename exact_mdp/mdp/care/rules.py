@@ -112,7 +112,8 @@ class Rules:
             for of, weight, reading in CHARGES:
                 if of == event and (reading is None or self.readings[reading[0]] == reading[1]):
                     charged.append(weight)
-            charged += ["task-complete"] * (place != INSIDE and (event, flag) in paid)
+            if place != INSIDE and (event, flag) in paid:
+                charged.append("task-complete")
             row = tuple(self.position[f"reward.{weight}"] for weight in charged)
             self.gains[event, place, flag] = rows.setdefault(row, len(rows))
         # Shorter sets are padded with P, the position of the number 0.

@@ -63,11 +63,17 @@ def open_recording(path: Path, header: dict[str, Any], *, resume: bool) -> Recor
     if record is None:
         record = Recording(path=path)
         record.add_entry(header)
-    elif not resume or record.header != header:
+    elif not resume:
         raise ModelError(
-            "the folder holds a recording" + " with other settings" * resume,
+            "the folder holds a recording",
             where=str(path),
-            fix="name another --out" + ", or add --resume" * (not resume),
+            fix="name another --out, or add --resume",
+        )
+    elif record.header != header:
+        raise ModelError(
+            "the folder holds a recording with other settings",
+            where=str(path),
+            fix="name another --out",
         )
     return record
 
