@@ -93,6 +93,21 @@ class BellmanRows:
             weight=self.weight[entries],
         )
 
+    def within(self, states: NDArray[np.bool_], pairs: Integers) -> BellmanRows:
+        """Return the equations of some pairs of some `states` (S,), which they never leave.
+
+        The states are numbered anew, in their order.
+        """
+        rows, number = self.of_pairs(pairs), np.cumsum(states) - 1
+        owner = number[self.pair_state[pairs]]
+        return replace(
+            rows,
+            pair_offsets=np.searchsorted(owner, np.arange(int(states.sum()) + 1)),
+            terminal=rows.terminal[states],
+            scale=rows.scale[states],
+            next=number[rows.next],
+        )
+
 
 @cache_on_model
 def bellman_rows(model: MDP) -> BellmanRows:

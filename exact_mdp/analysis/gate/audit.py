@@ -31,6 +31,7 @@ from exact_mdp.mdp.questions import describe_sense, describe_time_limit
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, format_rational
+from exact_mdp.solvers.bounds.bounds import Bounds
 from exact_mdp.solvers.exact.regret import RegretCertificate
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError, in_float
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -348,9 +349,14 @@ class Audit(Pictured):
                 where="certificate",
                 fix="leave out the limits; solve() with them has a certificate of its own",
             )
+        bounded = ""
         if not all(isinstance(each, Certified) for each in known):
+            bounded = f"the regret is bounded, not exact: {lost.at_start}"
+        elif isinstance(lost.optimum, Bounds):
+            bounded = "the regret is exact, but bounds prove that some actions are not optimal"
+        if bounded:
             raise ModelError(
-                f"the regret is bounded, not exact: {lost.at_start}",
+                bounded,
                 where="certificate",
                 fix="ask for exact values, however long they take: --certify, exact_values=True",
             )

@@ -29,7 +29,9 @@ from exact_mdp.analysis.gate.forgiveness import (
 from exact_mdp.analysis.gate.waiting import chain_of_pairs, compute_exact_row, final_class, to_blame
 from exact_mdp.analysis.optimum import require_sound_proof
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.mdp.graph import (
+    find_reachable_states,
     has_improper_policy,
     is_acyclic,
     label_components,
@@ -53,6 +55,9 @@ from exact_mdp.solvers.bounds.gains import (
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.certify import certify
+from exact_mdp.solvers.exact.find import optimise_exactly
+from exact_mdp.solvers.exact.levels import Level
+from exact_mdp.solvers.exact.linear import evaluate_exactly
 from exact_mdp.solvers.solution import (
     Bounded,
     Certified,
@@ -182,11 +187,16 @@ def policy_regret(chain: PolicyChain, *, exact: bool | None = None) -> Regret:
     if mdp.sense == "min":
         negated = replace(chain, mdp=mdp.maximised)
         return policy_regret(negated, exact=exact).of_sense(mdp.sense)
+    cheap = exact
     if exact is None:
-        exact = is_cheap_to_certify(mdp)
-    if exact or has_improper_policy(mdp):  # bounds need every policy to be proper
+        cheap = is_cheap_to_certify(mdp)
+    if cheap or has_improper_policy(mdp):  # bounds need every policy to be proper
         return _certify_regret(mdp, chain, proven_optimum(mdp))
-    return _bound_regret(mdp, chain, bounded_optimum(mdp))
+    lost = _bound_regret(mdp, chain, bounded_optimum(mdp))
+    low, _ = interval_of(lost.at_start)
+    if exact is None and low <= 0 and isinstance(lost.at_start, Bounded) and is_acyclic(mdp):
+        return _decide_exactly(chain, lost)
+    return lost
 
 
 def limit_of(name: str, limit: object) -> Fraction:
@@ -331,6 +341,36 @@ def _bound_regret(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
     if near.all_best(chain):
         return replace(lost, at_start=Certified(value=Fraction(0)))
     return lost
+
+
+def _decide_exactly(chain: PolicyChain, lost: Regret) -> Regret:
+    """Return a bounded regret with exact values at the start, if few pairs are open.
+
+    Pairs that the bounds prove to lose cannot be optimal: the best of the others, from the states
+    that they reach, is the optimum. The model has no cycles.
+    """
+    mdp, optimum = chain.mdp, lost.optimum
+    assert isinstance(optimum, Bounds)
+    open_ = (ActionBounds(mdp, optimum).least_gap <= 0) | (chain.chosen > 0)
+    reached = find_reachable_states(mdp, pairs=open_)
+    pairs = np.flatnonzero(open_ & reached[mdp.pair_state])
+    if np.diff(mdp.transition.indptr)[pairs].sum() > EXACT_TRANSITIONS:
+        return lost
+
+    def mean_at_start(level: Level, states: Flags) -> Fraction:
+        number = np.cumsum(states) - 1
+        return level.compute_mean([(int(number[s]), p) for s, p in mdp.start if p])
+
+    _, (best,), _ = optimise_exactly(bellman_rows(mdp).within(reached, pairs))
+    alone, own = chain.build_bellman_rows(), chain.reached
+    (mine,) = evaluate_exactly(alone.within(own, np.flatnonzero(own)), np.arange(int(own.sum())))
+    optimal, learned = mean_at_start(best, reached), mean_at_start(mine, own)
+    return replace(
+        lost,
+        optimal=Certified(value=optimal),
+        learned=Certified(value=learned),
+        at_start=Certified(value=optimal - learned),
+    )
 
 
 def _find_losing_pairs(ideal: PolicyChain, known: BoundedVector, least_gap: Floats) -> Flags:

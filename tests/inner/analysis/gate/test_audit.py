@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from exact_mdp import MDP, SolverError, assert_policy_optimal, check
+from exact_mdp import MDP, ModelError, SolverError, assert_policy_optimal, check
 from exact_mdp.analysis.gate.audit import Audit
 from exact_mdp.analysis.gate.data.interval import RegretInterval
 from exact_mdp.analysis.gate.regret import policy_regret
@@ -230,3 +230,19 @@ def test_errors_of_the_table_that_was_learned() -> None:
         assert audit.q_error.largest == pytest.approx(0.5)
         assert audit.passed
         assert audit_of(mdp, [1, 1, 1, 0]).q_error is None
+
+
+def test_a_regret_that_rests_on_bounds_in_part_has_no_certificate(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Two ways of the same worth: bounds leave them open, and rationals decide at the start."""
+    monkeypatch.setattr("exact_mdp.analysis.gate.regret.EXACT_IN_TIME", 0)
+    rows: Any = [(0, 0, [(1, 1, F(1, 3))]), (0, 1, [(1, 2, F(2, 3))])]
+    rows += [(1, 0, [(1, 3, F(2, 3))]), (2, 0, [(1, 3, F(1, 3))]), (3, 0, [(1, 3, 0)])]
+    audit = check(MDP.from_outcomes(rows).within(2), [[1, 0, 0, 0]] * 2)
+    assert audit.passed
+    assert audit.value.value == 0
+    with pytest.raises(ModelError, match="exact, but bounds prove that some actions") as refused:
+        audit.certificate  # noqa: B018
+    assert "exact_values=True" in refused.value.fix
+    assert check(audit.mdp, audit.policy, exact_values=True).certificate.regret == 0

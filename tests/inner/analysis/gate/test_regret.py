@@ -224,6 +224,50 @@ def test_a_policy_is_best_where_bounds_prove_each_of_its_pairs() -> None:
     assert near.all_best(PolicyChain(mdp=never.mdp, chosen=never.chosen))
 
 
+@pytest.mark.parametrize("sense", ["max", "min"])
+def test_large_models_without_cycles_are_decided_exactly(
+    sense: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Bounds leave ties open, of which the policy takes one; the exact values decide."""
+    monkeypatch.setattr(module, "EXACT_IN_TIME", 0)
+    seen = set()
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        # Rewards of few values, and rows of few shapes, make many ties that are no twins.
+        rows: list[Any] = []
+        for state in range(6):
+            for action in range(3):
+                ends = state + 1 + rng.integers(0, 2, size=2)
+                row = {int(end): F(0) for end in ends}
+                for end, chance in zip(ends.tolist(), (F(1, 3), F(2, 3)), strict=True):
+                    row[end] += chance
+                rows.append(
+                    (state, action, [(p, to, int(rng.integers(2))) for to, p in row.items()])
+                )
+        rows += [(end, 0, [(1, end, 0)]) for end in (6, 7)]
+        start = {0: F(1, 2), 1: F(1, 2)}
+        mdp = MDP.from_outcomes(rows, "2/3", sense=sense, start=start).within(6)
+        best = policy_of(mdp, "optimal")
+        policies = [best, policy_of(mdp, "random"), np.zeros(mdp.n_states, dtype=int)]
+        for number, policy in enumerate(policies):
+            chain = PolicyChain.of(mdp, policy)
+            exactly, found = policy_regret(chain, exact=True), policy_regret(chain)
+            wanted = exactly.at_start.value
+            assert not number or wanted >= 0
+            if number == 0:
+                assert found.at_start == Certified(value=F(0))
+            if isinstance(found.optimal, Certified):
+                assert (found.optimal, found.learned) == (exactly.optimal, exactly.learned)
+            low, high = interval_of(found.at_start)
+            assert low <= wanted <= high
+            seen.add((number, found.claim, found.optimal.claim))
+    assert {(0, Claim.CERTIFIED, Claim.CERTIFIED), (1, Claim.BOUNDED, Claim.BOUNDED)} <= seen
+    # If many pairs are open, and if bounds are asked for, the regret stays bounded.
+    monkeypatch.setattr(module, "EXACT_TRANSITIONS", 0)
+    chain = PolicyChain.of(mdp, best)
+    assert policy_regret(chain).claim is policy_regret(chain, exact=False).claim
+
+
 def test_few_transitions_and_short_cycles_are_cheap(monkeypatch: pytest.MonkeyPatch) -> None:
     rows: Any = [(s, 0, [(F(1, 2), (s + 1) % 4, 1), (F(1, 2), 4, 0)]) for s in range(4)]
     mdp = MDP.from_outcomes([*rows, (4, 0, [(1, 4, 0)])])
