@@ -39,6 +39,7 @@ from exact_mdp.analysis.vary.one_way import Curve, Tornado, TwoWay
 from exact_mdp.analysis.vary.psa import PSA
 from exact_mdp.analysis.vary.ranges import unit_of
 from exact_mdp.analysis.vary.sobol import Sobol
+from exact_mdp.analysis.vary.study import Study
 from exact_mdp.mdp.errors import ModelError, require_known_name
 from exact_mdp.mdp.parameter import Parameter
 
@@ -48,6 +49,22 @@ OUTPUT = {
     "regret": "regret of the policy held fixed",
 }
 INKS = (BLACK, *INK)
+
+
+def _describe_output(output: str, *, average: bool) -> str:
+    """Return the label of an output, which is a total or an average reward."""
+    if average:
+        return OUTPUT[output].replace("value at the start", "average reward")
+    return OUTPUT[output]
+
+
+def _label_values(output: str, study: Study) -> str:
+    """Return the label of an axis of values, with their unit."""
+    average = bool(study.criterion_facts)
+    unit = "reward"
+    if average:
+        unit = "reward per step"
+    return f"{_describe_output(output, average=average)} ({unit})"
 
 
 def _with_range(name: str, low: float | Fraction, high: float | Fraction) -> str:
@@ -117,13 +134,13 @@ def plot_tornado(
         ends = zip(both, (LOW, HIGH), strict=True)
         for end, look in sorted(ends, key=lambda each: -abs(each[0])):
             drawn.append((row, end, look))
-    what = "regret" if output == "regret" else "value"
+    what = "regret" if output == "regret" else tornado.table.measure
     return label_axes(
         add_bars(ax, names, drawn, middle),
         f"Tornado: the {what} at both ends of each range"
         f"{_format_shown_count(len(rows), len(table))}",
         tornado.model,
-        x=f"{OUTPUT[output]} (reward)",
+        x=_label_values(output, tornado.table),
         handles=[make_swatch("at the low end", LOW), make_swatch("at the high end", HIGH)],
     )
 
@@ -135,8 +152,9 @@ def plot_value_curves(curve: Curve, *, ax: Axes | None = None) -> Axes:
     best, own = (at, curve.table.optimal), (at, curve.table.fixed[:, 0])
     add_lines(ax, {"policy re-optimised": best, "policy held fixed": own}, inks=[BLACK])
     _mark_today(ax, float(curve.parameter.value), at.min(), at.max())
-    names = {"x": _label_axis(curve.parameter), "y": "value at the start (reward)"}
-    return label_axes(ax, f"The value along {curve.parameter.name}", curve.model, **names)
+    said = _label_values("optimal", curve.table).replace(", policy re-optimised", "")
+    title = f"The {curve.table.measure} along {curve.parameter.name}"
+    return label_axes(ax, title, curve.model, x=_label_axis(curve.parameter), y=said)
 
 
 def _mark_today(ax: Axes, today: float, low: float | Fraction, high: float | Fraction) -> None:
@@ -292,9 +310,10 @@ def plot_sobol(
     Raises ModelError if the output does not vary, and has no indices.
     """
     each = indices.of(output)
+    said = _describe_output(output, average=bool(indices.criterion_facts))
     if each.constant:
         raise ModelError(
-            f"the {OUTPUT[output]} is the same at every draw",
+            f"the {said} is the same at every draw",
             where="plot_sobol",
             fix="draw another output, or state wider ranges",
         )
@@ -314,7 +333,7 @@ def plot_sobol(
     ax.set_xlim(right=max(1.0, ax.get_xlim()[1]))
     return label_axes(
         ax,
-        f"Variance of the {OUTPUT[output]}{_format_shown_count(len(order), len(every))}",
+        f"Variance of the {said}{_format_shown_count(len(order), len(every))}",
         indices.model,
         x="share of the variance",
         handles=[
@@ -355,7 +374,10 @@ def plot_acceptability(draws: PSA, *, ax: Axes | None = None) -> Axes:
         ax.set_xlim(0, at[-1])
     else:  # nothing is ever lost
         ax.set_xticks([0.0])
-    x, y = "regret that is accepted, Δ (reward)", "probability that the regret is at most Δ"
+    unit = "reward"
+    if draws.table.criterion_facts:
+        unit = "reward per step"
+    x, y = f"regret that is accepted, Δ ({unit})", "probability that the regret is at most Δ"
     return label_axes(ax, "How often each policy is good enough", draws.model, x=x, y=y)
 
 

@@ -118,3 +118,14 @@ def test_a_care_scenario_and_an_unknown_criterion() -> None:
     assert table.optimal.tolist() == [0.0]  # every episode ends
     with pytest.raises(ModelError, match="mean"):
         study(queue(), {"price": [1]}, criterion="mean")
+
+
+def test_pictures_say_it_too() -> None:
+    family = queue()
+    bars = tornado(family, ranges=RANGES, criterion="average").plot()
+    line = one_way(family, "price", (1, 3), points=3, criterion="average").plot()
+    shares = sobol(family, ranges=RANGES, n=4, criterion="average").plot()
+    assert bars.get_xlabel() == "average reward, policy re-optimised (reward per step)"
+    assert line.get_ylabel() == "average reward (reward per step)"
+    assert "average reward along price" in line.get_title(loc="left") + line.get_title()
+    assert "average reward" in shares.get_title(loc="left") + shares.get_title()
