@@ -194,10 +194,10 @@ def has_improper_policy(mdp: MDP) -> bool:
     """Return whether the discount is 1 and some policy never ends, or ends outside the goal."""
     if mdp.discount_exact != 1:
         return False
-    return bool(beside_goal(mdp).any()) or not prove_termination(mdp).proven
+    return bool(find_ends_outside_goal(mdp).any()) or not prove_termination(mdp).proven
 
 
-def beside_goal(mdp: MDP) -> Mask:
+def find_ends_outside_goal(mdp: MDP) -> Mask:
     """Return (S,) True for terminal states outside the goal; all False without a goal.
 
     A run that ends there has missed the goal: its value is `unreached` instead of 0.
@@ -284,7 +284,7 @@ def where_endless(mdp: MDP) -> str:
     if ending.policy is None:
         states = np.flatnonzero(mdp.terminal)
         if mdp.goal is not None:
-            states = np.flatnonzero(beside_goal(mdp))
+            states = np.flatnonzero(find_ends_outside_goal(mdp))
         before = "it ends outside the goal in "
         named = [f"({label})" for label in labels(states[:4])]
     else:

@@ -350,8 +350,8 @@ def _umb_of(model: MDP) -> Any:
         add_annotation(
             "aps", f"label-{number}", "states", states.tolist(), alias=word, description=name
         )
-    odds = [start.get(state, Fraction(0)) for state in range(model.n_states)]
-    add_annotation(GROUP, CARRIER, "states", odds, description=archive)
+    chances = [start.get(state, Fraction(0)) for state in range(model.n_states)]
+    add_annotation(GROUP, CARRIER, "states", chances, description=archive)
     return umb
 
 

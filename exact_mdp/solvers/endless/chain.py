@@ -113,7 +113,7 @@ def _compute_bias(chain: FloatChain | ExactChain, earned: Numbers) -> Numbers:
 def long_run(chain: FloatChain | ExactChain, earned: Numbers) -> Numbers:
     """Return (S,) the long-run average of rewards (S,), from each state."""
     classes = chain.classes
-    inside, own = classes.recurrent, classes.sum_by_class(chain.law * earned)[classes.own]
+    inside, own = classes.recurrent, classes.sum_by_class(chain.stationary * earned)[classes.own]
     if inside.all() or len(classes.base) == 1:
         return np.asarray(own)
     return np.where(
@@ -169,7 +169,7 @@ class FloatChain:
         return np.where(self.classes.at_base, 0.0, self.transition[self.classes.base].sum(axis=0))
 
     @cached_property
-    def law(self) -> Floats:
+    def stationary(self) -> Floats:
         """(S,) the share of time in each state of a class."""
         often = np.maximum(self.visits.approximate(self.onward), 0.0)
         return self.classes.normalise_in_classes(np.where(self.classes.at_base, 1.0, often))
@@ -279,7 +279,7 @@ class ExactChain:
         return np.array([Fraction(top, below) for top, below in parts], dtype=object)
 
     @cached_property
-    def law(self) -> Numbers:
+    def stationary(self) -> Numbers:
         """(S,) the share of time in each state of a class."""
         rows, onward = self.rows, list[tuple[int, Fraction]]()
         for base in self.classes.base.tolist():
@@ -298,7 +298,7 @@ class ExactChain:
     ) -> tuple[Numbers, Numbers]:
         """Return (S,) the share of time in each state, from a start, and `compute_visits`."""
         visits = self.compute_visits(start)
-        return visits[self.classes.base[self.classes.own]] * self.law, visits
+        return visits[self.classes.base[self.classes.own]] * self.stationary, visits
 
     @cached_property
     def _until_base(self) -> Matrix:

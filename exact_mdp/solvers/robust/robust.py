@@ -29,7 +29,7 @@ import scipy.sparse as sp
 
 from exact_mdp.mdp.components import require_amounts
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.graph import beside_goal, find_reachable_nodes, topological_levels
+from exact_mdp.mdp.graph import find_ends_outside_goal, find_reachable_nodes, topological_levels
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
@@ -124,7 +124,7 @@ def solve_robust(
     require_room_for_rows(model)
     ambiguity.check(model)
     require_amounts(model.table, "a value under other rows")
-    beside = beside_goal(model)
+    beside = find_ends_outside_goal(model)
     if model.discount_exact == 1 and beside.any():
         raise ModelError(
             "a run that ends outside the goal is worth infinity, and robust values are finite",

@@ -437,7 +437,7 @@ class Evaluation(OfPolicy, Pictured):
 
         # The same equations in integers, needed only if floats cannot bound the solution.
         def rows() -> BellmanRows:
-            weight, below = chain.odds
+            weight, below = chain.exact_outcomes
             return BellmanRows(
                 pair_offsets=np.arange(states + 1),
                 terminal=self.mdp.terminal,

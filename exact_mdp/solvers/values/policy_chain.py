@@ -30,7 +30,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, lcm_by_group
 from exact_mdp.mdp.graph import (
     Mask,
-    beside_goal,
+    find_ends_outside_goal,
     find_reachable_nodes,
     topological_levels,
     ways_out,
@@ -299,7 +299,7 @@ class PolicyChain:
     @cached_property
     def arriving(self) -> Mask:
         """(S,) True where the policy ends with probability 1 and never misses a goal."""
-        beside = beside_goal(self.mdp)
+        beside = find_ends_outside_goal(self.mdp)
         if not beside.any():
             return self.ends
         return self.ends & ~find_reachable_nodes(self.graph.T.tocsr(), beside)
@@ -371,7 +371,7 @@ class PolicyChain:
     # ---- exact numbers -----------------------------------------------------------------------
 
     @cached_property
-    def odds(self) -> tuple[Numbers, Numbers]:
+    def exact_outcomes(self) -> tuple[Numbers, Numbers]:
         """(N,), (S,) integers: numerators of outcomes, and one denominator for each state."""
         share, (weight, below) = self._shares[self.pairs], self.table.rows.integers
         if share.dtype == np.float64:
@@ -411,7 +411,7 @@ class PolicyChain:
         if self.pure:
             return of_pairs(mdp, self.pairs)
         # Each state has one pair, whose outcomes are the outcomes of all pairs taken there.
-        (weight, below), states = self.odds, np.arange(mdp.n_states)
+        (weight, below), states = self.exact_outcomes, np.arange(mdp.n_states)
         gain, under = table.gain, make_ones(mdp.n_states)
         if len(gain) == table.pairs:
             gain = gain[table.pair]
@@ -619,7 +619,7 @@ def _require_weights(mdp: MDP, weights: Floats) -> Floats:
 
 def has_sure_end(chain: PolicyChain) -> bool:
     """Return whether every episode ends and none misses a goal."""
-    beside = bool((chain.reached & beside_goal(chain.mdp)).any())
+    beside = bool((chain.reached & find_ends_outside_goal(chain.mdp)).any())
     return chain.ends_from_start and not beside
 
 

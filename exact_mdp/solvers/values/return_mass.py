@@ -107,7 +107,7 @@ class MassFlow:
         transition that skips blocks is multiplied by every denominator between. `total` is the
         denominator at the end.
         """
-        (weight, below), block = self.chain.odds, self.block.tolist()
+        (weight, below), block = self.chain.exact_outcomes, self.block.tolist()
         unders = below[self.chain.source[used]].tolist()
         chances = [*map(Fraction, weight[used].tolist(), unders)]
         ways = list(zip(chances, self.block[source], self.block[target], strict=True))

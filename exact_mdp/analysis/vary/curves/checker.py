@@ -22,7 +22,7 @@ from flint import fmpq_poly
 from numpy.typing import NDArray
 
 from exact_mdp.analysis.vary.curves.equations import (
-    Mix,
+    PolicyPairs,
     SectionEquations,
     Values,
     list_pairs,
@@ -115,11 +115,11 @@ class CurvePiece:
 
 
 def piece_violations(
-    family: Parametric, name: str, pieces: Sequence[CurvePiece], mix: Mix | None, sign: int
+    family: Parametric, name: str, pieces: Sequence[CurvePiece], held: PolicyPairs | None, sign: int
 ) -> Iterator[str]:
     """Yield the violations of pieces of a model that maximises; none if all are sound.
 
-    `mix` is the policy held fixed; sign is -1 if values at the start are costs.
+    `held` is the policy held fixed; sign is -1 if values at the start are costs.
     """
     last, turning = None, list[fmpq_poly]()
     for piece in pieces:
@@ -144,8 +144,8 @@ def piece_violations(
         at = format_rational(piece.low[1])
         if piece.start != start:
             yield f"the value at the start from {at} on is another one"
-        if mix is not None:
-            yield from _not_of(equations, piece, mix)
+        if held is not None:
+            yield from _not_of(equations, piece, held)
         # Pieces join in a bracket in which all gaps, old and new, turn at one point.
         joined = last is None or last.high == piece.low
         if begins:
@@ -177,7 +177,7 @@ def _not_optimal(equations: SectionEquations, piece: CurvePiece, open_: set[int]
             yield f"a pair of state {equations.state[pair]} is better from {at} on"
 
 
-def _not_of(equations: SectionEquations, piece: CurvePiece, mix: Mix) -> Iterator[str]:
+def _not_of(equations: SectionEquations, piece: CurvePiece, held: PolicyPairs) -> Iterator[str]:
     """Yield the reasons why the values of the policy held fixed may be wrong."""
     at, values = format_rational(piece.low[1]), piece.fixed_values
     if values is None:
@@ -185,14 +185,16 @@ def _not_of(equations: SectionEquations, piece: CurvePiece, mix: Mix) -> Iterato
         return
     if not is_positive(values[1], piece.low[0], piece.high[1]):
         yield f"the denominator of the policy held fixed from {at} on is not positive"
-    taken = list_pairs(mix)
+    taken = list_pairs(held)
     if not set(taken).isdisjoint(equations.barred):
         yield f"the policy held fixed may miss the goal from {at} on"
         return
     if equations.improper and not equations.can_end(taken, piece.low[0], piece.high[1]):
         yield f"nothing proves that the policy held fixed ends from {at} on"
     for state in equations.live:
-        ahead = (share * equations.compute_action_value(pair, values) for pair, share in mix[state])
+        ahead = (
+            share * equations.compute_action_value(pair, values) for pair, share in held[state]
+        )
         if values[0][state] != sum(ahead, fmpq_poly()):
             yield f"the policy held fixed has another value in state {state} from {at} on"
 

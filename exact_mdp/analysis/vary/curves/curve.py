@@ -25,7 +25,7 @@ from flint import fmpq_poly
 from exact_mdp.analysis.gate.regret import limit_of
 from exact_mdp.analysis.optimum import actions_of
 from exact_mdp.analysis.vary.curves.checker import Bracket, CurvePiece, piece_violations
-from exact_mdp.analysis.vary.curves.equations import Mix, sum_weighted
+from exact_mdp.analysis.vary.curves.equations import PolicyPairs, sum_weighted
 from exact_mdp.analysis.vary.curves.roots import (
     compute_sign,
     isolate_roots,
@@ -239,8 +239,8 @@ class ValueFunction(Pictured):
                 wrong.append(f"no piece covers {format_rational(end[1])}")
         if ends[-1] != (self.range.high,) * 2:
             wrong.append(f"no piece covers {format_rational(self.range.high)}")
-        name, mix, sign = self.parameter.name, _to_rational_weights(self.chain), self.mdp.sign
-        return [*wrong, *piece_violations(self.family, name, self.pieces, mix, sign)]
+        name, held, sign = self.parameter.name, _to_rational_weights(self.chain), self.mdp.sign
+        return [*wrong, *piece_violations(self.family, name, self.pieces, held, sign)]
 
     def report(self, within: Sequence[ParameterInterval] | None = None) -> Report:
         """Return the pieces; `within` are the intervals in which a fixed policy keeps a limit."""
@@ -402,7 +402,7 @@ def curve(
     )
 
 
-def _to_rational_weights(chain: PolicyChain | None) -> Mix | None:
+def _to_rational_weights(chain: PolicyChain | None) -> PolicyPairs | None:
     """Return the pairs that a policy takes in each state, with FLINT's rationals as weights."""
     if chain is None:
         return None

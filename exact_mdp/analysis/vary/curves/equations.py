@@ -32,7 +32,7 @@ from exact_mdp.analysis.vary.curves.roots import (
 )
 from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.exact import to_flint
-from exact_mdp.mdp.graph import beside_goal, find_reachable_states
+from exact_mdp.mdp.graph import find_ends_outside_goal, find_reachable_states
 from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.parametric.row_change import (
     Piece,
@@ -46,7 +46,7 @@ Values = tuple[Sequence[fmpq_poly], fmpq_poly]
 """N of each state, and D: values are N / D."""
 Steps = dict[int, list[tuple[int, fmpq_poly]]]
 """For each pair, next states with their probabilities."""
-Mix = Sequence[Sequence[tuple[int, fmpq]]]
+PolicyPairs = Sequence[Sequence[tuple[int, fmpq]]]
 """For each state, the pairs that a policy takes there, with their probabilities."""
 
 
@@ -90,7 +90,7 @@ class SectionEquations:
             for pair in pairs:
                 self.following[pair] = []
         missing: Steps = {pair: [] for pair in self.following}  # steps to ends that are no goal
-        outside: list[bool] = beside_goal(mdp).tolist()
+        outside: list[bool] = find_ends_outside_goal(mdp).tolist()
         for key, p in sorted(weight.items()):
             pair, state = divmod(key, mdp.n_states)
             if pair in self.following and not terminal[state]:
@@ -207,7 +207,7 @@ class SectionEquations:
             if self.mdp.discount_exact != 1 and self.rate(to_flint(end)) == 1:
                 models.append(self.family.at({self.change.name: end}))
         met = find_reachable_states(self.mdp)
-        return any((beside_goal(mdp) & met).any() for mdp in models)
+        return any((find_ends_outside_goal(mdp) & met).any() for mdp in models)
 
     def one_solution(self) -> bool:
         """Whether the equations have one solution on the whole section, ends included."""
@@ -302,10 +302,10 @@ class SectionEquations:
         return _remove_duplicates(map(self._compute_exit_probability, self.following))
 
 
-def list_pairs(mix: Mix) -> list[int]:
+def list_pairs(policy: PolicyPairs) -> list[int]:
     """Return the pairs that a policy takes."""
     pairs = []
-    for each in mix:
+    for each in policy:
         pairs += [pair for pair, weight in each if weight]
     return pairs
 

@@ -29,7 +29,7 @@ from flint import fmpq, fmpq_mat, fmpq_poly, fmpz_poly
 from exact_mdp.analysis.gate.regret import certify_and_check
 from exact_mdp.analysis.vary.curves.checker import Bracket, CurvePiece
 from exact_mdp.analysis.vary.curves.equations import (
-    Mix,
+    PolicyPairs,
     SectionEquations,
     Values,
     list_pairs,
@@ -58,14 +58,14 @@ Entries = Sequence[tuple[int, fmpq_poly]]
 
 
 class Sweep:
-    """A walk over one section of a parameter with the optimal policy; `mix` is held fixed."""
+    """A walk over one section of a parameter with the optimal policy; `held` is held fixed."""
 
-    def __init__(self, equations: SectionEquations, mix: Mix | None, sign: int) -> None:
+    def __init__(self, equations: SectionEquations, held: PolicyPairs | None, sign: int) -> None:
         self.equations, self.gap = equations, equations.gap
         self.low, self.high = equations.low, equations.high
         self.fixed: Values | None = None
-        if mix is not None:
-            self.fixed = compute_policy_values(equations, mix)
+        if held is not None:
+            self.fixed = compute_policy_values(equations, held)
         self.start = tuple((state, sign * weight) for state, weight in equations.mdp.start)
         self.ahead: dict[int, list[Root]] = {}  # by pair, the roots at which its gap turns
         self.policy: Integers = np.empty(0, dtype=np.int64)
@@ -241,18 +241,18 @@ def find_optimal_pairs(mdp: MDP) -> tuple[Integers, Certified | Bounded]:
 
 
 def pieces_of(
-    family: Parametric, name: str, span: Range, sign: int, mix: Mix | None
+    family: Parametric, name: str, span: Range, sign: int, held: PolicyPairs | None
 ) -> tuple[list[CurvePiece], list[SectionEquations]]:
     """Return the pieces over a range, and their sections; sign is -1 for costs.
 
-    `mix` is the policy held fixed, if any.
+    `held` is the policy held fixed, if any.
     """
     inside = (cut for cut in family.breakpoints(name) if span.low < cut < span.high)
     pieces, sections, policy = list[CurvePiece](), list[SectionEquations](), None
     for low, high in pairwise(sorted({span.low, *inside, span.high})):
         equations = _build_section_equations(family, name, low, high)
-        _require_finite_values(equations, mix)
-        sweep = Sweep(equations, mix, sign)
+        _require_finite_values(equations, held)
+        sweep = Sweep(equations, held, sign)
         # The optimal policy of the section before may never end in this one.
         if policy is None or equations.improper:
             policy, _ = find_optimal_pairs(equations.mdp)
@@ -262,7 +262,7 @@ def pieces_of(
     return pieces, sections
 
 
-def _require_finite_values(equations: SectionEquations, mix: Mix | None) -> None:
+def _require_finite_values(equations: SectionEquations, held: PolicyPairs | None) -> None:
     """Raise ModelError unless the optimum, and the policy held fixed, are finite on a section."""
     low, high = equations.low, equations.high
     between = (
@@ -279,9 +279,9 @@ def _require_finite_values(equations: SectionEquations, mix: Mix | None) -> None
             where=where,
             fix="choose a range in which every state has a way to the end",
         )
-    if mix is None:
+    if held is None:
         return
-    taken, fix = list_pairs(mix), "leave the policy out, or take one that reaches the end for sure"
+    taken, fix = list_pairs(held), "leave the policy out, or take one that reaches the end for sure"
     if not set(taken).isdisjoint(equations.barred):
         raise ModelError("the policy held fixed may miss the goal", where=where, fix=fix)
     if equations.improper and not equations.can_end(taken, low, high):
@@ -311,7 +311,7 @@ def _build_section_equations(
 # ---- the values of a policy --------------------------------------------------------------------
 
 
-def compute_policy_values(equations: SectionEquations, mix: Mix) -> Values:
+def compute_policy_values(equations: SectionEquations, policy: PolicyPairs) -> Values:
     """Return the values of a policy; raise ModelError if a model with cycles is too large."""
     value = [fmpq_poly()] * equations.mdp.n_states
     if equations.order is not None:
@@ -319,7 +319,7 @@ def compute_policy_values(equations: SectionEquations, mix: Mix) -> Values:
         values = value, fmpq_poly([1])
         for state in equations.order:
             total = fmpq_poly()
-            for pair, share in mix[state]:
+            for pair, share in policy[state]:
                 total += equations.compute_action_value(pair, values) * share
             value[state] = total
         return values
@@ -329,7 +329,7 @@ def compute_policy_values(equations: SectionEquations, mix: Mix) -> Values:
     side, entries = [], list[tuple[int, fmpq_poly]]()
     for state in live:
         reward = fmpq_poly()
-        for pair, share in mix[state]:
+        for pair, share in policy[state]:
             reward = reward + equations.reward[pair] * share
             for to, p in equations.following[pair]:
                 entries.append((place[state] * count + place[to], share * p))

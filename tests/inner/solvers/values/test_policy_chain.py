@@ -119,7 +119,7 @@ def test_the_outcomes_are_those_of_the_pairs_taken() -> None:
         sizes = [source.count(s) for s in range(mdp.n_states)]
         assert chain.outcomes.tolist() == sizes
         assert chain.sum_by_state(np.ones(len(source))).tolist() == sizes
-        weight, below = chain.odds
+        weight, below = chain.exact_outcomes
         assert [F(int(w), int(below[s])) for w, s in zip(weight, source, strict=True)] == [*chance]
 
 

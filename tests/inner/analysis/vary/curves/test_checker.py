@@ -39,8 +39,8 @@ FOUND = curve(FAMILY, "x", ("1/10", "1"), policy=[0, 0, 0])
 MIX = [[(0, to_flint(F(1)))], [(2, to_flint(F(1)))], [(3, to_flint(F(1)))]]
 
 
-def said(pieces: Any, mix: Any = MIX, sign: int = 1) -> list[str]:
-    return list(piece_violations(FAMILY, "x", pieces, mix, sign))
+def said(pieces: Any, held: Any = MIX, sign: int = 1) -> list[str]:
+    return list(piece_violations(FAMILY, "x", pieces, held, sign))
 
 
 def changed(number: int, **parts: Any) -> list[str]:
@@ -85,9 +85,9 @@ def test_the_policy_held_fixed_has_its_own_rules() -> None:
     )
     negative = tuple(-top for top in tops), -below
     assert any("fixed from" in x for x in changed(0, fixed_values=negative))
-    assert said([replace(each, fixed_values=None) for each in FOUND.pieces], mix=None) == []
+    assert said([replace(each, fixed_values=None) for each in FOUND.pieces], held=None) == []
     other = [[(1, to_flint(F(1)))], *MIX[1:]]
-    assert any("another value" in x for x in said(FOUND.pieces, mix=other))
+    assert any("another value" in x for x in said(FOUND.pieces, held=other))
 
 
 @pytest.mark.parametrize("x", [F(0), F(1, 3), F(-5, 2)])

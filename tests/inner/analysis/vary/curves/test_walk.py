@@ -51,8 +51,8 @@ def test_values_of_a_policy_are_ratios_of_polynomials(name: str, shares: tuple[F
         family = parametric(ring({"x": F(1, 2)}))
     section = Piece(low=F(1, 10), high=F(9, 10), origin=F(1, 2))
     equations = SectionEquations(family, name, section)
-    mix = [[(0, to_flint(F(1)))], [(1 + k, to_flint(p)) for k, p in enumerate(shares) if p]]
-    tops, below = compute_policy_values(equations, mix)
+    held = [[(0, to_flint(F(1)))], [(1 + k, to_flint(p)) for k, p in enumerate(shares) if p]]
+    tops, below = compute_policy_values(equations, held)
     for k in range(1, 10):
         place = F(k, 10)
         mdp = family.at({name: place})
@@ -312,8 +312,8 @@ def test_without_cycles_values_are_polynomials() -> None:
     equations = _build_section_equations(
         Family(parameters={"x": "1/2"}, build=build), "x", F(0), F(1)
     )
-    mix = [[(0, to_flint(F(1, 3))), (1, to_flint(F(2, 3)))], [(2, to_flint(F(1)))], []]
-    tops, below = compute_policy_values(equations, mix)
+    held = [[(0, to_flint(F(1, 3))), (1, to_flint(F(2, 3)))], [(2, to_flint(F(1)))], []]
+    tops, below = compute_policy_values(equations, held)
     assert below == 1
     assert tops[0] == fmpq_poly([to_flint(F(13, 12)), to_flint(F(5, 6))])
     assert tops[1:] == [fmpq_poly([-1, 2]), fmpq_poly()]
