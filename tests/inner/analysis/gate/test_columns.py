@@ -331,9 +331,9 @@ def test_error_bounds_are_those_of_sums(cyclic: bool) -> None:
     assert start.tolist() == [0.75, -0.125]
     for n, size in enumerate((3, F(1, 4))):
         rounding = grow(most + 8) * (gains + 2 * size)
-        assert rows._bound_rounding(value)[n] == pytest.approx(float(rounding), rel=1e-9)
+        assert rows._bound_rounding(value)[n] == pytest.approx(float(rounding), rel=1e-9, abs=0)
         whole = (F(apart[n]) + rounding) * reach * slack + grow(2 + 2) * size
-        assert error[n] == pytest.approx(float(whole * slack), rel=1e-9)
+        assert error[n] == pytest.approx(float(whole * slack), rel=1e-9, abs=0)
 
 
 def test_small_rewards_are_as_good_as_large_ones() -> None:

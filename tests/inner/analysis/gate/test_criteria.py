@@ -248,7 +248,7 @@ def test_each_row_is_forgiven_the_rounding_of_its_own_numbers() -> None:
             lost = Average(chain=PolicyChain.of(mdp, [action, 0])).compute_regret(True)
             assert lost.optimal_pairs.all()
             # Both policies take a number of this size in half of the steps.
-            assert float(lost.forgiven) == pytest.approx(2.0**-57, rel=1e-5)
+            assert float(lost.forgiven) == pytest.approx(2.0**-57, rel=1e-5, abs=0)
             assert lost.at_start.value == (0 if pays[action] == high else F(1, 2**57))
             assert lost.keeps_limit(lost.forgiven)
 
