@@ -248,6 +248,7 @@ def test_each_row_is_forgiven_the_rounding_of_its_own_numbers() -> None:
             lost = Average(chain=PolicyChain.of(mdp, [action, 0])).compute_regret(True)
             assert lost.optimal_pairs.all()
             # Both policies take a number of this size in half of the steps.
+            assert lost.forgiven >= F(1, 2**57)
             assert float(lost.forgiven) == pytest.approx(2.0**-57, rel=1e-5, abs=0)
             assert lost.at_start.value == (0 if pays[action] == high else F(1, 2**57))
             assert lost.keeps_limit(lost.forgiven)
@@ -283,7 +284,10 @@ def test_near_ties_that_lose_more_than_rounding_explains_are_wrong() -> None:
 
 
 def test_a_limit_is_kept_by_what_reaches_it() -> None:
-    rows: Any = [(0, a, [(1.0, 1, {"pay": 0.1 * a, "cost": a / 3})]) for a in range(3)]
+    rows: Any = [
+        (0, a, [(p, 1, {"pay": 0.7 + 0.1 * a, "cost": a / 3}) for p in (0.3, 0.7)])
+        for a in range(3)
+    ]
     mdp = MDP.from_outcomes([*rows, (1, 0, [(1.0, 1, {"pay": 0.0, "cost": 0.0})])])
     third = F(1 / 3)
     for action, kept in ((0, True), (1, True), (2, False)):
