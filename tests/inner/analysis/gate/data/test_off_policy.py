@@ -135,10 +135,10 @@ def test_records_that_do_not_fit_are_refused() -> None:
         behaviour="always:1",
     )
     refused("no transitions", records=frame.iloc[:0])
-    rows: Any = [(0, "a", "x", 0, None), (1, "a", "y", 0, None), (2, "b", "x", 0, None)]
+    rows: Any = [(0, "a", "x", 0, None), (1, "a", "y", 0, None), (2, "b", "y", 0, None)]
     less = MDP.from_transitions(pd.DataFrame(rows, columns=NAMES), discount="1/2")
-    other = pd.DataFrame([*rows, (3, "b", "y", 0, None)], columns=NAMES)
-    said = r"action y was taken in \(state b\), where the model does not offer it"
+    other = pd.DataFrame([*rows, (3, "b", "x", 0, None)], columns=NAMES)
+    said = r"action x was taken in \(state b\), where the model does not offer it"
     refused(said, less, own_of(less, [0] * less.n_states), records=other)
     said = r"\(and 1 more pairs\)\n  where: state 1, action 0"  # the first is named
     refused(said, policy=own_of(mdp, [1, 0, 0, 0]), behaviour="always:1")
@@ -169,6 +169,24 @@ def test_ends_that_were_only_entered_are_counted() -> None:
     interval = by.interval(mdp, own_of(mdp, [0] * mdp.n_states), F(9, 10))
     assert interval.found["taken_for_ended"] == 40
     assert interval.found["cut_off"] == 0
+
+
+def test_what_neither_behaviour_nor_records_have_is_not_refused() -> None:
+    rows: Any = [(n, "a", "xy"[n < 20], n % 2, None) for n in range(40)]
+    frame = pd.DataFrame(rows, columns=NAMES)
+    mdp = MDP.from_transitions(frame, discount="1/2")
+    assert np.asarray(mdp.observations).tolist() == [20, 20, 0]
+    some = mdp.with_(observations=np.array([0, 20, 0]))  # x is offered, and was never taken
+    by = OffPolicy(records=frame.iloc[:20], behaviour="always:y", rewards=(0, 1), returns=(0, 1))
+    found = by.interval(some, own_of(mdp, [1] * mdp.n_states), F(9, 10)).found
+    assert (found["weighted"], found["effective_sample_size"]) == (0.5, 20)
+    # What is estimated from counts is never taken, too, where a state was met only once.
+    seldom = frame.iloc[19:]
+    once = MDP.from_transitions(seldom, discount="1/2")
+    once = once.with_(observations=np.array([0, 1, 0]))
+    by = OffPolicy(records=seldom.iloc[:1], rewards=(0, 1), returns=(0, 1))
+    with pytest.raises(ModelError, match="never takes an action that the policy takes"):
+        by.interval(once, own_of(mdp, [0] * mdp.n_states), F(9, 10))
 
 
 def test_returns_outside_the_stated_range_are_refused() -> None:
@@ -242,24 +260,26 @@ def test_a_policy_by_time_is_weighted_by_time() -> None:
 def test_one_episode_is_read_to_its_end() -> None:
     """An end may be the first of all states, and an episode may be cut off without a next state."""
     rows: Any = [
-        (0, "b", "x", 1, "c", False),
-        (0, "c", "y", 2, "a", False),
+        (0, "b", "x", 1, "d", False),
+        (0, "d", "y", 2, "a", False),
         (1, "b", "y", 1, None, True),
-        (2, "b", "x", 1, "c", False),
-        (2, "c", "x", 0, None, False),
-        (3, "b", "x", 1, "c", True),
+        (2, "b", "x", 1, "d", False),
+        (2, "d", "x", 0, None, False),
+        (3, "b", "x", 1, "d", True),
+        (4, "b", "x", 1, "c", False),
     ]
     frame = pd.DataFrame(rows, columns=[*NAMES, "truncated"])
     mdp = MDP.from_transitions(frame, discount="1/2")
-    assert mdp.space.label(0) == "state a"
+    assert mdp.space.labels([0, 2]) == ["state a", "state c"]
+    assert mdp.terminal[[0, 2]].all()
     ratio = np.full((1, mdp.n_pairs), 0.5)
     record = transitions.TransitionRecord(frame, None)
     w, returns, steps, cut, ended = _read_trajectories(mdp, ratio, record, None)
-    assert w.tolist() == [0.25, 0.5, 0.25, 0.5]
-    assert returns.tolist() == [2, 1, 1, 1]
-    assert steps.tolist() == [2, 1, 2, 1]
-    assert cut.tolist() == [False, True, False, True]
-    assert ended == 1  # in state a, which was entered and never left
+    assert w.tolist() == [0.25, 0.5, 0.25, 0.5, 0.5]
+    assert returns.tolist() == [2, 1, 1, 1, 1]
+    assert steps.tolist() == [2, 1, 2, 1, 1]
+    assert cut.tolist() == [False, True, False, True, False]
+    assert ended == 2  # in the states a and c, which were entered and never left
     for episode in (0, 2):
         only = frame[frame["episode"] == episode]
         record = transitions.TransitionRecord(only, None)
