@@ -355,6 +355,17 @@ def test_an_episode_that_is_over_at_the_start_returns_0() -> None:
         assert roundings == 10
 
 
+def test_long_multiples_are_exact() -> None:
+    long = 2**60 + 1  # no float
+    rows: Any = [(0, 0, [(F(1, 2), 1, long), (F(1, 2), 1, -long)]), (1, 0, [(1, 1, 0)])]
+    chain = PolicyChain.of(MDP.from_outcomes(rows), "random")
+    gain = np.array([-long, long, 0])
+    assert chain.gain.tolist() == [-float(2**60), float(2**60), 0]
+    for kind in (np.int64, object):
+        flow = MassFlow(chain, gain.astype(kind), {}, exact=False)
+        assert flow.carry_mass()[0].tolist() == [-long, long]
+
+
 def circle(stay: F) -> MassFlow:
     """A state in which 1 is earned in each round, until it is left for the end."""
     rows: Any = [(0, 0, [(stay, 0, 1), (1 - stay, 1, 0)]), (1, 0, [(1, 1, 0)])]
