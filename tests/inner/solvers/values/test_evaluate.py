@@ -389,11 +389,24 @@ def test_variances_beyond_the_range_of_floats_are_unknown() -> None:
         assert law.numbers["sd"].error == inf
         assert abs(law.mean) < inf
     # Each start is certain of its return, and only the spread between them is too large.
-    apart: Any = [(0, 0, [(1, 0, 0)]), (1, 0, [(1, 0, 3 * big)])]
+    apart: Any = [(0, 0, [(1, 0, 0)]), (1, 0, [(1, 0, F(10) ** 160)])]
     law = evaluate(MDP.from_outcomes(apart, start={0: "1/2", 1: "1/2"}), "random")
-    assert law.mean == 1.5e200
+    assert law.mean == 5e159
+    assert law.variance.max() < inf
     assert isnan(law.numbers["variance"].value)
     assert law.numbers["variance"].error == inf
+
+
+def test_components_beyond_the_range_of_floats_are_unknown() -> None:
+    big = F(17, 10) * F(10) ** 308
+    amounts = {"a": big, "b": -big, "c": 1}
+    rows: Any = [(0, 0, [(1, 1, amounts)]), (1, 0, [(1, 2, amounts)]), (2, 0, [(1, 2, {"a": 0})])]
+    law = evaluate(MDP.from_outcomes(rows), "random")
+    assert law.mean == 2
+    assert law.components["c"] == 2
+    for name in "ab":
+        assert isnan(law.components[name])
+        assert law.numbers[f"component.{name}"].error == inf
 
 
 def test_a_return_that_is_certain_has_no_spread() -> None:
@@ -465,6 +478,18 @@ def test_errors_of_variances_count_roundings() -> None:
             away, off = abs(reward - mean), 5 * unit * (abs(reward) + abs(mean))
             whole += chance * (2 * away * off + 15 * unit * away**2)
         assert number.error == pytest.approx(whole, rel=2e-5, abs=1e-290)
+        # What follows is rounded as well: 1000 more, whatever happens first.
+        later: Any = [(0, 0, rows[0][2]), (1, 0, [(1, 2, 1000)]), (2, 0, [(1, 2, 0)])]
+        law = evaluate(MDP.from_outcomes(later), "random")
+        own = Evaluation(
+            chain=law.chain, given=law.given, value=np.array([mean + 1000, 1000, 0]),
+            error=np.zeros(3),
+        )  # fmt: skip
+        least = 0.0
+        for chance, reward in zip((p / 9, 1 - p / 9), pay, strict=True):
+            off = 5 * unit * (abs(reward) + 1000 + abs(mean + 1000))
+            least += chance * 2 * abs(reward - mean) * off
+        assert least <= own.numbers["variance"].error <= 1.2 * least + 1e-290
 
 
 def test_a_mixture_of_starts_adds_the_spread_between_them() -> None:
