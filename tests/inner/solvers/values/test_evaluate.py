@@ -357,6 +357,15 @@ def test_next_to_discount_1_values_are_improved_in_rounds(monkeypatch: pytest.Mo
         used.clear()
 
 
+def test_errors_of_rewards_that_cancel_are_in_the_bound() -> None:
+    """10^16 + 1 is no float: half of it less 5 10^15 is 1 / 2, of which floats see nothing."""
+    big = 10**16
+    rows: Any = [(0, 0, [(1, 1, big + 1)]), (0, 1, [(1, 1, -big)]), (1, 0, [(1, 1, 0)])]
+    for discount in (F(1), F(1, 2)):
+        law = evaluate(MDP.from_outcomes(rows, discount), "random")
+        assert abs(F(law.mean) - F(1, 2)) <= F(law.start.error) < 16
+
+
 def test_what_cannot_be_bounded_is_unknown_and_the_rest_stands(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
