@@ -107,9 +107,10 @@ class OffPolicy:
         # The ratios π / b, which exist only if the behaviour takes all that the policy takes.
         never = ((own > 0) & (behaviour <= 0)).any(axis=0)
         if never.any():
+            count = int(never.sum())
             raise ModelError(
-                "the behaviour never takes an action that the policy takes, so its "
-                f"trajectories say nothing about it (and {int(never.sum()) - 1} more pairs)",
+                "the behaviour never takes an action that the policy takes, so its trajectories "
+                f"say nothing about it (pairs of this kind: {count})",
                 where=mdp.where(int(never.argmax())),
                 fix="audit by robust sets or the posterior, or give the behaviour's true "
                 "probabilities",

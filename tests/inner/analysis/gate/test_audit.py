@@ -8,7 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from exact_mdp import MDP, ModelError, SolverError, assert_policy_optimal, check
+from exact_mdp import (
+    MDP,
+    Column,
+    ModelError,
+    Policy,
+    SolverError,
+    StateSpace,
+    assert_policy_optimal,
+    check,
+)
+from exact_mdp.analysis.gate import audit as module
 from exact_mdp.analysis.gate.audit import Audit
 from exact_mdp.analysis.gate.data.interval import RegretInterval
 from exact_mdp.analysis.gate.regret import policy_regret
@@ -246,3 +256,297 @@ def test_a_regret_that_rests_on_bounds_in_part_has_no_certificate(
         audit.certificate  # noqa: B018
     assert "exact_values=True" in refused.value.fix
     assert check(audit.mdp, audit.policy, exact_values=True).certificate.regret == 0
+
+
+def read_facts(audit: Audit, **asked: Any) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return what a report says to machines, and what it says to people."""
+    report = audit.report(**asked)
+    return json.loads(report.json()), report.lines()
+
+
+def test_a_report_has_its_lines_in_the_order_in_which_people_read_them() -> None:
+    audit = audit_of(choices("min"), [0, 0, 1, 0], max_regret=1, max_relative_regret="1/100")
+    told = [
+        "the regret is not at most 1: it is 2.285714286 (certified)",
+        "the relative regret is not at most 0.01: it is 0.0987654 (certified)",
+    ]
+    assert [*read_facts(audit)[1].items()] == [
+        ("passed", "no: FAILED"),
+        ("checks", "; ".join(told)),
+        ("regret", "2.285714286 (certified)"),  # 8/7 visits lose 1, and 4/7 lose 2
+        ("relative regret", "0.0987654321"),
+        ("optimal value", "-23.14285714 (certified)"),
+        ("learned value", "-20.85714286 (certified)"),
+        ("agreement", "33.3% of the states with a choice, 14.3% of the visits to them"),
+    ]
+    lines = audit.message().splitlines()
+    assert lines[:3] == [
+        "read as a policy, discount 1, costs to minimise, start state 0",
+        *(f"failed: {each}" for each in told),
+    ]
+    assert audit.report().notes == []
+    (table,) = audit.report().shown_tables()
+    assert table.note == module.COLUMNS
+    assert table.cells() == [
+        ["state 1", "0", "1", "1.14286", "0.571429", "50.0%"],
+        ["state 0", "0", "1", "1.14286", "1.14286", "50.0%"],
+    ]
+
+
+def test_without_a_limit_a_loss_below_1_fails() -> None:
+    rows: Any = [(0, 0, [(1, 1, F(1, 2))]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, 0)])]
+    for action, passed in ((0, True), (1, False)):
+        audit = audit_of(MDP.from_outcomes(rows), [action, 0])
+        assert audit.passed is passed
+        # One state has a choice, and it is visited once.
+        assert (audit.agreement, audit.agreement_by_visits) == (passed, passed)
+        wrong = audit.report().tables["disagreements"].rows
+        assert [row["share"] for row in wrong] == ([] if passed else [1])
+    none = audit_of(MDP.from_outcomes(rows[::2]), [0, 0])
+    assert (none.agreement, none.agreement_by_visits) == (1, 1)
+    assert none.report().lines()["agreement"].startswith("100.0% of the states")
+
+
+def test_rounding_of_given_floats_is_forgiven_and_said() -> None:
+    high = float(np.nextafter(0.1, 1))
+    rows: Any = [(0, 0, [(1, 1, 0.1)]), (0, 1, [(1, 1, high)]), (1, 0, [(1, 1, 0.0)])]
+    audit = audit_of(MDP.from_outcomes(rows), [0, 0])
+    assert audit.value.value == F(high) - F(0.1)
+    assert audit.value.value <= audit.forgiven < F(1, 10**16)
+    (verdict,) = audit.verdicts
+    assert verdict.passed
+    assert verdict.name == "the regret is zero up to the rounding of the given floats"
+    assert verdict.text == (
+        "it is 1.387778781e-17 (certified); rounding can move it by up to "
+        f"{float(audit.forgiven):.2g}"
+    )
+    assert not audit_of(MDP.from_outcomes(rows), [0, 0], max_regret=0).passed
+
+
+def test_infinite_losses_have_no_share() -> None:
+    end: Any = (1, 0, [(1, 1, 0)])
+    for rows, action, ratio, said, text in (
+        ([(0, 0, [(1, 0, 1)]), (0, 1, [(1, 1, 0)])], 1, None, None, "infinite"),
+        ([(0, 0, [(1, 0, -1)]), (0, 1, [(1, 1, 5)])], 0, np.inf, "inf", "inf"),
+        ([(0, 0, [(1, 1, 0)]), (0, 1, [(1, 1, -1)])], 1, None, None, "0, or may be"),
+    ):
+        audit = audit_of(MDP.from_outcomes([*rows, end]), [action, 0])
+        facts, lines = read_facts(audit)
+        assert audit.relative_regret == ratio
+        assert facts["relative_regret"] == said
+        assert lines["relative regret"].endswith(text)
+        finite = np.isfinite(float(audit.value.value))
+        listed = audit.report().tables["disagreements"].rows
+        assert [row["share"] for row in listed] == ([1] if finite else [None])
+
+
+def test_states_that_are_never_reached_have_no_share() -> None:
+    audit = audit_of(choices().with_(start=3), [0, 1, 0, 0])
+    assert audit.passed
+    assert audit.never_reached == 2
+    assert audit.frame()["share"].tolist() == [None, None]
+    facts, lines = read_facts(audit)
+    assert lines["agreement"] == (
+        "33.3% of the states with a choice, 100.0% of the visits to them; 2 wrong states are never "
+        "reached from state 3, and cost nothing: mdp.with_(start=…), or --start, begins elsewhere"
+    )
+    assert len(facts["disagreements"]) == 2
+    assert audit.report().shown_tables() == []  # what costs nothing is not in the table
+
+
+def turning() -> MDP:
+    """Three states in turn, of which the second action earns 1, 2 and 3 more."""
+    rows: Any = [(s, a, [(1, (s + 1) % 3, a * (s + 1))]) for s in range(3) for a in range(2)]
+    return MDP.from_outcomes(rows, "1/2")
+
+
+def test_what_bounds_leave_open_is_counted() -> None:
+    """Bounds of an average prove no gap: an action is open where the optimum takes another."""
+    for actions, count in (([1, 1, 1], 0), ([0, 1, 1], 1), ([1, 0, 0], 2), ([0, 0, 0], 3)):
+        audit = audit_of(turning(), actions, criterion="average", exact_values=False)
+        assert audit.unclear == count
+        assert audit.agreement == 1
+        facts, lines = read_facts(audit)
+        assert facts["unclear"] == count
+        assert lines.get("unclear") == (str(count) if count else None)
+        said = f"in {count} more the bounds leave it open"
+        assert (said in audit.message().splitlines()) is (count > 0)
+    assert audit.undecided is False
+    left = audit_of(turning(), [1, 1, 1], criterion="average", exact_values=False)
+    assert left.undecided
+    assert left.verdicts[0].text.endswith(f", {module.UNDECIDED}")
+    assert module.UNDECIDED not in audit.message()
+
+
+def limited() -> MDP:
+    """One choice of three, which earn 0, 2 and 4 and cost as much as their number."""
+    rows: Any = [(0, a, [(1, 1, {"pay": a, "cost": a})]) for a in range(3)]
+    return MDP.from_outcomes([*rows, (1, 0, [(1, 1, {"pay": 0, "cost": 0})])])
+
+
+def test_a_certificate_proves_a_regret_in_the_model() -> None:
+    for sense in ("max", "min"):
+        audit = audit_of(choices(sense), [1, 0, 1, 0])
+        assert audit.certificate.regret == F(8, 7)
+        assert audit.certificate.optimum.kind != "average"
+    average = audit_of(turning(), [0, 0, 1], criterion="average")
+    assert average.certificate.regret == 1
+    assert average.certificate.value.start_value == 1
+    interval = RegretInterval(
+        low=0.0, high=1.0, confidence=0.9, by="robust", assumptions=(), found={}
+    )
+    for refused, words in (
+        (replace(audit, interval=interval), "rests on an interval from records"),
+        (audit_of(limited(), [1, 0], subject_to={"cost": "<= 1"}), "the optimum without limits"),
+        (audit_of(choices(), [1, 0, 1, 0], exact_values=False), "bounded, not exact"),
+    ):
+        with pytest.raises(ModelError, match=words):
+            _ = refused.certificate
+
+
+def test_limits_that_none_keeps_are_told() -> None:
+    kept = audit_of(limited(), [1, 0], subject_to={"cost": "<= 1"})
+    facts, lines = read_facts(kept)
+    assert (facts["relative_regret"], lines["relative regret"]) == (0, "0")
+    assert lines["regret"] == "0 (certified)"
+    assert lines["passed"] == "yes"
+    none = audit_of(limited(), [1, 0], subject_to={"cost": "<= -1"})
+    facts, lines = read_facts(none)
+    assert [*lines] == ["passed", "checks", "learned value", "agreement", "feasible", "limits"]
+    assert lines["agreement"] == "undefined: there is no optimum to agree with"
+    assert facts["relative_regret"] is None
+    assert none.disagreements == ()
+    assert none.message().endswith("there is no optimum to compare with; learned 2")
+    assert str(none).endswith("failed: no policy keeps cost <= -1")
+
+
+def test_errors_of_a_table_are_weighted_by_visits() -> None:
+    """Q(s, 1) is s + 1 too much where visits are as 4 : 2 : 1, and is what the policy takes."""
+    mdp = choices()
+    lost = policy_regret(PolicyChain.of(mdp, [1, 1, 1, 0]))
+    q = np.zeros((4, 2))
+    q[mdp.pair_state, mdp.pair_action] = lost.optimal_value[mdp.pair_state] - lost.gap
+    q[:3, 1] += [1, 2, 3]
+    q[:3, 0] -= 100
+    audit = audit_of(mdp, q, kind="q")
+    assert audit.q_error is not None
+    assert audit.q_error.visited == pytest.approx(float(np.sqrt((4 * 1 + 2 * 4 + 1 * 9) / 7)))
+    assert audit.q_error.largest == pytest.approx(100)
+    assert read_facts(audit)[0]["q_error"]["visited"] == audit.q_error.visited
+    # Of states that are visited forever only what is taken there has a weight.
+    rows: Any = [(0, 0, [(1, 0, 0)]), (0, 1, [(1, 1, -1)]), (1, 0, [(1, 1, 0)])]
+    waits = audit_of(MDP.from_outcomes(rows), np.array([[3.0, -9.0], [0.0, 0.0]]), kind="q")
+    assert waits.q_error is not None
+    assert waits.q_error.visited == 3
+
+
+def in_beds(rows: Any = None, discount: Any = 1) -> tuple[MDP, Policy]:
+    """Two kinds in two beds, one of which a policy that reads the kind cannot tell apart.
+
+    For kind 0 the best action depends on the bed, and earns 4 or 2; for kind 1 it is 0, earns 1,
+    and is not what the policy takes.
+    """
+    pay = [(4, 0), (0, 2), (1, 0), (1, 0)]
+    rows = rows or [(s, a, [(1, 4, pay[s][a])]) for s in range(4) for a in range(2)]
+    columns = (Column(name="kind", size=2), Column(name="bed", size=2))
+    mdp = MDP.from_outcomes(
+        [*rows, (4, 0, [(1, 4, 0)])], discount, start=dict.fromkeys(range(4), "1/4")
+    )
+    space = StateSpace(columns=columns[:1])
+    mdp = mdp.with_(space=StateSpace(columns=columns, extra=("end",)))
+    return mdp, Policy(space=space, actions=mdp.actions, rule=np.eye(2))
+
+
+def test_what_cannot_be_seen_is_told_from_what_was_not_learned() -> None:
+    """Of the optimum, (4 + 2 + 1 + 1) / 4, a policy that reads the kind has 6 / 4, this one 1."""
+    audit = audit_of(*in_beds())
+    assert audit.value.value == 1
+    told = (
+        "the best policy that reads kind alone has 1.5 (proven): 0.5 is lost because it cannot see "
+        "bed, 0.5 because of what was learned"
+    )
+    assert audit.message().splitlines()[-1] == told
+    assert told not in audit.message(explain=False)
+    facts, lines = read_facts(audit)
+    assert lines["representation"] == told
+    assert facts["representation"]["best_value"] == 1.5
+    assert facts["rows"] == [{"row": "kind 1", "learned": "1", "best": "0", "gain": 0.5}]
+    assert [table.title for table in audit.report().shown_tables()] == [
+        "where it is not optimal, the costliest first",
+        "rows of the policy, each changed alone",
+    ]
+    assert audit.report().shown_tables()[1].cells() == [["kind 1", "1", "0", "0.5"]]
+    assert audit.report().notes == []
+    facts, lines = read_facts(audit, explain=False)
+    assert (facts["representation"], facts["rows"]) == (None, None)
+    assert "representation" not in lines
+    assert audit.report(explain=False).notes == []
+    whole = audit_of(audit.mdp, [0, 1, 0, 0, 0])
+    assert whole.representation is None
+    assert module.UNEXPLAINED not in whole.message()
+
+
+def test_what_cannot_be_split_is_said() -> None:
+    """A best policy that reads the kind is found only if all policies end."""
+    rows = [(s, 0, [(1, 4, s)]) for s in range(4)] + [(s, 1, [(1, s, -1)]) for s in range(4)]
+    mdp, _ = in_beds(rows)
+    own = Policy(
+        space=StateSpace(columns=mdp.space.columns[:1]),
+        actions=mdp.actions,
+        rule=np.array([[1.0, 0.0]] * 2),
+    )
+    audit = audit_of(mdp, own)
+    assert audit.passed
+    assert audit.representation is None
+    assert audit.message().splitlines()[-1] == module.UNEXPLAINED
+    assert module.UNEXPLAINED not in audit.message(explain=False)
+    assert audit.report().notes == [module.UNEXPLAINED]
+    assert audit.report(explain=False).notes == []
+
+
+def test_an_interval_is_in_the_report() -> None:
+    interval = RegretInterval(
+        low=0.25, high=0.5, confidence=0.9, by="robust", assumptions=("the sun shines",), found={}
+    )
+    audit = replace(audit_of(choices(), [1, 0, 1, 0], max_regret=1), interval=interval)
+    facts, lines = read_facts(audit)
+    told = "it is in [0.25, 0.5] at 90 % confidence, robust; 1.142857143 (certified) in the "
+    assert lines["checks"] == f"the regret is at most 1: {told}estimated model"
+    assert facts["regret_interval"] == [0.25, 0.5]
+    assert [*lines][:3] == ["passed", "checks", "regret interval"]
+    assert audit.report().notes == ["assumed: the sun shines"]
+    assert audit.measures["regret_interval"] == "[0.25, 0.5] at 90 % confidence, robust"
+
+
+def test_a_time_limit_that_is_left_out_is_noted() -> None:
+    mdp = choices().with_(time_limit=7)
+    total = "the environment stops after 7 steps; this answer is for episodes without a limit"
+    for criterion, advice in (("total", ": horizon=7"), ("average", "")):
+        audit = audit_of(mdp, [1, 1, 1, 0], criterion=criterion)
+        assert audit.report().notes == [total + advice]
+        assert str(audit).splitlines()[-1] == audit.message().splitlines()[-1] == total + advice
+
+
+def test_a_question_says_how_the_policy_was_read() -> None:
+    values = np.array([[0.0, 1], [0, 1], [0, 1], [0, 0]])
+    for kind, source in (("q", "a Q-table: its greedy policy"), ("policy", "a policy")):
+        audit = audit_of(choices(), values if kind == "q" else [1, 1, 1, 0], kind=kind)
+        assert audit.read_as == kind
+        assert audit.question == f"read as {source}, discount 1, start state 0"
+
+
+def test_regrets_of_up_to_1000_states_are_listed() -> None:
+    for size in (1000, 1001):
+        rows: Any = [(s, 0, [(1, size - 1, 0)]) for s in range(1, size)]
+        rows += [(0, 0, [(1, size - 1, 0)]), (0, 1, [(1, size - 1, 1)])]
+        audit = audit_of(MDP.from_outcomes(rows), [0] * size, exact_values=False)
+        listed = audit.report().facts["regret_by_state"].value
+        assert (listed is not None) is (size == 1000)
+        assert listed is None or (len(listed), listed["state 0"]) == (1000, 1)
+
+
+def test_a_table_shows_the_first_ten() -> None:
+    rows: Any = [(s, a, [(1, s + 1, a)]) for s in range(11) for a in range(2)]
+    audit = audit_of(MDP.from_outcomes([*rows, (11, 0, [(1, 11, 0)])]), [0] * 12)
+    (table,) = audit.report().shown_tables()
+    assert (len(table.rows), len(table.values())) == (11, 10)

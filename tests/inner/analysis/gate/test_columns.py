@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from fractions import Fraction as F
 from itertools import product
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,8 @@ from exact_mdp import MDP, Column, ModelError, StateSpace, best_policy
 from exact_mdp.analysis.gate import columns as module
 from exact_mdp.analysis.gate.columns import Cycles, PolicyRows, _BranchAndBound
 from exact_mdp.mdp.table import Integers
+from exact_mdp.solvers.bounds.bounds import margin_weights
+from exact_mdp.solvers.bounds.gains import BoundedVector
 from exact_mdp.solvers.values.layers import Layers
 
 
@@ -104,6 +107,7 @@ def test_rows_offer_what_all_their_states_do() -> None:
             later = PolicyRows(mdp.with_(start=2), read)
             met = {int(later.key[s]) for s in (2,)}
             assert set(np.flatnonzero(later.asked).tolist()) == met or "time" not in read
+            assert later.asked.shape == (later.space.size,)
     rows_of: Any = [
         (0, 0, [(1, 2, 1)]),
         (0, 1, [(1, 2, 1)]),
@@ -245,3 +249,163 @@ def test_a_policy_to_begin_from_is_kept_where_it_is_best() -> None:
         choice = search.choice.copy()
         search.offer_policies(search.choice[None])  # no better than itself
         assert search.choice.tolist() == choice.tolist()
+
+
+def in_one_step(offers: list[dict[int, Any]], start: Any = None) -> MDP:
+    """Two rows of two states, with a reward for each action that a state offers, and an end."""
+    rows: Any = [(s, a, [(1, 4, pay)]) for s, own in enumerate(offers) for a, pay in own.items()]
+    columns = (Column(name="row", size=2), Column(name="bed", size=2))
+    mdp = MDP.from_outcomes(
+        [*rows, (4, 0, [(1, 4, 0)])], start=start or dict.fromkeys(range(4), "1/4")
+    )
+    return mdp.with_(space=StateSpace(columns=columns, extra=("end",)))
+
+
+def test_states_without_a_choice_do_not_bind_a_row() -> None:
+    """State 0 has one action; in state 2 all are alike; what the others offer is available."""
+    mdp = in_one_step([{2: 4}, {0: 8, 1: 12}, {1: 3, 2: 3}, {0: 16, 3: 20}])
+    rows = PolicyRows(mdp, ("row",))
+    assert rows.free.tolist() == [False, True, False, True, False]
+    assert [np.flatnonzero(each).tolist() for each in rows.available] == [[0, 1], [0, 3]]
+    best = best_policy(mdp, ("row",))
+    assert best.actions == {"row 0": "1", "row 1": "3"}
+    assert best.value.value == pytest.approx((4 + 12 + 3 + 20) / 4)
+    # Where a row has no choice at all, the policy names no action.
+    alone = best_policy(in_one_step([{2: 4}, {1: 3}, {1: 3}, {0: 16, 3: 20}]), ("row",))
+    assert alone.actions == {"row 1": "3"}
+    assert np.isnan(alone.policy.table[0]).all()
+    none = in_one_step([{0: 4, 1: 1}, {2: 1, 3: 2}, {0: 3, 1: 4}, {0: 3, 1: 4}])
+    with pytest.raises(ModelError, match="no action is available") as refused:
+        PolicyRows(none, ("row",))
+    assert "row 0" in str(refused.value)
+
+
+def test_a_row_that_is_never_met_has_an_action_of_its_states() -> None:
+    for first in range(2):
+        met, other = {0: 2, 1: 4}, {2: 0, 3: 1}
+        offers = [met, met, other, other] if first == 0 else [other, other, met, met]
+        mdp = in_one_step(offers, start={2 * first: "1/2", 2 * first + 1: "1/2"})
+        best = best_policy(mdp, ("row",))
+        assert (best.value.value, best.nodes, best.proven) == (4, 1, True)
+        assert best.actions == {f"row {first}": "1", f"row {1 - first}": "2"}
+
+
+def test_the_default_limit_is_of_transitions_times_relaxations(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    limits = list[int]()
+
+    def stop(limit: int, name: str) -> int:
+        assert name == "node_limit"
+        limits.append(limit)
+        raise StopIteration
+
+    monkeypatch.setattr(module, "mdp_of", lambda model: model)
+    monkeypatch.setattr(module, "require_count", stop)
+    for size in (1, 6_000, 10_000, 300_000, 400_000):
+        model: Any = SimpleNamespace(n_transitions=size)
+        with pytest.raises(StopIteration):
+            best_policy(model)
+    assert limits == [5000, 5000, 3355, 111, 100]  # 33,554,432 in all
+
+
+@pytest.mark.parametrize("cyclic", [True, False])
+def test_error_bounds_are_those_of_sums(cyclic: bool) -> None:
+    """Of n terms a sum errs by n u / (1 - n u) of their size: Higham, Accuracy, section 3.1."""
+
+    def grow(terms: int) -> F:
+        unit = F(terms, 2**53)
+        return unit / (1 - unit)
+
+    mdp = in_columns(1, cyclic=cyclic)
+    rows = PolicyRows(mdp, ("row",))
+    most = max(len(row) for *_, row in oracle.rows_of(mdp))
+    assert most == (5 if cyclic else 3)
+    margins = margin_weights(mdp)
+    reach = F(float(mdp.start_distribution @ margins.value)) / F(float(margins.smallest))
+    slack = 1 + F(1, 2**20)
+    gains = F(float(np.abs(mdp.table.compute_gains()).max()))
+    value = np.array([[1.0, -0.25], [0.5, 0.0], [-3.0, 0.125], [0.0, 0.0], [0.0, 0.0]])
+    apart = np.array([2.0**-50, 0.0])
+    start, error = rows._at_start(value, apart)
+    assert start.tolist() == [0.75, -0.125]
+    for n, size in enumerate((3, F(1, 4))):
+        rounding = grow(most + 8) * (gains + 2 * size)
+        assert rows._bound_rounding(value)[n] == pytest.approx(float(rounding), rel=1e-9, abs=0)
+        whole = (F(apart[n]) + rounding) * reach * slack + grow(2 + 2) * size
+        assert error[n] == pytest.approx(float(whole * slack), rel=1e-9, abs=0)
+
+
+def test_small_rewards_are_as_good_as_large_ones() -> None:
+    for seed in range(5):
+        mdp = in_columns(seed, cyclic=True)
+        rows = [
+            (s, a, [(p, t, r / 2**100) for p, t, r in mdp.table.row(pair)])
+            for pair, (s, a) in enumerate(zip(mdp.pair_state, mdp.pair_action, strict=True))
+        ]
+        small = MDP.from_outcomes(rows, mdp.discount_exact, start=dict(mdp.start))
+        allowed = np.ones((mdp.n_pairs, 1), dtype=bool)
+        value, found = (Cycles(each).solve_allowed(allowed)[0] for each in (mdp, small))
+        assert found * 2.0**100 == pytest.approx(value, rel=1e-10)
+
+
+def test_policies_are_evaluated_in_parts_of_limited_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = PolicyRows(in_columns(0, cyclic=False), ("row",))
+    choices = np.zeros((9, 2), dtype=int)
+    sizes, evaluate = list[int](), rows._passes.evaluate_pairs
+
+    def counted(taken: Integers) -> Any:
+        sizes.append(taken.size)
+        return evaluate(taken)
+
+    monkeypatch.setattr(module, "BLOCK", 10)
+    monkeypatch.setattr(rows._passes, "evaluate_pairs", counted)
+    rows.evaluate_choices(choices)
+    assert (max(sizes), sum(sizes)) == (10, 45)
+
+
+def test_a_search_splits_where_a_single_action_costs_most() -> None:
+    """In row 0 a single action loses 1 / 4, in row 1 it loses 5 / 4."""
+    mdp = in_one_step([{0: 1, 1: 0}, {0: 0, 1: 1}, {0: 7, 1: 0}, {0: 0, 1: 5}])
+    rows = PolicyRows(mdp, ("row",))
+    search = _BranchAndBound(rows)
+    assert search.heap[0][3] == 1
+    assert search.mixed == pytest.approx(14 / 4)
+    search.split_nodes(1000)
+    assert search.value == pytest.approx(8 / 4)
+    assert search.upper == pytest.approx(8 / 4)
+    # Bounds that are 1 too high never end the search before policies are alone.
+    bound = rows.bound_relaxations
+
+    def loose(nodes: Any) -> Any:
+        upper, choice, lost = bound(nodes)
+        return upper + 1, choice, lost
+
+    high: Any = SimpleNamespace(
+        bound_relaxations=loose,
+        evaluate_choices=rows.evaluate_choices,
+        available=rows.available,
+        asked=rows.asked,
+        mdp=mdp,
+    )
+    search = _BranchAndBound(high)
+    search.split_nodes(1000)
+    assert search.upper == pytest.approx(8 / 4 + 1)
+
+
+def test_a_policy_is_kept_only_if_it_is_better_beyond_rounding() -> None:
+    search = _BranchAndBound(PolicyRows(in_columns(0, cyclic=False), ("row",)))
+    for value, error, better in (
+        ([1.0, 0.0], [0.25, 0.9], True),
+        ([0.0, 0.8], [0.9, 0.25], True),
+        ([0.7, 0.0], [0.25, 0.0], False),
+        ([0.75, 0.0], [0.25, 0.0], False),
+    ):
+        search.value, search.error, search.choice = 0.0, 0.5, np.array([0, 0])
+        point = BoundedVector(value=np.array(value), error=np.array(error))
+        stub: Any = SimpleNamespace(evaluate_choices=lambda choices, point=point: point)
+        search.rows = stub
+        search.offer_policies(np.array([[1, 1], [2, 2]]))
+        best = int(np.argmax(value))
+        kept = (value[best], error[best], best + 1) if better else (0, 0.5, 0)
+        assert (search.value, search.error, search.choice[0]) == kept

@@ -86,9 +86,9 @@ def test_digits_of_each_width_lead_to_the_solution(
         assert [F(int(x), int(found[1])) for x in found[0]] == wanted
 
 
-def test_a_known_denominator_takes_half_as_many_digits(monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(1)
-    dense, side = chain(rng, 40, 30), rng.integers(-9, 10, 40).tolist()
+@pytest.fixture
+def counts(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Return how many digits each solution has taken so far."""
     counts, kept = list[int](), Lifting._yield_digits
 
     def counted(self: Lifting, *given: Any) -> Any:
@@ -98,6 +98,12 @@ def test_a_known_denominator_takes_half_as_many_digits(monkeypatch: pytest.Monke
             yield digit
 
     monkeypatch.setattr(Lifting, "_yield_digits", counted)
+    return counts
+
+
+def test_a_known_denominator_takes_half_as_many_digits(counts: list[int]) -> None:
+    rng = np.random.default_rng(1)
+    dense, side = chain(rng, 40, 30), rng.integers(-9, 10, 40).tolist()
     matrix = lifted(dense)
     first = matrix.solve(side, listed(dense))
     assert first is not None
@@ -106,7 +112,8 @@ def test_a_known_denominator_takes_half_as_many_digits(monkeypatch: pytest.Monke
     # a number of b bits over q < 2^b: 2 b bits tell q, b bits and a few more those with q known
     bits = int(first[1].bit_length())
     assert counts[0] >= 2 * bits // 40
-    assert counts[1] <= bits // 40 + (2 * lifting.SPARE + 54) // 40 + 5
+    before = (4 + 54) // 40 + 1  # of numbers below 2^4 and a solution 2^54 times as large
+    assert counts[1] == before + (bits + 2 * lifting.SPARE) // 40 + 1
     assert counts[0] <= 1.2 * (2 * bits // 40 + 10) + 1
 
 
@@ -190,6 +197,16 @@ def test_a_denominator_is_found_where_bits_tell_it() -> None:
             assert lifting._find_denominator(short, few) is None
 
 
+def test_a_denominator_is_told_from_chance_by_40_bits() -> None:
+    """With q of 12 bits, q x is so many bits from an integer that chance alone would need 2^40."""
+    below, bits = 2**11 + 1, 101  # 12 bits
+    near = (2**bits * 5) // below  # q x is less than q / 2^101 from 5
+    for away, found in ((36, True), (37, False)):
+        number = flint.fmpz(near + 2**away)  # q 2^away has 12 + away bits
+        assert (12 + (12 + away) < bits - lifting.SPARE) is found
+        assert lifting._find_denominator(number, bits) == (below if found else None)
+
+
 def test_fractions_are_found_over_a_multiple_of_what_is_known(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -252,3 +269,41 @@ def test_a_wrong_denominator_costs_digits_and_no_truth(monkeypatch: pytest.Monke
     matrix = lifted(dense)
     assert matrix.solve(side, listed(dense)) is None
     assert matrix.width == 0
+
+
+def test_without_a_solution_digits_end_where_any_determinant_would_be_told(
+    monkeypatch: pytest.MonkeyPatch, counts: list[int]
+) -> None:
+    """Two determinants of K rows of b bits, by Hadamard, are less than 2^(2 K b)."""
+    monkeypatch.setattr(lifting, "_is_solution", lambda *_: False)
+    monkeypatch.setattr(lifting, "WIDTHS", (40,))
+    rng = np.random.default_rng(6)
+    for size, bits in ((12, 61), (12, 90)):
+        dense, side = chain(rng, size, bits), rng.integers(-9, 10, size).tolist()
+        matrix = lifted(dense)
+        assert matrix.solve(side, listed(dense)) is None
+        before = (max(map(abs, side)).bit_length() + 54) // 40 + 1
+        whole = sum(sum(map(abs, row)).bit_length() for row in dense)
+        assert counts.pop() == before + 2 * (whole + lifting.SPARE) // 40 + 1
+
+
+def test_digits_too_long_end_the_search_at_once(
+    monkeypatch: pytest.MonkeyPatch, counts: list[int]
+) -> None:
+    """The solution of a ring of 1 - 2^-45 is 2^45 as large as its side, and floats are lost."""
+    monkeypatch.setattr(lifting, "WIDTHS", (40,))
+    size, bits = 16, 45
+    dense = [[0] * size for _ in range(size)]
+    for s, row in enumerate(dense):
+        row[s], row[(s + 1) % size] = 2**bits, 1 - 2**bits
+    side = [s % 5 - 1 for s in range(size)]
+    assert lifted(dense).solve(side, listed(dense)) is None
+    assert counts == [(3 + 54) // 40 + 1 + 24]
+
+
+def test_rows_may_be_of_very_different_size() -> None:
+    for dense in ([[2**1300 + 1, 1], [1, 3]], [[3, 1], [1, 2**1300]]):
+        side = [5, -7]
+        found = lifted(dense).solve(side, listed(dense))
+        if found is not None:
+            assert [F(int(x), int(found[1])) for x in found[0]] == eliminated(dense, side)

@@ -182,6 +182,18 @@ def test_chances_of_events_too_slow_for_floats_are_found_in_rationals() -> None:
     assert law.numbers["event.e"].error < 1e-15
 
 
+def test_errors_of_events_count_roundings() -> None:
+    """A chance is rounded once and two are added up; the equation of a state has nine more."""
+    for p in (1, 2, 4):
+        rows: Any = [(0, 0, [(F(p, 9), 1, 1), (F(9 - p, 9), 1, 3)]), (1, 0, [(1, 1, 0)])]
+        mdp = MDP.from_outcomes(rows)
+        bits = np.array([*(int(r == 1) for _, _, r in mdp.table.row(0)), 0], dtype=np.uint8)
+        mdp = mdp.with_(table=replace(mdp.table, event=bits), events=("e",))
+        number = evaluate(mdp, "random").numbers["event.e"]
+        holds(number, F(p, 9))
+        assert number.error == pytest.approx(12 * 2.0**-53 * p / 9, rel=1e-5, abs=0)
+
+
 def test_quantiles_are_those_of_every_run() -> None:
     for mdp, chances, law in cases(F(1), falling=True):
         runs, total, wanted = law_of_return(mdp, chances), F(0), dict[float, F]()
@@ -246,6 +258,7 @@ def test_a_run_that_comes_to_rest_has_a_return() -> None:
     assert law.value[[0, 3, 4, 6]].tolist() == [3, 0, 0, 0]
     assert law.value[[1, 2, 5]].tolist() == [inf, -inf, inf]  # where no episode comes
     assert law.error[[1, 2, 5]].tolist() == [0, 0, 0]
+    assert law.error[[0, 3, 4, 6]].max() < 1e-12
     assert law.settled
     assert not law.ends
     assert (law.steps, law.numbers["steps"].error) == (inf, 0)
@@ -344,6 +357,15 @@ def test_next_to_discount_1_values_are_improved_in_rounds(monkeypatch: pytest.Mo
         used.clear()
 
 
+def test_errors_of_rewards_that_cancel_are_in_the_bound() -> None:
+    """10^16 + 1 is no float: half of it less 5 10^15 is 1 / 2, of which floats see nothing."""
+    big = 10**16
+    rows: Any = [(0, 0, [(1, 1, big + 1)]), (0, 1, [(1, 1, -big)]), (1, 0, [(1, 1, 0)])]
+    for discount in (F(1), F(1, 2)):
+        law = evaluate(MDP.from_outcomes(rows, discount), "random")
+        assert abs(F(law.mean) - F(1, 2)) <= F(law.start.error) < 16
+
+
 def test_what_cannot_be_bounded_is_unknown_and_the_rest_stands(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -375,6 +397,25 @@ def test_variances_beyond_the_range_of_floats_are_unknown() -> None:
         assert isnan(law.sd)
         assert law.numbers["sd"].error == inf
         assert abs(law.mean) < inf
+    # Each start is certain of its return, and only the spread between them is too large.
+    apart: Any = [(0, 0, [(1, 0, 0)]), (1, 0, [(1, 0, F(10) ** 160)])]
+    law = evaluate(MDP.from_outcomes(apart, start={0: "1/2", 1: "1/2"}), "random")
+    assert law.mean == 5e159
+    assert law.variance.max() < inf
+    assert isnan(law.numbers["variance"].value)
+    assert law.numbers["variance"].error == inf
+
+
+def test_components_beyond_the_range_of_floats_are_unknown() -> None:
+    big = F(17, 10) * F(10) ** 308
+    amounts = {"a": big, "b": -big, "c": 1}
+    rows: Any = [(0, 0, [(1, 1, amounts)]), (1, 0, [(1, 2, amounts)]), (2, 0, [(1, 2, {"a": 0})])]
+    law = evaluate(MDP.from_outcomes(rows), "random")
+    assert law.mean == 2
+    assert law.components["c"] == 2
+    for name in "ab":
+        assert isnan(law.components[name])
+        assert law.numbers[f"component.{name}"].error == inf
 
 
 def test_a_return_that_is_certain_has_no_spread() -> None:
@@ -439,6 +480,25 @@ def test_errors_of_variances_count_roundings() -> None:
             away = abs(reward - mean)
             least += chance * (6 * unit * away * (abs(reward) + abs(mean)) + 4 * unit * away**2)
         assert least <= number.error <= 4 * least + 1e-290
+        # A surprise is off by five roundings, twice of which times itself its square is; the sum of
+        # two squares has eight roundings at most, and solving the equation of one state seven.
+        whole = 0.0
+        for chance, reward in zip((p / 9, 1 - p / 9), pay, strict=True):
+            away, off = abs(reward - mean), 5 * unit * (abs(reward) + abs(mean))
+            whole += chance * (2 * away * off + 15 * unit * away**2)
+        assert number.error == pytest.approx(whole, rel=2e-5, abs=1e-290)
+        # What follows is rounded as well: 1000 more, whatever happens first.
+        later: Any = [(0, 0, rows[0][2]), (1, 0, [(1, 2, 1000)]), (2, 0, [(1, 2, 0)])]
+        law = evaluate(MDP.from_outcomes(later), "random")
+        own = Evaluation(
+            chain=law.chain, given=law.given, value=np.array([mean + 1000, 1000, 0]),
+            error=np.zeros(3),
+        )  # fmt: skip
+        least = 0.0
+        for chance, reward in zip((p / 9, 1 - p / 9), pay, strict=True):
+            off = 5 * unit * (abs(reward) + 1000 + abs(mean + 1000))
+            least += chance * 2 * abs(reward - mean) * off
+        assert least <= own.numbers["variance"].error <= 1.2 * least + 1e-290
 
 
 def test_a_mixture_of_starts_adds_the_spread_between_them() -> None:
@@ -462,6 +522,21 @@ def test_a_mixture_of_starts_adds_the_spread_between_them() -> None:
     between = ((6 + low) * low + 3 * (2 + high) * high) / 4
     within = (1 + 3 * 0.5) / 4
     assert between + within <= number.error <= (between + within) * (1 + 1e-5)
+    # Without errors of the values there are roundings: of a mean over two starts ten, of distances
+    # from it two, of squares one, and of the sum of both parts one.
+    unit = 2.0**-53
+    for pays in ((1.0, 5.0), (0.1, 7.3), (2.0, 2.5)):
+        own = replace(own, value=np.array([*pays, 0.0]), error=np.zeros(3))
+        vars(own)["_variance"] = BoundedVector(value=np.array([2.0, 8.0, 0.0]), error=np.zeros(3))
+        mean, between, doubt = (pays[0] + 3 * pays[1]) / 4, 0.0, 0.0
+        for chance, pay in zip((0.25, 0.75), pays, strict=True):
+            away = abs(pay - mean)
+            between += chance * away**2
+            off = unit * (10 * mean + 2 * away)
+            doubt += chance * (2 * away * off + unit * away**2)
+        number = own.numbers["variance"]
+        assert number.value == pytest.approx(6.5 + between)
+        assert number.error == pytest.approx(doubt + 11 * unit * (6.5 + between), rel=1e-5, abs=0)
 
 
 def test_a_deviation_is_between_the_roots() -> None:

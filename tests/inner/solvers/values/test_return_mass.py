@@ -3,6 +3,7 @@
 from collections import defaultdict
 from fractions import Fraction as F
 from math import inf
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -66,9 +67,10 @@ def test_masses_at_the_end_are_those_of_all_runs(
                 assert 0 <= lost < 1e-280
                 for mass, wanted in zip(masses.tolist(), runs.values(), strict=True):
                     assert abs(F(mass) / wanted - 1) <= roundings * F(1, 2**53)
-                # Of each block what comes in is added up, after a product with a rounded chance.
-                least = sum(int(n) + chain.roundings for n in flow.entering)
-                assert least <= roundings <= least + 10 * (flow.last + 2)
+                # Of each block what comes in is added up, after a product with a rounded chance:
+                # with seven roundings more, and with ten at the end.
+                *inside, last = flow.entering.tolist()
+                assert roundings == sum(n + chain.roundings + 7 for n in inside) + last + 10
             assert not flow.cyclic.any()
 
 
@@ -341,3 +343,128 @@ def test_products_of_matrices_hand_masses_on_as_loops_do(monkeypatch: pytest.Mon
         ):
             assert flow._in_products(other, outcomes) is None
         assert flow._in_products((state, multiple, mass), outcomes[:0]) is None
+
+
+def test_an_episode_that_is_over_at_the_start_returns_0() -> None:
+    chain = PolicyChain.of(MDP.from_outcomes([(0, 0, [(1, 0, 0)])]), "random")
+    for exact in (True, False):
+        flow = MassFlow(chain, chain.gain.astype(np.int64), {}, exact=exact)
+        assert (flow.last, flow.block.tolist()) == (0, [0, 0, 0])
+        values, masses, lost, roundings = flow.carry_mass()
+        assert (values.tolist(), masses.tolist(), lost) == ([0], [1], 0)
+        assert roundings == 10
+
+
+def test_long_multiples_are_exact() -> None:
+    long = 2**60 + 1  # no float
+    rows: Any = [(0, 0, [(F(1, 2), 1, long), (F(1, 2), 1, -long)]), (1, 0, [(1, 1, 0)])]
+    chain = PolicyChain.of(MDP.from_outcomes(rows), "random")
+    gain = np.array([-long, long, 0])
+    assert chain.gain.tolist() == [-float(2**60), float(2**60), 0]
+    for kind in (np.int64, object):
+        flow = MassFlow(chain, gain.astype(kind), {}, exact=False)
+        assert flow.carry_mass()[0].tolist() == [-long, long]
+
+
+def circle(stay: F) -> MassFlow:
+    """A state in which 1 is earned in each round, until it is left for the end."""
+    rows: Any = [(0, 0, [(stay, 0, 1), (1 - stay, 1, 0)]), (1, 0, [(1, 1, 0)])]
+    chain = PolicyChain.of(MDP.from_outcomes(rows), "random")
+    return MassFlow(chain, chain.gain.astype(np.int64), {}, exact=False)
+
+
+def test_rounds_end_when_what_is_left_is_as_little_as_allowed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for allowed, rounds in ((2.0**-10, 10), (2.0**-10.5, 11), (2.0**-11, 11)):
+        monkeypatch.setattr(module, "REMAINING", allowed)
+        values, masses, lost, _ = circle(F(1, 2)).carry_mass()
+        assert values.tolist() == [*range(rounds)]
+        assert masses.tolist() == [2.0 ** -(k + 1) for k in range(rounds)]
+        assert lost == 2.0**-rounds
+    monkeypatch.undo()
+    with pytest.raises(ModelError, match="after 1,000,000 steps among states"):
+        circle(1 - F(1, 10**7)).carry_mass()
+
+
+def test_masses_as_small_as_the_edge_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows: Any = [(0, 0, [(F(1, 4), 1, 1), (F(3, 4), 1, 0)]), (1, 0, [(1, 1, 0)])]
+    chain = PolicyChain.of(MDP.from_outcomes(rows), "random")
+    for dense in (0, 8):
+        monkeypatch.setattr(module, "DENSE", dense)
+        for edge, kept, lost in ((0.25, [0, 1], 0), (0.26, [0], 0.25)):
+            monkeypatch.setattr(module, "EDGE", edge)
+            found = MassFlow(chain, chain.gain.astype(np.int64), {}, exact=False).carry_mass()
+            assert found[0].tolist() == kept
+            assert lost <= found[2] <= lost + 1e-300
+
+
+def test_products_that_may_underflow_are_counted_as_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In arrays each of them may lose a little as soon as the smallest may."""
+    monkeypatch.setattr(module, "DENSE", 10**6)
+    rows: Any = [
+        (0, 0, [(F(1, 2), 1, 1), (F(1, 4), 1, 2), (F(1, 4), 2, 0)]),
+        (1, 0, [(F(1, 8), 2, 1), (F(7, 8), 2, 0)]),
+        (2, 0, [(1, 2, 0)]),
+    ]
+    chain = PolicyChain.of(MDP.from_outcomes(rows), "random")
+    flow = MassFlow(chain, chain.gain.astype(np.int64), {}, exact=False)
+    of = flow.source == 1
+    moving = np.array([1, 1]), np.array([0, 1]), np.array([0.5, 0.25])
+    share = flow.share[of].min()
+    assert share == 0.125
+    for edge, lost in ((0.25 * share, 0), (0.26 * share, 4 * module.TINY)):
+        monkeypatch.setattr(module, "EDGE", edge)
+        flow.lost = 0.0
+        flow._handed_on(moving, np.flatnonzero(of)[np.argsort(-flow.share[of])])
+        assert flow.lost == lost
+
+
+def test_arrays_hold_at_most_so_many_numbers_for_each_mass(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Two returns, 3 apart, and rewards that are 2 apart: 6 returns in each of 2 states."""
+    rows: Any = [
+        (0, 0, [(1, 1, 0)]),
+        (1, 0, [(F(1, 2), 2, 0), (F(1, 2), 3, 2)]),
+        (2, 0, [(1, 4, 0)]),
+        (3, 0, [(1, 4, 0)]),
+        (4, 0, [(1, 4, 0)]),
+    ]
+    chain = PolicyChain.of(MDP.from_outcomes(rows), "random")
+    flow = MassFlow(chain, chain.gain.astype(np.int64), {}, exact=False)
+    outcomes = np.flatnonzero(flow.source == 1)
+    moving = np.array([1, 1]), np.array([4, 7]), np.array([0.5, 0.5])
+    for dense, fits in ((6, True), (5, False)):
+        monkeypatch.setattr(module, "DENSE", dense)
+        assert (flow._in_products(moving, outcomes) is not None) is fits
+
+    # The same of sums: 4 returns of states 3 and 4 are 8 numbers for 2 masses.
+    sorted_ = list[int]()
+    unique = np.unique
+
+    def kept(*given: Any, **how: Any) -> Any:
+        sorted_.append(1)
+        return unique(*given, **how)
+
+    monkeypatch.setattr(np, "unique", kept)
+    parts: Any = [(np.array([3, 4]), np.array([4, 7]), np.array([0.5, 0.25]))]
+    for dense, fits in ((4, True), (3, False)):
+        monkeypatch.setattr(module, "DENSE", dense)
+        assert summed([_sum_masses(parts)]) == {(3, 4): F(1, 2), (4, 7): F(1, 4)}
+        assert (sorted_ == []) is fits
+        sorted_.clear()
+
+
+def test_a_bar_is_shown_at_a_terminal_and_only_if_it_takes_long(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    shown = list[dict[str, Any]]()
+
+    def bar(blocks: Any, **how: Any) -> Any:
+        shown.append(how)
+        return blocks
+
+    monkeypatch.setattr(module, "tqdm", SimpleNamespace(tqdm=bar))
+    circle(F(1, 2)).carry_mass()
+    assert shown == [{"desc": "returns", "unit": "block", "delay": 2, "disable": None}]

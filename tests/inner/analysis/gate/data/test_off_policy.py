@@ -135,10 +135,19 @@ def test_records_that_do_not_fit_are_refused() -> None:
         behaviour="always:1",
     )
     refused("no transitions", records=frame.iloc[:0])
-    rows: Any = [(0, "a", "x", 0, None), (1, "a", "y", 0, None), (2, "b", "x", 0, None)]
+    rows: Any = [(0, "a", "x", 0, None), (1, "a", "y", 0, None), (2, "b", "y", 0, None)]
     less = MDP.from_transitions(pd.DataFrame(rows, columns=NAMES), discount="1/2")
-    other = pd.DataFrame([*rows, (3, "b", "y", 0, None)], columns=NAMES)
-    refused("does not offer it", less, own_of(less, [0] * less.n_states), records=other)
+    other = pd.DataFrame([*rows, (3, "b", "x", 0, None)], columns=NAMES)
+    said = r"action x was taken in \(state b\), where the model does not offer it"
+    refused(said, less, own_of(less, [0] * less.n_states), records=other)
+    said = r"\(pairs of this kind: 2\)\n  where: state 1, action 0"  # the first is named
+    refused(said, policy=own_of(mdp, [1, 0, 0, 0]), behaviour="always:1")
+    seldom: Any = [*((n, "a", "x", 0, None) for n in range(9)), (9, "a", "y", 0, None)]
+    once = pd.DataFrame(seldom, columns=NAMES)
+    model = MDP.from_transitions(once, discount="1/2")
+    own = own_of(model, [0] * model.n_states)
+    said = "an action that was recorded\n  where: state a, action y"
+    refused(said, model, own, records=once, behaviour="always:x")
 
 
 def test_a_start_of_one_state_may_be_given() -> None:
@@ -160,3 +169,119 @@ def test_ends_that_were_only_entered_are_counted() -> None:
     interval = by.interval(mdp, own_of(mdp, [0] * mdp.n_states), F(9, 10))
     assert interval.found["taken_for_ended"] == 40
     assert interval.found["cut_off"] == 0
+
+
+def test_what_neither_behaviour_nor_records_have_is_not_refused() -> None:
+    rows: Any = [(n, "a", "xy"[n < 20], n % 2, None) for n in range(40)]
+    frame = pd.DataFrame(rows, columns=NAMES)
+    mdp = MDP.from_transitions(frame, discount="1/2")
+    assert np.asarray(mdp.observations).tolist() == [20, 20, 0]
+    some = mdp.with_(observations=np.array([0, 20, 0]))  # x is offered, and was never taken
+    by = OffPolicy(records=frame.iloc[:20], behaviour="always:y", rewards=(0, 1), returns=(0, 1))
+    found = by.interval(some, own_of(mdp, [1] * mdp.n_states), F(9, 10)).found
+    assert (found["weighted"], found["effective_sample_size"]) == (0.5, 20)
+    # What is estimated from counts is never taken, too, where a state was met only once.
+    seldom = frame.iloc[19:]
+    once = MDP.from_transitions(seldom, discount="1/2")
+    once = once.with_(observations=np.array([0, 1, 0]))
+    by = OffPolicy(records=seldom.iloc[:1], rewards=(0, 1), returns=(0, 1))
+    with pytest.raises(ModelError, match="never takes an action that the policy takes"):
+        by.interval(once, own_of(mdp, [0] * mdp.n_states), F(9, 10))
+
+
+def test_returns_outside_the_stated_range_are_refused() -> None:
+    """Each reward fits, and two of them do not: 1 + 1 / 2."""
+    rows: Any = []
+    for n in range(20):
+        rows += [(n, "a", "xy"[n % 2], 1, "b"), (n, "b", "x", 1 - n % 2, None)]
+    frame = pd.DataFrame(rows, columns=NAMES)
+    for sense in ("max", "min"):
+        mdp = MDP.from_transitions(frame, discount="1/2").with_(sense=sense)
+        own = own_of(mdp, [0] * mdp.n_states)
+        for most, fits in ((1.5, True), (1.25, False)):
+            by = OffPolicy(records=frame, behaviour="random", rewards=(0, 1), returns=(0, most))
+            if fits:
+                assert by.interval(mdp, own, F(9, 10)).found["episodes"] == 20
+                continue
+            with pytest.raises(ModelError, match=r"returns from 1 to 1\.5 were recorded"):
+                by.interval(mdp, own, F(9, 10))
+
+
+def test_a_loss_is_proven_by_many_records() -> None:
+    """Action y earns 1 more, twice: x loses between 1 and 3 of 1 + 1."""
+    rows: Any = [(n, "a", "xy"[n % 2], 2 * (n % 2), None) for n in range(4000)]
+    frame = pd.DataFrame(rows, columns=NAMES)
+    mdp = MDP.from_transitions(frame, discount="1/2")
+    behaviour = np.full((mdp.n_states, 2), 0.5)  # probabilities, though they may be action values
+    by = OffPolicy(records=frame, behaviour=behaviour, rewards=(0, 2), returns=(0, 2))
+    interval = by.interval(mdp, own_of(mdp, [0] * mdp.n_states), F(9, 10))
+    best, own = interval.found["optimal_value"], interval.found["learned_value"]
+    assert best[0] < best[1]
+    assert own[0] < own[1]
+    assert (interval.low, interval.high) == (best[0] - own[1], best[1] - own[0])
+    assert 1 < interval.low < 2 <= interval.high
+    # Where nothing can be lost the upper end says so, too.
+    same = frame.assign(reward=0.5)
+    mdp = MDP.from_transitions(same, discount="1/2")
+    by = OffPolicy(records=same, behaviour="random", rewards=(0.5, 0.5), returns=(0.5, 0.5))
+    interval = by.interval(mdp, own_of(mdp, [0] * mdp.n_states), F(9, 10))
+    assert (interval.low, interval.high) == (0, pytest.approx(0, abs=1e-9))
+
+
+def test_episodes_that_the_policy_never_has_weigh_nothing() -> None:
+    rows: Any = [(0, "a", "x", 1, "b"), (0, "b", "y", 1, None), (1, "a", "y", 1, "b"),
+                 (1, "b", "x", 1, None)]  # fmt: skip
+    frame = pd.DataFrame(rows, columns=NAMES)
+    mdp = MDP.from_transitions(frame, discount="1/2")
+    by = OffPolicy(records=frame, behaviour="random", rewards=(0, 1), returns=(0, 2))
+    found = by.interval(mdp, own_of(mdp, [0] * mdp.n_states), F(9, 10)).found
+    assert np.isnan(found["weighted"])
+    assert (found["effective_sample_size"], found["ordinary"]) == (0, 0)
+    # A policy that nearly always does what was never recorded: weights 1/4 and 3/8, returns 3/2.
+    own = np.where(mdp.pair_action == 0, 0.875, 0.125)
+    own[mdp.forced[mdp.pair_state]] = 1
+    found = by.interval(mdp, own, F(9, 10)).found
+    assert found["weighted"] == pytest.approx(1.5)
+    assert found["ordinary"] == pytest.approx(1.5 * 4 * 0.875 * 0.125)
+    assert found["effective_sample_size"] == pytest.approx(2)
+
+
+def test_a_policy_by_time_is_weighted_by_time() -> None:
+    frame, mdp = data(0)
+    own = own_of(mdp, STAGES)
+    by = OffPolicy(records=frame, behaviour="random", rewards=(0, 1))
+    found = by.interval(mdp, own, F(9, 10)).found
+    chance = np.where(mdp.forced[mdp.pair_state], 1.0, 0.5)
+    w, returns, _, _ = map(np.array, zip(*looped(mdp, frame, own, chance, 3), strict=True))
+    assert found["weighted"] == pytest.approx((w * returns).sum() / w.sum())
+    assert found["cut_off"] == 0
+
+
+def test_one_episode_is_read_to_its_end() -> None:
+    """An end may be the first of all states, and an episode may be cut off without a next state."""
+    rows: Any = [
+        (0, "b", "x", 1, "d", False),
+        (0, "d", "y", 2, "a", False),
+        (1, "b", "y", 1, None, True),
+        (2, "b", "x", 1, "d", False),
+        (2, "d", "x", 0, None, False),
+        (3, "b", "x", 1, "d", True),
+        (4, "b", "x", 1, "c", False),
+    ]
+    frame = pd.DataFrame(rows, columns=[*NAMES, "truncated"])
+    mdp = MDP.from_transitions(frame, discount="1/2")
+    assert mdp.space.labels([0, 2]) == ["state a", "state c"]
+    assert mdp.terminal[[0, 2]].all()
+    ratio = np.full((1, mdp.n_pairs), 0.5)
+    record = transitions.TransitionRecord(frame, None)
+    w, returns, steps, cut, ended = _read_trajectories(mdp, ratio, record, None)
+    assert w.tolist() == [0.25, 0.5, 0.25, 0.5, 0.5]
+    assert returns.tolist() == [2, 1, 1, 1, 1]
+    assert steps.tolist() == [2, 1, 2, 1, 1]
+    assert cut.tolist() == [False, True, False, True, False]
+    assert ended == 2  # in the states a and c, which were entered and never left
+    for episode in (0, 2):
+        only = frame[frame["episode"] == episode]
+        record = transitions.TransitionRecord(only, None)
+        w, returns, steps, cut, _ = _read_trajectories(mdp, ratio, record, None)
+        assert (w.tolist(), steps.tolist(), cut.tolist()) == ([0.25], [2], [False])
