@@ -505,3 +505,18 @@ def test_another_discount_of_a_probability_is_kept() -> None:
     asked = two_steps().within(2, terminal_value={2: 8}).reaching("goal")
     assert asked.with_(discount="1/2").discount == 0.5
     assert certify(asked).start_value == certify(two_steps().within(2).reaching("goal")).start_value
+
+
+def test_a_curve_is_refused_where_a_state_of_a_horizon_is_over_at_one_end() -> None:
+    """At x = 1 state 0 is never left and earns nothing: it then stays at its time."""
+    rows = [(0, 0, [("1/3", 0, 0), ("2/3", 1, 0)]), (1, 0, [(1, 2, 5)]), (2, 0, [(1, 2, 0)])]
+    mdp = moving(MDP.from_outcomes(rows), {"x": [((0, 0), 0)]})
+    asked = mdp.with_question(lambda m: m.within(3))
+    with pytest.raises(ModelError, match="over in a state that is left at other values") as refused:
+        curve(asked, "x", (0, 1))
+    assert "x = 1" in refused.value.where
+    line = curve(asked, "x", (0, "9/10"))
+    assert line.violations() == []
+    for x in (F(0), F(1, 4), F(9, 10)):
+        # Left after one step or after two, in time to earn 5.
+        assert line.at(x) == certify(asked.at({"x": x})).start_value == 5 * (1 - x) * (1 + x)

@@ -117,6 +117,7 @@ def row_change(model: Parametric, name: str, piece: Piece, base: MDP) -> RowChan
     for point, other in sampled.items():
         with locate_errors(f"parameter {name} = {format_rational(point)}"):
             check_alike(base, other, start=True)
+            _require_same_ends(base, other)
     # Fit a polynomial through the points for each entry that changes.
     steps = [to_flint(point - origin) for point in points]
     changes = []
@@ -253,6 +254,21 @@ def check_alike(first: MDP, other: MDP, *, start: bool) -> None:
                 "0 at some; give an action that is not available a reward so low that it is never "
                 "taken",
             )
+
+
+def _require_same_ends(first: MDP, other: MDP) -> None:
+    """Raise ModelError if a state of a model of N steps is over in one of two models only.
+
+    It then stays at its time instead of moving to the next, so that rows are no polynomials.
+    """
+    differs = first.over != other.over
+    if TIME in first.space.names and differs.any():
+        raise ModelError(
+            "the episode is over in a state that is left at other values: it is never left here, "
+            "and has the reward 0",
+            where=first.space.place(int(differs.argmax())),
+            fix="choose a range without this value",
+        )
 
 
 def _interpolate_changes(
