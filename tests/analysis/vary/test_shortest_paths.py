@@ -5,11 +5,23 @@ from __future__ import annotations
 from dataclasses import replace
 from fractions import Fraction as F
 from random import Random
+from typing import Any
 
 import numpy as np
 import pytest
 
-from exact_mdp import MDP, Family, ModelError, certify, curve, evaluate, gradient, solve, thresholds
+from exact_mdp import (
+    MDP,
+    Family,
+    ModelError,
+    Parameter,
+    certify,
+    curve,
+    evaluate,
+    gradient,
+    solve,
+    thresholds,
+)
 
 RANGE = F(1, 10), F(9, 10)
 
@@ -189,3 +201,117 @@ def test_where_missing_the_goal_pays_staying_forever_does_too() -> None:
     for ask in (lambda: curve(family, "slip", RANGE), lambda: gradient(family)):
         with pytest.raises(ModelError, match="some policy never ends"):
             ask()
+
+
+# ---- what a critical reader found ----------------------------------------------------------------
+
+GOAL = {"sense": "min", "start": 0, "labels": {"g": [1]}}
+
+
+def along(build: Any, today: str | int, degree: int = 1, *, high: str | int = 1) -> Family:
+    x = Parameter(name="x", value=today, low=0, high=high)
+    return Family(parameters=(x,), build=build, degrees={"x": degree})
+
+
+def test_a_derivative_next_to_infinite_totals_is_refused() -> None:
+    """Today every run reaches the goal; nearby some miss it, with a chance that has no slope."""
+
+    def two_steps(at: dict[str, F]) -> MDP:
+        x = at["x"]
+        rows = [(0, 0, [(x, 1, 1), (1 - x, 2, 1)]), (1, 0, [(1, 1, 0)])]
+        rows += [(2, 0, [(x, 1, 1), (1 - x, 3, 1)]), (3, 0, [(1, 3, 1)])]
+        return MDP.from_outcomes(rows, **GOAL).until("g")
+
+    def touching(at: dict[str, F]) -> MDP:
+        p = (at["x"] - F(1, 3)) ** 2
+        rows = [(0, 0, [(p, 2, 1), (1 - p, 1, 1)]), (1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 0)])]
+        return MDP.from_outcomes(rows, **GOAL).until("g")
+
+    for family, near in ((along(two_steps, 1), F(99, 100)), (along(touching, "1/3", 2), F(1, 4))):
+        assert certify(family.at({"x": near})).start_value == np.inf
+        held: Any = {"policy": [0] * family.at({}).n_states}
+        for how in ({}, held, {**held, "exact": False}):
+            with pytest.raises(ModelError, match="next to today's value, the total may be inf"):
+                gradient(family, **how)
+
+
+def test_a_point_at_which_a_miss_vanishes_is_seen() -> None:
+    """At 1/3 action 0 is sure of the goal and costs 1; elsewhere only action 1 is, at 5."""
+
+    def build(at: dict[str, F]) -> MDP:
+        p = (at["x"] - F(1, 3)) ** 2
+        rows = [(0, 0, [(p, 2, 1), (1 - p, 1, 1)]), (0, 1, [(1, 1, 5)])]
+        rows += [(1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 0)])]
+        return MDP.from_outcomes(rows, **GOAL).until("g")
+
+    with pytest.raises(ModelError, match="outside the goal"):
+        curve(along(build, "1/2", 2), "x", (0, 1))
+    line = curve(along(build, "1/2", 2), "x", ("2/5", 1))
+    assert line.violations() == []
+    assert line.at("1/2") == 5
+
+
+def test_a_discount_that_touches_1_inside_is_seen() -> None:
+    def build(at: dict[str, F]) -> MDP:
+        rows = [(0, 0, [("1/2", 1, 1), ("1/2", 2, 1)]), (1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 0)])]
+        return MDP.from_outcomes(rows, 1 - (at["x"] - F(1, 3)) ** 2, **GOAL).until("g")
+
+    with pytest.raises(ModelError, match="outside the goal"):
+        curve(along(build, "1/4", 2), "x", (0, 1))
+
+
+def test_a_policy_that_never_ends_at_a_point_outside_its_pieces_is_sound() -> None:
+    """Action 0 ends with a chance of 0 at 1/2, where the other action is taken."""
+
+    def build(at: dict[str, F]) -> MDP:
+        p = (at["x"] - F(1, 2)) ** 2
+        rows = [(0, 0, [(p, 1, 1), (1 - p, 0, 1)]), (0, 1, [(1, 1, 10)]), (1, 0, [(1, 1, 0)])]
+        return MDP.from_outcomes(rows, sense="min", start=0)
+
+    line = curve(along(build, "1/4", 2), "x", (0, 1))
+    assert len(line.pieces) == 3
+    assert line.violations() == []
+    for x in (F(0), F(1, 4), F(1, 2), F(9, 10)):
+        assert line.at(x) == certify(build({"x": x})).start_value
+
+
+def test_forged_values_of_ends_origins_and_claims_are_found() -> None:
+    def build(at: dict[str, F]) -> MDP:
+        x = at["x"]
+        rows = [(0, 0, [(x, 0, 1), (1 - x, 1, 1)]), (0, 1, [(1, 1, 3)]), (1, 0, [(1, 1, 0)])]
+        return MDP.from_outcomes(rows, sense="min", start={0: "1/2", 1: "1/2"})
+
+    family = along(build, "1/2", high="9/10")
+    line = curve(family, "x", (0, "9/10"), policy=[0, 0])
+    assert line.violations() == []
+    first, *others = line.pieces
+    assert first.fixed_values is not None
+    forged = []
+    for name in ("values", "fixed_values"):
+        (top, _), below = getattr(first, name)
+        forged.append(replace(first, **{name: ([top, 5 * below], below)}))
+    forged.append(replace(first, optimal=~first.optimal))
+    for piece in forged:
+        assert replace(line, pieces=(piece, *others)).violations()
+    assert replace(line, checked=None).violations()
+    assert replace(line, mdp=family.at({"x": "1/4"})).violations()
+
+    # A section from an origin at which a step outside the goal is not seen.
+    def hidden(at: dict[str, F]) -> MDP:
+        rows = [(0, 0, [(1 - at["x"], 1, 1), (at["x"], 2, 1)])]
+        rows += [(1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 0)])]
+        return MDP.from_outcomes(rows, start=0, labels={"g": [1]}).until("g")
+
+    def harmless(at: dict[str, F]) -> MDP:
+        rows = [(0, 0, [(1, 1, 1)]), (1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 0)])]
+        return MDP.from_outcomes(rows, start=0, labels={"g": [1]}).until("g")
+
+    plain = curve(along(harmless, 0), "x", (0, "1/2"))
+    section = replace(plain.pieces[0].section, origin=F(0))
+    stolen = replace(
+        plain,
+        family=along(hidden, 0),
+        mdp=hidden({"x": F(0)}),
+        pieces=tuple(replace(each, section=section) for each in plain.pieces),
+    )
+    assert any("origin" in each for each in stolen.violations())

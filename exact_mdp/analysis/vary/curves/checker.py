@@ -115,11 +115,18 @@ class CurvePiece:
 
 
 def piece_violations(
-    family: Parametric, name: str, pieces: Sequence[CurvePiece], held: PolicyPairs | None, sign: int
+    family: Parametric,
+    name: str,
+    pieces: Sequence[CurvePiece],
+    held: PolicyPairs | None,
+    sign: int,
+    *,
+    proven: bool = False,
 ) -> Iterator[str]:
     """Yield the violations of pieces of a model that maximises; none if all are sound.
 
-    `held` is the policy held fixed; sign is -1 if values at the start are costs.
+    `held` is the policy held fixed; sign is -1 if values at the start are costs. `proven` says that
+    the degree of the rows is claimed to be known, not tested at some points.
     """
     last, turning = None, list[fmpq_poly]()
     for piece in pieces:
@@ -132,6 +139,8 @@ def piece_violations(
             if any(low < cut < high for cut in family.breakpoints(name)):
                 yield "rows pass to other polynomials inside a section"
             yield from equations.find_faults()
+            if proven and equations.change.checked is not None:
+                yield "the degree of the rows was tested at some points, not proven"
         # A pair is open if its gap may turn negative in the rest of the section.
         turning = [equations.gap[pair] for pair in open_]
         changed = open_ | equations.update_gaps(piece.values)
@@ -172,9 +181,17 @@ def _not_optimal(equations: SectionEquations, piece: CurvePiece, open_: set[int]
         marked = [bool(piece.optimal[pair]) for pair in pairs]
         if not any(marked) or marked != [equations.gap[pair].degree() < 0 for pair in pairs]:
             yield f"the pairs of state {state} from {at} on are not those that are optimal"
+    yield from _not_ended(equations, piece.values, at)
     for pair in open_:
         if not is_nonnegative(equations.gap[pair], piece.low[1], piece.high[0]):
             yield f"a pair of state {equations.state[pair]} is better from {at} on"
+
+
+def _not_ended(equations: SectionEquations, values: Values, at: str) -> Iterator[str]:
+    """Yield a reason if a state that is terminal throughout has a value other than 0."""
+    live = set(equations.live)
+    if any(value.degree() >= 0 for s, value in enumerate(values[0]) if s not in live):
+        yield f"a terminal state is worth something from {at} on"
 
 
 def _not_of(equations: SectionEquations, piece: CurvePiece, held: PolicyPairs) -> Iterator[str]:
@@ -185,6 +202,7 @@ def _not_of(equations: SectionEquations, piece: CurvePiece, held: PolicyPairs) -
         return
     if not is_positive(values[1], piece.low[0], piece.high[1]):
         yield f"the denominator of the policy held fixed from {at} on is not positive"
+    yield from _not_ended(equations, values, at)
     taken = list_pairs(held)
     if not set(taken).isdisjoint(equations.barred):
         yield f"the policy held fixed may miss the goal from {at} on"

@@ -36,7 +36,7 @@ from exact_mdp.analysis.vary.curves.walk import pieces_of
 from exact_mdp.analysis.vary.ranges import Range, range_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
-from exact_mdp.mdp.exact import to_flint
+from exact_mdp.mdp.exact import fingerprint, to_flint
 from exact_mdp.mdp.graph import has_improper_policy
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
@@ -239,8 +239,11 @@ class ValueFunction(Pictured):
                 wrong.append(f"no piece covers {format_rational(end[1])}")
         if ends[-1] != (self.range.high,) * 2:
             wrong.append(f"no piece covers {format_rational(self.range.high)}")
+        if fingerprint(self.mdp.maximised) != fingerprint(self.family.at({})):
+            wrong.append("the model is not the model of today's values")
         name, held, sign = self.parameter.name, _to_rational_weights(self.chain), self.mdp.sign
-        return [*wrong, *piece_violations(self.family, name, self.pieces, held, sign)]
+        how = {"proven": self.checked is None}
+        return [*wrong, *piece_violations(self.family, name, self.pieces, held, sign, **how)]
 
     def report(self, within: Sequence[ParameterInterval] | None = None) -> Report:
         """Return the pieces; `within` are the intervals in which a fixed policy keeps a limit."""

@@ -29,6 +29,7 @@ from exact_mdp.analysis.vary.curves.roots import (
     is_positive,
     isolate_roots,
     remove_double_roots,
+    roots_on,
 )
 from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.exact import to_flint
@@ -124,7 +125,7 @@ class SectionEquations:
             return self._finds_missed_goal()
         # At a point where some transition vanishes more pairs may be safe, and the optimum jumps.
         found: list[list[bool]] = []
-        for place in self._list_places():
+        for place in self._list_places(missing):
             graph = self._build_graph(place, missing)
             end = np.arange(graph.states) == graph.states - 1
             unsafe = graph.compute_rounds(end, ~np.zeros(len(missing), dtype=bool)) != 0
@@ -178,11 +179,19 @@ class SectionEquations:
         self.values = values
         return changed
 
+    @property
+    def shows_all_steps(self) -> bool:
+        """Whether no probability that moves is 0 at the origin: its model has all transitions."""
+        there = transition_entries(self.mdp)[0]
+        return bool(np.isin(self.change.transition.key, there).all())
+
     # ---- one solution ----------------------------------------------------------------------------
 
     def find_faults(self) -> Iterator[str]:
         """Yield the reasons why rows may not be probabilities, or solutions not unique."""
         low, high = self.low, self.high
+        if not self.shows_all_steps:
+            yield "a probability that moves is 0 at the origin of the section"
         chances = []
         for row in self.following.values():
             chances += [p for _, p in row]
@@ -207,6 +216,11 @@ class SectionEquations:
             if self.mdp.discount_exact != 1 and self.rate(to_flint(end)) == 1:
                 models.append(self.family.at({self.change.name: end}))
         met = find_reachable_states(self.mdp)
+        # A discount may also touch 1 inside.
+        touches = self.rate.degree() > 0 and roots_on(self.rate - 1, self.low, self.high)
+        outside = self.mdp.terminal & ~self.mdp.target & met
+        if touches and self.mdp.discount_exact != 1 and outside.any():
+            return True
         return any((find_ends_outside_goal(mdp) & met).any() for mdp in models)
 
     def one_solution(self) -> bool:
@@ -250,7 +264,7 @@ class SectionEquations:
         """Whether some policy of the given pairs ends from every state, between two points."""
         taken = np.isin([*self.following], [*pairs])
         for place, graph in self._graphs:
-            if place is None or (place.low <= high and low <= place.high):
+            if place is None or place.lies_between(low, high):
                 end = np.arange(graph.states) == graph.states - 1
                 if (graph.compute_distance(end, taken)[self.live] < 0).any():
                     return False
@@ -259,15 +273,15 @@ class SectionEquations:
     @cached_property
     def _graphs(self) -> list[tuple[Root | None, PairGraph]]:
         """The graph of the pairs at each of the places."""
-        return [(place, self._build_graph(place, {})) for place in self._list_places()]
+        return [(place, self._build_graph(place, {})) for place in self._list_places({})]
 
-    def _list_places(self) -> list[Root | None]:
+    def _list_places(self, missing: Steps) -> list[Root | None]:
         """Return the points at which some transition vanishes; None stands for all others."""
         places: list[Root | None] = [None]
         for end in (self.low, self.high):
             places.append(Root(poly=fmpq_poly(), low=end, high=end))
         chances = self._list_exit_probabilities()
-        for row in self.following.values():
+        for row in (*self.following.values(), *missing.values()):
             chances += [p for _, p in row]
         for chance in _remove_duplicates(chances):
             places += isolate_roots(remove_double_roots(chance), self.low, self.high)

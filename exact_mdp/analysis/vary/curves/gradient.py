@@ -270,11 +270,16 @@ def gradient(
     # Derivatives of a total at discount 1 need runs that end, of all policies or of the given one.
     mdp = family.at({})
     reoptimised = isinstance(policy, str) and policy == "optimal"
-    if reoptimised:
-        finite = not has_improper_policy(mdp) or is_shortest_path(mdp)
-    else:
-        finite = not has_improper_policy(mdp) or has_sure_end(PolicyChain.of(mdp, policy))
-    if not finite:
+
+    def is_finite(model: MDP) -> bool:
+        """Return whether the optimum, or the given policy, has finite totals in a model."""
+        if not has_improper_policy(model):
+            return True
+        if reoptimised:
+            return is_shortest_path(model)
+        return has_sure_end(PolicyChain.of(model, policy))
+
+    if not is_finite(mdp):
         raise make_improper_error(
             "today's parameters", beside=prove_termination(mdp).proven, ranges=False
         )
@@ -288,7 +293,7 @@ def gradient(
     start, _ = passed
     derivatives = {}
     for each in parameters:
-        derivatives[each.name] = _compute_derivative(family, mdp, passed, each)
+        derivatives[each.name] = _compute_derivative(family, mdp, passed, each, is_finite)
     return Gradient(
         model=family.name,
         start=start,
@@ -312,7 +317,11 @@ def _is_quick(mdp: MDP) -> bool:
 
 
 def _compute_derivative(
-    family: Parametric, mdp: MDP, passed: Pass, parameter: Parameter
+    family: Parametric,
+    mdp: MDP,
+    passed: Pass,
+    parameter: Parameter,
+    is_finite: Callable[[MDP], bool],
 ) -> Derivative:
     start, slope = passed
 
@@ -324,6 +333,7 @@ def _compute_derivative(
         if piece is None:
             return None
         number, points = slope(compute_row_change(piece), sign), compute_row_change(piece).checked
+        _require_finite_side(compute_row_change(piece), mdp, sign, family, is_finite)
         if points is None:
             return number
         return Checked(number=number, points=points)
@@ -337,6 +347,33 @@ def _compute_derivative(
     # The elasticity (θ / V) dV/dθ.
     share = Fraction(each.value.value) * parameter.value / Fraction(start.value)
     return replace(each, elasticity=in_float(share))
+
+
+def _require_finite_side(
+    change: RowChange,
+    mdp: MDP,
+    sign: int,
+    family: Parametric,
+    is_finite: Callable[[MDP], bool],
+) -> None:
+    """Raise ModelError if totals may be infinite next to today's value, on one side of it.
+
+    They may be only if a transition appears there; a model nearby then has the same ones.
+    """
+    appears = ~np.isin(change.transition.key, transition_entries(mdp)[0])
+    if mdp.discount_exact != 1 or not appears.any():
+        return
+    origin, end = change.piece.origin, change.piece.high
+    if sign < 0:
+        end = change.piece.low
+    # A point that no transition is likely to vanish at.
+    near = family.at({change.name: origin + (end - origin) * Fraction(37, 97 * 10**6)})
+    if not is_finite(near):
+        raise ModelError(
+            "next to today's value, the total may be infinite",
+            where=f"parameter {change.name}",
+            fix="choose a discount below 1 (--discount 0.95), or leave this parameter out (names=)",
+        )
 
 
 # ---- one pass ------------------------------------------------------------------------------------

@@ -55,6 +55,16 @@ class Root:
                 begin = middle
         return replace(self, low=from_flint(begin), high=from_flint(end))
 
+    def lies_between(self, low: Fraction, high: Fraction) -> bool:
+        """Return whether the root is in a closed interval."""
+        root = self
+        for end in (low, high):
+            while root.low < end < root.high and compute_sign(root.poly, end) != 0:
+                root = root.narrow_to_width((root.high - root.low) / 4)
+            if root.low < end < root.high:
+                return True  # the end is the root
+        return low <= root.low and root.high <= high
+
     def isolate_beyond(self, point: Fraction, width: Fraction) -> Root:
         """Return the root in an interval of this width beyond a point, whose ends are not roots.
 

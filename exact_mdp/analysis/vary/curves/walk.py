@@ -46,7 +46,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import to_flint
 from exact_mdp.mdp.model import MDP, cache_on_model
 from exact_mdp.mdp.parametric import Parametric
-from exact_mdp.mdp.parametric.row_change import Piece, interpolate_polynomials, transition_entries
+from exact_mdp.mdp.parametric.row_change import Piece, interpolate_polynomials
 from exact_mdp.mdp.table import Integers, format_rational
 from exact_mdp.solvers.solution import Bounded, Certified
 
@@ -302,8 +302,7 @@ def _build_section_equations(
     for share in chain([Fraction(1, 2)], (Fraction(37 + k, 97 + 2 * k) for k in count())):
         origin = low + (high - low) * share
         equations = SectionEquations(family, name, Piece(low=low, high=high, origin=origin))
-        moving, there = equations.change.transition.key, transition_entries(equations.mdp)[0]
-        if np.isin(moving, there).all():
+        if equations.shows_all_steps:
             return equations
     raise AssertionError("unreachable")
 
