@@ -259,7 +259,7 @@ def check_alike(first: MDP, other: MDP, *, start: bool) -> None:
 def _require_same_ends(first: MDP, other: MDP) -> None:
     """Raise ModelError if a state of a model of N steps is over in one of two models only.
 
-    It then stays at its time instead of moving to the next, so that rows are no polynomials.
+    It then stays at its time instead of moving to the next, so that its rows are not polynomials.
     """
     differs = first.over != other.over
     if TIME in first.space.names and differs.any():
