@@ -39,8 +39,7 @@ def pytest_collection() -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Leave the thousands of tests out of each search for garbage: they stay until the end."""
-    gc.freeze()
+    """Look for garbage again."""
     gc.enable()
 
 
