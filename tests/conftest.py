@@ -2,7 +2,6 @@
 
 import gc
 import os
-import sys
 from collections.abc import Callable, Iterator
 from functools import wraps
 from typing import Any
@@ -19,8 +18,6 @@ settings.register_profile(
 settings.register_profile(
     "explore", deadline=None, suppress_health_check=[HealthCheck.too_slow], print_blob=True
 )
-# What nbformat would import to check addresses, which no notebook has, takes a second.
-sys.modules["rfc3987_syntax"] = None  # type: ignore[assignment]
 for name in ("GITHUB_ACTIONS", "GITHUB_STEP_SUMMARY"):  # tests that need them set them
     os.environ.pop(name, None)
 

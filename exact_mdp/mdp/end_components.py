@@ -131,7 +131,7 @@ def is_shortest_path(mdp: MDP) -> bool:
     if mdp.goal is not None:
         pays = mdp.sign * mdp.unreached > 0
         if not pays:
-            needed = mdp.start_distribution > 0
+            needed = np.isin(np.arange(mdp.n_states), [s for s, weight in mdp.start if weight])
     inside = (safe & ~ends)[mdp.pair_state] & graph.find_pairs_within(safe)
     _, staying = graph.end_components(inside)
     earned, _ = mdp.table.expected_gain_exact

@@ -21,7 +21,6 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from exact_mdp.mdp import questions
-from exact_mdp.mdp.by_fields import ByFields
 from exact_mdp.mdp.components import named_components, wrong_rows
 from exact_mdp.mdp.errors import (
     ModelError,
@@ -40,7 +39,7 @@ from exact_mdp.mdp.io.transitions import FromTransitions
 from exact_mdp.mdp.questions import Questions
 from exact_mdp.mdp.result import ROWS_SHOWN, DataFrame, data_frame, plain_report
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Floats, Integers, Numbers, OutcomeTable
+from exact_mdp.mdp.table import ByFields, Floats, Integers, Numbers, OutcomeTable
 from exact_mdp.mdp.validate import (
     as_discount,
     as_flags,

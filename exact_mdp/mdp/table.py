@@ -11,7 +11,7 @@ number rounded once.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from decimal import MAX_EMAX, MIN_EMIN, Context, Decimal
 from fractions import Fraction
 from functools import cached_property, lru_cache
@@ -24,7 +24,6 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.by_fields import ByFields
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.forms.rows import FLOAT_ROW_TOLERANCE as FLOAT_ROW_TOLERANCE
 from exact_mdp.mdp.forms.rows import (
@@ -54,6 +53,20 @@ MOST_BYTES = 10 * 10**9
 BLOCK = 2**22  # numbers of an intermediate array in memory at once: 32 MB
 MOST_NUMBERS = 10**8  # numbers of one matrix, which take about a gigabyte
 MOST_DIGITS = 4000  # digits of a number given as text: Python itself stops at 4,300
+
+
+class ByFields:
+    """A dataclass that is copied and pickled by its fields only; arrays stay read-only."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        parts: Any = self
+        return {part.name: getattr(self, part.name) for part in fields(parts)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+            object.__setattr__(self, name, value)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

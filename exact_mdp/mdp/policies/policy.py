@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from exact_mdp.mdp.by_fields import ByFields
 from exact_mdp.mdp.errors import (
     ModelError,
     check_names,
@@ -47,6 +46,7 @@ from exact_mdp.mdp.result import ROWS_SHOWN, data_frame, plain_report
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     FLOAT_ROW_TOLERANCE,
+    ByFields,
     Floats,
     Integers,
     Numbers,

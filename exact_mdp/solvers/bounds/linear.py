@@ -26,11 +26,11 @@ from scipy.linalg import lapack
 from scipy.sparse import csgraph
 from scipy.sparse.linalg import splu
 
-from exact_mdp.mdp.by_fields import ByFields
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import (
     COMPILED,
     MOST_NUMBERS,
+    ByFields,
     Floats,
     Integers,
     Numbers,

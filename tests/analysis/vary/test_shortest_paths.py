@@ -315,3 +315,17 @@ def test_forged_values_of_ends_origins_and_claims_are_found() -> None:
         pieces=tuple(replace(each, section=section) for each in plain.pieces),
     )
     assert any("origin" in each for each in stolen.violations())
+
+
+def test_a_start_too_unlikely_for_a_float_counts() -> None:
+    """Once in 10^400 runs begin in an end outside the goal: the total is infinite."""
+
+    def build(at: dict[str, F]) -> MDP:
+        rows = [(0, 0, [(1 - at["x"], 1, 1), (at["x"], 0, 1)]), (0, 1, [(1, 0, 1)])]
+        rows += [(1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 0)])]
+        start = {0: 1 - F(1, 10**400), 2: F(1, 10**400)}
+        return MDP.from_outcomes(rows, **GOAL | {"start": start}).until("g")
+
+    for ask in (gradient, lambda family: curve(family, "x", RANGE)):
+        with pytest.raises(ModelError, match=r"outside the goal|some policy never ends"):
+            ask(along(build, "1/2"))

@@ -360,14 +360,18 @@ def _require_finite_side(
 
     They may be only if a transition appears there; a model nearby then has the same ones.
     """
-    appears = ~np.isin(change.transition.key, transition_entries(mdp)[0])
-    if mdp.discount_exact != 1 or not appears.any():
+    moving = change.transition.key
+    if mdp.discount_exact != 1 or np.isin(moving, transition_entries(mdp)[0]).all():
         return
     origin, end = change.piece.origin, change.piece.high
     if sign < 0:
         end = change.piece.low
-    # A point that no transition is likely to vanish at.
-    near = family.at({change.name: origin + (end - origin) * Fraction(37, 97 * 10**6)})
+    # The nearest of some points at which no transition vanishes: each does so at few points.
+    roots = sum(max(moved.degree(), 0) for moved in change.transition.moved)
+    for k in range(roots + 1):
+        near = family.at({change.name: origin + (end - origin) * Fraction(1 + k, 10**6 + roots)})
+        if np.isin(moving, transition_entries(near)[0]).all():
+            break
     if not is_finite(near):
         raise ModelError(
             "next to today's value, the total may be infinite",

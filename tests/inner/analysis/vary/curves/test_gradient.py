@@ -111,7 +111,7 @@ def test_mixtures_of_actions_have_the_mixed_rows() -> None:
             for a, b in zip(first.laws, second.laws, strict=True)
         )
         paid = tuple(x / 3 + 2 * y / 3 for x, y in zip(first.reward, second.reward, strict=True))
-        rows = (type(first)(0, 0, laws, paid), *others)  # type: ignore[arg-type]
+        rows = (type(first)(0, 0, laws, paid), *others)
         mixed = CurvedModel(rows, model.states, model.rate, model.start)
         policy = next(iter(mixed.policies()))
         shares = {"state 0": {"0": "1/3", "1": "2/3"}}
@@ -172,15 +172,15 @@ def test_tables_have_the_largest_elasticity_first() -> None:
         assert row["elasticity (% per %)"] == each.elasticity
         assert (row["policy"], row["claim"]) == ("re-optimised", "certified")
     facts = found.report().facts
-    assert facts["derivatives"] == {n: float(found[n].value.value) for n in found.derivatives}  # type: ignore[union-attr]
+    assert facts["derivatives"] == {n: float(found[n].value.value) for n in found.derivatives}
     assert facts["error_bounds"].value == dict.fromkeys(found.derivatives, 0.0)
-    assert facts["exact_derivatives"].value["stay"] == found["stay"].value.value  # type: ignore[union-attr]
+    assert facts["exact_derivatives"].value["stay"] == found["stay"].value.value
     assert "error_bound" not in facts
     fixed = gradient(NAMED, policy=[0, 0, 0], exact=False)
     assert fixed.frame()["policy"].tolist() == ["fixed"] * len(order)
     assert fixed.report().facts["policy"] == "fixed"
     errors = fixed.report().facts["error_bounds"].value
-    assert errors["stay"] == fixed["stay"].value.error > 0  # type: ignore[union-attr]
+    assert errors["stay"] == fixed["stay"].value.error > 0
 
 
 def test_at_a_tie_and_at_a_breakpoint_the_sides_differ() -> None:
@@ -190,7 +190,7 @@ def test_at_a_tie_and_at_a_breakpoint_the_sides_differ() -> None:
         build=lambda at: MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [[at["t"], "1/2"], [0, 0]], 1),
     )
     each = gradient(bets)["t"]
-    assert (each.left.value, each.right.value, each.value, each.elasticity) == (0, 1, None, None)  # type: ignore[union-attr]
+    assert (each.left.value, each.right.value, each.value, each.elasticity) == (0, 1, None, None)
     row = gradient(bets).report().tables["derivatives"].rows[0]
     assert row["derivative (reward per unit)"] == "0 | 1"
     size = Family(
@@ -200,7 +200,7 @@ def test_at_a_tie_and_at_a_breakpoint_the_sides_differ() -> None:
     )
     for exact in (True, False):
         each = gradient(size, exact=exact)["t"]
-        assert (each.left.value, each.right.value, each.value) == (-1, 1, None)  # type: ignore[union-attr]
+        assert (each.left.value, each.right.value, each.value) == (-1, 1, None)
 
 
 def test_rationals_are_taken_of_models_that_are_small_or_without_cycles(
@@ -291,7 +291,7 @@ def test_a_state_that_is_over_today_and_begins_next_to_today_needs_an_action(exa
     assert float(slope.value) == pytest.approx(2)  # 1/2 · 2 (1 + 1/2 + …)
     if exact:
         each = gradient(family)["t"]
-        assert (each.left.value, each.right.value) == (1, 2)  # type: ignore[union-attr]
+        assert (each.left.value, each.right.value) == (1, 2)
     else:
         with pytest.raises(ModelError, match="several actions are optimal"):
             gradient(family, exact=False)
