@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from fractions import Fraction
+from math import isfinite
 from typing import Any, Self
 
 import numpy as np
@@ -122,7 +123,7 @@ class FromFunction(FromArrays):
                 answer = _call_user_function(outcomes, state, action, where=where, fix=OUTCOMES)
                 try:
                     every = [*map(_parse_outcome, answer)]
-                    possible = [each for each in every if exact(each[0])]
+                    possible = [each for each in every if _is_possible(each[0])]
                 except ModelError:
                     with locate_errors(where):
                         raise
@@ -180,13 +181,20 @@ def _call_user_function(ask: Callable[..., Any], *of: Any, where: str, fix: str)
     raise ModelError(f"the function returns {answer!r}, not a list", where=where, fix=fix)
 
 
+def _is_possible(chance: Any) -> bool:
+    """Return whether a probability is not 0; raise ModelError if it is not a number."""
+    if type(chance) is float and isfinite(chance):  # to make a fraction takes longer
+        return chance != 0
+    return exact(chance) != 0
+
+
 def _parse_outcome(given: Any) -> tuple[Any, Hashable, Any]:
     """Return an outcome as (probability, next state, reward); raise ModelError for another form."""
     try:
         probability, following, reward = given
     except (TypeError, ValueError) as error:
         raise ModelError(f"an outcome is {given!r}", fix=OUTCOMES) from error
-    if type(reward) is int or type(reward) is Fraction:  # isinstance takes longer
+    if type(reward) in (int, float, Fraction):  # isinstance takes longer
         return probability, following, reward
     amounts = [reward]
     if isinstance(reward, Mapping):

@@ -75,14 +75,14 @@ class OutcomeColumns:
 
     def add_pair(self, state: int, action: int, outcomes: Iterable[tuple[Any, int, Any]]) -> None:
         """Add a pair with its outcomes: probability, next state, reward."""
-        before = len(self.chance)
-        for chance, following, gain in outcomes:
-            self.chance.append(chance)
-            self.following.append(following)
-            self.gain.append(gain)
+        listed = [*outcomes]
+        columns = self.chance, self.following, self.gain
+        # By columns, as to append each number alone takes twice as long.
+        for column, own in zip(columns, zip(*listed, strict=True), strict=bool(listed)):
+            column.extend(own)
         self.state.append(state)
         self.action.append(action)
-        self.length.append(len(self.chance) - before)
+        self.length.append(len(listed))
 
 
 def name_columns(

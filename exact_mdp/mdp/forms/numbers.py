@@ -330,8 +330,8 @@ def to_dense(values: Any) -> Any:
 def one_kind(values: Sequence[Any]) -> Numbers:
     """Return an array of floats or 64-bit integers if all numbers are of that kind, or objects."""
     kinds = set(map(type, values))
-    if kinds == {float}:
-        return np.array(values)
+    if kinds and kinds <= {float, np.float64}:
+        return np.array(values, dtype=np.float64)
     if kinds == {int} and find_magnitude(to_integer_array(values)) < EXACT_IN_INT64:
         return np.array(values)
     numbers = np.empty(len(values), dtype=object)
