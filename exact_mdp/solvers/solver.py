@@ -14,7 +14,6 @@ from typing import Any, Literal
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options, require_known_name
-from exact_mdp.mdp.graph import has_improper_policy, is_acyclic
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions import REACHED
 from exact_mdp.mdp.table import COMPILED
@@ -189,9 +188,9 @@ def _find_best_total(mdp: MDP, solver: Any, tol: float | None, start: Any = None
         )
         negated: Solution = solve_negated(mdp, find_best)
         return negated
-    if has_improper_policy(mdp):
+    if mdp.ends.has_improper_policy:
         return solve_total(mdp, partial(_find_best_total, solver=solver, tol=tol))
-    if solver == "auto" and is_acyclic(mdp):
+    if solver == "auto" and mdp.ends.is_acyclic:
         check_tolerance("solve", tol)
         solution = _mark_if_imprecise(BackwardInduction().solve_rewards(mdp), tol)
     else:

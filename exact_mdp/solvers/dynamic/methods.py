@@ -23,7 +23,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.graph import is_acyclic
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.bounds.bounds import bound_optimal_values, solve_backward
 from exact_mdp.solvers.dynamic.base import (
@@ -243,7 +242,7 @@ class BackwardInduction(Solver):
     def maximise(self, model: MDP) -> Solution:
         """Return the optimum; raise ModelError if the model has a cycle."""
         started = perf_counter()
-        if not is_acyclic(model):
+        if not model.ends.is_acyclic:
             raise ModelError(
                 "backward induction needs a model without cycles",
                 where=f"model {model.name}".strip(),

@@ -17,7 +17,7 @@ from fractions import Fraction
 import numpy as np
 
 from exact_mdp.mdp.end_components import PairGraph
-from exact_mdp.mdp.graph import Mask, prove_termination
+from exact_mdp.mdp.graph import Mask
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Integers, OutcomeTable, Rows, make_ones, to_integer_array
@@ -39,7 +39,7 @@ class Derived:
         Policy iteration in floats, from a policy that ends, finds these pairs.
         """
         mdp = self.mdp
-        if prove_termination(mdp).proven:
+        if mdp.ends.termination.proven:
             return self
         # A policy that always moves nearer to the end is proper; improve it.
         graph, pairs = PairGraph.of(mdp), mdp.pair_offsets[:-1].copy()
@@ -58,7 +58,7 @@ class Derived:
             limit /= 16
             pairs = np.flatnonzero(~(losing & (gain.value <= limit)))
             part = of_pairs(mdp, pairs)
-            if prove_termination(part).proven:
+            if part.ends.termination.proven:
                 return replace(self, mdp=part, source=self.source[pairs])
             if not (losing & (gain.value > limit)).any():
                 break

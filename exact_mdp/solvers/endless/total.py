@@ -101,7 +101,7 @@ def round_exact_solution(mdp: MDP, criterion: str = "total") -> Solution:
     """Return exact values, or exact gain and bias for an average reward, each rounded once."""
     # Solve and prove in rationals; values of +∞ and -∞ must not meet at the start.
     started, average = perf_counter(), criterion == "average"
-    if mdp.goal is not None and not average:
+    if mdp.ends.has_goal and not average:
         proof = prove_goal_total(mdp)
     else:
         proof = prove_gain_and_bias(mdp, criterion)
@@ -148,13 +148,7 @@ class Structure:
     """
 
     def __init__(self, mdp: MDP) -> None:
-        self.mdp, self.graph, goal = mdp, PairGraph.of(mdp), mdp.goal
-        # (S,) the terminal states, or the goal.
-        if goal is None:
-            self.ends = mdp.terminal
-        else:
-            self.ends = goal
-        ends = self.ends
+        self.mdp, self.graph, ends = mdp, PairGraph.of(mdp), mdp.ends.destination
         graph, every = self.graph, np.ones(mdp.n_pairs, dtype=bool)
         # (S,) the end component of each state, without ends, or -1; (L,) the pairs inside these.
         self.label, self.within = graph.end_components(~ends[mdp.pair_state])
@@ -167,7 +161,7 @@ class Structure:
         # The components in which a run earns +∞, or misses a goal if that is worth +∞.
         self.core = np.arange(count)
         self.decided = True  # whether signs decide everything
-        if _missing_pays(mdp):
+        if mdp.ends.missing_pays:
             return
         # Quiet components: the end components of the pairs without reward.
         rewards, owner = np.sign(mdp.table.expected_gain_exact[0]), label[mdp.pair_state]
@@ -188,19 +182,21 @@ class Structure:
         value_sign = np.append(best, -1)[label]  # the sign of each state's component
         # Safe states: some policy avoids -∞ with probability 1.
         havens = ends
-        if goal is None:
+        if not mdp.ends.has_goal:
             havens = ends | (value_sign >= 0)
         safe = graph.compute_rounds(havens, every) == 0
         # The value is +∞ if a component of positive gain can be reached along safe states.
         positive = (value_sign > 0) & safe
         win = safe & (graph.compute_distance(positive, graph.find_pairs_within(safe)) >= 0)
-        if goal is not None:
+        if mdp.ends.has_goal:
             no_falling(mdp, win)
         sign = self.sign = np.where(win, 1, np.where(safe, 0, -1))
         # Signs do not decide if +∞ can be reached only at a risk of -∞, or if rewards may cancel.
-        lost = goal is None and (graph.compute_distance(value_sign > 0, every) >= 0) & ~win
         cancels = np.isin(label, both[best[both] == 0]) & (sign == 0)
-        self.decided = not (np.any(lost) or cancels.any())
+        self.decided = not cancels.any()
+        if not mdp.ends.has_goal:
+            lost = (graph.compute_distance(value_sign > 0, every) >= 0) & ~win
+            self.decided &= not lost.any()
         self.rest = np.where(sign == 0, quiet, -1)
         self.inside = still & (sign == 0)[mdp.pair_state] & graph.find_pairs_within(sign == 0)
         self.core = np.unique(label[win & (value_sign > 0)])
@@ -210,10 +206,10 @@ class Structure:
 
         Each rest becomes one state, with a pair to the end if staying is allowed.
         """
-        mdp, rest, finite, free = self.mdp, self.rest, self.sign == 0, self.mdp.goal is None
+        mdp, rest, finite, free = self.mdp, self.rest, self.sign == 0, not self.mdp.ends.has_goal
         # Pairs between states of finite values, without the pairs inside a rest.
         pairs = (
-            (finite & ~self.ends)[mdp.pair_state]
+            (finite & ~mdp.ends.destination)[mdp.pair_state]
             & self.graph.find_pairs_within(finite)
             & ~self.inside
         )
@@ -227,14 +223,14 @@ class Structure:
         rests = []
         if free:
             rests = [(k, Fraction(0)) for k in range(int(merged.sum()))]
-        single = finite & ~self.ends & (rest < 0)
+        single = finite & ~mdp.ends.destination & (rest < 0)
         label[single] = int(merged.sum()) + np.arange(int(single.sum()))
         return build_derived_model(mdp, np.flatnonzero(pairs), label, rests=rests)
 
     def lift_policy(self, label: Integers, chosen: Integers) -> Integers:
         """Return the policy (S,) of the model, given the finite model's source pairs (S',)."""
         graph, mdp, rest = self.graph, self.mdp, self.rest
-        pairs, target = mdp.pair_offsets[:-1].copy(), self.ends & (self.sign == 0)
+        pairs, target = mdp.pair_offsets[:-1].copy(), mdp.ends.destination & (self.sign == 0)
         # States that were not merged take the pair itself.
         taken = chosen[label]
         leaves = (taken >= 0) & (taken < mdp.n_pairs)
@@ -251,7 +247,7 @@ class Structure:
         # Where the value is +∞, go safely to a component that earns it, and earn it there.
         if len(self.core):
             above = np.isin(self.label, self.core)
-            if _missing_pays(mdp):
+            if mdp.ends.missing_pays:
                 choose_first_pairs(
                     graph, graph.find_pairs_within(above) & above[mdp.pair_state], pairs
                 )
@@ -287,11 +283,6 @@ class Structure:
             above, below = (best.value > best.error)[:-1], (best.value < -best.error)[:-1]
             signs[np.searchsorted(numbers, own)] = above.astype(np.int64) - below
         return signs
-
-
-def _missing_pays(mdp: MDP) -> bool:
-    """Return whether a run that misses the goal has the value +∞."""
-    return mdp.goal is not None and mdp.unreached == inf
 
 
 def _solve_gain_in_floats(own: Derived) -> Solution | None:

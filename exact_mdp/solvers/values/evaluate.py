@@ -28,10 +28,11 @@ from typing import ClassVar, Literal, overload
 import numpy as np
 import scipy.sparse as sp
 
+from exact_mdp.mdp.advice import ways_out
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.exact import BellmanRows
-from exact_mdp.mdp.graph import Mask, find_reachable_nodes, ways_out
+from exact_mdp.mdp.graph import Mask, find_reachable_nodes
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, list_claim_facts
@@ -225,7 +226,7 @@ class Evaluation(OfPolicy, Pictured):
         """Return the total of a component under a policy that goes on forever."""
         mdp, given = self.given.mdp, self.given
         # A run that misses the goal has an infinite return, which no component accounts for.
-        if mdp.goal is not None:
+        if mdp.ends.has_goal:
             return UNKNOWN
         # Solve the model of this reward alone, in which the policy's actions are the only ones.
         table = mdp.table.with_reward(*mdp.component(name))

@@ -26,15 +26,10 @@ from math import inf
 import numpy as np
 import scipy.sparse as sp
 
+from exact_mdp.mdp.advice import ways_out
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, lcm_by_group
-from exact_mdp.mdp.graph import (
-    Mask,
-    find_ends_outside_goal,
-    find_reachable_nodes,
-    topological_levels,
-    ways_out,
-)
+from exact_mdp.mdp.graph import Mask, find_reachable_nodes
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
 from exact_mdp.mdp.questions import make_terminal
@@ -131,7 +126,7 @@ class PolicyChain:
     def require_said(self, undecided: Mask, where: str) -> None:
         """Raise ModelError if the choice of an action in some states (S,) matters in this model."""
         mdp = self.mdp
-        matters = undecided & ~mdp.over & ~mdp.indifferent & self.reached
+        matters = undecided & mdp.ends.choice_matters & self.reached
         if matters.any():
             raise ModelError(
                 "the policy held fixed names no action in a state where the choice does not matter "
@@ -272,7 +267,7 @@ class PolicyChain:
     def order(self) -> Integers | None:
         """(S,) numbers that fall along every transition; None if the model has cycles."""
         if self.mdp.terminal.any():
-            return topological_levels(self.mdp)
+            return self.mdp.ends.most_steps
         return None
 
     @cached_property
@@ -299,7 +294,7 @@ class PolicyChain:
     @cached_property
     def arriving(self) -> Mask:
         """(S,) True where the policy ends with probability 1 and never misses a goal."""
-        beside = find_ends_outside_goal(self.mdp)
+        beside = self.mdp.ends.outside_goal
         if not beside.any():
             return self.ends
         return self.ends & ~find_reachable_nodes(self.graph.T.tocsr(), beside)
@@ -619,7 +614,7 @@ def _require_weights(mdp: MDP, weights: Floats) -> Floats:
 
 def has_sure_end(chain: PolicyChain) -> bool:
     """Return whether every episode ends and none misses a goal."""
-    beside = bool((chain.reached & find_ends_outside_goal(chain.mdp)).any())
+    beside = bool((chain.reached & chain.mdp.ends.outside_goal).any())
     return chain.ends_from_start and not beside
 
 

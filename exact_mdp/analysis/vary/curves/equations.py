@@ -33,7 +33,7 @@ from exact_mdp.analysis.vary.curves.roots import (
 )
 from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.exact import to_flint
-from exact_mdp.mdp.graph import find_ends_outside_goal, find_reachable_states
+from exact_mdp.mdp.graph import find_reachable_states
 from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.parametric.row_change import (
     Piece,
@@ -91,7 +91,7 @@ class SectionEquations:
             for pair in pairs:
                 self.following[pair] = []
         missing: Steps = {pair: [] for pair in self.following}  # steps to ends that are no goal
-        outside: list[bool] = find_ends_outside_goal(mdp).tolist()
+        outside: list[bool] = mdp.ends.outside_goal.tolist()
         for key, p in sorted(weight.items()):
             pair, state = divmod(key, mdp.n_states)
             if pair in self.following and not terminal[state]:
@@ -221,7 +221,7 @@ class SectionEquations:
         outside = self.mdp.terminal & ~self.mdp.target & met
         if touches and self.mdp.discount_exact != 1 and outside.any():
             return True
-        return any((find_ends_outside_goal(mdp) & met).any() for mdp in models)
+        return any((mdp.ends.outside_goal & met).any() for mdp in models)
 
     def one_solution(self) -> bool:
         """Whether the equations have one solution on the whole section, ends included."""

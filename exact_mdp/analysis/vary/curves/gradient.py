@@ -30,16 +30,9 @@ from exact_mdp.analysis.gate.regret import EXACT_TRANSITIONS, certify_and_check
 from exact_mdp.analysis.vary.curves.walk import make_improper_error
 from exact_mdp.analysis.vary.ranges import unit_of
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.end_components import is_shortest_path
 from exact_mdp.mdp.errors import ModelError, named_options, require_list
 from exact_mdp.mdp.exact import from_flint, to_flint
-from exact_mdp.mdp.graph import (
-    Mask,
-    find_reachable_states,
-    has_improper_policy,
-    is_acyclic,
-    prove_termination,
-)
+from exact_mdp.mdp.graph import Mask, find_reachable_states
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
@@ -273,15 +266,15 @@ def gradient(
 
     def is_finite(model: MDP) -> bool:
         """Return whether the optimum, or the given policy, has finite totals in a model."""
-        if not has_improper_policy(model):
+        if not model.ends.has_improper_policy:
             return True
         if reoptimised:
-            return is_shortest_path(model)
+            return model.ends.is_shortest_path
         return has_sure_end(PolicyChain.of(model, policy))
 
     if not is_finite(mdp):
         raise make_improper_error(
-            "today's parameters", beside=prove_termination(mdp).proven, ranges=False
+            "today's parameters", beside=mdp.ends.termination.proven, ranges=False
         )
     # One backward and one forward pass serve all parameters.
     if exact is None:
@@ -313,7 +306,7 @@ def _is_quick(mdp: MDP) -> bool:
     most = 64
     if mdp.n_transitions <= 10_000 and mdp.table.weight.dtype == np.int64:
         most = 200
-    return mdp.n_states <= most or is_acyclic(mdp)
+    return mdp.n_states <= most or mdp.ends.is_acyclic
 
 
 def _compute_derivative(
