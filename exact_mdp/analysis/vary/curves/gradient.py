@@ -53,7 +53,7 @@ from exact_mdp.solvers.endless.quotient import of_pairs
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, in_float
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
-from exact_mdp.solvers.values.policy_chain import PolicyChain, has_sure_end
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 SLOPE, ELASTICITY = "derivative (reward per unit)", "elasticity (% per %)"  # columns of a table
 
@@ -270,7 +270,7 @@ def gradient(
             return True
         if reoptimised:
             return model.ends.is_shortest_path
-        return has_sure_end(PolicyChain.of(model, policy))
+        return PolicyChain.of(model, policy).reaches_goal_from_start
 
     if not is_finite(mdp):
         raise make_improper_error(
@@ -476,7 +476,7 @@ def _infinite_states(chain: PolicyChain) -> Mask:
     mdp = chain.mdp
     if mdp.discount_exact != 1:
         return np.zeros(mdp.n_states, dtype=bool)
-    return ~chain.arriving
+    return ~chain.reaches_goal
 
 
 def _refuse_infinite(mdp: MDP, keys: Integers, infinite: Mask, name: str) -> None:
