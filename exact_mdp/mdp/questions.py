@@ -471,12 +471,17 @@ def describe_sense(model: Parts) -> str:
     return ""
 
 
+def ends_at_label(model: Parts) -> bool:
+    """Return whether runs end at a label: the model is one of `until` or `reaching`."""
+    return model.target is not None or REACHED in model.space.extra
+
+
 def find_labelled_states(model: Parts, label: str) -> Flags:
     """Return the states (S,) of a label; raise ModelError if the label is unknown.
 
     Also raised if the model already answers a question: its runs have been cut off.
     """
-    if model.target is not None or REACHED in model.space.extra:
+    if ends_at_label(model):
         raise ModelError(
             "this model already answers a question, and its runs end there",
             where=f"label {label!r}",

@@ -15,7 +15,7 @@ from typing import Any, Literal
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options, require_known_name
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.questions import REACHED
+from exact_mdp.mdp.questions import ends_at_label
 from exact_mdp.mdp.table import COMPILED
 from exact_mdp.solvers.dynamic.base import Solver, check_tolerance
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram
@@ -240,7 +240,7 @@ def is_average(criterion: str) -> bool:
 
 def require_no_target(mdp: MDP) -> None:
     """Raise ModelError for an average reward of a model that asks about a label."""
-    if mdp.target is not None or REACHED in mdp.space.extra:
+    if ends_at_label(mdp):
         raise ModelError(
             "an average reward per step has no target",
             where="criterion",
