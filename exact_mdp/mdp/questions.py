@@ -47,6 +47,7 @@ REACHED, TERMINAL_VALUE = "reached", "terminal value"
 ONE_COMPONENT = {"component_names": ("reward",)}
 # A question changes the rows, so counts of the original rows no longer describe them.
 NO_DATA: dict[str, Any] = {"observations": None, "episodes": None}
+NO_GOAL: dict[str, Any] = {"goal": None, "target": None}
 
 
 @dataclass(frozen=True)
@@ -229,8 +230,7 @@ class Questions(Parts):
             **ONE_COMPONENT,
             **NO_DATA,
             "labels": {name: np.append(flags, False) for name, flags in self.labels.items()},
-            "goal": None,
-            "target": None,
+            **NO_GOAL,
         }
         reached: Self = keep_origin(
             replace(self, **parts), self, "reaching", label=label, allowed=allowed

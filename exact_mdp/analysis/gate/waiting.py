@@ -137,15 +137,15 @@ def find_attaining_pairs(mdp: MDP, best: Certificate, optimal: Flags, state: int
     used = np.flatnonzero(optimal & (mdp.pair_state != state))
     shape = (mdp.n_states, mdp.n_pairs)
     choice = sp.csr_array((np.ones(len(used)), (mdp.pair_state[used], used)), shape)
-    rests = find_zero_reward_pairs(mdp, best, optimal)
-    stays = stays | np.logical_or.reduceat(rests, mdp.pair_offsets[:-1])
+    free = find_zero_reward_pairs(mdp, best, optimal)
+    stays = stays | np.logical_or.reduceat(free, mdp.pair_offsets[:-1])
     arrives = find_reachable_nodes(
         (choice @ mdp.transition).T.tocsr(), stays & (sign == sign[state])
     )
     arrives[state] = False
     attaining = []
     for pair in pairs:
-        if rests[pair] or arrives[mdp.transition[[pair]].indices].any():
+        if free[pair] or arrives[mdp.transition[[pair]].indices].any():
             attaining.append(pair)
     return attaining or pairs
 

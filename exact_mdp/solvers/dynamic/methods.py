@@ -163,12 +163,12 @@ class ModifiedPolicyIteration(Improving):
             values.pass_over_pairs()
             if stopping.is_reached():
                 break
-            goal = stopping.evaluation_goal()
-            if iteration == 0 and goal > 0:
+            tolerance = stopping.choose_evaluation_tolerance()
+            if iteration == 0 and tolerance > 0:
                 # The first policy knows only one reward ahead, and is not worth an evaluation.
                 values.apply_backup()
             else:
-                evaluation.run(goal)
+                evaluation.run(tolerance)
         return stopping.conclude(self, started)
 
 
