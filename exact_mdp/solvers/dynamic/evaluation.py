@@ -65,7 +65,7 @@ class PolicyEvaluation:
             self._sweeps += 1
 
     def _sweep_policy(self, tolerance: float) -> bool:
-        """Sweep the policy until its residual is at most `tolerance`; return whether that succeeded."""
+        """Sweep the policy until its residual is within the tolerance; return whether it is."""
         values, mdp = self.values, self.values.mdp
         enough = tolerance * values.weights.smallest
         # Up to rounding, these are the exact values.
