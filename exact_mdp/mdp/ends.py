@@ -244,3 +244,8 @@ class Ends:
         earned, _ = self.table.expected_gain_exact
         costs = np.asarray(self.sign * earned < 0, dtype=bool)
         return bool(sure.all() and costs[staying].all())
+
+    @property
+    def has_finite_optimum(self) -> bool:
+        """Whether no policy is improper, or the best policy from the start is proper anyway."""
+        return not self.has_improper_policy or self.is_shortest_path

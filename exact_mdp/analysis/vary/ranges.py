@@ -131,7 +131,7 @@ def restrict_range(model: Parametric, parameter: Parameter, span: Range) -> Rang
             mdp = model.at({name: value})
         except ModelError:
             return False
-        return not mdp.ends.has_improper_policy or mdp.ends.is_shortest_path
+        return mdp.ends.has_finite_optimum
 
     def find_end(end: Fraction) -> Fraction:
         """Return the end, moved towards today's value until the model has values."""

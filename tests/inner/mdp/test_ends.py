@@ -180,6 +180,8 @@ def test_the_optimum_of_a_shortest_path_ends(seed: int, question: str) -> None:
     if question == "max until":
         expected = expected and not staying
     assert mdp.ends.is_shortest_path == expected
+    proper = all(len(find_sure(edges, goal)) == STATES for edges in chains.values())
+    assert mdp.ends.has_finite_optimum == (expected or proper or question == "discounted")
 
 
 def test_the_questions_above_have_both_answers() -> None:

@@ -80,10 +80,7 @@ class SectionEquations:
         for key, moved in zip(change.transition.key.tolist(), change.transition.moved, strict=True):
             weight[key] = weight.get(key, fmpq_poly()) + moved(shift)
         # A terminal state with a row that changes is terminal at θ0 alone, and counts as live.
-        ended = mdp.terminal.copy()
-        ended[mdp.pair_state[change.reward.key]] = False
-        ended[mdp.pair_state[change.transition.key // mdp.n_states]] = False
-        terminal: list[bool] = ended.tolist()
+        terminal: list[bool] = (mdp.terminal & ~change.find_states(mdp)).tolist()
         self.state: list[int] = mdp.pair_state.tolist()
         self.live = [state for state, ends in enumerate(terminal) if not ends]
         self.pairs: dict[int, Sequence[int]] = {state: mdp.pairs_of(state) for state in self.live}

@@ -266,10 +266,10 @@ def gradient(
 
     def is_finite(model: MDP) -> bool:
         """Return whether the optimum, or the given policy, has finite totals in a model."""
+        if reoptimised:
+            return model.ends.has_finite_optimum
         if not model.ends.has_improper_policy:
             return True
-        if reoptimised:
-            return model.ends.is_shortest_path
         return PolicyChain.of(model, policy).reaches_goal_from_start
 
     if not is_finite(mdp):
@@ -454,10 +454,7 @@ def _make_tie_error(where: str) -> ModelError:
 
 def _find_newly_live_states(mdp: MDP, change: RowChange) -> Mask:
     """Return (S,) True for states with a choice that are terminal today, but not nearby."""
-    moving = np.zeros(mdp.n_states, dtype=bool)
-    moving[mdp.pair_state[change.reward.key]] = True
-    moving[mdp.pair_state[change.transition.key // mdp.n_states]] = True
-    return np.asarray(moving & mdp.terminal & ~mdp.forced)
+    return change.find_states(mdp) & mdp.terminal & ~mdp.forced
 
 
 def _refuse_silence(mdp: MDP, silent: Mask, name: str) -> None:
