@@ -316,7 +316,7 @@ def build_cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
     # Losses are shaded relative to the costliest state.
     wrong = {each.state: each for each in audit.disagreements}
     most = max((each.cost for each in audit.disagreements), default=0.0) or 1.0
-    idle, ends = ~mdp.asked | (audit.visits == 0), ends_of(mdp)
+    idle, ends = ~mdp.ends.must_choose | (audit.visits == 0), ends_of(mdp)
     begins = {state for state, _ in mdp.start}
     for state in layout.shown.tolist():
         each, label = wrong.get(state), mdp.space.label(state)

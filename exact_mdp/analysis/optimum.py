@@ -16,8 +16,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from exact_mdp.mdp.advice import other_question, ways_out
 from exact_mdp.mdp.errors import require_known_name
-from exact_mdp.mdp.graph import find_reachable_states, other_question, ways_out
+from exact_mdp.mdp.graph import find_reachable_states
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.choices import state_names
@@ -190,9 +191,9 @@ def actions_of(mdp: MDP, pairs: Flags) -> list[tuple[str, ...]]:
 def _serves_each_status(mdp: MDP, optimal: Flags) -> bool:
     """Return whether some action is optimal, by pairs (L,), in all states of each status."""
     values, size = mdp.space.values("status"), mdp.space.column("status").size
-    asked = find_reachable_states(mdp) & ~mdp.forced & (values >= 0)
-    states = np.bincount(values[asked], minlength=size)
-    counted = optimal & asked[mdp.pair_state]
+    choosing = find_reachable_states(mdp) & ~mdp.forced & (values >= 0)
+    states = np.bincount(values[choosing], minlength=size)
+    counted = optimal & choosing[mdp.pair_state]
     keys = values[mdp.pair_state[counted]] * mdp.n_actions + mdp.pair_action[counted]
     serves = np.bincount(keys, minlength=size * mdp.n_actions).reshape(size, -1) == states[:, None]
     return bool(serves.any(axis=1).all())

@@ -16,8 +16,7 @@ from itertools import count
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.graph import Backward, Mask, strong_components
-from exact_mdp.mdp.model import MDP, cache_on_model
+from exact_mdp.mdp.graph import Backward, Mask, Transitions, strong_components
 from exact_mdp.mdp.table import Integers, Numbers, concatenate_ranges
 
 
@@ -31,9 +30,9 @@ class PairGraph:
     next: Numbers
 
     @classmethod
-    def of(cls, mdp: MDP) -> PairGraph:
+    def of(cls, mdp: Transitions) -> PairGraph:
         """Return the graph of a model, from its exact outcomes."""
-        return cls(mdp.n_states, mdp.pair_state, mdp.table.offsets, mdp.table.next)
+        return cls(len(mdp.pair_offsets) - 1, mdp.pair_state, mdp.table.offsets, mdp.table.next)
 
     @cached_property
     def _backward(self) -> Backward:
@@ -67,8 +66,8 @@ class PairGraph:
 
         A state without such a pair also has rank 0.
         """
-        waiting = np.bincount(self.pair_state[pairs], minlength=self.states)
-        return self._backward.rank_states(target | (waiting == 0), pairs, waiting)[0]
+        needed = np.bincount(self.pair_state[pairs], minlength=self.states)
+        return self._backward.rank_states(target | (needed == 0), pairs, needed)[0]
 
     def compute_rounds(self, target: Mask, pairs: Mask) -> Integers:
         """Return (S,) 0 if some policy of `pairs` surely reaches the target, else a round.
@@ -85,6 +84,14 @@ class PairGraph:
                 break
             given_up[left & ~way] = number
         return given_up
+
+    def find_sure_pairs(self, target: Mask) -> tuple[Mask, Mask]:
+        """Return (S,) True where some policy surely reaches the target, and (L,) safe pairs.
+
+        These are the pairs of such states, outside the target, that lead only to such states.
+        """
+        sure = self.compute_rounds(target, np.ones(len(self.pair_state), dtype=bool)) == 0
+        return sure, (sure & ~target)[self.pair_state] & self.find_pairs_within(sure)
 
     def end_components(self, pairs: Mask) -> tuple[Integers, Mask]:
         """Return (S,) the number of each state's end component or -1, and their pairs (L,)."""
@@ -112,28 +119,3 @@ class PairGraph:
                 number[stays] = label
                 return number, inside
             inside[chosen[apart]] = False
-
-
-@cache_on_model
-def is_shortest_path(mdp: MDP) -> bool:
-    """Return whether staying forever costs something at every step, and every state can end.
-
-    Policies that never end are then worth -∞ (+∞ for costs), and the optimum is the best of those
-    that end (stochastic shortest paths: Bertsekas and Tsitsiklis, Mathematics of Operations
-    Research 16, 1991). With a goal, runs end there. If missing it is the worst of all, states from
-    which no policy is sure of the goal may exist, but not at the start; if it pays, no run may.
-    """
-    graph, every, ends = PairGraph.of(mdp), np.ones(mdp.n_pairs, dtype=bool), mdp.terminal
-    if mdp.goal is not None:
-        ends = mdp.goal
-    safe = graph.compute_rounds(ends, every) == 0
-    needed, pays = ~ends, False
-    if mdp.goal is not None:
-        pays = mdp.sense.orient(mdp.unreached) > 0
-        if not pays:
-            needed = np.isin(np.arange(mdp.n_states), [s for s, weight in mdp.start if weight])
-    inside = (safe & ~ends)[mdp.pair_state] & graph.find_pairs_within(safe)
-    _, staying = graph.end_components(inside)
-    earned, _ = mdp.table.expected_gain_exact
-    costs = np.asarray(mdp.sense.orient(earned) < 0, dtype=bool)
-    return bool(safe[needed].all() and costs[staying].all() and not (pays and staying.any()))

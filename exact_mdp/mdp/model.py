@@ -11,7 +11,7 @@ each number rounded once (state-action pairs: Puterman, Markov Decision Processe
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, wraps
 from pathlib import Path
 from typing import Any, Self, TypeVar
@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from exact_mdp.mdp import questions
 from exact_mdp.mdp.components import named_components, wrong_rows
+from exact_mdp.mdp.ends import Ends
 from exact_mdp.mdp.errors import (
     ModelError,
     ShapeError,
@@ -52,7 +53,6 @@ from exact_mdp.mdp.validate import (
 )
 
 Found = TypeVar("Found")
-AMOUNTS = ("gain", "gain_denominator", "event", "components", "component_denominator")
 SHOWN = (
     *("from_arrays", "from_pairs", "from_outcomes", "from_function", "from_gymnasium"),
     *("from_transitions", "load", "save", "with_", "within", "reaching", "until", "frame"),
@@ -177,7 +177,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
             raise ModelError("an expected reward is too large for a float", fix="scale the rewards")
         _check_components(self)
         self._lock_arrays()
-        # `terminal` is computed from the derived arrays, so this check comes last.
+        # `ends` are found in the derived arrays, so this check comes last.
         if self.goal is not None and not self.terminal[self.goal].all():
             raise ModelError(
                 "a run continues, or earns a reward, in a state of the goal",
@@ -338,44 +338,27 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         return np.asarray(amount[:, self.component_names.index(name)]), denominator
 
     @cached_property
+    def ends(self) -> Ends:
+        """Where runs end, and what a run is worth that does not end as it should."""
+        return Ends(**{part.name: getattr(self, part.name) for part in fields(Ends)})
+
+    @property
     def forced(self) -> NDArray[np.bool_]:
         """(S,) True for states with a single action."""
-        return np.asarray(np.diff(self.pair_offsets) == 1)
+        return self.ends.forced
 
-    @cached_property
+    @property
     def terminal(self) -> NDArray[np.bool_]:
         """(S,) True where every action stays in the state forever and earns 0: its value is 0.
 
         Components or events may still be counted there; see `over`.
         """
-        # A pair stays if its only next state is its own state.
-        indptr = self.transition.indptr
-        stays = np.diff(indptr) == 1
-        alone = np.flatnonzero(stays)
-        stays[alone] = self.transition.indices[indptr[alone]] == self.pair_state[alone]
-        # Rewards matter only for these pairs, and these are few in most models.
-        alone = np.flatnonzero(stays)
-        if len(alone):
-            stays[alone] = ~self.table.of_pairs(alone).any_outcome("gain")
-        return np.asarray(np.logical_and.reduceat(stays, self.pair_offsets[:-1]))
+        return self.ends.terminal
 
-    @cached_property
+    @property
     def over(self) -> NDArray[np.bool_]:
         """(S,) True for states in which an episode is over: terminal, with no amount to count."""
-        counted = np.zeros(self.n_pairs, dtype=bool)
-        if self.table.components is not None:
-            counted |= self.table.any_outcome("components")
-        if self.table.event is not None:
-            counted |= self.table.any_outcome("event")
-        return self.terminal & ~np.logical_or.reduceat(counted, self.pair_offsets[:-1])
-
-    @cached_property
-    def asked(self) -> NDArray[np.bool_]:
-        """(S,) True where a policy must choose: several actions, and the episode is not over.
-
-        In other states a policy may name any action, or none.
-        """
-        return ~self.forced & ~self.over
+        return self.ends.over
 
     def by_action(self, values: ArrayLike, missing: float = np.nan) -> NDArray[Any]:
         """Return a table (S, A) of numbers of pairs (L,), `missing` if an action has no pair.
@@ -420,29 +403,6 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         lengths[self.pair_state[taking]] = np.diff(rows.indptr)
         indptr = np.concatenate([[0], np.cumsum(lengths)])
         return sp.csr_array((rows.data, rows.indices, indptr), (self.n_states, self.n_states))
-
-    @cached_property
-    def indifferent(self) -> NDArray[np.bool_]:
-        """(S,) True where all actions have the same outcomes and amounts, number for number."""
-        # Compare each pair with the first pair of its state, at first by the number of outcomes.
-        table, first = self.table, self.pair_offsets[self.pair_state]
-        lengths = np.diff(table.offsets)
-        same = lengths == lengths[first]
-        rows = np.flatnonzero(same)
-        # Then compare pairs with as many outcomes in each array of the table.
-        ours, theirs = table.of_pairs(rows), table.of_pairs(first[rows])
-        for name in ("next", "weight", "denominator", *AMOUNTS):
-            here, there = getattr(ours, name), getattr(theirs, name)
-            if here is None:
-                continue
-            equal = np.asarray(here == there, dtype=bool)
-            if equal.ndim == 2:
-                equal = np.asarray(equal.all(axis=1))
-            # Arrays by outcome agree if they do in every outcome of the pair.
-            if len(equal) == len(ours.next):
-                equal = np.asarray(np.logical_and.reduceat(equal, ours.offsets[:-1]))
-            same[rows] &= equal
-        return np.asarray(np.logical_and.reduceat(same, self.pair_offsets[:-1]))
 
     def pairs_of(self, state: int) -> range:
         """Return the pairs of one state."""

@@ -47,6 +47,7 @@ REACHED, TERMINAL_VALUE = "reached", "terminal value"
 ONE_COMPONENT = {"component_names": ("reward",)}
 # A question changes the rows, so counts of the original rows no longer describe them.
 NO_DATA: dict[str, Any] = {"observations": None, "episodes": None}
+NO_GOAL: dict[str, Any] = {"goal": None, "target": None}
 
 
 @dataclass(frozen=True)
@@ -229,8 +230,7 @@ class Questions(Parts):
             **ONE_COMPONENT,
             **NO_DATA,
             "labels": {name: np.append(flags, False) for name, flags in self.labels.items()},
-            "goal": None,
-            "target": None,
+            **NO_GOAL,
         }
         reached: Self = keep_origin(
             replace(self, **parts), self, "reaching", label=label, allowed=allowed
@@ -470,12 +470,17 @@ def describe_sense(model: Parts) -> str:
     return ""
 
 
+def ends_at_label(model: Parts) -> bool:
+    """Return whether runs end at a label: the model is one of `until` or `reaching`."""
+    return model.target is not None or REACHED in model.space.extra
+
+
 def find_labelled_states(model: Parts, label: str) -> Flags:
     """Return the states (S,) of a label; raise ModelError if the label is unknown.
 
     Also raised if the model already answers a question: its runs have been cut off.
     """
-    if model.target is not None or REACHED in model.space.extra:
+    if ends_at_label(model):
         raise ModelError(
             "this model already answers a question, and its runs end there",
             where=f"label {label!r}",

@@ -28,9 +28,8 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.components import require_amounts
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import from_flint, to_flint
-from exact_mdp.mdp.graph import prove_termination, topological_levels
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.questions import NO_DATA, ONE_COMPONENT
+from exact_mdp.mdp.questions import NO_DATA, NO_GOAL, ONE_COMPONENT
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.space import StateSpace
@@ -70,14 +69,14 @@ class Budgeted:
         """Build the states and outcomes of the new model."""
         require_amounts(model.table, "the mean of the worst episodes")
         mdp = model.maximised
-        ends, level = mdp.terminal, topological_levels(mdp)
+        ends, level = mdp.terminal, mdp.ends.most_steps
         if mdp.discount_exact != 1 or level is None:
             raise ModelError(
                 "the mean of the worst episodes is found at discount 1, without cycles",
                 where=WHERE,
                 fix="choose discount 1, and a horizon (--horizon N, mdp.within(N)), which has none",
             )
-        if mdp.goal is not None and (ends & ~mdp.goal).any():
+        if mdp.ends.outside_goal.any():
             raise ModelError(
                 "episodes may end without the goal, at an infinite cost",
                 where=WHERE,
@@ -182,7 +181,7 @@ class Budgeted:
             "start": self.list_start(threshold),
             "time_limit": None,
             "labels": {},
-            "goal": None,
+            **NO_GOAL,
             **ONE_COMPONENT,
             **NO_DATA,
         }
@@ -252,7 +251,7 @@ class CVaROptimum(Result):
         model = of.build_budgeted_model(int(self.threshold / self._unit))
         first = np.repeat(of.mdp.pair_offsets[:-1], np.diff(of.first))
         pairs = model.pair_offsets[:-1] + self.pairs - first
-        return build_certificate(model, pairs, h=self.values, rank=prove_termination(model).rank)
+        return build_certificate(model, pairs, h=self.values, rank=model.ends.termination.rank)
 
     def action(self, state: int, so_far: object = 0) -> str:
         """Return the policy's action in a state, given the reward so far."""
@@ -290,7 +289,7 @@ class CVaROptimum(Result):
         """Return the policy as rows (state, from, to, action), by rewards so far that can occur."""
         rows = []
         for state, so_far in self._met.items():
-            if self.mdp.asked[state]:
+            if self.mdp.ends.must_choose[state]:
                 # Neighbouring rewards with the same action make one row.
                 for action, group in groupby(so_far, partial(self.action, state)):
                     own = [*group]

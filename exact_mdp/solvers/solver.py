@@ -14,9 +14,8 @@ from typing import Any, Literal
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options, require_known_name
-from exact_mdp.mdp.graph import has_improper_policy, is_acyclic
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.questions import REACHED
+from exact_mdp.mdp.questions import ends_at_label
 from exact_mdp.mdp.table import COMPILED
 from exact_mdp.solvers.dynamic.base import Solver, check_tolerance
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram
@@ -189,9 +188,9 @@ def _find_best_total(mdp: MDP, solver: Any, tol: float | None, start: Any) -> So
 
 def _maximise_total(mdp: MDP, solver: Any, tol: float | None, start: Any = None) -> Solution:
     """Return the solution of a model of maximised rewards."""
-    if has_improper_policy(mdp):
+    if mdp.ends.has_improper_policy:
         return solve_total(mdp, partial(_maximise_total, solver=solver, tol=tol))
-    if solver == "auto" and is_acyclic(mdp):
+    if solver == "auto" and mdp.ends.is_acyclic:
         check_tolerance("solve", tol)
         solution = _mark_if_imprecise(BackwardInduction().solve_rewards(mdp), tol)
     else:
@@ -241,7 +240,7 @@ def is_average(criterion: str) -> bool:
 
 def require_no_target(mdp: MDP) -> None:
     """Raise ModelError for an average reward of a model that asks about a label."""
-    if mdp.target is not None or REACHED in mdp.space.extra:
+    if ends_at_label(mdp):
         raise ModelError(
             "an average reward per step has no target",
             where="criterion",

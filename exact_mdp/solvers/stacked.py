@@ -36,7 +36,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from exact_mdp.mdp.graph import find_ends_outside_goal, rank_acyclic_states
+from exact_mdp.mdp.graph import rank_acyclic_states
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import Flags
@@ -109,7 +109,7 @@ class StackedModel:
         for other in models[1:]:
             if not np.array_equal(one.pair_offsets, other.pair_offsets):
                 return None
-        if any(mdp.discount_exact == 1 and find_ends_outside_goal(mdp).any() for mdp in models):
+        if any(mdp.ends.outside_goal.any() for mdp in models):
             return None
         # The outcomes of all models, as pair · S + next state; most have the same ones.
         keys = [_list_outcome_keys(mdp) for mdp in models]

@@ -164,7 +164,7 @@ def test_a_policy_is_read_as_the_array_of_its_rule() -> None:
 def test_states_whose_actions_are_the_same(drawn: Rows, floats: bool) -> None:
     mdp = drawn.model(floats=floats)
     rows = [[mdp.table.row(pair) for pair in mdp.pairs_of(s)] for s in range(mdp.n_states)]
-    assert mdp.indifferent.tolist() == [all(row == each[0] for row in each) for each in rows]
+    assert mdp.ends.alike.tolist() == [all(row == each[0] for row in each) for each in rows]
 
 
 # ---- names that are numbers of others ------------------------------------------------------------

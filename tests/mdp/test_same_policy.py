@@ -255,7 +255,7 @@ def agrees(case: Case, name: str, form: Any, *, has_to: bool = False) -> bool:
         if has_to or not (refused or callable(form)):  # a function may raise an error of its own
             raise
         return False
-    matters = ~case.model.indifferent[case.model.pair_state]
+    matters = ~case.model.ends.alike[case.model.pair_state]
     wanted = np.eye(len(case.actions))[case.numbers].ravel()
     assert (policy.weights(case.model) * matters).tolist() == (wanted * matters).tolist(), name
     return True

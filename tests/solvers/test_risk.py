@@ -141,6 +141,16 @@ def test_with_a_horizon_cycles_are_no_matter() -> None:
     assert optimum.value == optimum.mean == 0
 
 
+def test_a_total_until_a_goal_that_every_run_reaches_is_the_same_question() -> None:
+    rows = [(0, 0, [("1/2", 1, 1), ("1/2", 2, 3)]), (0, 1, [(1, 2, 2)]), (3, 0, [(1, 3, 0)])]
+    for state, step in ((1, 2), (2, 1)):
+        rows += [(state, 0, [("1/3", 3, 1), ("2/3", 3, 5)]), (state, 1, [(1, 3, step)])]
+    mdp = MDP.from_outcomes(rows, labels={"end": [False, False, False, True]})
+    optimum = best_cvar(mdp.until("end"), "1/5")
+    assert optimum.violations() == []
+    assert optimum.distribution() == best_cvar(mdp, "1/5").distribution()
+
+
 def test_the_policy_for_the_worst_episodes_is_written(tmp_path: Path) -> None:
     """What the file says, carried forward by hand, has the distribution that is printed."""
     rows = [(0, 0, [("1/2", 1, 3), ("1/2", 1, -2)]), (1, 0, [(1, 2, 0)])]

@@ -21,8 +21,9 @@ from exact_mdp.analysis.gate.data.interval import (
 )
 from exact_mdp.analysis.pages import ADVICE
 from exact_mdp.mdp.care import lint as linter
+from exact_mdp.mdp.ends import Termination
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.graph import Termination, find_reachable_states, is_acyclic, prove_termination
+from exact_mdp.mdp.graph import find_reachable_states
 from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.io.files import SMALL, STANDARD_INPUT, read_text, write_atomically
 from exact_mdp.mdp.io.load import read_model
@@ -113,7 +114,7 @@ def info_command(given: Given) -> Report:
     and their values.
     """
     mdp, scenario = given.mdp, given.loaded.scenario
-    ending = prove_termination(mdp)
+    ending = mdp.ends.termination
     start = [(mdp.space.label(state), weight) for state, weight in mdp.start]
     begins = (f"{label} ({format_ratio(weight)})" for label, weight in start)
     facts: dict[str, Any] = {
@@ -132,7 +133,7 @@ def info_command(given: Given) -> Report:
         "start": Shown(start, format_first_few(begins, len(start))),
         "terminates": Shown(ending.proven, "every policy ends" if ending.proven else "no"),
         "never_ends": _never_ends(mdp, ending),
-        "acyclic": is_acyclic(mdp),
+        "acyclic": mdp.ends.is_acyclic,
         "time_limit": mdp.time_limit,
         "sense": Shown(mdp.sense, "min: rewards are costs" if mdp.sense.costs else None),
         "labels": {name: int(states.sum()) for name, states in mdp.labels.items()},
@@ -153,9 +154,9 @@ def info_command(given: Given) -> Report:
 
 def _never_ends(mdp: MDP, ending: Termination) -> Shown | None:
     """Return a policy that never ends, by the first of the states that it never leaves, if any."""
-    if ending.policy is None:
+    if ending.pairs is None:
         return None
-    trapped, choice = ending.trapped.tolist(), ending.policy
+    trapped, choice = ending.trapped.tolist(), mdp.pair_action[ending.pairs]
     policy = {mdp.space.label(s): mdp.actions[choice[s]] for s in trapped[:FEW_NAMED]}
     states = format_first_few(
         (f"{state}: {action}" for state, action in policy.items()), len(trapped)

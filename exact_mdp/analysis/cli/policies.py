@@ -15,7 +15,6 @@ from exact_mdp.analysis.optimum import compute_optimum, require_sound_proof
 from exact_mdp.analysis.tradeoffs.front import Front
 from exact_mdp.analysis.tradeoffs.rationalize import Rationalization
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.graph import has_improper_policy
 from exact_mdp.mdp.io import model_json
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.model import MDP
@@ -109,7 +108,7 @@ def solve_command(
         policy: Policy = proof.policy
         solver, report = "limits", proof.report()
     else:
-        if certificate and not certify and (average or has_improper_policy(mdp)):
+        if certificate and not certify and (average or mdp.ends.has_improper_policy):
             what = "bounds are proved of totals of rewards where every policy ends"
             fix = "add --certify, which proves the exact values"
             raise ModelError(what, where="--certificate", fix=fix)

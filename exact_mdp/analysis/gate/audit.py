@@ -193,7 +193,7 @@ class Audit(Pictured):
     def _compute_agreement(self, weight: Floats) -> float:
         if not self.feasible:
             return nan
-        total = float(weight[self.mdp.asked].sum())
+        total = float(weight[self.mdp.ends.must_choose].sum())
         wrong = float(sum(weight[each.state] for each in self.disagreements))
         if total == 0:
             return 1.0
@@ -206,7 +206,7 @@ class Audit(Pictured):
         open_ = np.zeros(self.mdp.n_states, dtype=bool)
         open_[self.mdp.pair_state[self.regret.unclear & (self.chain.chosen > 0)]] = True
         open_[[each.state for each in self.disagreements]] = False
-        return int((open_ & self.mdp.asked).sum())
+        return int((open_ & self.mdp.ends.must_choose).sum())
 
     def frame(self, *, full: bool = False) -> DataFrame:
         """Return the disagreements, indexed by state number; `full` adds expected visits."""
@@ -466,7 +466,7 @@ class Audit(Pictured):
             return "\n".join([*lines, f"there is no optimum to compare with; learned {own}"])
         lines.append(
             f"optimal value {best}, learned {own}; not optimal in {len(self.disagreements)} of"
-            f" {int(self.mdp.asked.sum())} states with a choice"
+            f" {int(self.mdp.ends.must_choose.sum())} states with a choice"
         )
         if self.unclear:
             lines.append(f"in {self.unclear} more the bounds leave it open")

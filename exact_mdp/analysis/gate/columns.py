@@ -23,7 +23,7 @@ import tqdm
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, require_list
-from exact_mdp.mdp.graph import find_reachable_states, topological_levels
+from exact_mdp.mdp.graph import find_reachable_states
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.arrays import rows_read, space_over
 from exact_mdp.mdp.policies.policy import Policy
@@ -155,16 +155,17 @@ def _find_best_policy(
 class PolicyRows:
     """The K rows into which some columns group a model's states, with relaxations over A actions.
 
-    For each row, `asked` (K,) says whether a state with a choice can be reached, and `available`
-    (K, A) which actions are offered by all its states with a choice; `key` (S,) is the row of each
-    state. Choices in terminal states, and among actions that are all alike, do not count.
+    For each row, `must_choose` (K,) says whether a state with a choice can be reached, and
+    `available` (K, A) which actions are offered by all its states with a choice; `key` (S,) is the
+    row of each state. Choices in terminal states, and among actions that are all alike, do not
+    count.
     """
 
     def __init__(self, mdp: MDP, columns: Sequence[str]) -> None:
         space = space_over(mdp, columns)
         row = rows_read(mdp, space)
         # In terminal states, and if all actions are alike, the policy has no effect.
-        free, met = mdp.asked & ~mdp.indifferent, find_reachable_states(mdp)
+        free, met = mdp.ends.choice_matters, find_reachable_states(mdp)
         entry, size = row[mdp.pair_state] * mdp.n_actions + mdp.pair_action, space.size
         offers = np.bincount(entry[free[mdp.pair_state]], minlength=size * mdp.n_actions)
         states = np.bincount(row[free], minlength=size)[:, None]
@@ -178,7 +179,7 @@ class PolicyRows:
                 fix="let the policy read more columns",
             )
         self.mdp, self.space, self.key, self.free = mdp, space, row, free
-        self.asked = np.bincount(row[free & met], minlength=size) > 0
+        self.must_choose = np.bincount(row[free & met], minlength=size) > 0
         # Pairs of states without a choice, and of states never reached, are always allowed: they
         # have an entry of their own after all rows.
         choosing = (free & met & ~mdp.terminal)[mdp.pair_state]
@@ -186,7 +187,7 @@ class PolicyRows:
         used = np.flatnonzero(choosing)
         shape = (offers.size, mdp.n_pairs)
         self._sums = sp.csr_array((np.ones(len(used)), (entry[used], used)), shape)
-        self._passes = Cycles(mdp) if topological_levels(mdp) is None else layers_of(mdp)
+        self._passes = Cycles(mdp) if mdp.ends.most_steps is None else layers_of(mdp)
         # A residual of at most e changes the start value by at most e w(start) / min m.
         weights = margin_weights(mdp)
         self._reach = float(mdp.start_distribution @ weights.value) * SLACK / weights.smallest
@@ -319,8 +320,8 @@ class _BranchAndBound:
         self.value, self.error = -np.inf, 0.0
         self.choice: Integers = rows.available.argmax(axis=1)
         # The root allows every available action, and a fixed one in rows without a choice.
-        asked, alone = rows.asked[:, None], np.eye(rows.mdp.n_actions, dtype=bool)
-        self._expand_nodes(np.where(asked, rows.available, alone[self.choice])[None])
+        choosing, alone = rows.must_choose[:, None], np.eye(rows.mdp.n_actions, dtype=bool)
+        self._expand_nodes(np.where(choosing, rows.available, alone[self.choice])[None])
         # Its bound holds for mixed policies, too.
         self.mixed = self.upper = -self.heap[0][0]
 

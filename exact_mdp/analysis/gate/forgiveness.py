@@ -131,7 +131,7 @@ def compute_tie_gaps(best: PolicyChain, known: BoundedVector) -> Floats:
     # F collects e along the optimum; at discount 1 only in states from which it ends.
     counted = ~mdp.terminal
     if mdp.discount_exact == 1:
-        counted &= best.ends
+        counted &= best.proper
     taken = np.add.reduceat(best.weights * each, mdp.pair_offsets[:-1])
     moved = best.discounted.solve(np.where(counted, taken, 0.0))
     later = np.maximum(moved.value, 0.0) + moved.error

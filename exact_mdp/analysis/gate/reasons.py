@@ -218,7 +218,7 @@ def _find_row_changes(rows: PolicyRows, policy: Policy) -> tuple[dict[str, Any],
     """Return the rows of a deterministic policy whose change alone gains, greatest gain first."""
     # One policy for each row and other action, and the policy itself in the last place.
     own, names = rows.choices_of(policy), rows.mdp.actions
-    other = rows.available & rows.asked[:, None] & (own[:, None] != np.arange(len(names)))
+    other = rows.available & rows.must_choose[:, None] & (own[:, None] != np.arange(len(names)))
     row, action = np.nonzero(other)
     choices = np.repeat(own[None], len(row) + 1, axis=0)
     choices[np.arange(len(row)), row] = action
@@ -272,16 +272,16 @@ def q_error(mdp: MDP, policy: Policy, optimal: Floats, used: Floats) -> QError |
             said[known] = [in_float(x) for x in values]
         else:
             said[known] = values.astype(np.float64)
-    asked = (find_reachable_states(mdp) & ~mdp.forced & ~mdp.terminal)[mdp.pair_state]
-    asked &= np.isfinite(said) & np.isfinite(optimal)
-    if not asked.any():
+    choosing = (find_reachable_states(mdp) & ~mdp.forced & ~mdp.terminal)[mdp.pair_state]
+    choosing &= np.isfinite(said) & np.isfinite(optimal)
+    if not choosing.any():
         return None
-    error = np.where(asked, said, 0.0) - np.where(asked, optimal, 0.0)
+    error = np.where(choosing, said, 0.0) - np.where(choosing, optimal, 0.0)
     # Weights by visits; infinite visits outweigh all finite ones.
     infinite = np.isinf(used)
     if infinite.any():
         used = infinite.astype(np.float64)
-    weight = np.where(asked, used, 0.0)
+    weight = np.where(choosing, used, 0.0)
     total = float(weight.sum())
     visited = 0.0
     if total > 0:
@@ -293,8 +293,8 @@ def q_error(mdp: MDP, policy: Policy, optimal: Floats, used: Floats) -> QError |
     return QError(
         largest=float(np.abs(error).max()),
         where=mdp.where(int(np.argmax(np.abs(error)))),
-        mean=float(error[asked].mean()),
-        root_mean_square=float(np.sqrt((error[asked] ** 2).mean())),
+        mean=float(error[choosing].mean()),
+        root_mean_square=float(np.sqrt((error[choosing] ** 2).mean())),
         visited=visited,
         promised=float(mdp.start_distribution[start] @ best[start]),
     )

@@ -28,16 +28,10 @@ from exact_mdp.analysis.gate.forgiveness import (
 )
 from exact_mdp.analysis.gate.waiting import chain_of_pairs, compute_exact_row, final_class, to_blame
 from exact_mdp.analysis.optimum import require_sound_proof
+from exact_mdp.mdp.advice import other_question, ways_out
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import bellman_rows
-from exact_mdp.mdp.graph import (
-    find_reachable_states,
-    has_improper_policy,
-    is_acyclic,
-    label_components,
-    other_question,
-    ways_out,
-)
+from exact_mdp.mdp.graph import find_reachable_states, label_components
 from exact_mdp.mdp.model import MDP, cache_on_model
 from exact_mdp.mdp.result import Brief
 from exact_mdp.mdp.table import LARGEST, Floats, format_rational
@@ -190,11 +184,11 @@ def _compute_regret(chain: PolicyChain, exact: bool | None) -> Regret:
     mdp, cheap = chain.mdp, exact
     if exact is None:
         cheap = is_cheap_to_certify(mdp)
-    if cheap or has_improper_policy(mdp):  # bounds need every policy to be proper
+    if cheap or mdp.ends.has_improper_policy:  # bounds need every policy to be proper
         return _certify_regret(mdp, chain, proven_optimum(mdp))
     lost = _bound_regret(mdp, chain, bounded_optimum(mdp))
     low, _ = interval_of(lost.at_start)
-    if exact is None and low <= 0 and isinstance(lost.at_start, Bounded) and is_acyclic(mdp):
+    if exact is None and low <= 0 and isinstance(lost.at_start, Bounded) and mdp.ends.is_acyclic:
         return _decide_exactly(chain, lost)
     return lost
 
@@ -224,7 +218,7 @@ def is_cheap_to_certify(mdp: MDP, cycle: int = 200) -> bool:
 @cache_on_model
 def _longest_cycle(mdp: MDP) -> int:
     """Return the number of states in the largest strongly connected component."""
-    if is_acyclic(mdp):
+    if mdp.ends.is_acyclic:
         return 1
     return int(np.bincount(label_components(mdp)[1]).max())
 
@@ -239,7 +233,7 @@ def _certify_regret(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
     policy is then evaluated by the certificate of its own model, in which it is the only policy.
     """
     # 1. The policy's value, in every state and at the start.
-    improper = has_improper_policy(mdp)
+    improper = mdp.ends.has_improper_policy
     own = best
     if improper:
         own = certify_and_check(chain.model)

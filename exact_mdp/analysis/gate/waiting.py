@@ -20,7 +20,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.mdp.exact import bellman_rows
-from exact_mdp.mdp.graph import find_reachable_nodes, has_improper_policy
+from exact_mdp.mdp.graph import find_reachable_nodes
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import Flags
@@ -128,7 +128,7 @@ def find_attaining_pairs(mdp: MDP, best: Certificate, optimal: Flags, state: int
     """Return the optimal pairs (L,) of a state that belong to some optimal policy."""
     pairs = [pair for pair in mdp.pairs_of(state) if optimal[pair]]
     # Every optimal pair attains the value if all policies end.
-    if not has_improper_policy(mdp) or len(pairs) < 2:
+    if not mdp.ends.has_improper_policy or len(pairs) < 2:
         return pairs
     sign, stays = best.infinite_sign, chain_of_pairs(mdp, best.pairs).classes.recurrent
     if stays[state] or sign[state] < 0:
@@ -137,15 +137,15 @@ def find_attaining_pairs(mdp: MDP, best: Certificate, optimal: Flags, state: int
     used = np.flatnonzero(optimal & (mdp.pair_state != state))
     shape = (mdp.n_states, mdp.n_pairs)
     choice = sp.csr_array((np.ones(len(used)), (mdp.pair_state[used], used)), shape)
-    rests = find_zero_reward_pairs(mdp, best, optimal)
-    stays = stays | np.logical_or.reduceat(rests, mdp.pair_offsets[:-1])
+    free = find_zero_reward_pairs(mdp, best, optimal)
+    stays = stays | np.logical_or.reduceat(free, mdp.pair_offsets[:-1])
     arrives = find_reachable_nodes(
         (choice @ mdp.transition).T.tocsr(), stays & (sign == sign[state])
     )
     arrives[state] = False
     attaining = []
     for pair in pairs:
-        if rests[pair] or arrives[mdp.transition[[pair]].indices].any():
+        if free[pair] or arrives[mdp.transition[[pair]].indices].any():
             attaining.append(pair)
     return attaining or pairs
 

@@ -247,7 +247,7 @@ def _build_page_data(explorer: Explorer) -> dict[str, Any]:
         "signs": [*layout.signs.items()],
         "taken": taken,
         "sense": mdp.sense,
-        "idle": np.flatnonzero(~mdp.asked).tolist(),
+        "idle": np.flatnonzero(~mdp.ends.must_choose).tolist(),
         "ends": np.flatnonzero(mdp.over).tolist(),
         "labels": {state: mdp.space.label(state) for state in states},
         "moving": moving,

@@ -308,7 +308,7 @@ class TwoWay(Pictured):
         """Return the actions of a numbered policy, in states with a choice that it reaches."""
         mdp, choices = self.mdp, self.choices[self.policy == number][0]
         taken = mdp.pair_action == choices[mdp.pair_state]
-        seen = np.flatnonzero(find_reachable_states(mdp, pairs=taken) & ~mdp.forced & ~mdp.over)
+        seen = np.flatnonzero(find_reachable_states(mdp, pairs=taken) & mdp.ends.must_choose)
         return {mdp.space.label(state): mdp.actions[choices[state]] for state in seen.tolist()}
 
 

@@ -13,9 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from exact_mdp.mdp.care.scenario import ScenarioFamily
-from exact_mdp.mdp.end_components import is_shortest_path
 from exact_mdp.mdp.errors import ModelError, locate_errors, require_list, require_type
-from exact_mdp.mdp.graph import has_improper_policy
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.parameter import Parameter
@@ -133,7 +131,7 @@ def restrict_range(model: Parametric, parameter: Parameter, span: Range) -> Rang
             mdp = model.at({name: value})
         except ModelError:
             return False
-        return not has_improper_policy(mdp) or is_shortest_path(mdp)
+        return mdp.ends.has_finite_optimum
 
     def find_end(end: Fraction) -> Fraction:
         """Return the end, moved towards today's value until the model has values."""

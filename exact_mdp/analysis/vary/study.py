@@ -489,7 +489,8 @@ def finite_worth(mdp: MDP, policy: PolicyLike, where: str, criterion: str = "tot
 def _require_finite_start(what: str, found: Found, mdp: MDP, where: str) -> Found:
     if isinf(found.start.value):
         ways = ["give a discount below 1 (--discount 0.95)"]
-        if mdp.goal is None:  # with a goal, a run that misses it is infinite after N steps, too
+        # With a goal, a run that misses it is infinite after N steps, too.
+        if not mdp.ends.has_goal:
             ways.append("a number of steps (--horizon N, mdp.within(N))")
         if what == HELD:
             ways.append("another policy")

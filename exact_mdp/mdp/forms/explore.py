@@ -113,9 +113,9 @@ class FromFunction(FromArrays):
         if not begins:
             raise ModelError("no state to start in", where="start", fix="give a state")
         # Breadth-first search; every new state is appended to the queue.
-        waiting = deque(states.number)
-        while waiting:
-            state = waiting.popleft()
+        frontier = deque(states.number)
+        while frontier:
+            state = frontier.popleft()
             for action in _call_user_function(
                 actions, state, where=f"state {state}", fix="give a list"
             ):
@@ -132,7 +132,7 @@ class FromFunction(FromArrays):
                 for _, following, _ in every:
                     known = len(states.number)
                     if states.add_thing(following, "a next state", where) == known:
-                        waiting.append(following)
+                        frontier.append(following)
                 act, number = doing.add_thing(action, "an action", f"state {state}"), states.number
                 numbered = ((chance, number[then], gain) for chance, then, gain in possible)
                 columns.add_pair(number[state], act, numbered)

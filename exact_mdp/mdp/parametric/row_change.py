@@ -22,6 +22,7 @@ from flint import fmpq, fmpq_mat, fmpq_poly
 from exact_mdp.mdp.care.scenario import ScenarioFamily
 from exact_mdp.mdp.errors import ModelError, locate_errors
 from exact_mdp.mdp.exact import to_flint
+from exact_mdp.mdp.graph import Mask
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric.family import Family, Moved, Parametric, room_of
 from exact_mdp.mdp.space import TIME
@@ -63,6 +64,13 @@ class RowChange:
     reward: Change  # keys are pairs
     rate: fmpq_poly  # the change of the discount
     checked: int | None  # points at which rows fit the polynomials; None for a known degree
+
+    def find_states(self, mdp: MDP) -> Mask:
+        """Return (S,) True for states with a row or a reward that changes."""
+        moving = np.zeros(mdp.n_states, dtype=bool)
+        moving[mdp.pair_state[self.reward.key]] = True
+        moving[mdp.pair_state[self.transition.key // mdp.n_states]] = True
+        return moving
 
 
 def find_pieces(

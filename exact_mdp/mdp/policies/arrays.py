@@ -175,7 +175,8 @@ def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
         return rows
 
     # Rows that count, and rows of distributions.
-    counts, choosing = read_by(model.asked), read_by(model.asked & ~model.indifferent)
+    counts = read_by(model.ends.must_choose)
+    choosing = read_by(model.ends.choice_matters)
     chances = array
     if array.dtype.kind == "f":  # rounding may leave small negative numbers
         chances = np.where((array < 0) & (array >= -FLOAT_ROW_TOLERANCE), 0, array)
@@ -308,8 +309,8 @@ def _choose_greedy(
     return np.asarray(np.where(offered[np.arange(len(chosen)), chosen] & ~silent, chosen, -1))
 
 
-def are_distributions(array: Numbers, asked: Flags) -> Flags:
-    """Return (K,) True for rows that are distributions, up to the rounding of the rows `asked`.
+def are_distributions(array: Numbers, counted: Flags) -> Flags:
+    """Return (K,) True for rows that are distributions, up to the rounding of the rows `counted`.
 
     A softmax of A numbers divides each by their sum: A - 1 additions and a division, each with a
     relative error of at most u. The quotients are rounded once more when they are stored or
@@ -321,8 +322,8 @@ def are_distributions(array: Numbers, asked: Flags) -> Flags:
     off = np.abs(rows.sum(axis=1) - 1)
     fits: Flags = np.zeros(len(array), dtype=bool)
     fits[inside] = off <= FLOAT_ROW_TOLERANCE
-    if (asked & inside & ~fits).any():
-        rounding = (array.shape[1] + 1) * _unit_roundoff(rows[asked[inside]])
+    if (counted & inside & ~fits).any():
+        rounding = (array.shape[1] + 1) * _unit_roundoff(rows[counted[inside]])
         if rounding < 1:
             fits[inside] |= off <= rounding / (1 - rounding)
     return fits

@@ -93,14 +93,14 @@ def _by_pair(
         return {}
     # Does every available action of a state with a choice have a number?
     rows = rows_read(model, space)[model.pair_state]
-    asked = model.asked[model.pair_state]
-    offered = zip(rows[asked].tolist(), model.pair_action[asked].tolist(), strict=True)
+    choosing = model.ends.must_choose[model.pair_state]
+    offered = zip(rows[choosing].tolist(), model.pair_action[choosing].tolist(), strict=True)
     complete = {*offered} <= {*each}
     # The keys may themselves be states that are tuples.
     if all(map(space.lookup.can_find, entries)):
         if not complete:
             return {}  # {state: action}
-        if {*rows[asked].tolist()} <= {*map(number, entries)}:
+        if {*rows[choosing].tolist()} <= {*map(number, entries)}:
             raise ModelError(
                 "the keys may be states, or pairs of a state and an action: "
                 f"{', '.join(map(str, [*entries][:4]))}",
@@ -143,7 +143,7 @@ def of_function(model: MDP, ask: Callable[[Any], Any], kind: str = "auto") -> Pa
     """
     space = model.space.untimed or model.space
     choices = {}
-    for state in np.unique(rows_read(model, space)[model.asked]).tolist():
+    for state in np.unique(rows_read(model, space)[model.ends.must_choose]).tolist():
         thing = state
         if len(space.columns) == 1 and state < space.columns[0].size:
             thing = space.columns[0].find_object(state)
@@ -223,7 +223,7 @@ def _read_action_values(
         values = once_each(
             zip(names.find_numbers(choice), choice.values(), strict=True), names.label
         )
-        states = np.flatnonzero((rows_read(model, space) == key) & model.asked)
+        states = np.flatnonzero((rows_read(model, space) == key) & model.ends.must_choose)
         offered = np.unique(model.pair_action[np.isin(model.pair_state, states)])
         lost = [model.actions[action] for action in offered.tolist() if action not in values]
         if lost:
@@ -298,7 +298,7 @@ def _check_complete(model: MDP, space: StateSpace, said: Iterable[int]) -> None:
     keys = rows_read(model, space)
     silent = np.ones(space.size, dtype=bool)
     silent[list(said)] = False
-    missing = silent[keys] & model.asked
+    missing = silent[keys] & model.ends.must_choose
     if missing.any():
         lost = sorted(set(keys[missing].tolist()))
         shown = "; ".join(space.labels(lost[:4]))
@@ -425,8 +425,8 @@ def of_every_state(mdp: MDP, said: Sequence[Any]) -> dict[str, Any]:
     if "status" in mdp.space.names:
         column = mdp.space.column("status")
         status = mdp.space.values("status")
-        asked = np.flatnonzero(mdp.asked & (status >= 0)).tolist()
-        each = [(column.label(int(status[state])), said[state]) for state in asked]
+        choosing = np.flatnonzero(mdp.ends.must_choose & (status >= 0)).tolist()
+        each = [(column.label(int(status[state])), said[state]) for state in choosing]
         # A status without a state with a choice gets the choice of its first state.
         by_label = {}
         for value in range(column.size):

@@ -280,7 +280,7 @@ class Policy(ByFields):
         # Actions in states where the episode is over, or all actions are alike, may be missing.
         ended = bad & model.over
         if (bad & ~ended).any():
-            ended |= bad & model.indifferent
+            ended |= bad & model.ends.alike
         weights[ended[model.pair_state]] = 0.0
         weights[first[ended]] = 1.0
         if (bad & ~ended).any():

@@ -23,13 +23,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from exact_mdp.mdp.graph import (
-    is_acyclic,
-    numbered_in_order,
-    require_termination,
-    runs_in_order,
-    topological_levels,
-)
+from exact_mdp.mdp.advice import require_termination
+from exact_mdp.mdp.graph import find_least_successors
 from exact_mdp.mdp.model import MDP, cache_on_model
 from exact_mdp.mdp.table import COMPILED, Floats, Integers, concatenate_ranges
 from exact_mdp.solvers.bounds.gains import (
@@ -124,8 +119,8 @@ def solve_backward(mdp: MDP, reward: Floats) -> Floats:
     Levels of states that do not depend on each other are computed at once.
     """
     value, level = np.zeros(mdp.n_states), None
-    if not numbered_in_order(mdp):
-        level = topological_levels(mdp)
+    if not mdp.ends.numbered_in_order:
+        level = mdp.ends.most_steps
     matrix, first, ends, ended = mdp.transition, mdp.pair_offsets, mdp.pair_offsets, mdp.terminal
     if level is None:
         order = np.arange(mdp.n_states)
@@ -140,7 +135,7 @@ def solve_backward(mdp: MDP, reward: Floats) -> Floats:
         return value
     # Without a compiled loop: cut the states into runs, with the pairs of a run side by side.
     if level is None:
-        cuts = runs_in_order(mdp)
+        cuts = _cut_into_runs(mdp)
     else:
         cuts = np.flatnonzero(np.diff(level[order], prepend=-1, append=-1))
         rows = concatenate_ranges(first[order], first[order + 1])
@@ -159,12 +154,27 @@ def solve_backward(mdp: MDP, reward: Floats) -> Floats:
 
 
 @cache_on_model
+def _cut_into_runs(mdp: MDP) -> Integers:
+    """Return the first states of runs whose states do not lead to each other; S comes last.
+
+    All transitions lead to higher numbers, but for those of terminal states.
+    """
+    # Go backward, and cut as soon as a state leads into the run that would contain it.
+    least, ends = find_least_successors(mdp).tolist(), mdp.terminal.tolist()
+    cuts = [mdp.n_states]
+    for state in range(mdp.n_states - 1, 0, -1):
+        if least[state - 1] < cuts[-1] or ends[state] or ends[state - 1]:
+            cuts.append(state)
+    return np.array([0, *cuts[::-1]])
+
+
+@cache_on_model
 def margin_weights(mdp: MDP) -> Weights:
     """Return verified weights; computed once for each model."""
     require_termination(mdp)
     live = ~mdp.terminal
     # The greatest number of steps to the end; below discount 1 a constant does as well.
-    if is_acyclic(mdp):
+    if mdp.ends.is_acyclic:
         weight = solve_backward(mdp, np.ones(mdp.n_pairs))
     elif mdp.discount < 1:
         weight = live.astype(np.float64)
@@ -216,7 +226,7 @@ def improve_policy(
 def evaluate_pairs(mdp: MDP, pairs: Integers, reward: Floats | None = None) -> Floats:
     """Return the values (S,) of the policy that takes `pairs` (S,), without error bounds."""
     chain, earned = policy_chain(mdp, pairs, reward)
-    system = LinearSystem(chain, mdp.discount, order=topological_levels(mdp))
+    system = LinearSystem(chain, mdp.discount, order=mdp.ends.most_steps)
     return np.where(mdp.terminal, 0.0, system.approximate(earned))
 
 

@@ -377,20 +377,20 @@ def _run_bicgstab(moves: Solve, constant: Floats, rtol: float, steps: int) -> Fl
     from exact_mdp.solvers.kernels.linear import compute_inner_product
 
     value, fresh = np.zeros_like(constant), True
-    goal = rtol * np.sqrt(compute_inner_product(constant, constant))
+    enough = rtol * np.sqrt(compute_inner_product(constant, constant))
     for _ in range(steps):
         # (Re)start with the residual as its own shadow: at first, and after a breakdown, when the
         # residual has become orthogonal to the shadow.
         if fresh:
-            shadow = rest = constant - moves(value)
-            step = onward = np.zeros_like(rest)
+            shadow = residual = constant - moves(value)
+            step = onward = np.zeros_like(residual)
             rho = alpha = omega = 1.0
-            length = size = np.sqrt(compute_inner_product(rest, rest))
-        if size <= goal:
+            length = size = np.sqrt(compute_inner_product(residual, residual))
+        if size <= enough:
             return value
         # The biconjugate direction, and the step along it.
-        before, rho = rho, compute_inner_product(shadow, rest)
-        step = rest + rho / before * (alpha / omega) * (step - omega * onward)
+        before, rho = rho, compute_inner_product(shadow, residual)
+        step = residual + rho / before * (alpha / omega) * (step - omega * onward)
         onward = moves(step)
         along = compute_inner_product(shadow, onward)
         far = np.sqrt(compute_inner_product(onward, onward))
@@ -399,20 +399,20 @@ def _run_bicgstab(moves: Solve, constant: Floats, rtol: float, steps: int) -> Fl
             continue
         alpha = rho / along
         value += alpha * step
-        rest = rest - alpha * onward
-        size = np.sqrt(compute_inner_product(rest, rest))
-        if size <= goal:
+        residual = residual - alpha * onward
+        size = np.sqrt(compute_inner_product(residual, residual))
+        if size <= enough:
             return value
         # The stabilising half step: ω minimises the residual along its own image.
-        turn = moves(rest)
+        turn = moves(residual)
         square = compute_inner_product(turn, turn)
-        omega = compute_inner_product(turn, rest) / square
+        omega = compute_inner_product(turn, residual) / square
         fresh = not abs(omega) * np.sqrt(square) > LEAST * size
         if fresh:
             continue
-        value += omega * rest
-        rest = rest - omega * turn
-        size = np.sqrt(compute_inner_product(rest, rest))
+        value += omega * residual
+        residual = residual - omega * turn
+        size = np.sqrt(compute_inner_product(residual, residual))
         if not np.isfinite(size):
             return None
     return None

@@ -34,12 +34,12 @@ class PolicyEvaluation:
         self.price = PRICE * mdp.n_transitions / mdp.n_pairs * mdp.n_states
         self._passes_paid, self._sweeps = 0, 0
 
-    def run(self, goal: float) -> None:
+    def run(self, tolerance: float) -> None:
         """Bring values near to the policy's values, or nearer to V* for less than that costs.
 
         Parameters
         ----------
-        goal : float
+        tolerance : float
             The residual at which sweeps end, in units of w; 0 for the policy's exact values.
         """
         values = self.values
@@ -47,13 +47,13 @@ class PolicyEvaluation:
             values.solve_policy_equations()
             return
         if not self.mixes_slowly:
-            if self._sweep_policy(goal):
+            if self._sweep_policy(tolerance):
                 return
             self.mixes_slowly = True
             self.price = values.policy_system.work / BAND or self.price
         # A policy that no longer changes, while bounds hardly fall, is solved for at once.
         policy_stays = values.search.policy_stays
-        is_due = self._work() >= self.price or (policy_stays and values.idle > 0) or goal == 0
+        is_due = self._work() >= self.price or (policy_stays and values.idle > 0) or tolerance == 0
         if is_due:
             values.solve_policy_equations()
             self._passes_paid, self._sweeps = values.passes, 0
@@ -64,13 +64,13 @@ class PolicyEvaluation:
             values.sweep_states()
             self._sweeps += 1
 
-    def _sweep_policy(self, goal: float) -> bool:
-        """Sweep the policy until its residual is at most `goal`; return whether that succeeded."""
+    def _sweep_policy(self, tolerance: float) -> bool:
+        """Sweep the policy until its residual is within the tolerance; return whether it is."""
         values, mdp = self.values, self.values.mdp
-        enough = goal * values.weights.smallest
+        enough = tolerance * values.weights.smallest
         # Up to rounding, these are the exact values.
         fine = 0.0
-        if goal == 0:
+        if tolerance == 0:
             fine = 8 * UNIT
         is_closed = values.weights.uniform and bool(values.live.all())
         matrix, rows = mdp.transition, values.search.pairs

@@ -23,7 +23,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.graph import is_acyclic
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.bounds.bounds import bound_optimal_values, solve_backward
 from exact_mdp.solvers.dynamic.base import (
@@ -164,12 +163,12 @@ class ModifiedPolicyIteration(Improving):
             values.pass_over_pairs()
             if stopping.is_reached():
                 break
-            goal = stopping.evaluation_goal()
-            if iteration == 0 and goal > 0:
+            tolerance = stopping.choose_evaluation_tolerance()
+            if iteration == 0 and tolerance > 0:
                 # The first policy knows only one reward ahead, and is not worth an evaluation.
                 values.apply_backup()
             else:
-                evaluation.run(goal)
+                evaluation.run(tolerance)
         return stopping.conclude(self, started)
 
 
@@ -243,7 +242,7 @@ class BackwardInduction(Solver):
     def maximise(self, model: MDP) -> Solution:
         """Return the optimum; raise ModelError if the model has a cycle."""
         started = perf_counter()
-        if not is_acyclic(model):
+        if not model.ends.is_acyclic:
             raise ModelError(
                 "backward induction needs a model without cycles",
                 where=f"model {model.name}".strip(),

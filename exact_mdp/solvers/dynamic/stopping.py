@@ -99,7 +99,7 @@ class StoppingRule:
         self.is_slow = self.is_slow or values.idle >= SLOW
         return self.is_slow and values.passes % 2 == 1
 
-    def evaluation_goal(self) -> float:
+    def choose_evaluation_tolerance(self) -> float:
         """Return the distance to which values should approach the policy's values, in units of w.
 
         It is a tenth of the least gap so far, and ever less while the gap does not fall; half of

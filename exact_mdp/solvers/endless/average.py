@@ -152,12 +152,12 @@ def _bound_gain_above(step: MDP, bias: Floats) -> Floats:
     np.maximum.at(top, own[inside], np.nextafter(most[inside], np.inf))
     if count == 1:
         return np.full(step.n_states, top[0])
-    # In a model of the pairs outside, each end component is one state with a rest of that value.
+    # In a model of the pairs outside, each end component is one state, with a stop of that value.
     passed = label < 0
     label[passed] = count + np.arange(int(passed.sum()))
     pairs = np.flatnonzero(~inside)
-    rests = [(number, Fraction(value)) for number, value in enumerate(top.tolist())]
-    model = build_derived_model(step, pairs, label, free=True, rests=rests)
+    stops = [(number, Fraction(value)) for number, value in enumerate(top.tolist())]
+    model = build_derived_model(step, pairs, label, free=True, stops=stops)
     solution = PolicyIteration().solve_rewards(model.mdp)
     most = np.nextafter(solution.value + solution.state_error * SLACK, np.inf)
     return np.asarray(most[model.label])

@@ -218,11 +218,11 @@ class FloatChain:
         step = of_policy(compute_advantages(mdp, bias))
         gain = self.bounded_gain(step)
         # The residual r - g + P h - h of the bias, rounding included.
-        rest = np.abs(step.value - gain.value) * (1 + UNIT) + step.error + gain.error
+        residual = np.abs(step.value - gain.value) * (1 + UNIT) + step.error + gain.error
         still, inside, own = np.zeros(len(bias)), classes.recurrent, classes.own
         # Collected on the way to a base, the residual bounds the error up to a constant of the
         # class.
-        met = np.where(classes.at_base, 0.0, rest * SLACK)
+        met = np.where(classes.at_base, 0.0, residual * SLACK)
         away = self.until_base.solve(still, met).error
         low, high = self.bound_by_class(
             of_policy(compute_advantages(mdp, second, reward=-bias[mdp.pair_state]))
@@ -233,7 +233,7 @@ class FloatChain:
         off = (np.maximum(np.abs(low), np.abs(high)) + most)[own] + away
         if not inside.all():
             # Transient states add their own residual to the error of the class that they enter.
-            off = self.until_class.solve(still, np.where(inside, off, rest) * SLACK).error
+            off = self.until_class.solve(still, np.where(inside, off, residual) * SLACK).error
         return gain, BoundedVector(value=bias, error=off * SLACK)
 
     def compute_limit_distribution(self) -> tuple[BoundedVector, BoundedVector]:

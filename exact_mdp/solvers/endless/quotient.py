@@ -4,7 +4,7 @@
 
 Merged states are the states of one end component that need not be distinguished: a policy that can
 do something in one of them can do it in all (the quotient of de Alfaro, Formal Verification of
-Probabilistic Systems, 1997, section 3.3). Rests are further pairs, which lead to the end with a
+Probabilistic Systems, 1997, section 3.3). Stops are further pairs, which lead to the end with a
 given reward.
 """
 
@@ -17,7 +17,7 @@ from fractions import Fraction
 import numpy as np
 
 from exact_mdp.mdp.end_components import PairGraph
-from exact_mdp.mdp.graph import Mask, prove_termination
+from exact_mdp.mdp.graph import Mask
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Integers, OutcomeTable, Rows, make_ones, to_integer_array
@@ -31,7 +31,7 @@ class Derived:
 
     mdp: MDP
     label: Integers  # (S,) the new state of each state of the other model
-    source: Integers  # (L',) the original pair of each pair; -1 - i for rest i; L for the end
+    source: Integers  # (L',) the original pair of each pair; -1 - i for stop i; L for the end
 
     def without_losing(self) -> Derived:
         """Return a model in which every policy ends, without the pairs that clearly lose in cycles.
@@ -39,7 +39,7 @@ class Derived:
         Policy iteration in floats, from a policy that ends, finds these pairs.
         """
         mdp = self.mdp
-        if prove_termination(mdp).proven:
+        if mdp.ends.termination.proven:
             return self
         # A policy that always moves nearer to the end is proper; improve it.
         graph, pairs = PairGraph.of(mdp), mdp.pair_offsets[:-1].copy()
@@ -58,7 +58,7 @@ class Derived:
             limit /= 16
             pairs = np.flatnonzero(~(losing & (gain.value <= limit)))
             part = of_pairs(mdp, pairs)
-            if prove_termination(part).proven:
+            if part.ends.termination.proven:
                 return replace(self, mdp=part, source=self.source[pairs])
             if not (losing & (gain.value > limit)).any():
                 break
@@ -77,12 +77,12 @@ def build_derived_model(
     label: Integers,
     *,
     free: bool = False,
-    rests: Sequence[tuple[int, Fraction]] = (),
+    stops: Sequence[tuple[int, Fraction]] = (),
 ) -> Derived:
     """Return the model of some pairs (K,) between the states that `label` (S,) gives.
 
-    If the pairs are `free`, they have rewards of 0. `rests` lists new states with the reward for
-    resting there, which is 0 unless the pairs are free.
+    If the pairs are `free`, they have rewards of 0. `stops` lists new states with the reward for
+    stopping there, which is 0 unless the pairs are free.
     """
     size, table = int(label.max(initial=-1)) + 1, mdp.table.of_pairs(pairs)
     label = np.where(label < 0, size, label)
@@ -92,9 +92,9 @@ def build_derived_model(
         gain, below = table.expected_gain_exact
     else:
         gain, below = table.gain, table.gain_denominator
-    # Behind the pairs come the rests, and one pair of the end itself; all lead to the end.
-    extra = np.array([*(state for state, _ in rests), size])
-    worths = [*(value for _, value in rests), Fraction(0)]
+    # Behind the pairs come the stops, and one pair of the end itself; all lead to the end.
+    extra = np.array([*(state for state, _ in stops), size])
+    worths = [*(value for _, value in stops), Fraction(0)]
     more = to_integer_array(value.numerator for value in worths)
     under = to_integer_array(value.denominator for value in worths)
     if gain.dtype == np.float64:
@@ -120,7 +120,7 @@ def build_derived_model(
     by_state = np.argsort(owner, kind="stable")
     owner = owner[by_state]
     action = np.arange(len(owner)) - np.searchsorted(owner, owner)
-    source = np.concatenate([pairs, -1 - np.arange(len(rests)), [mdp.n_pairs]])[by_state]
+    source = np.concatenate([pairs, -1 - np.arange(len(stops)), [mdp.n_pairs]])[by_state]
     model = MDP(
         outcomes.of_pairs(by_state),
         owner,

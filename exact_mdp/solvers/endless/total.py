@@ -101,7 +101,7 @@ def round_exact_solution(mdp: MDP, criterion: str = "total") -> Solution:
     """Return exact values, or exact gain and bias for an average reward, each rounded once."""
     # Solve and prove in rationals; values of +∞ and -∞ must not meet at the start.
     started, average = perf_counter(), criterion == "average"
-    if mdp.goal is not None and not average:
+    if mdp.ends.has_goal and not average:
         proof = prove_goal_total(mdp)
     else:
         proof = prove_gain_and_bias(mdp, criterion)
@@ -143,18 +143,12 @@ def round_exact_solution(mdp: MDP, criterion: str = "total") -> Solution:
 class Structure:
     """The signs of infinite values, and the end components behind them.
 
-    A rest is a part of an end component in which a policy can move to any state without any
-    reward. With a goal it must not stay there.
+    A zero component is a part of an end component in which a policy can move to any state without
+    any reward. With a goal it must not stay there.
     """
 
     def __init__(self, mdp: MDP) -> None:
-        self.mdp, self.graph, goal = mdp, PairGraph.of(mdp), mdp.goal
-        # (S,) the terminal states, or the goal.
-        if goal is None:
-            self.ends = mdp.terminal
-        else:
-            self.ends = goal
-        ends = self.ends
+        self.mdp, self.graph, ends = mdp, PairGraph.of(mdp), mdp.ends.destination
         graph, every = self.graph, np.ones(mdp.n_pairs, dtype=bool)
         # (S,) the end component of each state, without ends, or -1; (L,) the pairs inside these.
         self.label, self.within = graph.end_components(~ends[mdp.pair_state])
@@ -162,96 +156,102 @@ class Structure:
         # (S,) 1 where the value is +∞, -1 where it is -∞, else 0. If missing the goal pays +∞, a
         # way to any end component is enough.
         self.sign = np.where(graph.compute_distance(label >= 0, every) >= 0, 1, 0)
-        self.rest = np.full(mdp.n_states, -1)  # (S,) the number of each state's rest, or -1
-        self.inside = ~every  # (L,) the pairs inside a rest
+        # (S,) the zero component of each state, or -1; (L,) the pairs inside these.
+        self.zero_component, self.zero_pairs = np.full(mdp.n_states, -1), ~every
         # The components in which a run earns +∞, or misses a goal if that is worth +∞.
         self.core = np.arange(count)
         self.decided = True  # whether signs decide everything
-        if _missing_pays(mdp):
+        if mdp.ends.missing_pays:
             return
-        # Quiet components: the end components of the pairs without reward.
+        # Zero components are the end components of the pairs without reward.
         rewards, owner = np.sign(mdp.table.expected_gain_exact[0]), label[mdp.pair_state]
-        quiet, still = label, self.within
+        zero_component, zero_pairs = label, self.within
         if rewards[self.within].any():
-            quiet, still = graph.end_components(self.within & (rewards == 0))
+            zero_component, zero_pairs = graph.end_components(self.within & (rewards == 0))
 
         def any_of(where: Mask, of: Integers) -> Mask:
             return np.bincount(of[where], minlength=count) > 0
 
         # The sign of the best mean reward of each component. Rewards of one sign decide it, and
-        # a quiet part makes it at least 0; with both signs the best gain is computed.
+        # a zero component makes it at least 0; with both signs the best gain is computed.
         gain = any_of(self.within & (rewards > 0), owner)
         loss = any_of(self.within & (rewards < 0), owner)
-        best = np.where(gain, 1, np.where(any_of(quiet >= 0, label), 0, -1))
+        best = np.where(gain, 1, np.where(any_of(zero_component >= 0, label), 0, -1))
         both = np.flatnonzero(gain & loss)
         best[both] = self._find_gain_signs(both)
         value_sign = np.append(best, -1)[label]  # the sign of each state's component
         # Safe states: some policy avoids -∞ with probability 1.
         havens = ends
-        if goal is None:
+        if not mdp.ends.has_goal:
             havens = ends | (value_sign >= 0)
         safe = graph.compute_rounds(havens, every) == 0
         # The value is +∞ if a component of positive gain can be reached along safe states.
         positive = (value_sign > 0) & safe
         win = safe & (graph.compute_distance(positive, graph.find_pairs_within(safe)) >= 0)
-        if goal is not None:
+        if mdp.ends.has_goal:
             no_falling(mdp, win)
         sign = self.sign = np.where(win, 1, np.where(safe, 0, -1))
         # Signs do not decide if +∞ can be reached only at a risk of -∞, or if rewards may cancel.
-        lost = goal is None and (graph.compute_distance(value_sign > 0, every) >= 0) & ~win
         cancels = np.isin(label, both[best[both] == 0]) & (sign == 0)
-        self.decided = not (np.any(lost) or cancels.any())
-        self.rest = np.where(sign == 0, quiet, -1)
-        self.inside = still & (sign == 0)[mdp.pair_state] & graph.find_pairs_within(sign == 0)
+        self.decided = not cancels.any()
+        if not mdp.ends.has_goal:
+            lost = (graph.compute_distance(value_sign > 0, every) >= 0) & ~win
+            self.decided &= not lost.any()
+        self.zero_component = np.where(sign == 0, zero_component, -1)
+        self.zero_pairs = (
+            zero_pairs & (sign == 0)[mdp.pair_state] & graph.find_pairs_within(sign == 0)
+        )
         self.core = np.unique(label[win & (value_sign > 0)])
 
     def build_finite_model(self) -> Derived:
         """Return the model of the finite values, in which the value of a state is its label's.
 
-        Each rest becomes one state, with a pair to the end if staying is allowed.
+        Each zero component becomes one state, with a pair to the end if staying is allowed.
         """
-        mdp, rest, finite, free = self.mdp, self.rest, self.sign == 0, self.mdp.goal is None
-        # Pairs between states of finite values, without the pairs inside a rest.
+        mdp, zero, finite = self.mdp, self.zero_component, self.sign == 0
+        # Pairs between states of finite values, without the pairs inside a zero component.
         pairs = (
-            (finite & ~self.ends)[mdp.pair_state]
+            (finite & ~mdp.ends.destination)[mdp.pair_state]
             & self.graph.find_pairs_within(finite)
-            & ~self.inside
+            & ~self.zero_pairs
         )
-        count = int(rest.max(initial=-1)) + 1
-        merged = np.bincount(rest[rest >= 0], minlength=count) > 0
-        # Without a goal, a rest that cannot be left is an end.
-        if free:
-            leaving = self.graph.find_states_with(pairs) & (rest >= 0)
-            merged &= np.bincount(rest[leaving], minlength=count) > 0
-        label = np.append(np.where(merged, np.cumsum(merged) - 1, -1), -1)[rest]
-        rests = []
-        if free:
-            rests = [(k, Fraction(0)) for k in range(int(merged.sum()))]
-        single = finite & ~self.ends & (rest < 0)
+        count = int(zero.max(initial=-1)) + 1
+        merged = np.bincount(zero[zero >= 0], minlength=count) > 0
+        # Without a goal, a zero component that cannot be left is an end.
+        may_stay = not mdp.ends.has_goal
+        if may_stay:
+            leaving = self.graph.find_states_with(pairs) & (zero >= 0)
+            merged &= np.bincount(zero[leaving], minlength=count) > 0
+        label = np.append(np.where(merged, np.cumsum(merged) - 1, -1), -1)[zero]
+        stops = []
+        if may_stay:
+            stops = [(k, Fraction(0)) for k in range(int(merged.sum()))]
+        single = finite & ~mdp.ends.destination & (zero < 0)
         label[single] = int(merged.sum()) + np.arange(int(single.sum()))
-        return build_derived_model(mdp, np.flatnonzero(pairs), label, rests=rests)
+        return build_derived_model(mdp, np.flatnonzero(pairs), label, stops=stops)
 
     def lift_policy(self, label: Integers, chosen: Integers) -> Integers:
         """Return the policy (S,) of the model, given the finite model's source pairs (S',)."""
-        graph, mdp, rest = self.graph, self.mdp, self.rest
-        pairs, target = mdp.pair_offsets[:-1].copy(), self.ends & (self.sign == 0)
+        graph, mdp, zero = self.graph, self.mdp, self.zero_component
+        pairs, target = mdp.pair_offsets[:-1].copy(), mdp.ends.destination & (self.sign == 0)
         # States that were not merged take the pair itself.
         taken = chosen[label]
         leaves = (taken >= 0) & (taken < mdp.n_pairs)
-        single = (self.sign == 0) & leaves & (rest < 0)
+        single = (self.sign == 0) & leaves & (zero < 0)
         pairs[single] = taken[single]
-        # In a rest that is not left, stay; in one that is left, go to the state whose pair leaves.
-        staying = self.inside & ((rest >= 0) & ~leaves)[mdp.pair_state]
+        # Stay in a zero component that is not left; in one that is, go to the state whose pair
+        # leaves.
+        staying = self.zero_pairs & ((zero >= 0) & ~leaves)[mdp.pair_state]
         choose_first_pairs(graph, staying, pairs)
         target |= graph.find_states_with(staying)
-        ways = taken[(rest >= 0) & leaves]
+        ways = taken[(zero >= 0) & leaves]
         pairs[mdp.pair_state[ways]] = ways
         target[mdp.pair_state[ways]] = True
-        choose_nearer_pairs(graph, target, self.inside, pairs)
+        choose_nearer_pairs(graph, target, self.zero_pairs, pairs)
         # Where the value is +∞, go safely to a component that earns it, and earn it there.
         if len(self.core):
             above = np.isin(self.label, self.core)
-            if _missing_pays(mdp):
+            if mdp.ends.missing_pays:
                 choose_first_pairs(
                     graph, graph.find_pairs_within(above) & above[mdp.pair_state], pairs
                 )
@@ -287,11 +287,6 @@ class Structure:
             above, below = (best.value > best.error)[:-1], (best.value < -best.error)[:-1]
             signs[np.searchsorted(numbers, own)] = above.astype(np.int64) - below
         return signs
-
-
-def _missing_pays(mdp: MDP) -> bool:
-    """Return whether a run that misses the goal has the value +∞."""
-    return mdp.goal is not None and mdp.unreached == inf
 
 
 def _solve_gain_in_floats(own: Derived) -> Solution | None:

@@ -15,10 +15,10 @@ from typing import Literal, overload
 
 import numpy as np
 
+from exact_mdp.mdp.advice import where_endless
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.exact import bellman_rows, fingerprint
-from exact_mdp.mdp.graph import has_improper_policy, prove_termination, where_endless
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.bounds import margin_weights
@@ -110,7 +110,7 @@ def certify(
             where="certify",
             fix='leave out bounded=True; solve(model, criterion="average") bounds its error',
         )
-    if bounded and has_improper_policy(mdp):
+    if bounded and mdp.ends.has_improper_policy:
         raise ModelError(
             "bounds that a checker reads need every policy to end, at the goal if there is one, "
             "and some policy does not",
@@ -133,15 +133,15 @@ def certify(
 def prove_total(mdp: MDP) -> Certificate:
     """Return the proof of the greatest total reward."""
     # Improper policies need gain and bias, or with a goal a proof of where values are infinite.
-    if has_improper_policy(mdp):
-        if mdp.goal is None:
-            return prove_gain_and_bias(mdp, "total")
-        return prove_goal_total(mdp)
+    if mdp.ends.has_improper_policy:
+        if mdp.ends.has_goal:
+            return prove_goal_total(mdp)
+        return prove_gain_and_bias(mdp, "total")
     # Otherwise the values alone, and at discount 1 ranks that prove that every policy ends.
     _, (value,), sign = optimise_exactly(bellman_rows(mdp))
     optimal = sign == 0
     if mdp.discount_exact == 1:
-        rank = prove_termination(mdp).rank
+        rank = mdp.ends.termination.rank
     else:
         rank = None
     return build_certificate(mdp, first_of(mdp, optimal), optimal, h=value, rank=rank)
@@ -186,7 +186,7 @@ def _certify_bounds(mdp: MDP, solution: Solution | None) -> BoundedCertificate:
     live = ~mdp.terminal
     rank = None
     if mdp.discount_exact == 1:
-        rank = prove_termination(mdp).rank
+        rank = mdp.ends.termination.rank
     return BoundedCertificate(
         kind="bounds",
         mdp=mdp,

@@ -24,16 +24,11 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
+from exact_mdp.mdp.advice import other_question, ways_out
 from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
-from exact_mdp.mdp.graph import (
-    Mask,
-    find_reachable_nodes,
-    find_reachable_states,
-    other_question,
-    ways_out,
-)
+from exact_mdp.mdp.graph import Mask, find_reachable_nodes, find_reachable_states
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers, row_sums
 from exact_mdp.solvers.bounds.gains import POLICIES, first_of
@@ -178,10 +173,9 @@ def _iterate_policies(
 def prove_goal_total(mdp: MDP) -> Certificate:
     """Return the proof of a total until a goal that some policy never reaches."""
     prove = _prove_missing_costs
-    if mdp.unreached == inf:
+    if mdp.ends.missing_pays:
         prove = _prove_missing_pays
-    assert mdp.goal is not None
-    return prove(mdp, bellman_rows(mdp), PairGraph.of(mdp), mdp.goal)
+    return prove(mdp, bellman_rows(mdp), PairGraph.of(mdp), mdp.ends.destination)
 
 
 def _prove_missing_pays(mdp: MDP, rows: BellmanRows, graph: PairGraph, goal: Mask) -> Certificate:

@@ -22,9 +22,10 @@ from fractions import Fraction
 
 import numpy as np
 
+from exact_mdp.mdp.advice import ways_out, where_endless
 from exact_mdp.mdp.errors import ModelError, suggest_name
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows
-from exact_mdp.mdp.graph import find_reachable_states, prove_termination, ways_out, where_endless
+from exact_mdp.mdp.graph import find_reachable_states
 from exact_mdp.mdp.io import model_json
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import (
@@ -115,17 +116,14 @@ class Objectives:
         mdp = self.mdp
         if mdp.discount_exact < 1:
             return
-        if not prove_termination(self.ending).proven:
+        if not self.ending.ends.termination.proven:
             raise ModelError(
                 "some policy never ends, and its totals at discount 1 would grow forever",
                 where=where_endless(self.ending),
                 fix=ways_out(mdp),
             )
-        if mdp.goal is None:
-            goal = np.ones_like(mdp.terminal)
-        else:
-            goal = mdp.goal
-        if (beside := find_reachable_states(mdp) & self.ending.terminal & ~goal).any():
+        beside = find_reachable_states(mdp) & mdp.ends.find_missed(self.ending.terminal)
+        if beside.any():
             raise ModelError(
                 "no total is finite: a policy may end outside the goal",
                 where=mdp.space.place(int(np.flatnonzero(beside)[0])),

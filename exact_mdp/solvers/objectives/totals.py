@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.exact import fingerprint
-from exact_mdp.mdp.graph import prove_termination
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers
 from exact_mdp.solvers.bounds.gains import first_of
@@ -177,7 +176,7 @@ class TotalsProof(Proof):
 def list_proof_fields(of: Objectives, kind: str) -> dict[str, Any]:
     """Return the fields that all proofs about totals have."""
     if of.mdp.discount_exact == 1:
-        rank = prove_termination(of.ending).rank
+        rank = of.ending.ends.termination.rank
     else:
         rank = None
     parts = {"kind": kind, "model": fingerprint(of.mdp), "mdp": of.mdp}

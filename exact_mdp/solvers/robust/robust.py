@@ -29,7 +29,7 @@ import scipy.sparse as sp
 
 from exact_mdp.mdp.components import require_amounts
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.graph import find_ends_outside_goal, find_reachable_nodes, topological_levels
+from exact_mdp.mdp.graph import find_reachable_nodes
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
@@ -124,8 +124,8 @@ def solve_robust(
     require_room_for_rows(model)
     ambiguity.check(model)
     require_amounts(model.table, "a value under other rows")
-    beside = find_ends_outside_goal(model)
-    if model.discount_exact == 1 and beside.any():
+    beside = model.ends.outside_goal
+    if beside.any():
         raise ModelError(
             "a run that ends outside the goal is worth infinity, and robust values are finite",
             where=model.space.place(int(beside.argmax())),
@@ -254,7 +254,7 @@ def verify_margins(game: Game) -> tuple[Floats, Floats]:
     late = copy(game)
     late.against, late.rewards = False, False
     # Weights as in `bounds.bounds`: levels of an acyclic model, else 1, else expected steps.
-    order = topological_levels(game.mdp)
+    order = game.mdp.ends.most_steps
     if order is not None:
         weight = order.astype(np.float64)
     elif game.mdp.discount < 1:
@@ -305,7 +305,7 @@ def _iterate_values(
     game: Game, tol: float | None, max_iterations: int
 ) -> tuple[Status, Floats, Floats, Inner, int]:
     """Return values and their errors (S,), nature's choice at them, and the iterations."""
-    live, value, order = game.live, np.zeros(game.mdp.n_states), topological_levels(game.mdp)
+    live, value, order = game.live, np.zeros(game.mdp.n_states), game.mdp.ends.most_steps
     if not len(live):
         return Status.CONVERGED, value, value.copy(), game.solve_inner_problem(value), 0
     # `best` is the least error so far, `trust` the one that solving the equations has to improve

@@ -28,10 +28,11 @@ from typing import ClassVar, Literal, overload
 import numpy as np
 import scipy.sparse as sp
 
+from exact_mdp.mdp.advice import ways_out
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.exact import BellmanRows
-from exact_mdp.mdp.graph import Mask, find_reachable_nodes, ways_out
+from exact_mdp.mdp.graph import Mask, find_reachable_nodes
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, list_claim_facts
@@ -62,7 +63,6 @@ from exact_mdp.solvers.values.policy_chain import (
     OfPolicy,
     PolicyChain,
     PolicyEquations,
-    has_sure_end,
     split_infinite_returns,
 )
 from exact_mdp.solvers.values.returns import return_distribution
@@ -225,7 +225,7 @@ class Evaluation(OfPolicy, Pictured):
         """Return the total of a component under a policy that goes on forever."""
         mdp, given = self.given.mdp, self.given
         # A run that misses the goal has an infinite return, which no component accounts for.
-        if mdp.goal is not None:
+        if mdp.ends.has_goal:
             return UNKNOWN
         # Solve the model of this reward alone, in which the policy's actions are the only ones.
         table = mdp.table.with_reward(*mdp.component(name))
@@ -362,7 +362,7 @@ class Evaluation(OfPolicy, Pictured):
     def _steps(self) -> Bounded:
         if not self.ends:
             return Bounded(value=inf, error=0.0)
-        going = (self.chain.ends & ~self.mdp.terminal).astype(np.float64)
+        going = (self.chain.proper & ~self.mdp.terminal).astype(np.float64)
         return at_start(self.mdp, self.chain.undiscounted.solve(going))
 
     @property
@@ -539,7 +539,7 @@ def evaluate(
     mdp, given = chain.mdp, chain
     # At discount 1, make classes without rewards terminal. If a run may earn forever, there is
     # nothing to add up: the mean is the optimum of the model that has no other actions.
-    if mdp.discount_exact == 1 and not has_sure_end(chain):
+    if mdp.discount_exact == 1 and not chain.reaches_goal_from_start:
         lost: object = True
         with suppress(ModelError):  # the return may have no limit while the mean return has one
             chain, lost = split_infinite_returns(given)
@@ -551,7 +551,7 @@ def evaluate(
         mdp = chain.mdp
     # V = r + γ P V has one solution in states that end surely, and everywhere below discount 1.
     if mdp.discount_exact == 1:
-        known = chain.arriving
+        known = chain.reaches_goal
     else:
         known = np.ones(mdp.n_states, dtype=bool)
     live = known & ~mdp.terminal

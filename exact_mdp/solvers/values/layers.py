@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.graph import find_reachable_states, topological_levels
+from exact_mdp.mdp.graph import find_reachable_states
 from exact_mdp.mdp.model import MDP, cache_on_model
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import BLOCK, Floats, Integers, Numbers, concatenate_ranges
@@ -27,7 +27,7 @@ class Layers:
     """Passes over all reachable states, for N columns at once; entries of other states are 0."""
 
     def __init__(self, mdp: MDP) -> None:
-        level = topological_levels(mdp)
+        level = mdp.ends.most_steps
         assert level is not None
         self.mdp = mdp
         used = np.flatnonzero(find_reachable_states(mdp) & ~mdp.terminal)
@@ -99,7 +99,7 @@ def find_taken_pairs(mdp: MDP, key: Integers, policies: Numbers) -> Integers:
 
 def evaluate_row_policies(mdp: MDP, rows: QTableRows, policies: Numbers) -> BoundedVector:
     """Return the start values (U,) for policies (U, K), with one action number for each Q-row."""
-    if topological_levels(mdp) is None:
+    if mdp.ends.most_steps is None:
         evaluations = []
         for rule in policies:
             policy = Policy(space=rows.space, actions=mdp.actions, rule=rule)

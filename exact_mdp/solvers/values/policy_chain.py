@@ -26,15 +26,10 @@ from math import inf
 import numpy as np
 import scipy.sparse as sp
 
+from exact_mdp.mdp.advice import ways_out
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, lcm_by_group
-from exact_mdp.mdp.graph import (
-    Mask,
-    find_ends_outside_goal,
-    find_reachable_nodes,
-    topological_levels,
-    ways_out,
-)
+from exact_mdp.mdp.graph import Mask, find_reachable_nodes, find_start_states
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
 from exact_mdp.mdp.questions import make_terminal
@@ -131,7 +126,7 @@ class PolicyChain:
     def require_said(self, undecided: Mask, where: str) -> None:
         """Raise ModelError if the choice of an action in some states (S,) matters in this model."""
         mdp = self.mdp
-        matters = undecided & ~mdp.over & ~mdp.indifferent & self.reached
+        matters = undecided & mdp.ends.choice_matters & self.reached
         if matters.any():
             raise ModelError(
                 "the policy held fixed names no action in a state where the choice does not matter "
@@ -272,37 +267,46 @@ class PolicyChain:
     def order(self) -> Integers | None:
         """(S,) numbers that fall along every transition; None if the model has cycles."""
         if self.mdp.terminal.any():
-            return topological_levels(self.mdp)
+            return self.mdp.ends.most_steps
         return None
 
     @cached_property
     def reached(self) -> Mask:
         """(S,) True for states that the policy can visit, the start included."""
-        first = np.zeros(self.mdp.n_states, dtype=bool)
-        first[[state for state, weight in self.mdp.start if weight]] = True
-        return find_reachable_nodes(self.graph, first)
+        return find_reachable_nodes(self.graph, find_start_states(self.mdp))
+
+    def may_reach(self, states: Mask) -> Mask:
+        """Return (S,) True where the policy may reach some states (S,), these included."""
+        if not states.any():
+            return np.zeros_like(states)
+        return find_reachable_nodes(self.graph.T.tocsr(), states)
 
     @cached_property
     def stuck(self) -> Mask:
         """(S,) True where no terminal state can be reached any more."""
-        if self.order is None and self.mdp.terminal.any():
-            return ~find_reachable_nodes(self.graph.T.tocsr(), self.mdp.terminal)
-        return np.full(self.mdp.n_states, self.order is None)
+        if self.order is not None:
+            return np.zeros(self.mdp.n_states, dtype=bool)
+        return ~self.may_reach(self.mdp.terminal)
 
     @cached_property
-    def ends(self) -> Mask:
+    def proper(self) -> Mask:
         """(S,) True where the policy reaches a terminal state with probability 1."""
-        if self.stuck.all() or not self.stuck.any():
-            return ~self.stuck
-        return ~find_reachable_nodes(self.graph.T.tocsr(), self.stuck)
+        return ~self.may_reach(self.stuck)
 
     @cached_property
-    def arriving(self) -> Mask:
+    def reaches_goal(self) -> Mask:
         """(S,) True where the policy ends with probability 1 and never misses a goal."""
-        beside = find_ends_outside_goal(self.mdp)
-        if not beside.any():
-            return self.ends
-        return self.ends & ~find_reachable_nodes(self.graph.T.tocsr(), beside)
+        return self.proper & ~self.may_reach(self.mdp.ends.outside_goal)
+
+    @property
+    def ends_from_start(self) -> bool:
+        """Whether every episode ends with probability 1."""
+        return bool(self.proper[find_start_states(self.mdp)].all())
+
+    @property
+    def reaches_goal_from_start(self) -> bool:
+        """Whether every episode ends with probability 1, and none misses a goal."""
+        return bool(self.reaches_goal[find_start_states(self.mdp)].all())
 
     @cached_property
     def going_on(self) -> FloatChain:
@@ -316,7 +320,7 @@ class PolicyChain:
         return self.going_on.classes
 
     @property
-    def resting(self) -> Mask:
+    def stays_unrewarded(self) -> Mask:
         """(S,) True in recurrent classes without any reward or event."""
         busy = self.gain != 0
         if self.table.event is not None:
@@ -326,11 +330,6 @@ class PolicyChain:
         inside, own = self.classes.recurrent, self.classes.own
         active = np.bincount(own, acts & inside & ~self.mdp.terminal) > 0
         return np.asarray(inside & ~active[own])
-
-    @property
-    def ends_from_start(self) -> bool:
-        """True if every episode ends with probability 1."""
-        return not (self.stuck.all() or (self.reached & self.stuck).any())
 
     def require_end(self) -> None:
         """Raise ModelError, naming where the policy stays, unless every episode ends."""
@@ -348,7 +347,7 @@ class PolicyChain:
         """Return x = c + rate · P_π x, at rate 1 in states that end; x = 0 in other states."""
         # At rate 1 the equations have a single solution only among states that end.
         if rate == 1:
-            live = self.ends & ~self.mdp.terminal
+            live = self.proper & ~self.mdp.terminal
         else:
             live = ~self.mdp.terminal
         inner = select_rows(self.transition, np.arange(len(live)), live, inner=True)
@@ -439,7 +438,7 @@ class PolicyChain:
         """
         rows = self.build_bellman_rows()
         if self.mdp.discount_exact == 1:
-            rows = replace(rows, terminal=rows.terminal | ~self.ends)
+            rows = replace(rows, terminal=rows.terminal | ~self.proper)
         (level,) = evaluate_exactly(rows, np.arange(self.mdp.n_states))
         return level
 
@@ -617,12 +616,6 @@ def _require_weights(mdp: MDP, weights: Floats) -> Floats:
 # ---- policies that never end ---------------------------------------------------------------------
 
 
-def has_sure_end(chain: PolicyChain) -> bool:
-    """Return whether every episode ends and none misses a goal."""
-    beside = bool((chain.reached & find_ends_outside_goal(chain.mdp)).any())
-    return chain.ends_from_start and not beside
-
-
 def split_infinite_returns(chain: PolicyChain) -> tuple[PolicyChain, dict[float, Mask]]:
     """Return a chain whose every run ends, and its ends (S,) for returns of inf and -inf, if any.
 
@@ -631,20 +624,19 @@ def split_infinite_returns(chain: PolicyChain) -> tuple[PolicyChain, dict[float,
     forever, so that a return has no limit.
     """
     mdp = chain.mdp
-    if mdp.discount_exact != 1 or has_sure_end(chain):
+    if mdp.discount_exact != 1 or chain.reaches_goal_from_start:
         return chain, {}
     # A goal is missed where no terminal state can be reached, or a wrong one has been.
-    if mdp.goal is not None:
-        rest = (chain.stuck | mdp.terminal) & ~mdp.goal
-        lost = {mdp.unreached: rest}
+    if mdp.ends.has_goal:
+        ended = mdp.ends.find_missed(chain.stuck | mdp.terminal)
+        lost = {mdp.unreached: ended}
     else:
         # In a class with rewards the sign of the gain decides; a gain of 0 means that they cancel.
-        rest = chain.resting
-        busy = chain.reached & chain.classes.recurrent & ~rest & ~mdp.terminal
+        ended = chain.stays_unrewarded
+        busy = chain.reached & chain.classes.recurrent & ~ended & ~mdp.terminal
+        gain = np.zeros(mdp.n_states)
         if busy.any():
             gain = _find_gain_signs(chain, busy)
-        else:
-            gain = np.zeros(mdp.n_states)
         flat = busy & (gain == 0)
         if flat.any():
             raise ModelError(
@@ -653,7 +645,7 @@ def split_infinite_returns(chain: PolicyChain) -> tuple[PolicyChain, dict[float,
                 fix=ways_out(mdp, 'take evaluate(), with criterion="average"'),
             )
         lost = {inf: busy & (gain > 0), -inf: busy & (gain < 0)}
-    ending = chain.make_terminal(np.logical_or.reduce([rest, *lost.values()]))
+    ending = chain.make_terminal(np.logical_or.reduce([ended, *lost.values()]))
     return ending, {sign: each for sign, each in lost.items() if each.any()}
 
 

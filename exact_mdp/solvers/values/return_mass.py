@@ -126,20 +126,20 @@ class MassFlow:
 
     def carry_mass(self) -> tuple[Numbers, Numbers, Any, int]:
         """Return multiples and masses at the ends, the mass that is lost, and the roundings."""
-        waiting, roundings = defaultdict[int, list[Mass]](list), 0
+        incoming, roundings = defaultdict[int, list[Mass]](list), 0
         # All cyclic blocks together may lose REMAINING.
         tolerance = REMAINING / max(int(self.cyclic.sum()), 1)
         # Start with a return of 0 in the block of each start state.
         for state, weight in self.start.items():
             begin = np.zeros(1, dtype=self.gain.dtype), np.array([weight], self.share.dtype)
-            waiting[int(self.block[state])].append((np.array([state]), *begin))
+            incoming[int(self.block[state])].append((np.array([state]), *begin))
         blocks = range(self.last)
         for block in tqdm.tqdm(blocks, desc="returns", unit="block", delay=2, disable=None):
             # All mass that led to this block may have been negligible.
-            if block not in waiting:
+            if block not in incoming:
                 continue
             # All of its mass has arrived: earlier blocks are finished.
-            moving = _sum_masses(waiting.pop(block))
+            moving = _sum_masses(incoming.pop(block))
             visits, sweep = [moving], 0
             own = np.arange(*np.searchsorted(self.source, self.first[block : block + 2]))
             inner = self.inner[own]
@@ -181,9 +181,9 @@ class MassFlow:
             leads = self.block[following[0]]
             for there in np.flatnonzero(np.bincount(leads)).tolist():
                 to, multiple, mass = (part[leads == there] for part in following)
-                waiting[there].append((to, multiple, mass))
+                incoming[there].append((to, multiple, mass))
         # In the last block are the returns themselves, sorted by end and then by multiple.
-        end, multiples, masses = self._drop_small(_sum_masses(waiting[self.last]), 0.0)
+        end, multiples, masses = self._drop_small(_sum_masses(incoming[self.last]), 0.0)
         if masses.dtype == object:
             masses = np.array([Fraction(mass, self.total) for mass in masses.tolist()], object)
         # An infinite return is one entry, below or above all finite ones.

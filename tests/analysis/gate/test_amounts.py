@@ -30,8 +30,8 @@ WORK = MDP.from_pairs(
 
 def test_a_state_that_earns_nothing_is_not_over_where_an_amount_is_counted() -> None:
     assert WORK.terminal.tolist() == [False, True]
-    assert (WORK.over.any(), WORK.asked.tolist()) == (False, [False, True])
-    assert WORK.indifferent.tolist() == [True, False]
+    assert (WORK.over.any(), WORK.ends.must_choose.tolist()) == (False, [False, True])
+    assert WORK.ends.alike.tolist() == [True, False]
     with pytest.raises(ModelError, match=r"rows are missing|no action"):
         Policy.of(WORK, {0: 0})
     env = MDPEnv(WORK)

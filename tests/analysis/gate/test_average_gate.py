@@ -33,7 +33,7 @@ def test_the_regret_is_exact_and_has_its_price_in_each_state(rows: Rows, rng: Ra
     assert loose.value.interval[0] <= wanted <= loose.value.interval[1]
     assert loose.passed
     elsewhere = policy != solve(rows.model(), criterion="average").policy.rule
-    assert loose.unclear == (elsewhere & loose.mdp.asked).sum()
+    assert loose.unclear == (elsewhere & loose.mdp.ends.must_choose).sum()
 
 
 def test_cutting_the_oldest_forest_costs_what_it_earns_less() -> None:

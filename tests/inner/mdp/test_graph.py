@@ -1,39 +1,21 @@
 """Graphs, against their definition; rows, the same compiled or not; work on threads."""
 
 from fractions import Fraction as F
-from functools import cache
 from typing import Any
 
 import networkx as nx
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from cases import CASES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from model_contents import laws
-from oracle import every_policy_ends
-from refusal_tables import refused
-from strategies import Rows, models, of_case
+from strategies import Rows, models
 
-from exact_mdp import MDP, ModelError, Scenario
+from exact_mdp import MDP, ModelError
 from exact_mdp.mdp import graph, table
 from exact_mdp.mdp.forms import threads
-from exact_mdp.mdp.graph import (
-    find_reachable_states,
-    is_acyclic,
-    prove_termination,
-    require_termination,
-    topological_levels,
-)
-
-
-def proves(mdp: MDP, rank: np.ndarray) -> bool:
-    """Whether `rank` proves that every policy ends: every pair reaches a smaller one in a step."""
-    matrix, going = mdp.transition, ~mdp.terminal
-    least = np.minimum.reduceat(rank[matrix.indices], matrix.indptr[:-1])
-    falls = (least < rank[mdp.pair_state])[going[mdp.pair_state]].all()
-    return bool(falls and (rank[going] > 0).all() and not rank[~going].any())
+from exact_mdp.mdp.graph import find_reachable_states
 
 
 def edges_of(mdp: MDP, pairs: list[int]) -> nx.DiGraph:
@@ -55,45 +37,6 @@ def test_what_is_reached_in_how_many_steps_and_whether_it_ends(rows: Rows, data)
         assert set(np.flatnonzero(find_reachable_states(mdp, sorted(start), chosen))) == expected
     edges = edges_of(mdp, [*range(mdp.n_pairs)])
     assert set(np.flatnonzero(find_reachable_states(mdp))) == {0} | nx.descendants(edges, 0)
-    edges.remove_edges_from([(s, s) for s in np.flatnonzero(mdp.terminal)])
-    levels = topological_levels(mdp)
-    assert is_acyclic(mdp) == (levels is not None) == nx.is_directed_acyclic_graph(edges)
-
-    @cache
-    def longest(state: int) -> int:
-        return max((1 + longest(after) for after in edges.successors(state)), default=0)
-
-    assert levels is None or levels.tolist() == [longest(s) for s in range(mdp.n_states)]
-    end = prove_termination(mdp)
-    assert end.proven == every_policy_ends(rows.n_states, rows.pairs) == proves(mdp, end.rank)
-    if end.proven:
-        require_termination(mdp.with_(discount=1))
-        return
-    chosen = [mdp.pair(s, int(a)) for s, a in enumerate(end.policy)]
-    trapped = set(end.trapped.tolist())  # where that policy stays for ever
-    assert trapped
-    assert not trapped & set(np.flatnonzero(mdp.terminal))
-    assert all({t for _, t, _ in mdp.table.row(chosen[s])} <= trapped for s in trapped)
-    refused(lambda: require_termination(mdp.with_(discount=1)), "discount 1 needs every policy to")
-
-
-def test_models_end_as_they_say_and_a_policy_that_does_not_is_named() -> None:
-    for case in CASES:
-        assert case.discount < 1 or prove_termination(of_case(case)).proven == case.proper
-    rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 2, 0)]), (1, 0, [(1, 0, 0)]), (2, 0, [(1, 2, 0)])]
-    mdp = MDP.from_outcomes(rows, states=["left", "right", "end"], actions=["go", "stop"])
-    refused(
-        lambda: require_termination(mdp), "every policy to end, and some policy does not",
-        "it stays forever in (state left) with action go, (state right) with action go",
-        "choose a discount below 1 (--discount 0.95",
-    )  # fmt: skip
-    require_termination(mdp.with_(discount="1/2"))
-    refused(lambda: require_termination(MDP.from_arrays([np.eye(9)], np.ones(9))), "", "and 5 more")
-    care = Scenario.load("yuan2025").with_(tasks=[1000]).compile()
-    levels = topological_levels(care)
-    assert levels.max() == 5000  # four further trials of each subtask, then the next
-    assert proves(care, levels)
-    assert proves(care, prove_termination(care).rank)
 
 
 @given(st.integers(1, 12), st.lists(st.tuples(st.integers(0, 11), st.integers(0, 11))), st.data())

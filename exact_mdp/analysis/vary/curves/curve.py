@@ -37,7 +37,6 @@ from exact_mdp.analysis.vary.ranges import Range, range_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.exact import fingerprint, to_flint
-from exact_mdp.mdp.graph import has_improper_policy
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, parametric
@@ -370,7 +369,7 @@ def curve(
     if name == DISCOUNT:
         if ranges is None and relative is None and span.high < 1:
             span = Range(low=span.low, high=NEARLY_ONE)
-        if span.high == 1 and has_improper_policy(family.at({DISCOUNT: 1})):
+        if span.high == 1 and family.at({DISCOUNT: 1}).ends.has_improper_policy:
             if span.low >= NEARLY_ONE:
                 raise ModelError(
                     "at discount 1 some policy never ends",

@@ -33,7 +33,7 @@ from exact_mdp.analysis.vary.curves.roots import (
 )
 from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.exact import to_flint
-from exact_mdp.mdp.graph import find_ends_outside_goal, find_reachable_states
+from exact_mdp.mdp.graph import find_reachable_states
 from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.parametric.row_change import (
     Piece,
@@ -42,6 +42,7 @@ from exact_mdp.mdp.parametric.row_change import (
     to_flint_ratios,
     transition_entries,
 )
+from exact_mdp.mdp.questions import ends_at_label
 
 Values = tuple[Sequence[fmpq_poly], fmpq_poly]
 """N of each state, and D: values are N / D."""
@@ -79,10 +80,7 @@ class SectionEquations:
         for key, moved in zip(change.transition.key.tolist(), change.transition.moved, strict=True):
             weight[key] = weight.get(key, fmpq_poly()) + moved(shift)
         # A terminal state with a row that changes is terminal at θ0 alone, and counts as live.
-        ended = mdp.terminal.copy()
-        ended[mdp.pair_state[change.reward.key]] = False
-        ended[mdp.pair_state[change.transition.key // mdp.n_states]] = False
-        terminal: list[bool] = ended.tolist()
+        terminal: list[bool] = (mdp.terminal & ~change.find_states(mdp)).tolist()
         self.state: list[int] = mdp.pair_state.tolist()
         self.live = [state for state, ends in enumerate(terminal) if not ends]
         self.pairs: dict[int, Sequence[int]] = {state: mdp.pairs_of(state) for state in self.live}
@@ -91,7 +89,7 @@ class SectionEquations:
             for pair in pairs:
                 self.following[pair] = []
         missing: Steps = {pair: [] for pair in self.following}  # steps to ends that are no goal
-        outside: list[bool] = find_ends_outside_goal(mdp).tolist()
+        outside: list[bool] = mdp.ends.outside_goal.tolist()
         for key, p in sorted(weight.items()):
             pair, state = divmod(key, mdp.n_states)
             if pair in self.following and not terminal[state]:
@@ -100,6 +98,8 @@ class SectionEquations:
                 missing[pair].append((state, p))
         self.values: Values = ((), fmpq_poly())
         self.gap = [fmpq_poly()] * mdp.n_pairs
+        # The last state of a graph is the end.
+        self.end = np.arange(mdp.n_states + 1) == mdp.n_states
         self.barred = list[int]()  # pairs of live states by which a run may miss the goal
         self.may_miss_goal = self._leave_out_misses(missing)
         # An order in which next states come first, if there is one.
@@ -119,32 +119,29 @@ class SectionEquations:
         nor a pair that leads to states from which no policy is sure of the goal. If missing is
         worth +∞, or if the discount moves, no run of the section may miss the goal.
         """
-        if not any(missing.values()) or self.mdp.target is None:
-            return self._finds_missed_goal()
-        if self.rate != fmpq_poly([1]) or self.mdp.unreached > 0:
+        if not any(missing.values()) or self.mdp.ends.missing_pays or self.rate != fmpq_poly([1]):
             return self._finds_missed_goal()
         # At a point where some transition vanishes more pairs may be safe, and the optimum jumps.
-        found: list[list[bool]] = []
+        found: list[tuple[list[bool], list[bool]]] = []
         for place in self._list_places(missing):
             graph = self._build_graph(place, missing)
-            end = np.arange(graph.states) == graph.states - 1
-            unsafe = graph.compute_rounds(end, ~np.zeros(len(missing), dtype=bool)) != 0
-            each = [*unsafe.tolist(), *graph.find_pairs_into(unsafe).tolist()]
+            sure, safe = graph.find_sure_pairs(self.end)
+            each = sure.tolist(), safe.tolist()
             if each not in found:
                 found.append(each)
         if len(found) > 1:
             return True
-        unsafe_states, barred = each[: graph.states], each[graph.states :]
-        for pair, leads in zip(missing, barred, strict=True):
-            if leads or unsafe_states[self.state[pair]]:
+        sure_states, safe_pairs = each
+        for pair, is_safe in zip(missing, safe_pairs, strict=True):
+            if not is_safe:
                 del self.following[pair]
-            if leads and not unsafe_states[self.state[pair]]:
+            if not is_safe and sure_states[self.state[pair]]:
                 self.barred.append(pair)
                 self.gap[pair] = fmpq_poly([1])  # never optimal
-        self.live = [state for state in self.live if not unsafe_states[state]]
+        self.live = [state for state in self.live if sure_states[state]]
         kept = self.following.keys()
         self.pairs = {s: [pair for pair in self.pairs[s] if pair in kept] for s in self.live}
-        return any(unsafe_states[state] for state, weight in self.mdp.start if weight)
+        return not all(sure_states[state] for state, weight in self.mdp.start if weight)
 
     def compute_action_value(self, pair: int, values: Values) -> fmpq_poly:
         """Return D Q of a pair: D r + γ Σ p N; from its gap, if the values of next states stay."""
@@ -209,19 +206,17 @@ class SectionEquations:
         The goal of a total counts at discount 1 alone, so an end of the section with discount
         1 is looked at, too. States that are reachable there are reachable inside.
         """
-        if self.mdp.target is None:
+        if not ends_at_label(self.mdp):
             return False
         models = [self.mdp]
+        # A discount may also touch 1 inside.
+        if self.rate.degree() > 0 and roots_on(self.rate - 1, self.low, self.high):
+            models.append(self.mdp.with_(discount=1))
         for end in (self.low, self.high):
             if self.mdp.discount_exact != 1 and self.rate(to_flint(end)) == 1:
                 models.append(self.family.at({self.change.name: end}))
         met = find_reachable_states(self.mdp)
-        # A discount may also touch 1 inside.
-        touches = self.rate.degree() > 0 and roots_on(self.rate - 1, self.low, self.high)
-        outside = self.mdp.terminal & ~self.mdp.target & met
-        if touches and self.mdp.discount_exact != 1 and outside.any():
-            return True
-        return any((find_ends_outside_goal(mdp) & met).any() for mdp in models)
+        return any((mdp.ends.outside_goal & met).any() for mdp in models)
 
     def one_solution(self) -> bool:
         """Whether the equations have one solution on the whole section, ends included."""
@@ -244,8 +239,7 @@ class SectionEquations:
         The optimum is then the solution that belongs to a policy that ends. If missing the goal
         pays +∞, so does staying forever.
         """
-        pays = self.mdp.target is not None and self.mdp.unreached > 0
-        if pays or self.rate != fmpq_poly([1]):
+        if self.mdp.ends.missing_pays or self.rate != fmpq_poly([1]):
             return False
         return all(
             is_positive(-self.reward[pair], self.low, self.high) for pair in self.staying_pairs
@@ -264,10 +258,11 @@ class SectionEquations:
         """Whether some policy of the given pairs ends from every state, between two points."""
         taken = np.isin([*self.following], [*pairs])
         for place, graph in self._graphs:
-            if place is None or place.lies_between(low, high):
-                end = np.arange(graph.states) == graph.states - 1
-                if (graph.compute_distance(end, taken)[self.live] < 0).any():
-                    return False
+            if place is not None and not place.lies_between(low, high):
+                continue
+            distance = graph.compute_distance(self.end, taken)
+            if (distance[self.live] < 0).any():
+                return False
         return True
 
     @cached_property

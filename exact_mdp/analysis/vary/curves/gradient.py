@@ -30,16 +30,9 @@ from exact_mdp.analysis.gate.regret import EXACT_TRANSITIONS, certify_and_check
 from exact_mdp.analysis.vary.curves.walk import make_improper_error
 from exact_mdp.analysis.vary.ranges import unit_of
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.end_components import is_shortest_path
 from exact_mdp.mdp.errors import ModelError, named_options, require_list
 from exact_mdp.mdp.exact import from_flint, to_flint
-from exact_mdp.mdp.graph import (
-    Mask,
-    find_reachable_states,
-    has_improper_policy,
-    is_acyclic,
-    prove_termination,
-)
+from exact_mdp.mdp.graph import Mask, find_reachable_states
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
@@ -60,7 +53,7 @@ from exact_mdp.solvers.endless.quotient import of_pairs
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, in_float
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
-from exact_mdp.solvers.values.policy_chain import PolicyChain, has_sure_end
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 SLOPE, ELASTICITY = "derivative (reward per unit)", "elasticity (% per %)"  # columns of a table
 
@@ -273,15 +266,15 @@ def gradient(
 
     def is_finite(model: MDP) -> bool:
         """Return whether the optimum, or the given policy, has finite totals in a model."""
-        if not has_improper_policy(model):
-            return True
         if reoptimised:
-            return is_shortest_path(model)
-        return has_sure_end(PolicyChain.of(model, policy))
+            return model.ends.has_finite_optimum
+        if not model.ends.has_improper_policy:
+            return True
+        return PolicyChain.of(model, policy).reaches_goal_from_start
 
     if not is_finite(mdp):
         raise make_improper_error(
-            "today's parameters", beside=prove_termination(mdp).proven, ranges=False
+            "today's parameters", beside=mdp.ends.termination.proven, ranges=False
         )
     # One backward and one forward pass serve all parameters.
     if exact is None:
@@ -313,7 +306,7 @@ def _is_quick(mdp: MDP) -> bool:
     most = 64
     if mdp.n_transitions <= 10_000 and mdp.table.weight.dtype == np.int64:
         most = 200
-    return mdp.n_states <= most or is_acyclic(mdp)
+    return mdp.n_states <= most or mdp.ends.is_acyclic
 
 
 def _compute_derivative(
@@ -461,10 +454,7 @@ def _make_tie_error(where: str) -> ModelError:
 
 def _find_newly_live_states(mdp: MDP, change: RowChange) -> Mask:
     """Return (S,) True for states with a choice that are terminal today, but not nearby."""
-    moving = np.zeros(mdp.n_states, dtype=bool)
-    moving[mdp.pair_state[change.reward.key]] = True
-    moving[mdp.pair_state[change.transition.key // mdp.n_states]] = True
-    return np.asarray(moving & mdp.terminal & ~mdp.forced)
+    return change.find_states(mdp) & mdp.terminal & ~mdp.forced
 
 
 def _refuse_silence(mdp: MDP, silent: Mask, name: str) -> None:
@@ -483,7 +473,7 @@ def _infinite_states(chain: PolicyChain) -> Mask:
     mdp = chain.mdp
     if mdp.discount_exact != 1:
         return np.zeros(mdp.n_states, dtype=bool)
-    return ~chain.arriving
+    return ~chain.reaches_goal
 
 
 def _refuse_infinite(mdp: MDP, keys: Integers, infinite: Mask, name: str) -> None:

@@ -106,8 +106,8 @@ def test_rows_offer_what_all_their_states_do() -> None:
                 assert set(np.flatnonzero(rows.available[k]).tolist()) == common
             later = PolicyRows(mdp.with_(start=2), read)
             met = {int(later.key[s]) for s in (2,)}
-            assert set(np.flatnonzero(later.asked).tolist()) == met or "time" not in read
-            assert later.asked.shape == (later.space.size,)
+            assert set(np.flatnonzero(later.must_choose).tolist()) == met or "time" not in read
+            assert later.must_choose.shape == (later.space.size,)
     rows_of: Any = [
         (0, 0, [(1, 2, 1)]),
         (0, 1, [(1, 2, 1)]),
@@ -385,7 +385,7 @@ def test_a_search_splits_where_a_single_action_costs_most() -> None:
         bound_relaxations=loose,
         evaluate_choices=rows.evaluate_choices,
         available=rows.available,
-        asked=rows.asked,
+        must_choose=rows.must_choose,
         mdp=mdp,
     )
     search = _BranchAndBound(high)

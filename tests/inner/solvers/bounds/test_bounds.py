@@ -210,10 +210,10 @@ def test_weights_are_steps_to_the_end_or_one(acyclic: bool) -> None:
         weights, steps = margin_weights(mdp), [float(x) for x in steps_of(mdp)]
         if acyclic:
             np.testing.assert_allclose(weights.value, steps, rtol=1e-14)
-        elif mdp.discount_exact == 1 and not module.is_acyclic(mdp):
+        elif mdp.discount_exact == 1 and not mdp.ends.is_acyclic:
             assert (weights.value >= 0.5 * np.array(steps) - 1e-9).all()
             assert (weights.value <= 2 * np.array(steps) + 1e-9).all()
-        elif not module.is_acyclic(mdp):
+        elif not mdp.ends.is_acyclic:
             assert weights.value.tolist() == [0.0 if over else 1.0 for over in mdp.terminal]
         margin = np.broadcast_to(weights.margin, mdp.n_pairs)
         for pair, (s, _, _, law) in enumerate(rows_of(mdp)):

@@ -40,7 +40,7 @@ def test_a_polished_search_waits_for_a_policy_that_stays() -> None:
     values, rule = search(OPTIMUM.copy(), None, is_polished=True)
     assert not rule.is_reached()  # near, but no policy has been seen twice
     assert rule.is_near
-    assert rule.evaluation_goal() == 0.0
+    assert rule.choose_evaluation_tolerance() == 0.0
     values.pass_over_pairs()
     assert rule.is_reached()
 
@@ -88,6 +88,8 @@ def test_evaluations_aim_at_a_part_of_the_narrowest_gap() -> None:
     values.search.policy_stays, values.narrowest = False, 8.0
     for idle, part in ((0, 10), (4, 10), (5, 100), (30, 10**27), (500, np.inf)):
         values.idle = idle
-        assert rule.evaluation_goal() == pytest.approx(max(8.0 / part, 1e-6 / 2), rel=1e-12)
+        assert rule.choose_evaluation_tolerance() == pytest.approx(
+            max(8.0 / part, 1e-6 / 2), rel=1e-12
+        )
     values.search.policy_stays = True
-    assert rule.evaluation_goal() == pytest.approx(1e-6 / 2)
+    assert rule.choose_evaluation_tolerance() == pytest.approx(1e-6 / 2)

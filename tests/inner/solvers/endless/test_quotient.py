@@ -1,4 +1,4 @@
-"""Models made of parts of another: what is merged, what rests are worth, what is left out."""
+"""Models made of parts of another: what is merged, what stops are worth, what is left out."""
 
 from fractions import Fraction as F
 
@@ -26,7 +26,7 @@ MODEL = MDP.from_outcomes(ROWS, 1)
 
 
 def test_merged_states_share_their_pairs() -> None:
-    """0 and 1 become 0, 3 becomes 1, and 2 is the end; a rest in 0 is worth 9."""
+    """0 and 1 become 0, 3 becomes 1, and 2 is the end; a stop in 0 is worth 9."""
     found = build_derived_model(MODEL, np.array([2, 4]), np.array([0, 0, -1, 1]))
     assert rows_of(found.mdp) == [
         (0, 0, F(2), {2: F(1, 3), 1: F(2, 3)}),
@@ -36,7 +36,7 @@ def test_merged_states_share_their_pairs() -> None:
     assert found.label.tolist() == [0, 0, 2, 1]
     assert found.source.tolist() == [2, 4, 5]
     free = build_derived_model(
-        MODEL, np.array([2, 4]), np.array([0, 0, -1, 1]), free=True, rests=[(0, F(9))]
+        MODEL, np.array([2, 4]), np.array([0, 0, -1, 1]), free=True, stops=[(0, F(9))]
     )
     assert rows_of(free.mdp) == [
         (0, 0, F(0), {2: F(1, 3), 1: F(2, 3)}),

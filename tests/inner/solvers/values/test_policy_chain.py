@@ -23,7 +23,6 @@ from exact_mdp.solvers.values.policy_chain import (
     PolicyEquations,
     floats_first,
     flow_of,
-    has_sure_end,
     is_too_inaccurate,
     policy_of,
     round_fractions,
@@ -258,9 +257,9 @@ def test_the_graph_says_what_is_reached_and_where_a_run_ends() -> None:
         sure = {s for s, onward in enumerate(reach) if not onward & stuck}
         assert set(np.flatnonzero(chain.reached).tolist()) == reached
         assert set(np.flatnonzero(chain.stuck).tolist()) == stuck
-        assert set(np.flatnonzero(chain.ends).tolist()) == sure
-        assert np.array_equal(chain.arriving, chain.ends)
-        assert chain.ends_from_start == (not reached & stuck) == has_sure_end(chain)
+        assert set(np.flatnonzero(chain.proper).tolist()) == sure
+        assert np.array_equal(chain.reaches_goal, chain.proper)
+        assert chain.ends_from_start == (not reached & stuck) == chain.reaches_goal_from_start
         if reached & stuck:
             with pytest.raises(ModelError, match="may stay forever") as refused:
                 chain.require_end()
@@ -277,7 +276,7 @@ def test_a_model_without_an_end_is_stuck_everywhere() -> None:
     chain = PolicyChain.of(mdp, "random")
     assert chain.order is None
     assert chain.stuck.all()
-    assert not chain.ends.any()
+    assert not chain.proper.any()
     assert not chain.ends_from_start
 
 
@@ -303,7 +302,7 @@ def test_what_is_too_rare_for_floats_is_possible() -> None:
         [False] * 4,
         [True, False, False, False],
     ]
-    assert chain.ends.all()
+    assert chain.proper.all()
     assert chain.reached.all()
 
 
@@ -319,15 +318,15 @@ def test_a_run_beside_the_goal_does_not_arrive() -> None:
     for start, arriving in ((0, False), (3, True), (1, True), (2, False)):
         mdp = MDP.from_outcomes(rows, labels=labels, start=start).until("home")
         chain = PolicyChain.of(mdp, "random")
-        assert chain.ends.tolist() == [True] * 4 + [False]
-        assert chain.arriving.tolist() == [False, True, False, True, False]
-        assert has_sure_end(chain) == arriving
+        assert chain.proper.tolist() == [True] * 4 + [False]
+        assert chain.reaches_goal.tolist() == [False, True, False, True, False]
+        assert chain.reaches_goal_from_start == arriving
         ending, lost = split_infinite_returns(chain)
         if arriving:
             assert (ending, lost) == (chain, {})
         else:
             assert np.flatnonzero(lost[inf]).tolist() == [2, 4]
-            assert ending.ends.all()
+            assert ending.proper.all()
 
 
 def test_classes_at_rest_neither_earn_nor_count() -> None:
@@ -338,14 +337,14 @@ def test_classes_at_rest_neither_earn_nor_count() -> None:
         (5, 0, [(1, 5, 0)]),  # an end
     ]
     chain = PolicyChain.of(MDP.from_outcomes(rows), "random")
-    assert chain.resting.tolist() == [False, True, True, False, False, True]
+    assert chain.stays_unrewarded.tolist() == [False, True, True, False, False, True]
     for event, resting in ((2, False), (0, True)):
         counting = MDP.from_outcomes(rows).with_(events=("seen",))
         bits = (counting.table.pair == event).astype(np.uint8)
         table = replace(counting.table, event=bits)
         own = PolicyChain.of(counting.with_(table=table), "random")
-        assert own.resting.tolist()[1:3] == [resting] * 2
-        assert own.resting.tolist()[3:] == [False, False, True]
+        assert own.stays_unrewarded.tolist()[1:3] == [resting] * 2
+        assert own.stays_unrewarded.tolist()[3:] == [False, False, True]
 
 
 def test_ends_go_on_for_ever_in_the_long_run() -> None:
@@ -368,7 +367,7 @@ def test_ends_go_on_for_ever_in_the_long_run() -> None:
 def test_values_and_visits_are_those_of_fractions(discount: F) -> None:
     for mdp, chances, chain in chains(discount, seeds=4):
         law, over = law_of(mdp, chances), ends_of(mdp)
-        stopped = set(over) if discount < 1 else {*over, *np.flatnonzero(~chain.ends).tolist()}
+        stopped = set(over) if discount < 1 else {*over, *np.flatnonzero(~chain.proper).tolist()}
         wanted = oracle.policy_values(law, discount, stopped)
         assert chain.exact_value.to_fractions().tolist() == wanted
         live = chain.discounted.live
@@ -384,14 +383,14 @@ def test_values_and_visits_are_those_of_fractions(discount: F) -> None:
         often = oracle.visits(dict(mdp.start), moves)
         near(chain.discounted.visits, often, 2e5)
         assert (chain.discounted.visits.value >= 0).all()
-        if chain.ends.all():
+        if chain.proper.all():
             assert chain.exact_visits.to_fractions().tolist() == often
 
 
 def test_only_at_rate_1_do_equations_ask_for_an_end() -> None:
     for mdp, _, chain in chains(F(1, 2), kinds=[{"leaving": False, "ends": 1}], seeds=20):
         assert np.array_equal(chain.discounted.live, ~mdp.terminal)
-        assert np.array_equal(chain.undiscounted.live, chain.ends & ~mdp.terminal)
+        assert np.array_equal(chain.undiscounted.live, chain.proper & ~mdp.terminal)
         assert chain.build_equations(F(1, 4)).system.discount == 0.25
         assert chain.undiscounted.system.roundings == chain.roundings
         law = law_of(mdp, random_policy(mdp, 0, pure=True))
@@ -399,7 +398,7 @@ def test_only_at_rate_1_do_equations_ask_for_an_end() -> None:
         wanted = oracle.policy_values(law, F(1, 2), ends_of(mdp))
         assert own.exact_value.to_fractions().tolist() == wanted
         alone = PolicyChain.of(mdp.undiscounted, own.policy)
-        stopped = {*np.flatnonzero(~own.ends).tolist(), *ends_of(mdp)}
+        stopped = {*np.flatnonzero(~own.proper).tolist(), *ends_of(mdp)}
         assert np.array_equal(alone.discounted.live, alone.undiscounted.live)
         wanted = oracle.policy_values(law, F(1), stopped)
         assert alone.exact_value.to_fractions().tolist() == wanted
@@ -547,7 +546,7 @@ def test_runs_that_go_on_for_ever_are_told_apart_by_their_gain() -> None:
         gain, _ = oracle.gain_and_bias(law)
         inner = {s for each in oracle.classes(law) for s in each}
         busy = {s for s in inner if chain.reached[s]} - set(ends_of(mdp))
-        busy -= set(np.flatnonzero(chain.resting).tolist())
+        busy -= set(np.flatnonzero(chain.stays_unrewarded).tolist())
         if any(gain[s] == 0 for s in busy):
             told["refused"] += 1
             with pytest.raises(ModelError, match="rewards cancel forever") as refused:
@@ -555,17 +554,19 @@ def test_runs_that_go_on_for_ever_are_told_apart_by_their_gain() -> None:
             assert f"state {min(s for s in busy if gain[s] == 0)}" in str(refused.value)
             continue
         ending, lost = split_infinite_returns(chain)
-        if has_sure_end(chain):
+        if chain.reaches_goal_from_start:
             told["none"] += 1
             assert (ending, lost) == (chain, {})
             continue
-        assert has_sure_end(ending)
+        assert ending.reaches_goal_from_start
         assert {*lost} == {inf if gain[s] > 0 else -inf for s in busy}
         for sign, states in lost.items():
             told["+" if sign > 0 else "-"] += 1
             assert set(np.flatnonzero(states).tolist()) == {s for s in busy if sign * gain[s] > 0}
         stopped = set(ends_of(ending.mdp)) - set(ends_of(mdp))
-        assert stopped == busy | (set(np.flatnonzero(chain.resting).tolist()) - set(ends_of(mdp)))
+        assert stopped == busy | (
+            set(np.flatnonzero(chain.stays_unrewarded).tolist()) - set(ends_of(mdp))
+        )
     assert min(told["+"], told["-"], told["none"]) > 10
 
 

@@ -1,0 +1,65 @@
+"""Advice for models whose total is infinite or has no limit: where, and what to ask instead."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+
+
+def where_endless(mdp: MDP) -> str:
+    """Return in words where a policy can stay forever, or end outside the goal."""
+    ending = mdp.ends.termination
+    labels = mdp.space.labels
+    if ending.pairs is None:
+        states = np.flatnonzero(mdp.ends.outside_goal)
+        before = "it ends outside the goal in "
+        named = [f"({label})" for label in labels(states[:4])]
+    else:
+        states, before = ending.trapped, "it stays forever in "
+        named = []
+        for state, label in zip(states[:4], labels(states[:4]), strict=True):
+            action = mdp.actions[mdp.pair_action[ending.pairs[state]]]
+            named.append(f"({label}) with action {action}")
+    text = before + ", ".join(named)
+    more = len(states) - len(named)
+    if more:
+        text += f" and {more} more"
+    return text
+
+
+def ways_out(mdp: MDP, *others: str) -> str:
+    """Return advice, with `others` at the end, for a total that is infinite or has no limit.
+
+    In a model with a goal a horizon does not help: a run that misses it has an infinite value then,
+    too.
+    """
+    steps = mdp.time_limit or "N"
+    ways = ["choose a discount below 1 (--discount 0.95, mdp.with_(discount=0.95))"]
+    if not mdp.ends.has_goal:
+        ways.append(f"stop after {steps} steps (--horizon {steps}, mdp.within({steps}))")
+    ways += others
+    if len(ways) == 1:
+        return ways[0]
+    return f"{', '.join(ways[:-1])}, or {ways[-1]}"
+
+
+def other_question(mdp: MDP) -> str:
+    """Return advice to ask for something else than a total; a goal has no reward per step."""
+    if mdp.ends.has_goal:
+        return "ask for the chance of getting there (--reach LABEL, mdp.reaching(label))"
+    return 'ask for the reward per step (--criterion average, criterion="average")'
+
+
+def require_termination(mdp: MDP) -> None:
+    """Raise ModelError unless γ < 1 or every policy ends, in the goal if there is one."""
+    if not mdp.ends.has_improper_policy:
+        return
+    ways = ["for the optimum of all policies use solve(mdp) or certify(mdp)"]
+    if mdp.ends.termination.proven:
+        said = "a run that ends outside the goal is worth infinity, and some policy has such a run"
+    else:
+        said = "discount 1 needs every policy to end, and some policy does not"
+        ways.append("add a way out: a terminal state stays put and earns 0")
+    raise ModelError(said, where=where_endless(mdp), fix=ways_out(mdp, *ways))
