@@ -315,6 +315,9 @@ class Audit(Pictured):
     @property
     def undecided(self) -> bool:
         """Whether bounds or records leave a verdict open."""
+        # An exact regret decides every limit.
+        if self.interval is None and isinstance(self.value, Certified):
+            return False
         return any(each.decision is None for each in self.verdicts)
 
     @cached_property

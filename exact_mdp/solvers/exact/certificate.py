@@ -190,6 +190,7 @@ class Certificate(Proof, Pictured):
     order: Integers | None
     start_value: Fraction | float
     unique: bool
+    known_optimal: Mask | None = None  # (L,) `optimal_pairs`, if the search found them
 
     kinds: ClassVar[tuple[str, ...]] = ("total", "average")
 
@@ -294,6 +295,8 @@ class Certificate(Proof, Pictured):
     @cached_property
     def optimal_pairs(self) -> Mask:
         """(L,) the pairs that attain the optimum of their state."""
+        if self.known_optimal is not None:
+            return self.known_optimal
         mdp = require_model(None, self.mdp, "optimal_pairs")
         # A pair is optimal for finite values if its advantages are 0 at all levels.
         best = np.ones(mdp.n_pairs, dtype=bool)

@@ -131,7 +131,9 @@ def certify(
         rank = prove_termination(mdp).rank
     else:
         rank = None
-    return build_certificate(mdp, first_of(mdp, optimal), optimal, h=value, rank=rank)
+    return build_certificate(
+        mdp, first_of(mdp, optimal), optimal, h=value, rank=rank, known_optimal=optimal
+    )
 
 
 # ---- bounds --------------------------------------------------------------------------------------

@@ -110,8 +110,12 @@ class PolicyChain:
         wanted = (mdp.n_pairs,)
         if isinstance(policy, np.ndarray) and policy.dtype.kind == "f" and policy.shape == wanted:
             return cls(mdp=mdp, chosen=_require_weights(mdp, policy))
-        own = policy_of(mdp, policy, kind=kind)
-        return cls(mdp=mdp, chosen=own.weights(mdp), policy=own)
+        return cls.of_policy(mdp, policy_of(mdp, policy, kind=kind))
+
+    @classmethod
+    def of_policy(cls, mdp: MDP, policy: Policy) -> PolicyChain:
+        """Return the chain of a policy that was read for this model."""
+        return cls(mdp=mdp, chosen=policy.weights(mdp), policy=policy)
 
     @classmethod
     def held_fixed(cls, mdp: MDP, policy: PolicyLike) -> tuple[PolicyChain, Mask]:

@@ -184,14 +184,15 @@ def test_what_is_proven_is_what_is_asked() -> None:
 
 
 def test_optimal_pairs_have_no_gap() -> None:
-    flat, best = np.zeros(2), (Certified(value=F(3)), np.array([3.0, 0.0]))
-    lost = module.Regret.from_values(
-        best,
-        (Certified(value=F(1)), np.array([1.0, 0.0])),
-        np.array([True, False]),
-        by_state=flat,
+    losses = module.StateLosses(
+        optimal_value=np.array([3.0, 0.0]),
+        learned_value=np.array([1.0, 0.0]),
+        by_state=np.zeros(2),
+        optimal_pairs=np.array([True, False]),
         gap=np.array([1e-17, 2.0]),
     )
+    both = Certified(value=F(3)), Certified(value=F(1))
+    lost = module.Regret.from_values(*both, lambda: losses)
     assert lost.gap.tolist() == [0, 2]
     assert lost.at_start.value == 2
     costs = lost.of_sense("min")
