@@ -100,7 +100,7 @@ class Rows(ByFields):
             if not np.array_equal(weight, self.weight):
                 object.__setattr__(self, "weight", weight)
 
-    @property
+    @cached_property
     def pairs(self) -> int:
         """Number of pairs, L."""
         return len(self.offsets) - 1
@@ -193,27 +193,27 @@ class OutcomeTable(ByFields):
     component_denominator: Any = None
     averaged: bool = False
 
-    @property
+    @cached_property
     def pairs(self) -> int:
         """Number of pairs, L."""
         return self.rows.pairs
 
-    @property
+    @cached_property
     def offsets(self) -> Integers:
         """(L+1,) the outcomes of pair l are offsets[l] … offsets[l+1]-1."""
         return self.rows.offsets
 
-    @property
+    @cached_property
     def next(self) -> Numbers:
         """(N,) the next state of each outcome."""
         return self.rows.next
 
-    @property
+    @cached_property
     def weight(self) -> Numbers:
         """(N,) the numerator of the probability of each outcome."""
         return self.rows.weight
 
-    @property
+    @cached_property
     def denominator(self) -> Numbers:
         """(L,) the denominator of the probabilities of each pair."""
         return self.rows.denominator
@@ -223,7 +223,7 @@ class OutcomeTable(ByFields):
         """(N,) the pair of each outcome."""
         return np.repeat(np.arange(self.pairs), np.diff(self.offsets))
 
-    @property
+    @cached_property
     def joint(self) -> bool:
         """True if rewards are stored by outcome, not by pair."""
         return len(self.gain) == len(self.next) and self.pairs != len(self.next)
@@ -298,7 +298,7 @@ class OutcomeTable(ByFields):
         gain = np.ascontiguousarray(self.components[:, number])
         return replace(self.with_reward(gain, self.component_denominator), averaged=self.averaged)
 
-    @property
+    @cached_property
     def parted_by_outcome(self) -> bool:
         """Whether components are stored by outcome (N, C), not by pair (L, C)."""
         parts = self.components
