@@ -95,7 +95,8 @@ class Proof(Result):
             return [str(error)]
 
     def _find_violations(self, mdp: MDP) -> list[str]:
-        return checker.violations(model_json.encode_model(mdp), codec.build_file_content(self, int))
+        problem = model_json.encode_problem(mdp, as_text=False)
+        return checker.violations(problem, codec.build_file_content(self, int))
 
     def save(self, path: str | Path) -> None:
         """Write the proof as JSON, for `exact-mdp verify`; docs/reference/certificates.md."""
