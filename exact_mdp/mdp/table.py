@@ -566,7 +566,7 @@ def _overflow_error(where: str = "") -> ModelError:
 
 def to_common_denominator(numbers: Sequence[Fraction]) -> tuple[list[int], int]:
     """Return the numbers as integers over one common denominator."""
-    bottom = lcm(*(number.denominator for number in numbers))  # 1 if there are none
+    bottom = lcm(*[number.denominator for number in numbers])  # 1 if there are none
     return [number.numerator * (bottom // number.denominator) for number in numbers], bottom
 
 
