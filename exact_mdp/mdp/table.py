@@ -346,7 +346,7 @@ class OutcomeTable(ByFields):
     def expected_gain_exact(self) -> tuple[Numbers, Numbers]:
         """Integers (L,), (L,) whose ratios are the exact expected rewards."""
         if len(self.gain) == self.pairs:
-            return self.integer_gains()
+            return self.integer_gains
         # Outcomes without a reward add nothing; in many models most are of this kind.
         earning = np.asarray(self.gain != 0, dtype=bool)
         offsets = np.concatenate([[0], np.cumsum(earning)])[self.offsets]
@@ -396,8 +396,9 @@ class OutcomeTable(ByFields):
         """Return one table for each component, with that component as the reward."""
         return [self.with_component_reward(number) for number in range(self.components.shape[1])]
 
+    @cached_property
     def integer_gains(self) -> tuple[Numbers, Numbers]:
-        """Return the rewards as integers: (N,) or (L,), over (L,) denominators."""
+        """The rewards as integers: (N,) or (L,), over (L,) denominators."""
         if self.gain.dtype != np.float64:
             return self.gain, self.gain_denominator
         offsets = self.offsets

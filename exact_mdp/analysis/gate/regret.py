@@ -27,7 +27,6 @@ from exact_mdp.analysis.gate.forgiveness import (
     round_finite_values,
 )
 from exact_mdp.analysis.gate.waiting import chain_of_pairs, compute_exact_row, final_class, to_blame
-from exact_mdp.analysis.optimum import require_sound_proof
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.mdp.graph import (
@@ -54,7 +53,7 @@ from exact_mdp.solvers.bounds.gains import (
 )
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.exact.certificate import Certificate
-from exact_mdp.solvers.exact.certify import certify
+from exact_mdp.solvers.exact.certify import certify_and_check, proven_optimum
 from exact_mdp.solvers.exact.find import optimise_exactly
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.exact.linear import evaluate_exactly
@@ -71,12 +70,6 @@ from exact_mdp.solvers.solution import (
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-
-
-def certify_and_check(mdp: MDP, criterion: str = "total") -> Certificate:
-    """Return a certificate that its checker has accepted."""
-    return require_sound_proof(certify(mdp, criterion=criterion))
-
 
 # The most transitions for which a regret is certified at once: a few seconds of rational
 # arithmetic. A model with a horizon has no cycles, which allows more.
@@ -231,9 +224,6 @@ def is_at_most(within: tuple[Fraction | float, Fraction | float], limit: Fractio
     return None
 
 
-proven_optimum = cache_on_model(certify_and_check)  # for the total reward, found once per model
-
-
 def policy_regret(chain: PolicyChain, *, exact: bool | None = None) -> Regret:
     """Return the regret of a policy against the optimum of its model.
 
@@ -281,8 +271,6 @@ def is_cheap_to_certify(mdp: MDP, cycle: int = 200) -> bool:
 @cache_on_model
 def _longest_cycle(mdp: MDP) -> int:
     """Return the number of states in the largest strongly connected component."""
-    if is_acyclic(mdp):
-        return 1
     return int(np.bincount(label_components(mdp)[1]).max())
 
 
@@ -458,7 +446,7 @@ def _decide_exactly(chain: PolicyChain, lost: Regret) -> Regret:
 
     _, (best,), _ = optimise_exactly(bellman_rows(mdp).within(reached, pairs))
     alone, own = chain.build_bellman_rows(), chain.reached
-    (mine,) = evaluate_exactly(alone.within(own, np.flatnonzero(own)), np.arange(int(own.sum())))
+    (mine,) = evaluate_exactly(alone.within(own, np.flatnonzero(own)))
     optimal, learned = mean_at_start(best, reached), mean_at_start(mine, own)
     return replace(
         lost,

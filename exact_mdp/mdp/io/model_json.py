@@ -138,7 +138,7 @@ def encode_problem(mdp: MDP, *, as_text: bool = True) -> dict[str, Any]:
         integers, ratio = _encode_integers, _encode_ratio
     # The columns of the pairs; lists by outcome are cut into one list for each pair.
     table, rows = mdp.table, _slice_rows(mdp)
-    (weight, below), (gain, under) = table.rows.integers, table.integer_gains()
+    (weight, below), (gain, under) = table.rows.integers, table.integer_gains
     all_next, all_weights = table.next.tolist(), integers(weight)
     following, weights = [all_next[row] for row in rows], [all_weights[row] for row in rows]
     if len(gain) == table.pairs:
@@ -220,7 +220,7 @@ def _list_component_amounts(mdp: MDP) -> Iterator[tuple[str, list[Any]]]:
         if not table.parted_by_outcome:
             yield name, [*map(_encode_ratio, *(each.tolist() for each in mdp.component(name)))]
             continue
-        gain, below = table.with_component_reward(place).integer_gains()
+        gain, below = table.with_component_reward(place).integer_gains
         each = list(map(_encode_ratio, gain.tolist(), below[table.pair].tolist()))
         yield name, [_merge_equal(each[row]) for row in rows]
 

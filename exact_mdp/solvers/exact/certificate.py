@@ -16,7 +16,7 @@ from fractions import Fraction
 from functools import cached_property
 from math import inf, ulp
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import ClassVar, Self, TypeVar
 
 import numpy as np
 
@@ -68,6 +68,10 @@ def exact_rows(mdp: MDP, *, average: bool = False) -> BellmanRows:
     if average:
         return bellman_rows(mdp.maximised.undiscounted)
     return bellman_rows(mdp.maximised)
+
+
+class Contradiction(RuntimeError):
+    """A solver and a proof contradict each other, or a proof does not hold."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -139,6 +143,17 @@ class Proof(Result):
                 fix="give the model that it belongs to",
             )
         return replace(proof, mdp=model)
+
+
+AnyProof = TypeVar("AnyProof", bound=Proof)
+
+
+def require_sound_proof(proof: AnyProof) -> AnyProof:
+    """Return a proof if its checker accepts it; otherwise raise Contradiction."""
+    faults = proof.violations()
+    if faults:
+        raise Contradiction(f"a proof does not hold: {faults[0]}")
+    return proof
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -214,14 +229,14 @@ class Certificate(Proof, Pictured):
         """The optimal value of the start distribution as a claim."""
         return Certified(value=self.start_value)
 
-    @property
+    @cached_property
     def sign(self) -> int:
         """1 for rewards, -1 for costs."""
         if self.sense == "max":
             return 1
         return -1
 
-    @property
+    @cached_property
     def infinite_sign(self) -> Integers:
         """(S,) 1 where the total of maximised rewards is +∞, -1 where it is -∞, else 0."""
         if self.infinite is not None:

@@ -19,11 +19,16 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.graph import has_improper_policy, prove_termination, where_endless
-from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.model import MDP, cache_on_model
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.bounds.gains import UNIT, compute_advantages, first_of
-from exact_mdp.solvers.exact.certificate import BoundedCertificate, Certificate, exact_rows
+from exact_mdp.solvers.exact.certificate import (
+    BoundedCertificate,
+    Certificate,
+    exact_rows,
+    require_sound_proof,
+)
 from exact_mdp.solvers.exact.find import (
     build_certificate,
     optimise_exactly,
@@ -96,8 +101,6 @@ def certify(
     []
     """
     mdp, average = mdp_of(model), is_average(criterion)
-    if average:
-        require_no_target(mdp)
     if bounded and average:
         raise ModelError(
             "bounds prove a total reward, not an average",
@@ -117,7 +120,21 @@ def certify(
         raise ModelError(
             "a solution applies only to bounds", where="certify", fix="add bounded=True"
         )
+    return _prove_optimum(mdp, average=average)
+
+
+def certify_and_check(mdp: MDP, criterion: str = "total") -> Certificate:
+    """Return the certificate of an optimum that its checker has accepted."""
+    return require_sound_proof(_prove_optimum(mdp, average=is_average(criterion)))
+
+
+proven_optimum = cache_on_model(certify_and_check)  # for the total reward, found once per model
+
+
+def _prove_optimum(mdp: MDP, *, average: bool) -> Certificate:
+    """Return the certificate of an optimum."""
     if average:
+        require_no_target(mdp)
         return prove_gain_and_bias(mdp, "average")
     # Improper policies need gain and bias, or with a goal a proof of where values are infinite.
     if has_improper_policy(mdp):

@@ -157,16 +157,21 @@ def solve_policy_equations(
 
 
 def evaluate_exactly(
-    rows: BellmanRows, pairs: Integers, amounts: Sequence[Numbers] = ()
+    rows: BellmanRows, pairs: Integers | None = None, amounts: Sequence[Numbers] = ()
 ) -> list[Level]:
     """Return the values of the policy that takes some pairs (S,): of the rewards, or of amounts.
 
-    Amounts (L,) are over the scales of the states, as the constants of the rows are.
+    Amounts (L,) are over the scales of the states, as the constants of the rows are. Without pairs,
+    there is one in each state.
     """
+    if pairs is None:
+        pairs, alone = np.arange(len(rows.scale)), rows
+    else:
+        alone = rows.of_pairs(pairs)
     live, sides = ~rows.terminal, []
     for own in amounts or [rows.constant]:
         sides.append((own[pairs] * live).tolist())
-    return solve_all(build_equations(rows.of_pairs(pairs)), sides)
+    return solve_all(build_equations(alone), sides)
 
 
 def compute_expected_visits(

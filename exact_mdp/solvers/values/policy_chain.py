@@ -193,7 +193,7 @@ class PolicyChain:
             return "policy"
         return self.policy.read_as
 
-    @property
+    @cached_property
     def pure(self) -> bool:
         """Whether the policy takes a single pair in each state."""
         return len(self.pairs) == self.mdp.n_states
@@ -444,7 +444,7 @@ class PolicyChain:
         rows = self.build_bellman_rows()
         if self.mdp.discount_exact == 1:
             rows = replace(rows, terminal=rows.terminal | ~self.ends)
-        (level,) = evaluate_exactly(rows, np.arange(self.mdp.n_states))
+        (level,) = evaluate_exactly(rows)
         return level
 
     @cached_property

@@ -176,13 +176,6 @@ def test_bounds_that_are_wide_stay_sound() -> None:
                 assert near.gap[pair] == pytest.approx(max(q.values()) - q[pair], abs=1e-12)
 
 
-def test_what_is_proven_is_what_is_asked() -> None:
-    rows: Any = [(0, 0, [(1, 1, 5)]), (0, 1, [(1, 0, 1)]), (1, 0, [(1, 1, 0)])]
-    mdp = MDP.from_outcomes(rows, "1/2")
-    assert module.certify_and_check(mdp).start_value == 5
-    assert module.certify_and_check(mdp, "average").start_value == 1
-
-
 def test_optimal_pairs_have_no_gap() -> None:
     losses = module.StateLosses(
         optimal_value=np.array([3.0, 0.0]),
