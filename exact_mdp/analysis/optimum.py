@@ -12,7 +12,7 @@ import io
 import warnings
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -26,10 +26,8 @@ from exact_mdp.mdp.report import MOST_LISTED, Report, Shown, Table, format_ratio
 from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.dynamic.base import check_tolerance
-from exact_mdp.solvers.exact.certificate import Certificate
-from exact_mdp.solvers.exact.certify import certify as certified
-from exact_mdp.solvers.exact.regret import RegretCertificate
-from exact_mdp.solvers.objectives.limits import ConstrainedSolution
+from exact_mdp.solvers.exact.certificate import Certificate, Contradiction
+from exact_mdp.solvers.exact.certify import certify_and_check
 from exact_mdp.solvers.solution import (
     Bounded,
     Certified,
@@ -38,20 +36,6 @@ from exact_mdp.solvers.solution import (
     SolverError,
 )
 from exact_mdp.solvers.solver import SOLVERS, Criterion, is_average, solve
-
-AnyProof = TypeVar("AnyProof", Certificate, ConstrainedSolution, RegretCertificate)
-
-
-class Contradiction(RuntimeError):
-    """A solver and a proof contradict each other, or a proof does not hold."""
-
-
-def require_sound_proof(proof: AnyProof) -> AnyProof:
-    """Return a proof if its checker accepts it; otherwise raise Contradiction."""
-    faults = proof.violations()
-    if faults:
-        raise Contradiction(f"a proof does not hold: {faults[0]}")
-    return proof
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -224,7 +208,7 @@ def compute_optimum(
         warnings.warn(f"{error} (the exact values stand)", PrecisionWarning, stacklevel=2)
     # The exact optimum, with a proof that its checker has accepted.
     if certify:
-        exact = require_sound_proof(certified(model, criterion=criterion))
+        exact = certify_and_check(model, criterion)
     else:
         exact = None
     start: Certified | Bounded

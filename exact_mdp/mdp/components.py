@@ -183,10 +183,10 @@ def _compute_remainder(table: OutcomeTable) -> tuple[Numbers, Numbers]:
 
 def _remainder_by_outcome(table: OutcomeTable) -> tuple[Numbers, Numbers]:
     """Return the reward less all components in each outcome (N,), over denominators (L,)."""
-    gain, below = table.integer_gains()
+    gain, below = table.integer_gains
     left = _repeat_by_outcome(gain, table).astype(object)
     for number in range(table.components.shape[1]):
-        part, under = table.with_component_reward(number).integer_gains()
+        part, under = table.with_component_reward(number).integer_gains
         part = _repeat_by_outcome(part, table).astype(object)
         left = left * under[table.pair] - part * below[table.pair].astype(object)
         below = multiply(below, under)

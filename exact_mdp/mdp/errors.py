@@ -113,12 +113,14 @@ def require_list(given: Iterable[T], what: str) -> list[T]:
 def require_type(value: Any, kind: Any, where: str, fix: str) -> Any:
     """Return the value if it has the type `kind` (or one of several); else raise ModelError."""
     if not isinstance(value, kind):
-        raise ModelError(
-            f"{shorten_text(repr(value), 80)} is of type {type(value).__name__}",
-            where=where,
-            fix=fix,
-        )
+        raise wrong_type(value, where, fix)
     return value
+
+
+def wrong_type(value: object, where: str, fix: str) -> ModelError:
+    """Return the error for a value of a wrong type."""
+    what = f"{shorten_text(repr(value), 80)} is of type {type(value).__name__}"
+    return ModelError(what, where=where, fix=fix)
 
 
 def once_each(items: Iterable[tuple[T, Any]], label: Callable[[T], str] = str) -> dict[T, Any]:
@@ -235,7 +237,8 @@ def check_names(
     r"""Raise ModelError for a name that is unsafe, too long, used twice, or not a string."""
     listed: list[Any] = list(names)
     for name in listed:
-        require_type(name, str, where, f"give the {what} a text as its name")
+        if not isinstance(name, str):
+            raise wrong_type(name, where, f"give the {what} a text as its name")
     if len(set(listed)) < len(listed):
         twice = Counter(listed).most_common(1)[0][0]
         said = f"two {what}s have the same name, {twice[:40]!r}"

@@ -104,6 +104,8 @@ def longest_ways(graph: sp.csr_array) -> tuple[Integers, Integers]:
     # Contract each component to a node; the edges between components have no cycle.
     label = components_in_order(graph)
     count = int(label.max(initial=-1)) + 1
+    if count == 1:
+        return label, np.zeros_like(label)
     starts, ends = graph.tocoo().coords
     here, there = label[starts], label[ends]
     apart = here != there

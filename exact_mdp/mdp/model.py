@@ -31,6 +31,7 @@ from exact_mdp.mdp.errors import (
     require_known_name,
     require_type,
     words_of,
+    wrong_type,
 )
 from exact_mdp.mdp.forms.explore import FromFunction
 from exact_mdp.mdp.forms.names import ByNumber, Names, text_of
@@ -658,7 +659,9 @@ def cache_on_model(find: Callable[[MDP], Found]) -> Callable[[MDP], Found]:
 
     @wraps(find)
     def find_cached(mdp: MDP) -> Found:
-        cache: dict[str, Found] = vars(require_type(mdp, MDP, "model", "give an MDP"))
+        if not isinstance(mdp, MDP):
+            raise wrong_type(mdp, "model", "give an MDP")
+        cache: dict[str, Found] = vars(mdp)
         if key not in cache:
             cache[key] = find(mdp)
         return cache[key]

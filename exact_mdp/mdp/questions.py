@@ -571,7 +571,7 @@ def _add_terminal_values(
 ) -> tuple[tuple[str, ...], OutcomeTable]:
     """Return component names and table after `more` is added to the outcomes from `first` on."""
     # Exact rewards by outcome: two outcomes of a pair may now earn different amounts.
-    gain, below = table.integer_gains()
+    gain, below = table.integer_gains
     if len(gain) == table.pairs:
         gain = gain[table.pair]
     gain, below = gain.astype(object), below.astype(object)

@@ -100,7 +100,7 @@ class Rows(ByFields):
             if not np.array_equal(weight, self.weight):
                 object.__setattr__(self, "weight", weight)
 
-    @property
+    @cached_property
     def pairs(self) -> int:
         """Number of pairs, L."""
         return len(self.offsets) - 1
@@ -193,27 +193,27 @@ class OutcomeTable(ByFields):
     component_denominator: Any = None
     averaged: bool = False
 
-    @property
+    @cached_property
     def pairs(self) -> int:
         """Number of pairs, L."""
         return self.rows.pairs
 
-    @property
+    @cached_property
     def offsets(self) -> Integers:
         """(L+1,) the outcomes of pair l are offsets[l] … offsets[l+1]-1."""
         return self.rows.offsets
 
-    @property
+    @cached_property
     def next(self) -> Numbers:
         """(N,) the next state of each outcome."""
         return self.rows.next
 
-    @property
+    @cached_property
     def weight(self) -> Numbers:
         """(N,) the numerator of the probability of each outcome."""
         return self.rows.weight
 
-    @property
+    @cached_property
     def denominator(self) -> Numbers:
         """(L,) the denominator of the probabilities of each pair."""
         return self.rows.denominator
@@ -223,7 +223,7 @@ class OutcomeTable(ByFields):
         """(N,) the pair of each outcome."""
         return np.repeat(np.arange(self.pairs), np.diff(self.offsets))
 
-    @property
+    @cached_property
     def joint(self) -> bool:
         """True if rewards are stored by outcome, not by pair."""
         return len(self.gain) == len(self.next) and self.pairs != len(self.next)
@@ -298,7 +298,7 @@ class OutcomeTable(ByFields):
         gain = np.ascontiguousarray(self.components[:, number])
         return replace(self.with_reward(gain, self.component_denominator), averaged=self.averaged)
 
-    @property
+    @cached_property
     def parted_by_outcome(self) -> bool:
         """Whether components are stored by outcome (N, C), not by pair (L, C)."""
         parts = self.components
@@ -346,7 +346,7 @@ class OutcomeTable(ByFields):
     def expected_gain_exact(self) -> tuple[Numbers, Numbers]:
         """Integers (L,), (L,) whose ratios are the exact expected rewards."""
         if len(self.gain) == self.pairs:
-            return self.integer_gains()
+            return self.integer_gains
         # Outcomes without a reward add nothing; in many models most are of this kind.
         earning = np.asarray(self.gain != 0, dtype=bool)
         offsets = np.concatenate([[0], np.cumsum(earning)])[self.offsets]
@@ -396,8 +396,9 @@ class OutcomeTable(ByFields):
         """Return one table for each component, with that component as the reward."""
         return [self.with_component_reward(number) for number in range(self.components.shape[1])]
 
+    @cached_property
     def integer_gains(self) -> tuple[Numbers, Numbers]:
-        """Return the rewards as integers: (N,) or (L,), over (L,) denominators."""
+        """The rewards as integers: (N,) or (L,), over (L,) denominators."""
         if self.gain.dtype != np.float64:
             return self.gain, self.gain_denominator
         offsets = self.offsets
@@ -566,7 +567,7 @@ def _overflow_error(where: str = "") -> ModelError:
 
 def to_common_denominator(numbers: Sequence[Fraction]) -> tuple[list[int], int]:
     """Return the numbers as integers over one common denominator."""
-    bottom = lcm(*(number.denominator for number in numbers))  # 1 if there are none
+    bottom = lcm(*[number.denominator for number in numbers])  # 1 if there are none
     return [number.numerator * (bottom // number.denominator) for number in numbers], bottom
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, fields
 from fractions import Fraction
+from functools import cached_property
 from math import inf
 from operator import index
 from typing import Any, TypeAlias
@@ -24,6 +25,7 @@ from exact_mdp.mdp.errors import (
     once_each,
     require_type,
     suggest_name,
+    wrong_type,
 )
 from exact_mdp.mdp.forms.names import ByNumber
 from exact_mdp.mdp.forms.numbers import as_given, convert_tensors, is_pandas_table, refuse_masked
@@ -75,17 +77,17 @@ class Parts:
     float_rewards: bool = False
     action_objects: tuple[Hashable, ...] = ()
 
-    @property
+    @cached_property
     def n_states(self) -> int:
         """Number of states, S."""
         return self.space.size
 
-    @property
+    @cached_property
     def n_actions(self) -> int:
         """Number of actions, A."""
         return len(self.actions)
 
-    @property
+    @cached_property
     def n_pairs(self) -> int:
         """Number of available state-action pairs, L."""
         return len(self.pair_state)
@@ -130,8 +132,10 @@ def check_model(model: Parts) -> None:
     """Raise ModelError, naming the place and the remedy, unless `model` is a finite MDP."""
     # Types and names come first: all later checks, and their messages, rely on them.
     for name, kind in KINDS.items():
-        wanted = str(getattr(kind, "__name__", kind)).rpartition(".")[2]
-        require_type(getattr(model, name), kind, name, f"give a {wanted}")
+        given = getattr(model, name)
+        if not isinstance(given, kind):
+            wanted = str(getattr(kind, "__name__", kind)).rpartition(".")[2]
+            raise wrong_type(given, name, f"give a {wanted}")
     for parameter in model.parameters:
         require_type(parameter, Parameter, "parameters", "give a tuple of Parameter")
     check_names((model.name,), "model")

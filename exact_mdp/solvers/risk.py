@@ -84,7 +84,7 @@ class Budgeted:
             )
         table, pair = mdp.table, mdp.table.pair
         # Rewards of outcomes as integer multiples of one unit.
-        (weight, denominator), (gain, below) = table.rows.integers, table.integer_gains()
+        (weight, denominator), (gain, below) = table.rows.integers, table.integer_gains
         if len(gain) == table.pairs:
             gain = gain[pair]
         shared = lcm(*below.tolist())

@@ -11,7 +11,7 @@ from typing import Any
 import exact_mdp
 from exact_mdp.analysis.cli.given import Given
 from exact_mdp.analysis.cli.words import limits_from, refuse_options
-from exact_mdp.analysis.optimum import compute_optimum, require_sound_proof
+from exact_mdp.analysis.optimum import compute_optimum
 from exact_mdp.analysis.tradeoffs.front import Front
 from exact_mdp.analysis.tradeoffs.rationalize import Rationalization
 from exact_mdp.mdp.errors import ModelError
@@ -22,7 +22,12 @@ from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.mdp.table import float_of
 from exact_mdp.solvers.exact import codec, verified
-from exact_mdp.solvers.exact.certificate import BoundedCertificate, Certificate, Proof
+from exact_mdp.solvers.exact.certificate import (
+    BoundedCertificate,
+    Certificate,
+    Proof,
+    require_sound_proof,
+)
 from exact_mdp.solvers.exact.regret import RegretCertificate
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution, name_bounds
 from exact_mdp.solvers.objectives.totals import TotalsProof

@@ -23,7 +23,6 @@ from exact_mdp.analysis.gate.reasons import (
     q_error,
 )
 from exact_mdp.analysis.gate.regret import Regret, interval_of
-from exact_mdp.analysis.optimum import Contradiction, require_sound_proof
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, ReadAs
@@ -32,6 +31,7 @@ from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, format_rational
 from exact_mdp.solvers.bounds.bounds import Bounds
+from exact_mdp.solvers.exact.certificate import Contradiction, require_sound_proof
 from exact_mdp.solvers.exact.regret import RegretCertificate
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError, in_float
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -315,6 +315,9 @@ class Audit(Pictured):
     @property
     def undecided(self) -> bool:
         """Whether bounds or records leave a verdict open."""
+        # An exact regret decides every limit.
+        if self.interval is None and isinstance(self.value, Certified):
+            return False
         return any(each.decision is None for each in self.verdicts)
 
     @cached_property

@@ -132,7 +132,8 @@ def check(
         mdp = recorded.within(horizon)
     limits = {"max_regret": max_regret, "max_relative_regret": max_relative_regret}
     most: Any = {name: limit_of(name, x) for name, x in limits.items() if x is not None}
-    chain = PolicyChain.of(mdp, policy_of(mdp, policy, kind=kind, criterion=criterion))
+    own = policy_of(mdp, policy, kind=kind, criterion=criterion)
+    chain = PolicyChain.of_policy(mdp, own)
     about = Total(chain=chain)
     if average:
         about = Average(chain=chain)
@@ -157,10 +158,10 @@ def check(
         return result
 
     # 4. With records, the verdict rests on an interval for the process behind the model.
-    level, own = confidence_of(confidence), chain.weights
+    level, weights = confidence_of(confidence), chain.weights
     if horizon is not None:
-        own = split_by_time(recorded, own, horizon)
-    return replace(result, interval=evidence.interval(recorded, own, level))
+        weights = split_by_time(recorded, weights, horizon)
+    return replace(result, interval=evidence.interval(recorded, weights, level))
 
 
 def _resolve_interval_method(by: object) -> Evidence:

@@ -31,18 +31,18 @@ from exact_mdp.analysis.gate.reasons import Findings, find_policy_disagreements,
 from exact_mdp.analysis.gate.regret import (
     LAST_CYCLE,
     Regret,
-    certify_and_check,
+    StateLosses,
     include_near_ties,
     is_cheap_to_certify,
     policy_regret,
 )
 from exact_mdp.analysis.gate.waiting import chain_of_pairs
-from exact_mdp.analysis.optimum import require_sound_proof
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Shown, Table, format_cell
 from exact_mdp.mdp.table import Floats, to_common_denominator, to_integer_array
 from exact_mdp.solvers.bounds.gains import SLACK
-from exact_mdp.solvers.exact.certificate import Certificate
+from exact_mdp.solvers.exact.certificate import Certificate, require_sound_proof
+from exact_mdp.solvers.exact.certify import certify_and_check
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution, Limit, solve_under
 from exact_mdp.solvers.solution import Bounded, Certified, answer_maximised
 from exact_mdp.solvers.solver import solve
@@ -194,9 +194,15 @@ class Average(Total):
             moved = _compute_gain_allowance(ideal, best) + _compute_gain_allowance(chain, mine)
             movable = partial(Fraction, moved * SLACK)
             optimal = include_near_ties(chain, optimal, near, whole, movable)
-        both = (best.start, best.value_float), (mine.start, mine.value_float)
-        apart = (best.value - mine.value).astype(np.float64)
-        return Regret.from_values(*both, optimal, by_state=apart, gap=gap, movable=movable)
+        losses = partial(
+            StateLosses,
+            optimal_value=best.value_float,
+            learned_value=mine.value_float,
+            by_state=(best.value - mine.value).astype(np.float64),
+            optimal_pairs=optimal,
+            gap=gap,
+        )
+        return Regret.from_values(best.start, mine.start, losses, movable=movable)
 
     def _bound_regret(self, mdp: MDP) -> Regret:
         """Return a bound on the regret in the model of maximised rewards."""
@@ -204,9 +210,22 @@ class Average(Total):
         best, gap = solve(mdp, criterion="average"), np.zeros(mdp.n_pairs)
         # Bounds prove no gap of a pair: all are taken as optimal, those the optimum skips as open.
         other = np.bincount(best.pairs, minlength=mdp.n_pairs) == 0
-        both = (best.start, best.value), (own.start, own.value)
-        apart = np.maximum(best.value - own.value, 0.0)
-        return Regret.from_values(*both, gap == 0, by_state=apart, gap=gap, unclear=other)
+        losses = partial(
+            StateLosses,
+            optimal_value=best.value,
+            learned_value=own.value,
+            by_state=np.maximum(best.value - own.value, 0.0),
+            optimal_pairs=gap == 0,
+            gap=gap,
+            unclear=other,
+        )
+        return Regret.from_values(best.start, own.start, losses)
+
+
+def _without_optimum(lost: Regret) -> StateLosses:
+    """Return the losses of a regret against which there is no optimum: NaN in all states."""
+    none = np.full(lost.losses.by_state.shape, nan)
+    return replace(lost.losses, by_state=none, optimal_value=none)
 
 
 def _compute_long_run_visits(chain: PolicyChain) -> Floats:
@@ -300,16 +319,16 @@ class UnderLimits(Total):
     def compute_regret(self, exact: bool | None) -> Regret:
         """Return the regret against the optimum under limits; NaN if no policy keeps them."""
         best = self.best.start or Certified(value=nan)
+        priced = self._total.compute_regret(True)
         lost = replace(
-            self._total.compute_regret(True),
+            priced,
             optimal=best,
             learned=Certified(value=self.earned),
             at_start=Certified(value=self.best.of.mdp.sense.loss(best.value, self.earned)),
             movable=Fraction,  # no rounding allowance
         )
         if not self.feasible:
-            none = np.full_like(lost.by_state, nan)
-            lost = replace(lost, by_state=none, optimal_value=none)
+            lost = replace(lost, find_losses=partial(_without_optimum, priced))
         return lost
 
     def find_disagreements(self, lost: Regret) -> Findings:

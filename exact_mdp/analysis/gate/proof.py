@@ -12,11 +12,10 @@ from functools import partial
 
 import numpy as np
 
-from exact_mdp.analysis.gate.regret import certify_and_check, proven_optimum
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.exact.certificate import Certificate
-from exact_mdp.solvers.exact.certify import prove_total
+from exact_mdp.solvers.exact.certify import certify_and_check, prove_total, proven_optimum
 from exact_mdp.solvers.exact.find import prove_gain_and_bias, prove_goal_total
 from exact_mdp.solvers.exact.regret import DrawnPairs, RegretCertificate
 from exact_mdp.solvers.solution import answer_maximised

@@ -27,7 +27,6 @@ from exact_mdp.analysis.gate.forgiveness import (
     round_finite_values,
 )
 from exact_mdp.analysis.gate.waiting import chain_of_pairs, compute_exact_row, final_class, to_blame
-from exact_mdp.analysis.optimum import require_sound_proof
 from exact_mdp.mdp.advice import other_question, ways_out
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import bellman_rows
@@ -48,7 +47,7 @@ from exact_mdp.solvers.bounds.gains import (
 )
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.exact.certificate import Certificate
-from exact_mdp.solvers.exact.certify import certify
+from exact_mdp.solvers.exact.certify import certify_and_check, proven_optimum
 from exact_mdp.solvers.exact.find import optimise_exactly
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.exact.linear import evaluate_exactly
@@ -67,12 +66,6 @@ from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
-
-def certify_and_check(mdp: MDP, criterion: str = "total") -> Certificate:
-    """Return a certificate that its checker has accepted."""
-    return require_sound_proof(certify(mdp, criterion=criterion))
-
-
 # The most transitions for which a regret is certified at once: a few seconds of rational
 # arithmetic. A model with a horizon has no cycles, which allows more.
 EXACT_TRANSITIONS, EXACT_IN_TIME = 100_000, 250_000
@@ -82,40 +75,90 @@ LAST_CYCLE = 500
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Regret(Brief):
-    """The values of the optimum and of a policy, and their difference.
+class StateLosses(Brief):
+    """Where a regret arises: the values and losses of states, and the gaps of pairs.
 
-    If certified, `optimal_pairs` are exactly the optimal ones; if bounded, they are all pairs that
-    are not proven to lose more than rounding can explain.
+    In an exact regret, `optimal_pairs` are exactly the optimal ones; in a bounded one, they are all
+    pairs that are not proven to lose more than rounding can explain.
     """
 
-    optimal: Certified | Bounded  # at the start, as the next two
-    learned: Certified | Bounded
-    at_start: Certified | Bounded
     optimal_value: Floats  # (S,), as the next two; NaN in states that an improper policy never sees
     learned_value: Floats
     by_state: Floats
     optimal_pairs: Flags  # (L,)
     gap: Floats  # (L,) suboptimality gaps, 0 for optimal pairs
     unclear: Flags | bool = False  # (L,) the `optimal_pairs` that are not proven to be optimal
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "gap", np.where(self.optimal_pairs, 0.0, self.gap))
+        super().__post_init__()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Regret(Brief):
+    """The values of the optimum and of a policy at the start, and their difference.
+
+    `find_losses` and `movable` are called only when a report or a verdict needs their answer.
+    """
+
+    optimal: Certified | Bounded  # at the start, as the next two
+    learned: Certified | Bounded
+    at_start: Certified | Bounded
+    find_losses: Callable[[], StateLosses]
     optimum: Certificate | Bounds | None = None  # the proof of the values of a total reward
     movable: Callable[[], Fraction] = Fraction  # computes the rounding allowance
 
     @classmethod
     def from_values(
-        cls, best: tuple[Number, Floats], own: tuple[Number, Floats], optimal: Flags, **parts: Any
+        cls,
+        optimal: Number,
+        learned: Number,
+        find_losses: Callable[[], StateLosses],
+        **parts: Any,
     ) -> Regret:
-        """Return the regret, given both values at the start and in every state (S,)."""
-        parts["gap"] = np.where(optimal, 0.0, parts["gap"])
+        """Return the regret, given both values at the start."""
         return cls(
-            optimal=best[0],
-            learned=own[0],
-            at_start=compute_regret(best[0], own[0]),
-            optimal_value=best[1],
-            learned_value=own[1],
-            optimal_pairs=optimal,
+            optimal=optimal,
+            learned=learned,
+            at_start=compute_regret(optimal, learned),
+            find_losses=find_losses,
             **parts,
         )
+
+    @cached_property
+    def losses(self) -> StateLosses:
+        """Where the regret arises."""
+        return self.find_losses()
+
+    @property
+    def by_state(self) -> Floats:
+        """(S,) the regret of a start in each state."""
+        return self.losses.by_state
+
+    @property
+    def optimal_value(self) -> Floats:
+        """(S,) the optimal values."""
+        return self.losses.optimal_value
+
+    @property
+    def learned_value(self) -> Floats:
+        """(S,) the values of the policy."""
+        return self.losses.learned_value
+
+    @property
+    def optimal_pairs(self) -> Flags:
+        """(L,) the optimal pairs."""
+        return self.losses.optimal_pairs
+
+    @property
+    def gap(self) -> Floats:
+        """(L,) the suboptimality gaps."""
+        return self.losses.gap
+
+    @property
+    def unclear(self) -> Flags | bool:
+        """(L,) the optimal pairs that are not proven to be optimal."""
+        return self.losses.unclear
 
     def __repr__(self) -> str:
         optimal, learned = float(self.optimal.value), float(self.learned.value)
@@ -131,8 +174,7 @@ class Regret(Brief):
             self,
             optimal=-self.optimal,
             learned=-self.learned,
-            optimal_value=0.0 - self.optimal_value,
-            learned_value=0.0 - self.learned_value,
+            find_losses=partial(_negate_values, self),
         )
 
     @property
@@ -150,6 +192,14 @@ class Regret(Brief):
         return is_at_most(interval_of(self.at_start), limit)
 
 
+def _negate_values(lost: Regret) -> StateLosses:
+    """Return the losses of a regret with the values of states times -1."""
+    each = lost.losses
+    return replace(
+        each, optimal_value=0.0 - each.optimal_value, learned_value=0.0 - each.learned_value
+    )
+
+
 def interval_of(number: Certified | Bounded) -> tuple[Fraction | float, Fraction | float]:
     """Return the two ends between which a number lies; both are the number if it is certified."""
     if isinstance(number, Certified):
@@ -165,9 +215,6 @@ def is_at_most(within: tuple[Fraction | float, Fraction | float], limit: Fractio
     if low > limit:
         return False
     return None
-
-
-proven_optimum = cache_on_model(certify_and_check)  # for the total reward, found once per model
 
 
 def policy_regret(chain: PolicyChain, *, exact: bool | None = None) -> Regret:
@@ -218,8 +265,6 @@ def is_cheap_to_certify(mdp: MDP, cycle: int = 200) -> bool:
 @cache_on_model
 def _longest_cycle(mdp: MDP) -> int:
     """Return the number of states in the largest strongly connected component."""
-    if mdp.ends.is_acyclic:
-        return 1
     return int(np.bincount(label_components(mdp)[1]).max())
 
 
@@ -232,12 +277,12 @@ def _certify_regret(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
     If some policy is improper, a pair that keeps the value of a state need not attain it. The
     policy is then evaluated by the certificate of its own model, in which it is the only policy.
     """
-    # 1. The policy's value, in every state and at the start.
+    # The policy's value, in every state and at the start.
     improper = mdp.ends.has_improper_policy
     own = best
     if improper:
         own = certify_and_check(chain.model)
-    value, mine, learned, level = best.value_float, own.value_float, own.start_value, own.h
+    level, mine, learned = own.h, own.value_float, own.start_value
     if not improper and not best.optimal_pairs[chain.pairs].all():
         level = chain.exact_value
         mine, learned = level.to_floats(), level.compute_mean(mdp.start)
@@ -247,50 +292,82 @@ def _certify_regret(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
             where="the total at discount 1",
             fix=ways_out(mdp, other_question(mdp)),
         )
-    lost = best.start_value - learned
-
-    # 2. The rounding allowance, computed only if a verdict needs it.
-    if improper:
-        best_pairs = best.pairs
-    else:
-        best_pairs = first_of(mdp, best.optimal_pairs)
-    ideal = chain_of_pairs(mdp, best_pairs)
-    movable: Callable[[], Fraction] = Fraction
-    if isinstance(lost, Fraction):
-        known = (chain, round_finite_values(mine)), (ideal, round_finite_values(value))
-        movable = partial(compute_rounding_allowance, mdp, *known)
-
-    # 3. The regret of each state: the exact differences a/b - c/d, each rounded once.
-    parts = zip(best.h.top, best.h.each_below, level.top, level.each_below, strict=True)
-    by_state = np.array([(a * d - c * b) / (b * d) for a, b, c, d in parts])
-
-    # 4. The gap of each pair, and which are optimal.
-    optimal, gap = np.array(best.optimal_pairs), np.array(in_decimals(best.losses[-1]))
-    if improper:
-        with np.errstate(invalid="ignore"):
-            apart = np.where(value == mine, 0.0, value - mine)
-        by_state = np.where(np.isfinite(value) & np.isfinite(mine), by_state, apart)
-        # In and before states of infinite value, a pair is optimal or loses an infinite amount.
-        beyond = ~np.isfinite(value)
-        gap[(mdp.transition @ beyond > 0) | beyond[mdp.pair_state]] = inf
-        gap[optimal] = 0.0
-        # Pairs that keep a value without attaining it, in classes where the policy waits.
-        blamed = to_blame(chain, best, by_state)
-        optimal[blamed] = False
-        # In a transient state such a pair gives an infinite value up; in a recurrent class the loss
-        # is counted as waiting.
-        gap[blamed & (np.isposinf(by_state) & (final_class(chain) < 0))[mdp.pair_state]] = inf
-        # If rounding may explain the whole regret, it may explain each part.
-        if lost and lost <= movable():
-            optimal |= (chain.chosen > 0) & chain.reached[mdp.pair_state]
-    elif mdp.floats:
-        with suppress(SolverError):
-            near = np.nextafter(gap, inf) <= compute_tie_gaps(ideal, round_finite_values(value))
-            optimal = include_near_ties(chain, optimal, near, lost, movable)
-    both = (best.start, value), (Certified(value=learned), mine)
+    both = _ExactValues(chain, best, level, mine, best.start_value - learned)
     return Regret.from_values(
-        *both, optimal, by_state=by_state, gap=gap, optimum=best, movable=movable
+        best.start,
+        Certified(value=learned),
+        both.find_losses,
+        optimum=best,
+        movable=both.compute_allowance,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _ExactValues:
+    """The exact values of a policy beside those of the optimum."""
+
+    chain: PolicyChain
+    best: Certificate
+    level: Level  # the values of the policy, if they are finite
+    mine: Floats  # (S,) the same, rounded or infinite
+    lost: Fraction | float  # the regret at the start
+
+    @cached_property
+    def ideal(self) -> PolicyChain:
+        """The chain of an optimal policy: if all policies end, of the first optimal pairs."""
+        mdp, best = self.chain.mdp, self.best
+        if mdp.ends.has_improper_policy:
+            return chain_of_pairs(mdp, best.pairs)
+        return chain_of_pairs(mdp, first_of(mdp, best.optimal_pairs))
+
+    def compute_allowance(self) -> Fraction:
+        """Return the rounding allowance; 0 for an infinite regret."""
+        if not isinstance(self.lost, Fraction):
+            return Fraction(0)
+        known = round_finite_values(self.best.value_float)
+        own = self.chain, round_finite_values(self.mine)
+        return compute_rounding_allowance(self.chain.mdp, own, (self.ideal, known))
+
+    def find_losses(self) -> StateLosses:
+        """Return where the regret arises."""
+        chain, best, mine, lost = self.chain, self.best, self.mine, self.lost
+        mdp, value, level = chain.mdp, best.value_float, self.level
+
+        # 1. The regret of each state: the exact differences a/b - c/d, each rounded once.
+        parts = zip(best.h.top, best.h.each_below, level.top, level.each_below, strict=True)
+        by_state = np.array([(a * d - c * b) / (b * d) for a, b, c, d in parts])
+
+        # 2. The gap of each pair, and which are optimal.
+        optimal, gap = np.array(best.optimal_pairs), np.array(in_decimals(best.losses[-1]))
+        if mdp.ends.has_improper_policy:
+            with np.errstate(invalid="ignore"):
+                apart = np.where(value == mine, 0.0, value - mine)
+            by_state = np.where(np.isfinite(value) & np.isfinite(mine), by_state, apart)
+            # In and before states of infinite value, a pair is optimal or loses an infinite amount.
+            beyond = ~np.isfinite(value)
+            gap[(mdp.transition @ beyond > 0) | beyond[mdp.pair_state]] = inf
+            gap[optimal] = 0.0
+            # Pairs that keep a value without attaining it, in classes where the policy waits.
+            blamed = to_blame(chain, best, by_state)
+            optimal[blamed] = False
+            # In a transient state such a pair gives an infinite value up; in a recurrent class the
+            # loss is counted as waiting.
+            gap[blamed & (np.isposinf(by_state) & (final_class(chain) < 0))[mdp.pair_state]] = inf
+            # If rounding may explain the whole regret, it may explain each part.
+            if lost and lost <= self.compute_allowance():
+                optimal |= (chain.chosen > 0) & chain.reached[mdp.pair_state]
+        elif mdp.floats:
+            with suppress(SolverError):
+                most = compute_tie_gaps(self.ideal, round_finite_values(value))
+                near = np.nextafter(gap, inf) <= most
+                optimal = include_near_ties(chain, optimal, near, lost, self.compute_allowance)
+        return StateLosses(
+            optimal_value=value,
+            learned_value=mine,
+            by_state=by_state,
+            optimal_pairs=optimal,
+            gap=gap,
+        )
 
 
 def include_near_ties(
@@ -322,13 +399,19 @@ def _bound_regret(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
     # Pairs that are not proven to lose count as optimal; some of them are open.
     near, ideal = ActionBounds(mdp, optimum), chain_of_pairs(mdp, optimum.pairs)
     loses = _find_losing_pairs(ideal, known, near.least_gap)
-    lost = Regret.from_values(
-        (at_start(mdp, known), known.value),
-        (at_start(mdp, own), own.value),
-        ~loses,
+    losses = partial(
+        StateLosses,
+        optimal_value=known.value,
+        learned_value=own.value,
         by_state=np.maximum(known.value - own.value, 0.0),
-        unclear=~loses & near.open,
+        optimal_pairs=~loses,
         gap=near.gap,
+        unclear=~loses & near.open,
+    )
+    lost = Regret.from_values(
+        at_start(mdp, known),
+        at_start(mdp, own),
+        losses,
         optimum=optimum,
         movable=partial(compute_rounding_allowance, mdp, (chain, own), (ideal, known)),
     )
@@ -357,7 +440,7 @@ def _decide_exactly(chain: PolicyChain, lost: Regret) -> Regret:
 
     _, (best,), _ = optimise_exactly(bellman_rows(mdp).within(reached, pairs))
     alone, own = chain.build_bellman_rows(), chain.reached
-    (mine,) = evaluate_exactly(alone.within(own, np.flatnonzero(own)), np.arange(int(own.sum())))
+    (mine,) = evaluate_exactly(alone.within(own, np.flatnonzero(own)))
     optimal, learned = mean_at_start(best, reached), mean_at_start(mine, own)
     return replace(
         lost,

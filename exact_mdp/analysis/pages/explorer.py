@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.analysis.gate.regret import certify_and_check
 from exact_mdp.analysis.layout import MOST_CELLS, arrange
 from exact_mdp.analysis.optimum import actions_of
 from exact_mdp.analysis.pages import render_page
@@ -38,6 +37,7 @@ from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.mdp.result import DataFrame, Result, frame_to_table
 from exact_mdp.mdp.table import format_rational
 from exact_mdp.mdp.validate import Flags, require_count
+from exact_mdp.solvers.exact.certify import certify_and_check
 
 GROW = "this.style.height=this.contentDocument.documentElement.scrollHeight+20+'px'"
 

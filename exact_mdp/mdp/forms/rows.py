@@ -152,13 +152,11 @@ def normalize_rows_in_numpy(weight: Floats, offsets: Integers) -> bool:
     # rule is applied until no row changes.
     changed = True
     while changed:
-        least, most = (each.reduceat(bits, begins) for each in (np.minimum, np.maximum))
+        least, most = np.minimum.reduceat(bits, begins), np.maximum.reduceat(bits, begins)
         largest = bits == np.repeat(most, lengths)
         least, most = least.view(np.float64), most.view(np.float64)
-        excess, count = (
-            _compute_excess(weight, offsets),
-            np.add.reduceat(largest, begins, dtype=np.int64),
-        )
+        excess = _compute_excess(weight, offsets)
+        count = np.add.reduceat(largest, begins, dtype=np.int64)
         sound = (least > 0) & (most < 2) & (np.abs(excess) <= FLOAT_ROW_TOLERANCE)
         share = most - excess / count
         moved = sound & (share != most)

@@ -36,7 +36,7 @@ observations are not saved.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from functools import lru_cache
@@ -127,60 +127,83 @@ OTHERWISE |= dict.fromkeys(FLOATS, False)
 """Values of keys that the files of other programs may leave out."""
 
 
-def encode_model(mdp: MDP) -> dict[str, Any]:
-    """Return the content of the file of a model."""
+def encode_problem(mdp: MDP, *, as_text: bool = True) -> dict[str, Any]:
+    """Return the part of a model's file that proofs are about: all but names and components.
+
+    Without `as_text`, the pairs have Python's own numbers, for a checker in the same process.
+    """
+    integers: Callable[[Numbers], list[Any]] = np.ndarray.tolist
+    ratio: Callable[[int, int], Any] = Fraction
+    if as_text:
+        integers, ratio = _encode_integers, _encode_ratio
     # The columns of the pairs; lists by outcome are cut into one list for each pair.
-    table, offsets = mdp.table, mdp.table.offsets
-    (weight, below), (gain, under) = table.rows.integers, table.integer_gains()
-    rows = list(map(slice, offsets[:-1].tolist(), offsets[1:].tolist()))
-    all_next, all_weights = table.next.tolist(), _encode_integers(weight)
+    table, rows = mdp.table, _slice_rows(mdp)
+    (weight, below), (gain, under) = table.rows.integers, table.integer_gains
+    all_next, all_weights = table.next.tolist(), integers(weight)
     following, weights = [all_next[row] for row in rows], [all_weights[row] for row in rows]
     if len(gain) == table.pairs:
-        rewards = list(map(_encode_ratio, gain.tolist(), under.tolist()))
+        rewards = list(map(ratio, gain.tolist(), under.tolist()))
     else:
-        each = list(map(_encode_ratio, gain.tolist(), np.repeat(under, np.diff(offsets)).tolist()))
+        each = list(map(ratio, gain.tolist(), np.repeat(under, np.diff(table.offsets)).tolist()))
         rewards = [_merge_equal(each[row]) for row in rows]
     states, actions = mdp.pair_state.tolist(), mdp.pair_action.tolist()
-    columns = states, actions, rewards, _encode_integers(below), following, weights
+    columns = states, actions, rewards, integers(below), following, weights
+    goal = None
+    if mdp.goal is not None:
+        goal = np.flatnonzero(mdp.goal).tolist()
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "states": mdp.n_states,
+        "discount": encode_rationals(mdp.discount_exact),
+        "sense": mdp.sense,
+        "start": {str(state): encode_rationals(share) for state, share in mdp.start if share},
+        "goal": goal,
+        "unreached": str(mdp.unreached),
+        "pairs": [dict(zip(PAIR, pair, strict=True)) for pair in zip(*columns, strict=True)],
+    }
+
+
+def encode_model(mdp: MDP) -> dict[str, Any]:
+    """Return the content of the file of a model."""
+    table, problem = mdp.table, encode_problem(mdp)
     # Names of states: words of a single column, else printed forms; null for plain numbers.
     words = None
     if mdp.space != StateSpace.plain(mdp.n_states):
         words = mdp.space.labels(range(mdp.n_states))
         if mdp.space.names == ("state",):
             words[: mdp.space.regular] = map(mdp.space.columns[0].label, range(mdp.space.regular))
-    goal = None
-    if mdp.goal is not None:
-        goal = np.flatnonzero(mdp.goal).tolist()
     # Keys that are written only if they differ from their default.
     parts, optional = dict[str, list[Any]](), dict[str, Any]()
     if table.components is not None:
-        parts = dict(_list_component_amounts(mdp, rows))
+        parts = dict(_list_component_amounts(mdp))
     if table.averaged:
         optional["averaged"] = True
     if mdp.target is not None and mdp.goal is None:
         optional["target"] = np.flatnonzero(mdp.target).tolist()
     if not parts and mdp.component_names != ONE:
-        optional["component_names"] = mdp.component_names
-    head = {
+        optional["component_names"] = list(mdp.component_names)
+    return {
         "format": FORMAT,
         "version": VERSION,
         "name": mdp.name,
-        "states": mdp.n_states,
-        "discount": mdp.discount_exact,
-        "sense": mdp.sense,
+        **{key: problem[key] for key in ("states", "discount", "sense")},
         **{name: getattr(mdp, name) for name in FLOATS},
-        "start": {str(state): share for state, share in mdp.start if share},
-        "goal": goal,
-        "unreached": str(mdp.unreached),
+        **{key: problem[key] for key in ("start", "goal", "unreached")},
         "time_limit": mdp.time_limit,
         "labels": {name: np.flatnonzero(each).tolist() for name, each in mdp.labels.items()},
         "components": parts,
         **optional,
-        "action_names": mdp.actions,
+        "action_names": list(mdp.actions),
         "state_names": words,
+        "pairs": problem["pairs"],
     }
-    pairs = [dict(zip(PAIR, pair, strict=True)) for pair in zip(*columns, strict=True)]
-    return {**encode_rationals(head), "pairs": pairs}
+
+
+def _slice_rows(mdp: MDP) -> list[slice]:
+    """Return the outcomes of each pair."""
+    offsets = mdp.table.offsets.tolist()
+    return list(map(slice, offsets[:-1], offsets[1:]))
 
 
 def _merge_equal(amounts: list[Any]) -> Any:
@@ -190,14 +213,14 @@ def _merge_equal(amounts: list[Any]) -> Any:
     return amounts[0]
 
 
-def _list_component_amounts(mdp: MDP, rows: Sequence[slice]) -> Iterator[tuple[str, list[Any]]]:
+def _list_component_amounts(mdp: MDP) -> Iterator[tuple[str, list[Any]]]:
     """Yield the name of each component, and its amount for each pair, or amounts by outcome."""
-    table = mdp.table
+    table, rows = mdp.table, _slice_rows(mdp)
     for place, name in enumerate(mdp.component_names):
         if not table.parted_by_outcome:
             yield name, [*map(_encode_ratio, *(each.tolist() for each in mdp.component(name)))]
             continue
-        gain, below = table.with_component_reward(place).integer_gains()
+        gain, below = table.with_component_reward(place).integer_gains
         each = list(map(_encode_ratio, gain.tolist(), below[table.pair].tolist()))
         yield name, [_merge_equal(each[row]) for row in rows]
 

@@ -16,7 +16,7 @@ from fractions import Fraction
 from functools import cached_property
 from math import inf, ulp
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import ClassVar, Self, TypeVar
 
 import numpy as np
 
@@ -71,6 +71,10 @@ def exact_rows(mdp: MDP, *, average: bool = False) -> BellmanRows:
     return bellman_rows(mdp.maximised)
 
 
+class Contradiction(RuntimeError):
+    """A solver and a proof contradict each other, or a proof does not hold."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Proof(Result):
     """A proof about a model that a checker can read: of an optimum, of bounds or of totals."""
@@ -96,7 +100,8 @@ class Proof(Result):
             return [str(error)]
 
     def _find_violations(self, mdp: MDP) -> list[str]:
-        return checker.violations(model_json.encode_model(mdp), codec.build_file_content(self, int))
+        problem = model_json.encode_problem(mdp, as_text=False)
+        return checker.violations(problem, codec.build_file_content(self, int))
 
     def save(self, path: str | Path) -> None:
         """Write the proof as JSON, for `exact-mdp verify`; docs/reference/certificates.md."""
@@ -139,6 +144,17 @@ class Proof(Result):
                 fix="give the model that it belongs to",
             )
         return replace(proof, mdp=model)
+
+
+AnyProof = TypeVar("AnyProof", bound=Proof)
+
+
+def require_sound_proof(proof: AnyProof) -> AnyProof:
+    """Return a proof if its checker accepts it; otherwise raise Contradiction."""
+    faults = proof.violations()
+    if faults:
+        raise Contradiction(f"a proof does not hold: {faults[0]}")
+    return proof
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -191,6 +207,7 @@ class Certificate(Proof, Pictured):
     order: Integers | None
     start_value: Fraction | float
     unique: bool
+    known_optimal: Mask | None = None  # (L,) `optimal_pairs`, if the search found them
 
     kinds: ClassVar[tuple[str, ...]] = ("total", "average")
 
@@ -223,7 +240,7 @@ class Certificate(Proof, Pictured):
         """The optimal value of the start distribution as a claim."""
         return Certified(value=self.start_value)
 
-    @property
+    @cached_property
     def infinite_sign(self) -> Integers:
         """(S,) 1 where the total of maximised rewards is +∞, -1 where it is -∞, else 0."""
         if self.infinite is not None:
@@ -298,6 +315,8 @@ class Certificate(Proof, Pictured):
     @cached_property
     def optimal_pairs(self) -> Mask:
         """(L,) the pairs that attain the optimum of their state."""
+        if self.known_optimal is not None:
+            return self.known_optimal
         mdp = require_model(None, self.mdp, "optimal_pairs")
         # A pair is optimal for finite values if its advantages are 0 at all levels.
         best = np.ones(mdp.n_pairs, dtype=bool)

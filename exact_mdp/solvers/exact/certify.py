@@ -19,11 +19,15 @@ from exact_mdp.mdp.advice import where_endless
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.exact import bellman_rows, fingerprint
-from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.model import MDP, cache_on_model
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.bounds.gains import UNIT, compute_advantages, first_of
-from exact_mdp.solvers.exact.certificate import BoundedCertificate, Certificate
+from exact_mdp.solvers.exact.certificate import (
+    BoundedCertificate,
+    Certificate,
+    require_sound_proof,
+)
 from exact_mdp.solvers.exact.find import (
     build_certificate,
     optimise_exactly,
@@ -102,8 +106,6 @@ def certify(
     []
     """
     mdp, average = mdp_of(model), is_average(criterion)
-    if average:
-        require_no_target(mdp)
     if bounded and average:
         raise ModelError(
             "bounds prove a total reward, not an average",
@@ -125,7 +127,21 @@ def certify(
         raise ModelError(
             "a solution applies only to bounds", where="certify", fix="add bounded=True"
         )
+    return _prove_optimum(mdp, average=average)
+
+
+def certify_and_check(mdp: MDP, criterion: str = "total") -> Certificate:
+    """Return the certificate of an optimum that its checker has accepted."""
+    return require_sound_proof(_prove_optimum(mdp, average=is_average(criterion)))
+
+
+proven_optimum = cache_on_model(certify_and_check)  # for the total reward, found once per model
+
+
+def _prove_optimum(mdp: MDP, *, average: bool) -> Certificate:
+    """Return the certificate of an optimum."""
     if average:
+        require_no_target(mdp)
         return answer_maximised(mdp, partial(prove_gain_and_bias, kind="average"))
     return answer_maximised(mdp, prove_total)
 
@@ -144,7 +160,9 @@ def prove_total(mdp: MDP) -> Certificate:
         rank = mdp.ends.termination.rank
     else:
         rank = None
-    return build_certificate(mdp, first_of(mdp, optimal), optimal, h=value, rank=rank)
+    return build_certificate(
+        mdp, first_of(mdp, optimal), optimal, h=value, rank=rank, known_optimal=optimal
+    )
 
 
 # ---- bounds --------------------------------------------------------------------------------------

@@ -63,6 +63,8 @@ def encode_record(value: Any, integer: Callable[[int], object] = hex) -> Any:
         return str(value)
     if not isinstance(value, list | tuple):
         raise TypeError(f"{value!r} is of type {type(value).__name__}, which no file holds")
+    if {*map(type, value)} <= {int}:  # most are long lists of integers
+        return [*map(integer, value)]
     return [inner(each) for each in value]
 
 

@@ -69,12 +69,12 @@ class Level:
     def from_groups(cls, top: list[int], below: Sequence[int], group: Integers) -> Level:
         """Return integers over several denominators, without the denominators that none uses."""
         used, group = np.unique(group, return_inverse=True)
-        return cls(top=top, below=[below[each] for each in used], group=group)
+        return cls(top=top, below=[*map(below.__getitem__, used.tolist())], group=group)
 
     @property
     def each_below(self) -> list[int]:
         """The denominator of each state."""
-        return [self.below[group] for group in self.group.tolist()]
+        return [*map(self.below.__getitem__, self.group.tolist())]
 
     def to_fractions(self, sign: int = 1) -> Numbers:
         """Return the numbers (S,) as Fractions, times a sign."""
@@ -95,22 +95,23 @@ class Level:
 
         `group` is `self.group` as a list, which the caller converts only once.
         """
-        top = self.top
+        numbers = [*map(self.top.__getitem__, states)]
         if len(self.below) == 1:
-            return [top[s] for s in states], self.below[0]
+            return numbers, self.below[0]
         # The same groups meet again and again: keep their common multiple and its factors.
-        groups = frozenset([group[s] for s in states])
+        own = [*map(group.__getitem__, states)]
+        groups = frozenset(own)
         if groups not in self._times:
             unit = lcm(*(self.below[each] for each in groups))
             self._times[groups] = unit, {each: unit // self.below[each] for each in groups}
         unit, times = self._times[groups]
-        return [top[s] * times[group[s]] for s in states], unit
+        return [*map(mul, numbers, map(times.__getitem__, own))], unit
 
     def compute_mean(self, weights: Iterable[tuple[int, Fraction]]) -> Fraction:
         """Return Σ weight · x(s) over (state, weight) pairs."""
-        listed = [*weights]
-        values, unit = self.over_one([state for state, _ in listed], self.group.tolist())
-        parts, below = to_common_denominator([weight for _, weight in listed])
+        states, shares = zip(*weights, strict=True)
+        values, unit = self.over_one(states, self.group.tolist())
+        parts, below = to_common_denominator(shares)
         return make_fraction(sum(map(mul, values, parts)), unit * below)
 
 
@@ -157,7 +158,7 @@ def yield_level_advantages(
     Each is an integer and two positive factors of its denominator.
     """
     x, tops, belows = step
-    offsets, following, weight = (p.tolist() for p in (rows.offsets, rows.next, rows.weight))
+    offsets, following, weight = rows.offsets.tolist(), rows.next.tolist(), rows.weight.tolist()
     scale, state, group = rows.scale.tolist(), rows.pair_state.tolist(), x.group.tolist()
     numbers: Iterable[int] = range(len(state))
     if pairs is not None:

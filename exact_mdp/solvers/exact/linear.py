@@ -63,7 +63,7 @@ class Matrix:
             row, column = row[first], column[first]
         return cls(offsets=np.searchsorted(row, np.arange(size + 1)), column=column, entry=entry)
 
-    @property
+    @cached_property
     def size(self) -> int:
         """The number of rows, and of unknowns."""
         return len(self.offsets) - 1
@@ -100,7 +100,9 @@ class Matrix:
         parts = list[tuple[list[int], Matrix | None]]()
         for states in np.split(order, np.flatnonzero(apart) + 1):
             block = None
-            if not single[states[0]]:
+            if len(states) == self.size and not single[states[0]]:
+                block = self
+            elif not single[states[0]]:
                 entries = concatenate_ranges(self.offsets[states], self.offsets[states + 1])
                 entries = entries[label[self.column[entries]] == label[states[0]]]
                 row, column = np.searchsorted(states, [self.row[entries], self.column[entries]])
@@ -122,7 +124,10 @@ def solve_all(matrix: Matrix, sides: Sequence[Sequence[Any]]) -> list[Level]:
     """
     solution = _Solution(matrix, sides)
     group, below = np.array(solution.group, dtype=np.int64), list(map(int, solution.below))
-    return [Level.from_groups(list(map(int, top)), below, group) for top in solution.tops]
+    levels = []
+    for top in solution.tops:
+        levels.append(Level.from_groups(list(map(int, top)), below, group))
+    return levels
 
 
 def build_equations(rows: BellmanRows, states: NDArray[np.bool_] | None = None) -> Matrix:
@@ -152,15 +157,21 @@ def solve_policy_equations(
 
 
 def evaluate_exactly(
-    rows: BellmanRows, pairs: Integers, amounts: Sequence[Numbers] = ()
+    rows: BellmanRows, pairs: Integers | None = None, amounts: Sequence[Numbers] = ()
 ) -> list[Level]:
     """Return the values of the policy that takes some pairs (S,): of the rewards, or of amounts.
 
-    Amounts (L,) are over the scales of the states, as the constants of the rows are.
+    Amounts (L,) are over the scales of the states, as the constants of the rows are. Without pairs,
+    there is one in each state.
     """
-    live = ~rows.terminal
-    sides = [(own[pairs] * live).tolist() for own in amounts or [rows.constant]]
-    return solve_all(build_equations(rows.of_pairs(pairs)), sides)
+    if pairs is None:
+        pairs, alone = np.arange(len(rows.scale)), rows
+    else:
+        alone = rows.of_pairs(pairs)
+    live, sides = ~rows.terminal, []
+    for own in amounts or [rows.constant]:
+        sides.append((own[pairs] * live).tolist())
+    return solve_all(build_equations(alone), sides)
 
 
 def compute_expected_visits(
@@ -203,14 +214,15 @@ class _Solution:
                     self._substitute(base, alike)
                 continue
             # A component of several unknowns: solve for each right side over one denominator.
-            base = _compute_common_multiple(self._by_base(states))
-            each = []
+            base, tops, belows = _compute_common_multiple(self._by_base(states)), [], []
             for right in self._right_sides(base, states):
-                each.append(_solve_component(block, right, matrix.denominators, states[0]))
-            unit = _compute_common_multiple(below for _, below in each)
-            tops = []
-            for top, below in each:
-                tops.append([n * (unit // below) for n in top])
+                top, below = _solve_component(block, right, matrix.denominators, states[0])
+                tops.append(top)
+                belows.append(below)
+            unit = _compute_common_multiple(belows)
+            for k, below in enumerate(belows):
+                if below != unit:
+                    tops[k] = [n * (unit // below) for n in tops[k]]
             self._store_solution(states, tops, base * unit)
 
     def _by_base(self, states: Sequence[int]) -> dict[fmpz, list[int]]:
@@ -218,9 +230,9 @@ class _Solution:
         bases: dict[frozenset[int], fmpz] = {}
         groups: dict[fmpz, list[int]] = {}
         for s in states:
-            met = frozenset([self.group[t] for t in self._rows[s][0]])
+            met = frozenset(map(self.group.__getitem__, self._rows[s][0]))
             if met not in bases:
-                bases[met] = _compute_common_multiple(self.below[group] for group in met)
+                bases[met] = _compute_common_multiple(map(self.below.__getitem__, met))
             groups.setdefault(bases[met], []).append(s)
         return groups
 
@@ -231,7 +243,7 @@ class _Solution:
             ahead.update(self._rows[s][0])
         # Bring the solved unknowns to the denominator `base`.
         times = {}
-        for group in {self.group[t] for t in ahead}:
+        for group in set(map(self.group.__getitem__, ahead)):
             times[group] = base // self.below[group]
         reduced = []
         for side, top in zip(self.sides, self.tops, strict=True):
@@ -286,11 +298,8 @@ class _Solution:
         for k, values in enumerate(self.tops):
             for s, own in zip(states, listed[k * len(states) :], strict=False):
                 values[s] = own
-        for s in states:
-            if any(top[s] for top in self.tops):
-                self.group[s] = number
-            else:
-                self.group[s] = 0
+                if own:
+                    self.group[s] = number
 
 
 def _compute_common_multiple(numbers: Iterable[fmpz]) -> fmpz:

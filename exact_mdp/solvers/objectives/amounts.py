@@ -101,10 +101,8 @@ class Objectives:
 
     def to_totals(self) -> Totals:
         """Return the amounts in the form that the checker of proofs reads."""
-        model, scale = (
-            Model(model_json.encode_model(self.mdp)),
-            self.rows.scale[self.mdp.pair_state],
-        )
+        model = Model(model_json.encode_problem(self.mdp, as_text=False))
+        scale = self.rows.scale[self.mdp.pair_state]
         each = [zip(own.tolist(), scale.tolist(), strict=True) for own in self.amounts]
         amounts = []
         for own in each:

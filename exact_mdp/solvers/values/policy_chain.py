@@ -105,8 +105,12 @@ class PolicyChain:
         wanted = (mdp.n_pairs,)
         if isinstance(policy, np.ndarray) and policy.dtype.kind == "f" and policy.shape == wanted:
             return cls(mdp=mdp, chosen=_require_weights(mdp, policy))
-        own = policy_of(mdp, policy, kind=kind)
-        return cls(mdp=mdp, chosen=own.weights(mdp), policy=own)
+        return cls.of_policy(mdp, policy_of(mdp, policy, kind=kind))
+
+    @classmethod
+    def of_policy(cls, mdp: MDP, policy: Policy) -> PolicyChain:
+        """Return the chain of a policy that was read for this model."""
+        return cls(mdp=mdp, chosen=policy.weights(mdp), policy=policy)
 
     @classmethod
     def held_fixed(cls, mdp: MDP, policy: PolicyLike) -> tuple[PolicyChain, Mask]:
@@ -184,7 +188,7 @@ class PolicyChain:
             return "policy"
         return self.policy.read_as
 
-    @property
+    @cached_property
     def pure(self) -> bool:
         """Whether the policy takes a single pair in each state."""
         return len(self.pairs) == self.mdp.n_states
@@ -439,7 +443,7 @@ class PolicyChain:
         rows = self.build_bellman_rows()
         if self.mdp.discount_exact == 1:
             rows = replace(rows, terminal=rows.terminal | ~self.proper)
-        (level,) = evaluate_exactly(rows, np.arange(self.mdp.n_states))
+        (level,) = evaluate_exactly(rows)
         return level
 
     @cached_property

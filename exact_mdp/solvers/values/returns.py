@@ -346,7 +346,7 @@ def _find_lattice(chain: PolicyChain) -> tuple[Numbers, Fraction]:
     """Return the rewards (N,) as multiples of their greatest common unit, and that unit."""
     # Bring all rewards over one denominator.
     table = chain.table
-    top, bottom = table.integer_gains()
+    top, bottom = table.integer_gains
     lengths = np.diff(table.offsets)
     if len(top) == table.pairs:
         top = np.repeat(top, lengths)

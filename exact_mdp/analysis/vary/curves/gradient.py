@@ -26,7 +26,7 @@ import numpy as np
 from flint import fmpq
 from numpy.typing import NDArray
 
-from exact_mdp.analysis.gate.regret import EXACT_TRANSITIONS, certify_and_check
+from exact_mdp.analysis.gate.regret import EXACT_TRANSITIONS
 from exact_mdp.analysis.vary.curves.walk import make_improper_error
 from exact_mdp.analysis.vary.ranges import unit_of
 from exact_mdp.mdp.care.scenario import Scenario
@@ -50,6 +50,7 @@ from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Integers, Numbers, to_common_denominator, to_integer_array
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, compute_advantages, gamma
 from exact_mdp.solvers.endless.quotient import of_pairs
+from exact_mdp.solvers.exact.certify import certify_and_check
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, in_float
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate

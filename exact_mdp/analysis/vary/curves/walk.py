@@ -26,7 +26,6 @@ from math import ceil, floor
 import numpy as np
 from flint import fmpq, fmpq_mat, fmpq_poly, fmpz_poly
 
-from exact_mdp.analysis.gate.regret import certify_and_check
 from exact_mdp.analysis.vary.curves.checker import Bracket, CurvePiece
 from exact_mdp.analysis.vary.curves.equations import (
     PolicyPairs,
@@ -48,6 +47,7 @@ from exact_mdp.mdp.model import MDP, cache_on_model
 from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.parametric.row_change import Piece, interpolate_polynomials
 from exact_mdp.mdp.table import Integers, format_rational
+from exact_mdp.solvers.exact.certify import certify_and_check
 from exact_mdp.solvers.solution import Bounded, Certified
 
 # The largest models with cycles: rational functions of degree 80 take two seconds, of 200 minutes.

@@ -176,22 +176,16 @@ def test_bounds_that_are_wide_stay_sound() -> None:
                 assert near.gap[pair] == pytest.approx(max(q.values()) - q[pair], abs=1e-12)
 
 
-def test_what_is_proven_is_what_is_asked() -> None:
-    rows: Any = [(0, 0, [(1, 1, 5)]), (0, 1, [(1, 0, 1)]), (1, 0, [(1, 1, 0)])]
-    mdp = MDP.from_outcomes(rows, "1/2")
-    assert module.certify_and_check(mdp).start_value == 5
-    assert module.certify_and_check(mdp, "average").start_value == 1
-
-
 def test_optimal_pairs_have_no_gap() -> None:
-    flat, best = np.zeros(2), (Certified(value=F(3)), np.array([3.0, 0.0]))
-    lost = module.Regret.from_values(
-        best,
-        (Certified(value=F(1)), np.array([1.0, 0.0])),
-        np.array([True, False]),
-        by_state=flat,
+    losses = module.StateLosses(
+        optimal_value=np.array([3.0, 0.0]),
+        learned_value=np.array([1.0, 0.0]),
+        by_state=np.zeros(2),
+        optimal_pairs=np.array([True, False]),
         gap=np.array([1e-17, 2.0]),
     )
+    both = Certified(value=F(3)), Certified(value=F(1))
+    lost = module.Regret.from_values(*both, lambda: losses)
     assert lost.gap.tolist() == [0, 2]
     assert lost.at_start.value == 2
     costs = lost.negated(MDP.from_arrays([[[1]]], [1], "1/2", sense="min"))

@@ -165,3 +165,10 @@ def test_bounds_that_floats_never_prove_are_given_up(monkeypatch: pytest.MonkeyP
         certify(MDP.from_outcomes(ENDING), bounded=True)
     assert caught.value.status is Status.NO_BOUND
     assert len(calls) == 2 + 3
+
+
+def test_what_is_proven_is_what_is_asked() -> None:
+    rows: Any = [(0, 0, [(1, 1, 5)]), (0, 1, [(1, 0, 1)]), (1, 0, [(1, 1, 0)])]
+    mdp = MDP.from_outcomes(rows, "1/2")
+    assert module.certify_and_check(mdp).start_value == 5
+    assert module.certify_and_check(mdp, "average").start_value == 1

@@ -642,6 +642,20 @@ def test_a_model_is_read_as_its_rows_say() -> None:
         assert read.start == [(int(s), p) for s, p in mdp.start if p]
 
 
+def test_a_model_is_read_alike_from_texts_and_from_numbers() -> None:
+    """Integers of 2^53 and above are texts in a file, and numbers in the same process."""
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        rows = rng.random((2, 3, 3))
+        gains = rng.standard_normal((2, 3, 3)) * 10.0 ** rng.integers(-20, 20)
+        mdp = MDP.from_arrays(rows / rows.sum(axis=2, keepdims=True), gains, rng.random())
+        written = model_json.encode_model(mdp)
+        handed = model_json.encode_problem(mdp, as_text=False)
+        assert any(type(x) is str for pair in written["pairs"] for x in pair["weight"])
+        assert {type(x) for pair in handed["pairs"] for x in pair["weight"]} == {int}
+        assert Model(written).digest() == Model(handed).digest() == fingerprint(mdp)
+
+
 def test_hashes_tell_goals_and_what_missing_them_is_worth() -> None:
     ends = [row(0, 0, [1]), row(1, 0, [1]), row(2, 0, [2])]
     models = [

@@ -20,7 +20,7 @@ from exact_mdp.solvers.values.return_mass import MassFlow, _sum_masses
 def whole(seed: int, **kind: Any) -> tuple[MDP, Any, PolicyChain, Numbers]:
     """A model whose rewards are whole numbers, a policy, its chain and its rewards."""
     mdp = small_model(seed, **kind)
-    top, below = mdp.table.integer_gains()
+    top, below = mdp.table.integer_gains
     mdp = mdp.with_(table=mdp.table.with_reward(top, np.ones_like(below)))
     chances = random_policy(mdp, seed, pure=seed % 4 == 0)
     chain = PolicyChain.of(mdp, given(chances))
