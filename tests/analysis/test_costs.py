@@ -99,8 +99,8 @@ def endless(sign: int) -> em.MDP:
 
 
 def audited(audit: Any) -> Any:
-    lost, hidden = audit.regret, ("optimal", "learned", "optimum", "movable")
-    fields = {name: each for name, each in vars(lost).items() if name not in hidden}
+    lost, said = audit.regret, ("at_start", "by_state", "optimal_value", "learned_value")
+    fields = {name: getattr(lost, name) for name in (*said, "optimal_pairs", "gap", "unclear")}
     return audit, fields, {"value": [lost.optimal.value, lost.learned.value]}
 
 

@@ -109,9 +109,9 @@ class Level:
 
     def compute_mean(self, weights: Iterable[tuple[int, Fraction]]) -> Fraction:
         """Return Σ weight · x(s) over (state, weight) pairs."""
-        states, shares = zip(*weights, strict=True)
-        values, unit = self.over_one(states, self.group.tolist())
-        parts, below = to_common_denominator(shares)
+        listed = [*weights]
+        values, unit = self.over_one([state for state, _ in listed], self.group.tolist())
+        parts, below = to_common_denominator([share for _, share in listed])
         return make_fraction(sum(map(mul, values, parts)), unit * below)
 
 
