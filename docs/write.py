@@ -30,6 +30,12 @@ from exact_mdp.paper_repro.silent_points import OPTIONS
 DOCS = Path(__file__).resolve().parent
 GOLDEN = DOCS.parent / "tests" / "golden"
 MARKED = re.compile(r"(<!-- made by `make docs`: (\w+)([^\n]*) -->\n).*?(<!-- end -->)", re.S)
+FILES = {
+    "a model": "FORMATS",
+    "a policy": "POLICIES",
+    "a perception": "PERCEPTIONS",
+    "transitions": "RECORDS",
+}
 FIGURES = re.compile(r"^```python\n(.*?)^```\n\n((?:!\[[^\n]*\n)+)", re.M | re.S)
 
 
@@ -249,9 +255,21 @@ def questions(_: str) -> str:
     return f"{listed}\n\n{table(head, rows)}\n\nModels in each cell: {least}."
 
 
+def formats(_: str) -> str:
+    """Return the kinds of files that are read, and which of them are written."""
+    grouped, rows = imported("exact_mdp.mdp.io.formats:group_endings"), []
+    for what, name in FILES.items():
+        for each, endings in grouped(imported(f"exact_mdp.mdp.io.formats:{name}")).items():
+            written = "yes" if each.writer else "no"
+            if each.loses:
+                written = f"without {each.loses}"
+            rows.append((what, f"`{endings}`", each.holds, written))
+    return table("a file of, with the ending, holds, is written", rows)
+
+
 MADE = {
     each.__name__: each
-    for each in (commands, options, answers, names, methods, readings, questions, text)
+    for each in (commands, options, answers, names, methods, readings, formats, questions, text)
 }
 
 

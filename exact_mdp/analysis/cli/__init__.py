@@ -20,6 +20,7 @@ from click.shell_completion import shell_complete
 from exact_mdp.analysis import ci
 from exact_mdp.analysis.cli.commands import HELP, Commands
 from exact_mdp.analysis.exit_status import REFUSED, end_process, print_message, run_command
+from exact_mdp.mdp.io.formats import FORMATS, describe_formats
 
 PROGRAM = "exact-mdp"
 COMPLETE = "_EXACT_MDP_COMPLETE"  # set by the shell when it completes words
@@ -28,8 +29,8 @@ COMPLETE = "_EXACT_MDP_COMPLETE"  # set by the shell when it completes words
 @click.group(
     cls=Commands,
     context_settings={"help_option_names": HELP},
-    epilog="MODEL is a shipped scenario (yuan2025, tea), a .toml scenario, a saved "
-    ".npz, .json or .umb model, gymnasium:ID, or - for a .json model on standard input.",
+    epilog="MODEL is a shipped scenario (yuan2025, tea), a file, gymnasium:ID, or - for a .json "
+    f"model on standard input. Files: {describe_formats(FORMATS)}.",
 )
 @click.version_option(package_name=PROGRAM, message="%(prog)s %(version)s")
 def cli() -> None:

@@ -16,9 +16,9 @@ so that help appears at once. A parameter of the function becomes:
 Options that are not given are not passed, so that the function's defaults apply; a default is a
 literal. The type of a parameter in the docstring is shown as the option's value: a word in
 capitals, or words in quotes. It may add the limits of a whole number ("N, 1 to 100") or the endings
-of an output file ("FILE, .csv or .json"). "{module:NAME}" in a text is replaced by the keys of that
-dict. The section "Keys" explains the keys of the JSON output, "key: meaning; …"; a first line "Of
-CLASS." adds the attributes of that class.
+of an output file ("FILE, .csv or .json"). "{module:NAME}" is replaced by the keys of that dict, and
+"{formats:NAME}" by the description of these formats. The section "Keys" explains the keys of the
+JSON output, "key: meaning; …"; a first line "Of CLASS." adds the attributes of that class.
 """
 
 from __future__ import annotations
@@ -36,14 +36,15 @@ from typing import Any, NamedTuple
 import click
 
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io import formats
 from exact_mdp.mdp.io.files import redirect_output
+from exact_mdp.mdp.io.formats import POLICIES, describe_formats
 
 PACKAGE = Path(__file__).resolve().parents[2]
 HELP = ["-h", "--help"]
 GIVEN = ("given", "Given")
 
-POLICY = """POLICY is optimal, random, always:ACTION, or a file: .json {"0000": "none", ...};
-.csv with the header status,action; .npy or .npz with a Q-table or with probabilities of actions
+POLICY = f"""POLICY is optimal, random, always:ACTION, or a file: {describe_formats(POLICIES)}
 (--kind q, --kind policy; auto reads an array as probabilities if the row of each state with a
 choice is a distribution, and refuses it if its greedy policy would differ)."""
 
@@ -234,7 +235,8 @@ def _list_parameters(
 
 def _parse_docstring(node: Definition) -> tuple[str, dict[str, tuple[str, str]]]:
     """Return a docstring's text, and type and text of each parameter."""
-    head, *sections = re.split(r"\n\n(?=Parameters\n-|Keys\n-)", ast.get_docstring(node) or "")
+    text = re.sub(r"\{formats:(\w+)\}", _describe_files, ast.get_docstring(node) or "")
+    head, *sections = re.split(r"\n\n(?=Parameters\n-|Keys\n-)", text)
     parameters = [each for each in sections if each.startswith("Parameters")]
     said: dict[str, tuple[str, str]] = {}
     if not parameters:
@@ -246,6 +248,11 @@ def _parse_docstring(node: Definition) -> tuple[str, dict[str, tuple[str, str]]]
         text = re.sub(r"\{([\w.]+):(\w+)\}", _read_dict_keys, " ".join(below.split()))
         said |= dict.fromkeys(names.split(", "), (kind, text))
     return head, said
+
+
+def _describe_files(match: re.Match[str]) -> str:
+    """Return the description of the formats "{formats:NAME}"."""
+    return describe_formats(getattr(formats, match[1]))
 
 
 def _read_dict_keys(match: re.Match[str]) -> str:

@@ -16,6 +16,7 @@ from exact_mdp.mdp.care import perception as seeing
 from exact_mdp.mdp.care.scenario import ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import write_atomically
+from exact_mdp.mdp.io.formats import POLICIES, find_format
 from exact_mdp.mdp.io.load import Loaded, read_model
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
@@ -27,7 +28,6 @@ from exact_mdp.solvers.solver import Criterion, is_average, require_no_horizon
 from exact_mdp.solvers.values.policy_chain import policy_of
 
 OF_CARE = "gymnasium:icu_sepsis"  # a model of care that is not a scenario
-ARRAYS = (".npy", ".npz", ".json")  # endings of files to which --kind applies
 QUESTION = ("reach", "until", "reward", "allowed", "minimize", "maximize", "start")
 
 
@@ -76,10 +76,9 @@ class Given:
     horizon : N, 1 to 1000000000
         Stop every episode after N steps, without a further reward.
     kind : "q", "policy" or "auto"
-        What a .npy or .npz file holds: a Q-table, or probabilities of actions.
+        What an array in a file is: a Q-table, or probabilities of actions.
     perception : FILE, optional
-        The policy acts on a perceived status: a confusion matrix as .csv, or .toml with sensitivity
-        and specificity, or labelled examples (.jsonl).
+        The policy acts on a perceived status: {formats:PERCEPTIONS}.
     reach : LABEL, optional
         Ask for the greatest probability of reaching a label; with --minimize, the least.
     until : LABEL, optional
@@ -230,7 +229,8 @@ class Given:
 
         "optimal" is the optimum for the true states, also under a perception.
         """
-        if self.kind != "auto" and Path(form).suffix.lower() not in ARRAYS:
+        file = find_format(form, POLICIES)
+        if self.kind != "auto" and (file is None or "kind" not in file.options):
             what = f"--kind says what an array in a file is, and {form!r} is not such a file"
             raise ModelError(what, where="--kind", fix="leave it out")
         policy: Policy = policy_of(self.mdp, form, kind=self.kind, criterion=self.criterion)

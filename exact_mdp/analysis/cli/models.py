@@ -280,16 +280,16 @@ def convert_command(
 ) -> Report:
     """Write a model in another format.
 
-    IN may also be a .prism or .jani file, which Storm builds.
+    OUT is {formats:WRITTEN_MODELS}.
 
     Example: exact-mdp convert tea tea.umb
 
     Parameters
     ----------
     source : IN
-    target : OUT, .npz, .umb or .json
+    target : OUT, {formats:WRITTEN_MODELS}
     constants : "A=1,B=2"
-        Constants that a .prism or .jani file leaves open (extra models).
+        Constants that a program leaves open (extra models): {formats:PROGRAMS}.
     """
     loaded = read_model(source, sets=sets, discount=discount, start=start, constants=constants)
     exact_mdp.save(loaded.mdp, target)

@@ -82,8 +82,8 @@ def solve_command(
     certificate : FILE, .json
         Write a proof for `verify`: .json; of the optimum with --certify or under limits, and of
         bounds otherwise.
-    policy_out : FILE, .csv
-        Write the policy: .csv.
+    policy_out : FILE, {formats:WRITTEN_POLICIES}
+        Write the policy: {formats:WRITTEN_POLICIES}.
     out : FILE, .npz
         Write values, policy and action values: .npz. A record of its making, FILE.run.json, is
         written beside each file.

@@ -147,8 +147,7 @@ def perception_command(
     Parameters
     ----------
     perception : FILE, optional
-        A confusion matrix as .csv; .toml with sensitivity and specificity; labelled examples as
-        the .jsonl of a recording.
+        A file: {formats:PERCEPTIONS}.
     accuracy : X, optional
         Each status is read correctly with this probability instead.
     policy : POLICY

@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike
 from exact_mdp.mdp.errors import ModelError, locate_errors
 from exact_mdp.mdp.forms.numbers import float_array
 from exact_mdp.mdp.io.files import SMALL, read_text
+from exact_mdp.mdp.io.formats import PERCEPTIONS, find_format, join_endings
 from exact_mdp.mdp.io.structured import csv_of, json_of, require_shape, toml_of
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike
@@ -249,27 +250,43 @@ def compute_rates(counts: Integers, statuses: Sequence[str]) -> DataFrame:
 def read_confusion_matrix(path: str | Path, model: MDP) -> tuple[Floats, int | None]:
     """Return the confusion matrix of a file, and the number of examples in it, if any.
 
-    A `.csv` has the header `status,0000,…,1111` and a row for each true status. A `.toml` has
-    tables `[sensitivity]` and `[specificity]` with a number for each status by name. Numbers are
-    read exactly, then rounded to floats. A `.jsonl` has labelled examples; see `read_counts`.
+    Numbers are read exactly, then rounded to floats.
     """
-    size, where, suffix = status_size(model), str(path), Path(path).suffix.lower()
-    # Labelled examples are counted.
-    if suffix == ".jsonl":
-        counts = read_counts(path, model)
-        with locate_errors(where, instead=True):
-            return frequencies(counts), int(counts.sum())
-    # Rates by status: the statuses are perceived independently.
-    if suffix == ".toml":
-        with locate_errors(where):
-            rates = dict.fromkeys(_find_status_names(model), _parse_rate)
-            tables = require_shape(
-                toml_of(read_text(path, most=SMALL), where), dict.fromkeys(RATES, rates)
-            )
-        return independent(*([*tables[name].values()] for name in RATES)), None
-    if suffix != ".csv":
-        raise ModelError(f"unknown kind of perception {where!r}", fix="give .csv, .toml or .jsonl")
-    # CSV: a header, and one row for each status, in any order.
+    form = find_format(path, PERCEPTIONS)
+    if form is None:
+        fix = f"give {join_endings(PERCEPTIONS)}"
+        raise ModelError(f"unknown kind of perception {str(path)!r}", fix=fix)
+    matrix: tuple[Floats, int | None] = form.read(path, model)
+    return matrix
+
+
+def read_examples(path: str | Path, model: MDP) -> tuple[Floats, int]:
+    """Return the matrix and number of labelled examples; see `read_counts`."""
+    counts = read_counts(path, model)
+    with locate_errors(str(path), instead=True):
+        return frequencies(counts), int(counts.sum())
+
+
+def read_rates(path: str | Path, model: MDP) -> tuple[Floats, None]:
+    """Return the matrix of a `.toml` file; statuses are perceived independently.
+
+    It has tables `[sensitivity]` and `[specificity]` with a number for each status by name.
+    """
+    where = str(path)
+    with locate_errors(where):
+        rates = dict.fromkeys(_find_status_names(model), _parse_rate)
+        tables = require_shape(
+            toml_of(read_text(path, most=SMALL), where), dict.fromkeys(RATES, rates)
+        )
+    return independent(*([*tables[name].values()] for name in RATES)), None
+
+
+def read_matrix(path: str | Path, model: MDP) -> tuple[Floats, None]:
+    """Return the matrix of a `.csv` file.
+
+    It has the header `status,0000,…,1111`, and a row for each true status, in any order.
+    """
+    size, where = status_size(model), str(path)
     lines = csv_of(StringIO(read_text(path)), where)
     labels = list(map(statuses_of(size).label, range(size)))
     header = [word.strip() for word in next(lines, (0, []))[1]]

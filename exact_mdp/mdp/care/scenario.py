@@ -12,7 +12,7 @@ for some set J of other statuses (Yuan et al., 2025, Section 2.1).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
@@ -22,7 +22,7 @@ from exact_mdp.mdp.care import toml
 from exact_mdp.mdp.care.compile import compile_scenario
 from exact_mdp.mdp.care.laws import Laws, describe_excess, warn_of_excess
 from exact_mdp.mdp.care.tables import ScenarioTables
-from exact_mdp.mdp.errors import locate_errors
+from exact_mdp.mdp.errors import locate_errors, require_type
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, moved_from, parameter_of
@@ -93,6 +93,18 @@ class Scenario(ScenarioTables):
     def parametric(self) -> ScenarioFamily:
         """Return the scenario as a family of models, one for each choice of its numbers."""
         return ScenarioFamily(scenario=self)
+
+
+def read_scenario(
+    name: str | Path, *, sets: Sequence[str] = (), discount: object | None = None
+) -> Scenario:
+    """Return a scenario, by name or from a file, with changes "KEY=VALUE" and then a discount."""
+    scenario = Scenario.load(name)
+    for assignment in require_type(sets, Sequence, "sets", 'give ["KEY=VALUE", …]'):
+        scenario = scenario.set(require_type(assignment, str, "sets", 'give "KEY=VALUE"'))
+    if discount is not None:
+        scenario = scenario.with_(discount=discount)
+    return scenario
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,8 +1,8 @@
 """Models by name or file, as on the command line.
 
-A model is a shipped scenario (`yuan2025`), a scenario file (`.toml`), a saved model (`.npz`,
-`.json`), a model checker's file (`.umb`; `.umb#NAME` chooses among its reward models), its source
-(`.prism`, `.jani`, which Storm builds), `gymnasium:ID`, or `-`: a `.json` on standard input.
+A model is a shipped scenario (`yuan2025`), a file in one of the formats of `mdp.io.formats` by its
+ending, `gymnasium:ID`, or `-`: a `.json` on standard input. `FILE.umb#NAME` chooses among the
+reward models of a file.
 """
 
 from __future__ import annotations
@@ -13,20 +13,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.care.toml import is_scenario, list_shipped_scenarios
-from exact_mdp.mdp.errors import ModelError, locate_errors, require_type, suggest_name
-from exact_mdp.mdp.io import model_json, npz, storm, umb
+from exact_mdp.mdp.care.toml import list_shipped_scenarios
+from exact_mdp.mdp.errors import ModelError, require_type, suggest_name
 from exact_mdp.mdp.io.files import STANDARD_INPUT
+from exact_mdp.mdp.io.formats import (
+    ENVIRONMENT,
+    FORMATS,
+    PROGRAMS,
+    WRITTEN_MODELS,
+    Format,
+    find_format,
+    find_written_format,
+    join_endings,
+)
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import exact
 
 GYMNASIUM = "gymnasium:"
-SOURCES = (".prism", ".nm", ".pm", ".jani")
-WRITERS = {".npz": npz.write_npz, ".umb": umb.write_umb, ".json": model_json.write_model_json}
-FILES = (".toml", ".npz", ".umb", ".json", *SOURCES)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,57 +53,46 @@ def read_model(
 
     A given discount overrides `sets`.
     """
-    # FILE.umb#NAME chooses a reward model of the file.
     text = str(spec)
-    file, reward = text, None
-    named = re.fullmatch(r"(?s)(.*\.umb)#(.*)", text, re.IGNORECASE)
-    if named:
-        file, reward = named.groups()
-    suffix, scenario = Path(file).suffix.lower(), None
-    if constants and suffix not in SOURCES:
-        fix = f"give a {' or '.join(SOURCES)} file"
+    kind, source, reward = _find_model(text)
+    if constants and "constants" not in kind.options:
+        fix = f"give a {join_endings(PROGRAMS)} file"
         raise ModelError("the model has no constants", where=text, fix=fix)
-    # A scenario takes changes by name; other models take only discount and start.
-    if is_scenario(text):
-        scenario = Scenario.load(text)
-        for assignment in require_type(sets, Sequence, "sets", 'give ["KEY=VALUE", …]'):
-            scenario = scenario.set(require_type(assignment, str, "sets", 'give "KEY=VALUE"'))
-        if discount is not None:
-            scenario = scenario.with_(discount=discount)
-        mdp = scenario.compile()
-    elif sets and (text.startswith(GYMNASIUM) or text == STANDARD_INPUT or suffix in FILES):
+    if sets and "sets" not in kind.options:
         fix = "set values on a shipped scenario or a .toml file"
         if "discount" in sets[0]:
             fix += "; use --discount for the discount"
         what = f"{sets[0]!r} cannot be set: the model is not a scenario"
         raise ModelError(what, where=text, fix=fix)
-    elif text.startswith(GYMNASIUM):
-        # Without a start, the environment says where episodes begin.
-        names: dict[str, Any] = {}
-        if start is not None:
-            names["start"] = start
-        if discount is not None:
-            names["discount"] = discount
-        mdp = MDP.from_gymnasium(text.removeprefix(GYMNASIUM), **names)
-    # Files of model checkers, then our own.
-    elif suffix == ".umb":
-        mdp = umb.read_umb(file, discount=discount, reward=reward, start=start)
-    elif suffix in SOURCES:
-        mdp = storm.read_program(
-            text, constants=_format_constants(constants), discount=discount, start=start
-        )
-    elif suffix in (".npz", ".json") or text == STANDARD_INPUT:
-        if suffix == ".npz":
-            mdp = npz.read_npz(text)
-        else:
-            mdp = model_json.read_model_json(text)
-        if discount is not None:
-            mdp = mdp.with_(discount=discount)
-    else:
-        raise _unknown_model_error(text)
-    if start is not None:
-        mdp = mdp.with_(start=start)
+    # The reader takes some of the options; the others change the model that it returns.
+    given: dict[str, Any] = {"sets": sets, "discount": discount, "start": start}
+    given |= {"constants": constants, "reward": reward}
+    given = {name: value for name, value in given.items() if value is not None}
+    scenario = None
+    mdp = kind.read(source, **{name: given[name] for name in kind.options if name in given})
+    if isinstance(mdp, Scenario):
+        scenario, mdp = mdp, mdp.compile()
+    left = given.keys() & {"discount", "start"} - {*kind.options}
+    if left:
+        mdp = mdp.with_(**{name: given[name] for name in left})
     return Loaded(name=mdp.name or Path(text).stem, mdp=mdp, scenario=scenario)
+
+
+def _find_model(text: str) -> tuple[Format, str, str | None]:
+    """Return the kind of model that a text names, the words for its reader, and a reward model."""
+    named = re.fullmatch(r"(?s)(.*\.umb)#(.*)", text, re.IGNORECASE)
+    if named:
+        return FORMATS[".umb"], named[1], named[2]
+    if text in list_shipped_scenarios():
+        return FORMATS[".toml"], text, None
+    if text.startswith(GYMNASIUM):
+        return ENVIRONMENT, text.removeprefix(GYMNASIUM), None
+    kind = find_format(text, FORMATS)
+    if text == STANDARD_INPUT:
+        kind = FORMATS[".json"]
+    if kind is None:
+        raise _unknown_model_error(text)
+    return kind, text, None
 
 
 def load(
@@ -170,34 +162,12 @@ def save(model: MDP, path: str | Path) -> None:
     fix = "write save(model, path), or model.save(path); a scenario is compiled first"
     require_type(model, MDP, "save", fix)
     require_type(path, str | Path, "save", fix)
-    suffix = Path(path).suffix.lower()
-    if suffix not in WRITERS:
-        what = f"cannot write a model as {suffix or 'a file without extension'}"
-        raise ModelError(what, where=str(path), fix="name it .npz, .umb or .json")
-    WRITERS[suffix](model, path)
-
-
-def _format_constants(constants: str | Mapping[str, object] | None) -> str:
-    """Return the values of constants as text: "N=4,p=1/3"; a float is the decimal it prints as."""
-    if isinstance(constants, str | None):
-        return constants or ""
-    given = require_type(constants, Mapping, "constants", "give {name: number}")
-    assigned = []
-    with locate_errors("constants"):
-        for name, value in given.items():
-            if isinstance(value, bool | np.bool_):
-                number = str(value).lower()
-            elif isinstance(value, float | np.floating):
-                number = str(exact(str(value)))
-            else:
-                number = str(exact(value))
-            assigned.append(f"{name}={number}")
-    return ",".join(assigned)
+    find_written_format(path, WRITTEN_MODELS, "a model").write(model, path)
 
 
 def _unknown_model_error(text: str) -> ModelError:
     """Return the error for a name or file that is not a model, with advice."""
-    known = f"{', '.join(FILES)} file, or {GYMNASIUM}ID"
+    known = f"{join_endings(FORMATS)} file, or {GYMNASIUM}ID"
     if Path(text).is_file():
         return ModelError("unknown kind of model file", where=text, fix=f"give a {known}")
     if re.fullmatch(r"[\w/.:-]+-v\d+", text):

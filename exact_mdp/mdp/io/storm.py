@@ -10,7 +10,7 @@ Probabilities and rewards are exact. Real numbers in a guard, an assignment or t
 expression (`p > 0.3`, `x = 1/3 ? …`) are compared as doubles by Storm: numbers that differ by less
 are equal there, and a proof is about the model that Storm built. Rewrite such conditions with whole
 numbers. A JANI reward with different amounts for the destinations of one edge is refused, because
-Storm replaces them by one expected amount.
+Storm replaces them by one expected amount: means would be right, but variances wrong.
 
 Sources: https://www.prismmodelchecker.org/manual/ThePRISMLanguage, https://jani-spec.org
 """
@@ -23,18 +23,25 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from fractions import Fraction
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, locate_errors, require_extra, shown_text
-from exact_mdp.mdp.io import jani
+from exact_mdp.mdp.errors import (
+    ModelError,
+    locate_errors,
+    require_extra,
+    require_type,
+    shown_text,
+)
 from exact_mdp.mdp.io.explicit import INITIAL, build_explicit_model, name_states
 from exact_mdp.mdp.io.files import LARGE, read_text
+from exact_mdp.mdp.io.structured import json_of
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import MOST_BYTES, exact
 
@@ -47,29 +54,28 @@ SMALLER = "give smaller values to its constants, or a smaller model"
 
 
 def read_program(
+    language: str,
     path: str | Path,
     *,
-    constants: str = "",
-    discount: object | None = None,
+    constants: str | Mapping[str, object] = "",
+    discount: object = 1,
     start: object = None,
 ) -> MDP:
-    """Return the model of a PRISM program or a JANI model.
+    """Return the model of a PRISM program ("prism") or a JANI model ("jani").
 
     `constants` gives values to open constants, such as "N=4,p=1/3". Raises ModelError if Storm is
     missing or refuses the program, or if a constant is still open.
     """
-    if discount is None:
-        discount = 1
+    assigned = _format_constants(constants)
     with locate_errors(str(path)):
         text = read_text(path, most=LARGE)  # a regular file, and not too large
-        is_jani = Path(path).suffix.lower() == ".jani"
         declared = []
-        if is_jani:
-            declared = jani.list_variables(text, str(path))
-        built = _run_storm(Path(path), constants)
+        if language == "jani":
+            declared = _list_variables(text, str(path))
+        built = _run_storm(language, Path(path), assigned)
         # Variables in the order of the file; locations of automata come last.
         known: list[str] = built["variables"]
-        if is_jani:
+        if language == "jani":
             order = [name for name in declared if name in known]
             order += [name for name in known if name.startswith(LOCATION)]
         else:
@@ -79,10 +85,31 @@ def read_program(
         return build_explicit_model(shown_text(str(path)), name=Path(path).stem, **content)
 
 
+read_prism, read_jani = partial(read_program, "prism"), partial(read_program, "jani")
+
+
+def _format_constants(constants: str | Mapping[str, object]) -> str:
+    """Return the values of constants as text: "N=4,p=1/3"; a float is the decimal it prints as."""
+    if isinstance(constants, str):
+        return constants
+    given = require_type(constants, Mapping, "constants", "give {name: number}")
+    assigned = []
+    with locate_errors("constants"):
+        for name, value in given.items():
+            if isinstance(value, bool | np.bool_):
+                number = str(value).lower()
+            elif isinstance(value, float | np.floating):
+                number = str(exact(str(value)))
+            else:
+                number = str(exact(value))
+            assigned.append(f"{name}={number}")
+    return ",".join(assigned)
+
+
 # ---- the separate process ------------------------------------------------------------------------
 
 
-def _run_storm(path: Path, constants: str) -> dict[str, Any]:
+def _run_storm(language: str, path: Path, constants: str) -> dict[str, Any]:
     """Return the model of a file as `storm_build.py` prints it; raise ModelError if it fails."""
     with require_extra("models"):
         if find_spec("stormpy") is None:
@@ -90,7 +117,7 @@ def _run_storm(path: Path, constants: str) -> dict[str, Any]:
     most = _most_memory()
     # After a signal such as Ctrl-C, `run` kills the process before it raises.
     done = subprocess.run(
-        [sys.executable, "-P", str(PROGRAM), str(path), constants, str(most)],
+        [sys.executable, "-P", str(PROGRAM), language, str(path), constants, str(most)],
         stdin=subprocess.DEVNULL,
         capture_output=True,
         check=False,
@@ -225,3 +252,59 @@ def _in_order(names: list[str], program: str) -> list[str]:
         return found is None, named.start()
 
     return sorted(names, key=find_place)
+
+
+# ---- declarations of a JANI model ----------------------------------------------------------------
+
+
+def _list_variables(text: str, where: str) -> list[str]:
+    """Return the names of the variables of a state, in the order of the file.
+
+    Raises ModelError if the destinations of an edge have different rewards.
+    """
+    content = json_of(text, where)
+    automata = [each for each in _list_objects(content, "automata") if isinstance(each, dict)]
+    variables = [*_list_objects(content, "variables")]
+    for own in automata:
+        variables += _list_objects(own, "variables")
+    rewards = {each.get("name") for each in variables if _is_reward(each)}
+    for own in automata:
+        for number, edge in enumerate(_list_objects(own, "edges")):
+            _check_destinations(edge, rewards, f"automaton {own.get('name')}, edge {number}")
+    names = []
+    for each in variables:
+        if each.get("transient") is not True:
+            names.append(str(each.get("name")))
+    return names
+
+
+def _list_objects(content: Any, key: str) -> Iterator[dict[str, Any]]:
+    """Yield the objects of a list; Storm refuses anything else."""
+    if isinstance(content, dict):
+        for each in content.get(key) or ():
+            if isinstance(each, dict):
+                yield each
+
+
+def _is_reward(variable: dict[str, Any]) -> bool:
+    """Return whether a variable is a reward: transient, and a number."""
+    return variable.get("transient") is True and variable.get("type") != "bool"
+
+
+def _check_destinations(edge: dict[str, Any], rewards: set[Any], where: str) -> None:
+    """Raise ModelError if the destinations of an edge assign different rewards."""
+    paid = []
+    for destination in _list_objects(edge, "destinations"):
+        assigned = _list_objects(destination, "assignments")
+        paid.append([each for each in assigned if each.get("ref") in rewards])
+    for own in paid:
+        # An assignment with an index may read what the same destination has assigned before.
+        ordered = any(each.get("index") for each in own)
+        if len(paid) > 1 and (ordered or own != paid[0]):
+            name = next(each["ref"] for each in own or paid[0])
+            raise ModelError(
+                f"the reward {name} depends on the destination",
+                where=where,
+                fix="let each destination enter a location of its own that assigns it; or let the "
+                "edge assign the mean amount, which gives the same expected values only",
+            )

@@ -1,6 +1,6 @@
 """A separate program that lets Storm build a PRISM program or a JANI model, and prints JSON.
 
-    python -P storm_build.py FILE CONSTANTS BYTES
+    python -P storm_build.py LANGUAGE FILE CONSTANTS BYTES
 
 Storm runs in a separate process: a division by zero ends the process that computes it, and a model
 may need more memory than there is. This program imports only stormpy and the standard library.
@@ -18,20 +18,19 @@ import signal
 import sys
 from contextlib import suppress
 from itertools import accumulate
-from pathlib import Path
 from typing import Any
 
 KINDS = ("DTMC", "MDP")
 
 
-def main(path: str, constants: str, most: str) -> None:
+def main(language: str, path: str, constants: str, most: str) -> None:
     """Print the model that Storm builds from a file."""
     answer = os.fdopen(os.dup(1), "w", encoding="ascii")
     os.dup2(2, 1)  # Storm's own output goes to standard error
     _leave_with_the_parent()
     _limit_memory(int(most))
     try:
-        content = _build_model(path, constants)
+        content = _build_model(language, path, constants)
     except MemoryError:
         content = {"said": "", "memory": True}
     except Exception as error:  # Storm raises several kinds, none of them meant for users
@@ -57,11 +56,11 @@ def _limit_memory(most: int) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (min(limits), hard))
 
 
-def _build_model(path: str, constants: str) -> dict[str, Any]:
+def _build_model(language: str, path: str, constants: str) -> dict[str, Any]:
     """Return the parts of Storm's sparse model, or the reason why there is none."""
     import stormpy
 
-    if Path(path).suffix.lower() == ".jani":
+    if language == "jani":
         program = stormpy.parse_jani_model(path)[0]
     else:
         program = stormpy.parse_prism_program(path, prism_compatibility=True)

@@ -53,6 +53,7 @@ from exact_mdp.mdp.errors import (
 )
 from exact_mdp.mdp.forms.numbers import group_numbers, has_floats, one_kind
 from exact_mdp.mdp.io.files import open_file
+from exact_mdp.mdp.io.formats import RECORDS, find_format, join_endings
 from exact_mdp.mdp.io.structured import csv_of
 from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.space import Column, StateSpace
@@ -199,7 +200,7 @@ class TransitionRecord:
         self.where = "transitions"
         if isinstance(frame, str | Path):
             self.where = str(frame)
-        self._parquet = Path(self.where).suffix.lower() == ".parquet"
+        self._parquet = find_format(self.where, RECORDS) is RECORDS[".parquet"]
         self._of_file = isinstance(frame, str | Path) and not self._parquet
         self.numbers: dict[str, dict[Any, int]] = {name: {} for name in COLUMNS[:4]}
         self.rows = 0
@@ -249,24 +250,23 @@ class TransitionRecord:
                 raise ModelError(
                     f"cannot read {suffix}",
                     where=self.where,
-                    fix="save it as .csv or .parquet; in Python, give the DataFrame that pandas "
-                    "reads from it",
+                    fix=f"save it as {join_endings(RECORDS)}; in Python, give the DataFrame that "
+                    "pandas reads from it",
                 )
             # A file is read in chunks: the limit of a terabyte only stops endless input.
             with open_file(self.where, most=2**40) as file:
-                if self._parquet:
-                    yield from self._of_parquet(file)
-                else:
-                    yield from self._of_csv(file)
+                form = find_format(self.where, RECORDS) or RECORDS[".csv"]
+                yield from form.read(self, file)
             return
         tables = self.frame
         if isinstance(tables, pandas.DataFrame) or not isinstance(tables, Iterable):
             tables = [tables]
         for table in tables:
-            fix = "give a DataFrame, several of them, or the path of a .csv or .parquet file"
+            fix = "give a DataFrame, several of them, or the path of a "
+            fix += f"{join_endings(RECORDS)} file"
             yield require_type(table, pandas.DataFrame, "transitions", fix)
 
-    def _of_csv(self, file: Any) -> Generator[DataFrame]:
+    def iterate_csv(self, file: Any) -> Generator[DataFrame]:
         """Yield the rows of a CSV file as texts, so that "0.1" is 1/10; the index has the lines."""
         import pandas
 
@@ -302,7 +302,7 @@ class TransitionRecord:
                 )
             yield line
 
-    def _of_parquet(self, file: Any) -> Generator[DataFrame]:
+    def iterate_parquet(self, file: Any) -> Generator[DataFrame]:
         """Yield the rows of a Parquet file in batches."""
         with require_extra("models"):
             from pyarrow import parquet

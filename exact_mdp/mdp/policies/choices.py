@@ -23,13 +23,22 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, ShapeError, locate_errors, once_each, require_type
+from exact_mdp.mdp.errors import ModelError, ShapeError, locate_errors, once_each
 from exact_mdp.mdp.forms.names import integer_of, is_number
 from exact_mdp.mdp.forms.numbers import convert_tensors, refuse_masked
-from exact_mdp.mdp.io.files import STANDARD_INPUT, read_text, write_atomically
+from exact_mdp.mdp.io.arrays import read_array
+from exact_mdp.mdp.io.files import LARGE, STANDARD_INPUT, read_text, write_atomically
+from exact_mdp.mdp.io.formats import POLICIES, find_format, join_endings
 from exact_mdp.mdp.io.structured import csv_of, json_of
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.arrays import Parts, numbers_of, policy_of_array, rows_read, too_small
+from exact_mdp.mdp.policies.arrays import (
+    Parts,
+    numbers_of,
+    of_given_array,
+    policy_of_array,
+    rows_read,
+    too_small,
+)
 from exact_mdp.mdp.space import TIME, Column, StateSpace
 from exact_mdp.mdp.table import Numbers, as_float, exact
 
@@ -304,23 +313,37 @@ def _check_complete(model: MDP, space: StateSpace, said: Iterable[int]) -> None:
 
 
 def of_file(model: MDP, path: str | Path, kind: str = "auto") -> Parts:
-    """Return the policy in a `.json` or `.csv` file, or JSON from standard input."""
-    where, suffix = str(path), Path(path).suffix.lower()
-    if suffix == ".csv":
-        return _of_csv(model, read_text(path))
-    if suffix != ".json" and where != STANDARD_INPUT:
-        what = f"unknown policy {where!r}"
+    """Return the policy in a file, or in JSON from standard input."""
+    where, form = str(path), find_format(path, POLICIES)
+    if where == STANDARD_INPUT:
+        form = POLICIES[".json"]
+    if form is None:
+        suffix, what = Path(path).suffix.lower(), f"unknown policy {where!r}"
         if suffix and isfile(path):
             what = f"cannot read {suffix}"
         fix = (
-            "give random, always:ACTION, or a .json, .csv, .npy or .npz file; the optimal policy "
+            f"give random, always:ACTION, or a {join_endings(POLICIES)} file; the optimal policy "
             "is solve(mdp).policy, on the command line optimal"
         )
         if where in model.actions:
             fix = f"did you mean always:{where}?"
         raise ModelError(what, fix=fix)
+    if "kind" in form.options:
+        return dict(form.read(model, path, kind=kind))
+    return dict(form.read(model, path))
+
+
+def read_policy_array(model: MDP, path: str | Path, *, kind: str) -> Parts:
+    """Return the policy in a file of an array."""
+    # A number of an array takes at most 16 bytes.
+    most = max(LARGE, 16 * model.n_states * model.n_actions)
+    return of_given_array(model, read_array(path, called="q", most=most), kind)
+
+
+def read_policy_json(model: MDP, path: str | Path, *, kind: str) -> Parts:
+    """Return the policy in a JSON object."""
     # JSON is an object by status or by state; digits of a state are its number.
-    content = json_of(read_text(path), where, parse_float=str, parse_int=_parse_digits)
+    content = json_of(read_text(path), str(path), parse_float=str, parse_int=_parse_digits)
     by_status = "status" in model.space.names
     if not isinstance(content, dict):
         first = "0"
@@ -340,9 +363,9 @@ def _parse_digits(text: str) -> Any:
     return text
 
 
-def _of_csv(model: MDP, text: str) -> Parts:
+def read_policy_csv(model: MDP, path: str | Path) -> Parts:
     """Return the policy in a CSV file: state columns, action and, optionally, probability."""
-    rows = csv_of(io.StringIO(text))
+    rows = csv_of(io.StringIO(read_text(path)))
     _, given = next(rows, (0, []))
     header = [name.strip() for name in given]
     columns = [name for name in header if name not in ("action", "probability")]
@@ -414,12 +437,10 @@ def of_every_state(mdp: MDP, said: Sequence[Any]) -> dict[str, Any]:
     return dict(zip(state_names(mdp.space), said, strict=True))
 
 
-def write_policy(
-    path: str | Path, space: StateSpace, rows: Mapping[int, Mapping[str, Any]]
+def write_policy_csv(
+    space: StateSpace, rows: Mapping[int, Mapping[str, Any]], path: str | Path
 ) -> None:
-    """Write the probabilities of the actions of each row as `.csv`."""
-    if Path(require_type(path, str | Path, "path", "give a text")).suffix.lower() != ".csv":
-        raise ModelError("a policy is written as .csv", where=str(path), fix="name it .csv")
+    """Write the probabilities of the actions of each row."""
     if not space.names:
         raise ModelError(
             "the policy is the same in all states",

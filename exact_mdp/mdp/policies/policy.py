@@ -26,8 +26,7 @@ from exact_mdp.mdp.errors import (
     require_type,
 )
 from exact_mdp.mdp.forms.numbers import float_array
-from exact_mdp.mdp.io.arrays import read_array
-from exact_mdp.mdp.io.files import LARGE
+from exact_mdp.mdp.io.formats import WRITTEN_POLICIES, find_written_format
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies import choices as reading
 from exact_mdp.mdp.policies.arrays import (
@@ -435,11 +434,6 @@ class Policy(ByFields):
                 number = np.array([model.action(given.removeprefix("always:"))])
                 return cls(space=StateSpace(columns=()), actions=model.actions, rule=number)
             with locate_errors(str(given)):
-                if Path(given).suffix.lower() in (".npy", ".npz"):
-                    # A number of an array takes at most 16 bytes.
-                    most = max(LARGE, 16 * model.n_states * model.n_actions)
-                    array = read_array(given, called="q", most=most)
-                    return cls(**of_given_array(model, array, kind))
                 return cls(**reading.of_file(model, given, kind))
         # Mappings, functions and arrays.
         with locate_errors("policy"):
@@ -482,6 +476,8 @@ class Policy(ByFields):
 
     def write(self, path: str | Path) -> None:
         """Write the policy as `.csv`, atomically."""
+        require_type(path, str | Path, "path", "give a text")
+        form = find_written_format(path, WRITTEN_POLICIES, "a policy")
         rows = {}
         for key in range(self.space.regular):
             taken = {}
@@ -490,7 +486,7 @@ class Policy(ByFields):
                     taken[action] = _format_probability(chance)
             if taken:
                 rows[key] = taken
-        reading.write_policy(path, self.space, rows)
+        form.write(self.space, rows, path)
 
 
 def build_uniform_policy(model: MDP, among: NDArray[np.bool_]) -> Policy:

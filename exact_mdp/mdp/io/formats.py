@@ -1,0 +1,169 @@
+"""The kinds of files, each said once: what a file holds, who reads it, and who writes it.
+
+The ending of a file tells its kind. To add a format, write a module with its functions, and name
+them here in one entry: loading, saving, messages, the help of the command line and the page on
+files follow. The functions are imported when a file is read or written, so help appears at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+from exact_mdp.mdp.errors import ModelError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Format:
+    """A kind of file; its functions are named "module:function", with the module below `mdp`.
+
+    Attributes
+    ----------
+    holds : str
+        The content of such a file, in words.
+    reader, writer : str
+        The functions that read and write it; "" if it is not written.
+    options : tuple of str
+        The options that the reader takes.
+    loses : str
+        The parts that are not written.
+    """
+
+    holds: str
+    reader: str
+    writer: str = ""
+    options: tuple[str, ...] = ()
+    loses: str = ""
+
+    def read(self, *given: Any, **options: Any) -> Any:
+        """Read a file."""
+        return import_function(self.reader)(*given, **options)
+
+    def write(self, *given: Any) -> None:
+        """Write a file."""
+        import_function(self.writer)(*given)
+
+
+def import_function(place: str) -> Any:
+    """Return the function that "module:function" names."""
+    module, _, name = place.partition(":")
+    return attrgetter(name)(import_module(f"exact_mdp.mdp.{module}"))
+
+
+PRISM = Format(
+    holds="a PRISM program",
+    reader="io.storm:read_prism",
+    options=("discount", "start", "constants"),
+)
+FORMATS: dict[str, Format] = {
+    ".toml": Format(
+        holds="a scenario", reader="care.scenario:read_scenario", options=("sets", "discount")
+    ),
+    ".npz": Format(holds="a whole model", reader="io.npz:read_npz", writer="io.npz:write_npz"),
+    ".umb": Format(
+        holds="a model for model checkers",
+        reader="io.umb:read_umb",
+        writer="io.umb:write_umb",
+        options=("discount", "start", "reward"),
+    ),
+    ".json": Format(
+        holds="a model as text",
+        reader="io.model_json:read_model_json",
+        writer="io.model_json:write_model_json",
+        loses="columns of states, parameters, events, numbers of observations",
+    ),
+    ".prism": PRISM,
+    ".nm": PRISM,
+    ".pm": PRISM,
+    ".jani": Format(holds="a JANI model", reader="io.storm:read_jani", options=PRISM.options),
+}
+"""Models by the ending of the file."""
+
+ENVIRONMENT = Format(
+    holds="an environment", reader="model:MDP.from_gymnasium", options=("discount", "start")
+)
+"""A model that is not a file, but gymnasium:ID."""
+
+ARRAY = Format(
+    holds="a Q-table or probabilities of actions",
+    reader="policies.choices:read_policy_array",
+    options=("kind",),
+)
+POLICIES: dict[str, Format] = {
+    ".json": Format(
+        holds='{"0000": "none", ...}',
+        reader="policies.choices:read_policy_json",
+        options=("kind",),
+    ),
+    ".csv": Format(
+        holds="rows of status,action",
+        reader="policies.choices:read_policy_csv",
+        writer="policies.choices:write_policy_csv",
+    ),
+    ".npy": ARRAY,
+    ".npz": ARRAY,
+}
+"""Policies by the ending of the file."""
+
+PERCEPTIONS: dict[str, Format] = {
+    ".csv": Format(holds="a confusion matrix", reader="care.perception:read_matrix"),
+    ".toml": Format(holds="sensitivity and specificity", reader="care.perception:read_rates"),
+    ".jsonl": Format(holds="labelled examples", reader="care.perception:read_examples"),
+}
+"""Perceptions by the ending of the file."""
+
+RECORDS: dict[str, Format] = {
+    ".csv": Format(
+        holds="transitions as text", reader="io.transitions:TransitionRecord.iterate_csv"
+    ),
+    ".parquet": Format(
+        holds="transitions", reader="io.transitions:TransitionRecord.iterate_parquet"
+    ),
+}
+"""Recorded transitions by the ending of the file."""
+
+WRITTEN_MODELS = {ending: each for ending, each in FORMATS.items() if each.writer}
+WRITTEN_POLICIES = {ending: each for ending, each in POLICIES.items() if each.writer}
+PROGRAMS = {ending: each for ending, each in FORMATS.items() if "constants" in each.options}
+
+
+def find_format(path: str | Path, formats: Mapping[str, Format]) -> Format | None:
+    """Return the format of a file by its ending; None if it is not among the formats."""
+    return formats.get(Path(path).suffix.lower())
+
+
+def find_written_format(path: str | Path, formats: Mapping[str, Format], what: str) -> Format:
+    """Return the format in which a file is to be written; raise ModelError if there is none."""
+    form = find_format(path, formats)
+    if form is None:
+        raise ModelError(
+            f"cannot write {what} as {Path(path).suffix.lower() or 'a file without extension'}",
+            where=str(path),
+            fix=f"name it {join_endings(formats)}",
+        )
+    return form
+
+
+def join_endings(endings: Collection[str]) -> str:
+    """Return endings as a text: ".npz, .umb or .json"."""
+    *first, last = endings
+    if not first:
+        return last
+    return f"{', '.join(first)} or {last}"
+
+
+def group_endings(formats: Mapping[str, Format]) -> dict[Format, str]:
+    """Return the endings of each format, ".prism, .nm, .pm"."""
+    endings: dict[Format, list[str]] = {}
+    for ending, each in formats.items():
+        endings.setdefault(each, []).append(ending)
+    return {each: ", ".join(own) for each, own in endings.items()}
+
+
+def describe_formats(formats: Mapping[str, Format]) -> str:
+    """Return formats as a text: ".prism, .nm, .pm (a PRISM program); .jani (a JANI model)"."""
+    return "; ".join(f"{own} ({each.holds})" for each, own in group_endings(formats).items())
