@@ -256,7 +256,7 @@ def read_confusion_matrix(path: str | Path, model: MDP) -> tuple[Floats, int | N
     if form is None:
         fix = f"give {join_endings(PERCEPTIONS)}"
         raise ModelError(f"unknown kind of perception {str(path)!r}", fix=fix)
-    matrix: tuple[Floats, int | None] = form.read(path, model)
+    matrix: tuple[Floats, int | None] = form.read_file(path, model)
     return matrix
 
 

@@ -39,11 +39,11 @@ class Format:
     options: tuple[str, ...] = ()
     loses: str = ""
 
-    def read(self, *given: Any, **options: Any) -> Any:
+    def read_file(self, *given: Any, **options: Any) -> Any:
         """Read a file."""
         return import_function(self.reader)(*given, **options)
 
-    def write(self, *given: Any) -> None:
+    def write_file(self, *given: Any) -> None:
         """Write a file."""
         import_function(self.writer)(*given)
 

@@ -69,7 +69,7 @@ def read_model(
     given |= {"constants": constants, "reward": reward}
     given = {name: value for name, value in given.items() if value is not None}
     scenario = None
-    mdp = kind.read(source, **{name: given[name] for name in kind.options if name in given})
+    mdp = kind.read_file(source, **{name: given[name] for name in kind.options if name in given})
     if isinstance(mdp, Scenario):
         scenario, mdp = mdp, mdp.compile()
     left = given.keys() & {"discount", "start"} - {*kind.options}
@@ -162,7 +162,7 @@ def save(model: MDP, path: str | Path) -> None:
     fix = "write save(model, path), or model.save(path); a scenario is compiled first"
     require_type(model, MDP, "save", fix)
     require_type(path, str | Path, "save", fix)
-    find_written_format(path, WRITTEN_MODELS, "a model").write(model, path)
+    find_written_format(path, WRITTEN_MODELS, "a model").write_file(model, path)
 
 
 def _unknown_model_error(text: str) -> ModelError:

@@ -256,7 +256,7 @@ class TransitionRecord:
             # A file is read in chunks: the limit of a terabyte only stops endless input.
             with open_file(self.where, most=2**40) as file:
                 form = find_format(self.where, RECORDS) or RECORDS[".csv"]
-                yield from form.read(self, file)
+                yield from form.read_file(self, file)
             return
         tables = self.frame
         if isinstance(tables, pandas.DataFrame) or not isinstance(tables, Iterable):

@@ -329,8 +329,8 @@ def of_file(model: MDP, path: str | Path, kind: str = "auto") -> Parts:
             fix = f"did you mean always:{where}?"
         raise ModelError(what, fix=fix)
     if "kind" in form.options:
-        return dict(form.read(model, path, kind=kind))
-    return dict(form.read(model, path))
+        return dict(form.read_file(model, path, kind=kind))
+    return dict(form.read_file(model, path))
 
 
 def read_policy_array(model: MDP, path: str | Path, *, kind: str) -> Parts:

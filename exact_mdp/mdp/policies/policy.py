@@ -486,7 +486,7 @@ class Policy(ByFields):
                     taken[action] = _format_probability(chance)
             if taken:
                 rows[key] = taken
-        form.write(self.space, rows, path)
+        form.write_file(self.space, rows, path)
 
 
 def build_uniform_policy(model: MDP, among: NDArray[np.bool_]) -> Policy:
