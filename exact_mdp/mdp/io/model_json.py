@@ -35,9 +35,7 @@ observations are not saved.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from fractions import Fraction
 from functools import lru_cache
 from itertools import chain
@@ -49,19 +47,23 @@ import numpy as np
 from exact_mdp.mdp.build import MOST_UNNAMED_ACTIONS
 from exact_mdp.mdp.components import with_outcome_amounts
 from exact_mdp.mdp.errors import ModelError, locate_errors
-from exact_mdp.mdp.io.files import LARGEST, read_text, write_atomically
-from exact_mdp.mdp.io.structured import (
+from exact_mdp.mdp.io.files import LARGEST, read_text
+from exact_mdp.mdp.io.parts import (
+    FLOATS,
+    MODEL,
+    PARTS,
+    build_model,
     encode_integer,
+    encode_parts,
     encode_rationals,
-    has_format,
-    json_of,
-    or_null,
+    list_sets,
     parse_natural,
+    parse_positive,
     parse_rational,
-    parse_unreached,
-    refuse_value,
-    require_shape,
+    states_format,
+    write_object,
 )
+from exact_mdp.mdp.io.structured import json_of, or_null, refuse_value, require_shape
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
@@ -74,17 +76,8 @@ from exact_mdp.mdp.table import (
     to_integer_array,
 )
 
-FORMAT, VERSION = "exact-mdp model", 2
-FLOATS = ("float_probabilities", "float_rewards")
+VERSION = 2
 ONE = ("reward",)  # the default name of a single component
-
-
-def parse_positive(given: Any) -> int:
-    """Return a positive integer."""
-    value = parse_rational(given)
-    if value <= 0 or value.denominator != 1:
-        refuse_value(given, "a positive integer")
-    return value.numerator
 
 
 def parse_amounts(given: Any) -> Fraction | tuple[Fraction, ...]:
@@ -103,25 +96,24 @@ PAIR = {
     "next": [parse_natural],
     "weight": [parse_positive],
 }
-HEAD = {
-    "name": str,
+HEAD = PARTS | {
     "states": parse_natural,
-    "discount": parse_rational,
-    "sense": str,
     "start": {str: parse_rational},
-    **dict.fromkeys(FLOATS, bool),
     "goal": or_null([parse_natural]),
-    "unreached": parse_unreached,
-    "time_limit": or_null(parse_positive),
     "labels": {str: [parse_natural]},
     "components": {str: [parse_amounts]},
-    "averaged": or_null(bool),
     "target": or_null([parse_natural]),
     "component_names": or_null([str]),
     "action_names": or_null([str]),
     "state_names": or_null([str]),
     "pairs": [PAIR],
 }
+ORDER = (
+    *("format", "version", "name", "states", "discount", "sense", *FLOATS, "start", "goal"),
+    *("unreached", "time_limit", "labels", "components", "averaged", "target", "component_names"),
+    *("action_names", "state_names"),
+)
+"""The order of the keys in a file; the pairs follow."""
 OTHERWISE: dict[str, Any] = {"name": "", "unreached": "inf", "labels": {}, "components": {}}
 OTHERWISE |= dict.fromkeys(FLOATS, False)
 """Values of keys that the files of other programs may leave out."""
@@ -130,16 +122,12 @@ OTHERWISE |= dict.fromkeys(FLOATS, False)
 def encode_model(mdp: MDP) -> dict[str, Any]:
     """Return the content of the file of a model."""
     # The columns of the pairs; lists by outcome are cut into one list for each pair.
-    table, offsets = mdp.table, mdp.table.offsets
-    (weight, below), (gain, under) = table.rows.integers, table.integer_gains()
-    rows = list(map(slice, offsets[:-1].tolist(), offsets[1:].tolist()))
+    table, (weight, below) = mdp.table, mdp.table.rows.integers
+    offsets = table.offsets.tolist()
+    rows = list(map(slice, offsets[:-1], offsets[1:]))
     all_next, all_weights = table.next.tolist(), _encode_integers(weight)
     following, weights = [all_next[row] for row in rows], [all_weights[row] for row in rows]
-    if len(gain) == table.pairs:
-        rewards = list(map(_encode_ratio, gain.tolist(), under.tolist()))
-    else:
-        each = list(map(_encode_ratio, gain.tolist(), np.repeat(under, np.diff(offsets)).tolist()))
-        rewards = [_merge_equal(each[row]) for row in rows]
+    rewards = _list_amounts(table, rows)
     states, actions = mdp.pair_state.tolist(), mdp.pair_action.tolist()
     columns = states, actions, rewards, _encode_integers(below), following, weights
     # Names of states: words of a single column, else printed forms; null for plain numbers.
@@ -148,58 +136,44 @@ def encode_model(mdp: MDP) -> dict[str, Any]:
         words = mdp.space.labels(range(mdp.n_states))
         if mdp.space.names == ("state",):
             words[: mdp.space.regular] = map(mdp.space.columns[0].label, range(mdp.space.regular))
-    goal = None
-    if mdp.goal is not None:
-        goal = np.flatnonzero(mdp.goal).tolist()
-    # Keys that are written only if they differ from their default.
-    parts, optional = dict[str, list[Any]](), dict[str, Any]()
+    # Components, or else the name of the only one unless it is the default.
+    components = dict[str, list[Any]]()
     if table.components is not None:
-        parts = dict(_list_component_amounts(mdp, rows))
-    if table.averaged:
-        optional["averaged"] = True
-    if mdp.target is not None and mdp.goal is None:
-        optional["target"] = np.flatnonzero(mdp.target).tolist()
-    if not parts and mdp.component_names != ONE:
-        optional["component_names"] = mdp.component_names
-    head = {
-        "format": FORMAT,
+        for place, name in enumerate(mdp.component_names):
+            components[name] = _list_amounts(table.with_component_reward(place), rows)
+    parts = encode_parts(mdp)
+    if not components and mdp.component_names != ONE:
+        parts["component_names"] = mdp.component_names
+    parts |= {
+        "format": MODEL,
         "version": VERSION,
-        "name": mdp.name,
         "states": mdp.n_states,
-        "discount": mdp.discount_exact,
-        "sense": mdp.sense,
-        **{name: getattr(mdp, name) for name in FLOATS},
         "start": {str(state): share for state, share in mdp.start if share},
-        "goal": goal,
-        "unreached": str(mdp.unreached),
-        "time_limit": mdp.time_limit,
+        "goal": None,
+        **{name: np.flatnonzero(each).tolist() for name, each in list_sets(mdp).items()},
         "labels": {name: np.flatnonzero(each).tolist() for name, each in mdp.labels.items()},
-        "components": parts,
-        **optional,
+        "components": components,
         "action_names": mdp.actions,
         "state_names": words,
     }
+    head = {key: encode_rationals(parts[key]) for key in ORDER if key in parts}
     pairs = [dict(zip(PAIR, pair, strict=True)) for pair in zip(*columns, strict=True)]
-    return {**encode_rationals(head), "pairs": pairs}
+    return {**head, "pairs": pairs}
 
 
-def _merge_equal(amounts: list[Any]) -> Any:
-    """Return the amount of a pair if all of its outcomes have the same, else the list."""
-    if len({*amounts}) > 1:
-        return amounts
-    return amounts[0]
-
-
-def _list_component_amounts(mdp: MDP, rows: Sequence[slice]) -> Iterator[tuple[str, list[Any]]]:
-    """Yield the name of each component, and its amount for each pair, or amounts by outcome."""
-    table = mdp.table
-    for place, name in enumerate(mdp.component_names):
-        if not table.parted_by_outcome:
-            yield name, [*map(_encode_ratio, *(each.tolist() for each in mdp.component(name)))]
-            continue
-        gain, below = table.with_component_reward(place).integer_gains()
-        each = list(map(_encode_ratio, gain.tolist(), below[table.pair].tolist()))
-        yield name, [_merge_equal(each[row]) for row in rows]
+def _list_amounts(table: OutcomeTable, rows: Sequence[slice]) -> list[Any]:
+    """Return the reward of each pair of a table; a list if its outcomes have different rewards."""
+    gain, below = table.integer_gains()
+    if len(gain) == table.pairs:
+        return list(map(_encode_ratio, gain.tolist(), below.tolist()))
+    each = list(map(_encode_ratio, gain.tolist(), below[table.pair].tolist()))
+    amounts = []
+    for row in rows:
+        own: Any = each[row]
+        if len({*own}) == 1:
+            own = own[0]
+        amounts.append(own)
+    return amounts
 
 
 def _encode_integers(array: Numbers) -> list[int | str]:
@@ -220,19 +194,16 @@ def _encode_ratio(top: int, below: int) -> Any:
 
 def write_model_json(mdp: MDP, path: str | Path) -> None:
     """Write a model, completely or not at all."""
-    head = encode_model(mdp)
-    pairs = ",\n  ".join(json.dumps(pair) for pair in head.pop("pairs"))
-    lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in head.items()]
-    write_atomically(path, "{" + ",\n ".join([*lines, f'"pairs": [\n  {pairs}]']) + "}\n")
+    write_object(path, encode_model(mdp), listed=["pairs"])
 
 
 def read_model_json(path: str | Path) -> MDP:
     """Return the model in a file; raise ModelError if it is damaged, or not a valid model."""
     with locate_errors(str(path)):
         given = json_of(read_text(path, most=LARGEST), str(path))
-        if not has_format(given, FORMAT, VERSION):
+        if not states_format(given, MODEL, VERSION):
             raise ModelError(
-                f"the file is not an {FORMAT} of version {VERSION}",
+                f"the file is not an {MODEL} of version {VERSION}",
                 fix="give a file that exact-mdp convert IN model.json wrote; in "
                 "verify CERTIFICATE MODEL the certificate comes first",
             )
@@ -246,12 +217,7 @@ def read_model_json(path: str | Path) -> MDP:
         ends = np.concatenate([[0], np.cumsum([len(each) for each in weight])])
         groups = np.arange(count + 1)
         if any(isinstance(each, tuple) for each in reward):
-            by_outcome: list[Fraction] = []
-            for own, weights in zip(reward, weight, strict=True):
-                if not isinstance(own, tuple):
-                    own = [own] * len(weights)
-                by_outcome += own
-            reward, groups = by_outcome, ends
+            reward, groups = _list_by_outcome(reward, orders), ends
         gain, under = over_groups(reward, groups)
         distributions = Rows(
             offsets=ends,
@@ -262,9 +228,11 @@ def read_model_json(path: str | Path) -> MDP:
         table = OutcomeTable(rows=distributions, gain=gain, gain_denominator=under)
         parts = head["components"]
         if parts:
-            columns = {name: _parse_component(name, parts[name], orders) for name in parts}
+            columns = {}
+            for name, amounts in parts.items():
+                with locate_errors(f"components, {name}"):
+                    columns[name] = np.array(_list_by_outcome(amounts, orders), dtype=object)
             table = with_outcome_amounts(table, columns)
-        table = replace(table, averaged=bool(head["averaged"]))
         # Names of actions, labels and sets of states.
         names = head["action_names"]
         if names is None:
@@ -274,25 +242,24 @@ def read_model_json(path: str | Path) -> MDP:
         for name in ("goal", "target"):
             if head[name] is not None:
                 sets[name] = _parse_flags(name, head[name], states)
-        return MDP(
+        return build_model(
+            head,
             table,
-            np.array(state, dtype=np.int64),
-            np.array(action, dtype=np.int64),
+            pair_state=np.array(state, dtype=np.int64),
+            pair_action=np.array(action, dtype=np.int64),
             space=StateSpace.plain(states, head["state_names"] or ()),
             actions=names,
-            discount_exact=head["discount"],
             start=tuple((_parse_state(key), share) for key, share in head["start"].items()),
             component_names=tuple(parts) or head["component_names"] or ONE,
             labels=flags,
             **sets,
-            **{key: head[key] for key in (*FLOATS, "name", "sense", "unreached", "time_limit")},
         )
 
 
 def _parse_pair(
     number: int, state: int, action: int, reward: Any, denominator: int, next: Any, weight: Any
 ) -> tuple[Any, ...]:
-    """Return the parts of a pair, sorted by next state, and the order in which they stood."""
+    """Return the parts of a pair, with next states sorted, and the order in which they stood."""
     each = [next, weight]
     if isinstance(reward, tuple):
         each.append(reward)
@@ -301,8 +268,6 @@ def _parse_pair(
             refuse_value(weight, "a list with a weight, or a reward, for each next state")
     order = sorted(range(len(next)), key=lambda k: [column[k] for column in each])
     next, weight = [next[k] for k in order], [weight[k] for k in order]
-    if isinstance(reward, tuple):
-        reward = tuple(reward[k] for k in order)
     return state, action, reward, denominator, next, weight, order
 
 
@@ -315,20 +280,19 @@ def _parse_state(key: str) -> int:
         return parse_natural(number.numerator)
 
 
-def _parse_component(name: str, amounts: Sequence[Any], orders: Sequence[Sequence[int]]) -> Numbers:
-    """Return the amounts (N,) of a component, with the outcomes of each pair in sorted order."""
-    with locate_errors(f"components, {name}"):
-        if len(amounts) != len(orders):
-            refuse_value(amounts, f"a list of {len(orders)} numbers")
-        values = list[Fraction]()
-        for given, order in zip(amounts, orders, strict=True):
-            if not isinstance(given, tuple):
-                values += [given] * len(order)
-                continue
-            if len(given) != len(order):
-                refuse_value(given, f"a list of {len(order)} numbers")
-            values += [given[k] for k in order]
-    return np.array(values, dtype=object)
+def _list_by_outcome(amounts: Sequence[Any], orders: Sequence[Sequence[int]]) -> list[Fraction]:
+    """Return the amounts of all outcomes, with the outcomes of each pair in sorted order."""
+    if len(amounts) != len(orders):
+        refuse_value(amounts, f"a list of {len(orders)} numbers")
+    values = list[Fraction]()
+    for given, order in zip(amounts, orders, strict=True):
+        if not isinstance(given, tuple):
+            values += [given] * len(order)
+            continue
+        if len(given) != len(order):
+            refuse_value(given, f"a list of {len(order)} numbers")
+        values += [given[k] for k in order]
+    return values
 
 
 def _parse_flags(name: str, numbers: Sequence[int], states: int) -> Numbers:

@@ -51,23 +51,25 @@ from exact_mdp.mdp.errors import ModelError, locate_errors
 from exact_mdp.mdp.forms.names import text_of
 from exact_mdp.mdp.io.arrays import read_arrays
 from exact_mdp.mdp.io.files import write_atomically
-from exact_mdp.mdp.io.structured import (
+from exact_mdp.mdp.io.parts import (
+    FLOATS,
+    MODEL,
+    PARTS,
+    build_model,
+    encode_parts,
     encode_rationals,
-    has_format,
-    json_of,
-    or_null,
+    list_sets,
     parse_natural,
     parse_rational,
-    parse_unreached,
-    refuse_value,
-    require_shape,
+    states_format,
 )
+from exact_mdp.mdp.io.structured import json_of, or_null, refuse_value, require_shape
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import Numbers, OutcomeTable, Rows
 
-FORMAT, VERSION = "exact-mdp model", 1
+VERSION = 1
 
 
 def parse_object(given: Any) -> Hashable:
@@ -103,31 +105,26 @@ PARAMETER = {
     "high": or_null(parse_rational),
 }
 PARAMETER["unit"] = or_null(str)
-HEADER = {
-    "name": str,
-    "discount": parse_rational,
-    "start": [(parse_natural, parse_rational)],
+HEADER = PARTS | {
     "actions": [str],
+    "component_names": [str],
+    "events": [str],
+    "episodes": or_null(parse_natural),
+    "start": [(parse_natural, parse_rational)],
     "objects": OBJECTS,
     "columns": [parse_column],
     "extra": [str],
-    "component_names": [str],
-    "events": [str],
     "parameters": [lambda given: Parameter(**require_shape(given, PARAMETER))],
-    "time_limit": or_null(parse_natural),
-    "episodes": or_null(parse_natural),
-    "sense": str,
     "labels": [str],
-    "unreached": parse_unreached,
-    "float_probabilities": bool,
-    "float_rewards": bool,
-    "averaged": or_null(bool),
     "arrays": [str],
 }
-SAME = (
-    *("name", "actions", "component_names", "events", "time_limit", "episodes", "sense"),
-    *("float_probabilities", "float_rewards"),
+SAME = ("actions", "component_names", "events", "episodes")
+ORDER = (
+    *("name", "actions", "component_names", "events", "time_limit", "episodes", "sense", *FLOATS),
+    *("format", "version", "discount", "start", "objects", "columns", "extra", "parameters"),
+    *("labels", "unreached", "averaged", "arrays"),
 )
+"""The order of the keys in a header."""
 
 ARRAYS: dict[str, tuple[str, ...]] = {
     "header": ("uint8",),
@@ -165,10 +162,7 @@ def pack_model(model: MDP) -> bytes:
     parts |= {name: getattr(model.table, name) for name in TABLE}
     if model.labels:
         parts["labels"] = np.array([*model.labels.values()], dtype=np.uint8)
-    if model.goal is not None:
-        parts["goal"] = model.goal.astype(np.uint8)
-    elif model.target is not None:
-        parts["target"] = model.target.astype(np.uint8)
+    parts |= {name: states.astype(np.uint8) for name, states in list_sets(model).items()}
     parts["observations"] = model.observations
     arrays = {name: _as_bytes(array) for name, array in parts.items() if array is not None}
     # The header.
@@ -178,27 +172,23 @@ def pack_model(model: MDP) -> bytes:
         columns.append(
             entry | {"words": column.words} | _encode_objects(column.objects, column.words)
         )
-    averaged = {}
-    if model.table.averaged:
-        averaged = {"averaged": True}
     parameters = []
     for p in model.parameters:
         parameters.append({name: getattr(p, name) for name in PARAMETER})
-    header = {name: getattr(model, name) for name in SAME} | {
-        "format": FORMAT,
+    head = encode_parts(model) | {name: getattr(model, name) for name in SAME}
+    head |= {
+        "format": MODEL,
         "version": VERSION,
-        "discount": model.discount_exact,
         "start": [(int(state), weight) for state, weight in model.start],
         **_encode_objects(model.action_objects, model.actions),
         "columns": columns,
         "extra": model.space.extra,
         "parameters": parameters,
         "labels": [*model.labels],
-        "unreached": str(model.unreached),
-        **averaged,
         "arrays": sorted(arrays),
     }
-    text = np.frombuffer(json.dumps(encode_rationals(header)).encode("ascii"), dtype=np.uint8)
+    header = {key: encode_rationals(head[key]) for key in ORDER if key in head}
+    text = np.frombuffer(json.dumps(header).encode("ascii"), dtype=np.uint8)
     stream = io.BytesIO()
     np.savez(stream, allow_pickle=False, header=text, **arrays)
     return stream.getvalue()
@@ -218,8 +208,8 @@ def unpack_model(source: str | Path | bytes) -> MDP:
     with locate_errors("header"):
         given = json_of(arrays["header"].tobytes(), "header")
         head = require_shape(given, HEADER)
-        if not has_format(given, FORMAT, VERSION):
-            refuse_value(given.get("version"), f"version {VERSION} of format {FORMAT!r}")
+        if not states_format(given, MODEL, VERSION):
+            refuse_value(given.get("version"), f"version {VERSION} of format {MODEL!r}")
         # A damaged list of members can hide arrays that a model may lack, so the header lists them.
         if [*head["arrays"]] != sorted(arrays.keys() - {"header"}):
             refuse_value(head["arrays"], "the list of the arrays")
@@ -238,19 +228,18 @@ def unpack_model(source: str | Path | bytes) -> MDP:
     for name in ("goal", "target"):
         if name in arrays:
             sets[name] = arrays[name] > 0
-    return MDP(
-        OutcomeTable(rows=Rows(**rows), **columns, averaged=bool(head["averaged"])),
-        state,
-        arrays["pair_action"],
+    return build_model(
+        head,
+        OutcomeTable(rows=Rows(**rows), **columns),
+        pair_state=state,
+        pair_action=arrays["pair_action"],
         space=space,
         action_objects=objects,
-        discount_exact=head["discount"],
         start=head["start"],
         parameters=head["parameters"],
         labels=dict(zip(head["labels"], flags, strict=True)),
-        **sets,
-        unreached=head["unreached"],
         observations=arrays.get("observations"),
+        **sets,
         **{name: head[name] for name in SAME},
     )
 
