@@ -14,7 +14,7 @@ Instead of a table, an environment may have `dynamics` with matrices `tx_mat` an
 like ICU-Sepsis (Choudhary, Gupta and Thomas, Reinforcement Learning Conference 2024).
 
 A wrapper or custom environment whose step() or reset() differs from `P` is refused: see
-`mdp.io.gymnasium_steps`.
+`mdp.io.gymnasium_table`.
 """
 
 from __future__ import annotations
@@ -35,19 +35,18 @@ from exact_mdp.mdp.errors import (
     suggest_name,
 )
 from exact_mdp.mdp.forms.names import ByNumber
-from exact_mdp.mdp.io.gymnasium_steps import (
-    compare_with_table,
-    layers_of,
-    refuse_changes,
-    refuse_untried,
-)
 from exact_mdp.mdp.io.gymnasium_table import (
     LISTED,
     NOWHERE,
+    TOY_TEXT,
     Rows,
+    compare_with_table,
     is_outcome_table,
     is_whole_number,
+    layers_of,
     read_outcome_rows,
+    refuse_changes,
+    refuse_untried,
 )
 from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import Numbers
@@ -55,7 +54,6 @@ from exact_mdp.mdp.validate import KNOWN, as_start, check_options
 
 END = "end"
 STARTS = ("initial_state_distrib", "isd")  # names of the initial distribution in environments
-TOY_TEXT = "gymnasium.envs.toy_text"
 GRID = (Column(name="row", size=0), Column(name="column", size=0))
 PLACES = ("Red", "Green", "Yellow", "Blue")
 TOYS = {
