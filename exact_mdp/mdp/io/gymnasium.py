@@ -157,7 +157,7 @@ def _rows_from_table(
     if words or not columns:
         columns = StateSpace.plain(states, words).columns
     # The start, with which reset() must agree unless the caller gives another one.
-    given = names.pop("start", None)
+    given, stated = names.pop("start", None), any(hasattr(bare, name) for name in STARTS)
     begins: Collection[int] = range(states)
     if given is None:
         start = as_start(_read_start(bare), StateSpace(columns=columns))
@@ -165,7 +165,7 @@ def _rows_from_table(
     else:
         start = as_start(given, StateSpace(columns=columns))
     if not is_outcome_table(bare):
-        compare_with_table(layers, rows, begins, given is not None or _states_start(bare))
+        compare_with_table(layers, rows, begins, stated or given is not None)
     # Terminated outcomes lead to ends, which stay put, or to one more state behind the others.
     ends, targets = _find_ends(rows, {state for state, _ in start})
     listed: list[Any] = []
@@ -276,11 +276,6 @@ def _of_matrices(env: Any, dynamics: Mapping[str, Any], where: str) -> tuple[Num
         for state, admissible in enumerate(dynamics["admissible_actions"]):
             gains[state, ~np.isin(np.arange(chances.shape[1]), admissible)] = -np.inf
     return chances, gains
-
-
-def _states_start(env: Any) -> bool:
-    """Return whether an environment has an initial distribution."""
-    return any(hasattr(env, name) for name in STARTS)
 
 
 def _read_start(env: Any) -> Any:

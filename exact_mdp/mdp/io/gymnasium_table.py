@@ -1,8 +1,9 @@
-"""The table `P` of an environment: its rows of outcomes, and its comparison with step() and reset().
+"""The table `P` of an environment: its rows of outcomes, compared with step() and reset().
 
 `P[state][action]` lists (probability, next state, reward, terminated), in dictionaries or lists.
-States and actions are whole numbers from 0, possibly as floats, and terminated may be 0 or 1. Probabilities in single or half
-precision are divided by their sum if it misses 1 only by their rounding.
+States and actions are whole numbers from 0, possibly as floats, and terminated may be 0 or 1.
+Probabilities in single or half precision are divided by their sum if it misses 1 only by their
+rounding.
 
 A model is made from `P` alone, so an environment whose step() or reset() does something else is
 another problem. Gymnasium's wrappers that only record, stop or draw are harmless, and toy-text

@@ -35,7 +35,7 @@ observations are not saved.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from functools import lru_cache
 from itertools import chain
@@ -208,31 +208,40 @@ def read_model_json(path: str | Path) -> MDP:
                 "verify CERTIFICATE MODEL the certificate comes first",
             )
         head = require_shape(OTHERWISE | given, HEAD)
-        rows = [_parse_pair(number, **pair) for number, pair in enumerate(head["pairs"])]
-        states, count = head["states"], len(rows)
-        if not 1 <= states <= count:
-            raise ModelError(f"{states} states and {count} pairs", fix="give each state a pair")
-        state, action, reward, below, following, weight, orders = map(list, zip(*rows, strict=True))
+        pairs, states = head["pairs"], head["states"]
+        if not 1 <= states <= len(pairs):
+            raise ModelError(
+                f"{states} states and {len(pairs)} pairs", fix="give each state a pair"
+            )
+        lengths = [_count_outcomes(number, pair) for number, pair in enumerate(pairs)]
+        ends = np.concatenate([[0], np.cumsum(lengths)])
+        state, action, reward, below, following, weight = (
+            [pair[key] for pair in pairs] for key in PAIR
+        )
+        # The outcomes of all pairs; those of a pair are sorted by next state.
+        columns = [np.repeat(np.arange(len(pairs)), lengths).tolist(), [*chain(*following)]]
+        columns += [[*chain(*weight)], _list_by_outcome(reward, lengths)]
+        order = sorted(range(ends[-1]), key=lambda k: [column[k] for column in columns])
+        _, next_states, weights, rewards = ([column[k] for k in order] for column in columns)
         # Rewards by pair, or all by outcome if some are.
-        ends = np.concatenate([[0], np.cumsum([len(each) for each in weight])])
-        groups = np.arange(count + 1)
-        if any(isinstance(each, tuple) for each in reward):
-            reward, groups = _list_by_outcome(reward, orders), ends
-        gain, under = over_groups(reward, groups)
+        groups = ends
+        if not any(isinstance(each, tuple) for each in reward):
+            rewards, groups = reward, np.arange(len(pairs) + 1)
+        gain, under = over_groups(rewards, groups)
         distributions = Rows(
             offsets=ends,
-            next=np.array([*chain(*following)], dtype=np.int64),
-            weight=to_integer_array(chain(*weight)),
+            next=np.array(next_states, dtype=np.int64),
+            weight=to_integer_array(weights),
             denominator=to_integer_array(below),
         )
         table = OutcomeTable(rows=distributions, gain=gain, gain_denominator=under)
         parts = head["components"]
         if parts:
-            columns = {}
-            for name, amounts in parts.items():
+            amounts = {}
+            for name, own in parts.items():
                 with locate_errors(f"components, {name}"):
-                    columns[name] = np.array(_list_by_outcome(amounts, orders), dtype=object)
-            table = with_outcome_amounts(table, columns)
+                    amounts[name] = np.array(_list_by_outcome(own, lengths), dtype=object)[order]
+            table = with_outcome_amounts(table, amounts)
         # Names of actions, labels and sets of states.
         names = head["action_names"]
         if names is None:
@@ -256,19 +265,13 @@ def read_model_json(path: str | Path) -> MDP:
         )
 
 
-def _parse_pair(
-    number: int, state: int, action: int, reward: Any, denominator: int, next: Any, weight: Any
-) -> tuple[Any, ...]:
-    """Return the parts of a pair, with next states sorted, and the order in which they stood."""
-    each = [next, weight]
-    if isinstance(reward, tuple):
-        each.append(reward)
-    if not next or len({*map(len, each)}) > 1:
+def _count_outcomes(number: int, pair: Mapping[str, Any]) -> int:
+    """Return the number of outcomes of a pair; raise ModelError if its lists differ in length."""
+    lists = [pair[key] for key in ("next", "weight", "reward") if isinstance(pair[key], tuple)]
+    if not pair["next"] or len({*map(len, lists)}) > 1:
         with locate_errors(f"pairs, {number}"):
-            refuse_value(weight, "a list with a weight, or a reward, for each next state")
-    order = sorted(range(len(next)), key=lambda k: [column[k] for column in each])
-    next, weight = [next[k] for k in order], [weight[k] for k in order]
-    return state, action, reward, denominator, next, weight, order
+            refuse_value(pair["weight"], "a list with a weight, or a reward, for each next state")
+    return len(pair["next"])
 
 
 def _parse_state(key: str) -> int:
@@ -280,18 +283,18 @@ def _parse_state(key: str) -> int:
         return parse_natural(number.numerator)
 
 
-def _list_by_outcome(amounts: Sequence[Any], orders: Sequence[Sequence[int]]) -> list[Fraction]:
-    """Return the amounts of all outcomes, with the outcomes of each pair in sorted order."""
-    if len(amounts) != len(orders):
-        refuse_value(amounts, f"a list of {len(orders)} numbers")
+def _list_by_outcome(amounts: Sequence[Any], lengths: Sequence[int]) -> list[Fraction]:
+    """Return the amounts of all outcomes; a number counts for each outcome of its pair."""
+    if len(amounts) != len(lengths):
+        refuse_value(amounts, f"a list of {len(lengths)} numbers")
     values = list[Fraction]()
-    for given, order in zip(amounts, orders, strict=True):
+    for given, length in zip(amounts, lengths, strict=True):
+        own = given
         if not isinstance(given, tuple):
-            values += [given] * len(order)
-            continue
-        if len(given) != len(order):
-            refuse_value(given, f"a list of {len(order)} numbers")
-        values += [given[k] for k in order]
+            own = [given] * length
+        if len(own) != length:
+            refuse_value(given, f"a list of {length} numbers")
+        values += own
     return values
 
 
