@@ -618,7 +618,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         Parameters
         ----------
         path : str or path
-            A file in a format that `mdp.io.formats` lists, such as `.npz` or `.umb`; the `.toml` of a
+            A file in one of the formats in `mdp.io.formats`, such as `.npz`; the `.toml` of a
             scenario is compiled.
         discount : number or "p/q", optional
             The discount to use instead of the one in the file.
