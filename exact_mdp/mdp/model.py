@@ -579,7 +579,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         Parameters
         ----------
         path : str or path
-            A file in a format that `mdp.io.load` lists, such as `.npz` or `.umb`; the `.toml` of a
+            A file in one of the formats in `mdp.io.formats`, such as `.npz`; the `.toml` of a
             scenario is compiled.
         discount : number or "p/q", optional
             The discount to use instead of the one in the file.
@@ -611,7 +611,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         return exact_mdp.load(path, discount=discount, start=start, constants=constants)
 
     def save(self, path: str | Path) -> None:
-        """Write the model as `.npz`, or as `.umb` for model checkers.
+        """Write the model as `.npz` or `.json`, or as `.umb` for model checkers.
 
         The file is written completely or not at all. Raises ModelError for another file name
         extension, and if the path cannot be written to.

@@ -26,8 +26,8 @@ import tqdm
 from numpy.random import SeedSequence
 
 from exact_mdp.mdp.errors import ModelError, require_type
-from exact_mdp.mdp.io.arrays import read_arrays
 from exact_mdp.mdp.io.files import LARGEST, read_bytes, read_text, write_atomically
+from exact_mdp.mdp.io.npz import read_arrays
 from exact_mdp.mdp.io.structured import json_of
 from exact_mdp.mdp.table import Numbers
 from exact_mdp.mdp.validate import require_count

@@ -17,20 +17,12 @@ from typing import Any
 from exact_mdp.mdp.errors import ModelError
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Format:
-    """A kind of file; its functions are named "module:function", with the module below `mdp`.
+    """A kind of file, with the functions that read and write it.
 
-    Attributes
-    ----------
-    holds : str
-        The content of such a file, in words.
-    reader, writer : str
-        The functions that read and write it; "" if it is not written.
-    options : tuple of str
-        The options that the reader takes.
-    loses : str
-        The parts that are not written.
+    `holds` is the content in words. Functions are named "module:function", with the module below
+    `mdp`; `options` are those that the reader takes. `loses` names the parts that are not written.
     """
 
     holds: str
@@ -54,77 +46,56 @@ def import_function(place: str) -> Any:
     return attrgetter(name)(import_module(f"exact_mdp.mdp.{module}"))
 
 
-PRISM = Format(
-    holds="a PRISM program",
-    reader="io.storm:read_prism",
-    options=("discount", "start", "constants"),
-)
+# Models.
+OF_PROGRAM = ("discount", "start", "constants")
+PRISM = Format("a PRISM program", "io.storm:read_prism", options=OF_PROGRAM)
 FORMATS: dict[str, Format] = {
-    ".toml": Format(
-        holds="a scenario", reader="care.scenario:read_scenario", options=("sets", "discount")
-    ),
-    ".npz": Format(holds="a whole model", reader="io.npz:read_npz", writer="io.npz:write_npz"),
+    ".toml": Format("a scenario", "care.scenario:read_scenario", options=("sets", "discount")),
+    ".npz": Format("a whole model", "io.npz:read_npz", "io.npz:write_npz"),
     ".umb": Format(
-        holds="a model for model checkers",
-        reader="io.umb:read_umb",
-        writer="io.umb:write_umb",
+        "a model for model checkers",
+        "io.umb:read_umb",
+        "io.umb:write_umb",
         options=("discount", "start", "reward"),
     ),
     ".json": Format(
-        holds="a model as text",
-        reader="io.model_json:read_model_json",
-        writer="io.model_json:write_model_json",
+        "a model as text",
+        "io.model_json:read_model_json",
+        "io.model_json:write_model_json",
         loses="columns of states, parameters, events, numbers of observations",
     ),
     ".prism": PRISM,
     ".nm": PRISM,
     ".pm": PRISM,
-    ".jani": Format(holds="a JANI model", reader="io.storm:read_jani", options=PRISM.options),
+    ".jani": Format("a JANI model", "io.storm:read_jani", options=OF_PROGRAM),
 }
-"""Models by the ending of the file."""
+# A model that is not a file, gymnasium:ID.
+ENVIRONMENT = Format("an environment", "model:MDP.from_gymnasium", options=("discount", "start"))
 
-ENVIRONMENT = Format(
-    holds="an environment", reader="model:MDP.from_gymnasium", options=("discount", "start")
-)
-"""A model that is not a file, but gymnasium:ID."""
-
+# Policies.
+CHOICES = "policies.choices:"
 ARRAY = Format(
-    holds="a Q-table or probabilities of actions",
-    reader="policies.choices:read_policy_array",
-    options=("kind",),
+    "a Q-table or probabilities of actions", f"{CHOICES}read_policy_array", options=("kind",)
 )
 POLICIES: dict[str, Format] = {
-    ".json": Format(
-        holds='{"0000": "none", ...}',
-        reader="policies.choices:read_policy_json",
-        options=("kind",),
-    ),
+    ".json": Format('{"0000": "none", ...}', f"{CHOICES}read_policy_json", options=("kind",)),
     ".csv": Format(
-        holds="rows of status,action",
-        reader="policies.choices:read_policy_csv",
-        writer="policies.choices:write_policy_csv",
+        "rows of status,action", f"{CHOICES}read_policy_csv", f"{CHOICES}write_policy_csv"
     ),
     ".npy": ARRAY,
     ".npz": ARRAY,
 }
-"""Policies by the ending of the file."""
 
+# Perceptions, and recorded transitions.
 PERCEPTIONS: dict[str, Format] = {
-    ".csv": Format(holds="a confusion matrix", reader="care.perception:read_matrix"),
-    ".toml": Format(holds="sensitivity and specificity", reader="care.perception:read_rates"),
-    ".jsonl": Format(holds="labelled examples", reader="care.perception:read_examples"),
+    ".csv": Format("a confusion matrix", "care.perception:read_matrix"),
+    ".toml": Format("sensitivity and specificity", "care.perception:read_rates"),
+    ".jsonl": Format("labelled examples", "care.perception:read_examples"),
 }
-"""Perceptions by the ending of the file."""
-
 RECORDS: dict[str, Format] = {
-    ".csv": Format(
-        holds="transitions as text", reader="io.transitions:TransitionRecord.iterate_csv"
-    ),
-    ".parquet": Format(
-        holds="transitions", reader="io.transitions:TransitionRecord.iterate_parquet"
-    ),
+    ".csv": Format("transitions as text", "io.transitions:TransitionRecord.iterate_csv"),
+    ".parquet": Format("transitions", "io.transitions:TransitionRecord.iterate_parquet"),
 }
-"""Recorded transitions by the ending of the file."""
 
 WRITTEN_MODELS = {ending: each for ending, each in FORMATS.items() if each.writer}
 WRITTEN_POLICIES = {ending: each for ending, each in POLICIES.items() if each.writer}

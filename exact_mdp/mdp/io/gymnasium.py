@@ -14,7 +14,7 @@ Instead of a table, an environment may have `dynamics` with matrices `tx_mat` an
 like ICU-Sepsis (Choudhary, Gupta and Thomas, Reinforcement Learning Conference 2024).
 
 A wrapper or custom environment whose step() or reset() differs from `P` is refused: see
-`mdp.io.gymnasium_steps`.
+`mdp.io.gymnasium_table`.
 """
 
 from __future__ import annotations
@@ -35,19 +35,18 @@ from exact_mdp.mdp.errors import (
     suggest_name,
 )
 from exact_mdp.mdp.forms.names import ByNumber
-from exact_mdp.mdp.io.gymnasium_steps import (
-    compare_with_table,
-    layers_of,
-    refuse_changes,
-    refuse_untried,
-)
 from exact_mdp.mdp.io.gymnasium_table import (
     LISTED,
     NOWHERE,
+    TOY_TEXT,
     Rows,
+    compare_with_table,
     is_outcome_table,
     is_whole_number,
+    layers_of,
     read_outcome_rows,
+    refuse_changes,
+    refuse_untried,
 )
 from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import Numbers
@@ -55,7 +54,6 @@ from exact_mdp.mdp.validate import KNOWN, as_start, check_options
 
 END = "end"
 STARTS = ("initial_state_distrib", "isd")  # names of the initial distribution in environments
-TOY_TEXT = "gymnasium.envs.toy_text"
 GRID = (Column(name="row", size=0), Column(name="column", size=0))
 PLACES = ("Red", "Green", "Yellow", "Blue")
 TOYS = {
@@ -159,7 +157,7 @@ def _rows_from_table(
     if words or not columns:
         columns = StateSpace.plain(states, words).columns
     # The start, with which reset() must agree unless the caller gives another one.
-    given = names.pop("start", None)
+    given, stated = names.pop("start", None), any(hasattr(bare, name) for name in STARTS)
     begins: Collection[int] = range(states)
     if given is None:
         start = as_start(_read_start(bare), StateSpace(columns=columns))
@@ -167,7 +165,7 @@ def _rows_from_table(
     else:
         start = as_start(given, StateSpace(columns=columns))
     if not is_outcome_table(bare):
-        compare_with_table(layers, rows, begins, given is not None or _states_start(bare))
+        compare_with_table(layers, rows, begins, stated or given is not None)
     # Terminated outcomes lead to ends, which stay put, or to one more state behind the others.
     ends, targets = _find_ends(rows, {state for state, _ in start})
     listed: list[Any] = []
@@ -278,11 +276,6 @@ def _of_matrices(env: Any, dynamics: Mapping[str, Any], where: str) -> tuple[Num
         for state, admissible in enumerate(dynamics["admissible_actions"]):
             gains[state, ~np.isin(np.arange(chances.shape[1]), admissible)] = -np.inf
     return chances, gains
-
-
-def _states_start(env: Any) -> bool:
-    """Return whether an environment has an initial distribution."""
-    return any(hasattr(env, name) for name in STARTS)
 
 
 def _read_start(env: Any) -> Any:

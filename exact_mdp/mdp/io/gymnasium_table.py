@@ -1,13 +1,25 @@
-"""The table `P` of an environment as rows of outcomes: dictionaries or lists, by state and action.
+"""The table `P` of an environment: its rows of outcomes, compared with step() and reset().
 
-`P[state][action]` lists (probability, next state, reward, terminated). States and actions are whole
-numbers from 0, possibly as floats, and terminated may be 0 or 1. Probabilities in single or half
-precision are divided by their sum if it misses 1 only by their rounding.
+`P[state][action]` lists (probability, next state, reward, terminated), in dictionaries or lists.
+States and actions are whole numbers from 0, possibly as floats, and terminated may be 0 or 1.
+Probabilities in single or half precision are divided by their sum if it misses 1 only by their
+rounding.
+
+A model is made from `P` alone, so an environment whose step() or reset() does something else is
+another problem. Gymnasium's wrappers that only record, stop or draw are harmless, and toy-text
+environments agree with their `P`. Every custom wrapper or environment is tried for some hundred
+steps with fixed seeds. After action a in state s, each step (s', r, terminated) must be an outcome
+with a positive probability in P[s][a], and each start must be a state with a positive initial
+probability. Rare events may be missed, and frequencies are not compared.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import copy
+import random
+import warnings
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from fractions import Fraction
 from typing import Any
 
@@ -21,6 +33,13 @@ NOWHERE = -1  # the next state in some tables if the episode is over
 LISTED = "let P[state][action] list (probability, next state, reward, terminated)"
 Outcome = tuple[Any, int, Any, bool]
 Rows = dict[tuple[int, int], list[Outcome]]
+TOY_TEXT = "gymnasium.envs.toy_text"
+HARMLESS = {
+    *("TimeLimit", "OrderEnforcing", "PassiveEnvChecker", "Autoreset", "RecordEpisodeStatistics"),
+    *("RecordVideo", "RenderCollection", "HumanRendering", "DtypeObservation", "ArrayConversion"),
+    *("NumpyToTorch", "JaxToNumpy", "JaxToTorch"),
+}
+"""Wrappers of Gymnasium that do not change states, actions, rewards or ends of episodes."""
 
 
 def is_outcome_table(given: Any) -> bool:
@@ -168,3 +187,256 @@ def _parse_table_outcome(given: Any, place: str) -> Outcome:
         for number in (values[0], values[2]):
             as_given(number)
     return values[0], int(values[1]), values[2], bool(values[3])
+
+
+# ---- wrappers, step() and reset() ----------------------------------------------------------------
+
+
+def layers_of(env: Any) -> Iterator[Any]:
+    """Yield an environment and the environments inside its wrappers, from the outside in."""
+    while env is not None:
+        yield env
+        env = getattr(env, "__dict__", {}).get("env")
+
+
+def refuse_changes(layers: Sequence[Any]) -> None:
+    """Raise ModelError if a wrapper changes rewards or actions, or Taxi changes destinations."""
+    for env in layers[:-1]:
+        kinds = {each.__name__ for each in type(env).__mro__} & {"RewardWrapper", "ActionWrapper"}
+        if kinds and not (kinds == {"ActionWrapper"} and only_numbers(env)):
+            raise ModelError(
+                f"{type(env).__name__} changes the environment, but not its table P",
+                where="env",
+                fix="give env.unwrapped, or describe the change: MDP.from_function(…)",
+            )
+    if getattr(layers[-1], "fickle_passenger", False) is True:
+        raise ModelError(
+            "a fickle passenger changes the destination on the way, but P does not include that",
+            where="env",
+            fix="make the environment without fickle_passenger, or describe it: "
+            "MDP.from_function(…)",
+        )
+
+
+def only_numbers(env: Any) -> bool:
+    """Return whether an action wrapper only numbers combinations of choices, in the order of P."""
+    levels = getattr(env.env.action_space, "nvec", None)
+    if levels is None or getattr(env.action_space, "n", None) != np.prod(levels):
+        return False
+    own = [env.action(number) for number in range(int(env.action_space.n))]
+    return bool(np.array_equal(own, np.stack(np.unravel_index(range(len(own)), levels), axis=1)))
+
+
+def refuse_untried(layers: Sequence[Any]) -> None:
+    """Raise ModelError for a wrapper that may change the environment, which is not tried."""
+    for env in layers[:-1]:
+        if not (_is_harmless(env) or only_numbers(env)):
+            raise ModelError(
+                f"{type(env).__name__} may change the environment, but not its matrices",
+                where="env",
+                fix="give env.unwrapped, or describe the change: MDP.from_function(…)",
+            )
+
+
+def _is_harmless(env: Any) -> bool:
+    """Return whether an environment is a wrapper of Gymnasium that changes nothing."""
+    kind = type(env)
+    return kind.__name__ in HARMLESS and kind.__module__.startswith("gymnasium.")
+
+
+def compare_with_table(
+    layers: Sequence[Any], rows: Rows, starts: Collection[int], stated: bool
+) -> None:
+    """Raise ModelError if an environment does not agree with its table.
+
+    `starts` are the states in which episodes begin; `stated` says whether they are known or only
+    assumed. A copy of the environment is tried, if it can be copied. Warns if the environment
+    cannot be compared, since its observations or actions are not numbers.
+    """
+    # Skip harmless wrappers outside; environments of Gymnasium itself need no trial.
+    inside = (k for k, each in enumerate(layers) if not _is_harmless(each))
+    first = next(inside, len(layers) - 1)
+    env, base = layers[first], layers[-1]
+    if env is base and type(base).__module__.startswith(TOY_TEXT):
+        return
+    if not (callable(getattr(env, "step", None)) and callable(getattr(env, "reset", None))):
+        return
+    space = getattr(env, "action_space", None)
+    if space is not None and not hasattr(space, "n"):
+        return _warn_not_compared(env, "its actions are not numbers")
+    with _keep_random_state():
+        _Trial(_copy_environment(env, base), env is base).run_steps(rows, starts, stated)
+    return None
+
+
+def _warn_not_compared(env: Any, why: str) -> None:
+    """Warn that an environment was not compared with its table."""
+    what = f"step() of {type(env).__name__} was not compared with P: {why}"
+    warnings.warn(what, stacklevel=4)
+
+
+def _copy_environment(env: Any, base: Any) -> Any:
+    """Return a copy that shares the table, or the environment itself if it cannot be copied."""
+    table = getattr(base, "P", None)
+    try:
+        return copy.deepcopy(env, {id(table): table})
+    except Exception:  # locks, windows and other objects raise errors of their own
+        return env
+
+
+@contextmanager
+def _keep_random_state() -> Iterator[None]:
+    """Restore the state of the global random number generators afterwards."""
+    python, numpy = random.getstate(), np.random.get_state()  # noqa: NPY002  (others may use it)
+    try:
+        yield
+    finally:
+        random.setstate(python)
+        np.random.set_state(numpy)  # noqa: NPY002
+
+
+class _Trial:
+    """Some hundred steps in an environment, each compared with the table."""
+
+    def __init__(self, env: Any, own: bool) -> None:
+        self.env, self.name, self.own = env, type(env).__name__, own
+
+    def run_steps(self, rows: Rows, starts: Collection[int], stated: bool) -> None:
+        """Run episodes with random actions; raise ModelError for a step that P does not list."""
+        actions: dict[int, list[int]] = {}
+        for state, action in rows:
+            actions.setdefault(state, []).append(action)
+        # At least 500 steps and 8 episodes: more would find rarer differences, and take longer.
+        draw, steps, seed = random.Random(0), 0, 0
+        while steps < 500 or seed < 8:
+            now = self._reset_environment(seed)
+            if now is None:
+                return
+            self._check_start(now, starts, stated, actions)
+            seed += 1
+            # After enough steps, only the starts of further episodes are compared.
+            longest = 100
+            if steps >= 500:
+                longest = 0
+            for _ in range(longest):
+                steps += 1
+                action = draw.choice(actions[now])
+                done = self._take_step(now, action)
+                if done is None:
+                    return
+                following, reward, over, cut = done
+                self._check_step(now, action, rows[now, action], (following, reward, over))
+                if over or cut:
+                    break
+                if following not in actions:
+                    raise self._mismatch_error(
+                        f"step() leads to {following}, which P does not list"
+                    )
+                now = following
+
+    def _reset_environment(self, seed: int) -> int | None:
+        """Return the state in which an episode begins; None if reset() does not return it."""
+        try:
+            answer = self._call_reset(seed)
+        except NotImplementedError:
+            return None
+        except Exception as error:
+            raise self._exception_error("reset()", error) from error
+        if answer is None:
+            return None  # the reset() of gymnasium.Env, which only sets a seed
+        if type(answer) is tuple and len(answer) == 2:  # with `info`
+            answer = answer[0]
+        return self._read_state_number(answer)
+
+    def _call_reset(self, seed: int) -> Any:
+        """Call reset(), without a seed if it does not accept one."""
+        try:
+            return self.env.reset(seed=seed)
+        except TypeError as error:
+            if "seed" not in str(error):
+                raise
+            return self.env.reset()
+
+    def _take_step(self, state: int, action: int) -> tuple[int, float, bool, bool] | None:
+        """Return next state, reward, terminated and truncated; None without a step()."""
+        try:
+            seen, reward, over, *more = self.env.step(action)
+            reward, over, cut = float(reward), bool(over), len(more) > 1 and bool(more[0])
+        except NotImplementedError:
+            return None
+        except Exception as error:
+            raise self._exception_error(f"step({action}) in state {state}", error) from error
+        following = self._read_state_number(seen)
+        if following is None:
+            return None
+        return following, reward, over, cut
+
+    def _read_state_number(self, seen: Any) -> int | None:
+        """Return the state number of an observation; warn and return None if it is not one."""
+        array = np.asarray(seen)
+        if array.size == 1 and array.dtype.kind in "iuf" and float(array.item()).is_integer():
+            return int(array.item())
+        if not self.own:
+            raise self._mismatch_error(
+                f"an observation is {shorten_text(repr(seen), 60)}, not a state of P"
+            )
+        _warn_not_compared(
+            self.env, f"an observation is {shorten_text(repr(seen), 60)}, not the number of a state"
+        )
+        return None
+
+    def _check_start(
+        self, state: int, starts: Collection[int], stated: bool, known: Collection[int]
+    ) -> None:
+        """Raise ModelError unless an episode may begin in a state."""
+        if state in starts and state in known:
+            return
+        if state not in known:
+            raise self._mismatch_error(f"reset() begins in state {state}, which P does not list")
+        if stated:
+            what = f"reset() begins in state {state}, which has no initial probability"
+            raise self._mismatch_error(
+                what, "correct initial_state_distrib; or say where: start=, --start"
+            )
+        raise self._mismatch_error(
+            f"reset() begins in state {state}, and the environment states no initial distribution",
+            f"say where: start={state}, or --start {state}; or start={{state: probability}}",
+        )
+
+    def _check_step(
+        self, state: int, action: int, outcomes: Sequence[Outcome], done: tuple[int, float, bool]
+    ) -> None:
+        """Raise ModelError unless a step is one of the outcomes of the table."""
+        following, reward, over = done
+        for chance, target, gain, ends in outcomes:
+            # At the end of an episode the next state has no meaning, and tables name any.
+            same = ends == over and (over or target == following)
+            # Rewards may be in single precision.
+            near = abs(float(exact(gain)) - reward) <= 1e-6 * max(1.0, abs(reward))
+            if exact(chance) > 0 and same and near:
+                return
+        listed = []
+        for _, target, gain, ends in outcomes[:4]:
+            listed.append(f"({target}, {float(exact(gain)):g}, {ends})")
+        if len(outcomes) > 4:
+            listed.append("…")
+        raise self._mismatch_error(
+            f"step({action}) in state {state} gave ({following}, {reward:g}, {over}); P lists "
+            f"(next state, reward, terminated) {', '.join(listed)}"
+        )
+
+    def _mismatch_error(self, what: str, fix: str = "") -> ModelError:
+        """Return the error for an environment that differs from its table."""
+        if not self.own:
+            fix = "give env.unwrapped, or describe the change: MDP.from_function(…)"
+        elif not fix:
+            fix = "make P agree with step() and reset(); or give P alone: "
+            fix += "MDP.from_gymnasium(env.unwrapped.P)"
+        what = f"the environment does not agree with P: {what}"
+        return ModelError(what, where=self.name, fix=fix)
+
+    def _exception_error(self, call: str, error: Exception) -> ModelError:
+        """Return the error for a call that raises an exception."""
+        return self._mismatch_error(
+            f"{call} raises {type(error).__name__}: {shorten_text(str(error), 100)}"
+        )

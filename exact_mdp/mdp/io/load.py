@@ -41,23 +41,20 @@ class Loaded:
     scenario: Scenario | None
 
 
-def read_model(
-    spec: str | Path,
-    *,
-    sets: Sequence[str] = (),
-    discount: object | None = None,
-    start: object | None = None,
-    constants: str | Mapping[str, object] | None = None,
-) -> Loaded:
-    """Return the model that `spec` names; see `load`. Raises ModelError if there is none.
+def read_model(spec: str | Path, **options: Any) -> Loaded:
+    """Return the model that `spec` names; the options are those of `load`.
 
-    A given discount overrides `sets`.
+    A given discount overrides `sets`. Raises ModelError if there is no such model.
     """
     text = str(spec)
     kind, source, reward = _find_model(text)
-    if constants and "constants" not in kind.options:
+    given = {name: each for name, each in options.items() if each is not None}
+    if reward is not None:
+        given["reward"] = reward
+    if given.get("constants") and "constants" not in kind.options:
         fix = f"give a {join_endings(PROGRAMS)} file"
         raise ModelError("the model has no constants", where=text, fix=fix)
+    sets = given.get("sets")
     if sets and "sets" not in kind.options:
         fix = "set values on a shipped scenario or a .toml file"
         if "discount" in sets[0]:
@@ -65,16 +62,13 @@ def read_model(
         what = f"{sets[0]!r} cannot be set: the model is not a scenario"
         raise ModelError(what, where=text, fix=fix)
     # The reader takes some of the options; the others change the model that it returns.
-    given: dict[str, Any] = {"sets": sets, "discount": discount, "start": start}
-    given |= {"constants": constants, "reward": reward}
-    given = {name: value for name, value in given.items() if value is not None}
-    scenario = None
     mdp = kind.read_file(source, **{name: given[name] for name in kind.options if name in given})
+    scenario = None
     if isinstance(mdp, Scenario):
         scenario, mdp = mdp, mdp.compile()
-    left = given.keys() & {"discount", "start"} - {*kind.options}
-    if left:
-        mdp = mdp.with_(**{name: given[name] for name in left})
+    changes = given.keys() & {"discount", "start"} - {*kind.options}
+    if changes:
+        mdp = mdp.with_(**{name: given[name] for name in changes})
     return Loaded(name=mdp.name or Path(text).stem, mdp=mdp, scenario=scenario)
 
 

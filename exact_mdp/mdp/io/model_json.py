@@ -35,9 +35,7 @@ observations are not saved.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from functools import lru_cache
 from itertools import chain
@@ -49,19 +47,23 @@ import numpy as np
 from exact_mdp.mdp.build import MOST_UNNAMED_ACTIONS
 from exact_mdp.mdp.components import with_outcome_amounts
 from exact_mdp.mdp.errors import ModelError, locate_errors
-from exact_mdp.mdp.io.files import LARGEST, read_text, write_atomically
-from exact_mdp.mdp.io.structured import (
+from exact_mdp.mdp.io.files import LARGEST, read_text
+from exact_mdp.mdp.io.parts import (
+    FLOATS,
+    MODEL,
+    PARTS,
+    build_model,
     encode_integer,
+    encode_parts,
     encode_rationals,
-    has_format,
-    json_of,
-    or_null,
+    list_sets,
     parse_natural,
+    parse_positive,
     parse_rational,
-    parse_unreached,
-    refuse_value,
-    require_shape,
+    states_format,
+    write_object,
 )
+from exact_mdp.mdp.io.structured import json_of, or_null, refuse_value, require_shape
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
@@ -74,17 +76,8 @@ from exact_mdp.mdp.table import (
     to_integer_array,
 )
 
-FORMAT, VERSION = "exact-mdp model", 2
-FLOATS = ("float_probabilities", "float_rewards")
+VERSION = 2
 ONE = ("reward",)  # the default name of a single component
-
-
-def parse_positive(given: Any) -> int:
-    """Return a positive integer."""
-    value = parse_rational(given)
-    if value <= 0 or value.denominator != 1:
-        refuse_value(given, "a positive integer")
-    return value.numerator
 
 
 def parse_amounts(given: Any) -> Fraction | tuple[Fraction, ...]:
@@ -103,126 +96,115 @@ PAIR = {
     "next": [parse_natural],
     "weight": [parse_positive],
 }
-HEAD = {
-    "name": str,
+HEAD = PARTS | {
     "states": parse_natural,
-    "discount": parse_rational,
-    "sense": str,
     "start": {str: parse_rational},
-    **dict.fromkeys(FLOATS, bool),
     "goal": or_null([parse_natural]),
-    "unreached": parse_unreached,
-    "time_limit": or_null(parse_positive),
     "labels": {str: [parse_natural]},
     "components": {str: [parse_amounts]},
-    "averaged": or_null(bool),
     "target": or_null([parse_natural]),
     "component_names": or_null([str]),
     "action_names": or_null([str]),
     "state_names": or_null([str]),
     "pairs": [PAIR],
 }
+ORDER = (
+    *("format", "version", "name", "states", "discount", "sense", *FLOATS, "start", "goal"),
+    *("unreached", "time_limit", "labels", "components", "averaged", "target", "component_names"),
+    *("action_names", "state_names"),
+)
+"""The order of the keys in a file; the pairs follow."""
 OTHERWISE: dict[str, Any] = {"name": "", "unreached": "inf", "labels": {}, "components": {}}
 OTHERWISE |= dict.fromkeys(FLOATS, False)
 """Values of keys that the files of other programs may leave out."""
 
 
-def encode_problem(mdp: MDP, *, as_text: bool = True) -> dict[str, Any]:
-    """Return the part of a model's file that proofs are about: all but names and components.
-
-    Without `as_text`, the pairs have Python's own numbers, for a checker in the same process.
-    """
-    integers: Callable[[Numbers], list[Any]] = np.ndarray.tolist
-    ratio: Callable[[int, int], Any] = Fraction
-    if as_text:
-        integers, ratio = _encode_integers, _encode_ratio
-    # The columns of the pairs; lists by outcome are cut into one list for each pair.
-    table, rows = mdp.table, _slice_rows(mdp)
-    (weight, below), (gain, under) = table.rows.integers, table.integer_gains
-    all_next, all_weights = table.next.tolist(), integers(weight)
-    following, weights = [all_next[row] for row in rows], [all_weights[row] for row in rows]
-    if len(gain) == table.pairs:
-        rewards = list(map(ratio, gain.tolist(), under.tolist()))
-    else:
-        each = list(map(ratio, gain.tolist(), np.repeat(under, np.diff(table.offsets)).tolist()))
-        rewards = [_merge_equal(each[row]) for row in rows]
-    states, actions = mdp.pair_state.tolist(), mdp.pair_action.tolist()
-    columns = states, actions, rewards, integers(below), following, weights
-    goal = None
-    if mdp.goal is not None:
-        goal = np.flatnonzero(mdp.goal).tolist()
-    return {
-        "format": FORMAT,
-        "version": VERSION,
-        "states": mdp.n_states,
-        "discount": encode_rationals(mdp.discount_exact),
-        "sense": mdp.sense,
-        "start": {str(state): encode_rationals(share) for state, share in mdp.start if share},
-        "goal": goal,
-        "unreached": str(mdp.unreached),
-        "pairs": [dict(zip(PAIR, pair, strict=True)) for pair in zip(*columns, strict=True)],
-    }
-
-
 def encode_model(mdp: MDP) -> dict[str, Any]:
     """Return the content of the file of a model."""
-    table, problem = mdp.table, encode_problem(mdp)
+    table = mdp.table
     # Names of states: words of a single column, else printed forms; null for plain numbers.
     words = None
     if mdp.space != StateSpace.plain(mdp.n_states):
         words = mdp.space.labels(range(mdp.n_states))
         if mdp.space.names == ("state",):
             words[: mdp.space.regular] = map(mdp.space.columns[0].label, range(mdp.space.regular))
-    # Keys that are written only if they differ from their default.
-    parts, optional = dict[str, list[Any]](), dict[str, Any]()
+    # Components, or else the name of the only one unless it is the default.
+    components = dict[str, list[Any]]()
     if table.components is not None:
-        parts = dict(_list_component_amounts(mdp))
-    if table.averaged:
-        optional["averaged"] = True
-    if mdp.target is not None and mdp.goal is None:
-        optional["target"] = np.flatnonzero(mdp.target).tolist()
-    if not parts and mdp.component_names != ONE:
-        optional["component_names"] = list(mdp.component_names)
-    return {
-        "format": FORMAT,
+        for place, name in enumerate(mdp.component_names):
+            components[name] = _list_amounts(table.with_component_reward(place), _encode_ratio)
+    parts = encode_parts(mdp)
+    if not components and mdp.component_names != ONE:
+        parts["component_names"] = mdp.component_names
+    parts |= {
+        "format": MODEL,
         "version": VERSION,
-        "name": mdp.name,
-        **{key: problem[key] for key in ("states", "discount", "sense")},
-        **{name: getattr(mdp, name) for name in FLOATS},
-        **{key: problem[key] for key in ("start", "goal", "unreached")},
-        "time_limit": mdp.time_limit,
+        "states": mdp.n_states,
+        "start": {str(state): share for state, share in mdp.start if share},
+        "goal": None,
+        **{name: np.flatnonzero(each).tolist() for name, each in list_sets(mdp).items()},
         "labels": {name: np.flatnonzero(each).tolist() for name, each in mdp.labels.items()},
-        "components": parts,
-        **optional,
-        "action_names": list(mdp.actions),
+        "components": components,
+        "action_names": mdp.actions,
         "state_names": words,
-        "pairs": problem["pairs"],
+    }
+    head = {key: encode_rationals(parts[key]) for key in ORDER if key in parts}
+    return {**head, "pairs": _list_pairs(mdp, _encode_integers, _encode_ratio)}
+
+
+def list_problem(mdp: MDP) -> dict[str, Any]:
+    """Return the part of a file that proofs are about, with Python's own numbers.
+
+    It is for a checker in the same process, which needs neither names nor texts.
+    """
+    goal = None
+    if mdp.goal is not None:
+        goal = np.flatnonzero(mdp.goal).tolist()
+    return {
+        "format": MODEL,
+        "version": VERSION,
+        "states": mdp.n_states,
+        "discount": encode_rationals(mdp.discount_exact),
+        "sense": mdp.sense.value,
+        "start": {str(state): encode_rationals(share) for state, share in mdp.start if share},
+        "goal": goal,
+        "unreached": str(mdp.unreached),
+        "pairs": _list_pairs(mdp, np.ndarray.tolist, Fraction),
     }
 
 
-def _slice_rows(mdp: MDP) -> list[slice]:
+def _list_pairs(
+    mdp: MDP, integers: Callable[[Numbers], list[Any]], ratio: Callable[[int, int], Any]
+) -> list[dict[str, Any]]:
+    """Return the pairs of a model, with numbers as the given functions write them."""
+    # The columns of the pairs; lists by outcome are cut into one list for each pair.
+    table, (weight, below) = mdp.table, mdp.table.rows.integers
+    rows, all_next, all_weights = _slice_rows(table), table.next.tolist(), integers(weight)
+    following, weights = [all_next[row] for row in rows], [all_weights[row] for row in rows]
+    states, actions = mdp.pair_state.tolist(), mdp.pair_action.tolist()
+    columns = states, actions, _list_amounts(table, ratio), integers(below), following, weights
+    return [dict(zip(PAIR, pair, strict=True)) for pair in zip(*columns, strict=True)]
+
+
+def _slice_rows(table: OutcomeTable) -> list[slice]:
     """Return the outcomes of each pair."""
-    offsets = mdp.table.offsets.tolist()
+    offsets = table.offsets.tolist()
     return list(map(slice, offsets[:-1], offsets[1:]))
 
 
-def _merge_equal(amounts: list[Any]) -> Any:
-    """Return the amount of a pair if all of its outcomes have the same, else the list."""
-    if len({*amounts}) > 1:
-        return amounts
-    return amounts[0]
-
-
-def _list_component_amounts(mdp: MDP) -> Iterator[tuple[str, list[Any]]]:
-    """Yield the name of each component, and its amount for each pair, or amounts by outcome."""
-    table, rows = mdp.table, _slice_rows(mdp)
-    for place, name in enumerate(mdp.component_names):
-        if not table.parted_by_outcome:
-            yield name, [*map(_encode_ratio, *(each.tolist() for each in mdp.component(name)))]
-            continue
-        gain, below = table.with_component_reward(place).integer_gains
-        each = list(map(_encode_ratio, gain.tolist(), below[table.pair].tolist()))
-        yield name, [_merge_equal(each[row]) for row in rows]
+def _list_amounts(table: OutcomeTable, ratio: Callable[[int, int], Any]) -> list[Any]:
+    """Return the reward of each pair of a table; a list if its outcomes have different rewards."""
+    gain, below = table.integer_gains
+    if len(gain) == table.pairs:
+        return list(map(ratio, gain.tolist(), below.tolist()))
+    each = list(map(ratio, gain.tolist(), below[table.pair].tolist()))
+    amounts = []
+    for row in _slice_rows(table):
+        own: Any = each[row]
+        if len({*own}) == 1:
+            own = own[0]
+        amounts.append(own)
+    return amounts
 
 
 def _encode_integers(array: Numbers) -> list[int | str]:
@@ -243,51 +225,54 @@ def _encode_ratio(top: int, below: int) -> Any:
 
 def write_model_json(mdp: MDP, path: str | Path) -> None:
     """Write a model, completely or not at all."""
-    head = encode_model(mdp)
-    pairs = ",\n  ".join(json.dumps(pair) for pair in head.pop("pairs"))
-    lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in head.items()]
-    write_atomically(path, "{" + ",\n ".join([*lines, f'"pairs": [\n  {pairs}]']) + "}\n")
+    write_object(path, encode_model(mdp), listed=["pairs"])
 
 
 def read_model_json(path: str | Path) -> MDP:
     """Return the model in a file; raise ModelError if it is damaged, or not a valid model."""
     with locate_errors(str(path)):
         given = json_of(read_text(path, most=LARGEST), str(path))
-        if not has_format(given, FORMAT, VERSION):
+        if not states_format(given, MODEL, VERSION):
             raise ModelError(
-                f"the file is not an {FORMAT} of version {VERSION}",
+                f"the file is not an {MODEL} of version {VERSION}",
                 fix="give a file that exact-mdp convert IN model.json wrote; in "
                 "verify CERTIFICATE MODEL the certificate comes first",
             )
         head = require_shape(OTHERWISE | given, HEAD)
-        rows = [_parse_pair(number, **pair) for number, pair in enumerate(head["pairs"])]
-        states, count = head["states"], len(rows)
-        if not 1 <= states <= count:
-            raise ModelError(f"{states} states and {count} pairs", fix="give each state a pair")
-        state, action, reward, below, following, weight, orders = map(list, zip(*rows, strict=True))
+        pairs, states = head["pairs"], head["states"]
+        if not 1 <= states <= len(pairs):
+            raise ModelError(
+                f"{states} states and {len(pairs)} pairs", fix="give each state a pair"
+            )
+        lengths = [_count_outcomes(number, pair) for number, pair in enumerate(pairs)]
+        ends = np.concatenate([[0], np.cumsum(lengths)])
+        state, action, reward, below, following, weight = (
+            [pair[key] for pair in pairs] for key in PAIR
+        )
+        # The outcomes of all pairs; those of a pair are sorted by next state.
+        columns = [np.repeat(np.arange(len(pairs)), lengths).tolist(), [*chain(*following)]]
+        columns += [[*chain(*weight)], _list_by_outcome(reward, lengths)]
+        order = sorted(range(ends[-1]), key=lambda k: [column[k] for column in columns])
+        _, next_states, weights, rewards = ([column[k] for k in order] for column in columns)
         # Rewards by pair, or all by outcome if some are.
-        ends = np.concatenate([[0], np.cumsum([len(each) for each in weight])])
-        groups = np.arange(count + 1)
-        if any(isinstance(each, tuple) for each in reward):
-            by_outcome: list[Fraction] = []
-            for own, weights in zip(reward, weight, strict=True):
-                if not isinstance(own, tuple):
-                    own = [own] * len(weights)
-                by_outcome += own
-            reward, groups = by_outcome, ends
-        gain, under = over_groups(reward, groups)
+        groups = ends
+        if not any(isinstance(each, tuple) for each in reward):
+            rewards, groups = reward, np.arange(len(pairs) + 1)
+        gain, under = over_groups(rewards, groups)
         distributions = Rows(
             offsets=ends,
-            next=np.array([*chain(*following)], dtype=np.int64),
-            weight=to_integer_array(chain(*weight)),
+            next=np.array(next_states, dtype=np.int64),
+            weight=to_integer_array(weights),
             denominator=to_integer_array(below),
         )
         table = OutcomeTable(rows=distributions, gain=gain, gain_denominator=under)
         parts = head["components"]
         if parts:
-            columns = {name: _parse_component(name, parts[name], orders) for name in parts}
-            table = with_outcome_amounts(table, columns)
-        table = replace(table, averaged=bool(head["averaged"]))
+            amounts = {}
+            for name, own in parts.items():
+                with locate_errors(f"components, {name}"):
+                    amounts[name] = np.array(_list_by_outcome(own, lengths), dtype=object)[order]
+            table = with_outcome_amounts(table, amounts)
         # Names of actions, labels and sets of states.
         names = head["action_names"]
         if names is None:
@@ -297,36 +282,27 @@ def read_model_json(path: str | Path) -> MDP:
         for name in ("goal", "target"):
             if head[name] is not None:
                 sets[name] = _parse_flags(name, head[name], states)
-        return MDP(
+        return build_model(
+            head,
             table,
-            np.array(state, dtype=np.int64),
-            np.array(action, dtype=np.int64),
+            pair_state=np.array(state, dtype=np.int64),
+            pair_action=np.array(action, dtype=np.int64),
             space=StateSpace.plain(states, head["state_names"] or ()),
             actions=names,
-            discount_exact=head["discount"],
             start=tuple((_parse_state(key), share) for key, share in head["start"].items()),
             component_names=tuple(parts) or head["component_names"] or ONE,
             labels=flags,
             **sets,
-            **{key: head[key] for key in (*FLOATS, "name", "sense", "unreached", "time_limit")},
         )
 
 
-def _parse_pair(
-    number: int, state: int, action: int, reward: Any, denominator: int, next: Any, weight: Any
-) -> tuple[Any, ...]:
-    """Return the parts of a pair, sorted by next state, and the order in which they stood."""
-    each = [next, weight]
-    if isinstance(reward, tuple):
-        each.append(reward)
-    if not next or len({*map(len, each)}) > 1:
+def _count_outcomes(number: int, pair: Mapping[str, Any]) -> int:
+    """Return the number of outcomes of a pair; raise ModelError if its lists differ in length."""
+    lists = [pair[key] for key in ("next", "weight", "reward") if isinstance(pair[key], tuple)]
+    if not pair["next"] or len({*map(len, lists)}) > 1:
         with locate_errors(f"pairs, {number}"):
-            refuse_value(weight, "a list with a weight, or a reward, for each next state")
-    order = sorted(range(len(next)), key=lambda k: [column[k] for column in each])
-    next, weight = [next[k] for k in order], [weight[k] for k in order]
-    if isinstance(reward, tuple):
-        reward = tuple(reward[k] for k in order)
-    return state, action, reward, denominator, next, weight, order
+            refuse_value(pair["weight"], "a list with a weight, or a reward, for each next state")
+    return len(pair["next"])
 
 
 def _parse_state(key: str) -> int:
@@ -338,20 +314,19 @@ def _parse_state(key: str) -> int:
         return parse_natural(number.numerator)
 
 
-def _parse_component(name: str, amounts: Sequence[Any], orders: Sequence[Sequence[int]]) -> Numbers:
-    """Return the amounts (N,) of a component, with the outcomes of each pair in sorted order."""
-    with locate_errors(f"components, {name}"):
-        if len(amounts) != len(orders):
-            refuse_value(amounts, f"a list of {len(orders)} numbers")
-        values = list[Fraction]()
-        for given, order in zip(amounts, orders, strict=True):
-            if not isinstance(given, tuple):
-                values += [given] * len(order)
-                continue
-            if len(given) != len(order):
-                refuse_value(given, f"a list of {len(order)} numbers")
-            values += [given[k] for k in order]
-    return np.array(values, dtype=object)
+def _list_by_outcome(amounts: Sequence[Any], lengths: Sequence[int]) -> list[Fraction]:
+    """Return the amounts of all outcomes; a number counts for each outcome of its pair."""
+    if len(amounts) != len(lengths):
+        refuse_value(amounts, f"a list of {len(lengths)} numbers")
+    values = list[Fraction]()
+    for given, length in zip(amounts, lengths, strict=True):
+        own = given
+        if not isinstance(given, tuple):
+            own = [given] * length
+        if len(own) != length:
+            refuse_value(given, f"a list of {length} numbers")
+        values += own
+    return values
 
 
 def _parse_flags(name: str, numbers: Sequence[int], states: int) -> Numbers:

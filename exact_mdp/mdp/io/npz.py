@@ -35,39 +35,43 @@ components, or without them the reward, are only means over the outcomes of a pa
 and `arrays` (the names of the others). Numbers are written as in `model.json`.
 
 `np.load(path)["pair_state"]` and so on read the arrays, `json.loads` reads the bytes of the header.
+Here all files of arrays are read: pickled objects, which run code, are refused, and so is too much.
 """
 
 from __future__ import annotations
 
 import io
 import json
+import zipfile
 from collections.abc import Hashable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, locate_errors
 from exact_mdp.mdp.forms.names import text_of
-from exact_mdp.mdp.io.arrays import read_arrays
-from exact_mdp.mdp.io.files import write_atomically
-from exact_mdp.mdp.io.structured import (
+from exact_mdp.mdp.io.files import LARGE, LARGEST, PIECE, open_file, write_atomically
+from exact_mdp.mdp.io.parts import (
+    FLOATS,
+    MODEL,
+    PARTS,
+    build_model,
+    encode_parts,
     encode_rationals,
-    has_format,
-    json_of,
-    or_null,
+    list_sets,
     parse_natural,
     parse_rational,
-    parse_unreached,
-    refuse_value,
-    require_shape,
+    states_format,
 )
+from exact_mdp.mdp.io.structured import json_of, or_null, refuse_value, require_shape
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import Numbers, OutcomeTable, Rows
 
-FORMAT, VERSION = "exact-mdp model", 1
+VERSION = 1
 
 
 def parse_object(given: Any) -> Hashable:
@@ -103,31 +107,26 @@ PARAMETER = {
     "high": or_null(parse_rational),
 }
 PARAMETER["unit"] = or_null(str)
-HEADER = {
-    "name": str,
-    "discount": parse_rational,
-    "start": [(parse_natural, parse_rational)],
+HEADER = PARTS | {
     "actions": [str],
+    "component_names": [str],
+    "events": [str],
+    "episodes": or_null(parse_natural),
+    "start": [(parse_natural, parse_rational)],
     "objects": OBJECTS,
     "columns": [parse_column],
     "extra": [str],
-    "component_names": [str],
-    "events": [str],
     "parameters": [lambda given: Parameter(**require_shape(given, PARAMETER))],
-    "time_limit": or_null(parse_natural),
-    "episodes": or_null(parse_natural),
-    "sense": str,
     "labels": [str],
-    "unreached": parse_unreached,
-    "float_probabilities": bool,
-    "float_rewards": bool,
-    "averaged": or_null(bool),
     "arrays": [str],
 }
-SAME = (
-    *("name", "actions", "component_names", "events", "time_limit", "episodes", "sense"),
-    *("float_probabilities", "float_rewards"),
+SAME = ("actions", "component_names", "events", "episodes")
+ORDER = (
+    *("name", "actions", "component_names", "events", "time_limit", "episodes", "sense", *FLOATS),
+    *("format", "version", "discount", "start", "objects", "columns", "extra", "parameters"),
+    *("labels", "unreached", "averaged", "arrays"),
 )
+"""The order of the keys in a header."""
 
 ARRAYS: dict[str, tuple[str, ...]] = {
     "header": ("uint8",),
@@ -165,10 +164,7 @@ def pack_model(model: MDP) -> bytes:
     parts |= {name: getattr(model.table, name) for name in TABLE}
     if model.labels:
         parts["labels"] = np.array([*model.labels.values()], dtype=np.uint8)
-    if model.goal is not None:
-        parts["goal"] = model.goal.astype(np.uint8)
-    elif model.target is not None:
-        parts["target"] = model.target.astype(np.uint8)
+    parts |= {name: states.astype(np.uint8) for name, states in list_sets(model).items()}
     parts["observations"] = model.observations
     arrays = {name: _as_bytes(array) for name, array in parts.items() if array is not None}
     # The header.
@@ -178,27 +174,23 @@ def pack_model(model: MDP) -> bytes:
         columns.append(
             entry | {"words": column.words} | _encode_objects(column.objects, column.words)
         )
-    averaged = {}
-    if model.table.averaged:
-        averaged = {"averaged": True}
     parameters = []
     for p in model.parameters:
         parameters.append({name: getattr(p, name) for name in PARAMETER})
-    header = {name: getattr(model, name) for name in SAME} | {
-        "format": FORMAT,
+    head = encode_parts(model) | {name: getattr(model, name) for name in SAME}
+    head |= {
+        "format": MODEL,
         "version": VERSION,
-        "discount": model.discount_exact,
         "start": [(int(state), weight) for state, weight in model.start],
         **_encode_objects(model.action_objects, model.actions),
         "columns": columns,
         "extra": model.space.extra,
         "parameters": parameters,
         "labels": [*model.labels],
-        "unreached": str(model.unreached),
-        **averaged,
         "arrays": sorted(arrays),
     }
-    text = np.frombuffer(json.dumps(encode_rationals(header)).encode("ascii"), dtype=np.uint8)
+    header = {key: encode_rationals(head[key]) for key in ORDER if key in head}
+    text = np.frombuffer(json.dumps(header).encode("ascii"), dtype=np.uint8)
     stream = io.BytesIO()
     np.savez(stream, allow_pickle=False, header=text, **arrays)
     return stream.getvalue()
@@ -218,8 +210,8 @@ def unpack_model(source: str | Path | bytes) -> MDP:
     with locate_errors("header"):
         given = json_of(arrays["header"].tobytes(), "header")
         head = require_shape(given, HEADER)
-        if not has_format(given, FORMAT, VERSION):
-            refuse_value(given.get("version"), f"version {VERSION} of format {FORMAT!r}")
+        if not states_format(given, MODEL, VERSION):
+            refuse_value(given.get("version"), f"version {VERSION} of format {MODEL!r}")
         # A damaged list of members can hide arrays that a model may lack, so the header lists them.
         if [*head["arrays"]] != sorted(arrays.keys() - {"header"}):
             refuse_value(head["arrays"], "the list of the arrays")
@@ -238,19 +230,18 @@ def unpack_model(source: str | Path | bytes) -> MDP:
     for name in ("goal", "target"):
         if name in arrays:
             sets[name] = arrays[name] > 0
-    return MDP(
-        OutcomeTable(rows=Rows(**rows), **columns, averaged=bool(head["averaged"])),
-        state,
-        arrays["pair_action"],
+    return build_model(
+        head,
+        OutcomeTable(rows=Rows(**rows), **columns),
+        pair_state=state,
+        pair_action=arrays["pair_action"],
         space=space,
         action_objects=objects,
-        discount_exact=head["discount"],
         start=head["start"],
         parameters=head["parameters"],
         labels=dict(zip(head["labels"], flags, strict=True)),
-        **sets,
-        unreached=head["unreached"],
         observations=arrays.get("observations"),
+        **sets,
         **{name: head[name] for name in SAME},
     )
 
@@ -329,3 +320,105 @@ def _as_integers(name: str, array: Numbers, parts: int) -> Numbers:
     if name == "components":
         return wide.reshape(-1, count)
     return wide
+
+
+# ---- arrays --------------------------------------------------------------------------------------
+
+
+def most_unpacked(packed: int) -> int:
+    """Return the number of bytes to which an archive of `packed` bytes may unpack.
+
+    It is 64 times its own size, or 256 MiB: enough for any real model, and little enough that a
+    small hostile file cannot fill the memory.
+    """
+    return min(LARGEST, max(LARGE, 64 * packed))
+
+
+def refuse_size(size: int, most: int, *, table: bool = False) -> None:
+    """Raise ModelError for more than `most` bytes; `table` is True for the table of a policy."""
+    if size <= most:
+        return
+    fix = "check that it is the right file, or save it again without compression"
+    if table:
+        fix = "check that it is the right file: a policy has a number for each state and action"
+    what = f"the data unpacks to {size:,} bytes, more than the {most:,} that are read"
+    raise ModelError(what, fix=fix)
+
+
+def unpacked_size(stream: Any, most: int) -> int:
+    """Return the unpacked size of a compressed stream; stop with an error beyond `most` bytes."""
+    size = 0
+    for piece in iter(partial(stream.read, PIECE), b""):
+        size += len(piece)
+        refuse_size(size, most)
+    return size
+
+
+def read_array(path: str | Path, *, called: str, most: int = LARGE) -> Numbers:
+    """Return the array of a `.npy` file, or the array `called` (or the only one) of an `.npz` file.
+
+    Nothing is rounded. Raises ModelError for a file that is damaged or not a regular file, for
+    anything but real numbers, and for more than `most` bytes, before they are read.
+    """
+    with open_file(path, most=LARGEST) as file, locate_errors(str(path)):
+        array = _read_archive(file, alone=called, most=most)[called]
+        if array.dtype.kind not in "fiu":
+            raise ModelError(f"an array of type {array.dtype}", fix="save real numbers")
+    return array
+
+
+def read_arrays(source: str | Path | bytes) -> dict[str, Numbers]:
+    """Return all arrays of an `.npz` file, or of its bytes, by name."""
+    if isinstance(source, bytes):
+        return _read_archive(io.BytesIO(source), most=most_unpacked(len(source)))
+    with open_file(source, most=LARGEST) as file, locate_errors(str(source)):
+        return _read_archive(file, most=most_unpacked(file.seek(0, io.SEEK_END)))
+
+
+def _read_archive(file: BinaryIO, *, most: int, alone: str = "") -> dict[str, Numbers]:
+    """Return the arrays of an archive; each is read completely, so that its checksum is compared.
+
+    With `alone`, return a single array under that name: the array of a `.npy` file, or the array of
+    that name in an archive, or the only array of the archive.
+    """
+    try:
+        # A file that is not an archive is one array.
+        if alone and not zipfile.is_zipfile(file):
+            refuse_size(file.seek(0, io.SEEK_END), most, table=True)
+            file.seek(0)
+            return {alone: _parse_npy(file.read())}
+        with zipfile.ZipFile(file) as archive:
+            members = {each.filename.removesuffix(".npy"): each for each in archive.infolist()}
+            if alone and len(members) != 1 and alone not in members:
+                raise ModelError(
+                    f"the archive holds {', '.join(members)[:200] or 'nothing'}",
+                    fix=f"save one array, or call it {alone}",
+                )
+            if alone:
+                members = {alone: members.get(alone, next(iter(members.values())))}
+            size = sum(each.file_size for each in members.values())
+            refuse_size(size, most, table=bool(alone))
+            arrays = {}
+            for name, each in members.items():
+                arrays[name] = _parse_npy(_unpack_member(archive, each))
+            return arrays
+    except (ModelError, OSError):
+        raise
+    except Exception as error:  # NumPy, zipfile and zlib raise many kinds on damaged files
+        raise ModelError(
+            "not a readable NumPy array, or an archive of these: damaged, or with Python objects",
+            fix="save it again, with numbers only",
+        ) from error
+
+
+def _unpack_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
+    """Return the content of a member, read in pieces, so that it cannot exceed its stated size."""
+    with archive.open(member) as file:
+        return b"".join(iter(partial(file.read, PIECE), b""))
+
+
+def _parse_npy(content: bytes) -> Numbers:
+    """Return the array of a `.npy` file in the machine's byte order."""
+    # From a file, older versions of NumPy would read a length of -1 as everything that follows.
+    array = np.load(io.BytesIO(content), allow_pickle=False)
+    return np.asarray(array.astype(array.dtype.newbyteorder("="), copy=False))

@@ -9,17 +9,14 @@ from __future__ import annotations
 
 import csv
 import json
-import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator
-from fractions import Fraction
 from functools import partial
 from typing import Any, NoReturn
 
 from exact_mdp.mdp.errors import ModelError, locate_errors, once_each, shorten_text
-from exact_mdp.mdp.table import EXACT_IN_FLOAT, MOST_DIGITS, exact
+from exact_mdp.mdp.table import MOST_DIGITS, exact
 
-NUMBER = re.compile(r"-?(0x[0-9a-f]+|[0-9]+)(/(0x[0-9a-f]+|[0-9]+))?")
 WORDS = {dict: "an object", list: "a list", str: "a text", bool: "true or false"}
 
 
@@ -144,14 +141,6 @@ def _require_shape_at(place: str | int, given: Any, kind: Any) -> Any:
         raise ModelError(error.what, where=where, fix=error.fix) from error
 
 
-def has_format(given: Any, name: str, version: int) -> bool:
-    """Return whether an object states a format and a version, an integer (not 2.0 or true)."""
-    if not isinstance(given, dict):
-        return False
-    stated = given.get("version")
-    return given.get("format") == name and stated == version and type(stated) is int
-
-
 def or_null(kind: Any) -> Callable[[Any], Any]:
     """Return a kind that also allows null."""
 
@@ -166,53 +155,3 @@ def or_null(kind: Any) -> Callable[[Any], Any]:
 def refuse_value(given: object, wanted: str) -> NoReturn:
     """Raise the ModelError "… is not …" for a value of another kind than wanted."""
     raise ModelError(f"{shorten_text(repr(given), 80)} is not {wanted}", fix="correct it")
-
-
-def parse_rational(given: Any) -> Fraction:
-    """Return a rational number from the form that `encode_rationals` writes."""
-    if type(given) is int:
-        return Fraction(given)
-    if isinstance(given, str) and NUMBER.fullmatch(given):
-        top, _, below = given.partition("/")
-        try:
-            return Fraction(int(top, 0), int(below or "1", 0))
-        except (ValueError, ZeroDivisionError):  # 007, 1/0, or digits beyond Python's limit
-            pass
-    refuse_value(given, 'an integer, or a text such as "1/3" or "0x1f"')
-
-
-def parse_natural(given: Any) -> int:
-    """Return the number of a state, an action or the like."""
-    if type(given) is int and 0 <= given < 2**62:
-        return given
-    refuse_value(given, "a whole number from 0 up, below 2^62")
-
-
-def parse_unreached(given: Any) -> float:
-    """Return the value of a run that never reaches the goal, "inf" or "-inf", as a float."""
-    if isinstance(given, str) and given in ("inf", "-inf"):
-        return float(given)
-    refuse_value(given, '"inf" or "-inf"')
-
-
-def encode_rationals(value: Any) -> Any:
-    """Return a value in JSON's types: rationals as integers or texts, tuples as lists."""
-    if isinstance(value, dict):
-        return {key: encode_rationals(each) for key, each in value.items()}
-    if isinstance(value, tuple | list):
-        return list(map(encode_rationals, value))
-    if not isinstance(value, Fraction):
-        return value
-    top, below = value.numerator, value.denominator
-    if below == 1:
-        return encode_integer(top)
-    if max(abs(top), below) < EXACT_IN_FLOAT:
-        return f"{top}/{below}"
-    return f"{hex(top)}/{hex(below)}"
-
-
-def encode_integer(value: int) -> int | str:
-    """Return an integer for JSON; a large one, which some programs would round, as a text."""
-    if abs(value) < EXACT_IN_FLOAT:
-        return value
-    return hex(value)

@@ -41,10 +41,9 @@ from exact_mdp.mdp.errors import (
     require_known_name,
     shown_text,
 )
-from exact_mdp.mdp.io import npz
-from exact_mdp.mdp.io.arrays import most_unpacked, unpacked_size
 from exact_mdp.mdp.io.explicit import REWARD, build_explicit_model, name_states
 from exact_mdp.mdp.io.files import LARGEST, read_bytes, write_atomically
+from exact_mdp.mdp.io.npz import most_unpacked, pack_model, unpack_model, unpacked_size
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Numbers
 
@@ -116,7 +115,7 @@ def _restore_model(umb: Any, packed: str) -> MDP:
             archive = zlib.decompress(base64.b64decode(packed, validate=True))
         except (ValueError, zlib.error) as error:
             raise ModelError("the description is damaged", fix="save the model again") from error
-        mdp = npz.unpack_model(archive)
+        mdp = unpack_model(archive)
         written = _umb_of(mdp)
         changed = [name for name in WRITTEN if getattr(umb, name) != getattr(written, name)]
         for group, each in written.annotations.items():
@@ -301,7 +300,7 @@ def _umb_of(model: MDP) -> Any:
     data = None
     if model.name:
         data = description.ModelData(name=model.name)
-    archive = base64.b64encode(zlib.compress(npz.pack_model(model))).decode("ascii")
+    archive = base64.b64encode(zlib.compress(pack_model(model))).decode("ascii")
     umb = umbi.umb.ExplicitUmb(
         index=description.UmbIndex(
             format_version=version.__format_version__,

@@ -100,7 +100,7 @@ class Proof(Result):
             return [str(error)]
 
     def _find_violations(self, mdp: MDP) -> list[str]:
-        problem = model_json.encode_problem(mdp, as_text=False)
+        problem = model_json.list_problem(mdp)
         return checker.violations(problem, codec.build_file_content(self, int))
 
     def save(self, path: str | Path) -> None:

@@ -31,7 +31,8 @@ from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hin
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.io.files import LARGEST, read_bytes, write_atomically
+from exact_mdp.mdp.io.files import LARGEST, read_bytes
+from exact_mdp.mdp.io.parts import encode_hexadecimal, write_object
 from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.exact.checker import Unreadable, check_keys, ensure, once
@@ -58,7 +59,7 @@ def encode_record(value: Any, integer: Callable[[int], object] = hex) -> Any:
     if isinstance(value, int):
         return integer(value)
     if isinstance(value, Fraction):
-        return f"{hex(value.numerator)}/{hex(value.denominator)}"
+        return encode_hexadecimal(value)
     if isinstance(value, float):
         return str(value)
     if not isinstance(value, list | tuple):
@@ -136,9 +137,7 @@ def build_file_content(proof: Any, integer: Callable[[int], object] = hex) -> di
 
 def save_proof(proof: Any, path: str | Path) -> None:
     """Write a proof to a file atomically."""
-    each = build_file_content(proof).items()
-    lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in each]
-    write_atomically(path, "{" + ",\n ".join(lines) + "}\n")
+    write_object(path, build_file_content(proof))
 
 
 def load_proof(kinds: Mapping[str, type[T]], path: str | Path) -> T:

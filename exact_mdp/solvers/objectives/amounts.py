@@ -101,7 +101,7 @@ class Objectives:
 
     def to_totals(self) -> Totals:
         """Return the amounts in the form that the checker of proofs reads."""
-        model = Model(model_json.encode_problem(self.mdp, as_text=False))
+        model = Model(model_json.list_problem(self.mdp))
         scale = self.rows.scale[self.mdp.pair_state]
         each = [zip(own.tolist(), scale.tolist(), strict=True) for own in self.amounts]
         amounts = []

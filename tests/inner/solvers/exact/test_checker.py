@@ -650,7 +650,7 @@ def test_a_model_is_read_alike_from_texts_and_from_numbers() -> None:
         gains = rng.standard_normal((2, 3, 3)) * 10.0 ** rng.integers(-20, 20)
         mdp = MDP.from_arrays(rows / rows.sum(axis=2, keepdims=True), gains, rng.random())
         written = model_json.encode_model(mdp)
-        handed = model_json.encode_problem(mdp, as_text=False)
+        handed = model_json.list_problem(mdp)
         assert any(type(x) is str for pair in written["pairs"] for x in pair["weight"])
         assert {type(x) for pair in handed["pairs"] for x in pair["weight"]} == {int}
         assert Model(written).digest() == Model(handed).digest() == fingerprint(mdp)
