@@ -36,6 +36,7 @@ from exact_mdp.mdp.graph import (
     find_start_states,
     rank_acyclic_states,
 )
+from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.table import Integers, OutcomeTable
 
 AMOUNTS = ("gain", "gain_denominator", "event", "components", "component_denominator")
@@ -68,7 +69,7 @@ class Ends:
     pair_offsets: Integers
     start: tuple[tuple[int, Fraction], ...]
     discount_exact: Fraction
-    sign: int
+    sense: Sense
     goal: Mask | None
     unreached: float
 
@@ -171,7 +172,7 @@ class Ends:
     @property
     def missing_pays(self) -> bool:
         """Whether it is the best of all to miss the goal, not the worst; False without a goal."""
-        return self.has_goal and self.sign * self.unreached > 0
+        return self.has_goal and bool(self.sense.orient(self.unreached) > 0)
 
     # ---- runs --------------------------------------------------------------------------------
 
@@ -242,7 +243,7 @@ class Ends:
         if self.has_goal:
             sure = sure[find_start_states(self)]
         earned, _ = self.table.expected_gain_exact
-        costs = np.asarray(self.sign * earned < 0, dtype=bool)
+        costs = np.asarray(self.sense.orient(earned) < 0, dtype=bool)
         return bool(sure.all() and costs[staying].all())
 
     @property

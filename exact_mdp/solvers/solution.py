@@ -16,7 +16,7 @@ from enum import StrEnum
 from fractions import Fraction
 from functools import cached_property
 from math import inf, isinf, nan
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.questions import describe_sense
 from exact_mdp.mdp.report import Report
 from exact_mdp.mdp.result import ROWS_SHOWN, DataFrame, Pictured, data_frame, plain_report
+from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.table import Floats, Integers
 
 NORMAL = 1.959963984540054  # the 97.5 % quantile of the standard normal distribution
@@ -145,6 +146,11 @@ class Certified:
     def __neg__(self) -> Certified:
         return Certified(value=-self.value)
 
+    def __sub__(self, other: Number) -> Number:
+        if isinstance(other, Certified):
+            return Certified(value=self.value - other.value)
+        return _subtract_bounded(self, other)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Bounded:
@@ -178,26 +184,24 @@ class Bounded:
     def __neg__(self) -> Bounded:
         return Bounded(value=0.0 - self.value, error=self.error)
 
+    def __sub__(self, other: Certified | Bounded) -> Bounded:
+        return _subtract_bounded(self, other)
+
 
 Number = TypeVar("Number", Bounded, Certified | Bounded)
 
 
-def subtract_numbers(one: Number, other: Number) -> Number:
-    """Return the difference of two numbers; it is exact if both numbers are."""
-    if isinstance(one, Certified) and isinstance(other, Certified):
-        return Certified(value=one.value - other.value)
+def _subtract_bounded(one: Certified | Bounded, other: Certified | Bounded) -> Bounded:
+    """Return the difference of two numbers, of which one at least is a float."""
     value = float(one) - float(other)
     low = np.nextafter(one.interval[0] - other.interval[1], -inf)
     high = np.nextafter(one.interval[1] - other.interval[0], inf)
     return Bounded(value=value, error=float(np.nextafter(max(value - low, high - value), inf)))
 
 
-def compute_regret(best: Number, own: Number, sense: str = "max") -> Number:
+def compute_regret(best: Number, own: Number, sense: Sense = Sense.MAX) -> Number:
     """Return the optimal value less a policy's value (for costs, the reverse); never below 0."""
-    if sense == "max":
-        lost = subtract_numbers(best, own)
-    else:
-        lost = subtract_numbers(own, best)
+    lost: Number = sense.loss(best, own)
     if isinstance(lost, Certified):
         return lost
     low, high = (max(0.0, end) for end in lost.interval)
@@ -205,9 +209,9 @@ def compute_regret(best: Number, own: Number, sense: str = "max") -> Number:
     return Bounded(value=value, error=max(value - low, high - value))
 
 
-def compute_regrets(best: Floats, own: Floats, error: Floats, sign: float = 1) -> Floats:
-    """Return optimal values less policy values; 0 if an error of at most `error` may explain it."""
-    lost = sign * (best - own)
+def compute_regrets(best: Floats, own: Floats, error: Floats, sense: Sense = Sense.MAX) -> Floats:
+    """Return the losses of policy values; 0 if an error of at most `error` may explain one."""
+    lost = sense.loss(best, own)
     return np.where(np.abs(lost) > error, lost, 0.0)
 
 
@@ -375,20 +379,13 @@ class Solution(Found, Pictured):
     @property
     def q(self) -> Floats:
         """(S, A) action values r + γ P V; -inf (for costs inf) if an action is not available."""
-        if self.mdp.sense == "min":
-            never = np.inf
-        else:
-            never = -np.inf
-        return self.mdp.by_action(self.mdp.backup(self.value), never)
+        return self.mdp.by_action(self.mdp.backup(self.value), self.mdp.sense.worst)
 
     @property
     def gap_table(self) -> Floats:
         """(S, A) the suboptimality gap of each action; NaN if it is not available."""
         here, there = self.value[self.mdp.pair_state], self.mdp.backup(self.value)
-        # Equal infinite values have a gap of 0.
-        with np.errstate(invalid="ignore"):
-            lost = np.where(here == there, 0.0, self.mdp.sign * (here - there))
-        return self.mdp.by_action(lost)
+        return self.mdp.by_action(self.mdp.sense.losses(here, there))
 
     def negated(self, mdp: MDP) -> Self:
         """Return this solution for `mdp`, the model with negated rewards."""
@@ -404,10 +401,25 @@ class Solution(Found, Pictured):
         )
 
 
-def solve_negated(mdp: MDP, solved: Callable[[MDP], Any]) -> Any:
-    """Solve a model of costs as rewards; negate its solution, even one in a SolverError."""
+class Answer(Protocol):
+    """An answer about a model of maximised rewards, which can be turned into one about costs."""
+
+    def negated(self, mdp: MDP) -> Self:
+        """Return this answer for `mdp`, the model with negated rewards."""
+
+
+AnswerOf = TypeVar("AnswerOf", bound=Answer)
+
+
+def answer_maximised(mdp: MDP, answer: Callable[[MDP], AnswerOf]) -> AnswerOf:
+    """Return the answer of a model, given a function that knows maximised rewards alone.
+
+    A model of costs is answered by its negation, even by the solution in a SolverError.
+    """
+    if not mdp.sense.costs:
+        return answer(mdp)
     try:
-        return solved(mdp.maximised).negated(mdp)
+        return answer(mdp.maximised).negated(mdp)
     except SolverError as error:
         if error.solution is not None:
             error.solution = error.solution.negated(mdp)

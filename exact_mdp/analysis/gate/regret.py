@@ -58,6 +58,7 @@ from exact_mdp.solvers.solution import (
     Claim,
     Number,
     SolverError,
+    answer_maximised,
     at_start,
     compute_regret,
     in_decimals,
@@ -121,13 +122,11 @@ class Regret(Brief):
         lost = f"{float(self.at_start.value):.6g} ({self.claim})"
         return f"Regret({lost}: optimal {optimal:.6g}, learned {learned:.6g})"
 
-    def of_sense(self, sense: str) -> Regret:
-        """Return the regret of a model of costs, if the sense is "min", from the negated model's.
+    def negated(self, mdp: MDP) -> Regret:
+        """Return this regret for `mdp`, the model with negated rewards.
 
-        Losses stay the same, and `optimum` remains the proof for the negated model.
+        Losses stay the same, and `optimum` remains the proof for the model of rewards.
         """
-        if sense == "max":
-            return self
         return replace(
             self,
             optimal=-self.optimal,
@@ -177,11 +176,12 @@ def policy_regret(chain: PolicyChain, *, exact: bool | None = None) -> Regret:
     `exact` is True for rational arithmetic and False for bounds; by default the model's size
     decides.
     """
-    mdp = chain.mdp
-    if mdp.sense == "min":
-        negated = replace(chain, mdp=mdp.maximised)
-        return policy_regret(negated, exact=exact).of_sense(mdp.sense)
-    cheap = exact
+    return answer_maximised(chain.mdp, lambda mdp: _compute_regret(replace(chain, mdp=mdp), exact))
+
+
+def _compute_regret(chain: PolicyChain, exact: bool | None) -> Regret:
+    """Return the regret in a model of maximised rewards."""
+    mdp, cheap = chain.mdp, exact
     if exact is None:
         cheap = is_cheap_to_certify(mdp)
     if cheap or mdp.ends.has_improper_policy:  # bounds need every policy to be proper

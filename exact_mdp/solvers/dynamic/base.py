@@ -17,7 +17,7 @@ from exact_mdp.solvers.solution import (
     Solution,
     SolverError,
     Status,
-    solve_negated,
+    answer_maximised,
     warn_of_precision,
 )
 
@@ -31,10 +31,8 @@ class Solver(ABC):
 
     def solve(self, model: MDP) -> Solution:
         """Return optimal values, a policy and their error bounds; see `solvers.solve`."""
-        if require_type(model, MDP, "model", "give an MDP").sense == "min":
-            solution: Solution = solve_negated(model, self.solve_rewards)
-        else:
-            solution = self.solve_rewards(model)
+        require_type(model, MDP, "model", "give an MDP")
+        solution = answer_maximised(model, self.solve_rewards)
         if solution.status is Status.PRECISION:
             warn_of_precision(solution.error_bound)
         return solution

@@ -19,6 +19,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import partial
 from time import perf_counter
 from typing import Self
 
@@ -46,7 +47,13 @@ from exact_mdp.solvers.dynamic.methods import (
 )
 from exact_mdp.solvers.endless.chain import FloatChain, compute_laurent_expansion
 from exact_mdp.solvers.endless.quotient import build_derived_model
-from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
+from exact_mdp.solvers.solution import (
+    PrecisionWarning,
+    Solution,
+    SolverError,
+    Status,
+    answer_maximised,
+)
 
 # 1 - γ of the discounted model whose optimal policy is the first one. The smaller, the nearer that
 # policy is to the optimum, and the longer it takes to find.
@@ -97,8 +104,11 @@ class AverageSolution(Solution):
 
 def solve_average(mdp: MDP, solver: Solver) -> AverageSolution:
     """Return the best average reward per step."""
-    if mdp.sense == "min":
-        return solve_average(mdp.maximised, solver).negated(mdp)
+    return answer_maximised(mdp, partial(_maximise_average, solver=solver))
+
+
+def _maximise_average(mdp: MDP, solver: Solver) -> AverageSolution:
+    """Return the greatest average reward of a model of maximised rewards."""
     started = perf_counter()
     method = method_of(solver)
     if getattr(solver, "start", None) is not None:

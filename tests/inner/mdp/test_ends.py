@@ -176,7 +176,7 @@ def test_the_optimum_of_a_shortest_path_ends(seed: int, question: str) -> None:
     needed = set(range(STATES))
     if "until" in question and question != "max until":
         needed = {state for state, _ in mdp.start}
-    expected = needed <= sure and all(mdp.sign * mdp.reward[pair] < 0 for pair in staying)
+    expected = needed <= sure and all(mdp.sense.sign * mdp.reward[pair] < 0 for pair in staying)
     if question == "max until":
         expected = expected and not staying
     assert mdp.ends.is_shortest_path == expected
