@@ -148,7 +148,7 @@ class Ends:
 
     @property
     def has_goal(self) -> bool:
-        """Whether a run that does not reach certain states has an infinite value."""
+        """Whether a run that never reaches certain states has an infinite value."""
         return self.goal is not None
 
     @property
@@ -159,7 +159,7 @@ class Ends:
         return self.goal
 
     def find_missed(self, states: Mask) -> Mask:
-        """Return the states (S,) among some states in which a run stays and has missed the goal."""
+        """Return (S,) True for `states` (S,) outside the goal: a run that stays there misses it."""
         if self.goal is None:
             return np.zeros_like(states)
         return states & ~self.goal
