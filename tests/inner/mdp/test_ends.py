@@ -151,12 +151,13 @@ def test_every_policy_ends_or_one_is_named_that_does_not(seed: int, question: st
     stuck: set[int] = set()
     for edges in chains.values():
         stuck |= {s for s in edges if not ended & {s, *nx.descendants(edges, s)}}
-    ending = ends.termination
-    assert ending.proven == (not stuck)
-    assert set(ending.trapped.tolist()) == stuck == set(np.flatnonzero(ending.rank < 0).tolist())
-    if ending.pairs is not None:
-        chosen = chains[tuple(ending.pairs.tolist())]
-        assert all({*chosen.successors(s)} <= stuck for s in stuck)
+    assert ends.every_policy_ends == (not stuck)
+    assert set(np.flatnonzero(ends.rank < 0).tolist()) == stuck
+    pairs = ends.find_endless_pairs()
+    assert mdp.pair_state[pairs].tolist() == sorted(stuck)
+    inside = [{t for _, t, _ in mdp.table.row(pair)} <= stuck for pair in range(mdp.n_pairs)]
+    for state, pair in zip(sorted(stuck), pairs.tolist(), strict=True):
+        assert pair == next(each for each in mdp.pairs_of(state) if inside[each])
     improper = any(len(find_sure(edges, goal)) < STATES for edges in chains.values())
     assert ends.has_improper_policy == (improper and question != "discounted")
 
@@ -188,7 +189,7 @@ def test_the_questions_above_have_both_answers() -> None:
     for question in QUESTIONS[:5]:
         found = [drawn(seed, question).ends for seed in range(12)]
         assert {ends.is_shortest_path for ends in found} == {True, False}
-        assert {ends.termination.proven for ends in found} == {True, False}
+        assert {ends.every_policy_ends for ends in found} == {True, False}
 
 
 # ---- the order of states, and proofs of termination ----------------------------------------------
@@ -217,21 +218,22 @@ def test_in_how_many_steps_a_run_ends_and_whether_it_does(rows: Rows) -> None:
         return max((1 + longest(after) for after in edges.successors(state)), default=0)
 
     assert steps is None or steps.tolist() == [longest(s) for s in range(mdp.n_states)]
-    end = mdp.ends.termination
-    assert end.proven == every_policy_ends(rows.n_states, rows.pairs) == proves(mdp, end.rank)
-    if end.proven:
+    sure = every_policy_ends(rows.n_states, rows.pairs)
+    assert mdp.ends.every_policy_ends == sure == proves(mdp, mdp.ends.rank)
+    if sure:
         require_termination(mdp.with_(discount=1))
         return
-    trapped = set(end.trapped.tolist())  # where that policy stays forever
+    pairs = mdp.ends.find_endless_pairs()
+    trapped = set(mdp.pair_state[pairs].tolist())  # where that policy stays forever
     assert trapped
     assert not trapped & set(np.flatnonzero(mdp.terminal))
-    assert all({t for _, t, _ in mdp.table.row(end.pairs[s])} <= trapped for s in trapped)
+    assert all({t for _, t, _ in mdp.table.row(pair)} <= trapped for pair in pairs)
     refused(lambda: require_termination(mdp.with_(discount=1)), "discount 1 needs every policy to")
 
 
 def test_models_end_as_they_say_and_a_policy_that_does_not_is_named() -> None:
     for case in CASES:
-        assert case.discount < 1 or of_case(case).ends.termination.proven == case.proper
+        assert case.discount < 1 or of_case(case).ends.every_policy_ends == case.proper
     rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 2, 0)]), (1, 0, [(1, 0, 0)]), (2, 0, [(1, 2, 0)])]
     mdp = MDP.from_outcomes(rows, states=["left", "right", "end"], actions=["go", "stop"])
     refused(
@@ -245,7 +247,7 @@ def test_models_end_as_they_say_and_a_policy_that_does_not_is_named() -> None:
     steps = care.ends.most_steps
     assert steps.max() == 5000  # four further trials of each subtask, then the next
     assert proves(care, steps)
-    assert proves(care, care.ends.termination.rank)
+    assert proves(care, care.ends.rank)
 
 
 def test_advice_for_a_run_that_ends_outside_the_goal() -> None:
