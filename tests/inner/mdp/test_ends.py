@@ -26,6 +26,10 @@ QUESTIONS = ("max", "min", "max until", "min until", "min until, maximised", "di
 def drawn(seed: int, question: str) -> MDP:
     """Return a random model of five states, some of which earn nothing or have a single action."""
     rng = np.random.default_rng(seed)
+    words = question.split()
+    # In two of three models nothing is gained, and few steps cost nothing.
+    worst = -1 if words[0] == "max" else 1
+    amounts = [[0, worst, worst, worst], [worst], [-1, 0, 1]][seed % 3]
     rows: list[Any] = []
     for state in range(STATES):
         ends = rng.random() < 0.4
@@ -33,13 +37,11 @@ def drawn(seed: int, question: str) -> MDP:
             following = rng.choice(STATES, size=rng.integers(1, 3), replace=False).tolist()
             if ends:
                 following = [state]
-            low, high = [(-1, 1), (-1, 0), (0, 2)][rng.integers(3)]
-            rewards = rng.integers(low, high, size=len(following)).tolist()
+            rewards = [int(rng.choice(amounts))] * len(following)
             if ends and rng.random() < 0.8:
                 rewards = [0]
             each = zip(following, rewards, strict=True)
             rows.append((state, action, [(F(1, len(following)), t, r) for t, r in each]))
-    words = question.split()
     start = {k: F(1, 2) for k in rng.choice(STATES, size=2, replace=False).tolist()}
     sense, discount = words[0], 1
     if question == "discounted":
@@ -128,6 +130,19 @@ def test_an_episode_is_not_over_where_amounts_are_counted(seed: int) -> None:
         assert not events.ends.alike[state]
 
 
+def test_actions_are_alike_in_each_component() -> None:
+    """The first state has the same amounts for both actions; the second has them exchanged."""
+    rows = [(s, a, [("1/2", 1 - s, 0), ("1/2", 2, 0)]) for s in (0, 1) for a in (0, 1)]
+    mdp = MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])])
+    amounts = {"one": [1, 1, 1, -1, 0], "other": [-1, -1, -1, 1, 0]}
+    assert mdp.ends.alike.tolist() == [True, True, True]
+    assert mdp.with_(components=amounts).ends.alike.tolist() == [True, False, True]
+    same = {"one": [1, 1, 1, 1, 0], "other": [-1, -1, 2, -1, 0], "third": [0, 0, -3, 0, 0]}
+    assert mdp.with_(components=same).ends.alike.tolist() == [True, False, True]
+    mdp = MDP.from_outcomes([(0, 0, [(1, 1, 0)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, 0)])])
+    assert mdp.with_(components={"one": [1, 1, 0], "other": [-1, -1, 0]}).ends.alike.all()
+
+
 @pytest.mark.parametrize(("seed", "question"), ALL)
 def test_a_run_that_ends_beside_the_goal_has_missed_it(seed: int, question: str) -> None:
     mdp, asks = drawn(seed, question), "until" in question
@@ -201,6 +216,14 @@ def proves(mdp: MDP, rank: np.ndarray) -> bool:
     least = np.minimum.reduceat(rank[matrix.indices], matrix.indptr[:-1])
     falls = (least < rank[mdp.pair_state])[going[mdp.pair_state]].all()
     return bool(falls and (rank[going] > 0).all() and not rank[~going].any())
+
+
+def test_a_state_that_may_stay_is_not_in_order() -> None:
+    rows = [(0, 0, [(1, 1, 1)]), (1, 0, [("1/2", 1, 1), ("1/2", 2, 1)]), (2, 0, [(1, 2, 0)])]
+    for last, in_order in ((rows[1], False), ((1, 0, [(1, 2, 1)]), True)):
+        ends = MDP.from_outcomes([rows[0], last, rows[2]]).ends
+        assert (ends.numbered_in_order, ends.is_acyclic) == (in_order, in_order)
+        assert ends.every_policy_ends
 
 
 @settings(max_examples=40)
