@@ -10,22 +10,18 @@ from exact_mdp.mdp.model import MDP
 
 def where_endless(mdp: MDP) -> str:
     """Return in words where a policy can stay forever, or end outside the goal."""
-    ending = mdp.ends.termination
-    labels = mdp.space.labels
-    if ending.pairs is None:
-        states = np.flatnonzero(mdp.ends.outside_goal)
-        before = "it ends outside the goal in "
-        named = [f"({label})" for label in labels(states[:4])]
+    if mdp.ends.every_policy_ends:
+        text, places = "it ends outside the goal in ", np.flatnonzero(mdp.ends.outside_goal)
+        named = [f"({label})" for label in mdp.space.labels(places[:4])]
     else:
-        states, before = ending.trapped, "it stays forever in "
+        text, places = "it stays forever in ", mdp.ends.find_endless_pairs()
         named = []
-        for state, label in zip(states[:4], labels(states[:4]), strict=True):
-            action = mdp.actions[mdp.pair_action[ending.pairs[state]]]
-            named.append(f"({label}) with action {action}")
-    text = before + ", ".join(named)
-    more = len(states) - len(named)
-    if more:
-        text += f" and {more} more"
+        for pair in places[:4].tolist():
+            label = mdp.space.label(int(mdp.pair_state[pair]))
+            named.append(f"({label}) with action {mdp.actions[mdp.pair_action[pair]]}")
+    text += ", ".join(named)
+    if len(places) > 4:
+        text += f" and {len(places) - 4} more"
     return text
 
 
@@ -57,7 +53,7 @@ def require_termination(mdp: MDP) -> None:
     if not mdp.ends.has_improper_policy:
         return
     ways = ["for the optimum of all policies use solve(mdp) or certify(mdp)"]
-    if mdp.ends.termination.proven:
+    if mdp.ends.every_policy_ends:
         said = "a run that ends outside the goal is worth infinity, and some policy has such a run"
     else:
         said = "discount 1 needs every policy to end, and some policy does not"

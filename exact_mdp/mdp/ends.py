@@ -43,20 +43,6 @@ AMOUNTS = ("gain", "gain_denominator", "event", "components", "component_denomin
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Termination:
-    """A proof that every policy ends, or a policy that does not.
-
-    `rank` (S,) is the proof; it is -1 in states in which a policy can stay forever. `pairs` (S,)
-    are the pairs of a policy that never leaves the `trapped` states (K,).
-    """
-
-    proven: bool
-    rank: Integers
-    pairs: Integers | None
-    trapped: Integers
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Ends:
     """What decides where the runs of a model end; each answer is computed when it is first asked.
 
@@ -148,7 +134,7 @@ class Ends:
 
     @property
     def has_goal(self) -> bool:
-        """Whether a run that does not reach certain states has an infinite value."""
+        """Whether a run that never reaches certain states has an infinite value."""
         return self.goal is not None
 
     @property
@@ -159,7 +145,7 @@ class Ends:
         return self.goal
 
     def find_missed(self, states: Mask) -> Mask:
-        """Return the states (S,) among some states in which a run stays and has missed the goal."""
+        """Return (S,) True for `states` (S,) outside the goal: a run that stays there misses it."""
         if self.goal is None:
             return np.zeros_like(states)
         return states & ~self.goal
@@ -172,7 +158,7 @@ class Ends:
     @property
     def missing_pays(self) -> bool:
         """Whether it is the best of all to miss the goal, not the worst; False without a goal."""
-        return self.has_goal and self.sense.orient(self.unreached) > 0
+        return self.has_goal and bool(self.sense.orient(self.unreached) > 0)
 
     # ---- runs --------------------------------------------------------------------------------
 
@@ -197,33 +183,38 @@ class Ends:
         return self.numbered_in_order or self.most_steps is not None
 
     @cached_property
-    def termination(self) -> Termination:
-        """A proof that every policy ends, or a policy that never ends from some states."""
+    def rank(self) -> Integers:
+        """(S,) a proof that every policy ends; -1 in states in which a policy can stay forever."""
         # If all transitions go up, the numbers in reverse are ranks.
         if self.numbered_in_order:
-            rank = np.where(self.terminal, 0, np.arange(len(self.terminal))[::-1])
-            return Termination(proven=True, rank=rank, pairs=None, trapped=rank[:0])
+            return np.where(self.terminal, 0, np.arange(len(self.terminal))[::-1])
         # Otherwise remove states backward from the terminal ones, each when all its pairs can
         # leave.
-        matrix, first, count = self.transition, self.pair_offsets[:-1], len(self.pair_state)
-        backward = Backward.of(matrix.indptr, matrix.indices, self.pair_state, len(first))
-        every = np.ones(count, dtype=bool)
-        rank, staying = backward.rank_states(self.terminal, every, np.diff(self.pair_offsets))
-        trapped = np.flatnonzero(rank < 0)
-        if not len(trapped):
-            return Termination(proven=True, rank=rank, pairs=None, trapped=trapped)
-        # The counterexample takes in each trapped state its first pair that stays among them.
-        pairs = first.copy()
-        stays = np.minimum.reduceat(np.where(staying, np.arange(count), count), first)
-        pairs[trapped] = stays[trapped]
-        return Termination(proven=False, rank=rank, pairs=pairs, trapped=trapped)
+        matrix, every = self.transition, np.ones(len(self.pair_state), dtype=bool)
+        backward = Backward.of(matrix.indptr, matrix.indices, self.pair_state, len(self.terminal))
+        return backward.rank_states(self.terminal, every, np.diff(self.pair_offsets))[0]
+
+    @cached_property
+    def every_policy_ends(self) -> bool:
+        """Whether every policy reaches a terminal state with probability 1."""
+        return bool((self.rank >= 0).all())
+
+    def find_endless_pairs(self) -> Integers:
+        """Return one pair of each state of a policy that stays forever; none if every policy ends.
+
+        These are the first pairs that do not leave the states without a rank.
+        """
+        matrix = self.transition
+        inside = np.logical_and.reduceat(self.rank[matrix.indices] < 0, matrix.indptr[:-1])
+        pairs = np.flatnonzero(inside)
+        return pairs[np.unique(self.pair_state[pairs], return_index=True)[1]]
 
     @property
     def has_improper_policy(self) -> bool:
         """Whether the discount is 1 and some policy never ends, or ends outside the goal."""
         if self.discount_exact != 1:
             return False
-        return bool(self.outside_goal.any()) or not self.termination.proven
+        return bool(self.outside_goal.any()) or not self.every_policy_ends
 
     @cached_property
     def is_shortest_path(self) -> bool:

@@ -21,7 +21,6 @@ from exact_mdp.analysis.gate.data.interval import (
 )
 from exact_mdp.analysis.pages import ADVICE
 from exact_mdp.mdp.care import lint as linter
-from exact_mdp.mdp.ends import Termination
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import find_reachable_states
 from exact_mdp.mdp.io import transitions
@@ -114,7 +113,7 @@ def info_command(given: Given) -> Report:
     and their values.
     """
     mdp, scenario = given.mdp, given.loaded.scenario
-    ending = mdp.ends.termination
+    ends = mdp.ends.every_policy_ends
     start = [(mdp.space.label(state), weight) for state, weight in mdp.start]
     begins = (f"{label} ({format_ratio(weight)})" for label, weight in start)
     facts: dict[str, Any] = {
@@ -131,8 +130,8 @@ def info_command(given: Given) -> Report:
         "transitions": mdp.n_transitions,
         "discount_exact": Shown(mdp.discount_exact),
         "start": Shown(start, format_first_few(begins, len(start))),
-        "terminates": Shown(ending.proven, "every policy ends" if ending.proven else "no"),
-        "never_ends": _never_ends(mdp, ending),
+        "terminates": Shown(ends, "every policy ends" if ends else "no"),
+        "never_ends": _never_ends(mdp),
         "acyclic": mdp.ends.is_acyclic,
         "time_limit": mdp.time_limit,
         "sense": Shown(mdp.sense, "min: rewards are costs" if mdp.sense.costs else None),
@@ -152,16 +151,17 @@ def info_command(given: Given) -> Report:
     return given.complete_report(Report(title=f"model {given.loaded.name}", facts=facts))
 
 
-def _never_ends(mdp: MDP, ending: Termination) -> Shown | None:
+def _never_ends(mdp: MDP) -> Shown | None:
     """Return a policy that never ends, by the first of the states that it never leaves, if any."""
-    if ending.pairs is None:
+    pairs, policy = mdp.ends.find_endless_pairs(), {}
+    if not len(pairs):
         return None
-    trapped, choice = ending.trapped.tolist(), mdp.pair_action[ending.pairs]
-    policy = {mdp.space.label(s): mdp.actions[choice[s]] for s in trapped[:FEW_NAMED]}
+    for pair in pairs[:FEW_NAMED].tolist():
+        policy[mdp.space.label(int(mdp.pair_state[pair]))] = mdp.actions[mdp.pair_action[pair]]
     states = format_first_few(
-        (f"{state}: {action}" for state, action in policy.items()), len(trapped)
+        (f"{state}: {action}" for state, action in policy.items()), len(pairs)
     )
-    content = {"states": len(trapped), "policy": policy}
+    content = {"states": len(pairs), "policy": policy}
     return Shown(content, f"a policy that stays forever: {states}")
 
 

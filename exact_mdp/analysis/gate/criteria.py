@@ -26,6 +26,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from exact_mdp.analysis.gate.class_losses import chain_of_pairs
 from exact_mdp.analysis.gate.forgiveness import per_use, round_finite_values
 from exact_mdp.analysis.gate.reasons import Findings, find_policy_disagreements, list_disagreements
 from exact_mdp.analysis.gate.regret import (
@@ -36,7 +37,6 @@ from exact_mdp.analysis.gate.regret import (
     is_cheap_to_certify,
     policy_regret,
 )
-from exact_mdp.analysis.gate.waiting import chain_of_pairs
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Shown, Table, format_cell
 from exact_mdp.mdp.table import Floats, to_common_denominator, to_integer_array

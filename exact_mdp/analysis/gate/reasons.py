@@ -4,8 +4,8 @@
     V*(start) - V^π(start) = [V*(start) - best] + [best - V^π(start)]
     error(s, a) = Q(row(s), a) - Q*(s, a)
 
-Costs sum to the regret of the policy π; if it waits forever, see `analysis.gate.waiting`. The first
-bracket is the loss of every policy that reads the same columns (`analysis.gate.columns`), the
+Costs sum to the regret of the policy π; if it stays forever, see `analysis.gate.class_losses`. The
+first bracket is the loss of every policy that reads the same columns (`analysis.gate.columns`), the
 second the learning error on top. Errors of a Q-table are taken over all reachable states with a
 choice, infinite ones excepted; a greedy policy can be optimal although its errors are large.
 """
@@ -18,9 +18,13 @@ from typing import Any
 
 import numpy as np
 
+from exact_mdp.analysis.gate.class_losses import (
+    charge_class_losses,
+    final_class,
+    find_attaining_pairs,
+)
 from exact_mdp.analysis.gate.columns import BestPolicy, PolicyRows, best_policy
 from exact_mdp.analysis.gate.regret import Regret, policy_regret
-from exact_mdp.analysis.gate.waiting import charge_class_losses, final_class, find_attaining_pairs
 from exact_mdp.mdp.graph import find_reachable_states
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.arrays import rows_read
@@ -40,9 +44,9 @@ class Disagreement:
     label: str
     learned: str  # the policy's action, or its actions with their probabilities
     optimal: tuple[str, ...]  # all optimal actions
-    gap: float  # the loss of one use; if the policy waits forever, the loss of waiting
+    gap: float  # the loss of one use; in a class that the policy never leaves, of staying
     expected_visits: float  # discounted, from the start
-    cost: float  # expected_visits · gap, plus the loss of waiting; costs sum to the regret
+    cost: float  # expected_visits · gap, plus the loss of staying; costs sum to the regret
 
 
 Findings = tuple[Floats, tuple[Disagreement, ...]]  # visits (S,), and the disagreements
@@ -94,9 +98,9 @@ def list_disagreements(
     wrong = np.add.reduceat(weights * ~regret.optimal_pairs, first) > 0
     # Cost is visits times gap, without the undefined products of 0 and infinity.
     cost = np.where(gap > 0, visits, 0.0) * np.where(visits > 0, gap, 0.0)
-    # A recurrent class may lose without any gap, by waiting: that is charged to its wrong states.
-    waits = charge_class_losses(label, came, regret.by_state, gap, wrong)
-    gap, cost = np.where(waits > 0, regret.by_state, gap), cost + waits
+    # A recurrent class may lose without any gap, by staying: that is charged to its wrong states.
+    staying = charge_class_losses(label, came, regret.by_state, gap, wrong)
+    gap, cost = np.where(staying > 0, regret.by_state, gap), cost + staying
     states, disagreements = np.flatnonzero(wrong & ~mdp.terminal), []
     # The costliest first, then the largest gap, then the smallest number.
     for state in states[np.lexsort((states, -gap[states], -cost[states]))].tolist():

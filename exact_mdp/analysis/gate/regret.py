@@ -20,13 +20,18 @@ from typing import Any
 
 import numpy as np
 
+from exact_mdp.analysis.gate.class_losses import (
+    chain_of_pairs,
+    compute_exact_row,
+    final_class,
+    to_blame,
+)
 from exact_mdp.analysis.gate.forgiveness import (
     bound_per_use,
     compute_rounding_allowance,
     compute_tie_gaps,
     round_finite_values,
 )
-from exact_mdp.analysis.gate.waiting import chain_of_pairs, compute_exact_row, final_class, to_blame
 from exact_mdp.mdp.advice import other_question, ways_out
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import bellman_rows
@@ -347,11 +352,11 @@ class _ExactValues:
             beyond = ~np.isfinite(value)
             gap[(mdp.transition @ beyond > 0) | beyond[mdp.pair_state]] = inf
             gap[optimal] = 0.0
-            # Pairs that keep a value without attaining it, in classes where the policy waits.
+            # Pairs that keep a value without attaining it, in classes where the policy stays.
             blamed = to_blame(chain, best, by_state)
             optimal[blamed] = False
             # In a transient state such a pair gives an infinite value up; in a recurrent class the
-            # loss is counted as waiting.
+            # loss is counted as the loss of the class.
             gap[blamed & (np.isposinf(by_state) & (final_class(chain) < 0))[mdp.pair_state]] = inf
             # If rounding may explain the whole regret, it may explain each part.
             if lost and lost <= self.compute_allowance():

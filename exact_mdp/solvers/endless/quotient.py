@@ -39,7 +39,7 @@ class Derived:
         Policy iteration in floats, from a policy that ends, finds these pairs.
         """
         mdp = self.mdp
-        if mdp.ends.termination.proven:
+        if mdp.ends.every_policy_ends:
             return self
         # A policy that always moves nearer to the end is proper; improve it.
         graph, pairs = PairGraph.of(mdp), mdp.pair_offsets[:-1].copy()
@@ -58,7 +58,7 @@ class Derived:
             limit /= 16
             pairs = np.flatnonzero(~(losing & (gain.value <= limit)))
             part = of_pairs(mdp, pairs)
-            if part.ends.termination.proven:
+            if part.ends.every_policy_ends:
                 return replace(self, mdp=part, source=self.source[pairs])
             if not (losing & (gain.value > limit)).any():
                 break

@@ -157,7 +157,7 @@ def prove_total(mdp: MDP) -> Certificate:
     _, (value,), sign = optimise_exactly(bellman_rows(mdp))
     optimal = sign == 0
     if mdp.discount_exact == 1:
-        rank = mdp.ends.termination.rank
+        rank = mdp.ends.rank
     else:
         rank = None
     return build_certificate(
@@ -204,7 +204,7 @@ def _certify_bounds(mdp: MDP, solution: Solution | None) -> BoundedCertificate:
     live = ~mdp.terminal
     rank = None
     if mdp.discount_exact == 1:
-        rank = mdp.ends.termination.rank
+        rank = mdp.ends.rank
     return BoundedCertificate(
         kind="bounds",
         mdp=mdp,

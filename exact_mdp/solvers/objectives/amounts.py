@@ -114,7 +114,7 @@ class Objectives:
         mdp = self.mdp
         if mdp.discount_exact < 1:
             return
-        if not self.ending.ends.termination.proven:
+        if not self.ending.ends.every_policy_ends:
             raise ModelError(
                 "some policy never ends, and its totals at discount 1 would grow forever",
                 where=where_endless(self.ending),

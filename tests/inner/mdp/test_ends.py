@@ -26,6 +26,10 @@ QUESTIONS = ("max", "min", "max until", "min until", "min until, maximised", "di
 def drawn(seed: int, question: str) -> MDP:
     """Return a random model of five states, some of which earn nothing or have a single action."""
     rng = np.random.default_rng(seed)
+    words = question.split()
+    # In two of three models nothing is gained, and few steps cost nothing.
+    worst = -1 if words[0] == "max" else 1
+    amounts = [[0, worst, worst, worst], [worst], [-1, 0, 1]][seed % 3]
     rows: list[Any] = []
     for state in range(STATES):
         ends = rng.random() < 0.4
@@ -33,13 +37,11 @@ def drawn(seed: int, question: str) -> MDP:
             following = rng.choice(STATES, size=rng.integers(1, 3), replace=False).tolist()
             if ends:
                 following = [state]
-            low, high = [(-1, 1), (-1, 0), (0, 2)][rng.integers(3)]
-            rewards = rng.integers(low, high, size=len(following)).tolist()
+            rewards = [int(rng.choice(amounts))] * len(following)
             if ends and rng.random() < 0.8:
                 rewards = [0]
             each = zip(following, rewards, strict=True)
             rows.append((state, action, [(F(1, len(following)), t, r) for t, r in each]))
-    words = question.split()
     start = {k: F(1, 2) for k in rng.choice(STATES, size=2, replace=False).tolist()}
     sense, discount = words[0], 1
     if question == "discounted":
@@ -128,6 +130,19 @@ def test_an_episode_is_not_over_where_amounts_are_counted(seed: int) -> None:
         assert not events.ends.alike[state]
 
 
+def test_actions_are_alike_in_each_component() -> None:
+    """The first state has the same amounts for both actions; the second has them exchanged."""
+    rows = [(s, a, [("1/2", 1 - s, 0), ("1/2", 2, 0)]) for s in (0, 1) for a in (0, 1)]
+    mdp = MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])])
+    amounts = {"one": [1, 1, 1, -1, 0], "other": [-1, -1, -1, 1, 0]}
+    assert mdp.ends.alike.tolist() == [True, True, True]
+    assert mdp.with_(components=amounts).ends.alike.tolist() == [True, False, True]
+    same = {"one": [1, 1, 1, 1, 0], "other": [-1, -1, 2, -1, 0], "third": [0, 0, -3, 0, 0]}
+    assert mdp.with_(components=same).ends.alike.tolist() == [True, False, True]
+    mdp = MDP.from_outcomes([(0, 0, [(1, 1, 0)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, 0)])])
+    assert mdp.with_(components={"one": [1, 1, 0], "other": [-1, -1, 0]}).ends.alike.all()
+
+
 @pytest.mark.parametrize(("seed", "question"), ALL)
 def test_a_run_that_ends_beside_the_goal_has_missed_it(seed: int, question: str) -> None:
     mdp, asks = drawn(seed, question), "until" in question
@@ -151,12 +166,13 @@ def test_every_policy_ends_or_one_is_named_that_does_not(seed: int, question: st
     stuck: set[int] = set()
     for edges in chains.values():
         stuck |= {s for s in edges if not ended & {s, *nx.descendants(edges, s)}}
-    ending = ends.termination
-    assert ending.proven == (not stuck)
-    assert set(ending.trapped.tolist()) == stuck == set(np.flatnonzero(ending.rank < 0).tolist())
-    if ending.pairs is not None:
-        chosen = chains[tuple(ending.pairs.tolist())]
-        assert all({*chosen.successors(s)} <= stuck for s in stuck)
+    assert ends.every_policy_ends == (not stuck)
+    assert set(np.flatnonzero(ends.rank < 0).tolist()) == stuck
+    pairs = ends.find_endless_pairs()
+    assert mdp.pair_state[pairs].tolist() == sorted(stuck)
+    inside = [{t for _, t, _ in mdp.table.row(pair)} <= stuck for pair in range(mdp.n_pairs)]
+    for state, pair in zip(sorted(stuck), pairs.tolist(), strict=True):
+        assert pair == next(each for each in mdp.pairs_of(state) if inside[each])
     improper = any(len(find_sure(edges, goal)) < STATES for edges in chains.values())
     assert ends.has_improper_policy == (improper and question != "discounted")
 
@@ -188,7 +204,7 @@ def test_the_questions_above_have_both_answers() -> None:
     for question in QUESTIONS[:5]:
         found = [drawn(seed, question).ends for seed in range(12)]
         assert {ends.is_shortest_path for ends in found} == {True, False}
-        assert {ends.termination.proven for ends in found} == {True, False}
+        assert {ends.every_policy_ends for ends in found} == {True, False}
 
 
 # ---- the order of states, and proofs of termination ----------------------------------------------
@@ -200,6 +216,14 @@ def proves(mdp: MDP, rank: np.ndarray) -> bool:
     least = np.minimum.reduceat(rank[matrix.indices], matrix.indptr[:-1])
     falls = (least < rank[mdp.pair_state])[going[mdp.pair_state]].all()
     return bool(falls and (rank[going] > 0).all() and not rank[~going].any())
+
+
+def test_a_state_that_may_stay_is_not_in_order() -> None:
+    rows = [(0, 0, [(1, 1, 1)]), (1, 0, [("1/2", 1, 1), ("1/2", 2, 1)]), (2, 0, [(1, 2, 0)])]
+    for last, in_order in ((rows[1], False), ((1, 0, [(1, 2, 1)]), True)):
+        ends = MDP.from_outcomes([rows[0], last, rows[2]]).ends
+        assert (ends.numbered_in_order, ends.is_acyclic) == (in_order, in_order)
+        assert ends.every_policy_ends
 
 
 @settings(max_examples=40)
@@ -217,21 +241,22 @@ def test_in_how_many_steps_a_run_ends_and_whether_it_does(rows: Rows) -> None:
         return max((1 + longest(after) for after in edges.successors(state)), default=0)
 
     assert steps is None or steps.tolist() == [longest(s) for s in range(mdp.n_states)]
-    end = mdp.ends.termination
-    assert end.proven == every_policy_ends(rows.n_states, rows.pairs) == proves(mdp, end.rank)
-    if end.proven:
+    sure = every_policy_ends(rows.n_states, rows.pairs)
+    assert mdp.ends.every_policy_ends == sure == proves(mdp, mdp.ends.rank)
+    if sure:
         require_termination(mdp.with_(discount=1))
         return
-    trapped = set(end.trapped.tolist())  # where that policy stays forever
+    pairs = mdp.ends.find_endless_pairs()
+    trapped = set(mdp.pair_state[pairs].tolist())  # where that policy stays forever
     assert trapped
     assert not trapped & set(np.flatnonzero(mdp.terminal))
-    assert all({t for _, t, _ in mdp.table.row(end.pairs[s])} <= trapped for s in trapped)
+    assert all({t for _, t, _ in mdp.table.row(pair)} <= trapped for pair in pairs)
     refused(lambda: require_termination(mdp.with_(discount=1)), "discount 1 needs every policy to")
 
 
 def test_models_end_as_they_say_and_a_policy_that_does_not_is_named() -> None:
     for case in CASES:
-        assert case.discount < 1 or of_case(case).ends.termination.proven == case.proper
+        assert case.discount < 1 or of_case(case).ends.every_policy_ends == case.proper
     rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 2, 0)]), (1, 0, [(1, 0, 0)]), (2, 0, [(1, 2, 0)])]
     mdp = MDP.from_outcomes(rows, states=["left", "right", "end"], actions=["go", "stop"])
     refused(
@@ -245,7 +270,7 @@ def test_models_end_as_they_say_and_a_policy_that_does_not_is_named() -> None:
     steps = care.ends.most_steps
     assert steps.max() == 5000  # four further trials of each subtask, then the next
     assert proves(care, steps)
-    assert proves(care, care.ends.termination.rank)
+    assert proves(care, care.ends.rank)
 
 
 def test_advice_for_a_run_that_ends_outside_the_goal() -> None:

@@ -275,7 +275,7 @@ def gradient(
 
     if not is_finite(mdp):
         raise make_improper_error(
-            "today's parameters", beside=mdp.ends.termination.proven, ranges=False
+            "today's parameters", beside=mdp.ends.every_policy_ends, ranges=False
         )
     # One backward and one forward pass serve all parameters.
     if exact is None:

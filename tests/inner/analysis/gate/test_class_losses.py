@@ -1,4 +1,4 @@
-"""Waiting for ever, beside all policies of small models in fractions."""
+"""Losses of recurrent classes, beside all policies of small models in fractions."""
 
 from fractions import Fraction as F
 from itertools import product
@@ -11,8 +11,7 @@ import pytest
 from small_models import small_model
 
 from exact_mdp import MDP
-from exact_mdp.analysis.gate.regret import proven_optimum
-from exact_mdp.analysis.gate.waiting import (
+from exact_mdp.analysis.gate.class_losses import (
     chain_of_pairs,
     charge_class_losses,
     compute_exact_row,
@@ -21,6 +20,7 @@ from exact_mdp.analysis.gate.waiting import (
     find_zero_reward_pairs,
     to_blame,
 )
+from exact_mdp.analysis.gate.regret import proven_optimum
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 

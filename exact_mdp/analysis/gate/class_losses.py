@@ -1,8 +1,8 @@
-"""Waiting forever: at discount 1 an action may keep the optimal value and never attain it.
+"""Losses of recurrent classes: at discount 1 an action may keep the optimum and never attain it.
 
 Such an action belongs to an optimal policy exactly if other optimal actions lead from its next
-states to states in which the optimum may stay, without coming back. A policy that waits loses in a
-recurrent class, which it enters at state s with probability e(s):
+states to states in which the optimum may stay, without coming back. Else a policy may stay forever
+in a recurrent class and lose there, having entered it at state s with probability e(s):
 
     regret = Σ_s d(s) gap(s) + Σ_s e(s) (V*(s) - V^π(s))
 
@@ -103,10 +103,10 @@ def _find_third_order_losses(mdp: MDP, best: Certificate, pairs: Flags) -> Flags
 def charge_class_losses(
     label: Integers, came: Floats, by_state: Floats, gap: Floats, wrong: Flags
 ) -> Floats:
-    """Return (S,) the losses of waiting, charged to the states that are `wrong` (S,).
+    """Return (S,) the losses of classes, charged to the states that are `wrong` (S,).
 
     `came` (S,) are arrivals in the classes of `label`, 0 in states that the policy never reaches. A
-    class in which some state has a gap (S,) loses by that gap, not by waiting.
+    class in which some state has a gap (S,) loses by that gap, not by staying.
     """
     # The loss of a class: arrivals times regret, over the states where it is entered.
     inside = label >= 0
