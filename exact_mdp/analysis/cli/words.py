@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from exact_mdp.mdp.errors import ModelError, require_known_name, suggest_name
+from exact_mdp.mdp.io.formats import join_endings
 from exact_mdp.mdp.table import exact, float_of
 
 
@@ -110,7 +111,7 @@ def check_outputs(files: Iterable[tuple[str, Sequence[str]]]) -> None:
             raise ModelError(
                 f"cannot write {path.suffix or 'a file without ending'} here",
                 where=name,
-                fix=f"name it {' or '.join(endings)}",
+                fix=f"name it {join_endings(endings)}",
             )
         if not path.parent.is_dir():
             raise ModelError("there is no such folder", where=str(path.parent), fix="make it first")
