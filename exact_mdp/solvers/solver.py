@@ -18,6 +18,7 @@ from exact_mdp.mdp.graph import has_improper_policy, is_acyclic
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions import REACHED
 from exact_mdp.mdp.table import COMPILED
+from exact_mdp.solvers.claims import SolverError, Status, warn_of_precision
 from exact_mdp.solvers.dynamic.base import Solver, check_tolerance
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram
 from exact_mdp.solvers.dynamic.methods import (
@@ -31,13 +32,7 @@ from exact_mdp.solvers.dynamic.start import negate_start
 from exact_mdp.solvers.endless.average import solve_average
 from exact_mdp.solvers.endless.total import round_exact_solution, solve_total
 from exact_mdp.solvers.objectives.limits import solve_under
-from exact_mdp.solvers.solution import (
-    Solution,
-    SolverError,
-    Status,
-    solve_negated,
-    warn_of_precision,
-)
+from exact_mdp.solvers.solution import Solution, solve_negated
 from exact_mdp.solvers.ties import break_near_ties
 
 SOLVERS: dict[str, type[Solver]] = {

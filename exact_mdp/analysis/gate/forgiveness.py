@@ -22,7 +22,7 @@ import numpy as np
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, BoundedVector
-from exact_mdp.solvers.solution import SolverError
+from exact_mdp.solvers.claims import SolverError
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 

@@ -51,6 +51,15 @@ from exact_mdp.solvers.bounds.gains import (
     compute_advantages,
     first_of,
 )
+from exact_mdp.solvers.claims import (
+    Bounded,
+    Certified,
+    Claim,
+    Number,
+    SolverError,
+    compute_regret,
+    in_decimals,
+)
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.certify import certify_and_check, proven_optimum
@@ -58,14 +67,7 @@ from exact_mdp.solvers.exact.find import optimise_exactly
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.exact.linear import evaluate_exactly
 from exact_mdp.solvers.solution import (
-    Bounded,
-    Certified,
-    Claim,
-    Number,
-    SolverError,
     at_start,
-    compute_regret,
-    in_decimals,
 )
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate

@@ -25,9 +25,9 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import MOST_LISTED, Report, Shown, Table, format_number
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, Integers, Numbers
+from exact_mdp.solvers.claims import Bounded, compute_regrets
 from exact_mdp.solvers.learning.q_learning import TrainingRun
 from exact_mdp.solvers.learning.sampler import QTableRows, build_q_table_rows
-from exact_mdp.solvers.solution import Bounded, compute_regrets
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import QUANTILES, evaluate
 from exact_mdp.solvers.values.layers import evaluate_row_policies

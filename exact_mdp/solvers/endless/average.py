@@ -37,6 +37,7 @@ from exact_mdp.solvers.bounds.gains import (
     choose_greedy_pairs,
     compute_advantages,
 )
+from exact_mdp.solvers.claims import PrecisionWarning, SolverError, Status
 from exact_mdp.solvers.dynamic.base import RELATIVE_TOLERANCE, Solver
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram, least_above, own_states
 from exact_mdp.solvers.dynamic.methods import (
@@ -46,7 +47,7 @@ from exact_mdp.solvers.dynamic.methods import (
 )
 from exact_mdp.solvers.endless.chain import FloatChain, compute_laurent_expansion
 from exact_mdp.solvers.endless.quotient import build_derived_model
-from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
+from exact_mdp.solvers.solution import Solution
 
 # 1 - γ of the discounted model whose optimal policy is the first one. The smaller, the nearer that
 # policy is to the optimum, and the longer it takes to find.

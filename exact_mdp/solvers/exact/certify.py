@@ -23,6 +23,7 @@ from exact_mdp.mdp.model import MDP, cache_on_model
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.bounds.gains import UNIT, compute_advantages, first_of
+from exact_mdp.solvers.claims import PrecisionWarning, SolverError, Status
 from exact_mdp.solvers.exact.certificate import (
     BoundedCertificate,
     Certificate,
@@ -36,7 +37,7 @@ from exact_mdp.solvers.exact.find import (
     prove_goal_total,
 )
 from exact_mdp.solvers.exact.levels import Level
-from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
+from exact_mdp.solvers.solution import Solution
 from exact_mdp.solvers.solver import is_average, mdp_of, require_no_target, solve
 
 

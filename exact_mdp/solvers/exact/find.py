@@ -37,6 +37,7 @@ from exact_mdp.mdp.graph import (
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers, row_sums
 from exact_mdp.solvers.bounds.gains import POLICIES, first_of
+from exact_mdp.solvers.claims import SolverError
 from exact_mdp.solvers.endless.average import AveragePolicyIteration
 from exact_mdp.solvers.endless.chain import ExactChain
 from exact_mdp.solvers.endless.chain import compute_laurent_expansion as laurent
@@ -50,7 +51,6 @@ from exact_mdp.solvers.exact.levels import (
     yield_level_advantages,
 )
 from exact_mdp.solvers.exact.linear import evaluate_exactly
-from exact_mdp.solvers.solution import SolverError
 
 
 def build_certificate(

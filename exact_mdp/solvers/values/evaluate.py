@@ -39,17 +39,10 @@ from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import COMPILED, Floats
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, BoundedVector, gamma
 from exact_mdp.solvers.bounds.linear import LinearSystem
+from exact_mdp.solvers.claims import Bounded, Claim, PrecisionWarning, SolverError, in_float
 from exact_mdp.solvers.dynamic.methods import ModifiedPolicyIteration
 from exact_mdp.solvers.dynamic.values import NEARLY_ONE
-from exact_mdp.solvers.solution import (
-    Bounded,
-    Claim,
-    PrecisionWarning,
-    Solution,
-    SolverError,
-    at_start,
-    in_float,
-)
+from exact_mdp.solvers.solution import Solution, at_start
 from exact_mdp.solvers.solver import (
     is_average,
     mdp_of,

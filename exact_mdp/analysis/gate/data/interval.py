@@ -24,7 +24,7 @@ from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import Floats, Integers, exact, float_of
 from exact_mdp.mdp.validate import Flags
-from exact_mdp.solvers.solution import Claim
+from exact_mdp.solvers.claims import Claim
 
 Ends = tuple[float, float]
 

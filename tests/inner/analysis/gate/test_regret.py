@@ -24,8 +24,8 @@ from exact_mdp.analysis.gate.regret import (
     policy_regret,
 )
 from exact_mdp.solvers.bounds.bounds import Bounds
+from exact_mdp.solvers.claims import Bounded, Certified, Claim
 from exact_mdp.solvers.exact.certificate import Certificate
-from exact_mdp.solvers.solution import Bounded, Certified, Claim
 from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
 
 

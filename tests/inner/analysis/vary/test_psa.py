@@ -24,7 +24,7 @@ from exact_mdp.analysis.vary.psa import (
     sample_parameters,
 )
 from exact_mdp.analysis.vary.study import Study
-from exact_mdp.solvers.solution import Estimated
+from exact_mdp.solvers.claims import Estimated
 
 # ---- numbers of a study that is made up ----------------------------------------------------------
 
