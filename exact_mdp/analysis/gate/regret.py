@@ -63,9 +63,9 @@ from exact_mdp.solvers.claims import (
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.certify import certify_and_check, proven_optimum
-from exact_mdp.solvers.exact.find import optimise_exactly
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.exact.linear import evaluate_exactly
+from exact_mdp.solvers.exact.optimise import optimise_exactly
 from exact_mdp.solvers.solution import (
     at_start,
 )

@@ -16,8 +16,6 @@ from exact_mdp.solvers.bounds.bounds import Bounds
 from exact_mdp.solvers.claims import SolverError, Status, warn_of_precision
 from exact_mdp.solvers.solution import Solution, solve_negated
 
-RELATIVE_TOLERANCE = 1e-9  # relative to the largest value, if no tolerance is given
-
 
 class Solver(ABC):
     """An algorithm with its settings, and the one verb."""

@@ -30,13 +30,9 @@ from exact_mdp.solvers.exact.certificate import (
     exact_rows,
     require_sound_proof,
 )
-from exact_mdp.solvers.exact.find import (
-    build_certificate,
-    optimise_exactly,
-    prove_gain_and_bias,
-    prove_goal_total,
-)
+from exact_mdp.solvers.exact.find import build_certificate, prove_gain_and_bias, prove_goal_total
 from exact_mdp.solvers.exact.levels import Level
+from exact_mdp.solvers.exact.optimise import optimise_exactly
 from exact_mdp.solvers.solution import Solution
 from exact_mdp.solvers.solver import is_average, mdp_of, require_no_target, solve
 
