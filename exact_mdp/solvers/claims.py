@@ -249,6 +249,23 @@ class Estimated:
         return f"{self.value:.6g} ± {error:g} s.e.{cut} ({self.claim})"
 
 
+def interval_of(number: Certified | Bounded) -> tuple[Fraction | float, Fraction | float]:
+    """Return the two ends between which a number lies; both are the number if it is certified."""
+    if isinstance(number, Certified):
+        return number.value, number.value
+    return number.interval
+
+
+def is_at_most(within: tuple[Fraction | float, Fraction | float], limit: Fraction) -> bool | None:
+    """Return whether a number between two ends is at most `limit`; None if that is open."""
+    low, high = within
+    if high <= limit:
+        return True
+    if low > limit:
+        return False
+    return None
+
+
 def in_decimals(numbers: Iterable[Fraction | float | None]) -> list[float]:
     """Return numbers as floats: infinite beyond the range of floats, NaN for None."""
     return [nan if number is None else in_float(number) for number in numbers]

@@ -59,6 +59,8 @@ from exact_mdp.solvers.claims import (
     SolverError,
     compute_regret,
     in_decimals,
+    interval_of,
+    is_at_most,
 )
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.exact.certificate import Certificate
@@ -70,8 +72,8 @@ from exact_mdp.solvers.solution import (
     at_start,
 )
 from exact_mdp.solvers.solver import solve
-from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.policy_values import find_policy_values
 
 # The most transitions for which a regret is certified at once: a few seconds of rational
 # arithmetic. A model with a horizon has no cycles, which allows more.
@@ -207,23 +209,6 @@ def _negate_values(lost: Regret) -> StateLosses:
     return replace(
         each, optimal_value=0.0 - each.optimal_value, learned_value=0.0 - each.learned_value
     )
-
-
-def interval_of(number: Certified | Bounded) -> tuple[Fraction | float, Fraction | float]:
-    """Return the two ends between which a number lies; both are the number if it is certified."""
-    if isinstance(number, Certified):
-        return number.value, number.value
-    return number.interval
-
-
-def is_at_most(within: tuple[Fraction | float, Fraction | float], limit: Fraction) -> bool | None:
-    """Return whether a number between two ends is at most `limit`; None if that is open."""
-    low, high = within
-    if high <= limit:
-        return True
-    if low > limit:
-        return False
-    return None
 
 
 def policy_regret(chain: PolicyChain, *, exact: bool | None = None) -> Regret:
@@ -402,8 +387,7 @@ def include_near_ties(
 def _bound_regret(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
     own = known = BoundedVector(value=optimum.value, error=optimum.state_error)
     if not np.array_equal(chain.pairs, optimum.pairs):
-        evaluation = evaluate(mdp, chain)
-        own = BoundedVector(value=evaluation.value, error=evaluation.error)
+        own = find_policy_values(chain)
     # Pairs that are not proven to lose count as optimal; some of them are open.
     near, ideal = ActionBounds(mdp, optimum), chain_of_pairs(mdp, optimum.pairs)
     loses = _find_losing_pairs(ideal, known, near.least_gap)

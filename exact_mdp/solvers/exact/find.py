@@ -1,10 +1,10 @@
 """Find optimal levels in rational arithmetic, together with their proofs.
 
-Policy iteration (`optimise`): every state takes the first pair with the greatest advantage over the values of a
-policy, or over (d(g), r - g + d(h), d(w) - h) in this order, until no advantage is positive. Each
-change raises the value at small interest rates, so no policy comes twice. The last policy
-satisfies all conditions of the checker (Puterman, Markov Decision Processes, 1994, sections 9.2.1
-and 10.3; Veinott, Annals of Mathematical Statistics 37, 1966).
+Policy iteration (`optimise`): every state takes the first pair with the greatest advantage over the
+values of a policy, or over (d(g), r - g + d(h), d(w) - h) in this order, until no advantage is
+positive. Each change raises the value at small interest rates, so no policy comes twice. The last
+policy satisfies all conditions of the checker (Puterman, Markov Decision Processes, 1994, sections
+9.2.1 and 10.3; Veinott, Annals of Mathematical Statistics 37, 1966).
 
 With a goal, if missing it has the value -∞: states from which no policy reaches it with probability
 1 have this value. Among the others, g shows where a cycle earns without bound. From the remaining

@@ -20,8 +20,10 @@ from exact_mdp.mdp.table import BLOCK, Numbers
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, BoundedVector, gamma
 from exact_mdp.solvers.learning.q_learning import TrainingRun
 from exact_mdp.solvers.learning.sampler import QTableRows, build_q_table_rows
-from exact_mdp.solvers.values.evaluate import evaluate
+from exact_mdp.solvers.solution import at_start
 from exact_mdp.solvers.values.layers import find_taken_pairs, layers_of
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.policy_values import find_policy_values
 
 
 def common_rows(model: MDP, runs: Sequence[TrainingRun]) -> QTableRows:
@@ -42,13 +44,14 @@ def common_rows(model: MDP, runs: Sequence[TrainingRun]) -> QTableRows:
 def evaluate_row_policies(mdp: MDP, rows: QTableRows, policies: Numbers) -> BoundedVector:
     """Return the start values (U,) for policies (U, K), with one action number for each Q-row."""
     if topological_levels(mdp) is None:
-        evaluations = []
+        starts = []
         for rule in policies:
             policy = Policy(space=rows.space, actions=mdp.actions, rule=rule)
-            evaluations.append(evaluate(mdp, policy))
+            chain = PolicyChain.of_policy(mdp, policy)
+            starts.append(at_start(mdp, find_policy_values(chain)))
         return BoundedVector(
-            value=np.array([each.mean for each in evaluations]),
-            error=np.array([each.start.error for each in evaluations]),
+            value=np.array([each.value for each in starts]),
+            error=np.array([each.error for each in starts]),
         )
     layers, start = layers_of(mdp), mdp.start_distribution
     # In parts of limited memory: values V, and W for the error bound.

@@ -12,6 +12,8 @@ from exact_mdp.solvers.claims import (
     compute_regrets,
     in_decimals,
     in_float,
+    interval_of,
+    is_at_most,
     subtract_numbers,
 )
 
@@ -65,3 +67,17 @@ def test_numbers_beyond_floats_are_infinite() -> None:
     assert decimals[:2] == [1 / 3, -inf]
     assert np.isnan(decimals[2])
     assert nextafter(decimals[0], 1) > F(1, 3)
+
+
+def test_a_limit_is_kept_broken_or_left_open() -> None:
+    for within, limit, wanted in (
+        ((0.0, 1.0), 1, True),
+        ((0.0, 1.0), F(1, 2), None),
+        ((0.5, 1.0), F(1, 2), None),
+        ((0.6, 1.0), F(1, 2), False),
+        ((F(1, 2), F(1, 2)), F(1, 2), True),
+    ):
+        assert is_at_most(within, F(limit)) == wanted
+    assert interval_of(Certified(value=F(1, 3))) == (F(1, 3), F(1, 3))
+    low, high = interval_of(Bounded(value=1.0, error=0.25))
+    assert low < 0.75 < 1.25 < high
