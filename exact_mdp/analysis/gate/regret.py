@@ -291,7 +291,7 @@ def _certify_regret(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
         Certified(value=learned),
         both.find_losses,
         optimum=best,
-        movable=both.compute_allowance,
+        movable=both.get_allowance,
     )
 
 
@@ -313,13 +313,18 @@ class _ExactValues:
             return chain_of_pairs(mdp, best.pairs)
         return chain_of_pairs(mdp, first_of(mdp, best.optimal_pairs))
 
-    def compute_allowance(self) -> Fraction:
-        """Return the rounding allowance; 0 for an infinite regret."""
+    @cached_property
+    def allowance(self) -> Fraction:
+        """The rounding allowance; 0 for an infinite regret."""
         if not isinstance(self.lost, Fraction):
             return Fraction(0)
         known = round_finite_values(self.best.value_float)
         own = self.chain, round_finite_values(self.mine)
         return compute_rounding_allowance(self.chain.mdp, own, (self.ideal, known))
+
+    def get_allowance(self) -> Fraction:
+        """Return the rounding allowance, which is computed only once."""
+        return self.allowance
 
     def find_losses(self) -> StateLosses:
         """Return where the regret arises."""
@@ -347,13 +352,13 @@ class _ExactValues:
             # loss is counted as waiting.
             gap[blamed & (np.isposinf(by_state) & (final_class(chain) < 0))[mdp.pair_state]] = inf
             # If rounding may explain the whole regret, it may explain each part.
-            if lost and lost <= self.compute_allowance():
+            if lost and lost <= self.allowance:
                 optimal |= (chain.chosen > 0) & chain.reached[mdp.pair_state]
         elif mdp.floats:
             with suppress(SolverError):
                 most = compute_tie_gaps(self.ideal, round_finite_values(value))
                 near = np.nextafter(gap, inf) <= most
-                optimal = include_near_ties(chain, optimal, near, lost, self.compute_allowance)
+                optimal = include_near_ties(chain, optimal, near, lost, self.get_allowance)
         return StateLosses(
             optimal_value=value,
             learned_value=mine,
