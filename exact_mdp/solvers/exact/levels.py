@@ -109,7 +109,10 @@ class Level:
 
     def compute_mean(self, weights: Iterable[tuple[int, Fraction]]) -> Fraction:
         """Return Σ weight · x(s) over (state, weight) pairs."""
-        states, shares = zip(*weights, strict=True)
+        states, shares = list[int](), list[Fraction]()
+        for state, weight in weights:
+            states.append(state)
+            shares.append(weight)
         values, unit = self.over_one(states, self.group.tolist())
         parts, below = to_common_denominator(shares)
         return make_fraction(sum(map(mul, values, parts)), unit * below)
