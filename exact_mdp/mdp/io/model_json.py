@@ -133,7 +133,7 @@ def encode_problem(mdp: MDP, *, as_text: bool = True) -> dict[str, Any]:
     Without `as_text`, the pairs have Python's own numbers, for a checker in the same process.
     """
     integers: Callable[[Numbers], list[Any]] = np.ndarray.tolist
-    ratio: Callable[[int, int], Any] = Fraction
+    ratio: Callable[[int, int], Any] = _reduce_ratio
     if as_text:
         integers, ratio = _encode_integers, _encode_ratio
     # The columns of the pairs; lists by outcome are cut into one list for each pair.
@@ -239,6 +239,15 @@ def _encode_ratio(top: int, below: int) -> Any:
     if below == 1:
         return encode_integer(top)
     return encode_rationals(Fraction(top, below))
+
+
+@lru_cache
+def _reduce_ratio(top: int, below: int) -> int | Fraction:
+    """Return a ratio as an integer, with which a checker computes faster, or as a Fraction."""
+    number = Fraction(top, below)
+    if number.denominator == 1:
+        return number.numerator
+    return number
 
 
 def write_model_json(mdp: MDP, path: str | Path) -> None:
