@@ -275,7 +275,7 @@ def _certify_regret(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
     own = best
     if improper:
         own = certify_and_check(chain.model)
-    level, mine, learned = own.h, own.value_float, own.start_value
+    value, mine, learned, level = best.value_float, own.value_float, own.start_value, own.h
     if not improper and not best.optimal_pairs[chain.pairs].all():
         level = chain.exact_value
         mine, learned = level.to_floats(), level.compute_mean(mdp.start)
@@ -285,7 +285,7 @@ def _certify_regret(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
             where="the total at discount 1",
             fix=ways_out(mdp, other_question(mdp)),
         )
-    both = _ExactValues(chain, best, level, mine, best.start_value - learned)
+    both = _ExactValues(chain, best, level, value, mine, best.start_value - learned)
     return Regret.from_values(
         best.start,
         Certified(value=learned),
@@ -302,7 +302,8 @@ class _ExactValues:
     chain: PolicyChain
     best: Certificate
     level: Level  # the values of the policy, if they are finite
-    mine: Floats  # (S,) the same, rounded or infinite
+    value: Floats  # (S,) the optimal values, rounded or infinite
+    mine: Floats  # (S,) the values of the policy, in the same form
     lost: Fraction | float  # the regret at the start
 
     @cached_property
@@ -318,7 +319,7 @@ class _ExactValues:
         """The rounding allowance; 0 for an infinite regret."""
         if not isinstance(self.lost, Fraction):
             return Fraction(0)
-        known = round_finite_values(self.best.value_float)
+        known = round_finite_values(self.value)
         own = self.chain, round_finite_values(self.mine)
         return compute_rounding_allowance(self.chain.mdp, own, (self.ideal, known))
 
@@ -328,8 +329,8 @@ class _ExactValues:
 
     def find_losses(self) -> StateLosses:
         """Return where the regret arises."""
-        chain, best, mine, lost = self.chain, self.best, self.mine, self.lost
-        mdp, value, level = chain.mdp, best.value_float, self.level
+        chain, best, level, lost = self.chain, self.best, self.level, self.lost
+        mdp, value, mine = chain.mdp, self.value, self.mine
 
         # 1. The regret of each state: the exact differences a/b - c/d, each rounded once.
         parts = zip(best.h.top, best.h.each_below, level.top, level.each_below, strict=True)
