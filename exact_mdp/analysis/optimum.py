@@ -56,9 +56,7 @@ class Optimum:
         if self.certificate is not None:
             return self.certificate.optimal_pairs
         here, there = self.value[self.mdp.pair_state], self.mdp.backup(self.value)
-        with np.errstate(invalid="ignore"):  # equal infinite values have a difference of 0
-            lost = np.where(here == there, 0.0, here - there)
-        return np.asarray(self.mdp.sign * lost <= 2 * self.best.error_bound)
+        return np.asarray(self.mdp.sense.losses(here, there) <= 2 * self.best.error_bound)
 
     def is_stationary(self) -> bool | None:
         """Return whether the optimum depends on the status alone; None if bounds leave it open.

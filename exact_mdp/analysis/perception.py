@@ -31,6 +31,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, format_error_bound
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame, frame_to_table
+from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, gamma
 from exact_mdp.solvers.claims import Bounded
@@ -63,12 +64,12 @@ class ErrorCosts(Pictured):
     # The gain per unit of a status's sensitivity and specificity, other statuses unchanged.
     rates: dict[str, tuple[float, float]]
     error: float  # bound for each entry of `derivative` and `loss`, and for each rate
-    sign: int = 1  # -1 if values are costs, so a loss is a higher cost
+    sense: Sense = Sense.MAX  # of the values: a loss of costs is a higher cost
 
     @property
     def marginal(self) -> Floats:
         """(Z, Z) the loss per unit of probability moved from reading s correctly to reading z."""
-        return self.sign * (np.diag(self.derivative)[:, None] - self.derivative)
+        return self.sense.sign * (np.diag(self.derivative)[:, None] - self.derivative)
 
     @property
     def by_status(self) -> dict[str, tuple[float, float]]:
@@ -96,9 +97,7 @@ class ErrorCosts(Pictured):
             if true != seen:
                 names = format(true, form), format(seen, form)
                 rows.append((*names, loss[true, seen], marginal[true, seen]))
-        unit = "cost"
-        if self.sign > 0:
-            unit = "reward"
+        unit = self.sense.amount
         columns = ["true", "perceived", f"loss ({unit})", f"loss per unit of probability ({unit})"]
         return data_frame(sorted(rows, key=lambda row: -row[2]), columns=columns)
 
@@ -192,8 +191,8 @@ def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCo
     met, unsure = (x[:regular].reshape(-1, size) for x in (visits.value, visits.error))
     derivative = np.einsum("ps,psz->sz", met, by_seen)
     short = np.diagonal(true_by_seen, axis1=1, axis2=2)[:, :, None] - true_by_seen
-    sign = model.sign
-    loss = sign * matrix * np.einsum("ps,psz->sz", met, short)
+    sense = model.sense
+    loss = sense.sign * matrix * np.einsum("ps,psz->sz", met, short)
 
     # Rounding: the terms of one number are outcomes, actions, places, and pairs of statuses.
     terms = int(np.diff(model.table.offsets).max()) + model.n_actions + len(met) + size**2 + 16
@@ -208,7 +207,7 @@ def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCo
     for name, flip in zip(names, 1 << np.arange(len(names))[::-1], strict=True):
         right, present = ((number[:, None] ^ number) & flip) == 0, number & flip > 0
         gain = (matrix + matrix[:, number ^ flip]) * (derivative - derivative[:, number ^ flip])
-        gain = sign * (gain * right).sum(axis=1)
+        gain = sense.sign * (gain * right).sum(axis=1)
         rates[name] = float(gain[present].sum()), float(gain[~present].sum())
     return ErrorCosts(
         statuses=names,
@@ -216,7 +215,7 @@ def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCo
         perfect=both[1].start,
         derivative=derivative,
         loss=loss,
-        sign=sign,
+        sense=sense,
         rates=rates,
         error=error,
     )

@@ -32,6 +32,7 @@ from exact_mdp.mdp.forms.numbers import (
     to_dense,
     whole_numbers,
 )
+from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Integers, Numbers, concatenate_ranges, exact
 from exact_mdp.mdp.validate import COUNTED, Parts, as_discount, as_start, check_options
@@ -542,10 +543,7 @@ def _find_available_pairs(
     """Return (L,) True for available pairs: listed, and not of infinite loss; None for all."""
     if sp.issparse(reward):
         return listed
-    never = -np.inf
-    if names.get("sense") == "min":
-        never = np.inf
-    offered: Flags = np.asarray(reward != never, dtype=bool)
+    offered: Flags = np.asarray(reward != Sense.of_options(names).worst, dtype=bool)
     if offered.ndim == 2:
         offered = np.asarray(offered.any(axis=1))
     if listed is not None:

@@ -129,11 +129,11 @@ def is_shortest_path(mdp: MDP) -> bool:
     safe = graph.compute_rounds(ends, every) == 0
     needed, pays = ~ends, False
     if mdp.goal is not None:
-        pays = mdp.sign * mdp.unreached > 0
+        pays = mdp.sense.orient(mdp.unreached) > 0
         if not pays:
             needed = np.isin(np.arange(mdp.n_states), [s for s, weight in mdp.start if weight])
     inside = (safe & ~ends)[mdp.pair_state] & graph.find_pairs_within(safe)
     _, staying = graph.end_components(inside)
     earned, _ = mdp.table.expected_gain_exact
-    costs = np.asarray(mdp.sign * earned < 0, dtype=bool)
+    costs = np.asarray(mdp.sense.orient(earned) < 0, dtype=bool)
     return bool(safe[needed].all() and costs[staying].all() and not (pays and staying.any()))

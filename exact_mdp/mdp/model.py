@@ -39,6 +39,7 @@ from exact_mdp.mdp.io.gymnasium import FromGymnasium
 from exact_mdp.mdp.io.transitions import FromTransitions
 from exact_mdp.mdp.questions import Questions
 from exact_mdp.mdp.result import ROWS_SHOWN, DataFrame, data_frame, plain_report
+from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import ByFields, Floats, Integers, Numbers, OutcomeTable
 from exact_mdp.mdp.validate import (
@@ -149,6 +150,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         for name, numbers in (("probabilities", self.table.weight), ("rewards", self.table.gain)):
             if numbers.dtype == np.float64:
                 fill(self, f"float_{name}", True)
+        fill(self, "sense", Sense(self.sense))
         fill(self, "start", ByNumber(self.start))
         if self.observations is not None:
             fill(self, "observations", whole_numbers(self.observations, "observations"))
@@ -266,10 +268,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
             state, action = label(self.pair_state[pair]), self.actions[self.pair_action[pair]]
             for probability, after, reward in self.table.row(pair):
                 rows.append((state, action, label(after), probability, reward))
-        earned = "reward"
-        if self.sense == "min":
-            earned = "cost"
-        names = ["state", "action", "next state", "probability", earned]
+        names = ["state", "action", "next state", "probability", self.sense.amount]
         return data_frame(rows, columns=names)
 
     def _repr_html_(self) -> str:
@@ -405,7 +404,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
     @property
     def R(self) -> Floats:
         """(S, A) expected rewards; -inf (inf for costs) where an action is not available."""
-        return self.by_action(self.reward, -self.sign * np.inf)
+        return self.by_action(self.reward, self.sense.worst)
 
     def P(self, action: object) -> sp.csr_array:
         """Return the (S, S) transitions of an action; rows are empty where it is not available.
@@ -581,11 +580,6 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
             return self
         return self.with_(discount=1, goal=None)
 
-    @property
-    def sign(self) -> int:
-        """1 if rewards are maximised, -1 if they are costs."""
-        return {"max": 1, "min": -1}[self.sense]
-
     def negated(self) -> MDP:
         """Return the same problem with the opposite sense: all rewards times -1."""
         # Only `until` gives `unreached` a meaning. A model without its target keeps +∞, the value
@@ -596,7 +590,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         negated = replace(
             self,
             table=self.table.negate_rewards(),
-            sense={"max": "min", "min": "max"}[self.sense],
+            sense=self.sense.opposite,
             unreached=unreached,
         )
         if questions.origin_of(self) is not None:
@@ -606,9 +600,9 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
     @property
     def maximised(self) -> MDP:
         """The same problem with rewards to maximise: itself, or its negation."""
-        if self.sense == "max":
-            return self
-        return _negate_model(self)
+        if self.sense.costs:
+            return _negate_model(self)
+        return self
 
     @classmethod
     @named_options

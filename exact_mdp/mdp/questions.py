@@ -464,9 +464,8 @@ def describe_time_limit(model: Parts, within: str) -> list[str]:
 def describe_sense(model: Parts) -> str:
     """Return in words what the value of a model measures; "" for rewards to maximise."""
     if REACHED in model.space.extra:
-        best = {"max": "greatest", "min": "least"}[model.sense]
-        return f"{best} probability of reaching"
-    if model.sense == "min":
+        return f"{model.sense.best} probability of reaching"
+    if model.sense.costs:
         return "costs to minimise"
     return ""
 

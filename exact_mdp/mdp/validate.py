@@ -31,6 +31,7 @@ from exact_mdp.mdp.forms.names import ByNumber
 from exact_mdp.mdp.forms.numbers import as_given, convert_tensors, is_pandas_table, refuse_masked
 from exact_mdp.mdp.forms.rows import put_right, rationalize_row
 from exact_mdp.mdp.parameter import Parameter
+from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     FLOAT_ROW_TOLERANCE,
@@ -43,7 +44,6 @@ from exact_mdp.mdp.table import (
 )
 
 Flags = NDArray[np.bool_]
-SENSES = ("max", "min")
 # Rows of floats that `mdp.forms.rows` has normalized sum to 1 up to rounding; rows that it left
 # alone miss 1 by the whole tolerance. Half of it separates the two.
 LEFT = FLOAT_ROW_TOLERANCE / 2
@@ -66,7 +66,7 @@ class Parts:
     name: str = ""
     parameters: tuple[Parameter, ...] = ()
     time_limit: int | None = None
-    sense: str = "max"
+    sense: Sense = Sense.MAX
     labels: Mapping[str, Flags] = field(default_factory=dict)
     goal: Flags | None = None
     target: Flags | None = None
@@ -156,11 +156,12 @@ def check_model(model: Parts) -> None:
 
 def _check_sense(model: Parts) -> None:
     """Raise ModelError unless the sense is "max" or "min", and `unreached` infinite."""
-    if model.sense not in SENSES:
+    if model.sense not in list(Sense):
+        near = suggest_name(str(model.sense), list(Sense))
         raise ModelError(
             f"the sense is {model.sense!r}",
             where="sense",
-            fix=f"{suggest_name(str(model.sense), SENSES)}: rewards are maximised, costs minimised",
+            fix=f"{near}: rewards are maximised, costs minimised",
         )
     if model.unreached not in (inf, -inf):
         raise ModelError(

@@ -20,6 +20,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
+from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.table import Floats
 
 NORMAL = 1.959963984540054  # the 97.5 % quantile of the standard normal distribution
@@ -140,6 +141,11 @@ class Certified:
     def __neg__(self) -> Certified:
         return Certified(value=-self.value)
 
+    def __sub__(self, other: Number) -> Number:
+        if isinstance(other, Certified):
+            return Certified(value=self.value - other.value)
+        return _subtract_bounded(self, other)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Bounded:
@@ -173,26 +179,24 @@ class Bounded:
     def __neg__(self) -> Bounded:
         return Bounded(value=0.0 - self.value, error=self.error)
 
+    def __sub__(self, other: Certified | Bounded) -> Bounded:
+        return _subtract_bounded(self, other)
+
 
 Number = TypeVar("Number", Bounded, Certified | Bounded)
 
 
-def subtract_numbers(one: Number, other: Number) -> Number:
-    """Return the difference of two numbers; it is exact if both numbers are."""
-    if isinstance(one, Certified) and isinstance(other, Certified):
-        return Certified(value=one.value - other.value)
+def _subtract_bounded(one: Certified | Bounded, other: Certified | Bounded) -> Bounded:
+    """Return the difference of two numbers, of which one at least is a float."""
     value = float(one) - float(other)
     low = np.nextafter(one.interval[0] - other.interval[1], -inf)
     high = np.nextafter(one.interval[1] - other.interval[0], inf)
     return Bounded(value=value, error=float(np.nextafter(max(value - low, high - value), inf)))
 
 
-def compute_regret(best: Number, own: Number, sense: str = "max") -> Number:
+def compute_regret(best: Number, own: Number, sense: Sense = Sense.MAX) -> Number:
     """Return the optimal value less a policy's value (for costs, the reverse); never below 0."""
-    if sense == "max":
-        lost = subtract_numbers(best, own)
-    else:
-        lost = subtract_numbers(own, best)
+    lost: Number = sense.loss(best, own)
     if isinstance(lost, Certified):
         return lost
     low, high = (max(0.0, end) for end in lost.interval)
@@ -200,9 +204,9 @@ def compute_regret(best: Number, own: Number, sense: str = "max") -> Number:
     return Bounded(value=value, error=max(value - low, high - value))
 
 
-def compute_regrets(best: Floats, own: Floats, error: Floats, sign: float = 1) -> Floats:
-    """Return optimal values less policy values; 0 if an error of at most `error` may explain it."""
-    lost = sign * (best - own)
+def compute_regrets(best: Floats, own: Floats, error: Floats, sense: Sense = Sense.MAX) -> Floats:
+    """Return the losses of policy values; 0 if an error of at most `error` may explain one."""
+    lost = sense.loss(best, own)
     return np.where(np.abs(lost) > error, lost, 0.0)
 
 

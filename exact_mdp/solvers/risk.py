@@ -243,7 +243,7 @@ class CVaROptimum(Result):
 
     @property
     def _unit(self) -> Fraction:
-        return self.mdp.sign * self.budgeted.unit
+        return self.mdp.sense.sign * self.budgeted.unit
 
     @cached_property
     def certificate(self) -> Certificate:
@@ -314,7 +314,7 @@ class CVaROptimum(Result):
         each = {k: of.compute_cvar(self.values, k, self.level) for k in of.thresholds}
         if not each.get(threshold) == max(each.values()) == self.value / self._unit:
             wrong.append("another threshold gives more")
-        if tail_mean(distribution, self.level, highest=self.mdp.sense == "min") != self.value:
+        if tail_mean(distribution, self.level, highest=self.mdp.sense.costs) != self.value:
             wrong.append("the worst episodes of the policy have another mean")
         if sum(z * p for z, p in distribution.items()) != self.mean:
             wrong.append("the policy has another mean")
@@ -388,7 +388,7 @@ def best_cvar(model: MDP | Scenario, level: object) -> CVaROptimum:
     for k in of.thresholds:
         rated.append((of.compute_cvar(values, k, share), means.compute_mean(of.list_start(k)), -k))
     value, mean, least = max(rated)
-    unit = mdp.sign * of.unit
+    unit = mdp.sense.sign * of.unit
     return CVaROptimum(
         mdp=mdp,
         level=share,

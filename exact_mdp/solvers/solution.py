@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -139,20 +139,13 @@ class Solution(Found, Pictured):
     @property
     def q(self) -> Floats:
         """(S, A) action values r + γ P V; -inf (for costs inf) if an action is not available."""
-        if self.mdp.sense == "min":
-            never = np.inf
-        else:
-            never = -np.inf
-        return self.mdp.by_action(self.mdp.backup(self.value), never)
+        return self.mdp.by_action(self.mdp.backup(self.value), self.mdp.sense.worst)
 
     @property
     def gap_table(self) -> Floats:
         """(S, A) the suboptimality gap of each action; NaN if it is not available."""
         here, there = self.value[self.mdp.pair_state], self.mdp.backup(self.value)
-        # Equal infinite values have a gap of 0.
-        with np.errstate(invalid="ignore"):
-            lost = np.where(here == there, 0.0, self.mdp.sign * (here - there))
-        return self.mdp.by_action(lost)
+        return self.mdp.by_action(self.mdp.sense.losses(here, there))
 
     def negated(self, mdp: MDP) -> Self:
         """Return this solution for `mdp`, the model with negated rewards."""
@@ -168,10 +161,25 @@ class Solution(Found, Pictured):
         )
 
 
-def solve_negated(mdp: MDP, solved: Callable[[MDP], Any]) -> Any:
-    """Solve a model of costs as rewards; negate its solution, even one in a SolverError."""
+class Answer(Protocol):
+    """An answer about a model of maximised rewards, which can be turned into one about costs."""
+
+    def negated(self, mdp: MDP) -> Self:
+        """Return this answer for `mdp`, the model with negated rewards."""
+
+
+AnswerOf = TypeVar("AnswerOf", bound=Answer)
+
+
+def answer_maximised(mdp: MDP, answer: Callable[[MDP], AnswerOf]) -> AnswerOf:
+    """Return the answer of a model, given a function that knows maximised rewards alone.
+
+    A model of costs is answered by its negation, even by the solution in a SolverError.
+    """
+    if not mdp.sense.costs:
+        return answer(mdp)
     try:
-        return solved(mdp.maximised).negated(mdp)
+        return answer(mdp.maximised).negated(mdp)
     except SolverError as error:
         if error.solution is not None:
             error.solution = error.solution.negated(mdp)

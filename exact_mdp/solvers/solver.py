@@ -28,11 +28,11 @@ from exact_mdp.solvers.dynamic.methods import (
     PolicyIteration,
     ValueIteration,
 )
-from exact_mdp.solvers.dynamic.start import negate_start
+from exact_mdp.solvers.dynamic.start import orient_start
 from exact_mdp.solvers.endless.average import solve_average
 from exact_mdp.solvers.endless.total import round_exact_solution, solve_total
 from exact_mdp.solvers.objectives.limits import solve_under
-from exact_mdp.solvers.solution import Solution, solve_negated
+from exact_mdp.solvers.solution import Solution, answer_maximised
 from exact_mdp.solvers.ties import break_near_ties
 
 SOLVERS: dict[str, type[Solver]] = {
@@ -172,20 +172,20 @@ def _find_best_average(mdp: MDP, solver: Any, tol: float | None, start: Any) -> 
     except SolverError:
         if solver != "auto" or mdp.n_transitions > COMPILED:
             raise
-        solution = round_exact_solution(mdp, "average")
+        solution = answer_maximised(mdp, partial(round_exact_solution, criterion="average"))
     return _mark_if_imprecise(solution, tol)
 
 
-def _find_best_total(mdp: MDP, solver: Any, tol: float | None, start: Any = None) -> Solution:
-    """Return the solution for the total reward; costs and improper policies are reduced first."""
-    if mdp.sense == "min":
-        find_best = partial(
-            _find_best_total, solver=solver, tol=tol, start=negate_start(mdp, start)
-        )
-        negated: Solution = solve_negated(mdp, find_best)
-        return negated
+def _find_best_total(mdp: MDP, solver: Any, tol: float | None, start: Any) -> Solution:
+    """Return the solution for the total reward; costs are solved as rewards."""
+    find_best = partial(_maximise_total, solver=solver, tol=tol, start=orient_start(mdp, start))
+    return answer_maximised(mdp, find_best)
+
+
+def _maximise_total(mdp: MDP, solver: Any, tol: float | None, start: Any = None) -> Solution:
+    """Return the solution of a model of maximised rewards."""
     if has_improper_policy(mdp):
-        return solve_total(mdp, partial(_find_best_total, solver=solver, tol=tol))
+        return solve_total(mdp, partial(_maximise_total, solver=solver, tol=tol))
     if solver == "auto" and is_acyclic(mdp):
         check_tolerance("solve", tol)
         solution = _mark_if_imprecise(BackwardInduction().solve_rewards(mdp), tol)

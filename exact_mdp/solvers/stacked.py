@@ -139,7 +139,7 @@ class StackedModel:
             structure=structure,
             steps=steps,
             chances=np.ascontiguousarray(chances.T),
-            amounts=np.stack([mdp.sign * mdp.reward for mdp in models], axis=1),
+            amounts=np.stack([mdp.sense.orient(mdp.reward) for mdp in models], axis=1),
             reward_error=np.stack([reward_errors(mdp) for mdp in models]),
             rate=np.array([mdp.discount for mdp in models]),
             leak=np.array([[f.leak] for f in facts]),

@@ -22,6 +22,7 @@ from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.questions import Question, describe_time_limit
 from exact_mdp.mdp.report import Report, Shown
+from exact_mdp.mdp.sense import Sense
 from exact_mdp.solvers.solver import Criterion, is_average, require_no_horizon
 from exact_mdp.solvers.values.policy_chain import policy_of
 
@@ -39,9 +40,9 @@ def pose_question(mdp: MDP, *, asked: dict[str, Any]) -> MDP:
     if asked["start"] is not None:
         changes["start"] = asked["start"]
     if asked["minimize"]:
-        changes["sense"] = "min"
+        changes["sense"] = Sense.MIN
     elif asked["maximize"] or asked["reach"] is not None:
-        changes["sense"] = "max"
+        changes["sense"] = Sense.MAX
     if changes:
         mdp = mdp.with_(**changes)
     if asked["reach"] is not None:
@@ -240,27 +241,26 @@ class Given:
 
     def in_words(self) -> str | None:
         """Return the question in words; None if no option asks one."""
-        best = "greatest"
-        if self.asked.sense == "min":
-            best = "least"
+        best = self.asked.sense.best
         if self.reach is not None:
             through = ""
             if self.allowed:
                 through = f" through {self.allowed}"
             return f"{best} probability of reaching {self.reach}{through}"
-        costs = self.minimize or self.loaded.mdp.sense == "min"
+        amount = self.loaded.mdp.sense.amount
+        if self.minimize:
+            amount = Sense.MIN.amount
         if self.until is not None:
-            earned = self.reward or ("cost" if costs else "reward")
-            return f"{best} expected {earned} until {self.until}"
+            return f"{best} expected {self.reward or amount} until {self.until}"
         if not (self.minimize or self.maximize):
             return None
         if is_average(self.criterion):
-            return f"{best} {'cost' if costs else 'reward'} per step in the long run"
-        return f"{best} expected {'costs' if costs else 'rewards'}"
+            return f"{best} {amount} per step in the long run"
+        return f"{best} expected {amount}s"
 
     def _describe_sense(self) -> Shown:
         """Return the sense, shown to people only if costs are minimised."""
-        if self.mdp.sense == "min" and self.reach is None:
+        if self.mdp.sense.costs and self.reach is None:
             return Shown(self.mdp.sense, "min: costs are minimised")
         return Shown(self.mdp.sense, None)
 

@@ -134,7 +134,7 @@ def info_command(given: Given) -> Report:
         "never_ends": _never_ends(mdp, ending),
         "acyclic": is_acyclic(mdp),
         "time_limit": mdp.time_limit,
-        "sense": Shown(mdp.sense, "min: rewards are costs" if mdp.sense == "min" else None),
+        "sense": Shown(mdp.sense, "min: rewards are costs" if mdp.sense.costs else None),
         "labels": {name: int(states.sum()) for name, states in mdp.labels.items()},
         "reward_components": mdp.component_names,
         "events": mdp.events,

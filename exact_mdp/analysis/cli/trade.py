@@ -107,7 +107,7 @@ def risk_command(
     beside = list[dict[str, Any]]()
     for form, policy in named.items():
         distribution = exact_mdp.return_distribution(given.mdp, policy, exact=True)
-        tail = distribution.tail_mean(cvar, highest=given.mdp.sense == "min")
+        tail = distribution.tail_mean(cvar, highest=given.mdp.sense.costs)
         beside.append({"policy": form, "mean": distribution.tail_mean(1), "cvar": tail})
     table = Table(
         title="the policies beside it",

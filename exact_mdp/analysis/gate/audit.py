@@ -376,7 +376,7 @@ class Audit(Pictured):
         if self.policy.values is None or not self.criterion.plain:
             return None
         # Q*(l) = V*(s) - gap(l), or plus the gap in a model of costs.
-        gap = self.mdp.sign * self.regret.gap
+        gap = self.mdp.sense.orient(self.regret.gap)
         optimal = self.regret.optimal_value[self.mdp.pair_state] - gap
         visited = np.where(self.chain.weights > 0, self.visits[self.mdp.pair_state], 0.0)
         return q_error(self.mdp, self.policy, optimal, visited * self.chain.weights)

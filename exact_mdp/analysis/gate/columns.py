@@ -12,8 +12,10 @@ greatest bound, at the row in which any single action costs most.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from heapq import heappop, heappush
+from typing import Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -32,6 +34,7 @@ from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.bounds.gains import POLICIES, SLACK, BoundedVector, first_of, gamma
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
 from exact_mdp.solvers.claims import Bounded
+from exact_mdp.solvers.solution import answer_maximised
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.layers import find_taken_pairs, layers_of
 
@@ -66,6 +69,15 @@ class BestPolicy(Result):
     def __repr__(self) -> str:
         read = ", ".join(self.columns)
         return f"BestPolicy({read}: value {self.value}; bound on others {self.upper_bound:.6g})"
+
+    def negated(self, mdp: MDP) -> Self:
+        """Return this policy for `mdp`, the model with negated rewards."""
+        return replace(
+            self,
+            value=-self.value,
+            upper_bound=0.0 - self.upper_bound,
+            mixed_upper_bound=0.0 - self.mixed_upper_bound,
+        )
 
     def frame(self) -> DataFrame:
         """Return the policy as a table, one row for each combination of the columns' values."""
@@ -113,21 +125,29 @@ def best_policy(
         # Transitions times relaxations: the limit keeps the default search to a constant effort.
         node_limit = max(100, min(5000, 2**25 // mdp.n_transitions))
     limit = require_count(node_limit, "node_limit")
-    rows = PolicyRows(mdp.maximised, require_list(columns, "columns"))
+    search_best = partial(
+        _find_best_policy, columns=require_list(columns, "columns"), start=start, node_limit=limit
+    )
+    return answer_maximised(mdp, search_best)
+
+
+def _find_best_policy(
+    mdp: MDP, columns: Sequence[str], start: Policy | None, node_limit: int
+) -> BestPolicy:
+    """Return the best policy of a model of maximised rewards."""
+    rows = PolicyRows(mdp, columns)
     search = _BranchAndBound(rows)
     if start is not None:
         search.offer_policies(rows.choices_of(start)[None])
-    search.split_nodes(limit)
+    search.split_nodes(node_limit)
     value = Bounded(value=search.value, error=search.error)
     upper = max(search.upper, value.interval[0])
-    if mdp.sense == "min":  # the search maximises: costs are negated
-        value = -value
     return BestPolicy(
         columns=rows.space.names,
         policy=rows.to_policy(search.choice),
         value=value,
-        upper_bound=0.0 + mdp.sign * upper,
-        mixed_upper_bound=0.0 + mdp.sign * search.mixed,
+        upper_bound=upper,
+        mixed_upper_bound=search.mixed,
         proven=search.ended,
         nodes=search.nodes,
     )

@@ -37,6 +37,7 @@ from exact_mdp.analysis.gate.regret import (
     policy_regret,
 )
 from exact_mdp.analysis.gate.waiting import chain_of_pairs
+from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Shown, Table, format_cell
 from exact_mdp.mdp.table import Floats, to_common_denominator, to_integer_array
 from exact_mdp.solvers.bounds.gains import SLACK
@@ -44,6 +45,7 @@ from exact_mdp.solvers.claims import Bounded, Certified
 from exact_mdp.solvers.exact.certificate import Certificate, require_sound_proof
 from exact_mdp.solvers.exact.certify import certify_and_check
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution, Limit, solve_under
+from exact_mdp.solvers.solution import answer_maximised
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.average import AverageEvaluation, evaluate_average
 from exact_mdp.solvers.values.policy_chain import PolicyChain, flow_of
@@ -156,9 +158,10 @@ class Average(Total):
         mdp = self.chain.mdp
         if exact is None:
             exact = is_cheap_to_certify(mdp, LAST_CYCLE)
+        find_regret = self._bound_regret
         if exact:
-            return self._certify_regret().of_sense(mdp.sense)
-        return self._bound_regret().of_sense(mdp.sense)
+            find_regret = self._certify_regret
+        return answer_maximised(mdp, find_regret)
 
     def find_disagreements(self, lost: Regret) -> Findings:
         """Return the visits and the states in which the regret arises; none if it is bounded."""
@@ -169,8 +172,8 @@ class Average(Total):
             visits = self.own.visits
         return list_disagreements(chain, lost, visits, np.full(chain.mdp.n_states, -1))
 
-    def _certify_regret(self) -> Regret:
-        """Return the exact regret of a model of rewards.
+    def _certify_regret(self, mdp: MDP) -> Regret:
+        """Return the exact regret in the model of maximised rewards.
 
         The rounding of a row moves the gain once for each use of its pair: through the bias in
         recurrent states, through g* in transient ones. The rounding allowance is the sum of both
@@ -178,7 +181,7 @@ class Average(Total):
         """
         # A pair loses gain, and in recurrent states also bias.
         chain = self._undiscounted
-        step, best = chain.mdp, certify_and_check(self.chain.mdp.maximised, "average")
+        step, best = chain.mdp, certify_and_check(mdp, "average")
         mine, (lost, short) = certify_and_check(chain.model, "average"), best.losses
         gap = np.where(chain.exactly.classes.recurrent[step.pair_state], lost + short, lost)
         optimal = np.asarray(gap == 0, dtype=bool)
@@ -202,8 +205,9 @@ class Average(Total):
         )
         return Regret.from_values(best.start, mine.start, losses, movable=movable)
 
-    def _bound_regret(self) -> Regret:
-        mdp, own = self.chain.mdp.maximised, self.own
+    def _bound_regret(self, mdp: MDP) -> Regret:
+        """Return a bound on the regret in the model of maximised rewards."""
+        own = self.own
         best, gap = solve(mdp, criterion="average"), np.zeros(mdp.n_pairs)
         # Bounds prove no gap of a pair: all are taken as optimal, those the optimum skips as open.
         other = np.bincount(best.pairs, minlength=mdp.n_pairs) == 0
@@ -321,7 +325,7 @@ class UnderLimits(Total):
             priced,
             optimal=best,
             learned=Certified(value=self.earned),
-            at_start=Certified(value=self.best.of.sign * (best.value - self.earned)),
+            at_start=Certified(value=self.best.of.mdp.sense.loss(best.value, self.earned)),
             movable=Fraction,  # no rounding allowance
         )
         if not self.feasible:

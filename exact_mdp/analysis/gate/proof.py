@@ -7,29 +7,29 @@ where values are infinite (`solvers.exact.find`).
 
 from __future__ import annotations
 
-from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 
 import numpy as np
 
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.exact.certificate import Certificate
-from exact_mdp.solvers.exact.certify import certify, certify_and_check, proven_optimum
+from exact_mdp.solvers.exact.certify import certify_and_check, prove_total, proven_optimum
 from exact_mdp.solvers.exact.find import prove_gain_and_bias, prove_goal_total
 from exact_mdp.solvers.exact.regret import DrawnPairs, RegretCertificate
+from exact_mdp.solvers.solution import answer_maximised
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
 def certify_regret(chain: PolicyChain, *, average: bool) -> RegretCertificate:
     """Return the proof of a policy's regret; raises ModelError as `certify` does."""
     mdp = chain.mdp
+    find_best = proven_optimum  # the proof that the audit has already found
     if average:
-        best = certify_and_check(mdp.maximised, "average")
-    else:
-        best = proven_optimum(mdp.maximised)  # the proof that the audit has already found
-    best = _of_sense(best, mdp)
-    own = _prove_value(_isolate_policy(chain), best)
+        find_best = partial(certify_and_check, criterion="average")
+    best = answer_maximised(mdp, find_best)
+    own = answer_maximised(_isolate_policy(chain), partial(_prove_value, best=best))
     weights = dict[int, Fraction]()
     for state in range(mdp.n_states):
         weights |= chain.exact_weights(state)
@@ -45,15 +45,6 @@ def certify_regret(chain: PolicyChain, *, average: bool) -> RegretCertificate:
     )
 
 
-def _of_sense(proof: Certificate, mdp: MDP) -> Certificate:
-    """Return a model's proof, given that of the same model with rewards that are maximised."""
-    if mdp.sense == "max":
-        return proof
-    return replace(
-        proof, mdp=mdp, model=fingerprint(mdp), sense="min", start_value=-proof.start_value
-    )
-
-
 def _isolate_policy(chain: PolicyChain) -> MDP:
     """Return the model in which the policy's draw, number 0, is the only action of each state."""
     none = np.zeros(chain.mdp.n_states, dtype=np.int64)
@@ -66,12 +57,12 @@ def _prove_value(alone: MDP, best: Certificate) -> Certificate:
         return prove_goal_total(alone)
     if best.g is not None:
         return prove_gain_and_bias(alone, best.kind)
-    return certify(alone)
+    return prove_total(alone)
 
 
 def _compute_loss(mdp: MDP, best: Fraction | float, own: Fraction | float) -> Fraction | float:
     """Return the loss of a value against the best one; either may be infinite."""
-    if isinstance(best, Fraction) and isinstance(own, Fraction):
-        return mdp.sign * (best - own)
-    infinite = [0.0 if isinstance(x, Fraction) else x for x in (best, own)]
-    return mdp.sign * (infinite[0] - infinite[1])
+    if isinstance(best, Fraction) != isinstance(own, Fraction):
+        best, own = (0.0 if isinstance(x, Fraction) else x for x in (best, own))
+    lost: Fraction | float = mdp.sense.loss(best, own)
+    return lost

@@ -27,7 +27,7 @@ from exact_mdp.mdp.policies.arrays import rows_read
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import FEW_NAMED, Shown, format_cell
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers.claims import Bounded, Certified, SolverError, in_float, subtract_numbers
+from exact_mdp.solvers.claims import Bounded, Certified, SolverError, in_float
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -174,7 +174,7 @@ class Representation:
         return cls(
             best=best,
             loss=loss,
-            learning_error=subtract_numbers(lost.at_start, loss),
+            learning_error=lost.at_start - loss,
             rows=rows,
             unseen=", ".join(name for name in mdp.space.names if name not in read),
         )
@@ -287,7 +287,7 @@ def q_error(mdp: MDP, policy: Policy, optimal: Floats, used: Floats) -> QError |
     if total > 0:
         visited = float(np.sqrt(weight @ error**2 / total))
     # The value that the table promises at the start.
-    better = np.fmax if mdp.sense == "max" else np.fmin
+    better = np.fmin if mdp.sense.costs else np.fmax
     best = better.reduceat(said, mdp.pair_offsets[:-1])
     start = mdp.start_distribution > 0
     return QError(

@@ -68,9 +68,7 @@ from exact_mdp.solvers.exact.certify import certify_and_check, proven_optimum
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.exact.linear import evaluate_exactly
 from exact_mdp.solvers.exact.optimise import optimise_exactly
-from exact_mdp.solvers.solution import (
-    at_start,
-)
+from exact_mdp.solvers.solution import answer_maximised, at_start
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.policy_values import find_policy_values
@@ -174,13 +172,11 @@ class Regret(Brief):
         lost = f"{float(self.at_start.value):.6g} ({self.claim})"
         return f"Regret({lost}: optimal {optimal:.6g}, learned {learned:.6g})"
 
-    def of_sense(self, sense: str) -> Regret:
-        """Return the regret of a model of costs, if the sense is "min", from the negated model's.
+    def negated(self, mdp: MDP) -> Regret:
+        """Return this regret for `mdp`, the model with negated rewards.
 
-        Losses stay the same, and `optimum` remains the proof for the negated model.
+        Losses stay the same, and `optimum` remains the proof for the model of rewards.
         """
-        if sense == "max":
-            return self
         return replace(
             self,
             optimal=-self.optimal,
@@ -217,11 +213,12 @@ def policy_regret(chain: PolicyChain, *, exact: bool | None = None) -> Regret:
     `exact` is True for rational arithmetic and False for bounds; by default the model's size
     decides.
     """
-    mdp = chain.mdp
-    if mdp.sense == "min":
-        negated = replace(chain, mdp=mdp.maximised)
-        return policy_regret(negated, exact=exact).of_sense(mdp.sense)
-    cheap = exact
+    return answer_maximised(chain.mdp, lambda mdp: _compute_regret(replace(chain, mdp=mdp), exact))
+
+
+def _compute_regret(chain: PolicyChain, exact: bool | None) -> Regret:
+    """Return the regret in a model of maximised rewards."""
+    mdp, cheap = chain.mdp, exact
     if exact is None:
         cheap = is_cheap_to_certify(mdp)
     if cheap or has_improper_policy(mdp):  # bounds need every policy to be proper

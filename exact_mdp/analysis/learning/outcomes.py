@@ -99,7 +99,7 @@ class Outcomes(Pictured):
 
     def _compute_regrets(self, reference: Bounded) -> Floats:
         best = np.full_like(self.value, reference.value)
-        return compute_regrets(best, self.value, self.error + reference.error, self.mdp.sign)
+        return compute_regrets(best, self.value, self.error + reference.error, self.mdp.sense)
 
     @cached_property
     def regret_interval(self) -> Interval | None:
@@ -300,7 +300,7 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
     final = np.array([number(run.final) for run in runs])
     values = evaluate_row_policies(mdp, rows, policies := np.array([*known]))
     # Each run selects the best of its candidates by exact value.
-    reward = mdp.sign * values.value
+    reward = mdp.sense.sign * values.value
     selected = np.array([max(tried, key=lambda i: reward[i]) for tried in candidates])
     # Renumber the policies that are final or selected, the most frequent final one first.
     used = np.union1d(final, selected)

@@ -57,7 +57,7 @@ class Tornado(Pictured):
     def today(self) -> dict[str, Bounded]:
         """The optimum at today's values, the value of the policy held "fixed", and its "regret"."""
         optimal, fixed = self.table.bound_point_values(0)
-        lost = compute_regret(optimal, fixed, "max" if self.table.sign > 0 else "min")
+        lost = compute_regret(optimal, fixed, self.table.sense)
         return {"optimal": optimal, "fixed": fixed, "regret": lost}
 
     def report(self, by: str = "swing") -> Report:

@@ -129,7 +129,7 @@ class PSA(Pictured):
     @property
     def gained(self) -> Floats:
         """(D, N) values of the candidates, negated for costs, so that the greatest is best."""
-        return self.table.sign * self.table.fixed
+        return self.table.sense.sign * self.table.fixed
 
     def regret(self, candidate: int = 0) -> Floats:
         """Return the regrets (D,) of a candidate; 0 if rounding may explain them."""
@@ -522,7 +522,7 @@ def _select_policies(
     are evaluated. The policy with the greatest gain is evaluated in every draw, until no gain is a
     hundredth of the whole loss.
     """
-    rows, which, sign, picked = table.rows, table.which, table.sign, list(given)
+    rows, which, sign, picked = table.rows, table.which, table.sense.sign, list(given)
 
     def compute_losses() -> Floats:
         """Return the losses (D,) of the policies taken; 0 if rounding may explain them."""

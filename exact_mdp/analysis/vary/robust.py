@@ -33,7 +33,7 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, format_cell, list_claim_facts, to_json_values
 from exact_mdp.mdp.result import DataFrame, Result, data_frame, frame_to_table
 from exact_mdp.mdp.table import Floats, Numbers
-from exact_mdp.solvers.claims import Bounded, Claim, subtract_numbers
+from exact_mdp.solvers.claims import Bounded, Claim
 from exact_mdp.solvers.robust.likelihood import Likelihood
 from exact_mdp.solvers.robust.robust import (
     Nature,
@@ -78,9 +78,8 @@ class RobustComparison(Result):
 
     def _compute_improvement(self, one: Bounded, other: Bounded) -> Bounded:
         """Return how much better one value is than another; costs are better if they are less."""
-        if self.mdp.sense == "min":
-            one, other = other, one
-        return subtract_numbers(one, other)
+        better: Bounded = self.mdp.sense.loss(one, other)
+        return better
 
     @property
     def changed(self) -> Numbers:
@@ -311,7 +310,7 @@ def worst_point(
         highest = {parameter.name: span.high for parameter, span in spans.items()}
         family.warn_of_cutoffs(highest, where=" at the upper ends of the ranges")
     solver = solver_of(family, names, criterion)
-    fixed, sign = solver.hold_policy(policy), solver.mdp.sign
+    fixed, sign = solver.hold_policy(policy), solver.mdp.sense.sign
     ends = np.array([[float(span.low), float(span.high)] for span in spans.values()])
     every = np.arange(len(names))
 

@@ -38,6 +38,7 @@ from exact_mdp.mdp.policies.arrays import find_distinct_rows
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Shown, format_cell
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
+from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.table import BLOCK, MOST_BYTES, Floats, Integers, Numbers, exact
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.gains import component_errors, compute_advantages
@@ -65,7 +66,7 @@ class Study(Result):
     optimal: Floats  # (D,) the policy re-optimised at each point
     fixed: Floats  # (D, N) each policy held fixed
     error: Floats  # (D, N + 1) error bounds, of the optimum and of each policy's value
-    sign: int  # -1 if values are costs, of which the least is best
+    sense: Sense  # of the values: the least cost is best
     rows: Integers  # (U, S) the distinct optimal policies, as action numbers
     which: Integers  # (D,) the row of each point's optimal policy
     counts: Integers  # (X, A) points in which an action is optimal up to rounding, by label
@@ -96,7 +97,7 @@ class Study(Result):
     def regret(self) -> Floats:
         """(D, N) the regrets of the policies; 0 if they are within the error bounds."""
         error = self.error[:, :1] + self.error[:, 1:]
-        return compute_regrets(self.optimal[:, None], self.fixed, error, self.sign)
+        return compute_regrets(self.optimal[:, None], self.fixed, error, self.sense)
 
     def bound_point_values(self, row: int) -> tuple[Bounded, Bounded]:
         """Return the optimum and the value of the first policy at a point."""
@@ -270,7 +271,7 @@ class StudyDraws:
             optimal=whole["start"],
             fixed=whole["value"],
             error=np.column_stack([whole["start_error"], whole["error"]]),
-            sign=solver.mdp.sign,
+            sense=solver.mdp.sense,
             rows=rows,
             which=places[np.concatenate(own)],
             counts=np.sum([block["counts"] for block in done], axis=0),
@@ -372,7 +373,7 @@ class _Drawn:
         # The optimal action of a state: the lowest number among ties.
         tied = np.where(gap <= doubt, np.arange(mdp.n_pairs), mdp.n_pairs)
         policy = mdp.pair_action[np.minimum.reduceat(tied, mdp.pair_offsets[:-1], axis=1)]
-        return 0.0 + mdp.sign * start, error, gap, doubt, policy  # no -0.0
+        return mdp.sense.orient(start), error, gap, doubt, policy
 
     def _solve_model(self, d: int) -> tuple[float, float, Floats, Floats, Integers]:
         mdp = self.models[d]
@@ -381,8 +382,7 @@ class _Drawn:
         # States may have infinite values although the start has not; a pair that may lead to both
         # infinities has the value -∞.
         ahead[np.isnan(ahead)] = -inf
-        with np.errstate(invalid="ignore"):
-            lost = np.where(here == ahead, 0.0, mdp.sign * (here - ahead))
+        lost = mdp.sense.losses(here, ahead)
         finite = np.where(np.isinf(solution.value), 0.0, solution.value)
         noise = compute_advantages(mdp, finite).noise
         off = solution.state_error[mdp.pair_state]
@@ -402,9 +402,9 @@ class _Drawn:
         # The gain that a pair gives up, and the bias, with bounds on the errors of both.
         error, off = solution.state_error, solution.bias_error
         ahead = compute_advantages(step, solution.value, reward=np.zeros(mdp.n_pairs))
-        gap = -mdp.sign * ahead.value
+        gap = -mdp.sense.sign * ahead.value
         doubt = ahead.noise + error[here] + step.transition @ error
-        once = mdp.sign * (solution.bias[here] - solution.q)
+        once = mdp.sense.loss(solution.bias[here], solution.q)
         noise = compute_advantages(step, solution.bias).noise
         unsure = noise + 2 * error[here] + off[here] + step.transition @ off
         keeps = gap <= doubt
@@ -423,7 +423,7 @@ class _Drawn:
             self._require_said(weights, silent)
         if self.stacked is not None:
             mean, error = self.stacked.evaluate(policies)
-            return 0.0 + self.mdp.sign * mean, error
+            return self.mdp.sense.orient(mean), error
         value, error = np.empty((2, len(self.models), len(policies)))
         for d, mdp in enumerate(self.models):
             for n, weights in enumerate(policies):

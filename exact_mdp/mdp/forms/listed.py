@@ -14,7 +14,6 @@ to an additional state "end". Components may be dictionaries of these forms.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from math import inf
 from typing import Any
 
 import numpy as np
@@ -23,6 +22,7 @@ from numpy.typing import NDArray
 from exact_mdp.mdp.errors import ModelError, ShapeError, locate_errors, require_type
 from exact_mdp.mdp.forms.numbering import Numbering, OutcomeColumns, name_columns
 from exact_mdp.mdp.forms.numbers import array_of, as_given, to_dense
+from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.table import exact
 
 Path = tuple[Any, ...]
@@ -253,9 +253,7 @@ def columns_from_listed(
     `names` are the names given with P and R; the returned names include them.
     """
     # Read the rewards. A reward of an end is paid once.
-    never = -inf
-    if names.get("sense") == "min":
-        never = inf
+    never = Sense.of_options(names).worst
     listed = Listed(P, never)
     rewards = listed.read_amounts(R, "R")
     paid = listed.read_end_amounts(rewards, "R")

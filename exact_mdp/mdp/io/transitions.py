@@ -54,6 +54,7 @@ from exact_mdp.mdp.errors import (
 from exact_mdp.mdp.forms.numbers import group_numbers, has_floats, one_kind
 from exact_mdp.mdp.io.files import open_file
 from exact_mdp.mdp.io.structured import csv_of
+from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import EXACT_IN_INT64, Integers, OutcomeTable, Rows, exact
 from exact_mdp.mdp.validate import Flags, as_discount, as_start, check_options
@@ -163,7 +164,7 @@ class FromTransitions(FromArrays):
         if record.unused:
             others = ", ".join(map(repr, record.unused))
             warnings.warn(f"columns that are not used: {others}", stacklevel=2)
-        parts = record.build_parts(discount, unseen, costs=names.get("sense") == "min")
+        parts = record.build_parts(discount, unseen, costs=Sense.of_options(names).costs)
         if start is not None:
             parts |= {"start": as_start(start, parts["space"]), "episodes": None}
         labels = {**(names.get("labels") or {}), **parts["labels"]}

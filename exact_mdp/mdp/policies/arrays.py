@@ -162,7 +162,7 @@ def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
     if over is None:
         raise _no_policy(model, array, kind)
     # The row of each state, and the actions that are available in each row.
-    (space, actions), costs = over, model.sense == "min"
+    (space, actions), costs = over, model.sense.costs
     row, offered = rows_read(model, space), np.full(array.shape, actions is not model.actions)
     if actions is model.actions:
         offered[row[model.pair_state], model.pair_action] = True

@@ -14,7 +14,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.validate import require_count
 from exact_mdp.solvers.bounds.bounds import Bounds
 from exact_mdp.solvers.claims import SolverError, Status, warn_of_precision
-from exact_mdp.solvers.solution import Solution, solve_negated
+from exact_mdp.solvers.solution import Solution, answer_maximised
 
 
 class Solver(ABC):
@@ -24,10 +24,8 @@ class Solver(ABC):
 
     def solve(self, model: MDP) -> Solution:
         """Return optimal values, a policy and their error bounds; see `solvers.solve`."""
-        if require_type(model, MDP, "model", "give an MDP").sense == "min":
-            solution: Solution = solve_negated(model, self.solve_rewards)
-        else:
-            solution = self.solve_rewards(model)
+        require_type(model, MDP, "model", "give an MDP")
+        solution = answer_maximised(model, self.solve_rewards)
         if solution.status is Status.PRECISION:
             warn_of_precision(solution.error_bound)
         return solution

@@ -51,8 +51,10 @@ def given_values(mdp: MDP, start: Any) -> Floats | None:
     return np.asarray(start, dtype=np.float64)
 
 
-def negate_start(mdp: MDP, start: Any) -> Any:
-    """Return the start for the model of the other sense: values negated, a policy unchanged."""
+def orient_start(mdp: MDP, start: Any) -> Any:
+    """Return the start for maximised rewards: values of costs negated, a policy unchanged."""
+    if not mdp.sense.costs:
+        return start
     if isinstance(start, Solution):
         return start.policy
     if start is None:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import partial
 from time import perf_counter
 from typing import Self
 
@@ -45,7 +46,7 @@ from exact_mdp.solvers.dynamic.methods import (
 from exact_mdp.solvers.endless.average_iteration import AveragePolicyIteration, Improved
 from exact_mdp.solvers.endless.chain import FloatChain
 from exact_mdp.solvers.endless.quotient import build_derived_model
-from exact_mdp.solvers.solution import Solution
+from exact_mdp.solvers.solution import Solution, answer_maximised
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -92,8 +93,11 @@ class AverageSolution(Solution):
 
 def solve_average(mdp: MDP, solver: Solver) -> AverageSolution:
     """Return the best average reward per step."""
-    if mdp.sense == "min":
-        return solve_average(mdp.maximised, solver).negated(mdp)
+    return answer_maximised(mdp, partial(_maximise_average, solver=solver))
+
+
+def _maximise_average(mdp: MDP, solver: Solver) -> AverageSolution:
+    """Return the greatest average reward of a model of maximised rewards."""
     started = perf_counter()
     method = method_of(solver)
     if getattr(solver, "start", None) is not None:

@@ -27,6 +27,7 @@ from exact_mdp.mdp.io import model_json
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, build_uniform_policy
 from exact_mdp.mdp.result import DataFrame, Pictured, Result
+from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers.bounds.gains import UNIT
 from exact_mdp.solvers.claims import Bounded, Certified, Claim, in_decimals, in_float
@@ -190,7 +191,7 @@ class Certificate(Proof, Pictured):
     (Fraction(5, 2), [Fraction(-1, 4), Fraction(1, 4)], [])
     """
 
-    sense: str
+    sense: Sense
     policy: Integers
     g: Level | None
     h: Level
@@ -206,8 +207,8 @@ class Certificate(Proof, Pictured):
 
     def __repr__(self) -> str:
         best = ""
-        if self.sense == "min":
-            best = "least "
+        if self.sense.costs:
+            best = f"{self.sense.best} "
         if self.kind == "average":
             return f"Certificate({len(self.policy)} states, {best}gain at the start {self.start})"
         unique = "not the only optimal policy"
@@ -218,17 +219,20 @@ class Certificate(Proof, Pictured):
             f"{best}start value ≈ {in_float(self.start_value):.12g}, {unique})"
         )
 
+    def negated(self, mdp: MDP) -> Self:
+        """Return this certificate for `mdp`, the model with negated rewards."""
+        return replace(
+            self,
+            mdp=mdp,
+            model=fingerprint(mdp),
+            sense=mdp.sense,
+            start_value=-self.start_value,
+        )
+
     @property
     def start(self) -> Certified:
         """The optimal value of the start distribution as a claim."""
         return Certified(value=self.start_value)
-
-    @cached_property
-    def sign(self) -> int:
-        """1 for rewards, -1 for costs."""
-        if self.sense == "max":
-            return 1
-        return -1
 
     @cached_property
     def infinite_sign(self) -> Integers:
@@ -242,7 +246,7 @@ class Certificate(Proof, Pictured):
     @cached_property
     def value(self) -> Numbers:
         """(S,) the optimal values as Fractions, `math.inf` or `-math.inf`; gains for averages."""
-        return self._with_infinite(self._values.to_fractions(self.sign))
+        return self._with_infinite(self._values.to_fractions(self.sense.sign))
 
     @cached_property
     def value_float(self) -> Floats:
@@ -250,7 +254,7 @@ class Certificate(Proof, Pictured):
 
         Raises ModelError if a finite value is beyond the range of floats.
         """
-        return self._with_infinite(self._values.to_floats(self.sign))
+        return self._with_infinite(self._values.to_floats(self.sense.sign))
 
     @property
     def _values(self) -> Level:
@@ -261,7 +265,7 @@ class Certificate(Proof, Pictured):
     def _with_infinite(self, values: Numbers) -> Numbers:
         extended = values.copy()
         for sign in (1, -1):
-            extended[self.infinite_sign == sign] = self.sign * sign * inf
+            extended[self.infinite_sign == sign] = self.sense.orient(sign * inf)
         extended.setflags(write=False)
         return extended
 
@@ -274,7 +278,7 @@ class Certificate(Proof, Pictured):
                 where="certificate",
                 fix='ask for certify(mdp, criterion="average")',
             )
-        return self.h.to_fractions(self.sign)
+        return self.h.to_fractions(self.sense.sign)
 
     @property
     def pairs(self) -> Integers:
@@ -423,7 +427,7 @@ class BoundedCertificate(Proof, Pictured):
     ['state', 'value', 'lower', 'upper', 'action']
     """
 
-    sense: str
+    sense: Sense
     policy: Integers
     low: Level
     high: Level
@@ -435,19 +439,23 @@ class BoundedCertificate(Proof, Pictured):
     def __repr__(self) -> str:
         return f"BoundedCertificate({len(self.policy)} states, error ≤ {self.error_bound:.2g})"
 
+    def negated(self, mdp: MDP) -> Self:
+        """Return these bounds for `mdp`, the model with negated rewards."""
+        return replace(self, mdp=mdp, model=fingerprint(mdp), sense=mdp.sense)
+
     @cached_property
     def lower(self) -> Floats:
         """(S,) a lower bound on the values."""
-        if self.sense == "max":
-            return self.low.to_floats()
-        return self.high.to_floats(-1)
+        if self.sense.costs:
+            return self.high.to_floats(-1)
+        return self.low.to_floats()
 
     @cached_property
     def upper(self) -> Floats:
         """(S,) an upper bound on the values."""
-        if self.sense == "max":
-            return self.high.to_floats()
-        return self.low.to_floats(-1)
+        if self.sense.costs:
+            return self.low.to_floats(-1)
+        return self.high.to_floats()
 
     @property
     def value(self) -> Floats:

@@ -9,15 +9,15 @@ high = V + c w and low = V - c' w, with the least c and c' that are proven to su
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 from typing import Literal, overload
 
 import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
-from exact_mdp.mdp.exact import fingerprint
+from exact_mdp.mdp.exact import bellman_rows, fingerprint
 from exact_mdp.mdp.graph import has_improper_policy, prove_termination, where_endless
 from exact_mdp.mdp.model import MDP, cache_on_model
 from exact_mdp.mdp.table import Integers
@@ -27,13 +27,12 @@ from exact_mdp.solvers.claims import PrecisionWarning, SolverError, Status
 from exact_mdp.solvers.exact.certificate import (
     BoundedCertificate,
     Certificate,
-    exact_rows,
     require_sound_proof,
 )
 from exact_mdp.solvers.exact.find import build_certificate, prove_gain_and_bias, prove_goal_total
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.exact.optimise import optimise_exactly
-from exact_mdp.solvers.solution import Solution
+from exact_mdp.solvers.solution import Solution, answer_maximised
 from exact_mdp.solvers.solver import is_average, mdp_of, require_no_target, solve
 
 
@@ -112,7 +111,9 @@ def certify(
             fix="leave out bounded=True: the proof is exact; solve() gives floats with bounds",
         )
     if bounded:
-        return _certify_bounds(mdp, solution)
+        if solution is not None and mdp.sense.costs:
+            solution = solution.negated(mdp.maximised)
+        return answer_maximised(mdp, partial(_certify_bounds, solution=solution))
     if solution is not None:
         raise ModelError(
             "a solution applies only to bounds", where="certify", fix="add bounded=True"
@@ -132,14 +133,19 @@ def _prove_optimum(mdp: MDP, *, average: bool) -> Certificate:
     """Return the certificate of an optimum."""
     if average:
         require_no_target(mdp)
-        return prove_gain_and_bias(mdp, "average")
+        return answer_maximised(mdp, partial(prove_gain_and_bias, kind="average"))
+    return answer_maximised(mdp, prove_total)
+
+
+def prove_total(mdp: MDP) -> Certificate:
+    """Return the proof of the greatest total reward."""
     # Improper policies need gain and bias, or with a goal a proof of where values are infinite.
     if has_improper_policy(mdp):
         if mdp.goal is None:
             return prove_gain_and_bias(mdp, "total")
         return prove_goal_total(mdp)
     # Otherwise the values alone, and at discount 1 ranks that prove that every policy ends.
-    _, (value,), sign = optimise_exactly(exact_rows(mdp))
+    _, (value,), sign = optimise_exactly(bellman_rows(mdp))
     optimal = sign == 0
     if mdp.discount_exact == 1:
         rank = prove_termination(mdp).rank
@@ -154,13 +160,7 @@ def _prove_optimum(mdp: MDP, *, average: bool) -> Certificate:
 
 
 def _certify_bounds(mdp: MDP, solution: Solution | None) -> BoundedCertificate:
-    if mdp.sense == "min":
-        if solution is None:
-            known = None
-        else:
-            known = solution.negated(mdp.maximised)
-        proof = _certify_bounds(mdp.maximised, known)
-        return replace(proof, mdp=mdp, model=fingerprint(mdp), sense="min")
+    """Return bounds around a solution of a model of maximised rewards."""
     if solution is None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PrecisionWarning)  # the bounds show the precision

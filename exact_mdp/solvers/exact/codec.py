@@ -32,6 +32,7 @@ import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import LARGEST, read_bytes, write_atomically
+from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.exact.checker import Unreadable, check_keys, ensure, once
 from exact_mdp.solvers.exact.levels import make_fraction
@@ -50,6 +51,8 @@ def encode_record(value: Any, integer: Callable[[int], object] = hex) -> Any:
         return {name: inner(getattr(value, name)) for name in names}
     if isinstance(value, np.ndarray):
         return value.tolist()
+    if isinstance(value, Sense):
+        return value.value
     if isinstance(value, bool | str | NoneType):
         return value
     if isinstance(value, int):
@@ -78,6 +81,8 @@ def decode_record(kind: Any, value: Any) -> Any:
         types = _list_field_types(kind)
         _require_fit(isinstance(value, dict) and value.keys() == types.keys())
         return kind(**{name: decode_record(each, value[name]) for name, each in types.items()})
+    if kind is Sense:
+        return Sense(value)
     if kind in (str, bool, NoneType):
         _require_fit(type(value) is kind)
         return value

@@ -1,4 +1,4 @@
-"""Find optimal levels in rational arithmetic, together with their proofs.
+"""Find optimal levels in rational arithmetic, together with their proofs, for maximised rewards.
 
 Policy iteration (`optimise`): every state takes the first pair with the greatest advantage over the
 values of a policy, or over (d(g), r - g + d(h), d(w) - h) in this order, until no advantage is
@@ -37,7 +37,7 @@ from exact_mdp.solvers.claims import SolverError
 from exact_mdp.solvers.endless.average_iteration import AveragePolicyIteration
 from exact_mdp.solvers.endless.chain import ExactChain
 from exact_mdp.solvers.endless.chain import compute_laurent_expansion as laurent
-from exact_mdp.solvers.exact.certificate import Certificate, exact_rows
+from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.levels import (
     Level,
     Step,
@@ -73,9 +73,9 @@ def build_certificate(
     level = draft.h
     if kind == "average" and draft.g:
         level = draft.g
-    start_value: Fraction | float = draft.sign * level.compute_mean(mdp.start)
+    start_value: Fraction | float = level.compute_mean(mdp.start)
     if infinite:
-        start_value = draft.sign * (inf * infinite)
+        start_value = inf * infinite
     return replace(draft, start_value=start_value, unique=one_optimum(mdp, optimal))
 
 
@@ -119,10 +119,10 @@ def prove_gain_and_bias(mdp: MDP, kind: str) -> Certificate:
 def best_average(mdp: MDP) -> tuple[Integers, list[Level]]:
     """Return the pairs (S,) of a policy of greatest gain and bias, and the levels g, h and w."""
     try:
-        pairs, *_ = AveragePolicyIteration().run(mdp.maximised.undiscounted)
+        pairs, *_ = AveragePolicyIteration().run(mdp.undiscounted)
     except SolverError:  # floats only suggest a policy to begin with
         pairs = mdp.pair_offsets[:-1]
-    return optimise_expansion(exact_rows(mdp, average=True), pairs)
+    return optimise_expansion(bellman_rows(mdp.undiscounted), pairs)
 
 
 def optimise_expansion(rows: BellmanRows, pairs: Integers) -> tuple[Integers, list[Level]]:
@@ -143,10 +143,10 @@ def optimise_expansion(rows: BellmanRows, pairs: Integers) -> tuple[Integers, li
 def prove_goal_total(mdp: MDP) -> Certificate:
     """Return the proof of a total until a goal that some policy never reaches."""
     prove = _prove_missing_costs
-    if mdp.maximised.unreached == inf:
+    if mdp.unreached == inf:
         prove = _prove_missing_pays
     assert mdp.goal is not None
-    return prove(mdp, exact_rows(mdp), PairGraph.of(mdp), mdp.goal)
+    return prove(mdp, bellman_rows(mdp), PairGraph.of(mdp), mdp.goal)
 
 
 def _prove_missing_pays(mdp: MDP, rows: BellmanRows, graph: PairGraph, goal: Mask) -> Certificate:

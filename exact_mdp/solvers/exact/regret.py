@@ -33,6 +33,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from exact_mdp.mdp.result import DataFrame
+from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.claims import Certified, Claim, in_float
 from exact_mdp.solvers.exact.certificate import Certificate, Proof
@@ -91,7 +92,7 @@ class RegretCertificate(Proof):
     []
     """
 
-    sense: str
+    sense: Sense
     optimum: Certificate
     policy: DrawnPairs
     value: Certificate

@@ -143,7 +143,7 @@ class QLearning:
     def train(self, model: MDP, rng: Seed) -> TrainingRun:
         """Return one run; the same seed gives the same bytes."""
         require_type(model, MDP, "model", "give an MDP, as load and scenario.compile return one")
-        costs, mdp = model.sense == "min", model.maximised
+        mdp = model.maximised
         read = build_q_table_rows(mdp, self.columns)
         rows = read.space.size
         kept_epochs = 0
@@ -159,9 +159,7 @@ class QLearning:
             )
         # The table that acts is the sum of both tables of double Q-learning; others have only one.
         entries, double = rows * mdp.n_actions, self.method == "double-q-learning"
-        initial = float(self.initial)
-        if costs:
-            initial = 0.0 - initial
+        initial = model.sense.orient(float(self.initial))
         if double:
             both = np.full((2, entries), initial)
             acting = both[0] + both[1]
@@ -211,9 +209,8 @@ class QLearning:
         policies, numbers = find_distinct_rows(np.concatenate([snapshots, last]))
         numbers = numbers.astype(np.int32)
         q = (acting / (1 + double)).reshape(rows, mdp.n_actions)
-        # Rewards become costs again.
-        if costs:
-            q, returns = 0.0 - q, 0.0 - returns
+        # Rewards become costs again in a model of costs.
+        q, returns = model.sense.orient(q), model.sense.orient(returns)
         return TrainingRun(
             space=read.space,
             q=q,

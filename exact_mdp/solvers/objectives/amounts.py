@@ -78,7 +78,7 @@ class Objectives:
         amounts = []
         for top, bottom in columns:
             amounts.append(
-                to_integer_array((mdp.sign * top.astype(object) * (own // bottom)).tolist())
+                to_integer_array((mdp.sense.sign * top.astype(object) * (own // bottom)).tolist())
             )
         self.amounts = tuple(amounts)
         self._require_finite()
@@ -86,7 +86,7 @@ class Objectives:
     @property
     def sign(self) -> int:
         """1 for rewards, -1 for costs."""
-        return self.mdp.sign
+        return self.mdp.sense.sign
 
     def weigh_amounts(self, weights: Sequence[int]) -> Numbers:
         """Return the weighted sum (L,) of the amounts."""

@@ -153,11 +153,11 @@ def solve_robust(
     return RobustSolution(
         mdp=model,
         nature=nature,
-        value=model.sign * value + 0.0,
+        value=model.sense.orient(value),
         state_error=error,
         pairs=pairs,
         transition=chain,
-        reward=model.sign * earned + 0.0,
+        reward=model.sense.orient(earned),
         status=status,
         iterations=iterations,
         seconds=perf_counter() - started,

@@ -58,7 +58,7 @@ def test_stacked_models_are_what_each_is_alone(discount: str, sense: str, cycles
         )
         totals.append(counting.evaluate([shares])[0][:, 0])
     for k, mdp in enumerate(models):
-        sign, rate, rows = mdp.sign, mdp.discount_exact, rows_of(mdp)
+        sign, rate, rows = mdp.sense.sign, mdp.discount_exact, rows_of(mdp)
         ended = {3} if rate == 1 else set()
         gained = [(s, a, sign * r, law) for s, a, r, law in rows]
         best, _ = solve_exact(4, gained, rate)

@@ -165,13 +165,6 @@ def parse_range(given: Any, what: str) -> Ends | None:
     return low, high
 
 
-def of_sense(mdp: MDP, ends: Ends) -> Ends:
-    """Convert a range of costs to one of rewards, or the reverse, if the model is of costs."""
-    if mdp.sense == "max":
-        return ends
-    return -ends[1], -ends[0]
-
-
 # ---- questions about the model that records leave open -------------------------------------------
 
 

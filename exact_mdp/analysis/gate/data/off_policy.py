@@ -21,7 +21,6 @@ from exact_mdp.analysis.gate.data.interval import (
     RegretInterval,
     cut_off,
     observations_of,
-    of_sense,
 )
 from exact_mdp.analysis.gate.data.robust import Robust
 from exact_mdp.analysis.gate.data.sets import Given
@@ -130,7 +129,7 @@ class OffPolicy:
         lowest, highest = bounds.range
         ends = returns[~cut]
         if len(ends) and not lowest <= ends.min() <= ends.max() <= highest:
-            low, high = of_sense(mdp, (ends.min(), ends.max()))
+            low, high = mdp.sense.orient_interval(ends.min(), ends.max())
             raise ModelError(
                 f"returns from {low:g} to {high:g} were recorded",
                 where="returns",
@@ -147,7 +146,7 @@ class OffPolicy:
         terms, whole = w * returns, float(w.sum())
         weighted, effective = float("nan"), 0.0
         if whole > 0:
-            weighted = mdp.sign * float(terms.sum()) / whole
+            weighted = mdp.sense.sign * float(terms.sum()) / whole
             effective = whole**2 / float(w @ w)
         known = "the behaviour is as estimated from the counts: the confidence is approximate"
         if self.behaviour is not None:
@@ -164,9 +163,9 @@ class OffPolicy:
             ),
             found={
                 "optimal_value": bounds.at_start(mdp, bounds.best),
-                "learned_value": of_sense(mdp, (low, high)),
+                "learned_value": mdp.sense.orient_interval(low, high),
                 "weighted": weighted,
-                "ordinary": mdp.sign * float(terms.mean()),
+                "ordinary": mdp.sense.sign * float(terms.mean()),
                 "standard_error": mean_of(terms).standard_error,
                 "effective_sample_size": effective,
                 "episodes": len(w),
@@ -220,7 +219,7 @@ def _read_trajectories(
         most = horizon
     within = times < most
     factor = np.where(within, ratio[np.minimum(times, len(ratio) - 1), pair], 1.0)
-    reward = mdp.sign * np.array([float(value) for value in record.values])[keys[:, 3]]
+    reward = mdp.sense.sign * np.array([float(value) for value in record.values])[keys[:, 3]]
     # The last state of each episode: -2 if it was cut off, -1 if it ended without a next state.
     last = np.append(states, [-2, -1])[keys[first + steps - 1, 2]]
     end = np.append(mdp.terminal & ~cut_off(mdp), [False, True])[last]

@@ -34,7 +34,6 @@ from exact_mdp.analysis.gate.data.interval import (
     format_states,
     observations_of,
     of_process,
-    of_sense,
     parse_range,
 )
 from exact_mdp.analysis.gate.data.sets import Given, RowSets, Step
@@ -103,11 +102,11 @@ class Robust:
             fix = "leave it out (--evidence returns=, returns=)"
             raise ModelError(what, where="returns", fix=fix)
         _require_seen(mdp, returns)
-        return robust_bounds(sets, own, of_sense(mdp, returns))
+        return robust_bounds(sets, own, mdp.sense.orient_interval(*returns))
 
     def assumptions(self, mdp: MDP, sets: RowSets) -> tuple[str, ...]:
         """Return the assumptions of the sets besides the records."""
-        low, high = of_sense(mdp, sets.rewards)
+        low, high = mdp.sense.orient_interval(*sets.rewards)
         said = list(of_process(mdp))
         if sets.known:
             said.append(
@@ -159,7 +158,7 @@ class RobustBounds:
     def at_start(self, mdp: MDP, whose: Sides) -> Ends:
         """Return the bounds of a value at the start, in the sense of the model given."""
         low, high = (self.sets.at_start(whose[most], most=bool(most)) for most in (0, 1))
-        return of_sense(mdp, (low, high))
+        return mdp.sense.orient_interval(low, high)
 
     @property
     def regret(self) -> Ends:

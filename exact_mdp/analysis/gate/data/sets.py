@@ -28,7 +28,6 @@ from exact_mdp.analysis.gate.data.interval import (
     Ends,
     cut_off,
     observations_of,
-    of_sense,
     parse_range,
 )
 from exact_mdp.mdp.errors import ModelError
@@ -94,7 +93,7 @@ class RowSets:
             counted=seen,
             doubt=doubt,
             known=known,
-            rewards=of_sense(mdp, (low, high)),
+            rewards=mdp.sense.orient_interval(low, high),
             episodes=mdp.episodes,
         )
 

@@ -110,10 +110,8 @@ class ValueFunction(Pictured):
     def at(self, value: object) -> Fraction:
         """Return the optimal value at the start, for a value of the parameter in its range."""
         where = self._parse_value(value)
-        best = min
-        if self.mdp.sense == "max":
-            best = max
-        return best(piece.value.at(where) for piece in self.around(where))
+        best: Fraction = self.mdp.sense.best_of(each.value.at(where) for each in self.around(where))
+        return best
 
     def fixed_at(self, value: object) -> Fraction | None:
         """Return the value of the policy held fixed, None without one; see `at`."""
@@ -241,7 +239,11 @@ class ValueFunction(Pictured):
             wrong.append(f"no piece covers {format_rational(self.range.high)}")
         if fingerprint(self.mdp.maximised) != fingerprint(self.family.at({})):
             wrong.append("the model is not the model of today's values")
-        name, held, sign = self.parameter.name, _to_rational_weights(self.chain), self.mdp.sign
+        name, held, sign = (
+            self.parameter.name,
+            _to_rational_weights(self.chain),
+            self.mdp.sense.sign,
+        )
         how = {"proven": self.checked is None}
         return [*wrong, *piece_violations(self.family, name, self.pieces, held, sign, **how)]
 
@@ -360,7 +362,7 @@ def curve(
     """
     family = parametric(model)
     mdp = family.at({})
-    if mdp.sense == "min":
+    if mdp.sense.costs:
         family = family.with_question(attrgetter("maximised"))
     span = range_of(family, name, ranges, "whole" if relative is None else relative)
 
@@ -380,7 +382,7 @@ def curve(
     chain = undecided = None
     if policy is not None:
         chain, undecided = PolicyChain.held_fixed(mdp, policy)
-    pieces, sections = pieces_of(family, name, span, mdp.sign, _to_rational_weights(chain))
+    pieces, sections = pieces_of(family, name, span, mdp.sense.sign, _to_rational_weights(chain))
 
     # The policy must name an action in every state that has a choice somewhere in the range.
     if chain is not None and undecided is not None and undecided.any():

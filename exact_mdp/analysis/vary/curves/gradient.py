@@ -515,7 +515,7 @@ def _bounded_pass(mdp: MDP, policy: PolicyLike) -> Pass:
             )
             raise ModelError(what, where=place, fix="ask for exact=True")
         gain = compute_advantages(mdp, solution.value)
-        tied = mdp.sign * gain.value >= -2 * (solution.error_bound + gain.noise)
+        tied = mdp.sense.sign * gain.value >= -2 * (solution.error_bound + gain.noise)
         several = np.add.reduceat(tied, mdp.pair_offsets[:-1], dtype=np.int64) != 1
         several &= find_reachable_states(mdp, pairs=tied) & ~mdp.terminal
         if several.any():

@@ -75,16 +75,16 @@ def test_no_policy_that_reads_the_columns_is_better(cyclic: bool, read: tuple[st
             exact = pick(value for _, value in every_choice(mdp, rows))
             assert abs(F(found.value.value) - exact) <= F(found.error) <= F(1, 10**9)
             assert found.proven
-            assert mdp.sign * (F(found.upper_bound) - exact) >= 0
+            assert mdp.sense.sign * (F(found.upper_bound) - exact) >= 0
             assert abs(found.upper_bound - float(exact)) < 1e-9
-            assert mdp.sign * (F(found.mixed_upper_bound) - exact) >= 0
+            assert mdp.sense.sign * (F(found.mixed_upper_bound) - exact) >= 0
             full, _ = oracle.solve_exact(
                 5,
-                [(s, a, mdp.sign * r, law) for s, a, r, law in oracle.rows_of(mdp)],
+                [(s, a, mdp.sense.sign * r, law) for s, a, r, law in oracle.rows_of(mdp)],
                 mdp.discount_exact,
             )
-            most = mdp.sign * sum((p * full[s] for s, p in mdp.start), F(0))
-            assert mdp.sign * (F(found.mixed_upper_bound) - most) <= F(1, 10**8)
+            most = mdp.sense.sign * sum((p * full[s] for s, p in mdp.start), F(0))
+            assert mdp.sense.sign * (F(found.mixed_upper_bound) - most) <= F(1, 10**8)
             assert worth(mdp, rows.key, rows.choices_of(found.policy)) == exact
             assert found.columns == read
             labels = [rows.space.label(k) or "all states" for k in range(rows.space.size)]

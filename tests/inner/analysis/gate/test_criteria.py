@@ -43,7 +43,7 @@ def test_rewards_per_step_that_are_lost() -> None:
         mdp = small_model(seed, "1/2", leaving=False, ends=seed % 2, states=3)
         mdp = mdp.with_(sense="min" if seed % 3 == 0 else "max")
         chances = random_policy(mdp, seed, pure=seed % 4 == 0)
-        rows = [(s, a, mdp.sign * r, row) for s, a, r, row in oracle.rows_of(mdp)]
+        rows = [(s, a, mdp.sense.sign * r, row) for s, a, r, row in oracle.rows_of(mdp)]
         best, bias = oracle.best_average(rows)
         chain = oracle.mixed(rows, chances)
         own, _ = oracle.gain_and_bias(chain)
@@ -51,8 +51,8 @@ def test_rewards_per_step_that_are_lost() -> None:
         lost = about.compute_regret(True)
         wanted = sum((p * (best[s] - own[s]) for s, p in mdp.start), F(0))
         assert lost.at_start == Certified(value=wanted)
-        assert lost.optimal.value == mdp.sign * sum(p * best[s] for s, p in mdp.start)
-        assert lost.learned.value == mdp.sign * sum(p * own[s] for s, p in mdp.start)
+        assert lost.optimal.value == mdp.sense.sign * sum(p * best[s] for s, p in mdp.start)
+        assert lost.learned.value == mdp.sense.sign * sum(p * own[s] for s, p in mdp.start)
         assert lost.by_state.tolist() == [float(b - o) for b, o in zip(best, own, strict=True)]
         inner = {s for each in oracle.classes(chain) for s in each}
         for pair, (s, _, _, row) in enumerate(rows):
@@ -72,7 +72,9 @@ def test_rewards_per_step_that_are_lost() -> None:
         bounded = about.compute_regret(False)
         low, high = bounded.at_start.interval
         assert low <= wanted <= high <= wanted + F(1, 10**6)
-        assert bounded.optimal_value == pytest.approx([mdp.sign * float(x) for x in best], abs=1e-6)
+        assert bounded.optimal_value == pytest.approx(
+            [mdp.sense.sign * float(x) for x in best], abs=1e-6
+        )
         assert bounded.by_state == pytest.approx(lost.by_state, abs=1e-6)
         assert (bounded.by_state >= 0).all()
         assert np.asarray(bounded.optimal_pairs).all()  # none is proven to lose
@@ -142,7 +144,7 @@ def test_a_policy_under_limits_is_against_the_best_mixture(sense: str) -> None:
         every = [*product(*(mdp.pairs_of(s) for s in range(3)))]
         points = [(totals(mdp, each, "reward"), totals(mdp, each, "cost")) for each in every]
         bound = sorted(c for _, c in points)[len(points) // 3] + F(1, 7)
-        best = best_mixture(points, bound, mdp.sign)
+        best = best_mixture(points, bound, mdp.sense.sign)
         assert best is not None
         for each, (reward, cost) in list(zip(every, points, strict=True))[::4]:
             chain = PolicyChain.of(mdp, mdp.pair_action[list(each)])
@@ -157,7 +159,7 @@ def test_a_policy_under_limits_is_against_the_best_mixture(sense: str) -> None:
             assert lost.optimal.value == best
             assert lost.learned.value == reward
             assert isinstance(lost.optimum, Certificate)
-            assert lost.at_start.value == mdp.sign * (best - reward)
+            assert lost.at_start.value == mdp.sense.sign * (best - reward)
             assert lost.forgiven == 0
             visits, wrong = about.find_disagreements(lost)
             # What is lost is what states cost in the priced model, less the room left.

@@ -31,7 +31,7 @@ def test_each_state_costs_its_gap_as_often_as_it_is_visited(discount: F, exact: 
         chain = PolicyChain.of(mdp, given(chances))
         lost = policy_regret(chain, exact=exact)
         visits, wrong = find_policy_disagreements(chain, lost)
-        rows = [(s, a, mdp.sign * r, row) for s, a, r, row in oracle.rows_of(mdp)]
+        rows = [(s, a, mdp.sense.sign * r, row) for s, a, r, row in oracle.rows_of(mdp)]
         best, optimal = oracle.solve_exact(mdp.n_states, rows, discount)
         law = oracle.mixed(rows, chances)
         moves = [
@@ -186,12 +186,12 @@ def test_what_columns_cannot_express_and_what_was_learned_wrongly() -> None:
             def worth(choice: Any, mdp: MDP = mdp) -> F:
                 pairs = [mdp.pair(s, int(choice[s % 2])) for s in range(4)] + [mdp.n_pairs - 1]
                 value = oracle.policy_values(oracle.rows_of(mdp, pairs), F(1), {4})
-                return mdp.sign * (value[0] + value[1]) / 2
+                return mdp.sense.sign * (value[0] + value[1]) / 2
 
             each = [(a, b) for a in range(3) for b in range(3)]
             best = max(map(worth, each))
             full, _ = oracle.solve_exact(
-                5, [(s, a, mdp.sign * r, row) for s, a, r, row in oracle.rows_of(mdp)], F(1)
+                5, [(s, a, mdp.sense.sign * r, row) for s, a, r, row in oracle.rows_of(mdp)], F(1)
             )
             whole = (full[0] + full[1]) / 2
             assert why.loss.value == whole - best

@@ -38,7 +38,7 @@ def cases(discount: F, seeds: int = 8) -> Iterator[tuple[MDP, Chances, PolicyCha
 
 def exactly(mdp: MDP, chances: Chances) -> tuple[list[F], list[F], list[F]]:
     """Optimal and own values, and what each pair falls short, of rewards or of costs."""
-    sign, rate = mdp.sign, mdp.discount_exact
+    sign, rate = mdp.sense.sign, mdp.discount_exact
     rows = [(s, a, sign * r, row) for s, a, r, row in oracle.rows_of(mdp)]
     best, _ = oracle.solve_exact(mdp.n_states, rows, rate)
     over = set(np.flatnonzero(mdp.terminal).tolist())
@@ -53,7 +53,7 @@ def test_certified_and_bounded_regrets_hold_the_exact_one(discount: F) -> None:
         best, own, gap = exactly(mdp, chances)
         for exact in (True, False, None):
             lost = policy_regret(chain, exact=exact)
-            wanted = sum((p * (best[s] - own[s]) * mdp.sign for s, p in mdp.start), F(0))
+            wanted = sum((p * (best[s] - own[s]) * mdp.sense.sign for s, p in mdp.start), F(0))
             if exact is not False:
                 assert lost.at_start == Certified(value=wanted)
                 assert lost.claim is Claim.CERTIFIED
@@ -79,7 +79,7 @@ def test_certified_and_bounded_regrets_hold_the_exact_one(discount: F) -> None:
             assert (lost.gap[lost.optimal_pairs] == 0).all()
             assert lost.optimal_value == pytest.approx([*map(float, best)], rel=1e-9, abs=1e-9)
             assert lost.learned_value == pytest.approx([*map(float, own)], rel=1e-9, abs=1e-9)
-            apart = [float(mdp.sign * (b - o)) for b, o in zip(best, own, strict=True)]
+            apart = [float(mdp.sense.sign * (b - o)) for b, o in zip(best, own, strict=True)]
             assert lost.by_state == pytest.approx(apart, rel=1e-9, abs=1e-9)
             for number, values in ((lost.optimal, best), (lost.learned, own)):
                 low, high = interval_of(number)
@@ -187,11 +187,10 @@ def test_optimal_pairs_have_no_gap() -> None:
     lost = module.Regret.from_values(*both, lambda: losses)
     assert lost.gap.tolist() == [0, 2]
     assert lost.at_start.value == 2
-    costs = lost.of_sense("min")
+    costs = lost.negated(MDP.from_arrays([[[1]]], [1], "1/2", sense="min"))
     assert (costs.optimal.value, costs.learned.value, costs.at_start.value) == (-3, -1, 2)
     assert costs.optimal_value.tolist() == [-3, 0]
     assert costs.learned_value.tolist() == [-1, 0]
-    assert lost.of_sense("max") is lost
 
 
 def test_a_policy_is_best_where_bounds_prove_each_of_its_pairs() -> None:

@@ -11,7 +11,6 @@ import pytest
 from small_models import small_model
 
 from exact_mdp import MDP
-from exact_mdp.analysis.gate.regret import proven_optimum
 from exact_mdp.analysis.gate.waiting import (
     chain_of_pairs,
     charge_class_losses,
@@ -21,6 +20,7 @@ from exact_mdp.analysis.gate.waiting import (
     find_zero_reward_pairs,
     to_blame,
 )
+from exact_mdp.solvers.exact.certify import proven_optimum
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 

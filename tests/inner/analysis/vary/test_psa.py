@@ -24,6 +24,7 @@ from exact_mdp.analysis.vary.psa import (
     sample_parameters,
 )
 from exact_mdp.analysis.vary.study import Study
+from exact_mdp.mdp.sense import Sense
 from exact_mdp.solvers.claims import Estimated
 
 # ---- numbers of a study that is made up ----------------------------------------------------------
@@ -42,7 +43,7 @@ def made_up(seed: int, *, sense: int = 1, draws: int = 40, policies: int = 3, **
         optimal=sense * optimal,
         fixed=sense * (optimal[:, None] - below),
         error=np.full((draws, policies + 1), 1e-3),
-        sign=sense,
+        sense=Sense.MAX if sense > 0 else Sense.MIN,
         rows=np.zeros((1, 2), dtype=int),
         which=np.zeros(draws, dtype=int),
         counts=rng.integers(0, draws + 1, (2, 3)),

@@ -100,11 +100,11 @@ def varied(at: dict[str, F], sense: str = "max", start: Any = 0) -> MDP:
 
 def exactly(mdp: MDP) -> tuple[list[F], list[F]]:
     """The optimum of each state and what each pair loses, by enumeration."""
-    rows = [(s, a, mdp.sign * r, law) for s, a, r, law in rows_of(mdp)]
+    rows = [(s, a, mdp.sense.sign * r, law) for s, a, r, law in rows_of(mdp)]
     every = [policy_values(each, mdp.discount_exact) for each in policies(rows)]
     best = [max(v[s] for v in every) for s in range(mdp.n_states)]
     lost = [best[s] - r - mdp.discount_exact * mean(law, best) for s, _, r, law in rows]
-    return [mdp.sign * x for x in best], lost
+    return [mdp.sense.sign * x for x in best], lost
 
 
 PLACES = [{"p": F(1, 3), "r": F(2)}, {"p": F(1), "r": F(-3)}, {"p": F(1, 7), "r": F(7)}]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from exact_mdp import MDP, ModelError, ShapeError, solve
-from exact_mdp.solvers.dynamic.start import given_values, negate_start, read_start_values
+from exact_mdp.solvers.dynamic.start import given_values, orient_start, read_start_values
 
 STAY, GO = [[1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 1, 0], [0, 0, 1], [0, 0, 1]]
 MODEL = MDP.from_arrays([STAY, GO], [[1, 0], [2, 5], [0, 0]], discount="1/2")
@@ -35,8 +35,11 @@ def test_values_of_another_shape_or_not_finite_are_refused(wrong: np.ndarray) ->
 
 
 def test_costs_begin_with_negated_values_and_the_same_policy() -> None:
-    assert negate_start(MODEL, None) is None
-    assert negate_start(MODEL, np.array([1.0, -2.0, 0.0])).tolist() == [-1, 2, 0]
-    assert negate_start(MODEL, "always:1") == "always:1"
+    costs, values = MODEL.with_(sense="min"), np.array([1.0, -2.0, 0.0])
+    assert orient_start(costs, None) is None
+    assert orient_start(costs, values).tolist() == [-1, 2, 0]
+    assert orient_start(costs, "always:1") == "always:1"
     solution = solve(MODEL)
-    assert negate_start(MODEL, solution) is solution.policy
+    assert orient_start(costs, solution) is solution.policy
+    assert orient_start(MODEL, values) is values
+    assert orient_start(MODEL, solution) is solution

@@ -68,7 +68,7 @@ def test_discounted_optima_are_those_of_all_policies() -> None:
             assert proof.optimal[s, a] == best
         assert proof.optimal.sum() == sum(optimal)
         assert proof.gaps.tolist() == gaps_of(mdp, [*losses], optimal)
-        assert proof.sign == sign
+        assert proof.sense.sign == sign
         assert not proof.infinite_sign.any()
         offered = [*zip(mdp.pair_state.tolist(), mdp.pair_action.tolist(), strict=True)]
         taken = [offered.index((s, int(a))) for s, a in enumerate(proof.policy)]
@@ -149,7 +149,7 @@ def test_with_a_goal_pairs_are_worth_what_they_lead_to() -> None:
             continue
         if proof.infinite is None:
             continue
-        infinite, sign = proof.infinite.tolist(), proof.sign
+        infinite, sign = proof.infinite.tolist(), proof.sense.sign
         h = proof.h.to_fractions().tolist()
         for s, x in enumerate(proof.value.tolist()):
             assert x == sign * (infinite[s] * inf if infinite[s] else h[s])

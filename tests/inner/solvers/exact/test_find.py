@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from fractions import Fraction as F
+from functools import partial
 from math import inf
 from typing import Any
 
@@ -23,6 +24,7 @@ from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.solvers.exact import find
 from exact_mdp.solvers.exact.certificate import Certificate, exact_rows
 from exact_mdp.solvers.exact.optimise import optimise_exactly
+from exact_mdp.solvers.solution import answer_maximised
 
 # ---- gain and bias -------------------------------------------------------------------------------
 
@@ -37,19 +39,21 @@ def endless(seed: int) -> Iterator[MDP]:
 
 def test_averages_are_the_greatest_of_all_policies() -> None:
     for mdp in endless(0):
-        proof = find.prove_gain_and_bias(mdp, "average")
+        proof = answer_maximised(mdp, partial(find.prove_gain_and_bias, kind="average"))
         assert (proof.kind, proof.violations()) == ("average", [])
         gain, bias = best_average(rows := maximised(mdp))
         assert proof.g is not None
         assert (*proof.g.to_fractions(),) == gain
         assert (*proof.h.to_fractions(),) == bias
-        pairs, levels = find.best_average(mdp)
+        pairs, levels = find.best_average(mdp.maximised)
         own = [rows[pair] for pair in pairs.tolist()]
         assert gain_and_bias(own) == (gain, bias)
         assert (*levels[0].to_fractions(),) == gain
         assert (*levels[1].to_fractions(),) == bias
         first = bellman_rows(mdp.maximised).pair_offsets[:-1]
-        _, discounted = find.best_average(mdp.with_(discount="1/2"))  # which counts for nothing
+        _, discounted = find.best_average(
+            mdp.maximised.with_(discount="1/2")
+        )  # which counts for nothing
         assert [level.to_fractions().tolist() for level in discounted] == [
             level.to_fractions().tolist() for level in levels
         ]
@@ -67,7 +71,7 @@ def test_the_search_for_averages_begins_anywhere(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(find.AveragePolicyIteration, "run", fails)
     for mdp in [*endless(1)][:20]:
         gain, bias = best_average(maximised(mdp))
-        _, levels = find.best_average(mdp)
+        _, levels = find.best_average(mdp.maximised)
         assert (*levels[0].to_fractions(),) == gain
         assert (*levels[1].to_fractions(),) == bias
 
@@ -77,7 +81,7 @@ def test_totals_are_the_limits_of_all_policies() -> None:
     for mdp in endless(2):
         best = best_total(maximised(mdp))
         try:
-            proof = find.prove_gain_and_bias(mdp, "total")
+            proof = answer_maximised(mdp, partial(find.prove_gain_and_bias, kind="total"))
         except ModelError:
             refused += 1
             continue
@@ -128,7 +132,7 @@ def test_totals_until_a_goal_are_the_best_of_all_policies() -> None:
         ((start, _),) = mdp.start
         above = gains_for_ever(mdp) if mdp.maximised.unreached == -inf else set()
         try:
-            proof = find.prove_goal_total(mdp)
+            proof = answer_maximised(mdp, find.prove_goal_total)
         except ModelError:  # costs fall without end before the goal
             assert start in above
             continue
@@ -208,10 +212,11 @@ def test_certificates_have_the_start_value_of_their_levels() -> None:
     for sense, sign in (("max", 1), ("min", -1)):
         mdp = MDP.from_outcomes(rows, "1/2", start=["1/4", "3/4", 0], sense=sense)
         pairs, (value,), optimal = optimise_exactly(exact_rows(mdp))
-        proof = find.build_certificate(mdp, pairs, optimal == 0, h=value)
+        build = partial(find.build_certificate, pairs=pairs, h=value)
+        proof = answer_maximised(mdp, partial(build, optimal=optimal == 0))
         assert type(proof) is Certificate
         assert proof.start_value == F(3, 4) + F(15, 4)
         assert value.to_fractions().tolist() == [3 * sign, 5 * sign, 0]
         assert (proof.kind, proof.sense, proof.unique) == ("total", sense, False)
         assert proof.policy.tolist() == [0, 0, 0]
-        assert proof.violations() == find.build_certificate(mdp, pairs, h=value).violations() == []
+        assert proof.violations() == answer_maximised(mdp, build).violations() == []

@@ -18,7 +18,6 @@ from exact_mdp.analysis.gate.data.interval import (
     never_taken,
     observations_of,
     of_process,
-    of_sense,
     parse_range,
 )
 from exact_mdp.mdp.space import StateSpace
@@ -82,15 +81,12 @@ def test_models_without_counts_are_refused() -> None:
 
 
 def test_a_range_has_its_lower_end_first() -> None:
-    mdp = model()
     assert parse_range(None, "returns") is None
     assert parse_range(("-1/2", 3), "returns") == (-0.5, 3)
     assert parse_range((2, 2), "returns") == (2, 2)
     for wrong in ((3, 2), 5, (1,), ("a", 2)):
         with pytest.raises(ModelError):
             parse_range(wrong, "returns")
-    assert of_sense(mdp, (1, 2)) == (1, 2)
-    assert of_sense(mdp.with_(sense="min"), (1, 2)) == (-2, -1)
 
 
 def test_names_of_many_states_are_cut_short() -> None:

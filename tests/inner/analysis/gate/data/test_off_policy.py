@@ -65,7 +65,7 @@ def test_weights_and_returns_are_those_of_a_loop(horizon: int | None, cut: bool)
         w, returns, steps, cuts, ended = _read_trajectories(mdp, ratio, record, horizon)
         wanted = looped(mdp, frame, own, chance, horizon)
         assert w == pytest.approx([each[0] for each in wanted])
-        assert returns == pytest.approx([mdp.sign * each[1] for each in wanted])
+        assert returns == pytest.approx([mdp.sense.sign * each[1] for each in wanted])
         assert steps.tolist() == [each[2] for each in wanted]
         assert cuts.tolist() == [each[3] for each in wanted]
         assert ended == 0
@@ -88,7 +88,7 @@ def test_an_interval_is_made_of_both_means(behaviour: Any, cut: bool) -> None:
         w, returns, steps, cuts = map(
             np.array, zip(*looped(mdp, frame, own, chance, None), strict=True)
         )
-        returns = mdp.sign * returns
+        returns = mdp.sense.sign * returns
         low, high = ends if sense == "max" else (-8.0, 0.0)
         left = np.where(cuts, 0.9**steps, 0.0)
         above = np.clip(returns + left * low, low, high) - low
@@ -103,8 +103,8 @@ def test_an_interval_is_made_of_both_means(behaviour: Any, cut: bool) -> None:
         assert interval.high == pytest.approx(max(best[1] - least, 0))
         assert interval.found["optimal_value"] == pytest.approx(bounds.at_start(mdp, bounds.best))
         terms = w * returns
-        assert interval.found["weighted"] == pytest.approx(mdp.sign * terms.sum() / w.sum())
-        assert interval.found["ordinary"] == pytest.approx(mdp.sign * terms.mean())
+        assert interval.found["weighted"] == pytest.approx(mdp.sense.sign * terms.sum() / w.sum())
+        assert interval.found["ordinary"] == pytest.approx(mdp.sense.sign * terms.mean())
         error = terms.std(ddof=1) / np.sqrt(len(w))
         assert interval.found["standard_error"] == pytest.approx(error)
         size = w.sum() ** 2 / (w**2).sum()

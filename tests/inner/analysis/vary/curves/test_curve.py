@@ -45,9 +45,9 @@ def drawn(seed: int, sense: str = "max", discount: str = "4/5") -> Family:
 
 def start_of(mdp: MDP) -> F:
     """The optimum at the start, by policy iteration in fractions."""
-    rows = [(s, a, mdp.sign * r, law) for s, a, r, law in rows_of(mdp)]
+    rows = [(s, a, mdp.sense.sign * r, law) for s, a, r, law in rows_of(mdp)]
     value, _ = solve_exact(3, rows, mdp.discount_exact)
-    return mdp.sign * sum(p * value[s] for s, p in mdp.start)
+    return mdp.sense.sign * sum(p * value[s] for s, p in mdp.start)
 
 
 @pytest.mark.parametrize("sense", ["max", "min"])
