@@ -99,8 +99,8 @@ def endless(sign: int) -> em.MDP:
 
 
 def audited(audit: Any) -> Any:
-    lost, hidden = audit.regret, ("optimal", "learned", "optimum", "movable")
-    fields = {name: each for name, each in vars(lost).items() if name not in hidden}
+    lost = audit.regret
+    fields = vars(lost.losses) | {"at_start": lost.at_start, "forgiven": lost.forgiven}
     return audit, fields, {"value": [lost.optimal.value, lost.learned.value]}
 
 
