@@ -34,7 +34,7 @@ from exact_mdp.mdp.result import DataFrame, Pictured, data_frame, frame_to_table
 from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, gamma
-from exact_mdp.solvers.solution import Bounded
+from exact_mdp.solvers.claims import Bounded
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import policy_of
 

@@ -50,6 +50,8 @@ class Column:
 
     def __post_init__(self) -> None:
         check_names((self.name,), "column", where="state space")
+        if not self.words:
+            return
         what = "value"
         if self.name == "state":
             what = "state"
@@ -129,7 +131,7 @@ class StateSpace:
     @cached_property
     def regular(self) -> int:
         """Number of states in the product, without the extra ones."""
-        return prod(column.size for column in self.columns)
+        return prod([column.size for column in self.columns])
 
     @cached_property
     def size(self) -> int:

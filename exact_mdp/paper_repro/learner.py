@@ -18,11 +18,11 @@ import numpy as np
 
 from exact_mdp import MDP, ModelError
 from exact_mdp.analysis.learning.curves import LearningCurve, learning_curve
-from exact_mdp.analysis.learning.outcomes import Outcomes, common_rows, outcomes
+from exact_mdp.analysis.learning.outcomes import Outcomes, outcomes
 from exact_mdp.solvers.learning.q_learning import QLearning, TrainingRun
+from exact_mdp.solvers.learning.row_policies import common_rows, evaluate_row_policies
 from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING, Constant
 from exact_mdp.solvers.learning.training import train
-from exact_mdp.solvers.values.layers import evaluate_row_policies
 
 SEED = 20250101  # of all training runs; any other would do
 CURVES = 2**20  # the child of the seed that curves are drawn from

@@ -15,6 +15,11 @@ from typing import Any
 from exact_mdp.paper_repro.agents.simulate import texts_of_figures
 from exact_mdp.paper_repro.agents.texts import ASSISTANCE
 from exact_mdp.paper_repro.claim import ClaimVerdict
+from exact_mdp.paper_repro.compiled import (
+    compute_effect,
+    compute_status_probability,
+    derive_weights,
+)
 from exact_mdp.paper_repro.drawing import FIGURES
 from exact_mdp.paper_repro.paper import (
     ACTIONS,
@@ -27,8 +32,6 @@ from exact_mdp.paper_repro.paper import (
     PLACES,
     TABLE_4,
 )
-from exact_mdp.paper_repro.section_2 import compute_effect, compute_status_probability
-from exact_mdp.paper_repro.section_3 import derive_weights
 from exact_mdp.paper_repro.silent_points import OPTIONS, Reading, build_default_reading
 
 TEMPLATE = Path(__file__).parent / "README.md.j2"

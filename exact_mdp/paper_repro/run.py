@@ -28,7 +28,13 @@ from exact_mdp import Estimated, ModelError, evaluate
 from exact_mdp.analysis.record import run_record
 from exact_mdp.mdp.errors import require_extra, require_known_name
 from exact_mdp.mdp.report import DIGITS, format_error_bound
-from exact_mdp.paper_repro import section_4_1_learning, section_4_1_policies, section_4_2
+from exact_mdp.paper_repro import (
+    section_2,
+    section_3,
+    section_4_1_learning,
+    section_4_1_policies,
+    section_4_2,
+)
 from exact_mdp.paper_repro.claim import (
     CLAIMS,
     ClaimVerdict,
@@ -48,7 +54,8 @@ from exact_mdp.paper_repro.silent_points import (
     one_change,
 )
 
-PARTS = (section_4_1_learning, section_4_1_policies, section_4_2)  # importing them fills CLAIMS
+# Importing the sections fills CLAIMS.
+PARTS = (section_2, section_3, section_4_1_learning, section_4_1_policies, section_4_2)
 HERE = Path(__file__).parent
 EXPECTED = HERE / "expected.toml"
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from exact_mdp import MDP, Certified, evaluate
+from exact_mdp import Certified, evaluate
 from exact_mdp.paper_repro import drawing
 from exact_mdp.paper_repro.claim import (
     Finding,
@@ -24,6 +24,11 @@ from exact_mdp.paper_repro.claim import (
     judge_statement,
     judge_undecided,
     register_claim,
+)
+from exact_mdp.paper_repro.compiled import (
+    compute_effect,
+    compute_status_distribution,
+    compute_status_probability,
 )
 from exact_mdp.paper_repro.drawing import (
     PERSON,
@@ -40,47 +45,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COGNITIVE = {"forgetfulness": "confusion", "confusion": "forgetfulness"}
-
-# ---- what the compiled rows say ------------------------------------------------------------------
-
-
-def list_outcomes(mdp: MDP, state: int, action: int) -> list[tuple[Fraction, int, Fraction]]:
-    """Return the exact outcomes of an action: probability, next state, reward.
-
-    In a state with a single action, the outcomes are those of that action.
-    """
-    pairs = mdp.pairs_of(state)
-    if len(pairs) == 1:
-        pair = pairs[0]
-    else:
-        pair = mdp.pair(state, action)
-    return list(mdp.table.row(pair))
-
-
-def compute_status_distribution(
-    mdp: MDP, vector: int, action: int, *, trial: int = 0
-) -> dict[int, Fraction]:
-    """Return the exact distribution of the status vector after an action in the first subtask."""
-    state = mdp.space.index(subtask=0, trial=trial, status=vector)
-    chances = dict.fromkeys(range(16), Fraction(0))
-    for probability, following, _ in list_outcomes(mdp, state, action):
-        chances[max(int(mdp.space.values("status", np.array([following]))[0]), 0)] += probability
-    return chances
-
-
-def compute_status_probability(
-    mdp: MDP, vector: int, action: int, status: str, *, trial: int = 0
-) -> Fraction:
-    """Return the exact probability that a status is present next, from a status vector."""
-    after = compute_status_distribution(mdp, vector, action, trial=trial)
-    return sum((p for vector, p in after.items() if vector & BITS[status]), Fraction(0))
-
-
-def compute_effect(mdp: MDP, source: str, target: str) -> Fraction:
-    """Return the change of a status's probability if another status is present."""
-    return compute_status_probability(mdp, BITS[source], 0, target) - compute_status_probability(
-        mdp, 0, 0, target
-    )
 
 
 def format_points(effects: Mapping[str, Fraction]) -> str:

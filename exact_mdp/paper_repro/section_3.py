@@ -13,8 +13,12 @@ from exact_mdp.analysis.learning.curves import EXPERIMENTS as EXPERIMENTS_OF_A_P
 from exact_mdp.analysis.learning.outcomes import CANDIDATES
 from exact_mdp.paper_repro import learner
 from exact_mdp.paper_repro.claim import Finding, compare_entries, judge_statement, register_claim
+from exact_mdp.paper_repro.compiled import (
+    derive_weights,
+    list_optimal_actions,
+    list_rewards,
+)
 from exact_mdp.paper_repro.paper import ACTIONS, BITS, SETTINGS, STATUSES, TABLE_4
-from exact_mdp.paper_repro.section_2 import list_outcomes
 from exact_mdp.paper_repro.silent_points import Reading
 
 CHARGED = ("forget", "confuse", "anger", "disengaged")  # the weight of each status, in order
@@ -49,30 +53,11 @@ def statuses_make_states(reading: Reading) -> Finding:
 @register_claim("policy.status-suffices", "Section 3.2.1", kind="input", open=True)
 def status_suffices(reading: Reading) -> Finding:
     """A policy may read the 16 statuses alone, without the trial or the subtask."""
-    lacking = [s for s in STATUSES if not set.intersection(*optimal_actions(reading, s))]
+    lacking = [s for s in STATUSES if not set.intersection(*list_optimal_actions(reading, s))]
     why = "in every status one action is optimal in all subtasks and trials"
     if lacking:
         why = f"no action is optimal throughout in {', '.join(lacking)}"
     return judge_statement(not lacking, why)
-
-
-def compute_losses(reading: Reading, status: str, action: int) -> list[Fraction]:
-    """Return the suboptimality gap of an action in each state with a status and a choice.
-
-    All else is optimal: V(s) - Σ p (r + γ V(s')), exactly, by the certificate.
-    """
-    mdp, losses = reading.mdp, reading.certificate.losses[-1]
-    here = (mdp.space.values("status") == int(status, 2)) & ~mdp.forced & ~mdp.terminal
-    return [losses[mdp.pair(state, action)] for state in np.flatnonzero(here).tolist()]
-
-
-def optimal_actions(reading: Reading, status: str) -> list[set[str]]:
-    """Return the set of optimal actions of every state with a status and a choice."""
-    by_action = [compute_losses(reading, status, action) for action in range(len(ACTIONS))]
-    best = []
-    for state in zip(*by_action, strict=True):
-        best.append({name for name, lost in zip(ACTIONS, state, strict=True) if lost == 0})
-    return best
 
 
 @register_claim("actions.max-trial", "Section 3.2.2", "Section 2.1", kind="input", open=True)
@@ -88,29 +73,6 @@ def max_trial(reading: Reading) -> Finding:
 
 
 # ---- rewards -------------------------------------------------------------------------------------
-
-
-def list_rewards(reading: Reading) -> list[tuple[int, int, int, bool, Fraction]]:
-    """Return action, next status, subtask, whether it is completed, and reward of outcomes.
-
-    Only outcomes of positive probability from a trial before the last one are listed: no subtask is
-    skipped there, so the next status can be read off the next state.
-    """
-    mdp, rows = reading.mdp, []
-    trial, subtask, status = (mdp.space.values(name) for name in ("trial", "subtask", "status"))
-    before = ~mdp.terminal & ~mdp.forced & (trial < reading.scenario.trials - 1)
-    for state in np.flatnonzero(before).tolist():
-        for action in range(len(ACTIONS)):
-            for probability, following, gain in list_outcomes(mdp, state, action):
-                if probability:
-                    ended = bool(mdp.terminal[following])
-                    done = ended or bool(subtask[following] != subtask[state])
-                    if ended:
-                        after = 0
-                    else:
-                        after = int(status[following])
-                    rows.append((action, after, int(subtask[state]), done, gain))
-    return rows
 
 
 @register_claim("equation1", "Equation 1", "Section 3.2.3", kind="input")
@@ -130,50 +92,6 @@ def equation_1(reading: Reading) -> Finding:
         wrong += gain != total
     why = f"{len(outcomes) - wrong:,} of {len(outcomes):,} outcomes earn what the equation gives"
     return judge_statement(wrong == 0, why)
-
-
-def derive_weights(reading: Reading) -> dict[str, Fraction]:
-    """Return the weights of Table 4 as differences of rewards in compiled rows.
-
-    The reading in which only failed trials cost separates a trial from a timestep; the reading in
-    which a skip takes a timestep of its own separates the skip. The weight of a completed subtask
-    appears only together with the weight of the assistance: as in the table, the weight of no
-    assistance is 0.
-    """
-    # Rewards of failed trials by next status, and of completed subtasks by action.
-    free = Reading(scenario=reading.scenario.with_(readings={"trial_cost": "failed-trials"}))
-    failed: dict[int, Fraction] = {}
-    completed: dict[tuple[int, bool], Fraction] = {}
-    for action, after, subtask, done, gain in list_rewards(reading):
-        if done:
-            completed[action, subtask == reading.scenario.tasks[0] - 1] = gain
-        else:
-            failed[after] = gain
-    # The weight of a trial: the difference to a reading in which a completed one is free.
-    trial = completed[0, False] - next(
-        gain
-        for action, _, subtask, done, gain in list_rewards(free)
-        if done and (action, subtask) == (0, 0)
-    )
-    # The weight of a status: two status vectors that differ in it alone.
-    two = {"forget": (12, 4), "confuse": (12, 8), "anger": (6, 4), "disengaged": (5, 4)}
-    by_name = {name: failed[both] - failed[one] for name, (both, one) in two.items()}
-    by_name["trial"] = trial
-    by_name["timestep"] = timestep = failed[8] - by_name["forget"] - trial
-    by_name["subtask-complete"] = completed[0, False] - timestep - trial
-    by_name["task-complete"] = completed[0, True] - completed[0, False]
-    # The weight of a skip, in the model in which it takes a timestep of its own.
-    mdp = reading.skip_model
-    state = mdp.space.index(subtask=0, trial=reading.scenario.trials, status=8)
-    gain = next(
-        gain
-        for p, after, gain in list_outcomes(mdp, state, 0)
-        if p and not mdp.space.values("status", np.array([after]))[0]
-    )
-    by_name["subtask-skip"] = gain - timestep
-    for action, name in enumerate(ACTIONS):
-        by_name[f"assist.{name}"] = completed[action, False] - completed[0, False]
-    return by_name
 
 
 @register_claim("table4", "Table 4", kind="input", rule="entries")

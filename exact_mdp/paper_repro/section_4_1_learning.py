@@ -25,6 +25,7 @@ from exact_mdp.paper_repro.claim import (
     judge_statement,
     register_claim,
 )
+from exact_mdp.paper_repro.compiled import list_optimal_actions
 from exact_mdp.paper_repro.drawing import BLUE, FILLS, GREEN, RED, register_figure
 from exact_mdp.paper_repro.learner import CONVERGED, CURVES, SHOWN, spawn_seed
 from exact_mdp.paper_repro.paper import (
@@ -36,7 +37,6 @@ from exact_mdp.paper_repro.paper import (
     STATUSES,
     has_stated_actions,
 )
-from exact_mdp.paper_repro.section_3 import optimal_actions
 from exact_mdp.paper_repro.silent_points import Reading
 from exact_mdp.solvers.learning.q_learning import QLearning
 
@@ -351,7 +351,7 @@ def first_status_unsettled(reading: Reading) -> Finding:
     constant, fallen = first_actions(reading), first_actions(reading.falling)
     total, settled = int(fallen.sum()), int(fallen.max())
     error = sqrt((settled + 0.5) * (total - settled + 0.5) / total**3)
-    best = set.intersection(*optimal_actions(reading, "0000"))
+    best = set.intersection(*list_optimal_actions(reading, "0000"))
     kind = "no optimal"
     if ACTIONS[int(fallen.argmax())] in best:
         kind = "an optimal"

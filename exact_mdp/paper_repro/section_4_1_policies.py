@@ -29,6 +29,7 @@ from exact_mdp.paper_repro.claim import (
     judge_undecided,
     register_claim,
 )
+from exact_mdp.paper_repro.compiled import compute_losses, list_optimal_actions
 from exact_mdp.paper_repro.drawing import BLUE, register_figure
 from exact_mdp.paper_repro.paper import (
     ACTIONS,
@@ -42,7 +43,6 @@ from exact_mdp.paper_repro.paper import (
     STATUSES,
     describe_status,
 )
-from exact_mdp.paper_repro.section_3 import compute_losses, optimal_actions
 from exact_mdp.paper_repro.silent_points import Reading
 
 if TYPE_CHECKING:
@@ -261,7 +261,7 @@ def best_action(reading: Reading, place: str) -> Finding:
     statuses, action = BEST[place]
     best = []
     for status in statuses:
-        best.extend(optimal_actions(reading, status))
+        best.extend(list_optimal_actions(reading, status))
     right = sum(action in each for each in best)
     others = sorted(set().union(*(each for each in best if action not in each)))
     instead = "".join(f"; elsewhere {other} is" for other in others)
@@ -279,7 +279,7 @@ def respectively_holds(reading: Reading) -> Finding:
     """Forgetful only or confused only: directive in one and non-directive in the other, whichever
     is meant.
     """
-    best = {status: optimal_actions(reading, status) for status in ("1000", "0100")}
+    best = {status: list_optimal_actions(reading, status) for status in ("1000", "0100")}
     holds = False
     for pair in ORDERS.values():
         optimal = True
@@ -295,7 +295,7 @@ def assistance_is_personal(reading: Reading) -> Finding:
     """Forgetful only and confused only get different assistance, because people respond
     differently: decisions are personal.
     """
-    best = [set.intersection(*optimal_actions(reading, status)) for status in ("1000", "0100")]
+    best = [set.intersection(*list_optimal_actions(reading, status)) for status in ("1000", "0100")]
     names = ["/".join(sorted(each)) or "none" for each in best]
     return judge_statement(
         all(best) and not set.intersection(*best),

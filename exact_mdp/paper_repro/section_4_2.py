@@ -18,8 +18,8 @@ from exact_mdp.paper_repro.agents.log import clean_text
 from exact_mdp.paper_repro.agents.scripted import Scripted
 from exact_mdp.paper_repro.agents.simulate import build_conversation
 from exact_mdp.paper_repro.claim import Finding, judge_statement, judge_undecided, register_claim
+from exact_mdp.paper_repro.compiled import compute_losses, list_optimal_actions
 from exact_mdp.paper_repro.paper import ANGRY
-from exact_mdp.paper_repro.section_3 import compute_losses, optimal_actions
 from exact_mdp.paper_repro.silent_points import Reading
 
 
@@ -95,7 +95,7 @@ def anger_encouraged(reading: Reading) -> Finding:
     """An angry person is met with encouragement."""
     best = []
     for status in ANGRY:
-        best.extend(optimal_actions(reading, status))
+        best.extend(list_optimal_actions(reading, status))
     right = sum("supportive" in actions for actions in best)
     return judge_undecided(
         "needs the authors' model: one example is told. In the decision model supportive "

@@ -42,10 +42,10 @@ from exact_mdp.mdp.table import (
     make_ones,
     to_integer_array,
 )
+from exact_mdp.solvers.claims import Certified, Claim
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.find import build_certificate
 from exact_mdp.solvers.exact.levels import Level
-from exact_mdp.solvers.solution import Certified, Claim
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.returns import parse_tail_share, tail_mean
 

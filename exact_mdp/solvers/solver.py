@@ -17,6 +17,7 @@ from exact_mdp.mdp.errors import ModelError, named_options, require_known_name
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions import ends_at_label
 from exact_mdp.mdp.table import COMPILED
+from exact_mdp.solvers.claims import SolverError, Status, warn_of_precision
 from exact_mdp.solvers.dynamic.base import Solver, check_tolerance
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram
 from exact_mdp.solvers.dynamic.methods import (
@@ -30,13 +31,7 @@ from exact_mdp.solvers.dynamic.start import orient_start
 from exact_mdp.solvers.endless.average import solve_average
 from exact_mdp.solvers.endless.total import round_exact_solution, solve_total
 from exact_mdp.solvers.objectives.limits import solve_under
-from exact_mdp.solvers.solution import (
-    Solution,
-    SolverError,
-    Status,
-    answer_maximised,
-    warn_of_precision,
-)
+from exact_mdp.solvers.solution import Solution, answer_maximised
 from exact_mdp.solvers.ties import break_near_ties
 
 SOLVERS: dict[str, type[Solver]] = {

@@ -99,8 +99,8 @@ def endless(sign: int) -> em.MDP:
 
 
 def audited(audit: Any) -> Any:
-    lost, said = audit.regret, ("at_start", "by_state", "optimal_value", "learned_value")
-    fields = {name: getattr(lost, name) for name in (*said, "optimal_pairs", "gap", "unclear")}
+    lost = audit.regret
+    fields = vars(lost.losses) | {"at_start": lost.at_start, "forgiven": lost.forgiven}
     return audit, fields, {"value": [lost.optimal.value, lost.learned.value]}
 
 

@@ -24,6 +24,7 @@ from exact_mdp.paper_repro.claim import (
     judge_by_runs,
     judge_claims,
 )
+from exact_mdp.paper_repro.compiled import compute_losses, derive_weights
 from exact_mdp.paper_repro.paper import (
     ANGRY,
     AVERAGES,
@@ -37,7 +38,6 @@ from exact_mdp.paper_repro.paper import (
     table_3,
 )
 from exact_mdp.paper_repro.section_2 import trial_flow
-from exact_mdp.paper_repro.section_3 import compute_losses, derive_weights
 from exact_mdp.paper_repro.section_4_1_learning import error_of_pairs
 from exact_mdp.paper_repro.section_4_1_policies import cost_of_each, probability_of_ranking
 from exact_mdp.paper_repro.silent_points import (

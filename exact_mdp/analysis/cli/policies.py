@@ -21,6 +21,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.mdp.table import float_of
+from exact_mdp.solvers.claims import in_float
 from exact_mdp.solvers.exact import codec, verified
 from exact_mdp.solvers.exact.certificate import (
     BoundedCertificate,
@@ -31,7 +32,6 @@ from exact_mdp.solvers.exact.certificate import (
 from exact_mdp.solvers.exact.regret import RegretCertificate
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution, name_bounds
 from exact_mdp.solvers.objectives.totals import TotalsProof
-from exact_mdp.solvers.solution import in_float
 
 PROOFS = (
     Certificate,

@@ -22,7 +22,7 @@ from exact_mdp.analysis.gate.reasons import (
     format_alternatives,
     q_error,
 )
-from exact_mdp.analysis.gate.regret import Regret, interval_of
+from exact_mdp.analysis.gate.regret import Regret
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, ReadAs
@@ -31,9 +31,9 @@ from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, format_rational
 from exact_mdp.solvers.bounds.bounds import Bounds
+from exact_mdp.solvers.claims import Bounded, Certified, Claim, SolverError, in_float, interval_of
 from exact_mdp.solvers.exact.certificate import Contradiction, require_sound_proof
 from exact_mdp.solvers.exact.regret import RegretCertificate
-from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError, in_float
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 UNEXPLAINED = "not known: whether another policy that sees no more of the state could do better"

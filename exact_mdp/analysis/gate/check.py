@@ -27,7 +27,7 @@ from exact_mdp.mdp.errors import ModelError, named_options, require_known_name
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.questions import split_by_time
-from exact_mdp.solvers.solution import SolverError
+from exact_mdp.solvers.claims import SolverError
 from exact_mdp.solvers.solver import Criterion, is_average, mdp_of, require_no_horizon
 from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
 
@@ -131,7 +131,10 @@ def check(
     if horizon is not None:
         mdp = recorded.within(horizon)
     limits = {"max_regret": max_regret, "max_relative_regret": max_relative_regret}
-    most: Any = {name: limit_of(name, x) for name, x in limits.items() if x is not None}
+    most: Any = {}
+    for name, limit in limits.items():
+        if limit is not None:
+            most[name] = limit_of(name, limit)
     own = policy_of(mdp, policy, kind=kind, criterion=criterion)
     chain = PolicyChain.of_policy(mdp, own)
     about = Total(chain=chain)
@@ -144,14 +147,13 @@ def check(
         return Audit(criterion=about, regret=about.compute_regret(exactly), **most)
 
     # 3. Bounds first; rational arithmetic if they fail or leave the verdict open.
-    last = exact_values is None and is_cheap_to_certify(mdp, LAST_CYCLE)
     try:
         result = make_audit(exact_values)
     except SolverError:  # floats cannot bound the answer, but rational arithmetic may find it
-        if not last:
+        if exact_values is not None or not is_cheap_to_certify(mdp, LAST_CYCLE):
             raise
         result = make_audit(True)
-    if last and result.undecided:
+    if exact_values is None and result.undecided and is_cheap_to_certify(mdp, LAST_CYCLE):
         with suppress(ModelError):  # a cycle that is too ill-conditioned leaves it undecided
             result = make_audit(True)
     if confidence is None:

@@ -41,10 +41,11 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Shown, Table, format_cell
 from exact_mdp.mdp.table import Floats, to_common_denominator, to_integer_array
 from exact_mdp.solvers.bounds.gains import SLACK
+from exact_mdp.solvers.claims import Bounded, Certified
 from exact_mdp.solvers.exact.certificate import Certificate, require_sound_proof
 from exact_mdp.solvers.exact.certify import certify_and_check
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution, Limit, solve_under
-from exact_mdp.solvers.solution import Bounded, Certified, answer_maximised
+from exact_mdp.solvers.solution import answer_maximised
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.average import AverageEvaluation, evaluate_average
 from exact_mdp.solvers.values.policy_chain import PolicyChain, flow_of

@@ -19,18 +19,19 @@ from fractions import Fraction
 
 import numpy as np
 
-from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.model import MDP, cache_on_model
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, BoundedVector
-from exact_mdp.solvers.solution import SolverError
+from exact_mdp.solvers.claims import SolverError
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
-def _rounded_rewards(mdp: MDP) -> Floats:
+@cache_on_model
+def _round_rewards(mdp: MDP) -> Floats:
     """Return ρ (L,), half a unit in the last place of each pair's expected reward."""
-    table, gain = mdp.table, mdp.table.compute_gains()
     if not mdp.float_rewards:
         return np.zeros(mdp.n_pairs)
+    table, gain = mdp.table, mdp.table.compute_gains()
     earned = np.where(gain, table.compute_probabilities() * np.spacing(np.abs(gain)) / 2, 0.0)
     return np.add.reduceat(earned, table.offsets[:-1])
 
@@ -70,7 +71,7 @@ def _compute_outcome_values(
 def per_use(mdp: MDP, known: BoundedVector, *, rewards: bool = True) -> Floats:
     """Return e (L,) for values (S,) with error bounds; without `rewards`, with r = 0."""
     moved = _moved_by_rows(mdp, *_compute_outcome_values(mdp, known, rewards))
-    return (_rounded_rewards(mdp) * rewards + moved) * SLACK + TINY
+    return (_round_rewards(mdp) * rewards + moved) * SLACK + TINY
 
 
 def bound_per_use(mdp: MDP, known: BoundedVector) -> float:
@@ -115,7 +116,7 @@ def compute_rounding_allowance(
             x += sign * each * value
             off += (more * np.abs(value) + (np.abs(each) + more) * error) + 3 * UNIT * np.abs(x)
             apart, unsure = apart + sign * uses, unsure + loose
-        most = _rounded_rewards(mdp) * (np.abs(apart) + unsure) + _moved_by_rows(mdp, x, off)
+        most = _round_rewards(mdp) * (np.abs(apart) + unsure) + _moved_by_rows(mdp, x, off)
     bound = float(most.sum()) * SLACK
     if not np.isfinite(bound):
         return Fraction(0)

@@ -31,8 +31,8 @@ from exact_mdp.mdp.policies.arrays import rows_read
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import FEW_NAMED, Shown, format_cell
 from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.claims import Bounded, Certified, SolverError, in_float
 from exact_mdp.solvers.exact.certificate import Certificate
-from exact_mdp.solvers.solution import Bounded, Certified, SolverError, in_float
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 

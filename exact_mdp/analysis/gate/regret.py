@@ -50,26 +50,27 @@ from exact_mdp.solvers.bounds.gains import (
     compute_advantages,
     first_of,
 )
-from exact_mdp.solvers.dynamic.methods import PolicyIteration
-from exact_mdp.solvers.exact.certificate import Certificate
-from exact_mdp.solvers.exact.certify import certify_and_check, proven_optimum
-from exact_mdp.solvers.exact.find import optimise_exactly
-from exact_mdp.solvers.exact.levels import Level
-from exact_mdp.solvers.exact.linear import evaluate_exactly
-from exact_mdp.solvers.solution import (
+from exact_mdp.solvers.claims import (
     Bounded,
     Certified,
     Claim,
     Number,
     SolverError,
-    answer_maximised,
-    at_start,
     compute_regret,
     in_decimals,
+    interval_of,
+    is_at_most,
 )
+from exact_mdp.solvers.dynamic.methods import PolicyIteration
+from exact_mdp.solvers.exact.certificate import Certificate
+from exact_mdp.solvers.exact.certify import certify_and_check, proven_optimum
+from exact_mdp.solvers.exact.levels import Level
+from exact_mdp.solvers.exact.linear import evaluate_exactly
+from exact_mdp.solvers.exact.optimise import optimise_exactly
+from exact_mdp.solvers.solution import answer_maximised, at_start
 from exact_mdp.solvers.solver import solve
-from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.policy_values import find_policy_values
 
 # The most transitions for which a regret is certified at once: a few seconds of rational
 # arithmetic. A model with a horizon has no cycles, which allows more.
@@ -205,23 +206,6 @@ def _negate_values(lost: Regret) -> StateLosses:
     )
 
 
-def interval_of(number: Certified | Bounded) -> tuple[Fraction | float, Fraction | float]:
-    """Return the two ends between which a number lies; both are the number if it is certified."""
-    if isinstance(number, Certified):
-        return number.value, number.value
-    return number.interval
-
-
-def is_at_most(within: tuple[Fraction | float, Fraction | float], limit: Fraction) -> bool | None:
-    """Return whether a number between two ends is at most `limit`; None if that is open."""
-    low, high = within
-    if high <= limit:
-        return True
-    if low > limit:
-        return False
-    return None
-
-
 def policy_regret(chain: PolicyChain, *, exact: bool | None = None) -> Regret:
     """Return the regret of a policy against the optimum of its model.
 
@@ -287,7 +271,7 @@ def _certify_regret(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
     own = best
     if improper:
         own = certify_and_check(chain.model)
-    level, mine, learned = own.h, own.value_float, own.start_value
+    value, mine, learned, level = best.value_float, own.value_float, own.start_value, own.h
     if not improper and not best.optimal_pairs[chain.pairs].all():
         level = chain.exact_value
         mine, learned = level.to_floats(), level.compute_mean(mdp.start)
@@ -297,13 +281,13 @@ def _certify_regret(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
             where="the total at discount 1",
             fix=ways_out(mdp, other_question(mdp)),
         )
-    both = _ExactValues(chain, best, level, mine, best.start_value - learned)
+    both = _ExactValues(chain, best, level, value, mine, best.start_value - learned)
     return Regret.from_values(
         best.start,
         Certified(value=learned),
         both.find_losses,
         optimum=best,
-        movable=both.compute_allowance,
+        movable=both.get_allowance,
     )
 
 
@@ -314,7 +298,8 @@ class _ExactValues:
     chain: PolicyChain
     best: Certificate
     level: Level  # the values of the policy, if they are finite
-    mine: Floats  # (S,) the same, rounded or infinite
+    value: Floats  # (S,) the optimal values, rounded or infinite
+    mine: Floats  # (S,) the values of the policy, in the same form
     lost: Fraction | float  # the regret at the start
 
     @cached_property
@@ -325,18 +310,23 @@ class _ExactValues:
             return chain_of_pairs(mdp, best.pairs)
         return chain_of_pairs(mdp, first_of(mdp, best.optimal_pairs))
 
-    def compute_allowance(self) -> Fraction:
-        """Return the rounding allowance; 0 for an infinite regret."""
+    @cached_property
+    def allowance(self) -> Fraction:
+        """The rounding allowance; 0 for an infinite regret."""
         if not isinstance(self.lost, Fraction):
             return Fraction(0)
-        known = round_finite_values(self.best.value_float)
+        known = round_finite_values(self.value)
         own = self.chain, round_finite_values(self.mine)
         return compute_rounding_allowance(self.chain.mdp, own, (self.ideal, known))
 
+    def get_allowance(self) -> Fraction:
+        """Return the rounding allowance, which is computed only once."""
+        return self.allowance
+
     def find_losses(self) -> StateLosses:
         """Return where the regret arises."""
-        chain, best, mine, lost = self.chain, self.best, self.mine, self.lost
-        mdp, value, level = chain.mdp, best.value_float, self.level
+        chain, best, level, lost = self.chain, self.best, self.level, self.lost
+        mdp, value, mine = chain.mdp, self.value, self.mine
 
         # 1. The regret of each state: the exact differences a/b - c/d, each rounded once.
         parts = zip(best.h.top, best.h.each_below, level.top, level.each_below, strict=True)
@@ -359,13 +349,13 @@ class _ExactValues:
             # loss is counted as the loss of the class.
             gap[blamed & (np.isposinf(by_state) & (final_class(chain) < 0))[mdp.pair_state]] = inf
             # If rounding may explain the whole regret, it may explain each part.
-            if lost and lost <= self.compute_allowance():
+            if lost and lost <= self.allowance:
                 optimal |= (chain.chosen > 0) & chain.reached[mdp.pair_state]
         elif mdp.floats:
             with suppress(SolverError):
                 most = compute_tie_gaps(self.ideal, round_finite_values(value))
                 near = np.nextafter(gap, inf) <= most
-                optimal = include_near_ties(chain, optimal, near, lost, self.compute_allowance)
+                optimal = include_near_ties(chain, optimal, near, lost, self.get_allowance)
         return StateLosses(
             optimal_value=value,
             learned_value=mine,
@@ -399,8 +389,7 @@ def include_near_ties(
 def _bound_regret(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
     own = known = BoundedVector(value=optimum.value, error=optimum.state_error)
     if not np.array_equal(chain.pairs, optimum.pairs):
-        evaluation = evaluate(mdp, chain)
-        own = BoundedVector(value=evaluation.value, error=evaluation.error)
+        own = find_policy_values(chain)
     # Pairs that are not proven to lose count as optimal; some of them are open.
     near, ideal = ActionBounds(mdp, optimum), chain_of_pairs(mdp, optimum.pairs)
     loses = _find_losing_pairs(ideal, known, near.least_gap)

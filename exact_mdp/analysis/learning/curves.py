@@ -12,12 +12,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from exact_mdp.analysis.learning.outcomes import common_rows
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import require_count
+from exact_mdp.solvers.claims import Claim
 from exact_mdp.solvers.learning.q_learning import TrainingRun
+from exact_mdp.solvers.learning.row_policies import common_rows, evaluate_row_policies
 from exact_mdp.solvers.learning.sampler import (
     Seed,
     build_q_table_rows,
@@ -25,8 +26,6 @@ from exact_mdp.solvers.learning.sampler import (
     make_random_stream,
     spawn_child_seed,
 )
-from exact_mdp.solvers.solution import Claim
-from exact_mdp.solvers.values.layers import evaluate_row_policies
 
 EXPERIMENTS = 40  # behind each point of a curve, as in Yuan et al. (2025)
 

@@ -20,17 +20,16 @@ from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.columns import BestPolicy, best_policy
 from exact_mdp.analysis.vary.intervals import estimate_share, mean_interval
-from exact_mdp.mdp.errors import ModelError, require_list
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import MOST_LISTED, Report, Shown, Table, format_number
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, Integers, Numbers
+from exact_mdp.solvers.claims import Bounded, compute_regrets
 from exact_mdp.solvers.learning.q_learning import TrainingRun
-from exact_mdp.solvers.learning.sampler import QTableRows, build_q_table_rows
-from exact_mdp.solvers.solution import Bounded, compute_regrets
+from exact_mdp.solvers.learning.row_policies import common_rows, evaluate_row_policies
+from exact_mdp.solvers.learning.sampler import QTableRows
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import QUANTILES, evaluate
-from exact_mdp.solvers.values.layers import evaluate_row_policies
 
 CANDIDATES = 5  # of a run's last epochs: the policies that were greedy most often
 Interval = tuple[float, float]
@@ -338,18 +337,3 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
         steps=sum(run.steps for run in runs),
         cut_short=sum(run.cut_short for run in runs),
     )
-
-
-def common_rows(model: MDP, runs: Sequence[TrainingRun]) -> QTableRows:
-    """Return the rows that the runs read; raises ModelError for runs on another model."""
-    if not require_list(runs, "runs") or not all(isinstance(run, TrainingRun) for run in runs):
-        fix = "give what train(model, QLearning(), …) returns"
-        raise ModelError("no run of training", where="learning", fix=fix)
-    rows = build_q_table_rows(model, runs[0].space.names)
-    if any(run.space != rows.space or run.q.shape != rows.offered.shape for run in runs):
-        raise ModelError(
-            "the runs read other states than this model has",
-            where="learning",
-            fix="use the model that they were trained on, at any discount",
-        )
-    return rows

@@ -40,7 +40,7 @@ from exact_mdp.mdp.result import DataFrame, Pictured, data_frame, frame_to_table
 from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import RNG, seed_of
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT
-from exact_mdp.solvers.solution import Claim
+from exact_mdp.solvers.claims import Claim
 
 EFFICIENT, EQUAL = "efficient", "equal to {}"
 DOMINATED, EXTENDED = "dominated", "extendedly dominated"

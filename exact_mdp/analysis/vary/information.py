@@ -24,8 +24,8 @@ import numpy as np
 from exact_mdp.analysis.vary.intervals import MeanLoss, mean_loss, mean_of
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.table import Floats
-from exact_mdp.solvers.dynamic.base import RELATIVE_TOLERANCE
-from exact_mdp.solvers.solution import Estimated
+from exact_mdp.solvers.bounds.gains import RELATIVE_TOLERANCE
+from exact_mdp.solvers.claims import Estimated
 
 FEWEST = 20  # draws of a regression
 # The draws that a regression uses: with more of them, its own error is far below sampling error.

@@ -27,7 +27,7 @@ from scipy import special
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.table import Floats, exact
-from exact_mdp.solvers.solution import NORMAL, Estimated
+from exact_mdp.solvers.claims import NORMAL, Estimated
 
 SURE = 0.975  # the probability with which each end is beyond a quantile: 95 % for both
 

@@ -29,7 +29,7 @@ from exact_mdp.mdp.report import Report, Shown, Table, list_claim_facts
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Integers
 from exact_mdp.mdp.validate import require_count
-from exact_mdp.solvers.solution import Bounded, compute_regret
+from exact_mdp.solvers.claims import Bounded, compute_regret
 
 VALUES = {
     "re-optimised": "value:.6g",

@@ -56,8 +56,8 @@ from exact_mdp.mdp.report import Report, Shown, Table, format_cell, list_claim_f
 from exact_mdp.mdp.result import DataFrame, Pictured
 from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import RNG, Flags, require_count, seed_of
+from exact_mdp.solvers.claims import Bounded, Estimated
 from exact_mdp.solvers.parallel import How, seed_blocks
-from exact_mdp.solvers.solution import Bounded, Estimated
 
 # Policies that are considered as candidates: more of them would narrow EVPI, at the cost of one
 # evaluation of some draws for each.

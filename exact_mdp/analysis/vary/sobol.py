@@ -37,9 +37,9 @@ from exact_mdp.mdp.report import Report, Shown, Table, format_number
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import RNG, require_count, seed_of
+from exact_mdp.solvers.claims import NORMAL
 from exact_mdp.solvers.learning.sampler import spawn_child_seed
 from exact_mdp.solvers.parallel import How
-from exact_mdp.solvers.solution import NORMAL
 
 OUTPUTS = ("optimal", "fixed", "regret")
 TITLES = {

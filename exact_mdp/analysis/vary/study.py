@@ -43,9 +43,10 @@ from exact_mdp.mdp.table import BLOCK, MOST_BYTES, Floats, Integers, Numbers, ex
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.gains import component_errors, compute_advantages
 from exact_mdp.solvers.care import ScenarioStack
+from exact_mdp.solvers.claims import Bounded, Claim, compute_regrets
 from exact_mdp.solvers.endless.average import AverageSolution
 from exact_mdp.solvers.parallel import Arrays, How, folder_of, join_blocks, run_pieces
-from exact_mdp.solvers.solution import Bounded, Claim, Solution, compute_regrets
+from exact_mdp.solvers.solution import Solution
 from exact_mdp.solvers.solver import is_average, solve
 from exact_mdp.solvers.stacked import StackedModel
 from exact_mdp.solvers.values.evaluate import Evaluation, evaluate

@@ -39,8 +39,9 @@ from exact_mdp.mdp.table import (
 def array_of(values: object, where: str) -> Any:
     """Return a sparse matrix as a CSR array, and other values as an array of numbers or objects."""
     with locate_errors(where):
-        values = convert_tensors(values)
-        refuse_labels(values)
+        if not isinstance(values, np.ndarray):
+            values = convert_tensors(values)
+            refuse_labels(values)
         if sp.issparse(values):
             return _to_sparse_rows(values)
         return _to_array(values)

@@ -169,7 +169,7 @@ def list_problem(mdp: MDP) -> dict[str, Any]:
         "start": {str(state): encode_rationals(share) for state, share in mdp.start if share},
         "goal": goal,
         "unreached": str(mdp.unreached),
-        "pairs": _list_pairs(mdp, np.ndarray.tolist, Fraction),
+        "pairs": _list_pairs(mdp, np.ndarray.tolist, _reduce_ratio),
     }
 
 
@@ -221,6 +221,15 @@ def _encode_ratio(top: int, below: int) -> Any:
     if below == 1:
         return encode_integer(top)
     return encode_rationals(Fraction(top, below))
+
+
+@lru_cache
+def _reduce_ratio(top: int, below: int) -> int | Fraction:
+    """Return a ratio as an integer, with which a checker computes faster, or as a Fraction."""
+    number = Fraction(top, below)
+    if number.denominator == 1:
+        return number.numerator
+    return number
 
 
 def write_model_json(mdp: MDP, path: str | Path) -> None:

@@ -40,7 +40,7 @@ from exact_mdp.solvers.bounds.gains import (
     rounding_facts,
 )
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
-from exact_mdp.solvers.solution import SolverError, Status
+from exact_mdp.solvers.claims import SolverError, Status
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

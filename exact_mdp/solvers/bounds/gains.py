@@ -26,11 +26,12 @@ from exact_mdp.mdp.forms import threads
 from exact_mdp.mdp.forms.rows import NEXT
 from exact_mdp.mdp.model import MDP, cache_on_model
 from exact_mdp.mdp.table import COMPILED, Floats, Integers, OutcomeTable
-from exact_mdp.solvers.solution import SolverError, Status
+from exact_mdp.solvers.claims import SolverError, Status
 
 UNIT = NEXT / 2  # half of the distance from 1 to the next float
 TINY = 2.0**-1000  # above the underflow of a product, 2⁻¹⁰⁷⁵, times any factor that follows
 POLICIES = 1000  # the most steps of policy iteration in floats; a few dozen are usual
+RELATIVE_TOLERANCE = 1e-9  # relative to the largest value, if no tolerance is given
 SLACK = 1 + 2.0**-20  # makes up for the rounding of a bound: a sum of up to 2³⁰ positive terms
 
 

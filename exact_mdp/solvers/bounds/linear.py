@@ -37,7 +37,7 @@ from exact_mdp.mdp.table import (
     concatenate_ranges,
 )
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, BoundedVector, gamma
-from exact_mdp.solvers.solution import SolverError, Status
+from exact_mdp.solvers.claims import SolverError, Status
 
 # Elimination takes milliseconds up to so many states, or transitions, and spares a process with one
 # small model the second in which the compiler is loaded; within a band, up to so many

@@ -13,15 +13,8 @@ from exact_mdp.mdp.errors import ModelError, locate_errors, require_type
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.validate import require_count
 from exact_mdp.solvers.bounds.bounds import Bounds
-from exact_mdp.solvers.solution import (
-    Solution,
-    SolverError,
-    Status,
-    answer_maximised,
-    warn_of_precision,
-)
-
-RELATIVE_TOLERANCE = 1e-9  # relative to the largest value, if no tolerance is given
+from exact_mdp.solvers.claims import SolverError, Status, warn_of_precision
+from exact_mdp.solvers.solution import Solution, answer_maximised
 
 
 class Solver(ABC):

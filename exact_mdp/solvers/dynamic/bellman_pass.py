@@ -27,7 +27,7 @@ from exact_mdp.mdp.table import COMPILED, Floats, Integers
 from exact_mdp.solvers.bounds import linear
 from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.bounds.gains import UNIT, largest_error, rounding_facts
-from exact_mdp.solvers.solution import SolverError, Status
+from exact_mdp.solvers.claims import SolverError, Status
 
 
 class BellmanPass:

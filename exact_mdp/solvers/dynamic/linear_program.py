@@ -25,9 +25,10 @@ from exact_mdp.mdp.errors import require_extra, require_known_name
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.bounds import margin_weights
+from exact_mdp.solvers.claims import SolverError, Status
 from exact_mdp.solvers.dynamic.base import Solver
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
-from exact_mdp.solvers.solution import Solution, SolverError, Status
+from exact_mdp.solvers.solution import Solution
 
 OPTIMISERS = ("CLARABEL", "HIGHS")
 

@@ -25,6 +25,7 @@ import numpy as np
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.bounds.bounds import bound_optimal_values, solve_backward
+from exact_mdp.solvers.claims import SolverError, Status
 from exact_mdp.solvers.dynamic.base import (
     Solver,
     check_counts,
@@ -35,7 +36,7 @@ from exact_mdp.solvers.dynamic.evaluation import PolicyEvaluation
 from exact_mdp.solvers.dynamic.start import read_start_values
 from exact_mdp.solvers.dynamic.stopping import StoppingRule
 from exact_mdp.solvers.dynamic.values import PATIENCE, Values
-from exact_mdp.solvers.solution import Solution, SolverError, Status
+from exact_mdp.solvers.solution import Solution
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,9 +11,10 @@ Monmege, Theoretical Computer Science 735, 2018, on why a small change proves no
 from __future__ import annotations
 
 from exact_mdp.solvers.bounds.bounds import Bounds, bound_optimal_values
+from exact_mdp.solvers.claims import Status
 from exact_mdp.solvers.dynamic.base import Solver, conclude_solution
 from exact_mdp.solvers.dynamic.values import Values
-from exact_mdp.solvers.solution import Solution, Status
+from exact_mdp.solvers.solution import Solution
 
 NEAR_ROUNDING = 20  # passes without progress that suffice if bounds are as wide as rounding errors
 SLOW = 100  # passes without progress that call for equations

@@ -13,8 +13,8 @@ import numpy as np
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.bounds import Bounds
+from exact_mdp.solvers.bounds.gains import RELATIVE_TOLERANCE
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
-from exact_mdp.solvers.dynamic.base import RELATIVE_TOLERANCE
 from exact_mdp.solvers.dynamic.bellman_pass import BellmanPass
 
 NEARLY_ONE = 1 - 1e-7  # from this discount on, values are too large to be solved for as they are

@@ -36,13 +36,13 @@ from exact_mdp.solvers.bounds.gains import (
     gamma,
 )
 from exact_mdp.solvers.bounds.linear import LinearSystem, select_rows, transpose_system
+from exact_mdp.solvers.claims import SolverError, Status
 from exact_mdp.solvers.exact.linear import (
     Matrix,
     build_equations,
     compute_expected_visits,
     solve_policy_equations,
 )
-from exact_mdp.solvers.solution import SolverError, Status
 
 
 class Classes:

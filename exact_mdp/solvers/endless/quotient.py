@@ -22,7 +22,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Integers, OutcomeTable, Rows, make_ones, to_integer_array
 from exact_mdp.solvers.bounds.bounds import improve_policy
-from exact_mdp.solvers.solution import SolverError, Status
+from exact_mdp.solvers.claims import SolverError, Status
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

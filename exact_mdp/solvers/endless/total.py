@@ -30,6 +30,7 @@ from exact_mdp.mdp.graph import Mask
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.gains import SLACK, compute_advantages
+from exact_mdp.solvers.claims import SolverError, Status
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.endless.average import AverageSolution, solve_average
 from exact_mdp.solvers.endless.quotient import (
@@ -45,7 +46,7 @@ from exact_mdp.solvers.exact.find import (
     prove_gain_and_bias,
     prove_goal_total,
 )
-from exact_mdp.solvers.solution import Solution, SolverError, Status
+from exact_mdp.solvers.solution import Solution
 
 
 def solve_total(mdp: MDP, solved: Callable[[MDP], Solution]) -> Solution:

@@ -30,16 +30,10 @@ from exact_mdp.mdp.result import DataFrame, Pictured, Result
 from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers.bounds.gains import UNIT
+from exact_mdp.solvers.claims import Bounded, Certified, Claim, in_decimals, in_float
 from exact_mdp.solvers.exact import checker, codec
 from exact_mdp.solvers.exact.levels import Level, compute_surpluses, make_fraction
-from exact_mdp.solvers.solution import (
-    Bounded,
-    Certified,
-    Claim,
-    in_decimals,
-    in_float,
-    tabulate_by_state,
-)
+from exact_mdp.solvers.solution import tabulate_by_state
 
 
 def require_model(given: MDP | None, own: MDP | None, where: str = "violations") -> MDP:

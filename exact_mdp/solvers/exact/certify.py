@@ -23,25 +23,16 @@ from exact_mdp.mdp.model import MDP, cache_on_model
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.bounds.gains import UNIT, compute_advantages, first_of
+from exact_mdp.solvers.claims import PrecisionWarning, SolverError, Status
 from exact_mdp.solvers.exact.certificate import (
     BoundedCertificate,
     Certificate,
     require_sound_proof,
 )
-from exact_mdp.solvers.exact.find import (
-    build_certificate,
-    optimise_exactly,
-    prove_gain_and_bias,
-    prove_goal_total,
-)
+from exact_mdp.solvers.exact.find import build_certificate, prove_gain_and_bias, prove_goal_total
 from exact_mdp.solvers.exact.levels import Level
-from exact_mdp.solvers.solution import (
-    PrecisionWarning,
-    Solution,
-    SolverError,
-    Status,
-    answer_maximised,
-)
+from exact_mdp.solvers.exact.optimise import optimise_exactly
+from exact_mdp.solvers.solution import Solution, answer_maximised
 from exact_mdp.solvers.solver import is_average, mdp_of, require_no_target, solve
 
 

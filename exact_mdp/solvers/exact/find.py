@@ -1,10 +1,10 @@
 """Find optimal levels in rational arithmetic, together with their proofs, for maximised rewards.
 
-Policy iteration: every state takes the first pair with the greatest advantage over the values of a
-policy, or over (d(g), r - g + d(h), d(w) - h) in this order, until no advantage is positive. Each
-change raises the value at small interest rates, so no policy comes twice. The last policy
-satisfies all conditions of the checker (Puterman, Markov Decision Processes, 1994, sections 9.2.1
-and 10.3; Veinott, Annals of Mathematical Statistics 37, 1966).
+Policy iteration (`optimise`): every state takes the first pair with the greatest advantage over the
+values of a policy, or over (d(g), r - g + d(h), d(w) - h) in this order, until no advantage is
+positive. Each change raises the value at small interest rates, so no policy comes twice. The last
+policy satisfies all conditions of the checker (Puterman, Markov Decision Processes, 1994, sections
+9.2.1 and 10.3; Veinott, Annals of Mathematical Statistics 37, 1966).
 
 With a goal, if missing it has the value -∞: states from which no policy reaches it with probability
 1 have this value. Among the others, g shows where a cycle earns without bound. From the remaining
@@ -14,38 +14,32 @@ states all improved policies arrive, as a class of better pairs would have a pos
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from math import inf
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse.linalg import splu
 
 from exact_mdp.mdp.advice import other_question, ways_out
 from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
-from exact_mdp.mdp.graph import Mask, find_reachable_nodes, find_reachable_states
+from exact_mdp.mdp.graph import Mask, find_reachable_states
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Integers, Numbers, row_sums
-from exact_mdp.solvers.bounds.gains import POLICIES, first_of
-from exact_mdp.solvers.endless.average import AveragePolicyIteration
+from exact_mdp.mdp.table import Integers, Numbers
+from exact_mdp.solvers.bounds.gains import first_of
+from exact_mdp.solvers.claims import SolverError
+from exact_mdp.solvers.endless.average_iteration import AveragePolicyIteration
 from exact_mdp.solvers.endless.chain import ExactChain
 from exact_mdp.solvers.endless.chain import compute_laurent_expansion as laurent
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.levels import (
     Level,
     Step,
-    compute_surplus_signs,
     list_level_steps,
-    make_fraction,
-    yield_level_advantages,
 )
-from exact_mdp.solvers.exact.linear import evaluate_exactly
-from exact_mdp.solvers.solution import SolverError
+from exact_mdp.solvers.exact.optimise import iterate_policies, optimise_exactly
 
 
 def build_certificate(
@@ -136,35 +130,7 @@ def optimise_expansion(rows: BellmanRows, pairs: Integers) -> tuple[Integers, li
             rows, *(Level.of(each.tolist()) for each in laurent(chain, chain.reward))
         )
 
-    return _iterate_policies(rows, pairs, evaluate)[:2]
-
-
-def _iterate_policies(
-    rows: BellmanRows, pairs: Integers, evaluate: Callable[[Integers], list[Step]]
-) -> tuple[Integers, list[Level], Integers]:
-    """Return unbeaten pairs (S,), their levels, and the signs (L,) of all advantages."""
-    while True:
-        levels, sign = evaluate(pairs), np.zeros(len(rows.constant), dtype=np.int64)
-        # Each level breaks the ties of the levels before.
-        for step in levels:
-            known = np.union1d(pairs, np.flatnonzero(sign))
-            sign += compute_surplus_signs(rows, step, known)
-        # Only pairs of live states can improve the policy.
-        gaining = np.flatnonzero((sign > 0) & ~rows.terminal[rows.pair_state])
-        if not len(gaining):
-            return pairs, [level for level, *_ in levels], sign
-        # Compare advantages as fractions, one level after the other, and take the best of each
-        # state.
-        columns = []
-        for step in levels:
-            column = yield_level_advantages(rows, step, gaining)
-            columns.append([make_fraction(x, a * b) for x, a, b in column])
-        each = zip(*columns, strict=True)
-        pairs, most = pairs.copy(), dict[int, tuple[Fraction, ...]]()
-        for pair, gain in zip(gaining.tolist(), each, strict=True):
-            state = int(rows.pair_state[pair])
-            if state not in most or gain > most[state]:
-                most[state], pairs[state] = gain, pair
+    return iterate_policies(rows, pairs, evaluate)[:2]
 
 
 # ---- a goal --------------------------------------------------------------------------------------
@@ -270,72 +236,3 @@ def _restrict_rows(rows: BellmanRows, states: Mask) -> tuple[BellmanRows, Intege
     part = rows.of_pairs(number)
     constant = np.where(states[part.pair_state], part.constant, 0)
     return replace(part, terminal=rows.terminal | ~states, constant=constant), number
-
-
-# ---- values of policies that end -----------------------------------------------------------------
-
-
-def optimise_exactly(
-    rows: BellmanRows, first: Integers | None = None, amounts: Sequence[Numbers] = ()
-) -> tuple[Integers, list[Level], Integers]:
-    """Return optimal pairs (S,), their values, and the signs (L,) of all advantages.
-
-    With several amounts (L,), each breaks the ties of the amounts before. The search begins with
-    the pairs `first` (S,), a proper policy. All later policies are proper too: a pair is replaced
-    only by a better one, and a class of states that never ends would have a positive gain.
-    """
-    each = amounts or [rows.constant]
-    listed, ones = [own.tolist() for own in each], [1] * len(rows.constant)
-    if first is None:
-        first = rows.pair_offsets[:-1]
-
-    def evaluate(pairs: Integers) -> list[Step]:
-        values = evaluate_exactly(rows, pairs, each)
-        return [(value, own, ones) for value, own in zip(values, listed, strict=True)]
-
-    return _iterate_policies(
-        rows, improve_in_floats(replace(rows, constant=each[0]), first), evaluate
-    )
-
-
-def improve_in_floats(rows: BellmanRows, first: Integers) -> Integers:
-    """Return a policy (S,) that floats find better than the first one, and that is also proper."""
-    state, live = rows.pair_state, ~rows.terminal
-    if len(state) == len(live):
-        return first
-    # The model in floats: probabilities and rewards of the live pairs.
-    scale = rows.scale[state].astype(object)
-    try:
-        share = (rows.weight / scale[rows.pair]).astype(np.float64) * live[state][rows.pair]
-        earned = (rows.constant / scale).astype(np.float64) * live[state]
-    except OverflowError:  # floats only suggest a policy; the first one will do
-        return first
-    moves = sp.csr_array((share, rows.next, rows.offsets), shape=(len(state), len(live)))
-    one, pairs = sp.eye_array(len(live), format="csc"), first
-    for _ in range(POLICIES):
-        try:
-            value = splu(sp.csc_array(one - moves[pairs])).solve(earned[pairs])
-        except RuntimeError:  # singular, up to rounding
-            return first
-        # Advantages that rounding may explain count as 0, so that no policy comes twice. The part
-        # affects only speed; measured: 2⁻⁵⁰ to 2⁻³⁰ take equally long.
-        gain = earned + moves @ value - value[state]
-        noise = 2.0**-40 * (np.abs(earned) + abs(moves) @ np.abs(value) + np.abs(value[state]))
-        if not np.all(np.isfinite(gain)):
-            return first
-        gain[gain < noise.max(initial=0.0)] = 0.0
-        # Take the first best pair of each state that has one.
-        most = np.maximum.reduceat(gain, rows.pair_offsets[:-1])
-        better = np.flatnonzero((gain > 0) & (gain == most[state]))
-        if not len(better):
-            break
-        pairs = pairs.copy()
-        own, place = np.unique(state[better], return_index=True)
-        pairs[own] = better[place]
-    chain = rows.of_pairs(pairs)
-    # Floats may have found an improper policy: then the first pairs stay.
-    graph = sp.csr_array((np.ones(len(chain.next)), chain.next, chain.offsets), (len(live),) * 2)
-    ends = rows.terminal | (row_sums(chain.weight, chain.offsets) < chain.scale)
-    if find_reachable_nodes(graph.T.tocsr(), ends).all():
-        return pairs
-    return first

@@ -102,7 +102,7 @@ class Level:
         own = [*map(group.__getitem__, states)]
         groups = frozenset(own)
         if groups not in self._times:
-            unit = lcm(*(self.below[each] for each in groups))
+            unit = lcm(*map(self.below.__getitem__, groups))
             self._times[groups] = unit, {each: unit // self.below[each] for each in groups}
         unit, times = self._times[groups]
         return [*map(mul, numbers, map(times.__getitem__, own))], unit

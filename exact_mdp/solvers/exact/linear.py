@@ -268,13 +268,13 @@ class _Solution:
         sides, places = self._right_sides(base, states), range(len(states))
         # They share a denominator of up to twice the length of the longest of their own and two
         # words: a longer one would cost more than groups do.
-        far = 2 * max(pivot.bit_length() for pivot in pivots) + 128
+        far = 2 * max([pivot.bit_length() for pivot in pivots]) + 128
         apart = _compute_common_multiple(pivots).bit_length() > far
         groups: list[Sequence[int]] = [places]
         if apart:
             groups = [[i] for i in places]
         for some in groups:
-            unit = _compute_common_multiple(pivots[i] for i in some)
+            unit = _compute_common_multiple([pivots[i] for i in some])
             tops = []
             for side in sides:
                 tops.append([side[i] * (unit // pivots[i]) for i in some])

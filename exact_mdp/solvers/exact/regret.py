@@ -35,9 +35,10 @@ import numpy as np
 from exact_mdp.mdp.result import DataFrame
 from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.table import Integers
+from exact_mdp.solvers.claims import Certified, Claim, in_float
 from exact_mdp.solvers.exact.certificate import Certificate, Proof
 from exact_mdp.solvers.exact.levels import Level
-from exact_mdp.solvers.solution import Certified, Claim, in_float, tabulate_by_state
+from exact_mdp.solvers.solution import tabulate_by_state
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,6 +34,7 @@ from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, data_frame
 from exact_mdp.mdp.table import Integers, Numbers, exact, format_rational, to_common_denominator
 from exact_mdp.solvers.bounds.gains import first_of
+from exact_mdp.solvers.claims import Certified
 from exact_mdp.solvers.exact.duals import weigh_values
 from exact_mdp.solvers.exact.levels import (
     Level,
@@ -54,7 +55,6 @@ from exact_mdp.solvers.objectives.totals import (
     list_proof_fields,
     solve_weighted,
 )
-from exact_mdp.solvers.solution import Certified
 
 ZERO, ONE = Fraction(0), Fraction(1)
 LIMIT = re.compile(r"\s*(>=|<=)\s*(\S+)\s*$")

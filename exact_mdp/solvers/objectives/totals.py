@@ -26,7 +26,6 @@ from exact_mdp.mdp.table import Integers, Numbers
 from exact_mdp.solvers.bounds.gains import first_of
 from exact_mdp.solvers.exact import codec, duals
 from exact_mdp.solvers.exact.certificate import Proof, require_model
-from exact_mdp.solvers.exact.find import optimise_exactly
 from exact_mdp.solvers.exact.levels import (
     Level,
     combine_levels,
@@ -34,6 +33,7 @@ from exact_mdp.solvers.exact.levels import (
     list_level_steps,
 )
 from exact_mdp.solvers.exact.linear import compute_expected_visits, evaluate_exactly
+from exact_mdp.solvers.exact.optimise import optimise_exactly
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.simplex import list_unit_vectors
 

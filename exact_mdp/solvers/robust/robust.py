@@ -34,9 +34,10 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import MOST_BYTES, Floats, Integers
-from exact_mdp.solvers.bounds.gains import POLICIES, SLACK, UNIT
+from exact_mdp.solvers.bounds.gains import POLICIES, RELATIVE_TOLERANCE, SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import LinearSystem
-from exact_mdp.solvers.dynamic.base import RELATIVE_TOLERANCE, check_counts, check_tolerance
+from exact_mdp.solvers.claims import SolverError, Status, warn_of_precision
+from exact_mdp.solvers.dynamic.base import check_counts, check_tolerance
 from exact_mdp.solvers.robust.sets import (
     Ambiguity,
     Inner,
@@ -44,7 +45,7 @@ from exact_mdp.solvers.robust.sets import (
     side_by_side,
     solve_inner_problem,
 )
-from exact_mdp.solvers.solution import Found, SolverError, Status, warn_of_precision
+from exact_mdp.solvers.solution import Found
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 Nature = Literal["worst", "best"]

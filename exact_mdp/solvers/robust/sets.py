@@ -28,7 +28,7 @@ from exact_mdp.mdp.forms.numbers import float_array
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import BLOCK, FLOAT_ROW_TOLERANCE, Floats, Integers, exact, format_rational
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
-from exact_mdp.solvers.solution import SolverError, Status
+from exact_mdp.solvers.claims import SolverError, Status
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -16,8 +16,8 @@ from exact_mdp.mdp.report import MOST_LISTED, Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import BoundedVector
+from exact_mdp.solvers.claims import Bounded, Claim, SolverError, Status
 from exact_mdp.solvers.endless.chain import Classes, compute_laurent_expansion
-from exact_mdp.solvers.solution import Bounded, Claim, SolverError, Status
 from exact_mdp.solvers.values.policy_chain import (
     OfPolicy,
     PolicyChain,

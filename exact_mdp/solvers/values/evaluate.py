@@ -17,7 +17,6 @@ Every number comes with a bound on its error that is sound in floating point.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -37,20 +36,11 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, list_claim_facts
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
-from exact_mdp.mdp.table import COMPILED, Floats
+from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, BoundedVector, gamma
 from exact_mdp.solvers.bounds.linear import LinearSystem
-from exact_mdp.solvers.dynamic.methods import ModifiedPolicyIteration
-from exact_mdp.solvers.dynamic.values import NEARLY_ONE
-from exact_mdp.solvers.solution import (
-    Bounded,
-    Claim,
-    PrecisionWarning,
-    Solution,
-    SolverError,
-    at_start,
-    in_float,
-)
+from exact_mdp.solvers.claims import Bounded, Claim, SolverError, in_float
+from exact_mdp.solvers.solution import Solution, at_start
 from exact_mdp.solvers.solver import (
     is_average,
     mdp_of,
@@ -59,12 +49,8 @@ from exact_mdp.solvers.solver import (
     solve,
 )
 from exact_mdp.solvers.values.average import AverageEvaluation, evaluate_average
-from exact_mdp.solvers.values.policy_chain import (
-    OfPolicy,
-    PolicyChain,
-    PolicyEquations,
-    split_infinite_returns,
-)
+from exact_mdp.solvers.values.policy_chain import OfPolicy, PolicyChain, PolicyEquations
+from exact_mdp.solvers.values.policy_values import find_policy_values
 from exact_mdp.solvers.values.returns import return_distribution
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)  # of returns, and of the values of training runs
@@ -535,48 +521,12 @@ def evaluate(
         return evaluate_average(PolicyChain.of(mdp, policy, kind=kind))
     if horizon is not None:
         mdp = mdp.within(horizon)
-    chain = PolicyChain.of(mdp, policy, kind=kind)
-    mdp, given = chain.mdp, chain
-    # At discount 1, make classes without rewards terminal. If a run may earn forever, there is
-    # nothing to add up: the mean is the optimum of the model that has no other actions.
-    if mdp.discount_exact == 1 and not chain.reaches_goal_from_start:
-        lost: object = True
-        with suppress(ModelError):  # the return may have no limit while the mean return has one
-            chain, lost = split_infinite_returns(given)
-        if lost:
-            alone = solve(given.model)
-            return Evaluation(
-                chain=given, given=given, value=alone.value, error=alone.state_error, settled=False
-            )
-        mdp = chain.mdp
-    # V = r + γ P V has one solution in states that end surely, and everywhere below discount 1.
-    if mdp.discount_exact == 1:
-        known = chain.reaches_goal
-    else:
-        known = np.ones(mdp.n_states, dtype=bool)
-    live = known & ~mdp.terminal
-    reward, error = chain.reward
-    point = _evaluate_closely(
-        chain, np.where(live, reward, 0.0), np.where(live, error, 0.0) * SLACK
+    given = PolicyChain.of(mdp, policy, kind=kind)
+    found = find_policy_values(given)
+    return Evaluation(
+        chain=found.chain,
+        given=given,
+        value=found.value,
+        error=found.error,
+        settled=found.settled,
     )
-    value, bound = np.where(known, point.value, np.nan), np.where(known, point.error, np.inf)
-    # The other states lie off the policy's way from the start; a solver may know their values.
-    if not known.all():
-        with suppress(ModelError, SolverError):
-            alone = solve(given.model)
-            value = np.where(known, value, alone.value)
-            bound = np.where(known, bound, alone.state_error)
-    return Evaluation(chain=chain, given=given, value=value, error=bound)
-
-
-def _evaluate_closely(chain: PolicyChain, reward: Floats, error: Floats) -> BoundedVector:
-    """Return a policy's values by its equations, or next to discount 1 by iteration."""
-    mdp = chain.mdp
-    # Next to 1 the equations are ill-conditioned; modified policy iteration has closer bounds.
-    near = mdp.discount > NEARLY_ONE and mdp.discount_exact != 1
-    if near and (chain.pure or mdp.n_transitions < COMPILED):
-        with suppress(ModelError, SolverError), warnings.catch_warnings():
-            warnings.simplefilter("ignore", PrecisionWarning)
-            alone = ModifiedPolicyIteration().solve(chain.model)
-            return BoundedVector(value=np.array(alone.value), error=np.array(alone.state_error))
-    return chain.discounted.solve(reward, error)

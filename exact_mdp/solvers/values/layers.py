@@ -2,10 +2,7 @@
 
     V(s) = max_a Q(s, a)  or  Σ_a π(a | s) Q(s, a),    Q(s, a) = r(s, a) + γ Σ_s' P(s' | s, a) V(s')
 
-from the last states to the first, and visits in a pass forward from the start. The error bound of
-`evaluate_row_policies` counts every rounding: a state's value is a sum of n products, so with d the
-length of the longest path and W the same recursion over absolute values, it is at most γ(d (n + 6))
-W (Higham, Accuracy and Stability of Numerical Algorithms, 2002, section 3.1).
+from the last states to the first, and visits in a pass forward from the start.
 """
 
 from __future__ import annotations
@@ -15,12 +12,8 @@ import scipy.sparse as sp
 
 from exact_mdp.mdp.graph import find_reachable_states
 from exact_mdp.mdp.model import MDP, cache_on_model
-from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.table import BLOCK, Floats, Integers, Numbers, concatenate_ranges
+from exact_mdp.mdp.table import Floats, Integers, Numbers, concatenate_ranges
 from exact_mdp.mdp.validate import Flags
-from exact_mdp.solvers.bounds.gains import SLACK, TINY, BoundedVector, gamma
-from exact_mdp.solvers.learning.sampler import QTableRows
-from exact_mdp.solvers.values.evaluate import evaluate
 
 
 class Layers:
@@ -95,29 +88,3 @@ def find_taken_pairs(mdp: MDP, key: Integers, policies: Numbers) -> Integers:
     # In a state with a single action the policy has no effect.
     alone = mdp.forced[:, None] | (chosen < 0)
     return np.where(alone, mdp.pair_offsets[:-1][:, None], chosen)
-
-
-def evaluate_row_policies(mdp: MDP, rows: QTableRows, policies: Numbers) -> BoundedVector:
-    """Return the start values (U,) for policies (U, K), with one action number for each Q-row."""
-    if mdp.ends.most_steps is None:
-        evaluations = []
-        for rule in policies:
-            policy = Policy(space=rows.space, actions=mdp.actions, rule=rule)
-            evaluations.append(evaluate(mdp, policy))
-        return BoundedVector(
-            value=np.array([each.mean for each in evaluations]),
-            error=np.array([each.start.error for each in evaluations]),
-        )
-    layers, start = layers_of(mdp), mdp.start_distribution
-    # In parts of limited memory: values V, and W for the error bound.
-    value, size = np.empty((2, len(policies)))
-    part = max(1, BLOCK // mdp.n_states)
-    for first in range(0, len(policies), part):
-        here = slice(first, first + part)
-        pairs = find_taken_pairs(mdp, rows.key, policies[here])
-        value[here] = start @ layers.evaluate_pairs(pairs)[0]
-        size[here] = start @ layers.evaluate_pairs(pairs, np.abs(mdp.reward))[0]
-    # The bound γ(d (n + 6)) W, and the sum over the start on top.
-    longest = int(np.diff(mdp.transition.indptr).max())
-    terms = len(layers.blocks) * (longest + 6) + mdp.n_states + 4
-    return BoundedVector(value=value, error=(gamma(terms) * size + TINY * terms) * SLACK)

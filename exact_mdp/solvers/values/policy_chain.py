@@ -49,6 +49,7 @@ from exact_mdp.mdp.table import (
 )
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, BoundedVector, component_errors, gamma
 from exact_mdp.solvers.bounds.linear import LinearSystem, select_rows, transpose_system
+from exact_mdp.solvers.claims import SolverError, Status
 from exact_mdp.solvers.endless.chain import Classes, ExactChain, FloatChain, long_run
 from exact_mdp.solvers.endless.quotient import of_pairs
 from exact_mdp.solvers.exact.levels import Level
@@ -62,7 +63,7 @@ from exact_mdp.solvers.exact.linear import (
 )
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.totals import OccupancyMeasure
-from exact_mdp.solvers.solution import SolverError, Status, Valued
+from exact_mdp.solvers.solution import Valued
 from exact_mdp.solvers.solver import Criterion, solve
 
 

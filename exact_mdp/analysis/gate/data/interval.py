@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.analysis.gate.regret import is_at_most
 from exact_mdp.analysis.vary.intervals import Ranged, estimate_share
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.transitions import CUT_OFF
@@ -24,7 +23,7 @@ from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import Floats, Integers, exact, float_of
 from exact_mdp.mdp.validate import Flags
-from exact_mdp.solvers.solution import Claim
+from exact_mdp.solvers.claims import Claim, is_at_most
 
 Ends = tuple[float, float]
 

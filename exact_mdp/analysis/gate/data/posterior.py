@@ -33,8 +33,8 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import BLOCK, MOST_NUMBERS, Floats, exact, format_rational
 from exact_mdp.mdp.validate import RNG, require_count, seed_of
 from exact_mdp.solvers.bounds.gains import SLACK, gamma
+from exact_mdp.solvers.claims import compute_regrets
 from exact_mdp.solvers.parallel import Arrays, join_blocks, run_pieces, seed_blocks
-from exact_mdp.solvers.solution import compute_regrets
 from exact_mdp.solvers.stacked import StackedModel, StackedStructure
 
 

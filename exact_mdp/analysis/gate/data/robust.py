@@ -42,7 +42,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, first_of
 from exact_mdp.solvers.bounds.linear import LinearSystem
-from exact_mdp.solvers.solution import Claim
+from exact_mdp.solvers.claims import Claim
 
 Sides = Floats  # (2, S) bounds from below and from above
 

@@ -45,7 +45,7 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import exact, format_rational
-from exact_mdp.solvers.solution import Claim
+from exact_mdp.solvers.claims import Claim
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 # The greatest width of the brackets in which the ends of limits are proven to lie.

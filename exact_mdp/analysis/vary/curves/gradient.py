@@ -49,9 +49,9 @@ from exact_mdp.mdp.report import Report, Shown, Table, format_cell, list_claim_f
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Integers, Numbers, to_common_denominator, to_integer_array
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, compute_advantages, gamma
+from exact_mdp.solvers.claims import Bounded, Certified, Claim, in_float
 from exact_mdp.solvers.endless.quotient import of_pairs
 from exact_mdp.solvers.exact.certify import certify_and_check
-from exact_mdp.solvers.solution import Bounded, Certified, Claim, in_float
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain

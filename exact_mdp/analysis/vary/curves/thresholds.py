@@ -28,7 +28,7 @@ from exact_mdp.mdp.report import Report, Table
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import format_rational
 from exact_mdp.mdp.validate import Flags
-from exact_mdp.solvers.solution import Claim
+from exact_mdp.solvers.claims import Claim
 
 
 @dataclass(frozen=True, kw_only=True)

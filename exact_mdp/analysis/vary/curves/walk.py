@@ -47,8 +47,8 @@ from exact_mdp.mdp.model import MDP, cache_on_model
 from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.parametric.row_change import Piece, interpolate_polynomials
 from exact_mdp.mdp.table import Integers, format_rational
+from exact_mdp.solvers.claims import Bounded, Certified
 from exact_mdp.solvers.exact.certify import certify_and_check
-from exact_mdp.solvers.solution import Bounded, Certified
 
 # The largest models with cycles: rational functions of degree 80 take two seconds, of 200 minutes.
 LARGEST = 300  # states that are not terminal

@@ -11,7 +11,7 @@ from small_models import small_model
 from exact_mdp import MDP, ModelError, Posterior, Robust, SolverError, assert_policy_optimal, check
 from exact_mdp.analysis.gate import check as module
 from exact_mdp.analysis.gate.criteria import Average, Total, UnderLimits
-from exact_mdp.solvers.solution import Bounded, Certified, Status
+from exact_mdp.solvers.claims import Bounded, Certified, Status
 
 ROWS: Any = [
     (0, 0, [(1, 1, {"pay": 5, "cost": 3})]),

@@ -20,7 +20,7 @@ from exact_mdp.analysis.gate.class_losses import (
     find_zero_reward_pairs,
     to_blame,
 )
-from exact_mdp.analysis.gate.regret import proven_optimum
+from exact_mdp.solvers.exact.certify import proven_optimum
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 

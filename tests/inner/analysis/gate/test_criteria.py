@@ -19,8 +19,8 @@ from exact_mdp.analysis.gate.criteria import (
     Verdict,
     format_claimed_number,
 )
+from exact_mdp.solvers.claims import Bounded, Certified
 from exact_mdp.solvers.exact.certificate import Certificate
-from exact_mdp.solvers.solution import Bounded, Certified
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 

@@ -18,7 +18,7 @@ from exact_mdp.analysis.gate.forgiveness import (
     round_finite_values,
 )
 from exact_mdp.solvers.bounds.gains import BoundedVector
-from exact_mdp.solvers.solution import Status
+from exact_mdp.solvers.claims import Status
 from exact_mdp.solvers.values.policy_chain import PolicyChain, PolicyEquations
 
 

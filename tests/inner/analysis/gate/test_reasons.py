@@ -18,7 +18,7 @@ from exact_mdp.analysis.gate.reasons import (
     q_error,
 )
 from exact_mdp.analysis.gate.regret import policy_regret
-from exact_mdp.solvers.solution import Status
+from exact_mdp.solvers.claims import Status
 from exact_mdp.solvers.values.policy_chain import PolicyChain, PolicyEquations
 
 

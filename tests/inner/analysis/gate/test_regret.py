@@ -11,22 +11,21 @@ import oracle
 import pytest
 from small_models import Chances, given, random_policy, small_model
 
-from exact_mdp import MDP, ModelError, check, evaluate
+from exact_mdp import MDP, ModelError, check
 from exact_mdp.analysis.gate import regret as module
 from exact_mdp.analysis.gate.regret import (
     ActionBounds,
     bounded_optimum,
     include_near_ties,
-    interval_of,
-    is_at_most,
     is_cheap_to_certify,
     limit_of,
     policy_regret,
 )
 from exact_mdp.solvers.bounds.bounds import Bounds
+from exact_mdp.solvers.claims import Certified, Claim, interval_of
 from exact_mdp.solvers.exact.certificate import Certificate
-from exact_mdp.solvers.solution import Bounded, Certified, Claim
 from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
+from exact_mdp.solvers.values.policy_values import find_policy_values
 
 
 def cases(discount: F, seeds: int = 8) -> Iterator[tuple[MDP, Chances, PolicyChain]]:
@@ -286,26 +285,6 @@ def test_few_transitions_and_short_cycles_are_cheap(monkeypatch: pytest.MonkeyPa
     assert policy_regret(chain, exact=True).claim is Claim.CERTIFIED
 
 
-def test_a_limit_is_kept_broken_or_left_open() -> None:
-    for within, limit, wanted in (
-        ((0.0, 1.0), 1, True),
-        ((0.0, 1.0), F(1, 2), None),
-        ((0.5, 1.0), F(1, 2), None),
-        ((0.6, 1.0), F(1, 2), False),
-        ((F(1, 2), F(1, 2)), F(1, 2), True),
-    ):
-        assert is_at_most(within, F(limit)) == wanted
-    assert interval_of(Certified(value=F(1, 3))) == (F(1, 3), F(1, 3))
-    low, high = interval_of(Bounded(value=1.0, error=0.25))
-    assert low < 0.75 < 1.25 < high
-    assert limit_of("max_regret", "1/3") == F(1, 3)
-    assert limit_of("max_regret", 0) == 0
-    assert limit_of("max_regret", module.LARGEST) == module.LARGEST
-    for wrong, words in ((-1, "is -1"), (module.LARGEST * 2, "beyond the floats")):
-        with pytest.raises(ModelError, match=words):
-            limit_of("max_regret", wrong)
-
-
 def test_ties_count_unless_their_sum_is_too_much() -> None:
     mdp = small_model(0)
     chain = PolicyChain.of(mdp, given(random_policy(mdp, 0, pure=True)))
@@ -357,11 +336,20 @@ def test_a_bounded_regret_keeps_the_errors_of_both_values(
     mdp = MDP.from_outcomes(rows, "1/2")
     true = check(mdp, learned).regret.at_start.value
     chain = PolicyChain.of(mdp, policy_of(mdp, learned))
-    own, best = evaluate(mdp, chain), module.bounded_optimum(mdp)
+    own, best = find_policy_values(chain), module.bounded_optimum(mdp)
     shift = sign * best.weight / 8
     far = replace(own, value=own.value - 2 * shift, error=own.error + 2 * abs(shift))
-    monkeypatch.setattr(module, "evaluate", lambda *_: far)
+    monkeypatch.setattr(module, "find_policy_values", lambda _: far)
     off = replace(best, value=best.value + shift, low=-0.126, high=0.126)
     low, high = module._bound_regret(mdp, chain, off).at_start.interval
     assert low <= true <= high
     assert high - low < 0.8  # no wider than twice both errors
+
+
+def test_a_limit_is_an_exact_number_from_0_up_to_the_largest_float() -> None:
+    assert limit_of("max_regret", "1/3") == F(1, 3)
+    assert limit_of("max_regret", 0) == 0
+    assert limit_of("max_regret", module.LARGEST) == module.LARGEST
+    for wrong, words in ((-1, "is -1"), (module.LARGEST * 2, "beyond the floats")):
+        with pytest.raises(ModelError, match=words):
+            limit_of("max_regret", wrong)

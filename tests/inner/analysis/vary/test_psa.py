@@ -25,7 +25,7 @@ from exact_mdp.analysis.vary.psa import (
 )
 from exact_mdp.analysis.vary.study import Study
 from exact_mdp.mdp.sense import Sense
-from exact_mdp.solvers.solution import Estimated
+from exact_mdp.solvers.claims import Estimated
 
 # ---- numbers of a study that is made up ----------------------------------------------------------
 

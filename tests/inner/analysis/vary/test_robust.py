@@ -10,8 +10,8 @@ import pytest
 from scipy.optimize import brentq
 
 from exact_mdp import MDP, Family, ModelError, Parameter, robust, worst_point
+from exact_mdp.solvers.claims import Claim
 from exact_mdp.solvers.robust.sets import L1Ball
-from exact_mdp.solvers.solution import Claim
 
 F = Fraction
 

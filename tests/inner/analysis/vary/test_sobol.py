@@ -14,7 +14,7 @@ from exact_mdp.analysis.vary.sobol import (
     _compute_indices,
     _estimate_indices,
 )
-from exact_mdp.solvers.solution import NORMAL
+from exact_mdp.solvers.claims import NORMAL
 
 SPANS = [
     Range(low=-1, high=3),

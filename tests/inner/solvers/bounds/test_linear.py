@@ -19,7 +19,7 @@ from exact_mdp.solvers.bounds.linear import (
     sweep_system,
     transpose_system,
 )
-from exact_mdp.solvers.solution import Status
+from exact_mdp.solvers.claims import Status
 
 Array = np.ndarray[Any, Any]
 UNIT = 2.0**-53

@@ -8,8 +8,8 @@ import pytest
 
 from exact_mdp import MDP, ModelError, PolicyIteration, SolverError, Status, ValueIteration, solve
 from exact_mdp.solvers.bounds.bounds import bound_optimal_values
+from exact_mdp.solvers.claims import PrecisionWarning
 from exact_mdp.solvers.dynamic.base import check_counts, check_tolerance, conclude_solution
-from exact_mdp.solvers.solution import PrecisionWarning
 
 MODEL = MDP.from_arrays([[[1]], [[1]]], [[1, 2]], discount="1/2")
 

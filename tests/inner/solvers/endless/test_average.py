@@ -7,7 +7,7 @@ import pytest
 from numpy.linalg import matrix_power
 
 from exact_mdp import MDP, LinearProgram, PolicyIteration, ValueIteration, solve
-from exact_mdp.solvers.endless.average import AveragePolicyIteration, solve_average
+from exact_mdp.solvers.endless.average import solve_average
 
 
 def limit(chain: np.ndarray) -> np.ndarray:
@@ -52,10 +52,3 @@ def test_action_values_are_what_a_step_adds_beyond_the_gain() -> None:
         assert found.q[pair] == pytest.approx(
             reward[s, a] - found.value[s] + rows[a, s] @ found.bias
         )
-
-
-def test_improvement_begins_anywhere_and_ends_at_the_best() -> None:
-    mdp = MDP.from_arrays(*drawn(2, False), 1)
-    best = AveragePolicyIteration().run(mdp)[0].tolist()
-    for pairs in product(*(mdp.pairs_of(s) for s in range(4))):
-        assert AveragePolicyIteration().run(mdp, np.array(pairs))[0].tolist() == best

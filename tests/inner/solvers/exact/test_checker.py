@@ -654,6 +654,10 @@ def test_a_model_is_read_alike_from_texts_and_from_numbers() -> None:
         assert any(type(x) is str for pair in written["pairs"] for x in pair["weight"])
         assert {type(x) for pair in handed["pairs"] for x in pair["weight"]} == {int}
         assert Model(written).digest() == Model(handed).digest() == fingerprint(mdp)
+    rows: Any = [(0, 0, [("1/2", 0, "6/2"), ("1/2", 1, "1/3")]), (1, 0, [(1, 1, 0)])]
+    one, other = model_json.encode_problem(MDP.from_outcomes(rows, "1/2"), as_text=False)["pairs"]
+    assert (one["reward"], other["reward"]) == ([3, F(1, 3)], 0)
+    assert [type(x) for x in (*one["reward"], other["reward"])] == [int, F, int]
 
 
 def test_hashes_tell_goals_and_what_missing_them_is_worth() -> None:

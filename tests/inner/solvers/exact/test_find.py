@@ -1,7 +1,6 @@
 """Levels that are found: beside all policies, with proofs that the checker accepts."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from fractions import Fraction as F
 from functools import partial
 from math import inf
@@ -16,37 +15,16 @@ from oracle import (
     best_total,
     gain_and_bias,
     policies,
-    policy_values,
-    rows_of,
-    solve_exact,
     until,
 )
+from random_rows import ending_models, maximised, random_rows
 
 from exact_mdp import MDP, ModelError
 from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.solvers.exact import find
 from exact_mdp.solvers.exact.certificate import Certificate, exact_rows
+from exact_mdp.solvers.exact.optimise import optimise_exactly
 from exact_mdp.solvers.solution import answer_maximised
-
-
-def model(rng: np.random.Generator, *, size: int, end: bool, ends: bool = False) -> list[Any]:
-    """Rows of random pairs: with an end in the last state, which each pair may lead to (`ends`)."""
-    rows = list[Any]()
-    for s in range(size - end):
-        for a in sorted(rng.choice(4, rng.integers(1, 4), replace=False).tolist()):
-            targets = {*rng.integers(0, size, rng.integers(1, 3)).tolist()}
-            targets |= {size - 1} if ends else {*()}
-            weights = rng.integers(1, 4, len(targets)).tolist()
-            reward = int(rng.integers(-2, 3))
-            each = zip(weights, sorted(targets), strict=True)
-            rows.append((s, a, [(F(w, sum(weights)), t, reward) for w, t in each]))
-    return [*rows, (size - 1, 0, [(1, size - 1, 0)])] if end else rows
-
-
-def maximised(mdp: MDP) -> list[Row]:
-    sign = 1 if mdp.sense == "max" else -1
-    return [(s, a, sign * r, law) for s, a, r, law in rows_of(mdp)]
-
 
 # ---- gain and bias -------------------------------------------------------------------------------
 
@@ -55,7 +33,7 @@ def endless(seed: int) -> Iterator[MDP]:
     rng = np.random.default_rng(seed)
     for _ in range(16):
         for sense in ("max", "min"):
-            rows = model(rng, size=int(rng.integers(1, 5)), end=bool(rng.random() < 0.5))
+            rows = random_rows(rng, size=int(rng.integers(1, 5)), end=bool(rng.random() < 0.5))
             yield MDP.from_outcomes(rows, sense=sense)
 
 
@@ -114,109 +92,6 @@ def test_totals_are_the_limits_of_all_policies() -> None:
     assert refused == 0  # runs begin in one state
 
 
-# ---- values of policies that end -----------------------------------------------------------------
-
-
-def ending(seed: int) -> Iterator[MDP]:
-    rng = np.random.default_rng(seed)
-    for rate in ("0", "1/2", "9/10", "1") * 10:
-        for sense in ("max", "min"):
-            rows = model(rng, size=int(rng.integers(2, 6)), end=True, ends=True)
-            yield MDP.from_outcomes(rows, rate, sense=sense)
-
-
-def test_values_are_the_best_of_all_policies() -> None:
-    for mdp in ending(3):
-        rows, equations = maximised(mdp), exact_rows(mdp)
-        best, actions = solve_exact(mdp.n_states, rows, mdp.discount_exact)
-        for first in (None, mdp.pair_offsets[1:] - 1):
-            pairs, (value,), sign = find.optimise_exactly(equations, first)
-            assert value.to_fractions().tolist() == best
-            for (s, a, *_), own in zip(rows, sign.tolist(), strict=True):
-                if not mdp.terminal[s]:
-                    assert own == (0 if a in actions[s] else -1)
-            assert [int(mdp.pair_state[pair]) for pair in pairs] == [*range(mdp.n_states)]
-            assert all(
-                int(mdp.pair_action[pair]) in actions[s] or mdp.terminal[s]
-                for s, pair in enumerate(pairs.tolist())
-            )
-
-
-def test_one_amount_after_the_other_settles_ties() -> None:
-    """Of policies that earn the most of the first, the most of the second."""
-    rng = np.random.default_rng(4)
-    for mdp in ending(5):
-        equations, end = exact_rows(mdp), {mdp.n_states - 1}
-        scale = equations.scale.tolist()
-        amounts = [rng.integers(-1, 2, mdp.n_pairs).astype(object) for _ in range(2)]
-        _, values, _ = find.optimise_exactly(equations, amounts=amounts)
-        each = list[tuple[tuple[F, ...], ...]]()
-        rows = maximised(mdp)
-        place = {row[:2]: number for number, row in enumerate(rows)}
-        for policy in policies(rows):
-            own = [[(s, a, F(int(x[place[s, a]]), int(scale[s])), law) for s, a, _, law in policy]
-                   for x in amounts]  # fmt: skip
-            totals = [policy_values(chain, mdp.discount_exact, end) for chain in own]
-            each.append(tuple(zip(*totals, strict=True)))
-        best = [max(column) for column in zip(*each, strict=True)]
-        found = [level.to_fractions().tolist() for level in values]
-        assert [*zip(*found, strict=True)] == best
-
-
-def test_floats_suggest_a_policy_that_ends() -> None:
-    for mdp in ending(6):
-        equations = exact_rows(mdp)
-        _, actions = solve_exact(mdp.n_states, maximised(mdp), mdp.discount_exact)
-        pairs = find.improve_in_floats(equations, mdp.pair_offsets[:-1])
-        for s, pair in enumerate(pairs.tolist()):
-            assert mdp.pair_state[pair] == s
-            assert mdp.terminal[s] or int(mdp.pair_action[pair]) in actions[s]
-        again = find.improve_in_floats(equations, pairs)
-        assert again.tolist() == pairs.tolist()
-
-
-@pytest.mark.parametrize(
-    "reward, stay, kept",
-    [
-        (F(1), F(1) - F(1, 2**80), True),  # 1 in floats: its equations are singular
-        (F(1), F(1, 2), False),
-        (F(10) ** 300, F(1, 2), False),
-    ],
-)
-def test_where_floats_fail_the_first_policy_stays(reward: F, stay: F, kept: bool) -> None:
-    law = [(stay, 0, reward), (1 - stay, 1, reward)] if stay else [(1, 1, reward)]
-    rows: Any = [(0, 0, law), (0, 1, [(p, t, 2 * r) for p, t, r in law]), (1, 0, [(1, 1, 0)])]
-    mdp = MDP.from_outcomes(rows)
-    pairs = find.improve_in_floats(exact_rows(mdp), np.array([0, 2]))
-    assert pairs.tolist() == ([0, 2] if kept else [1, 2])
-    best, (value,), _ = find.optimise_exactly(exact_rows(mdp))
-    assert value.to_fractions()[0] == 2 * reward / (1 - stay)
-    assert best.tolist() == [1, 2]
-
-
-def test_numbers_beyond_the_floats_suggest_nothing() -> None:
-    mdp = MDP.from_outcomes([(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 2)]), (1, 0, [(1, 1, 0)])])
-    rows = exact_rows(mdp)
-    for size, pairs in ((10**400, [0, 2]), (10**300, [1, 2])):
-        large = replace(rows, constant=rows.constant.astype(object) * size)
-        assert find.improve_in_floats(large, np.array([0, 2])).tolist() == pairs
-        best, (value,), _ = find.optimise_exactly(large)
-        assert (best.tolist(), value.top[0]) == ([1, 2], 2 * size)
-
-
-def test_what_floats_gain_by_rounding_is_no_gain() -> None:
-    """Two ways that are as good, up to 2⁻⁶⁰ of what is added: the first one stays."""
-    rows: Any = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 1 + F(1, 2**52))]), (1, 0, [(1, 1, 0)])]
-    mdp = MDP.from_outcomes(rows)
-    assert find.improve_in_floats(exact_rows(mdp), np.array([0, 2])).tolist() == [0, 2]
-    pairs, *_ = find.optimise_exactly(exact_rows(mdp))
-    assert pairs.tolist() == [1, 2]
-    more: Any = [rows[0], (0, 1, [(1, 1, 1 + F(1, 2**30))]), rows[2]]
-    assert find.improve_in_floats(
-        exact_rows(MDP.from_outcomes(more)), np.array([0, 2])
-    ).tolist() == [1, 2]
-
-
 # ---- a goal --------------------------------------------------------------------------------------
 
 
@@ -225,7 +100,7 @@ def to_goal(seed: int) -> Iterator[MDP]:
     rng = np.random.default_rng(seed)
     for _ in range(60):
         size = int(rng.integers(2, 5))
-        rows = model(rng, size=size, end=True)
+        rows = random_rows(rng, size=size, end=True)
         start = {int(rng.integers(0, size)): 1}
         mdp = MDP.from_outcomes(rows, labels={"goal": {size - 1}}, start=start)
         yield (mdp if rng.random() < 0.5 else negated(mdp)).until("goal")
@@ -303,7 +178,7 @@ def test_starts_have_one_infinity_at_most() -> None:
 def test_an_optimum_is_unique_where_the_states_met_have_one_optimal_pair() -> None:
     rng = np.random.default_rng(8)
     answers = set[bool]()
-    for mdp in [*endless(9), *ending(10)]:
+    for mdp in [*endless(9), *ending_models(10)]:
         rows = maximised(mdp)
         optimal = rng.random(mdp.n_pairs) < 0.6
         optimal[mdp.pair_offsets[:-1]] |= ~np.logical_or.reduceat(optimal, mdp.pair_offsets[:-1])
@@ -336,7 +211,7 @@ def test_certificates_have_the_start_value_of_their_levels() -> None:
     rows: Any = [(0, 0, [(1, 2, 3)]), (1, 0, [(1, 2, 5)]), (1, 2, [(1, 2, 5)]), (2, 0, [(1, 2, 0)])]
     for sense, sign in (("max", 1), ("min", -1)):
         mdp = MDP.from_outcomes(rows, "1/2", start=["1/4", "3/4", 0], sense=sense)
-        pairs, (value,), optimal = find.optimise_exactly(exact_rows(mdp))
+        pairs, (value,), optimal = optimise_exactly(exact_rows(mdp))
         build = partial(find.build_certificate, pairs=pairs, h=value)
         proof = answer_maximised(mdp, partial(build, optimal=optimal == 0))
         assert type(proof) is Certificate

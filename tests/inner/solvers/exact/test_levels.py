@@ -112,6 +112,7 @@ def test_a_mean_is_a_weighted_sum() -> None:
         weights = [(int(s), F(int(n), 6)) for s, n in rng.integers(0, 5, (4, 2))]
         wanted = sum((w * listed(level)[s] for s, w in weights), F(0))
         assert level.compute_mean(weights) == level.compute_mean(iter(weights)) == wanted
+        assert level.compute_mean([]) == 0
 
 
 def test_levels_are_combined_number_by_number() -> None:

@@ -11,8 +11,8 @@ import pytest
 from small_models import Chances, given, random_policy, small_model
 
 from exact_mdp import MDP
+from exact_mdp.solvers.claims import SolverError, Status
 from exact_mdp.solvers.endless.chain import FloatChain
-from exact_mdp.solvers.solution import SolverError, Status
 from exact_mdp.solvers.values import average as module
 from exact_mdp.solvers.values.average import AverageEvaluation, evaluate_average
 from exact_mdp.solvers.values.policy_chain import PolicyChain

@@ -22,9 +22,9 @@ from small_models import (
 
 from exact_mdp import MDP, ModelError, SolverError, evaluate, solve
 from exact_mdp.solvers.bounds.gains import BoundedVector
+from exact_mdp.solvers.claims import Bounded, Status
 from exact_mdp.solvers.dynamic.methods import ModifiedPolicyIteration
-from exact_mdp.solvers.solution import Bounded, Status
-from exact_mdp.solvers.values import evaluate as module
+from exact_mdp.solvers.values import policy_values as module
 from exact_mdp.solvers.values.evaluate import Evaluation
 from exact_mdp.solvers.values.policy_chain import PolicyEquations
 

@@ -14,8 +14,8 @@ from small_models import Chances, given, random_policy, small_model
 from exact_mdp import MDP, ModelError, SolverError, solve
 from exact_mdp.mdp.exact import BellmanRows
 from exact_mdp.solvers.bounds.gains import UNIT, BoundedVector
+from exact_mdp.solvers.claims import Status
 from exact_mdp.solvers.objectives.amounts import Objectives
-from exact_mdp.solvers.solution import Status
 from exact_mdp.solvers.values import policy_chain
 from exact_mdp.solvers.values.policy_chain import (
     OfPolicy,

@@ -10,7 +10,7 @@ from curved_models import KINDS, CurvedModel, curved_model
 from exact_mdp import MDP, Family, ModelError, Parameter, certify, evaluate, gradient, moving
 from exact_mdp.analysis.vary.curves import gradient as inner
 from exact_mdp.analysis.vary.curves.gradient import Checked
-from exact_mdp.solvers.solution import Bounded, Certified, Claim
+from exact_mdp.solvers.claims import Bounded, Certified, Claim
 
 F = Fraction
 SENSES = pytest.mark.parametrize("sense", ["max", "min"])

@@ -1,0 +1,285 @@
+"""Claims: a number and how far it can be trusted.
+
+A number leaves the toolkit as one of four types, so that a table or a plot cannot confuse them:
+`Certified` (an exact rational with a proof), `Bounded` (a float and a sound bound on its error),
+`Checked` (it depends on the degree of polynomials, which was checked at points but not proven; see
+sensitivity) and `Estimated` (a sample mean and its standard error). A solver that reaches no such
+number raises a `SolverError`, whose `Status` says why and what helps.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass
+from decimal import Decimal
+from enum import StrEnum
+from fractions import Fraction
+from math import inf, isinf, nan
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+
+from exact_mdp.mdp.sense import Sense
+from exact_mdp.mdp.table import Floats
+
+NORMAL = 1.959963984540054  # the 97.5 % quantile of the standard normal distribution
+
+
+class Claim(StrEnum):
+    """How far a number can be trusted."""
+
+    CERTIFIED = "certified"
+    BOUNDED = "bounded"
+    CHECKED = "checked"
+    ESTIMATED = "estimated"
+
+
+class Status(StrEnum):
+    """How a solver ended: a message, with a suggested fix on failure."""
+
+    CONVERGED = "the error bound meets the tolerance"
+    DIRECT = "solved directly; the error bound is what rounding may have left"
+    PRECISION = (
+        "double precision reaches its limit above the tolerance; "
+        "allow a larger tol, or use certify(), which computes in rational arithmetic"
+    )
+    ITERATION_LIMIT = (
+        "the iteration limit was reached first; "
+        "raise max_iterations, or use PolicyIteration, which does not depend on mixing, "
+        "or certify(), which computes in rational arithmetic"
+    )
+    NO_BOUND = (
+        "double precision cannot bound the error of this model; "
+        "use certify(), which computes in rational arithmetic"
+    )
+    TOO_LARGE = (
+        "number the states so that most transitions are to near numbers, or lower the discount"
+    )
+    PROGRAM_FAILED = (
+        "the optimiser did not reach an optimum of the linear program; "
+        "try another one, or PolicyIteration"
+    )
+
+
+class PrecisionWarning(UserWarning):
+    """The tolerance is beyond double precision; the error bound says how near the result came."""
+
+
+def warn_of_precision(error: float, *, stacklevel: int = 2) -> None:
+    """Issue a PrecisionWarning; `stacklevel` is 2 for the line that called the caller."""
+    message = f"the error bound is {error:.2g}: {Status.PRECISION}"
+    warnings.warn(message, PrecisionWarning, stacklevel=stacklevel + 1)
+
+
+class SolverError(RuntimeError):
+    """A solver failed to reach its goal.
+
+    Attributes
+    ----------
+    status : Status
+    solution : Solution or None
+        The best solution so far, with its error bound, if there is one.
+
+    Examples
+    --------
+    >>> print(SolverError(Status.PROGRAM_FAILED, "CLARABEL says infeasible"))
+    CLARABEL says infeasible: the optimiser did not reach an optimum of the linear program; ...
+    """
+
+    def __init__(self, status: Status, detail: str = "", solution: Any = None) -> None:
+        self.status, self.detail, self.solution = status, detail, solution
+        message = str(status)
+        if detail:
+            message = f"{detail}: {status}"
+        super().__init__(message)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (self.status, self.detail, self.solution)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certified:
+    """An exact number that a certificate proves; a total reward at discount 1 may be infinite.
+
+    Examples
+    --------
+    >>> print(Certified(value=Fraction(1, 3)))
+    1/3 (certified)
+    >>> Certified(value=Fraction(10) ** 400).interval
+    (1.79...e+308, inf)
+    """
+
+    value: Fraction | float
+
+    claim: ClassVar[Claim] = Claim.CERTIFIED
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The number itself, rounded outward by less than one part in 10^15."""
+        if isinstance(self.value, float):
+            return self.value, self.value
+        rounded = float(self)
+        return float(np.nextafter(rounded, -np.inf)), float(np.nextafter(rounded, np.inf))
+
+    def __str__(self) -> str:
+        if isinstance(self.value, float):
+            top, below = (1, 1)
+        else:
+            top, below = self.value.as_integer_ratio()
+        # Short fractions are written exactly. Others become decimals: Python does not write
+        # integers of over 4,300 digits, and floats would overflow.
+        if max(top.bit_length(), below.bit_length()) <= 80:
+            text = str(self.value)
+            if len(text) <= 24:
+                return f"{text} ({self.claim})"
+        return f"≈ {Decimal(top) / Decimal(below):.12g} ({self.claim})"
+
+    def __float__(self) -> float:
+        return in_float(self.value)
+
+    def __neg__(self) -> Certified:
+        return Certified(value=-self.value)
+
+    def __sub__(self, other: Number) -> Number:
+        if isinstance(other, Certified):
+            return Certified(value=self.value - other.value)
+        return _subtract_bounded(self, other)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bounded:
+    """A float whose distance from the true number is at most `error`, rounding included.
+
+    Examples
+    --------
+    >>> print(Bounded(value=0.5, error=1e-12))
+    0.5 ± 1e-12 (bounded)
+    """
+
+    value: float
+    error: float
+
+    claim: ClassVar[Claim] = Claim.BOUNDED
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Lower and upper bound."""
+        if not np.isfinite(self.error):
+            return -np.inf, np.inf
+        low, high = self.value - self.error, self.value + self.error
+        return float(np.nextafter(low, -np.inf)), float(np.nextafter(high, np.inf))
+
+    def __str__(self) -> str:
+        return f"{self.value:.12g} ± {self.error:.1g} ({self.claim})"
+
+    def __float__(self) -> float:
+        return self.value
+
+    def __neg__(self) -> Bounded:
+        return Bounded(value=0.0 - self.value, error=self.error)
+
+    def __sub__(self, other: Certified | Bounded) -> Bounded:
+        return _subtract_bounded(self, other)
+
+
+Number = TypeVar("Number", Bounded, Certified | Bounded)
+
+
+def _subtract_bounded(one: Certified | Bounded, other: Certified | Bounded) -> Bounded:
+    """Return the difference of two numbers, of which one at least is a float."""
+    value = float(one) - float(other)
+    low = np.nextafter(one.interval[0] - other.interval[1], -inf)
+    high = np.nextafter(one.interval[1] - other.interval[0], inf)
+    return Bounded(value=value, error=float(np.nextafter(max(value - low, high - value), inf)))
+
+
+def compute_regret(best: Number, own: Number, sense: Sense = Sense.MAX) -> Number:
+    """Return the optimal value less a policy's value (for costs, the reverse); never below 0."""
+    lost: Number = sense.loss(best, own)
+    if isinstance(lost, Certified):
+        return lost
+    low, high = (max(0.0, end) for end in lost.interval)
+    value = max(0.0, lost.value)
+    return Bounded(value=value, error=max(value - low, high - value))
+
+
+def compute_regrets(best: Floats, own: Floats, error: Floats, sense: Sense = Sense.MAX) -> Floats:
+    """Return the losses of policy values; 0 if an error of at most `error` may explain one."""
+    lost = sense.loss(best, own)
+    return np.where(np.abs(lost) > error, lost, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimated:
+    """A sample mean, its standard error, and a bound on the part that was cut off.
+
+    Attributes
+    ----------
+    value, standard_error : float
+    cut_off : float
+        A proven bound on the change of the mean if episodes had not been cut off.
+
+    Examples
+    --------
+    >>> Estimated(value=2.0, standard_error=0.5).interval
+    (1.0..., 2.9...)
+    >>> print(Estimated(value=2.0, standard_error=0.5, cut_off=0.25))
+    2 ± 0.5 s.e. ± 0.25 cut off (estimated)
+    """
+
+    value: float
+    standard_error: float
+    cut_off: float = 0.0
+
+    claim: ClassVar[Claim] = Claim.ESTIMATED
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The normal 95 % interval, widened by `cut_off` on both sides."""
+        half = NORMAL * self.standard_error + self.cut_off
+        return self.value - half, self.value + half
+
+    def __float__(self) -> float:
+        return self.value
+
+    def __str__(self) -> str:
+        cut = ""
+        if self.cut_off:
+            cut = f" ± {self.cut_off:.2g} cut off"
+        if isinf(self.standard_error):
+            return f"{self.value:.6g}{cut} ({self.claim}, of one draw)"
+        error = float(f"{self.standard_error:.1g}")
+        return f"{self.value:.6g} ± {error:g} s.e.{cut} ({self.claim})"
+
+
+def interval_of(number: Certified | Bounded) -> tuple[Fraction | float, Fraction | float]:
+    """Return the two ends between which a number lies; both are the number if it is certified."""
+    if isinstance(number, Certified):
+        return number.value, number.value
+    return number.interval
+
+
+def is_at_most(within: tuple[Fraction | float, Fraction | float], limit: Fraction) -> bool | None:
+    """Return whether a number between two ends is at most `limit`; None if that is open."""
+    low, high = within
+    if high <= limit:
+        return True
+    if low > limit:
+        return False
+    return None
+
+
+def in_decimals(numbers: Iterable[Fraction | float | None]) -> list[float]:
+    """Return numbers as floats: infinite beyond the range of floats, NaN for None."""
+    return [nan if number is None else in_float(number) for number in numbers]
+
+
+def in_float(number: Fraction | float) -> float:
+    """Return a number as a float, which is infinite beyond the range of floats."""
+    try:
+        return float(number)
+    except OverflowError:
+        if number > 0:
+            return inf
+        return -inf
