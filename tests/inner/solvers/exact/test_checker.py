@@ -655,7 +655,7 @@ def test_a_model_is_read_alike_from_texts_and_from_numbers() -> None:
         assert {type(x) for pair in handed["pairs"] for x in pair["weight"]} == {int}
         assert Model(written).digest() == Model(handed).digest() == fingerprint(mdp)
     rows: Any = [(0, 0, [("1/2", 0, "6/2"), ("1/2", 1, "1/3")]), (1, 0, [(1, 1, 0)])]
-    one, other = model_json.encode_problem(MDP.from_outcomes(rows, "1/2"), as_text=False)["pairs"]
+    one, other = model_json.list_problem(MDP.from_outcomes(rows, "1/2"))["pairs"]
     assert (one["reward"], other["reward"]) == ([3, F(1, 3)], 0)
     assert [type(x) for x in (*one["reward"], other["reward"])] == [int, F, int]
 
