@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from fractions import Fraction
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -95,22 +96,33 @@ class Classes:
         return total
 
 
-def compute_laurent_expansion(
-    chain: FloatChain | ExactChain, reward: Numbers
-) -> tuple[Numbers, Numbers, Numbers]:
+class Chain(Protocol):
+    """A Markov chain, in floats or in Fractions: all that gain and bias need to know of it."""
+
+    classes: Classes
+
+    @property
+    def stationary(self) -> Numbers:
+        """(S,) the share of time in each state of a class."""
+
+    def accumulate_until_base(self, constant: Numbers) -> Numbers:
+        """Return y (S,): y = constant at bases, and constant + P y elsewhere."""
+
+
+def compute_laurent_expansion(chain: Chain, reward: Numbers) -> tuple[Numbers, Numbers, Numbers]:
     """Return gain g, bias h and w, each (S,), of rewards (S,)."""
     gain = long_run(chain, reward)
     bias = _compute_bias(chain, reward - gain)
     return gain, bias, _compute_bias(chain, -bias)
 
 
-def _compute_bias(chain: FloatChain | ExactChain, earned: Numbers) -> Numbers:
+def _compute_bias(chain: Chain, earned: Numbers) -> Numbers:
     """Return (S,) the bias of rewards whose mean is 0 in each class."""
     bias = chain.accumulate_until_base(np.where(chain.classes.at_base, earned * 0, earned))
     return np.asarray(bias - long_run(chain, bias))
 
 
-def long_run(chain: FloatChain | ExactChain, earned: Numbers) -> Numbers:
+def long_run(chain: Chain, earned: Numbers) -> Numbers:
     """Return (S,) the long-run average of rewards (S,), from each state."""
     classes = chain.classes
     inside, own = classes.recurrent, classes.sum_by_class(chain.stationary * earned)[classes.own]
