@@ -15,7 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.analysis.vary.ranges import Range, Stated, range_of, ranges_of, read_ranges, unit_of
+from exact_mdp.analysis.vary.ranges import (
+    Range,
+    Stated,
+    list_usual_parameters,
+    range_of,
+    ranges_of,
+    read_ranges,
+    unit_of,
+)
 from exact_mdp.analysis.vary.study import Study, study
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
@@ -30,6 +38,7 @@ from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Integers
 from exact_mdp.mdp.validate import require_count
 from exact_mdp.solvers.claims import Bounded, compute_regret
+from exact_mdp.solvers.solver import is_average
 
 VALUES = {
     "re-optimised": "value:.6g",
@@ -243,6 +252,8 @@ def tornado(
     [[1.666666667, 2.5]]
     """
     family = parametric(model)
+    if is_average(criterion) and names is None and ranges is None:
+        names = list_usual_parameters(family)  # an average does not depend on the discount
     spans = ranges_of(family, names, ranges, relative)
     # The design: today's values, then two points for each range, with one parameter moved.
     design = [{parameter.name: parameter.value for parameter in family.parameters}]

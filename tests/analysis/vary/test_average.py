@@ -14,6 +14,7 @@ from exact_mdp import (
     ModelError,
     Scenario,
     certify,
+    moving,
     one_way,
     psa,
     sobol,
@@ -129,3 +130,11 @@ def test_pictures_say_it_too() -> None:
     assert line.get_ylabel() == "average reward (reward per step)"
     assert "average reward along price" in line.get_title(loc="left") + line.get_title()
     assert "average reward" in shares.get_title(loc="left") + shares.get_title()
+
+
+def test_a_tornado_of_averages_leaves_out_the_discount() -> None:
+    moved = moving(queue_at({"arrival": F(1, 4), "price": F(2)}), {"served": [(1, 0)]})
+    assert "discount" in {parameter.name for parameter in moved.parameters}
+    bars = tornado(moved, criterion="average").frame()
+    assert "discount" not in set(bars["parameter"])
+    assert len(bars) == len(moved.parameters) - 1
