@@ -114,10 +114,10 @@ GO = "[go] s=0 -> (s'=1);"
         (program(GO, head="mdp const int N; const double p;"), "the constants N, p", "N=…,p=…"),
         ("mdp mdp", "Storm says", "that place"),
         (program(GO, head=""), "not begin with the type", '"mdp"'),
-        (program("[go] s=0 -> (t'=1);"), "Unknown variable 't'", "what this names"),
+        (program("[go] s=0 -> (t'=1);"), "Unknown variable 't'", "that this names"),
         # A value out of its range would be another one: s'=5 would be s'=1.
-        (program("[go] s=0 -> (s'=5);"), "out-of-bounds value (5)", "what this names"),
-        (program("[go] s=0 -> 0.5:(s'=1);"), "do not sum to one", "what this names"),
+        (program("[go] s=0 -> (s'=5);"), "out-of-bounds value (5)", "that this names"),
+        (program("[go] s=0 -> 0.5:(s'=1);"), "do not sum to one", "that this names"),
         (program(GO, reward="mod(7,4)/10"), "in exact rationals", "write a number"),
         (program(GO, reward="log(3,2)"), "in exact rationals", "write a number"),
         (program(GO, reward="pow(2,0.5)"), "in exact rationals", "write a number"),
