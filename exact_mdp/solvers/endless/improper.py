@@ -79,10 +79,11 @@ class ImproperPolicies:
 
     @cached_property
     def _gains(self) -> tuple[Integers, Mask]:
-        """(C,) the sign of the best gain of each maximal end component, and whether it may be 0.
+        """(S,) the sign of the best gain of each state's component, and whether rewards may cancel.
 
-        Rewards of one sign decide it, and a zero-reward component makes it at least 0. With both
-        signs the best gain is computed; if floats cannot tell its sign, it counts as 0.
+        The sign is -1 outside of components. Rewards of one sign decide it, and a zero-reward
+        component makes it at least 0. With both signs the best gain is computed; if floats cannot
+        tell its sign, it counts as 0.
         """
         component, inside = self.maximal
         count = int(component.max(initial=-1)) + 1
@@ -104,28 +105,26 @@ class ImproperPolicies:
                 own = component[np.isin(component, both)]
                 above, below = best.value > best.error, best.value < -best.error
                 sign[own] = above[:-1].astype(np.int64) - below[:-1]
-        return sign, gains & losses & (sign == 0)
+        cancels = gains & losses & (sign == 0)
+        return np.append(sign, -1)[component], np.append(cancels, False)[component]
 
     # ---- signs of values ---------------------------------------------------------------------
-
-    @cached_property
-    def _gain_sign(self) -> Integers:
-        """(S,) the sign of the best gain of each state's component; -1 without one."""
-        return np.append(self._gains[0], -1)[self.maximal[0]]
 
     @cached_property
     def sign(self) -> Integers:
         """(S,) 1 where the value is +∞, -1 where it is -∞, 0 where it is finite."""
         mdp, graph, every = self.mdp, self.graph, np.ones(self.mdp.n_pairs, dtype=bool)
+        # If missing the goal pays +∞, a way to any end component is enough.
         if mdp.ends.missing_pays:
             return np.where(graph.compute_distance(self.maximal[0] >= 0, every) >= 0, 1, 0)
+        gain_sign, _ = self._gains
         # Safe states: some policy avoids -∞ with probability 1.
         havens = mdp.ends.destination
         if not mdp.ends.has_goal:
-            havens = havens | (self._gain_sign >= 0)
+            havens = havens | (gain_sign >= 0)
         safe = graph.compute_rounds(havens, every) == 0
         # The value is +∞ if a component of positive gain can be reached along safe states.
-        positive = (self._gain_sign > 0) & safe
+        positive = (gain_sign > 0) & safe
         above = safe & (graph.compute_distance(positive, graph.find_pairs_within(safe)) >= 0)
         if mdp.ends.has_goal:
             no_falling(mdp, above)
@@ -140,11 +139,12 @@ class ImproperPolicies:
         ends, every = self.mdp.ends, np.ones(self.mdp.n_pairs, dtype=bool)
         if ends.missing_pays:
             return True
-        cancels = np.append(self._gains[1], False)[self.maximal[0]] & (self.sign == 0)
-        risky = np.zeros_like(cancels)
+        gain_sign, cancels = self._gains
+        open_signs = cancels & (self.sign == 0)
         if not ends.has_goal:
-            risky = self.graph.compute_distance(self._gain_sign > 0, every) >= 0
-        return not (cancels | (risky & (self.sign <= 0))).any()
+            reachable = self.graph.compute_distance(gain_sign > 0, every) >= 0
+            open_signs |= reachable & (self.sign <= 0)
+        return not open_signs.any()
 
     # ---- the finite model --------------------------------------------------------------------
 
@@ -217,7 +217,7 @@ class ImproperPolicies:
             inside = graph.find_pairs_within(earning) & earning[mdp.pair_state]
             choose_first_pairs(graph, inside, pairs)
         else:
-            earning = (self.sign > 0) & (self._gain_sign > 0)
+            earning = (self.sign > 0) & (self._gains[0] > 0)
             own = self._extract_components(np.unique(component[earning]))
             best = _solve_gain_in_floats(own)
             if best is not None and (best.value > best.error)[:-1].all():

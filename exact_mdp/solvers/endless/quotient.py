@@ -33,7 +33,7 @@ class Quotient:
     new_state: Integers  # (S,) the state here of each state of the other model
     source: Integers  # (L',) the original pair of each pair; -1 - i for stop i; L for the end
 
-    def without_losing(self) -> Quotient:
+    def omit_losing_pairs(self) -> Quotient:
         """Return a model in which every policy ends, without the pairs that clearly lose in cycles.
 
         Policy iteration in floats, from a policy that ends, finds these pairs.

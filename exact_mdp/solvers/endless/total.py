@@ -27,11 +27,11 @@ from exact_mdp.solvers.exact.find import one_sign, prove_gain_and_bias, prove_go
 from exact_mdp.solvers.solution import Solution, SolverError, Status
 
 
-def solve_total(mdp: MDP, solved: Callable[[MDP], Solution]) -> Solution:
+def solve_total(mdp: MDP, solve_proper: Callable[[MDP], Solution]) -> Solution:
     """Return values, infinite ones included, with bounds, and a policy that attains them.
 
-    `solved` solves a model in which every policy ends. Raises ModelError if the start mixes +∞ and
-    -∞, and SolverError if floats cannot bound the values.
+    `solve_proper` solves models in which every policy ends. Raises ModelError if the start mixes +∞
+    and -∞, and SolverError if floats cannot bound the values.
     """
     started = perf_counter()
     # Signs of rewards decide where values are infinite, or exact arithmetic does.
@@ -41,9 +41,9 @@ def solve_total(mdp: MDP, solved: Callable[[MDP], Solution]) -> Solution:
     one_sign(mdp, improper.sign)
     # Solve the model of the finite values without the pairs that lose in cycles.
     whole = improper.apply()
-    part = whole.without_losing()
+    part = whole.omit_losing_pairs()
     try:
-        solution = solved(part.mdp)
+        solution = solve_proper(part.mdp)
     except SolverError as failed:
         failed.solution = None  # its states are not the states of the model
         raise

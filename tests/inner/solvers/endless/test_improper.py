@@ -103,7 +103,7 @@ def test_the_way_back_gives_the_exact_values_and_a_policy_that_attains_them(kind
         sign = np.array([(value == inf) - int(value == -inf) for value in proof.value])
         assert improper.sign.tolist() == sign.tolist()
         chosen = {"+∞": sign > 0, "-∞": sign < 0, "finite": sign == 0}[kind]
-        part = improper.apply().without_losing()
+        part = improper.apply().omit_losing_pairs()
         solution = PolicyIteration().solve_rewards(part.mdp)
         values = improper.lift_values(part, solution)
         exact = np.array([float(value) for value in proof.value])

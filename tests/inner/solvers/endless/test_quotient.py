@@ -51,10 +51,10 @@ def test_pairs_that_lose_in_circles_are_left_out_and_no_more() -> None:
     """1 may go round with 0 at a loss of 1, or on for nothing; 0 has one way."""
     rows = [(0, 0, [(1, 1, -1)]), (1, 0, [(1, 0, 0)]), (1, 1, [(1, 2, 0)]), (2, 0, [(1, 2, 0)])]
     whole = build_quotient(MDP.from_outcomes(rows, 1), np.array([0, 1, 2]), np.array([0, 1, -1]))
-    part = whole.without_losing()
+    part = whole.omit_losing_pairs()
     assert part.source.tolist() == [0, 2, 4]
     assert every_policy_ends(3, rows_of(part.mdp))
-    assert part.without_losing() is part
+    assert part.omit_losing_pairs() is part
 
 
 def test_a_model_of_some_pairs_has_their_rows() -> None:
