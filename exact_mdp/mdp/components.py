@@ -54,7 +54,7 @@ def with_components(
         # Exact columns come over one denominator for each pair, the least common multiple.
         each = []
         for column in columns:
-            each.append(_cancel_common_divisor(*_column_to_integers(column, table), table))
+            each.append(cancel_common_divisor(*_column_to_integers(column, table), table))
         common = np.lcm.reduce([below.astype(object) for _, below in each])
         whole = []
         for top, below in each:
@@ -81,7 +81,7 @@ def _of_length_of(top: Numbers, below: Numbers, table: OutcomeTable) -> Numbers:
     return np.asarray(below[table.pair])
 
 
-def _cancel_common_divisor(
+def cancel_common_divisor(
     top: Numbers, below: Numbers, table: OutcomeTable
 ) -> tuple[Numbers, Numbers]:
     """Return numerators (L,) or (N,) and denominators (L,) without a common divisor."""
@@ -164,7 +164,7 @@ def _add_remainder(
             where="components",
             fix=f"leave {REST!r} out: it is the reward less the others, and is added by itself",
         )
-    more = columns | {REST: _cancel_common_divisor(left, below, table)}
+    more = columns | {REST: cancel_common_divisor(left, below, table)}
     return tuple(more), with_components(table, [*more.values()])
 
 

@@ -20,7 +20,6 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from exact_mdp.mdp import questions
 from exact_mdp.mdp.components import named_components, wrong_rows
 from exact_mdp.mdp.ends import Ends
 from exact_mdp.mdp.errors import (
@@ -39,6 +38,8 @@ from exact_mdp.mdp.forms.numbers import whole_numbers
 from exact_mdp.mdp.io.gymnasium import FromGymnasium
 from exact_mdp.mdp.io.transitions import FromTransitions
 from exact_mdp.mdp.questions import Questions
+from exact_mdp.mdp.questions.ending import NO_DATA, ONE_COMPONENT, describe_sense
+from exact_mdp.mdp.questions.origin import keep_origin, keep_origin_changed, origin_of
 from exact_mdp.mdp.result import ROWS_SHOWN, DataFrame, data_frame, plain_report
 from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.space import StateSpace
@@ -222,7 +223,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
             f"MDP({self.name or 'unnamed'}: {self.n_states} states, {self.n_actions} actions, "
             f"{self.n_pairs} pairs, {self.n_transitions} transitions, discount {self._rate}"
         )
-        sense = questions.describe_sense(self)
+        sense = describe_sense(self)
         if sense:
             text += f", {sense}"
         return text + ")"
@@ -480,7 +481,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         0.9
         """
         check_options(parts, {})
-        origin = questions.origin_of(self)
+        origin = origin_of(self)
         if discount is not None and origin is not None and origin.paid:
             # Terminal values are discounted: ask the question of the model with the new discount.
             rebuilt: Self = replace(
@@ -513,9 +514,9 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         # Data and components describe the old table; a new one starts without them.
         if "table" in parts:
             table = require_type(parts["table"], OutcomeTable, "table", "give an OutcomeTable")
-            parts = questions.NO_DATA | parts
+            parts = NO_DATA | parts
             if not parts.keys() & {"components", "component_names"}:
-                parts |= questions.ONE_COMPONENT
+                parts |= ONE_COMPONENT
                 means = table.averaged and table.components is None
                 earned = table.with_reward(table.gain, table.gain_denominator)
                 parts["table"] = replace(earned, averaged=means)
@@ -524,8 +525,8 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
                 parts.setdefault("component_names", self.component_names)
             parts |= named_components(parts, parts.get("table", self.table))
         changed = replace(self, **parts)
-        if questions.origin_of(self) is not None and parts.keys() <= COMMUTING:
-            questions.keep_origin_changed(changed, self, discount, given)
+        if origin_of(self) is not None and parts.keys() <= COMMUTING:
+            keep_origin_changed(changed, self, discount, given)
         return changed
 
     @property
@@ -553,8 +554,8 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
             sense=self.sense.opposite,
             unreached=unreached,
         )
-        if questions.origin_of(self) is not None:
-            questions.keep_origin(negated, self, "negated")
+        if origin_of(self) is not None:
+            keep_origin(negated, self, "negated")
         return negated
 
     @property

@@ -29,7 +29,7 @@ from exact_mdp.mdp.components import require_amounts
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import from_flint, to_flint
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.questions import NO_DATA, NO_GOAL, ONE_COMPONENT
+from exact_mdp.mdp.questions.ending import NO_DATA, NO_GOAL, ONE_COMPONENT
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.space import StateSpace

@@ -11,7 +11,7 @@ import numpy as np
 
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.questions import describe_sense
+from exact_mdp.mdp.questions.ending import describe_sense
 from exact_mdp.mdp.report import Report
 from exact_mdp.mdp.result import ROWS_SHOWN, DataFrame, Pictured, data_frame, plain_report
 from exact_mdp.mdp.table import Floats, Integers

@@ -15,7 +15,7 @@ from typing import Any, Literal
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options, require_known_name
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.questions import ends_at_label
+from exact_mdp.mdp.questions.ending import ends_at_label
 from exact_mdp.mdp.table import COMPILED
 from exact_mdp.solvers.claims import SolverError, Status, warn_of_precision
 from exact_mdp.solvers.dynamic.base import Solver, check_tolerance

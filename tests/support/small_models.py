@@ -48,6 +48,19 @@ def small_model(
     return MDP.from_outcomes(rows, discount, **parts)
 
 
+def three_states(seed: int, sense: str = "max", discount: str = "3/4") -> MDP:
+    """Three states of one or two pairs, rewards by outcome, a start in two states."""
+    rng = np.random.default_rng(seed)
+    rows: list[Any] = []
+    for s in range(3):
+        for a in range(1 + int(rng.integers(0, 2))):
+            weights = rng.multinomial(4, [1 / 3] * 3)
+            rows.append((s, a, [(F(int(k), 4), t, int(rng.integers(-3, 4)))
+                                for t, k in enumerate(weights) if k]))  # fmt: skip
+    mdp = MDP.from_outcomes(rows, discount, sense=sense, start={0: "1/3", 2: "2/3"})
+    return mdp.with_(labels={"there": [2]})
+
+
 def random_policy(mdp: MDP, seed: int, *, pure: bool = False) -> Chances:
     """Exact chances of pairs; in some states one action alone is taken, or in all where `pure`."""
     rng = np.random.default_rng(seed)

@@ -21,7 +21,8 @@ from exact_mdp.mdp.io.load import Loaded, read_model
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.questions import Question, describe_time_limit
+from exact_mdp.mdp.questions.horizon import describe_time_limit
+from exact_mdp.mdp.questions.origin import Question
 from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.mdp.sense import Sense
 from exact_mdp.solvers.solver import Criterion, is_average, require_no_horizon

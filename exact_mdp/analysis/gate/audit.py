@@ -26,7 +26,8 @@ from exact_mdp.analysis.gate.regret import Regret
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, ReadAs
-from exact_mdp.mdp.questions import describe_sense, describe_time_limit
+from exact_mdp.mdp.questions.ending import describe_sense
+from exact_mdp.mdp.questions.horizon import describe_time_limit
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, format_rational

@@ -68,7 +68,8 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Family, Parametric, moving, parameter_of, parametric
 from exact_mdp.mdp.parametric.family import pose_questions
-from exact_mdp.mdp.questions import origin_of, repeats_in_time
+from exact_mdp.mdp.questions.horizon import repeats_in_time
+from exact_mdp.mdp.questions.origin import origin_of
 from exact_mdp.mdp.result import Brief, DataFrame
 from exact_mdp.mdp.table import Floats, float_of
 

@@ -35,7 +35,7 @@ from exact_mdp.mdp.forms.columns import table_of
 from exact_mdp.mdp.forms.numbers import one_kind
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
-from exact_mdp.mdp.questions import Origin, origin_of
+from exact_mdp.mdp.questions.origin import Origin, origin_of
 from exact_mdp.mdp.table import (
     Integers,
     Numbers,

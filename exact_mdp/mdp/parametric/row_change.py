@@ -25,7 +25,6 @@ from exact_mdp.mdp.exact import to_flint
 from exact_mdp.mdp.graph import Mask
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric.family import Family, Moved, Parametric, room_of
-from exact_mdp.mdp.space import TIME
 from exact_mdp.mdp.table import Integers, Numbers, format_rational
 
 Entries = tuple[Integers, Numbers, Numbers]
@@ -248,7 +247,7 @@ def check_alike(first: MDP, other: MDP, *, start: bool) -> None:
         parts.append(("probabilities of the start", first.start, other.start))
     # In a model with time in its states, pairs may also change since episodes end in other states.
     for what, one, two in parts:
-        if one != two and what.endswith("of pairs") and TIME in first.space.names:
+        if one != two and what.endswith("of pairs") and first.space.untimed is not None:
             raise ModelError(
                 f"{what} change: in a model of N steps, a state in which the episode is over has "
                 "one action",
@@ -270,7 +269,7 @@ def _require_same_ends(first: MDP, other: MDP) -> None:
     It then stays at its time instead of moving to the next, so that its rows are not polynomials.
     """
     differs = first.over != other.over
-    if TIME in first.space.names and differs.any():
+    if first.space.untimed is not None and differs.any():
         raise ModelError(
             "the episode is over in a state that is left at other values: it is never left here, "
             "and has the reward 0",

@@ -39,6 +39,7 @@ from exact_mdp.mdp.errors import ModelError, locate_errors, no_such
 from exact_mdp.mdp.forms.names import integer_of
 from exact_mdp.mdp.forms.numbers import convert_tensors, is_pandas_table, refuse_masked
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.questions.horizon import flatten_times
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, Numbers
 
@@ -415,28 +416,6 @@ def action_numbers(model: MDP, given: Numbers) -> Parts:
     if not inside.all():
         raise no_such("action", numbers[~inside][0], model.n_actions, where="policy")
     return {"space": space, "actions": model.actions, "rule": numbers.astype(np.int64)}
-
-
-def flatten_times(model: MDP, table: Numbers) -> Numbers:
-    """Return a table (N, S) or (N, S, A) over times and states as a table over all states.
-
-    A table of another shape, or for a model without time, is returned as it is. S are the states
-    without their time, with or without the extra states; the table may have rows for time N, when
-    every episode is over, or not.
-    """
-    untimed = model.space.untimed
-    if untimed is None or table.ndim < 2:
-        return table
-    times, own = model.space.columns[0].size, untimed.regular
-    # At the last time there is usually no choice, so the policy may leave it out.
-    steps = times
-    if model.forced[(times - 1) * own :].all():
-        steps = times - 1
-    if table.shape[0] not in (steps, times) or table.shape[1] not in (own, untimed.size):
-        return table
-    spread = np.full((model.n_states, *table.shape[2:]), 0, dtype=table.dtype)
-    spread[: steps * own] = table[:steps, :own].reshape(-1, *table.shape[2:])
-    return spread
 
 
 def find_distinct_rows(rows: Numbers) -> tuple[Numbers, Integers]:

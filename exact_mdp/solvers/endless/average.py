@@ -45,7 +45,7 @@ from exact_mdp.solvers.dynamic.methods import (
 )
 from exact_mdp.solvers.endless.average_iteration import AveragePolicyIteration, Improved
 from exact_mdp.solvers.endless.chain import FloatChain
-from exact_mdp.solvers.endless.quotient import build_derived_model
+from exact_mdp.solvers.endless.quotient import build_quotient
 from exact_mdp.solvers.solution import Solution, answer_maximised
 
 
@@ -134,22 +134,22 @@ def _bound_gain_above(step: MDP, bias: Floats) -> Floats:
     """Return (S,) upper bounds on the gains of all policies, from any relative values (S,)."""
     # The greatest r + P h - h in each end component, rounded up.
     graph, added = PairGraph.of(step), compute_advantages(step, bias)
-    label, inside = graph.end_components(np.ones(step.n_pairs, dtype=bool))
-    own, most = label[step.pair_state], added.value + added.error * SLACK
-    count = int(label.max()) + 1
+    component, inside = graph.end_components(np.ones(step.n_pairs, dtype=bool))
+    own, most = component[step.pair_state], added.value + added.error * SLACK
+    count = int(component.max()) + 1
     top = np.full(count, -np.inf)
     np.maximum.at(top, own[inside], np.nextafter(most[inside], np.inf))
     if count == 1:
         return np.full(step.n_states, top[0])
     # In a model of the pairs outside, each end component is one state, with a stop of that value.
-    passed = label < 0
-    label[passed] = count + np.arange(int(passed.sum()))
+    passed = component < 0
+    component[passed] = count + np.arange(int(passed.sum()))
     pairs = np.flatnonzero(~inside)
     stops = [(number, Fraction(value)) for number, value in enumerate(top.tolist())]
-    model = build_derived_model(step, pairs, label, free=True, stops=stops)
+    model = build_quotient(step, pairs, component, zero_rewards=True, stops=stops)
     solution = PolicyIteration().solve_rewards(model.mdp)
     most = np.nextafter(solution.value + solution.state_error * SLACK, np.inf)
-    return np.asarray(most[model.label])
+    return np.asarray(most[model.new_state])
 
 
 # ---- methods ------------------------------------------------------------------------------------

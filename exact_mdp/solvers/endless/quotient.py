@@ -1,11 +1,11 @@
-"""Build models from some pairs of another model, with states merged, and an end added.
+"""Quotients: models of some pairs of another model, with states merged, and an end added.
 
-    derived(mdp, pairs, label)     pair l leads from label(s) to label(s'), label -1 is the end
+    build_quotient(mdp, pairs, new_state)      pair l leads from new_state(s) to new_state(s')
 
-Merged states are the states of one end component that need not be distinguished: a policy that can
-do something in one of them can do it in all (the quotient of de Alfaro, Formal Verification of
-Probabilistic Systems, 1997, section 3.3). Stops are further pairs, which lead to the end with a
-given reward.
+The new state -1 is the end. Merged states are the states of one end component that need not be
+distinguished: a policy that can do something in one of them can do it in all (de Alfaro, Formal
+Verification of Probabilistic Systems, 1997, section 3.3). Stops are further pairs, which lead to
+the end with a given reward.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from exact_mdp.solvers.claims import SolverError, Status
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Derived:
-    """A derived model of S' states and L' pairs, whose last state is the end, and its origin."""
+class Quotient:
+    """A model of S' states and L' pairs, whose last state is the end, and the way back from it."""
 
     mdp: MDP
-    label: Integers  # (S,) the new state of each state of the other model
+    new_state: Integers  # (S,) the state here of each state of the other model
     source: Integers  # (L',) the original pair of each pair; -1 - i for stop i; L for the end
 
-    def without_losing(self) -> Derived:
+    def omit_losing_pairs(self) -> Quotient:
         """Return a model in which every policy ends, without the pairs that clearly lose in cycles.
 
         Policy iteration in floats, from a policy that ends, finds these pairs.
@@ -71,22 +71,22 @@ def of_pairs(mdp: MDP, pairs: Integers) -> MDP:
     return mdp.with_(table=mdp.table.of_pairs(pairs), **own)
 
 
-def build_derived_model(
+def build_quotient(
     mdp: MDP,
     pairs: Integers,
-    label: Integers,
+    new_state: Integers,
     *,
-    free: bool = False,
+    zero_rewards: bool = False,
     stops: Sequence[tuple[int, Fraction]] = (),
-) -> Derived:
-    """Return the model of some pairs (K,) between the states that `label` (S,) gives.
+) -> Quotient:
+    """Return the model of some pairs (K,) between the new states of all states (S,).
 
-    If the pairs are `free`, they have rewards of 0. `stops` lists new states with the reward for
-    stopping there, which is 0 unless the pairs are free.
+    With `zero_rewards` the pairs earn 0. `stops` lists new states with the reward for stopping
+    there, which is 0 if the pairs keep their rewards.
     """
-    size, table = int(label.max(initial=-1)) + 1, mdp.table.of_pairs(pairs)
-    label = np.where(label < 0, size, label)
-    if free:
+    size, table = int(new_state.max(initial=-1)) + 1, mdp.table.of_pairs(pairs)
+    new_state = np.where(new_state < 0, size, new_state)
+    if zero_rewards:
         gain, below = np.zeros(len(pairs), np.int64), make_ones(len(pairs))
     elif table.joint:
         gain, below = table.expected_gain_exact
@@ -100,7 +100,7 @@ def build_derived_model(
     if gain.dtype == np.float64:
         more = more.astype(gain.dtype)
     # Outcomes of a pair are sorted by their new states.
-    following = label[table.next]
+    following = new_state[table.next]
     order = np.lexsort((following, table.pair))
     one = np.ones(len(extra), dtype=table.weight.dtype)
     rows = Rows(
@@ -116,7 +116,7 @@ def build_derived_model(
         gain_denominator=np.append(below, under),
     )
     # Sort pairs by their state, and number the actions of each state from 0.
-    owner = np.append(label[mdp.pair_state[pairs]], extra)
+    owner = np.append(new_state[mdp.pair_state[pairs]], extra)
     by_state = np.argsort(owner, kind="stable")
     owner = owner[by_state]
     action = np.arange(len(owner)) - np.searchsorted(owner, owner)
@@ -131,7 +131,7 @@ def build_derived_model(
         start=((size, Fraction(1)),),
         name=mdp.name,
     )
-    return Derived(mdp=model, label=label, source=source)
+    return Quotient(mdp=model, new_state=new_state, source=source)
 
 
 def choose_nearer_pairs(graph: PairGraph, target: Mask, pairs: Mask, chosen: Integers) -> None:

@@ -32,7 +32,7 @@ from exact_mdp.mdp.exact import BellmanRows, bellman_rows, lcm_by_group
 from exact_mdp.mdp.graph import Mask, find_reachable_nodes, find_start_states
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
-from exact_mdp.mdp.questions import make_terminal
+from exact_mdp.mdp.questions.ending import make_terminal
 from exact_mdp.mdp.table import (
     FLOAT_ROW_TOLERANCE,
     Floats,

@@ -18,7 +18,7 @@ from exact_mdp.analysis.gate.data.posterior import drawn_regrets, sample_models
 from exact_mdp.analysis.gate.data.robust import robust_bounds
 from exact_mdp.analysis.gate.data.sets import RowSets, _bound_mean_above, _compute_radii
 from exact_mdp.analysis.vary.intervals import mean_at_least
-from exact_mdp.mdp.questions import split_by_time
+from exact_mdp.mdp.questions.horizon import split_by_time
 from exact_mdp.solvers import stacked
 
 SEEDS = st.integers(0, 10**6)

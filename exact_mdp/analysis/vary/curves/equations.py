@@ -42,7 +42,7 @@ from exact_mdp.mdp.parametric.row_change import (
     to_flint_ratios,
     transition_entries,
 )
-from exact_mdp.mdp.questions import ends_at_label
+from exact_mdp.mdp.questions.ending import ends_at_label
 
 Values = tuple[Sequence[fmpq_poly], fmpq_poly]
 """N of each state, and D: values are N / D."""

@@ -8,7 +8,7 @@ from oracle import every_policy_ends, rows_of
 from exact_mdp import MDP
 from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.solvers.endless.quotient import (
-    build_derived_model,
+    build_quotient,
     choose_first_pairs,
     choose_nearer_pairs,
     of_pairs,
@@ -27,16 +27,16 @@ MODEL = MDP.from_outcomes(ROWS, 1)
 
 def test_merged_states_share_their_pairs() -> None:
     """0 and 1 become 0, 3 becomes 1, and 2 is the end; a stop in 0 is worth 9."""
-    found = build_derived_model(MODEL, np.array([2, 4]), np.array([0, 0, -1, 1]))
+    found = build_quotient(MODEL, np.array([2, 4]), np.array([0, 0, -1, 1]))
     assert rows_of(found.mdp) == [
         (0, 0, F(2), {2: F(1, 3), 1: F(2, 3)}),
         (1, 0, F(7), {0: F(1)}),
         (2, 0, F(0), {2: F(1)}),
     ]
-    assert found.label.tolist() == [0, 0, 2, 1]
+    assert found.new_state.tolist() == [0, 0, 2, 1]
     assert found.source.tolist() == [2, 4, 5]
-    free = build_derived_model(
-        MODEL, np.array([2, 4]), np.array([0, 0, -1, 1]), free=True, stops=[(0, F(9))]
+    free = build_quotient(
+        MODEL, np.array([2, 4]), np.array([0, 0, -1, 1]), zero_rewards=True, stops=[(0, F(9))]
     )
     assert rows_of(free.mdp) == [
         (0, 0, F(0), {2: F(1, 3), 1: F(2, 3)}),
@@ -50,13 +50,11 @@ def test_merged_states_share_their_pairs() -> None:
 def test_pairs_that_lose_in_circles_are_left_out_and_no_more() -> None:
     """1 may go round with 0 at a loss of 1, or on for nothing; 0 has one way."""
     rows = [(0, 0, [(1, 1, -1)]), (1, 0, [(1, 0, 0)]), (1, 1, [(1, 2, 0)]), (2, 0, [(1, 2, 0)])]
-    whole = build_derived_model(
-        MDP.from_outcomes(rows, 1), np.array([0, 1, 2]), np.array([0, 1, -1])
-    )
-    part = whole.without_losing()
+    whole = build_quotient(MDP.from_outcomes(rows, 1), np.array([0, 1, 2]), np.array([0, 1, -1]))
+    part = whole.omit_losing_pairs()
     assert part.source.tolist() == [0, 2, 4]
     assert every_policy_ends(3, rows_of(part.mdp))
-    assert part.without_losing() is part
+    assert part.omit_losing_pairs() is part
 
 
 def test_a_model_of_some_pairs_has_their_rows() -> None:

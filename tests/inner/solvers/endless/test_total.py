@@ -2,11 +2,10 @@
 
 from math import inf
 
-import numpy as np
 import pytest
 
 from exact_mdp import MDP, solve
-from exact_mdp.solvers.endless.total import Structure, round_exact_solution
+from exact_mdp.solvers.endless.total import round_exact_solution
 
 
 def ring(earned: object, leave: object) -> MDP:
@@ -29,14 +28,6 @@ def test_the_sign_of_a_round_decides(earned: str, values: list[float]) -> None:
     assert exact.value.tolist() == [*values, 0]
     for one in (found.value, exact.value):
         assert [*one[:2]] == pytest.approx(values)
-
-
-def test_finite_parts_are_those_without_an_infinite_value() -> None:
-    structure = Structure(ring("1/2", 3))
-    assert structure.build_finite_model().mdp.n_states == 3
-    label = structure.build_finite_model().label
-    assert len({*label.tolist()}) == 3
-    assert np.isfinite(solve(ring("1/2", 3)).value).all()
 
 
 def test_rounded_is_the_exact_number_rounded_once() -> None:

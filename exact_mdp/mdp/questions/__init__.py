@@ -1,0 +1,161 @@
+"""Questions about a model, as reductions: models whose optimal value is the answer, and ways back.
+
+    chain of reductions:   question -> model in which a total reward is maximised or minimised
+
+A reduction says whether it applies, makes its model, and tells how pairs and states of that model
+are those of the given one: each module of this folder has one, and states its equation. Policies of
+a model are also policies of its questions, so every analysis applies to them as it is.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol, Self, TypeVar
+
+from exact_mdp.mdp.questions.horizon import Horizon
+from exact_mdp.mdp.questions.origin import Origin as Origin
+from exact_mdp.mdp.questions.origin import Question as Question
+from exact_mdp.mdp.questions.origin import keep_origin
+from exact_mdp.mdp.questions.reaching import Reaching
+from exact_mdp.mdp.questions.until import Component, Until
+from exact_mdp.mdp.validate import Parts, require_count
+
+Model = TypeVar("Model", bound=Parts)
+
+
+class Reduction(Protocol):
+    """The shape of all reductions of this folder, whose attributes are the options of a question.
+
+    If the model of the answer numbers its states and pairs in another way, the module has the way
+    back.
+    """
+
+    def require_applicable(self, model: Any) -> None:
+        """Raise ModelError if the question cannot be asked about the model."""
+
+    def apply(self, model: Any) -> Any:
+        """Return the model whose optimal value is the answer."""
+
+
+def reduce_model(model: Model, reduction: Reduction) -> Model:
+    """Return the model of a reduction that applies."""
+    reduction.require_applicable(model)
+    answer: Model = reduction.apply(model)
+    return answer
+
+
+class Questions(Parts):
+    """The questions of a model: methods that return the model of the answer."""
+
+    def reaching(self, label: str, allowed: str | None = None) -> Self:
+        """Return the model whose value is the probability of reaching a labelled state.
+
+        Steps into a labelled state lead to a new state `reached` instead; the labelled states keep
+        the value 1. The optimum is the greatest probability, or the least if the sense is "min".
+        The model has no discount. With `within(N)`, before or after, it is the probability of
+        reaching a labelled state within N steps.
+
+        Parameters
+        ----------
+        label : str
+            One of `labels`.
+        allowed : str, optional
+            The label of the states that a run may pass through; all by default.
+
+        Returns
+        -------
+        MDP
+
+        Raises
+        ------
+        ModelError
+            If a label is unknown, or a start state is not allowed.
+
+        Examples
+        --------
+        >>> from exact_mdp import MDP
+        >>> from exact_mdp import certify
+        >>> walk = [["1/2", "1/6", "1/3"], [0, 1, 0], [0, 0, 1]]
+        >>> mdp = MDP.from_arrays([walk], [0, 0, 0], labels={"home": [False, True, False]})
+        >>> certify(mdp.reaching("home")).start_value
+        Fraction(1, 3)
+        """
+        answer = reduce_model(self, Reaching(label, allowed))
+        return keep_origin(answer, self, "reaching", label=label, allowed=allowed)
+
+    def until(self, label: str, reward: str | None = None) -> Self:
+        """Return the model whose value is the expected reward until a labelled state is reached.
+
+        At discount 1 a run that never reaches one has the value +∞. The optimum is infinite if such
+        runs have a positive probability under some policy; for costs, under every policy. With
+        `within(N)`, before or after, these are the runs that reach no labelled state in N steps.
+
+        Parameters
+        ----------
+        label : str
+            One of `labels`.
+        reward : str, optional
+            The reward component that counts; the whole reward by default.
+
+        Returns
+        -------
+        MDP
+
+        Raises
+        ------
+        ModelError
+            If the label or the component is unknown.
+
+        Examples
+        --------
+        >>> from exact_mdp import MDP
+        >>> from exact_mdp import certify
+        >>> walk = [["1/3", "2/3"], [0, 1]]
+        >>> mdp = MDP.from_arrays([walk], [1, 1], labels={"home": [False, True]})
+        >>> certify(mdp.until("home")).value.tolist()
+        [Fraction(3, 2), Fraction(0, 1)]
+        """
+        model = self
+        if reward is not None:
+            model = reduce_model(self, Component(reward))
+        return keep_origin(reduce_model(model, Until(label)), model, "until", label=label)
+
+    def within(self, steps: int, *, terminal_value: object = None) -> Self:
+        """Return the model of episodes that stop after N steps.
+
+        The new model has a column `time` before the model's own columns: first all states at time
+        0, then at time 1, and so on to time N, when every episode is over. Extra states, such as an
+        end, have no time. A policy over the model's own states or columns is also a policy of the
+        new model, the same at every time.
+
+        Parameters
+        ----------
+        steps : int
+            N, 1 or more.
+        terminal_value : (S,) numbers or {state: number}, optional
+            The value of each state at time N; 0 by default, and for states that are not named. The
+            last step earns it, discounted once, so the values of the states at time N themselves
+            are 0. In a model with components it is a component of its own, "terminal value".
+
+        Returns
+        -------
+        MDP
+
+        Raises
+        ------
+        ModelError
+            If `steps` is not a positive whole number, a terminal value is not finite, the new model
+            would not fit in memory, or the model already has a column `time`.
+
+        Examples
+        --------
+        >>> from exact_mdp import MDP
+        >>> wait, go = [["1/2", "1/2"], [0, 1]], [[0, 1], [0, 1]]
+        >>> mdp = MDP.from_arrays([wait, go], [[1, "3/2"], [0, 0]]).within(3)
+        >>> mdp.space.names, mdp.n_states, mdp.space.label(2)
+        (('time', 'state'), 8, 'time 1, state 0')
+        >>> mdp.table.row(mdp.pair(2, 0))
+        [(Fraction(1, 2), 4, Fraction(1, 1)), (Fraction(1, 2), 5, Fraction(1, 1))]
+        """
+        steps = require_count(steps, "horizon")
+        answer = reduce_model(self, Horizon(steps, terminal_value))
+        return keep_origin(answer, self, "within", steps=steps, terminal_value=terminal_value)

@@ -1,0 +1,277 @@
+"""Episodes that stop after N steps: the time becomes a part of the state, so no run has a cycle.
+
+    V_N(s) = 0,    V_t(s) = max over pairs l of s of  r(l) + γ Σ_s' P(l, s') V_{t+1}(s')
+
+The states of time t are a layer, which begins at t S'; extra states, such as an end, have no time
+and stand behind all layers (Puterman, Markov Decision Processes, 1994, section 4.3). An episode
+that is over stays in its layer. Terminal values are earned by the last step (`terminal_values`).
+
+The way in: a policy over states, or an array by time and state (`flatten_times`). The way back:
+`split_by_time`, for numbers of the pairs; `StateSpace.untimed`, the states without their time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.questions.ending import NO_DATA, fill_certain
+from exact_mdp.mdp.questions.origin import origin_of
+from exact_mdp.mdp.questions.terminal_values import (
+    add_terminal_values,
+    read_terminal_values,
+    require_unpaid,
+)
+from exact_mdp.mdp.space import TIME, Column, StateSpace
+from exact_mdp.mdp.table import (
+    MOST_BYTES,
+    Integers,
+    Numbers,
+    OutcomeTable,
+    estimate_outcome_bytes,
+)
+from exact_mdp.mdp.validate import Flags, Parts
+
+
+@dataclass(frozen=True)
+class Horizon:
+    """The reward of the first `steps` steps, and the value of the state that they lead to."""
+
+    steps: int
+    terminal_value: object = None
+
+    def _lay_out(self, model: Any) -> TimeLayers:
+        values = read_terminal_values(self.terminal_value, model.space)
+        return TimeLayers(model, self.steps, values)
+
+    def require_applicable(self, model: Any) -> None:
+        """Raise ModelError if the model has a time already, or its layers are too many."""
+        layers = self._lay_out(model)
+        # A run that has reached its target is over and earns no terminal value.
+        if model.target is not None:
+            require_unpaid(layers.values, model.target, model.space)
+        origin = origin_of(model)
+        if origin is not None and any(each.method == "within" for each in origin.questions):
+            raise ModelError(
+                "the model already stops after a number of steps",
+                where="horizon",
+                fix="leave out the horizon, or ask the model that it was made from",
+            )
+        if TIME in layers.space.names:
+            raise ModelError(
+                f"the model has a column {TIME!r} of its own",
+                where="state space",
+                fix="unroll the model that it was made from, or name that column differently",
+            )
+        layers.require_memory()
+
+    def apply(self, model: Any) -> Any:
+        """Return the model of episodes that stop."""
+        layers, states, first = self._lay_out(model), model.n_states, model.pair_offsets[:-1]
+        one, pairs, names = layers.table, layers.pairs, model.component_names
+
+        def append_end(name: str, values: Numbers) -> Numbers:
+            return layers.repeat(values, fill_certain(name, values, states))
+
+        # The rows of one time, N times over, and one certain outcome for each state at time N.
+        lengths = layers.repeat(np.diff(one.offsets), np.ones(states, np.int64))
+        table = one.map_numbers(
+            append_end,
+            append_end,
+            offsets=np.concatenate([[0], np.cumsum(lengths)]),
+            next_states=layers.list_next_states(),
+        )
+        # The last step earns the terminal values.
+        if any(layers.values):
+            before = [Fraction(0)] * len(one.next) * (self.steps - 1)
+            last = [model.discount_exact * layers.values[state] for state in one.next]
+            earned = [*before, *last, *[Fraction(0)] * states]
+            names, table = add_terminal_values(table, earned, names)
+        time = np.repeat(np.arange(self.steps + 1), [*[len(pairs)] * self.steps, states])
+        owner = layers.repeat(model.pair_state[pairs], np.arange(states))
+        column = Column(name=TIME, size=self.steps + 1)
+        parts = {
+            "table": table,
+            "component_names": names,
+            "pair_state": owner + layers.size * time,
+            "pair_action": layers.repeat(model.pair_action[pairs], model.pair_action[first]),
+            "space": StateSpace(columns=(column, *layers.space.columns), extra=layers.space.extra),
+            "start": tuple((layers.find_first(state), weight) for state, weight in model.start),
+            "time_limit": None,
+            "labels": {name: layers.repeat_flags(flags) for name, flags in model.labels.items()},
+            **NO_DATA,
+        }
+        for name in ("goal", "target"):
+            if getattr(model, name) is not None:
+                parts[name] = layers.repeat_flags(getattr(model, name))
+        return replace(model, **parts)
+
+
+@dataclass(frozen=True)
+class TimeLayers:
+    """The states of a model, repeated for the times 0 … N; those whose episode is over stay."""
+
+    model: Any
+    steps: int
+    values: Sequence[Fraction] = ()  # of the states at time N
+
+    @cached_property
+    def over(self) -> Flags:
+        """(S,) where an episode is over; a terminal state with a terminal value waits for it."""
+        over: Flags = self.model.over
+        if any(self.values):
+            over = over & ~np.array(self.values, dtype=bool)
+        return over
+
+    @cached_property
+    def space(self) -> StateSpace:
+        """The states of one time; without columns if the process goes on in an extra state."""
+        space: StateSpace = self.model.space
+        if self.over[space.regular :].all() and space.columns:
+            return space
+        return StateSpace.plain(space.size, space.labels(range(space.size)))
+
+    @property
+    def size(self) -> int:
+        """The number of states of one time."""
+        return self.space.regular
+
+    @cached_property
+    def pairs(self) -> Integers:
+        """The pairs of every time but the last; a state whose episode is over has one."""
+        offsets = self.model.pair_offsets
+        inside = ~self.over[self.model.pair_state]
+        inside[offsets[:-1][self.over]] = True
+        return np.flatnonzero(inside[: offsets[self.size]])
+
+    @cached_property
+    def table(self) -> OutcomeTable:
+        """The outcomes of these pairs."""
+        table: OutcomeTable = self.model.table.of_pairs(self.pairs)
+        return table
+
+    def find_first(self, state: int) -> int:
+        """Return the number of a state at time 0; extra states move behind all layers."""
+        if state < self.size:
+            return state
+        return state + self.size * self.steps
+
+    def repeat(self, values: Numbers, last: Numbers) -> Numbers:
+        """Return `values` N times, once for each of the times 0 … N - 1, and then `last`."""
+        return np.concatenate([np.tile(values, (self.steps, *[1] * (values.ndim - 1))), last])
+
+    def repeat_flags(self, flags: Flags) -> Flags:
+        """Return flags (S,) for the states of all times and the extra ones."""
+        return np.append(np.tile(flags[: self.size], self.steps + 1), flags[self.size :])
+
+    def list_next_states(self) -> Numbers:
+        """Return the next states of all times: one time later, unless the episode is over."""
+        # From time t, a state of the product moves to layer t + 1, a finished one stays in its
+        # layer, and an extra state keeps its place behind all layers.
+        size, table, states = self.size, self.table, self.model.n_states
+        after, time = table.next.astype(np.int64), np.arange(self.steps)[:, None]
+        going = ~self.over[self.model.pair_state[self.pairs]]
+        later = np.repeat(going, np.diff(table.offsets)).astype(np.int64)
+        shift = np.where(after < size, size * (time + later), size * self.steps)
+        following = np.append((after + shift).ravel(), np.arange(states) + size * self.steps)
+        if size * (self.steps + 1) + states < 2**31:
+            return following.astype(np.int32)
+        return following
+
+    def require_memory(self) -> None:
+        """Raise ModelError if the layers are too large."""
+        table = self.table
+        kinds = (table.weight.dtype, table.gain.dtype, table.denominator.dtype)
+        each = estimate_outcome_bytes(wide=object in kinds)
+        states = self.size * (self.steps + 1)
+        outcomes = len(table.next) * self.steps + states
+        pairs = table.pairs * self.steps + states
+        # Beside the table, an audit was measured to take 20 bytes for each outcome, 250 for each
+        # pair and 560 for each state.
+        size = (each + 20) * outcomes + 250 * pairs + 560 * states
+        if size > MOST_BYTES:
+            raise ModelError(
+                f"{self.steps:,} steps of this model make {states:,} states and {outcomes:,} "
+                f"outcomes: {size / 1e9:,.0f} GB of memory, more than {MOST_BYTES / 1e9:g} GB",
+                where="horizon",
+                fix="choose fewer steps; or no horizon, if the process ends by itself or late "
+                "steps hardly count",
+            )
+
+
+def flatten_times(model: Any, table: Numbers) -> Numbers:
+    """Return a table (N, S) or (N, S, A) over times and states as a table over all states.
+
+    A table of another shape, or for a model without time, is returned as it is. S are the states
+    without their time, with or without the extra states; the table may have rows for time N, when
+    every episode is over, or not.
+    """
+    untimed = model.space.untimed
+    if untimed is None or table.ndim < 2:
+        return table
+    times, own = model.space.columns[0].size, untimed.regular
+    # At the last time there is usually no choice, so the policy may leave it out.
+    steps = times
+    if model.forced[(times - 1) * own :].all():
+        steps = times - 1
+    if table.shape[0] not in (steps, times) or table.shape[1] not in (own, untimed.size):
+        return table
+    spread = np.full((model.n_states, *table.shape[2:]), 0, dtype=table.dtype)
+    spread[: steps * own] = table[:steps, :own].reshape(-1, *table.shape[2:])
+    return spread
+
+
+def split_by_time(model: Any, weights: Numbers, steps: int) -> Numbers:
+    """Return the weights of the pairs of `model.within(N)` by time and pair of `model` (N, L)."""
+    # Terminal states have a single pair at each time; it takes all the weight.
+    pairs = TimeLayers(model, steps).pairs
+    by_step = np.zeros((steps, model.n_pairs))
+    by_step[:, model.pair_offsets[:-1][model.over]] = 1.0
+    by_step[:, pairs] = weights[: steps * len(pairs)].reshape(steps, len(pairs))
+    return by_step
+
+
+def repeats_in_time(model: Any) -> bool:
+    """Return whether a model without origin looks like the result of `within`.
+
+    Its first column is the time, every step leads to the next time, and time 0 and time 1 have the
+    same rows.
+    """
+    space, table = model.space, model.table
+    if not space.columns or space.names[0] != TIME or space.columns[0].size < 3:
+        return False
+    # Take the pairs of times 0 and 1; `own` is the number of states of one time.
+    own = space.regular // space.columns[0].size
+    first, second = (np.flatnonzero(model.pair_state // own == time) for time in (0, 1))
+    here, there = table.of_pairs(first), table.of_pairs(second)
+    # Compare the numbers of outcomes and the actions, before rows are compared number by number.
+    same = np.array_equal(np.diff(here.offsets), np.diff(there.offsets))
+    same = same and np.array_equal(model.pair_action[first], model.pair_action[second])
+    if not same:
+        return False
+    # The next states of time 1 are the next states of time 0, one layer further on.
+    later = np.where(here.next < space.regular, here.next + own, here.next)
+    rows = (here.weight, there.weight), (here.denominator, there.denominator)
+    return np.array_equal(later, there.next) and all(np.array_equal(*each) for each in rows)
+
+
+def describe_time_limit(model: Parts, within: str) -> list[str]:
+    """Return a note that the answer ignores the environment's time limit; [] without a limit.
+
+    `within` is advice on how to keep the limit, with {} for the number of steps.
+    """
+    if model.time_limit is None:
+        return []
+    note = (
+        f"the environment stops after {model.time_limit:,} steps; this answer is for episodes "
+        "without a limit"
+    )
+    if within:
+        note += f": {within.format(model.time_limit)}"
+    return [note]

@@ -1,0 +1,74 @@
+"""The expected reward until a set of states T is reached: the reward if T is absorbing.
+
+    V(s) = 0 in T,    V(s) = max over pairs l of s of  r(l) + γ Σ_s' P(l, s') V(s')  elsewhere
+
+At discount 1 a run that never reaches T has the value +∞, as PRISM and Storm define R[F T]: T is
+the goal of the model (Baier and Katoen, Principles of Model Checking, MIT Press 2008, section 10.6;
+https://www.prismmodelchecker.org/manual/PropertySpecification/Reward-basedProperties). Below
+discount 1 such a run has a finite value, and T is only the target. If one component of the reward
+counts, the model is first reduced to the model that earns this component alone.
+
+The way back: states and pairs keep their numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from exact_mdp.mdp.errors import ModelError, suggest_name
+from exact_mdp.mdp.questions.ending import find_labelled_states, make_terminal
+from exact_mdp.mdp.questions.origin import origin_of
+from exact_mdp.mdp.questions.terminal_values import read_terminal_values, require_unpaid
+
+
+@dataclass(frozen=True)
+class Until:
+    """What a run earns until it reaches a labelled state."""
+
+    label: str
+
+    def require_applicable(self, model: Any) -> None:
+        """Raise ModelError if the label is unknown, or a labelled state has a terminal value."""
+        find_labelled_states(model, self.label)
+        origin = origin_of(model)
+        if origin is None or not origin.paid:
+            return
+        space, goal = origin.model.space, origin.model.labels.get(self.label, [])
+        for question in origin.questions:
+            given = question.options.get("terminal_value")
+            require_unpaid(read_terminal_values(given, space), goal, space)
+
+    def apply(self, model: Any) -> Any:
+        """Return the model in which runs end in the labelled states."""
+        target, goal = find_labelled_states(model, self.label), None
+        if model.discount_exact == 1:
+            goal = target
+        return make_terminal(model, target, goal=goal, target=target)
+
+
+@dataclass(frozen=True)
+class Component:
+    """The component of the reward that counts alone."""
+
+    name: str
+
+    def require_applicable(self, model: Any) -> None:
+        """Raise ModelError if the model has no such component."""
+        if self.name not in model.component_names:
+            fix = suggest_name(self.name, model.component_names)
+            raise ModelError(
+                f"no reward component {self.name!r}", where="reward components", fix=fix
+            )
+
+    def apply(self, model: Any) -> Any:
+        """Return the model whose reward is the component; its origin has that reward, too."""
+        if (self.name,) == model.component_names and not model.table.parted_by_outcome:
+            return model
+        origin = origin_of(model)
+        if origin is not None and self.name in origin.model.component_names:
+            # Terminal values are a component of their own, so they do not count.
+            unpaid = origin.without_terminal_value()
+            return replace(unpaid, model=self.apply(origin.model)).rebuild_model()
+        table = model.table.with_component_reward(model.component_names.index(self.name))
+        return replace(model, table=table, component_names=(self.name,))

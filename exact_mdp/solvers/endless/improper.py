@@ -1,0 +1,247 @@
+"""The reduction of improper policies at discount 1: infinite values, and a model of finite ones.
+
+A run ends, or stays in an end component: states and pairs which a policy can use forever. The
+states of a maximal end component reach each other, so its best mean reward g is one number:
+
+    g > 0    stay in it: the value is +∞ wherever it can be reached without a risk of -∞
+    g < 0    no optimal policy stays in it
+    g = 0    without positive rewards, a policy stays by pairs without reward, or leaves
+
+Pairs without reward form zero-reward end components: a policy can move between their states, or
+stay, for nothing. Their states have one value, and become one state of the finite model, which may
+end there. With a goal a run that never arrives has the value +∞ or -∞, so that staying does not end
+it; if +∞ is better, a way to any end component is enough. Rewards of both signs may cancel in a
+component: then exact levels decide (`exact.find`), not this reduction.
+
+The way back: a state has the value of the state that it became, or an infinite one; in a merged
+component a policy moves to the state from which the finite model leaves it (de Alfaro, Formal
+Verification of Probabilistic Systems, 1997, chapters 3 and 5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from math import inf
+
+import numpy as np
+
+from exact_mdp.mdp.end_components import PairGraph
+from exact_mdp.mdp.graph import Mask
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Integers
+from exact_mdp.solvers.bounds.gains import BoundedVector
+from exact_mdp.solvers.claims import SolverError
+from exact_mdp.solvers.dynamic.methods import PolicyIteration
+from exact_mdp.solvers.endless.average import solve_average
+from exact_mdp.solvers.endless.quotient import (
+    Quotient,
+    build_quotient,
+    choose_first_pairs,
+    choose_nearer_pairs,
+)
+from exact_mdp.solvers.exact.find import best_average, no_falling
+from exact_mdp.solvers.solution import Solution
+
+
+@dataclass(frozen=True, eq=False)
+class ImproperPolicies:
+    """The end components of a model of maximised rewards, and the signs of its infinite values."""
+
+    mdp: MDP
+
+    @cached_property
+    def graph(self) -> PairGraph:
+        """The graph of the pairs."""
+        return PairGraph.of(self.mdp)
+
+    # ---- end components ----------------------------------------------------------------------
+
+    @cached_property
+    def maximal(self) -> tuple[Integers, Mask]:
+        """(S,) the maximal end component of each state, or -1, and (L,) the pairs in them.
+
+        Ends are left out.
+        """
+        return self.graph.end_components(~self.mdp.ends.destination[self.mdp.pair_state])
+
+    @cached_property
+    def _reward_sign(self) -> Integers:
+        return np.asarray(np.sign(self.mdp.table.expected_gain_exact[0]))
+
+    @cached_property
+    def zero_reward(self) -> tuple[Integers, Mask]:
+        """(S,) the zero-reward end component of each state, or -1, and (L,) the pairs in them."""
+        component, inside = self.maximal
+        if not self._reward_sign[inside].any():
+            return component, inside
+        return self.graph.end_components(inside & (self._reward_sign == 0))
+
+    @cached_property
+    def _gains(self) -> tuple[Integers, Mask]:
+        """(S,) the sign of the best gain of each state's component, and whether rewards may cancel.
+
+        The sign is -1 outside of components. Rewards of one sign decide it, and a zero-reward
+        component makes it at least 0. With both signs the best gain is computed; if floats cannot
+        tell its sign, it counts as 0.
+        """
+        component, inside = self.maximal
+        count = int(component.max(initial=-1)) + 1
+
+        def have_some(where: Mask, number: Integers) -> Mask:
+            return np.bincount(number[where], minlength=count) > 0
+
+        owner = component[self.mdp.pair_state]
+        gains = have_some(inside & (self._reward_sign > 0), owner)
+        losses = have_some(inside & (self._reward_sign < 0), owner)
+        zero = have_some(self.zero_reward[0] >= 0, component)
+        sign = np.where(gains, 1, np.where(zero, 0, -1))
+        both = np.flatnonzero(gains & losses)
+        if len(both):
+            sign[both] = 0
+            best = _solve_gain_in_floats(self._extract_components(both))
+            if best is not None:
+                # All states of a component have the same gain.
+                own = component[np.isin(component, both)]
+                above, below = best.value > best.error, best.value < -best.error
+                sign[own] = above[:-1].astype(np.int64) - below[:-1]
+        cancels = gains & losses & (sign == 0)
+        return np.append(sign, -1)[component], np.append(cancels, False)[component]
+
+    # ---- signs of values ---------------------------------------------------------------------
+
+    @cached_property
+    def sign(self) -> Integers:
+        """(S,) 1 where the value is +∞, -1 where it is -∞, 0 where it is finite."""
+        mdp, graph, every = self.mdp, self.graph, np.ones(self.mdp.n_pairs, dtype=bool)
+        # If missing the goal pays +∞, a way to any end component is enough.
+        if mdp.ends.missing_pays:
+            return np.where(graph.compute_distance(self.maximal[0] >= 0, every) >= 0, 1, 0)
+        gain_sign, _ = self._gains
+        # Safe states: some policy avoids -∞ with probability 1.
+        havens = mdp.ends.destination
+        if not mdp.ends.has_goal:
+            havens = havens | (gain_sign >= 0)
+        safe = graph.compute_rounds(havens, every) == 0
+        # The value is +∞ if a component of positive gain can be reached along safe states.
+        positive = (gain_sign > 0) & safe
+        above = safe & (graph.compute_distance(positive, graph.find_pairs_within(safe)) >= 0)
+        if mdp.ends.has_goal:
+            no_falling(mdp, above)
+        return np.where(above, 1, np.where(safe, 0, -1))
+
+    @cached_property
+    def applies(self) -> bool:
+        """Whether signs decide, and exact levels are not needed.
+
+        They do not if rewards may cancel, or if +∞ can be reached only at a risk of -∞.
+        """
+        ends, every = self.mdp.ends, np.ones(self.mdp.n_pairs, dtype=bool)
+        if ends.missing_pays:
+            return True
+        gain_sign, cancels = self._gains
+        open_signs = cancels & (self.sign == 0)
+        if not ends.has_goal:
+            reachable = self.graph.compute_distance(gain_sign > 0, every) >= 0
+            open_signs |= reachable & (self.sign <= 0)
+        return not open_signs.any()
+
+    # ---- the finite model --------------------------------------------------------------------
+
+    @cached_property
+    def _merged(self) -> tuple[Integers, Mask]:
+        """The zero-reward components of finite values, as `zero_reward`; none if missing pays."""
+        finite = self.sign == 0
+        if self.mdp.ends.missing_pays:
+            finite = np.zeros_like(finite)
+        component, pairs = self.zero_reward
+        inside = pairs & finite[self.mdp.pair_state] & self.graph.find_pairs_within(finite)
+        return np.where(finite, component, -1), inside
+
+    def apply(self) -> Quotient:
+        """Return the model of the finite values, in which each zero-reward component is one state.
+
+        Some of its policies may still be improper: they lose in cycles.
+        """
+        mdp, (component, inside) = self.mdp, self._merged
+        live = (self.sign == 0) & ~mdp.ends.destination
+        pairs = live[mdp.pair_state] & self.graph.find_pairs_within(self.sign == 0) & ~inside
+        # Without a goal, a component has a pair to the end, and is an end if it cannot be left.
+        numbers = np.unique(component[component >= 0])
+        stops: list[tuple[int, Fraction]] = []
+        if not mdp.ends.has_goal:
+            numbers = np.unique(component[self.graph.find_states_with(pairs) & (component >= 0)])
+            stops = [(number, Fraction(0)) for number in range(len(numbers))]
+        new_state = np.full(mdp.n_states, -1)
+        merged = np.isin(component, numbers)
+        new_state[merged] = np.searchsorted(numbers, component[merged])
+        single = live & (component < 0)
+        new_state[single] = len(numbers) + np.arange(int(single.sum()))
+        return build_quotient(mdp, np.flatnonzero(pairs), new_state, stops=stops)
+
+    # ---- the way back ------------------------------------------------------------------------
+
+    def lift_values(self, part: Quotient, solution: Solution) -> BoundedVector:
+        """Return the values (S,) of the model, given a solution of its finite model."""
+        value, error = solution.value[part.new_state], solution.state_error[part.new_state]
+        value[self.sign > 0], value[self.sign < 0] = inf, -inf
+        return BoundedVector(value=value, error=np.where(self.sign == 0, error, 0.0))
+
+    def lift_policy(self, part: Quotient, chosen: Integers) -> Integers:
+        """Return the policy (S,) of the model, given pairs (S',) of its finite model."""
+        graph, mdp, (component, inside) = self.graph, self.mdp, self._merged
+        pairs, finite = mdp.pair_offsets[:-1].copy(), self.sign == 0
+        # States that were not merged take the pair itself.
+        taken = part.source[chosen][part.new_state]
+        leaves = (taken >= 0) & (taken < mdp.n_pairs)
+        single = finite & leaves & (component < 0)
+        pairs[single] = taken[single]
+        # Stay in a component that is not left; in one that is, go to the state whose pair leaves.
+        staying = inside & ((component >= 0) & ~leaves)[mdp.pair_state]
+        choose_first_pairs(graph, staying, pairs)
+        ways = taken[(component >= 0) & leaves]
+        pairs[mdp.pair_state[ways]] = ways
+        target = (mdp.ends.destination & finite) | graph.find_states_with(staying)
+        target[mdp.pair_state[ways]] = True
+        choose_nearer_pairs(graph, target, inside, pairs)
+        if (self.sign > 0).any():
+            self._choose_earning_pairs(pairs)
+        return pairs
+
+    def _choose_earning_pairs(self, pairs: Integers) -> None:
+        """Write into `pairs` (S,) a policy that attains +∞ where the value is that."""
+        # Stay in the components that earn it, or that miss a goal if missing pays.
+        mdp, graph, (component, _) = self.mdp, self.graph, self.maximal
+        if mdp.ends.missing_pays:
+            earning = component >= 0
+            inside = graph.find_pairs_within(earning) & earning[mdp.pair_state]
+            choose_first_pairs(graph, inside, pairs)
+        else:
+            earning = (self.sign > 0) & (self._gains[0] > 0)
+            own = self._extract_components(np.unique(component[earning]))
+            best = _solve_gain_in_floats(own)
+            if best is not None and (best.value > best.error)[:-1].all():
+                used = best.pairs
+            else:
+                used = best_average(own.mdp)[0]
+            pairs[earning] = own.source[used[:-1]]
+        # Elsewhere go there along safe states.
+        safe = graph.find_pairs_within(self.sign >= 0) & (self.sign > 0)[mdp.pair_state]
+        choose_nearer_pairs(graph, earning, safe, pairs)
+
+    def _extract_components(self, numbers: Integers) -> Quotient:
+        """Return maximal end components as a model of their own, with an end that none reaches."""
+        component, inside = self.maximal
+        chosen = np.isin(component, numbers)
+        new_state = np.where(chosen, np.cumsum(chosen) - 1, -1)
+        pairs = np.flatnonzero(inside & chosen[self.mdp.pair_state])
+        return build_quotient(self.mdp, pairs, new_state)
+
+
+def _solve_gain_in_floats(own: Quotient) -> Solution | None:
+    """Return the best average reward in floats; None if floats cannot bound it."""
+    try:
+        return solve_average(own.mdp, PolicyIteration())
+    except SolverError:
+        return None
