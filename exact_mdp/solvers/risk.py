@@ -9,18 +9,22 @@ states, which gives an acyclic model of a total reward. `Certificate` proves its
 thresholds at once.
 
 Among policies of equal value the one with the greatest mean is taken. All numbers are integers over
-one denominator for each state.
+one denominator for each state, or in large models floats. A float V(s, w) is computed from n
+outcomes with an error of at most γ(n + 4) W beside the errors of the V(s', w'), for the greatest
+width W of high(s) - low(s), so that D steps have an error of at most D γ(n + 4) W. The value of the
+policy that is found, computed by the same sums, is as near.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cache, cached_property, partial
 from itertools import groupby
 from math import gcd, lcm
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -34,6 +38,7 @@ from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
+    Floats,
     Integers,
     Numbers,
     concatenate_ranges,
@@ -42,7 +47,8 @@ from exact_mdp.mdp.table import (
     make_ones,
     to_integer_array,
 )
-from exact_mdp.solvers.claims import Certified, Claim
+from exact_mdp.solvers.bounds.gains import SLACK, gamma
+from exact_mdp.solvers.claims import Bounded, Certified, Claim
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.find import build_certificate
 from exact_mdp.solvers.exact.levels import Level
@@ -50,7 +56,15 @@ from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.returns import parse_tail_share, tail_mean
 
 CELLS = 20_000_000  # outcomes times returns, which limits memory
+EXACT_CELLS = 2_000_000  # the most of them for exact numbers by default: measured, 20 s
 WHERE = "risk of the return"
+
+
+class Values(Protocol):
+    """The values of the new states, exact or as floats."""
+
+    def compute_mean(self, weights: Iterable[tuple[int, Fraction]]) -> Any:
+        """Return Σ weight · x(s) over (state, weight) pairs."""
 
 
 class Budgeted:
@@ -103,17 +117,18 @@ class Budgeted:
             gain_denominator=make_ones(table.pairs),
             event=None,
         )
-        self.mdp, self.unit = mdp, Fraction(size, shared)
+        self.mdp, self.unit, self.depth = mdp, Fraction(size, shared), int(level.max())
         # States that are not terminal, from the end on.
         self.order = [int(s) for s in np.argsort(level, kind="stable") if not ends[s]]
         self.low, self.high = low, high = np.zeros((2, mdp.n_states), dtype=object)
         # The least and the greatest return from each state, by backward induction.
-        cells = 0
+        cells = self.cells = 0
         for state in self.order:
             here = self.outcomes_of(state)
             to, gains = self.table.next[here], self.table.gain[here]
             low[state], high[state] = min(gains + low[to]), max(gains + high[to])
             cells += len(to) * (high[state] - low[state] + 1)
+        self.cells = int(cells)
         if cells > CELLS:
             raise ModelError(
                 f"{cells:,} pairs of an outcome and a return, "
@@ -158,7 +173,7 @@ class Budgeted:
         """Return the new states in which episodes start, with their probabilities."""
         return tuple((self.find_state(s, threshold), p) for s, p in self.mdp.start)
 
-    def compute_cvar(self, values: Level, threshold: int, level: Fraction) -> Fraction:
+    def compute_cvar(self, values: Values, threshold: int, level: Fraction) -> Any:
         """Return the CVaR of the best policy for a threshold."""
         lacking = sum(p * max(threshold - int(self.high[s]), 0) for s, p in self.mdp.start)
         return threshold + (values.compute_mean(self.list_start(threshold)) - lacking) / level
@@ -219,26 +234,84 @@ def _solve_budgeted(of: Budgeted) -> tuple[Integers, Level, Level]:
     return pairs, Level(top=value.tolist(), **parts), Level(top=mean.tolist(), **parts)
 
 
+@dataclass(frozen=True, eq=False)
+class FloatValues:
+    """Values (S',) of the new states in floats, each with an error of at most `error`."""
+
+    value: Floats
+    error: float
+
+    def compute_mean(self, weights: Iterable[tuple[int, Fraction]]) -> float:
+        """Return Σ weight · x(s) over (state, weight) pairs."""
+        return float(sum(float(weight) * self.value[state] for state, weight in weights))
+
+
+def _solve_in_floats(of: Budgeted) -> tuple[Integers, FloatValues, FloatValues]:
+    """Return the same as `_solve_budgeted`, in floats."""
+    first, table = of.first, of.table
+    denominator = np.repeat(table.denominator, np.diff(table.offsets))
+    chance = (table.weight.astype(object) / denominator.astype(object)).astype(np.float64)
+    gain = table.gain.astype(np.float64)
+    value, mean = np.zeros((2, int(first[-1])))
+    pairs = np.repeat(of.mdp.pair_offsets[:-1], np.diff(first))
+    for state in of.order:
+        here, (after, earned) = of.outcomes_of(state), of.list_successors(state)
+        own = of.mdp.pairs_of(state)
+        starts = table.offsets[own.start : own.stop] - here.start
+        shortage = value[after] + earned.astype(np.float64)
+        totals = np.add.reduceat(chance[here] * shortage, starts, axis=1)
+        means = np.add.reduceat(chance[here] * (mean[after] + gain[here]), starts, axis=1)
+        # Least shortage first; among pairs that share it, the greatest mean return.
+        most = totals.max(axis=1)
+        means = np.where(totals == most[:, None], means, -np.inf)
+        new = slice(int(first[state]), int(first[state + 1]))
+        value[new], mean[new] = most, means.max(axis=1)
+        pairs[new] = own.start + means.argmax(axis=1)
+    # The error of one step, as at the head of the module, times the number of steps.
+    width = float(max(of.high - of.low))
+    size = 2 * float(max(np.abs([of.high, of.low]).max(axis=0)))  # a reward, and a return after it
+    each = of.depth * float(gamma(int(np.diff(table.offsets).max()) + 4)) * SLACK
+    return pairs, FloatValues(value, each * width), FloatValues(mean, each * size)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class CVaROptimum(Result):
-    """A policy with the greatest mean of the worst share of episodes."""
+    """A policy with the greatest mean of the worst share of episodes.
+
+    The numbers are Fractions with a proof, or floats within `error`.
+    """
 
     mdp: MDP
     level: Fraction
-    value: Fraction
-    mean: Fraction
+    value: Fraction | float
+    mean: Fraction | float
     threshold: Fraction  # η: the policy minimises the expected shortage below it
     budgeted: Budgeted
     pairs: Integers  # the pair of `mdp` that is taken in each state of `budgeted`
-    values: Level  # the values of these states, for maximised rewards
+    values: Level | FloatValues  # the values of these states, for maximised rewards
+    error: float = 0.0  # bounds the errors of value and mean; 0 if they are exact
 
-    claim = Claim.CERTIFIED
+    @property
+    def claim(self) -> Claim:
+        """Certified, or bounded if the numbers are floats."""
+        if self._exact:
+            return Claim.CERTIFIED
+        return Claim.BOUNDED
+
+    @property
+    def _exact(self) -> bool:
+        return isinstance(self.values, Level)
 
     def __repr__(self) -> str:
         return (
             f"CVaROptimum(worst {format_rational(self.level)}: {float(self.value):.6g}, "
-            f"mean {float(self.mean):.6g}; certified)"
+            f"mean {float(self.mean):.6g}; {self.claim})"
         )
+
+    def _claim_number(self, number: Fraction | float) -> Certified | Bounded:
+        if self._exact:
+            return Certified(value=number)
+        return Bounded(value=float(number), error=self.error)
 
     @property
     def _unit(self) -> Fraction:
@@ -246,8 +319,17 @@ class CVaROptimum(Result):
 
     @cached_property
     def certificate(self) -> Certificate:
-        """The proof of the values of `budgeted`, for all thresholds."""
+        """The proof of the values of `budgeted`, for all thresholds.
+
+        Raises ModelError if the numbers are floats.
+        """
         of = self.budgeted
+        if not isinstance(self.values, Level):
+            raise ModelError(
+                "numbers with an error bound have no certificate",
+                where=WHERE,
+                fix="ask best_cvar(model, level, exact=True), which may take long",
+            )
         model = of.build_budgeted_model(int(self.threshold / self._unit))
         first = np.repeat(of.mdp.pair_offsets[:-1], np.diff(of.first))
         pairs = model.pair_offsets[:-1] + self.pairs - first
@@ -268,11 +350,15 @@ class CVaROptimum(Result):
     @cached_property
     def _met(self) -> dict[int, dict[Fraction, Fraction]]:
         """The probability of each reward so far in each state under the policy."""
+        read: Callable[[Any], Any] = float
+        write: Callable[[Any], Any] = float
+        if self._exact:
+            read, write = to_flint, from_flint
         of, aim = self.budgeted, int(self.threshold / self._unit)
         met = [defaultdict[int, Any](int) for _ in range(of.mdp.n_states)]
         for state, weight in of.mdp.start:
-            met[state][0] += to_flint(weight)
-        row = cache(lambda l: [(to_flint(p), to, int(k)) for p, to, k in of.table.row(l)])
+            met[state][0] += read(weight)
+        row = cache(lambda l: [(read(p), to, int(k)) for p, to, k in of.table.row(l)])
         # From the start to the end, as each state comes before all that follow it.
         for state in reversed(of.order):
             for so_far, mass in met[state].items():
@@ -281,7 +367,7 @@ class CVaROptimum(Result):
         known = {}
         for state, own in enumerate(met):
             if own:
-                masses = [(self._unit * k, from_flint(mass)) for k, mass in own.items()]
+                masses = [(self._unit * k, write(mass)) for k, mass in own.items()]
                 known[state] = dict(sorted(masses))
         return known
 
@@ -296,9 +382,12 @@ class CVaROptimum(Result):
                     rows.append((state, own[0], own[-1], action))
         return rows
 
-    def distribution(self) -> dict[Fraction, Fraction]:
-        """Return the exact probability of every return under the policy, in increasing order."""
-        total = defaultdict[Fraction, Fraction](Fraction)
+    def distribution(self) -> dict[Fraction, Any]:
+        """Return the probability of every return under the policy, in increasing order.
+
+        Fractions, or floats if the optimum is bounded; a float is right up to rounding.
+        """
+        total = defaultdict[Fraction, Any](int)
         for state, masses in self._met.items():
             if self.mdp.terminal[state]:
                 for value, mass in masses.items():
@@ -307,8 +396,8 @@ class CVaROptimum(Result):
 
     def violations(self) -> list[str]:
         """Return the violations in words: an empty list if the policy is optimal."""
-        of, distribution = self.budgeted, self.distribution()
         wrong, threshold = self.certificate.violations(), self.threshold / self._unit
+        of, distribution = self.budgeted, self.distribution()
         each: dict[Any, Fraction]
         each = {k: of.compute_cvar(self.values, k, self.level) for k in of.thresholds}
         if not each.get(threshold) == max(each.values()) == self.value / self._unit:
@@ -328,13 +417,15 @@ class CVaROptimum(Result):
         facts = {
             "claim": Shown(self.claim),
             "measure": Shown("cvar"),
-            "value": Shown(self.value, Certified(value=self.value)),
+            "value": Shown(self.value, self._claim_number(self.value)),
             "level": Shown(self.level, f"the worst {self.level} of the episodes"),
-            "mean": Shown(self.mean, Certified(value=self.mean)),
+            "mean": Shown(self.mean, self._claim_number(self.mean)),
             "threshold": self.threshold,
             "distribution": Shown(self.distribution()),
             "policy": listed,
         }
+        if not self._exact:
+            facts["error_bound"] = self.error
         rules = Table(
             title="best policy for the worst episodes, by state and reward so far",
             columns={"state": "state", "from": "from:.10g", "to": "to:.10g", "action": "action"},
@@ -350,8 +441,8 @@ class CVaROptimum(Result):
         )
 
 
-def best_cvar(model: MDP | Scenario, level: object) -> CVaROptimum:
-    """Return a policy with the greatest mean return of the worst episodes, exactly.
+def best_cvar(model: MDP | Scenario, level: object, *, exact: bool | None = None) -> CVaROptimum:
+    """Return a policy with the greatest mean return of the worst episodes.
 
     In a model of costs, the least mean cost of the worst episodes. The policy remembers the reward
     so far.
@@ -362,6 +453,9 @@ def best_cvar(model: MDP | Scenario, level: object) -> CVaROptimum:
         With discount 1 and without cycles, such as `mdp.within(n)`.
     level : number or "p/q"
         The share of the worst episodes, above 0; 1 gives the mean of all episodes.
+    exact : bool, optional
+        Whether numbers are exact, with a proof, or floats with an error bound; by default exact up
+        to two million pairs of an outcome and a return.
 
     Returns
     -------
@@ -381,7 +475,14 @@ def best_cvar(model: MDP | Scenario, level: object) -> CVaROptimum:
     """
     mdp, share = mdp_of(model), parse_tail_share(level)
     of = Budgeted(mdp)
-    pairs, values, means = _solve_budgeted(of)
+    if exact is None:
+        exact = of.cells <= EXACT_CELLS
+    values: Level | FloatValues
+    means: Level | FloatValues
+    if exact:
+        pairs, values, means = _solve_budgeted(of)
+    else:
+        pairs, values, means = _solve_in_floats(of)
     # The best threshold: the greatest CVaR, then the greatest mean, then the lowest threshold.
     rated = []
     for k in of.thresholds:
@@ -397,4 +498,19 @@ def best_cvar(model: MDP | Scenario, level: object) -> CVaROptimum:
         budgeted=of,
         pairs=pairs,
         values=values,
+        error=_bound_error(of, values, means, share),
     )
+
+
+def _bound_error(
+    of: Budgeted, values: Level | FloatValues, means: Level | FloatValues, level: Fraction
+) -> float:
+    """Return a bound on the errors of the value and the mean; 0 if they are exact."""
+    if isinstance(values, Level) or isinstance(means, Level):
+        return 0.0
+    width, share = float(max(of.high - of.low)), float(level)
+    size = float(max(np.abs([of.high, of.low]).max(axis=0)))
+    # Beside the errors of the values: the mean over the start, three operations, and the unit.
+    rounding = gamma(len(of.mdp.start) + 8) * (size + 2 * width / share)
+    error = max(values.error / share, means.error) + rounding
+    return float(error * float(of.unit)) * SLACK
