@@ -89,7 +89,8 @@ class Horizon:
         )
         # The last step earns the terminal values.
         if any(layers.values):
-            earned = [model.discount_exact * layers.values[state] for state in one.next]
+            worth = [model.discount_exact * value for value in layers.values]
+            earned = [worth[state] for state in one.next]
             names, table = add_terminal_values(table, (self.steps - 1) * len(pairs), earned, names)
         time = np.repeat(np.arange(self.steps + 1), [*[len(pairs)] * self.steps, states])
         owner = layers.repeat(model.pair_state[pairs], np.arange(states))
