@@ -1,10 +1,8 @@
 """Questions about a model, as reductions: models whose optimal value is the answer, and ways back.
 
-    chain of reductions:   question -> model in which a total reward is maximised or minimised
-
 A reduction says whether it applies, makes its model, and tells how pairs and states of that model
-are those of the given one: each module of this folder has one, and states its equation. Policies of
-a model are also policies of its questions, so every analysis applies to them as it is.
+are those of the given one; each module of this folder states its equation. Policies of a model are
+also policies of its questions, so every analysis applies to them as it is.
 """
 
 from __future__ import annotations
@@ -23,11 +21,7 @@ Model = TypeVar("Model", bound=Parts)
 
 
 class Reduction(Protocol):
-    """The shape of all reductions of this folder, whose attributes are the options of a question.
-
-    If the model of the answer numbers its states and pairs in another way, the module has the way
-    back.
-    """
+    """The shape of all reductions here; their attributes are the options of a question."""
 
     def require_applicable(self, model: Any) -> None:
         """Raise ModelError if the question cannot be asked about the model."""

@@ -89,10 +89,9 @@ class Horizon:
         )
         # The last step earns the terminal values.
         if any(layers.values):
-            before = [Fraction(0)] * len(one.next) * (self.steps - 1)
-            last = [model.discount_exact * layers.values[state] for state in one.next]
-            earned = [*before, *last, *[Fraction(0)] * states]
-            names, table = add_terminal_values(table, earned, names)
+            worth = [model.discount_exact * value for value in layers.values]
+            earned = [worth[state] for state in one.next]
+            names, table = add_terminal_values(table, (self.steps - 1) * len(pairs), earned, names)
         time = np.repeat(np.arange(self.steps + 1), [*[len(pairs)] * self.steps, states])
         owner = layers.repeat(model.pair_state[pairs], np.arange(states))
         column = Column(name=TIME, size=self.steps + 1)

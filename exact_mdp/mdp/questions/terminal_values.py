@@ -52,15 +52,22 @@ def require_unpaid(values: Sequence[Fraction], goal: Flags, space: StateSpace) -
 
 
 def add_terminal_values(
-    table: OutcomeTable, earned: Sequence[Fraction], names: tuple[str, ...]
+    table: OutcomeTable, first: int, earned: Sequence[Fraction], names: tuple[str, ...]
 ) -> tuple[tuple[str, ...], OutcomeTable]:
-    """Return component names and table after amounts (N,) are added to the outcomes."""
+    """Return component names and table after the pairs from `first` on earn amounts by outcome."""
+    # The amounts (N,) over denominators (L,): 0 in all other pairs.
+    begin = int(table.offsets[first])
+    here = slice(begin, begin + len(earned))
+    pairs = slice(first, int(table.pair[here][-1]) + 1)
+    top, bottom = over_groups(earned, table.offsets[first : pairs.stop + 1] - begin)
+    more = np.zeros(len(table.next), dtype=top.dtype)
+    under = np.ones(table.pairs, dtype=bottom.dtype)
+    more[here], under[pairs] = top, bottom
     # Exact rewards by outcome: two outcomes of a pair may now earn different amounts.
     gain, below = table.integer_gains
     if len(gain) == table.pairs:
         gain = gain[table.pair]
     # Both sums over the product of their denominators, then in lowest terms.
-    more, under = over_groups(earned, table.offsets)
     own = multiply(gain, under[table.pair], terms=2)
     gain = own + multiply(more, below[table.pair], terms=2)
     gain, below = cancel_common_divisor(gain, multiply(below, under), table)

@@ -9,8 +9,14 @@ from oracle import rows_of
 from small_models import three_states
 
 from exact_mdp import MDP, ModelError, Policy, certify, evaluate
-from exact_mdp.mdp.questions.horizon import flatten_times, repeats_in_time, split_by_time
+from exact_mdp.mdp.questions.horizon import (
+    describe_time_limit,
+    flatten_times,
+    repeats_in_time,
+    split_by_time,
+)
 from exact_mdp.mdp.space import Column, StateSpace
+from exact_mdp.mdp.table import estimate_outcome_bytes
 
 
 def best_of(mdp: MDP, steps: int, last: list[F]) -> list[F]:
@@ -89,22 +95,66 @@ def test_a_table_by_time_and_state_is_one_over_all_states() -> None:
     mdp = waiting().within(2)
     assert flatten_times(mdp, np.array([[1, 2], [3, 4]])).tolist() == [1, 2, 3, 4, 0, 0]
     assert flatten_times(mdp, np.arange(1, 7).reshape(3, 2)).tolist() == [1, 2, 3, 4, 0, 0]
+    by_action = np.arange(12, dtype=np.int8).reshape(2, 2, 3)
+    rows = flatten_times(mdp, by_action)
+    assert rows.tolist() == [*by_action.reshape(4, 3).tolist(), [0] * 3, [0] * 3]
+    assert rows.dtype == np.int8
     for other in (np.ones((4, 2)), np.ones((2, 3)), np.ones(6)):
         assert flatten_times(mdp, other) is other
     assert flatten_times(waiting(), np.ones((2, 2))).shape == (2, 2)
 
 
+def cycle(times: int, changes: dict[int, tuple[int, int, list[tuple[F, int, int]]]]) -> MDP:
+    """Two states at each time, and from the last time back to the first; some rows are changed."""
+    size = 2 * times
+    rows = {
+        s: (s, 0, [(F(1, 3), (s + 2) % size, 1), (F(2, 3), (s + 3) % size, 0)]) for s in range(size)
+    }
+    layers = (Column(name="time", size=times), Column(name="state", size=2))
+    mdp = MDP.from_outcomes([*(rows | changes).values()], "1/2", actions=["x", "y"])
+    return mdp.with_(space=StateSpace(columns=layers))
+
+
 def test_layers_are_recognised_without_an_origin() -> None:
-    layers = StateSpace(columns=(Column(name="time", size=4), Column(name="state", size=2)))
-    mdp = waiting()
-    assert repeats_in_time(mdp.within(3))
-    assert not repeats_in_time(mdp)
-    assert not repeats_in_time(mdp.within(1))
-    ring = [(s, 0, [("1/3", (s + 2) % 8, 1), ("2/3", (s + 3) % 8, 0)]) for s in range(8)]
-    once = MDP.from_outcomes(ring, "1/2").with_(space=layers)
-    assert repeats_in_time(once)
-    ring[2] = (2, 0, [("1/2", 4, 1), ("1/2", 5, 0)])
-    assert not repeats_in_time(MDP.from_outcomes(ring, "1/2").with_(space=layers))
+    assert repeats_in_time(waiting().within(3))
+    assert repeats_in_time(waiting().within(2))
+    for other in (waiting(), waiting().within(1)):
+        assert not repeats_in_time(other)
+    assert repeats_in_time(cycle(4, {}))
+    for row in (
+        (0, [(F(1, 2), 4, 1), (F(1, 2), 5, 0)]),  # other probabilities
+        (0, [(F(1), 4, 1)]),  # one outcome only
+        (1, [(F(1, 3), 4, 1), (F(2, 3), 5, 0)]),  # another action
+        (0, [(F(1, 3), 3, 1), (F(2, 3), 5, 0)]),  # other states
+    ):
+        assert not repeats_in_time(cycle(4, {2: (2, *row)}))
+
+
+def test_the_time_limit_of_an_environment_is_named() -> None:
+    assert describe_time_limit(waiting(), "horizon={}") == []
+    limited = waiting().with_(time_limit=1200)
+    said = "the environment stops after 1,200 steps; this answer is for episodes without a limit"
+    assert describe_time_limit(limited, "") == [said]
+    assert describe_time_limit(limited, "horizon={}") == [f"{said}: horizon=1200"]
+    assert describe_time_limit(limited.within(3), "") == []
+
+
+@pytest.mark.parametrize("wide", [False, True])
+def test_layers_are_measured_before_they_are_made(
+    wide: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two times of 3 pairs and 4 outcomes, and 6 states, each with a last pair and outcome."""
+    mdp, table = waiting(), waiting().table
+    if wide:
+        earned = table.with_reward(table.gain.astype(object) * 2**70, table.gain_denominator)
+        mdp = mdp.with_(table=earned)
+    each = estimate_outcome_bytes(wide=wide) + 20
+    size = each * (4 * 2 + 6) + 250 * (3 * 2 + 6) + 560 * 6
+    monkeypatch.setattr("exact_mdp.mdp.questions.horizon.MOST_BYTES", size)
+    mdp.within(2)
+    monkeypatch.setattr("exact_mdp.mdp.questions.horizon.MOST_BYTES", size - 1)
+    with pytest.raises(ModelError, match="2 steps of this model make 6 states and 14 outcomes"):
+        mdp.within(2)
 
 
 def test_a_model_has_one_time_and_fits_in_memory() -> None:

@@ -33,12 +33,15 @@ def test_a_state_of_the_goal_has_none() -> None:
 
 
 def test_sums_are_exact_and_in_lowest_terms_beyond_64_bits() -> None:
-    names, table = add_terminal_values(MDP.from_outcomes(ROWS, 1).table, MORE, ("reward",))
+    names, table = add_terminal_values(MDP.from_outcomes(ROWS, 1).table, 0, MORE, ("reward",))
     assert names == ("reward",)
     assert table.row(0) == [(F(1, 3), 0, F(1)), (F(2, 3), 1, F(7, 6))]
     assert table.row(1) == [(F(1), 1, F(2**62))]
     assert table.gain_denominator.tolist() == [6, 1]
     assert table.components is None
+    _, later = add_terminal_values(MDP.from_outcomes(ROWS, 1).table, 1, [F(1, 3)], ("reward",))
+    assert later.row(0) == MDP.from_outcomes(ROWS, 1).table.row(0)
+    assert later.row(1) == [(F(1), 1, 2**61 + F(1, 3))]
 
 
 @pytest.mark.parametrize("by_outcome", [False, True])
@@ -48,7 +51,7 @@ def test_they_are_a_component_under_a_free_name(by_outcome: bool) -> None:
     if by_outcome:
         rows = [(0, 0, [("1/3", 0, 5), ("2/3", 1, 2)]), (1, 0, [(1, 1, 2)])]
     mdp = MDP.from_outcomes(rows, 1, components=amounts)
-    names, table = add_terminal_values(mdp.table, MORE, mdp.component_names)
+    names, table = add_terminal_values(mdp.table, 0, MORE, mdp.component_names)
     assert names == ("terminal value", "b", "terminal value'")
     expected, below = table.expected_components_exact()
     each = [[F(int(x), int(b)) for x in row] for row, b in zip(expected, below, strict=True)]

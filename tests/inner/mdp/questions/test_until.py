@@ -7,6 +7,7 @@ from oracle import rows_of
 from small_models import three_states
 
 from exact_mdp import MDP, ModelError, certify
+from exact_mdp.mdp.questions.origin import origin_of
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -42,6 +43,12 @@ def test_one_component_counts_also_of_the_model_that_was_asked_first() -> None:
         values = [certify(mdp.until("there", name)).start_value for name in ("a", "b")]
         assert [float(value) for value in values] == pytest.approx([2 / 0.75, 1 / 0.75])
     assert MODEL.within(2).until("there", "b").component_names == ("b",)
+    paid = MODEL.within(1, terminal_value={0: 8})
+    assert certify(paid.until("there", "terminal value")).start_value == 2
+    single = three_states(0)
+    origin = origin_of(single.until("there", "reward"))
+    assert origin is not None
+    assert origin.model is single
     with pytest.raises(ModelError, match="no reward component 'c'"):
         MODEL.until("there", "c")
 

@@ -86,6 +86,9 @@ def test_rewards_that_may_cancel_are_left_to_exact_levels() -> None:
     for more, applies in ((0, False), (1, True), (-1, True)):
         rows = [(0, 0, [(1, 1, 2)]), (1, 0, [(1, 0, more - 2)]), (2, 0, [(1, 0, 0)])]
         assert ImproperPolicies(MDP.from_outcomes(rows, 1)).applies == applies
+    # Staying in 0 for nothing is at least as good as losing on the way to 1 and back.
+    rows = [(0, 0, [(1, 0, 0)]), (0, 1, [(1, 1, -1)]), (1, 0, [(1, 0, 0)])]
+    assert ImproperPolicies(MDP.from_outcomes(rows, 1)).applies
     # +∞ by chance, at a risk of -∞.
     rows = [(0, 0, [("1/2", 1, 0), ("1/2", 2, 0)]), (1, 0, [(1, 1, 1)]), (2, 0, [(1, 2, -1)])]
     assert not ImproperPolicies(MDP.from_outcomes(rows, 1, start=1)).applies
@@ -99,6 +102,7 @@ def test_the_way_back_gives_the_exact_values_and_a_policy_that_attains_them(kind
         proof = certify(mdp)
         improper = ImproperPolicies(mdp)
         if not improper.applies:
+            assert not mdp.ends.missing_pays
             continue
         sign = np.array([(value == inf) - int(value == -inf) for value in proof.value])
         assert improper.sign.tolist() == sign.tolist()
@@ -109,6 +113,9 @@ def test_the_way_back_gives_the_exact_values_and_a_policy_that_attains_them(kind
         exact = np.array([float(value) for value in proof.value])
         assert values.value[chosen] == pytest.approx(exact[chosen], abs=1e-9)
         assert (values.error[sign != 0] == 0).all()
+        finite = exact[sign == 0]
+        off = np.abs(values.value[sign == 0] - finite) - np.abs(np.spacing(finite))
+        assert (off <= values.error[sign == 0]).all()
         seen += int(chosen.any())
         used = improper.lift_policy(part, solution.pairs)
         # Before a goal that must not be missed, costs without a minimum are attained by no policy.
