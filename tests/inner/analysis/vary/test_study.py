@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from oracle import mean, policies, policy_values, rows_of
+from oracle import best_average, gain_and_bias, mean, policies, policy_values, rows_of
 
 from exact_mdp import MDP, Family, Parameter, Scenario, parametric, study
 from exact_mdp.analysis.vary.study import (
@@ -262,6 +262,164 @@ def test_a_solver_says_what_a_policy_does() -> None:
     assert totals.sum(axis=2) == pytest.approx(value["value"])
     with pytest.raises(ModelError, match="components are fare, tip there"):
         solver.compute_totals(np.array([[0.25]]), [weights], ["toll"], 0)
+
+
+# ---- averages ------------------------------------------------------------------------------------
+
+
+def two_classes(at: dict[str, F], sense: str = "max") -> MDP:
+    """A transient state that chooses between two recurrent classes with different gains."""
+    p, r = at["p"], at["r"]
+    rows: Any = [
+        (0, 0, [(p, 1, 0), (1 - p, 3, 0)]),
+        (0, 1, [(1, 1, -1)]),
+        (1, 0, [(1, 2, r)]),
+        (1, 1, [(p, 1, 1), (1 - p, 2, 1)]),
+        (2, 0, [(F(1, 3), 1, 2), (F(2, 3), 2, 2)]),
+        (2, 1, [(1, 1, r)]),
+        (3, 0, [(1, 3, F(3, 2))]),
+        (3, 1, [(1, 3, 1)]),
+    ]
+    return MDP.from_outcomes(rows, "3/4", sense=sense, start={0: "1/4", 2: "3/4"})
+
+
+def exact_averages(mdp: MDP) -> tuple[F, list[F]]:
+    """The best average at the start, and the loss of each pair: of gain, or else of bias."""
+    sign, rows = mdp.sense.sign, []
+    for s, a, r, law in rows_of(mdp):
+        rows.append((s, a, sign * r, law))
+    gain, bias = best_average(rows)
+    losses = []
+    for s, _, r, law in rows:
+        lost = gain[s] - mean(law, gain)
+        losses.append(lost or bias[s] - (r - gain[s] + mean(law, bias)))
+    return sign * sum((p * gain[s] for s, p in mdp.start), F(0)), losses
+
+
+@pytest.mark.parametrize("sense", ["max", "min"])
+def test_averages_of_draws_are_those_of_all_policies(sense: str) -> None:
+    places = [{"p": F(k, 7), "r": F(r)} for k in (1, 3, 6) for r in (-2, 1, 4)]
+    models = [two_classes(at, sense) for at in places]
+    drawn = _Drawn(models[0], None, models, criterion="average")
+    start, error, gap, doubt, policy = drawn.solve_models()
+    weights = np.array([0.5, 0.5, 0.25, 0.75, 1, 0, 0, 1])
+    nowhere = np.zeros(4, dtype=bool)
+    value, off = (each[:, 0] for each in drawn.evaluate_policies([weights], [nowhere]))
+    for d, mdp in enumerate(models):
+        best, losses = exact_averages(mdp)
+        assert abs(F(start[d]) - best) <= F(error[d]) < F(1, 10**9)
+        for pair, exact in enumerate(losses):
+            assert abs(F(gap[d, pair]) - exact) <= F(doubt[d, pair]) < F(1, 10**9)
+        kept = {pair for pair, exact in enumerate(losses) if not exact}
+        assert {mdp.pair(s, a) for s, a in enumerate(policy[d].tolist())} <= kept
+        mixed, rows = [], rows_of(mdp)
+        for s in range(4):
+            (_, _, r0, law0), (_, _, r1, law1) = rows[2 * s], rows[2 * s + 1]
+            w0, w1 = F(weights[2 * s]), F(weights[2 * s + 1])
+            law = {t: w0 * law0.get(t, F(0)) + w1 * law1.get(t, F(0)) for t in range(4)}
+            mixed.append((s, 0, w0 * r0 + w1 * r1, {t: p for t, p in law.items() if p}))
+        gain, _ = gain_and_bias(mixed)
+        wanted = sum((p * gain[s] for s, p in mdp.start), F(0))
+        assert abs(F(value[d]) - wanted) <= F(off[d]) < F(1, 10**9)
+
+
+def test_a_study_of_averages_holds_today_s_best_and_leaves_first_actions_out() -> None:
+    family = Family(parameters={"p": "3/7", "r": 1}, build=two_classes)
+    table = {"p": [F(1, 7), F(6, 7)], "r": [F(4), F(-2)]}
+    found = study(family, table, criterion="average")
+    assert found.criterion == "average"
+    assert found.lost.shape == (2, 0)
+    for d, (p, r) in enumerate(zip(*table.values(), strict=True)):
+        best, losses = exact_averages(two_classes({"p": p, "r": r}))
+        assert found.optimal[d] == pytest.approx(float(best), abs=1e-12)
+        optimal = np.array([not lost for lost in losses])
+        counted = sum(
+            np.array([not lost for lost in exact_averages(two_classes(at))[1]]).astype(int)
+            for at in ({"p": F(1, 7), "r": F(4)}, {"p": F(6, 7), "r": F(-2)})
+        )
+        assert found.counts.ravel().tolist() == counted.tolist()
+        taken = found.rows[found.which[d]]
+        assert optimal[2 * np.arange(4) + taken].all()
+    solver = solver_of(family, ["p"], "average")
+    assert (type(solver), solver.criterion) == (ModelSolver, "average")
+    today, _ = exact_averages(two_classes({"p": F(3, 7), "r": F(1)}))
+    assert float(solver.solution.start.value) == pytest.approx(float(today), abs=1e-12)
+
+
+# ---- single draws --------------------------------------------------------------------------------
+
+
+def test_losses_next_to_infinite_values_are_infinite_or_none() -> None:
+    """From state 0 everything is finite; state 1 may earn forever, state 2 only lose forever."""
+    rows: Any = [
+        (0, 0, [(1, 3, 1)]), (0, 1, [(1, 3, 0)]),
+        (1, 0, [(1, 1, 1)]), (1, 1, [(1, 3, 0)]),
+        (2, 0, [(1, 2, -1)]), (2, 1, [("1/2", 1, 0), ("1/2", 2, 0)]),
+        (3, 0, [(1, 3, 0)]),
+    ]  # fmt: skip
+    mdp = MDP.from_outcomes(rows)
+    drawn = _Drawn(mdp, None, [mdp])
+    start, error, gap, _, policy = drawn.solve_models()
+    assert (start.tolist(), error[0] < 1e-12) == ([1.0], True)
+    assert gap[0, :4].tolist() == [0, 1, 0, np.inf]
+    assert policy[0, :2].tolist() == [0, 0]
+    assert not np.isnan(gap).any()
+
+
+def test_a_draw_is_described_by_three_parameters_at_most() -> None:
+    names = ("a", "b", "c", "d")
+    family = Family(
+        parameters=dict.fromkeys(names, "1/2"),
+        build=lambda at: MDP.from_outcomes([(0, 0, [(1, 0, at["a"])])], "1/2"),
+    )
+    solver = ModelSolver(family, names)
+    draws = np.array([[0.25, 0.25, 0.25, 0.5], [0.25, 0.25, 0.25, 0.25]])
+    assert solver._describe_draw(draws, 0, 0) == "draw 0, a = 0.25, b = 0.25, c = 0.25"
+    assert solver._describe_draw(draws, 0, 1) == "draw 1, a = 0.25, b = 0.25, c = 0.25, …"
+
+
+def test_a_silent_policy_is_refused_at_the_draw_in_which_it_matters() -> None:
+    def build(at: dict[str, F]) -> MDP:
+        rows = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 2, 1)]), (1, 0, [(1, 1, 0)])]
+        rows += [(1, 1, [(1, 1, at["r"])]), (2, 0, [(1, 2, 0)])]
+        return MDP.from_outcomes(rows, "1/2")
+
+    solver = ModelSolver(Family(parameters={"r": 0}, build=build), ("r",))
+    weights = solver.hold_policy({0: 0})  # all is over in state 1 today
+    value = solver.evaluate_policies(np.array([[0.0], [0.0]]), [weights])["value"]
+    assert value[:, 0].tolist() == [1, 1]
+    with pytest.raises(ModelError, match="names no action") as caught:
+        solver.evaluate_policies(np.array([[0.0], [2.0]]), [weights], 5)
+    assert "draw 6, r = 2" in str(caught.value)
+
+
+def test_models_of_draws_are_kept_and_not_sent_along() -> None:
+    made = list[F]()
+
+    def build(at: dict[str, F]) -> MDP:
+        made.append(at["p"])
+        return varied(at)
+
+    solver = ModelSolver(Family(parameters={"p": "1/2", "r": 1}, build=build), ("p",))
+    draws, policy = np.array([[0.25], [0.75]]), solver.hold_policy([1, 1, 2])
+    before = len(made)
+    solver.solve_draws(draws)
+    solver.evaluate_policies(draws, [policy])
+    assert len(made) == before + 2
+    assert solver.__getstate__()["drawn"] == {}
+    exactly_drawn = np.array([[F(1, 4)]], dtype=object)
+    solver.evaluate_policies(exactly_drawn, [policy])
+    assert len(made) == before + 3
+    with pytest.raises(ModelError, match="start"):
+        ModelSolver(
+            Family(parameters={"p": "1/2"}, build=lambda at: two_starts(at["p"])), ("p",)
+        ).solve_draws(np.array([[0.25]]))
+
+
+def two_starts(p: F) -> MDP:
+    """A model whose only start moves with the parameter."""
+    rows = [(0, 0, [(1, 0, 1)]), (1, 0, [(1, 0, 1)])]
+    return MDP.from_outcomes(rows, "1/2", start=int(p < F(1, 2)))
 
 
 # ---- care scenarios ------------------------------------------------------------------------------
