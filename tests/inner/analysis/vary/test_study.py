@@ -1,7 +1,9 @@
 """Studies: at every point the optimum and policies of the model that the point makes."""
 
+from dataclasses import replace
 from fractions import Fraction as F
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +14,7 @@ from exact_mdp import MDP, Family, Parameter, Scenario, parametric, study
 from exact_mdp.analysis.vary.study import (
     CareSolver,
     ModelSolver,
+    StudyDraws,
     _Drawn,
     finite_optimum,
     finite_worth,
@@ -247,6 +250,8 @@ def test_a_solver_says_what_a_policy_does() -> None:
     weights = np.array([0, 1, 1, 0, 0, 1.0])
     assert solver.to_action_numbers(weights).tolist() == [1, 1, 2]
     assert solver.describe_policy(weights) == {"state 0": "1", "state 2": "2"}
+    first_actions = np.array([1, 0, 1, 1, 0, 0.0])
+    assert solver.describe_policy(first_actions) == {"state 0": "0", "state 2": "0"}
     mixed = np.array([0.5, 0.5, 1, 0, 0, 1.0])
     assert solver.to_action_numbers(mixed).tolist() == [-1, 1, 2]
     assert solver.describe_policy(mixed) is None
@@ -262,6 +267,83 @@ def test_a_solver_says_what_a_policy_does() -> None:
     assert totals.sum(axis=2) == pytest.approx(value["value"])
     with pytest.raises(ModelError, match="components are fare, tip there"):
         solver.compute_totals(np.array([[0.25]]), [weights], ["toll"], 0)
+
+
+# ---- the study of all draws ----------------------------------------------------------------------
+
+
+def test_a_regret_within_the_errors_of_both_values_is_none() -> None:
+    family = Family(parameters={"p": "1/2", "r": 1}, build=varied)
+    found = study(family, {"p": [F(1, 4), F(1, 4)]}, [[0, 1, 0]])
+    made = replace(
+        found,
+        optimal=np.array([5.0, 5.0]),
+        fixed=np.array([[4.7], [4.7]]),
+        error=np.array([[0.2, 0.05], [0.2, 0.2]]),
+    )
+    assert made.regret[:, 0].tolist() == [pytest.approx(0.3), 0]
+    assert made.criterion_facts == {}
+    of_averages = replace(made, criterion="average").criterion_facts["criterion"]
+    assert (of_averages.value, of_averages.text) == ("average", "average reward per step")
+    assert made.frame()["error_bound"].tolist() == [0.25, 0.4]
+    assert study(family, {"p": [F(1, 4)]}, []).frame()["value"].tolist() == [found.optimal[0]]
+
+
+@pytest.mark.parametrize("stored", [True, False])
+def test_policies_can_be_added_to_a_study(stored: bool, tmp_path: Path) -> None:
+    family = Family(parameters={"p": "1/2", "r": 1}, build=varied)
+    solver = solver_of(family, ["r", "p"])
+    points = np.array([[1.0, 0.25], [2.0, 0.5], [-1.0, 0.75]])
+    how = {"folder": tmp_path} if stored else {}
+    draws = StudyDraws(solver, points, 2, {"draws": hash_policies(points)}, how)
+    both = [solver.hold_policy(rule) for rule in ([0, 1, 0], [1, 1, 2])]
+    whole, first = StudyDraws(solver, points, 2, {}, {}).run_study(both), draws.run_study(both[:1])
+    more = draws.with_policies(first, both[1:])
+    assert more.fixed.tolist() == whole.fixed.tolist()
+    assert more.error.tolist() == whole.error.tolist()
+    assert StudyDraws(solver, points, 2, {}, {}).run_study([]).fixed.shape == (3, 0)
+    if stored:
+        assert draws.run_study(both[:1]).fixed.tolist() == first.fixed.tolist()  # from the folder
+        kept = {path.relative_to(tmp_path).parts[0] for path in tmp_path.rglob("*.npz")}
+        mark = hash_policies(both[1])[:12]
+        assert {"draws", f"values-{mark}"} <= kept
+        assert any(path.name.startswith("00000002-1") for path in tmp_path.rglob("*.npz"))
+        other = StudyDraws(solver, points + 0.0, 2, {"draws": "others"}, how)
+        with pytest.raises(ModelError):
+            other.run_study(both)  # the folder holds other points
+
+
+def test_a_point_that_makes_no_model_is_named_by_its_number() -> None:
+    def build(at: dict[str, F]) -> MDP:
+        return MDP.from_outcomes(
+            [(0, 0, [(at["p"], 0, 1), (1 - at["p"], 1, 1)]), (1, 0, [(1, 1, 0)])]
+        )
+
+    family = Family(parameters={"p": "1/2"}, build=build)
+    points = np.full(100, 0.5)
+    points[70] = 1.5
+    with pytest.raises(ModelError) as caught:
+        study(family, {"p": points}, [[0, 0]])
+    assert "draw 70" in str(caught.value)
+    assert caught.value.fix.startswith("choose ranges, or distributions")
+    assert "draw probabilities of one row together" in caught.value.fix
+    for number, at in ((0, 0), (70, 70)):
+        with pytest.raises(ModelError, match=f"draw {number},"):
+            ModelSolver(family, ("p",)).solve_draws(np.full((90, 1), 1.5)[: 90 - at], at)
+    with pytest.raises(ModelError, match="not a table of points"):
+        study(family, [0.5])  # type: ignore[arg-type]
+
+
+def test_probabilities_that_are_cut_off_are_said_with_their_draw() -> None:
+    scenario = Scenario.load("yuan2025").with_(tasks=[1], max_trial=1)
+    family = parametric(scenario)
+    names = [p.name for p in family.parameters if p.name.startswith("base.")][:2]
+    usual = [float(p.value) for p in family.parameters if p.name in names]
+    table = {names[0]: [usual[0], 0.99, usual[0]], names[1]: [usual[1], 0.98, usual[1]]}
+    with pytest.warns(Warning, match="1 of 3 draws, the first of them draw 1") as seen:
+        found = study(family, table)
+    assert found.cut.tolist() == [False, True, False]
+    assert names[0] in str(seen[0].message) or names[1] in str(seen[0].message)
 
 
 # ---- averages ------------------------------------------------------------------------------------
