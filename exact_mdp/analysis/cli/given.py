@@ -16,10 +16,10 @@ from exact_mdp.mdp.care import perception as seeing
 from exact_mdp.mdp.care.scenario import ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import write_atomically
-from exact_mdp.mdp.io.formats import POLICIES, find_format
 from exact_mdp.mdp.io.load import Loaded, read_model
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
+from exact_mdp.mdp.policies.choices import find_policy_format
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.questions import Question, describe_time_limit
 from exact_mdp.mdp.report import Report, Shown
@@ -229,7 +229,7 @@ class Given:
 
         "optimal" is the optimum for the true states, also under a perception.
         """
-        file = find_format(form, POLICIES)
+        file = find_policy_format(form)
         if self.kind != "auto" and (file is None or "kind" not in file.options):
             what = f"--kind says what an array in a file is, and {form!r} is not such a file"
             raise ModelError(what, where="--kind", fix="leave it out")

@@ -26,6 +26,7 @@ from exact_mdp.mdp.io.formats import (
     find_format,
     find_written_format,
     join_endings,
+    split_part,
 )
 from exact_mdp.mdp.model import MDP
 
@@ -74,9 +75,9 @@ def read_model(spec: str | Path, **options: Any) -> Loaded:
 
 def _find_model(text: str) -> tuple[Format, str, str | None]:
     """Return the kind of model that a text names, the words for its reader, and a reward model."""
-    named = re.fullmatch(r"(?s)(.*\.umb)#(.*)", text, re.IGNORECASE)
-    if named:
-        return FORMATS[".umb"], named[1], named[2]
+    file, reward = split_part(text, (".umb",))
+    if reward is not None:
+        return FORMATS[".umb"], file, reward
     if text in list_shipped_scenarios():
         return FORMATS[".toml"], text, None
     if text.startswith(GYMNASIUM):

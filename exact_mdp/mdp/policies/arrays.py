@@ -28,8 +28,10 @@ belong to state 3 or to the fourth state.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+import warnings
+from collections.abc import Callable, Collection, Sequence
 from fractions import Fraction
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -105,6 +107,9 @@ def of_given_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
     If states are named 0, 2, 3 and there is one more, a table of four rows may go by position, or
     by these names with a row for 1.
     """
+    own = _find_rows_by_object(model, array)
+    if own is not None:
+        return of_array(model, own, kind)
     columns = model.space.columns
     names: list[int | None] = []
     if len(columns) == 1:
@@ -123,6 +128,51 @@ def of_given_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
             fix="give a dictionary, which goes by names: {state: row}",
         )
     return of_array(model, array, kind)
+
+
+def _find_rows_by_object(model: MDP, array: Numbers) -> Numbers | None:
+    """Return the rows q[s] of the states of a model from functions, in a table q over more states.
+
+    The states are whole numbers, or tuples of these, and q has an axis for each of their parts.
+    None if they are not, or if the table fits the states by position.
+    """
+    places = []
+    for thing in model.space.columns[0].objects:
+        place: Any = thing
+        if not isinstance(thing, tuple):
+            place = (thing,)
+        if not all(isinstance(part, int | np.integer) and part >= 0 for part in place):
+            return None
+        places.append(place)
+    grid = array.shape[:-1]
+    if not places or {*map(len, places)} != {len(grid)} or len(model.space.columns) > 1:
+        return None
+    if array.shape[-1] != model.n_actions or find_table_axes(model, array.shape) is not None:
+        return None
+    if not (np.max(places, axis=0) < grid).all():
+        return None
+    number = np.ravel_multi_index(np.transpose(places), grid)
+    rows: Numbers = array.reshape(-1, model.n_actions)[number]
+    others = np.setdiff1d(np.arange(prod(grid)), number)
+    if len(others):
+        unread = np.transpose(np.unravel_index(others[:4], grid)).tolist()
+        labels = [str(tuple(place)) for place in unread]
+        if len(grid) == 1:
+            labels = [str(place[0]) for place in unread]
+        warn_unread(labels, len(others), prod(grid))
+    return rows
+
+
+def warn_unread(labels: Sequence[str], count: int, rows: int) -> None:
+    """Warn that `count` of some rows are of states that the model does not reach."""
+    shown = ", ".join(labels[:4])
+    if count > 4:
+        shown += " …"
+    warnings.warn(
+        f"{count} of {rows} rows are not read: their states are not in the model, "
+        f"which has only the states that can be reached from its start: {shown}",
+        stacklevel=2,
+    )
 
 
 def of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
