@@ -63,8 +63,10 @@ def test_files_of_savetxt(tmp_path: Path) -> None:
     np.savetxt(path, Q[:, ::-1], header=" ".join(LAKE.actions[::-1]))
     assert read(LAKE, path).tolist() == BEST
     np.savetxt(path, Q.argmax(axis=1), fmt="%d")
-    policy = Policy.of(LAKE, path)
-    assert (policy.read_as, policy.choices(LAKE).tolist()) == ("policy", BEST)
+    (tmp_path / "p.json").write_text(json.dumps(Q.argmax(axis=1).tolist()), "utf-8")
+    for file in (path, tmp_path / "p.json"):
+        policy = Policy.of(LAKE, file)
+        assert (policy.read_as, policy.choices(LAKE).tolist()) == ("policy", BEST)
 
 
 PAIRS = [(s, a) for s in range(16) for a in range(4)]

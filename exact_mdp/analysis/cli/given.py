@@ -9,7 +9,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
-from exact_mdp.analysis.cli.words import list_command_words
+from exact_mdp.analysis.cli.words import list_command_words, pairs_of
 from exact_mdp.analysis.pages import ADVICE
 from exact_mdp.analysis.record import run_record
 from exact_mdp.mdp.care import perception as seeing
@@ -95,6 +95,8 @@ class Given:
         Start in this state, a number or a name.
     sets : KEY=VALUE
         Change a scenario: base.anger=1/10, tasks=[3,1], readings.NAME=OPTION.
+    envs : NAME=VALUE
+        An option of the environment of gymnasium:ID: is_slippery=False, map_name=8x8.
     discount : G, optional
         Discount instead of the model's own: 0.95 or 19/20.
 
@@ -134,6 +136,7 @@ class Given:
     maximize: bool = False
     start: str | None = None
     sets: Sequence[str] = ()
+    envs: Sequence[str] = ()
     discount: str | None = None
 
     def __post_init__(self) -> None:
@@ -167,7 +170,13 @@ class Given:
     @cached_property
     def loaded(self) -> Loaded:
         """The model as it is."""
-        return read_model(self.model, sets=self.sets, discount=self.discount, start=self.start)
+        return read_model(
+            self.model,
+            sets=self.sets,
+            env=pairs_of(self.envs, "--env"),
+            discount=self.discount,
+            start=self.start,
+        )
 
     @cached_property
     def question(self) -> partial[MDP] | None:

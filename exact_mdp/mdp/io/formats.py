@@ -103,6 +103,7 @@ PERCEPTIONS: dict[str, Format] = {
 }
 RECORDS: dict[str, Format] = {
     ".csv": Format("transitions as text", "io.transitions:TransitionRecord.iterate_csv"),
+    ".jsonl": Format("a transition a line", "io.transitions:TransitionRecord.iterate_jsonl"),
     ".parquet": Format("transitions", "io.transitions:TransitionRecord.iterate_parquet"),
 }
 

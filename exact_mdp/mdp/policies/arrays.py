@@ -133,26 +133,32 @@ def of_given_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
 def _find_rows_by_object(model: MDP, array: Numbers) -> Numbers | None:
     """Return the rows q[s] of the states of a model from functions, in a table q over more states.
 
-    The states are whole numbers, or tuples of these, and q has an axis for each of their parts.
-    None if they are not, or if the table fits the states by position.
+    The states are whole numbers, or tuples of these, and q has an axis for each of their parts. A
+    state without a choice may be anything else. None for other states, and if the table fits the
+    states by position.
     """
-    places = []
-    for thing in model.space.columns[0].objects:
+    grid, objects = array.shape[:-1], model.space.columns[0].objects
+    if not objects or len(model.space.columns) > 1 or array.shape[-1:] != (model.n_actions,):
+        return None
+    if find_table_axes(model, array.shape) is not None:
+        return None
+    states, places = list[int](), list[Any]()
+    for state, thing in enumerate(objects):
         place: Any = thing
         if not isinstance(thing, tuple):
             place = (thing,)
-        if not all(isinstance(part, int | np.integer) and part >= 0 for part in place):
+        whole = len(place) == len(grid) and all(isinstance(part, int) for part in place)
+        if whole and all(0 <= part < length for part, length in zip(place, grid, strict=True)):
+            states.append(state)
+            places.append(place)
+        elif model.ends.must_choose[state]:
             return None
-        places.append(place)
-    grid = array.shape[:-1]
-    if not places or {*map(len, places)} != {len(grid)} or len(model.space.columns) > 1:
-        return None
-    if array.shape[-1] != model.n_actions or find_table_axes(model, array.shape) is not None:
-        return None
-    if not (np.max(places, axis=0) < grid).all():
+    if not places:
         return None
     number = np.ravel_multi_index(np.transpose(places), grid)
-    rows: Numbers = array.reshape(-1, model.n_actions)[number]
+    every = array.reshape(-1, model.n_actions)
+    rows = np.zeros((len(objects), model.n_actions), dtype=array.dtype)
+    rows[states] = every[number]
     others = np.setdiff1d(np.arange(prod(grid)), number)
     if len(others):
         unread = np.transpose(np.unravel_index(others[:4], grid)).tolist()

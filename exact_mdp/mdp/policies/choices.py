@@ -14,7 +14,7 @@ import csv
 import io
 import json
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from fractions import Fraction
 from os.path import isfile
 from pathlib import Path
@@ -72,6 +72,9 @@ def of_mapping(model: MDP, entries: Mapping[Any, Any], kind: str = "auto") -> Pa
         number = space.number
     entries = _by_pair(model, space, number, entries) or _keep_reachable(space, entries)
     choices = once_each([(number(key), choice) for key, choice in entries.items()], space.label)
+    for key, same in _find_same_seen(space).items():
+        if key not in choices and same in choices:
+            choices[key] = choices[same]
     if default is not None:
         for key in range(space.size):
             if key not in choices:
@@ -95,6 +98,10 @@ def _by_pair(
     kinds = (int, float, Fraction, np.number)
     if not pairs or not all(isinstance(value, kinds) for value in entries.values()):
         return {}
+    states = dict.fromkeys(state for state, _ in entries)
+    others = _find_unreached(space, states)
+    if not all(map(space.lookup.can_find, entries)):
+        entries = {key: value for key, value in entries.items() if key[0] not in others}
     each = []
     try:
         for state, action in entries:
@@ -104,6 +111,7 @@ def _by_pair(
     # Does every available action of a state with a choice have a number?
     rows = rows_read(model, space)[model.pair_state]
     choosing = model.ends.must_choose[model.pair_state]
+    choosing &= ~np.isin(rows, [*_find_same_seen(space)])
     offered = zip(rows[choosing].tolist(), model.pair_action[choosing].tolist(), strict=True)
     complete = {*offered} <= {*each}
     # The keys may themselves be states that are tuples.
@@ -116,6 +124,8 @@ def _by_pair(
                 f"{', '.join(map(str, [*entries][:4]))}",
                 fix="give {state: {action: number}}, or the names of actions: {state: action}",
             )
+    if others:
+        warn_unread([*map(str, others)], len(others), len(states))
     table: dict[Any, dict[str, Any]] = {}
     numbers = once_each(zip(each, entries.values(), strict=True), lambda pair: space.label(pair[0]))
     for (state, action), value in numbers.items():
@@ -128,15 +138,39 @@ def _by_pair(
     return full
 
 
+def _find_unreached(space: StateSpace, states: Collection[Any]) -> dict[Any, None]:
+    """Return the tuples and numbers that are not states of a model that was made from objects.
+
+    If all are unknown, none is returned: they are mistakes, which are refused.
+    """
+    others = dict[Any, None]()
+    if len(space.columns) == 1 and space.columns[0].objects:
+        for state in states:
+            if isinstance(state, tuple | int | np.integer) and not space.lookup.can_find(state):
+                others[state] = None
+    if len(others) == len(states):
+        return {}
+    return others
+
+
 def _keep_reachable(space: StateSpace, entries: Mapping[Any, Any]) -> Mapping[Any, Any]:
     """Return the entries of known states; warn about states that the model does not reach."""
-    made = len(space.columns) == 1 and space.columns[0].objects  # the model is from functions
-    kinds = (tuple, int, np.integer)
-    others = [key for key in entries if isinstance(key, kinds) and not space.lookup.can_find(key)]
-    if not made or not others or len(others) == len(entries):
+    others = _find_unreached(space, entries)
+    if not others:
         return entries
-    warn_unread([*map(str, others[:4])], len(others), len(entries))
-    return {key: choice for key, choice in entries.items() if key not in {*others}}
+    warn_unread([*map(str, others)], len(others), len(entries))
+    return {key: choice for key, choice in entries.items() if key not in others}
+
+
+def _find_same_seen(space: StateSpace) -> dict[int, int]:
+    """Return {row: row of the state that looks the same to an agent} for `Natural` states."""
+    same = {}
+    if len(space.columns) == 1:
+        for row, thing in enumerate(space.columns[0].objects):
+            seen = getattr(thing, "seen", None)
+            if seen is not None:
+                same[row] = space.number(seen)
+    return same
 
 
 def of_function(model: MDP, ask: Callable[[Any], Any], kind: str = "auto") -> Parts:

@@ -195,4 +195,4 @@ def array_of_lists(content: list[Any]) -> Numbers:
     for place, number in np.ndenumerate(array):
         if isinstance(number, str):
             array[place] = exact(number)
-    return numbers_of(array)
+    return numbers_of(array.tolist())
