@@ -18,6 +18,12 @@ dropped, since truncation depends on the steps that would have followed. The nex
 terminated row is kept if no record leaves it; otherwise it belongs to a reset, and the row leads to
 the end. If the records mark terminated rows, an episode with an unmarked last row was cut off.
 
+If rows are marked, the column episode may be missing, as in a replay buffer: an episode begins
+after each marked row. So may next_state, as in a trajectory: it is the state of the next row of the
+episode. Files are .csv (separated by commas, tabs or semicolons), .jsonl (an object in each line),
+both also as .gz, and .parquet. Usual names of columns are read as these: obs, next_obs, actions,
+rewards, terminals, timeouts, dones, traj_id.
+
 An action that was never taken in a state is unavailable there; or it has a bad value that the
 caller chooses, so that an optimum does not depend on untried actions (the pessimism of Jin, Yang
 and Wang, ICML 2021).
@@ -121,7 +127,7 @@ class FromTransitions(FromArrays):
 
         Parameters
         ----------
-        frame : DataFrame, path of a `.csv` or `.parquet` file, or iterable of DataFrames
+        frame : DataFrame, path of a file of `mdp.io.transitions`, or iterable of DataFrames
             One row for each transition: episode, state, action, reward and next state, in the order
             of time, one episode after the other. A missing next state means that the episode is
             over. 1 and 1.0 are the same name. A column truncated (true or false) marks the rows

@@ -19,11 +19,13 @@ NaN, +inf, and a row of -inf for all available actions are refused. For costs th
 places.
 
 In Python a policy may also be {state: action}, {state: {action: probability}}, or {state: row of
-numbers}; a Q-table (kind="q") may be {state: {action: value}}. {(state, action): number} is a table
-like an array, if it has all available actions; else it is {state: {action: number}}. Rows of states
-that a model from `MDP.from_function` does not reach are ignored, with a warning. Tensors are read
-as arrays. If states are named 0, 2, 3 and there is one more, an array is refused: its row 3 may
-belong to state 3 or to the fourth state.
+numbers}; a Q-table may be {state: {action: value}}, with kind="q" if all values are from 0 to 1.
+{(state, action): number} is a table like an array, if it has all available actions; else it is
+{state: {action: number}}. If the states of a model were made from whole numbers or tuples of these
+(`MDP.from_function`), an array may be q[state][action] over more states, with an axis for each part
+of a tuple. Rows of states that the model does not reach are ignored, with a warning. Tensors are
+read as arrays. If states are named 0, 2, 3 and there is one more, an array is refused: its row 3
+may belong to state 3 or to the fourth state.
 """
 
 from __future__ import annotations

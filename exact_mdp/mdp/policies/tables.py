@@ -7,6 +7,10 @@ columns are in the model's order. A column before the actions names the states; 
 rows are in the model's order. If a first row may be a header or numbers, or a first column may be
 states or values, the file is refused. An empty field, or nan, is the value of an action that is not
 available.
+
+In .json a table is lists of rows, or {state: row} and the other dictionaries, with states as texts,
+such as "(0, 1)"; alone, or the only lists of rows under any key. If a .json or .npz file holds
+several tables, FILE#NAME says which.
 """
 
 from __future__ import annotations
