@@ -130,7 +130,7 @@ def test_a_pickle_is_refused_with_the_code_that_converts_it(tmp_path: Path, form
     code = error.fix.partition("in Python: ")[2]
     assert "'MODEL'" in code
     exec(code.replace("MODEL", "gymnasium:FrozenLake-v1"), {})
-    policy = Policy.of(LAKE, path.with_suffix(".csv"))
+    policy = Policy.of(LAKE, f"{path}.csv")
     assert policy.choices(LAKE).tolist() == BEST
 
 

@@ -402,7 +402,7 @@ def find_policy_format(path: str | Path) -> Format | None:
 
 def _pickle_error(path: str) -> ModelError:
     """Return the error for a pickled policy, with the lines that convert it."""
-    out = str(Path(path).with_suffix(".csv"))
+    out = f"{path}.csv"
     code = (
         "import pathlib, pickle, exact_mdp as e; "
         f"q = pickle.loads(pathlib.Path({path!r}).read_bytes()); "
