@@ -206,6 +206,7 @@ REFUSED = [
     ("q.csv", ";LEFT;DOWN\n0;0,5;1,5\n", "'0,5' is not a finite rational"),
     ("q.csv", "1,2\n3\n", "1 values under 2 headings"),
     ("q.txt", "", "the header is ''"),
+    ("q.txt", "# nothing", "no rows"),
     ("q.json", "[[1, 2], [3]]", "real numbers only"),
     ("q.json", '[["a"]]', "'a' is not a finite rational"),
     ("q.json", "[[[1, 2]]]", "shape (1, 1, 2)"),

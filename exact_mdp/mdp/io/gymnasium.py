@@ -14,7 +14,8 @@ Instead of a table, an environment may have `dynamics` with matrices `tx_mat` an
 like ICU-Sepsis (Choudhary, Gupta and Thomas, Reinforcement Learning Conference 2024).
 
 A wrapper or custom environment whose step() or reset() differs from `P` is refused: see
-`mdp.io.gymnasium_table`.
+`mdp.io.gymnasium_table`. An environment with neither is explored by its steps, if these are
+deterministic: see `mdp.io.gymnasium_steps`. `mdp.io.blackjack` has the rules of Blackjack.
 """
 
 from __future__ import annotations
@@ -82,7 +83,7 @@ class FromGymnasium(FromFunction):
 
     @classmethod
     def from_gymnasium(cls, env: object, discount: object = 1, **names: Any) -> Self:
-        """Build from a Gymnasium environment that exposes its model as `P` (toy-text).
+        """Build from a Gymnasium environment with a table `P`, or with deterministic steps.
 
         Parameters
         ----------
@@ -108,8 +109,9 @@ class FromGymnasium(FromFunction):
         Raises
         ------
         ModelError
-            If the environment is unknown or has no `P`, if `P` is not a table of distributions over
-            its own states, or if step() or reset() differs from `P`.
+            If the environment is unknown, if it has no `P` and is not deterministic given what it
+            observes, if `P` is not a table of distributions over its own states, or if step() or
+            reset() differs from `P`.
 
         Examples
         --------

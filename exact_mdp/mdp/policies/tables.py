@@ -98,6 +98,8 @@ def read_lines(text: str, *, spaces: bool) -> tuple[list[Line], list[str]]:
 
 def read_table(model: MDP, lines: Sequence[Line], comment: Sequence[str] = ()) -> Any:
     """Return the array of a table, or {state: row} if it has a column of states."""
+    if not lines:
+        raise ModelError("the table has no rows", fix="give a row for each state")
     header, lines = _split_header(model, lines, comment)
     width, first = len(lines[0][1]), [row[0] for _, row in lines]
     # Is there a column of states before those of the actions?
