@@ -32,7 +32,6 @@ from exact_mdp.mdp.errors import (
     words_of,
     wrong_type,
 )
-from exact_mdp.mdp.forms.explore import FromFunction
 from exact_mdp.mdp.forms.names import ByNumber, Names, text_of
 from exact_mdp.mdp.forms.numbers import whole_numbers
 from exact_mdp.mdp.io.gymnasium import FromGymnasium
@@ -71,7 +70,7 @@ the change made for one value of a parameter is the change made for every other.
 
 
 @dataclass(frozen=True, eq=False)
-class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
+class MDP(ByFields, FromTransitions, FromGymnasium, Questions):
     """A frozen, validated finite MDP with S states, A actions and L state-action pairs.
 
     Build one with `MDP.from_arrays`, `from_pairs`, `from_outcomes`, `from_function`,

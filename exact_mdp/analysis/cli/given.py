@@ -9,17 +9,17 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
-from exact_mdp.analysis.cli.words import list_command_words
+from exact_mdp.analysis.cli.words import list_command_words, pairs_of
 from exact_mdp.analysis.pages import ADVICE
 from exact_mdp.analysis.record import run_record
 from exact_mdp.mdp.care import perception as seeing
 from exact_mdp.mdp.care.scenario import ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import write_atomically
-from exact_mdp.mdp.io.formats import POLICIES, find_format
 from exact_mdp.mdp.io.load import Loaded, read_model
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
+from exact_mdp.mdp.policies.choices import find_policy_format
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.questions.horizon import describe_time_limit
 from exact_mdp.mdp.questions.origin import Question
@@ -96,6 +96,8 @@ class Given:
         Start in this state, a number or a name.
     sets : KEY=VALUE
         Change a scenario: base.anger=1/10, tasks=[3,1], readings.NAME=OPTION.
+    envs : NAME=VALUE
+        An option of the environment of gymnasium:ID: is_slippery=False, map_name=8x8.
     discount : G, optional
         Discount instead of the model's own: 0.95 or 19/20.
 
@@ -135,6 +137,7 @@ class Given:
     maximize: bool = False
     start: str | None = None
     sets: Sequence[str] = ()
+    envs: Sequence[str] = ()
     discount: str | None = None
 
     def __post_init__(self) -> None:
@@ -168,7 +171,13 @@ class Given:
     @cached_property
     def loaded(self) -> Loaded:
         """The model as it is."""
-        return read_model(self.model, sets=self.sets, discount=self.discount, start=self.start)
+        return read_model(
+            self.model,
+            sets=self.sets,
+            env=pairs_of(self.envs, "--env"),
+            discount=self.discount,
+            start=self.start,
+        )
 
     @cached_property
     def question(self) -> partial[MDP] | None:
@@ -230,7 +239,7 @@ class Given:
 
         "optimal" is the optimum for the true states, also under a perception.
         """
-        file = find_format(form, POLICIES)
+        file = find_policy_format(form)
         if self.kind != "auto" and (file is None or "kind" not in file.options):
             what = f"--kind says what an array in a file is, and {form!r} is not such a file"
             raise ModelError(what, where="--kind", fix="leave it out")

@@ -276,6 +276,7 @@ def convert_command(
     *,
     constants: str | None = None,
     sets: Sequence[str] = (),
+    envs: Sequence[str] = (),
     discount: str | None = None,
     start: str | None = None,
 ) -> Report:
@@ -292,7 +293,14 @@ def convert_command(
     constants : "A=1,B=2"
         Constants that a program leaves open (extra models): {formats:PROGRAMS}.
     """
-    loaded = read_model(source, sets=sets, discount=discount, start=start, constants=constants)
+    loaded = read_model(
+        source,
+        sets=sets,
+        env=pairs_of(envs, "--env"),
+        discount=discount,
+        start=start,
+        constants=constants,
+    )
     exact_mdp.save(loaded.mdp, target)
     sizes = {"states": loaded.mdp.n_states, "pairs": loaded.mdp.n_pairs}
     facts = {"written": target, "model": loaded.name, **sizes}

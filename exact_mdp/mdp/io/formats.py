@@ -7,6 +7,7 @@ files follow. The functions are imported when a file is read or written, so help
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from importlib import import_module
@@ -78,10 +79,18 @@ ARRAY = Format(
     "a Q-table or probabilities of actions", f"{CHOICES}read_policy_array", options=("kind",)
 )
 POLICIES: dict[str, Format] = {
-    ".json": Format('{"0000": "none", ...}', f"{CHOICES}read_policy_json", options=("kind",)),
-    ".csv": Format(
-        "rows of status,action", f"{CHOICES}read_policy_csv", f"{CHOICES}write_policy_csv"
+    ".json": Format(
+        '{"0000": "none", ...}, or rows of numbers',
+        f"{CHOICES}read_policy_json",
+        options=("kind",),
     ),
+    ".csv": Format(
+        "rows of status,action, or of numbers",
+        f"{CHOICES}read_policy_text",
+        f"{CHOICES}write_policy_csv",
+        options=("kind",),
+    ),
+    ".txt": Format("rows of numbers", f"{CHOICES}read_policy_text", options=("kind",)),
     ".npy": ARRAY,
     ".npz": ARRAY,
 }
@@ -94,6 +103,7 @@ PERCEPTIONS: dict[str, Format] = {
 }
 RECORDS: dict[str, Format] = {
     ".csv": Format("transitions as text", "io.transitions:TransitionRecord.iterate_csv"),
+    ".jsonl": Format("a transition a line", "io.transitions:TransitionRecord.iterate_jsonl"),
     ".parquet": Format("transitions", "io.transitions:TransitionRecord.iterate_parquet"),
 }
 
@@ -105,6 +115,14 @@ PROGRAMS = {ending: each for ending, each in FORMATS.items() if "constants" in e
 def find_format(path: str | Path, formats: Mapping[str, Format]) -> Format | None:
     """Return the format of a file by its ending; None if it is not among the formats."""
     return formats.get(Path(path).suffix.lower())
+
+
+def split_part(text: str, endings: Collection[str]) -> tuple[str, str | None]:
+    """Return the file and the NAME of "FILE#NAME" for files with these endings, else no name."""
+    named = re.fullmatch(r"(?s)(.*(\.\w+))#(.*)", text)
+    if named and named[2].lower() in endings:
+        return named[1], named[3]
+    return text, None
 
 
 def find_written_format(path: str | Path, formats: Mapping[str, Format], what: str) -> Format:

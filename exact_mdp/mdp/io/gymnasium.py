@@ -14,19 +14,20 @@ Instead of a table, an environment may have `dynamics` with matrices `tx_mat` an
 like ICU-Sepsis (Choudhary, Gupta and Thomas, Reinforcement Learning Conference 2024).
 
 A wrapper or custom environment whose step() or reset() differs from `P` is refused: see
-`mdp.io.gymnasium_table`.
+`mdp.io.gymnasium_table`. An environment with neither is explored by its steps, if these are
+deterministic: see `mdp.io.gymnasium_steps`. `mdp.io.blackjack` has the rules of Blackjack.
 """
 
 from __future__ import annotations
 
 import warnings
+from ast import literal_eval
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
 
-from exact_mdp.mdp.build import FromArrays
 from exact_mdp.mdp.errors import (
     ModelError,
     ShapeError,
@@ -34,13 +35,17 @@ from exact_mdp.mdp.errors import (
     shorten_text,
     suggest_name,
 )
+from exact_mdp.mdp.forms.explore import FromFunction
 from exact_mdp.mdp.forms.names import ByNumber
+from exact_mdp.mdp.io.blackjack import Blackjack
+from exact_mdp.mdp.io.gymnasium_steps import CopiedEnvironment
 from exact_mdp.mdp.io.gymnasium_table import (
     LISTED,
     NOWHERE,
     TOY_TEXT,
     Rows,
     compare_with_table,
+    find_first_changing,
     is_outcome_table,
     is_whole_number,
     layers_of,
@@ -55,6 +60,7 @@ from exact_mdp.mdp.validate import KNOWN, as_start, check_options
 END = "end"
 STARTS = ("initial_state_distrib", "isd")  # names of the initial distribution in environments
 GRID = (Column(name="row", size=0), Column(name="column", size=0))
+WORDS = {"true": "True", "false": "False", "none": "None"}
 PLACES = ("Red", "Green", "Yellow", "Blue")
 TOYS = {
     "FrozenLakeEnv": (("LEFT", "DOWN", "RIGHT", "UP"), GRID),
@@ -72,12 +78,12 @@ TOYS = {
 """Names of the actions, and the columns whose combinations are the states."""
 
 
-class FromGymnasium(FromArrays):
+class FromGymnasium(FromFunction):
     """Models from environments."""
 
     @classmethod
     def from_gymnasium(cls, env: object, discount: object = 1, **names: Any) -> Self:
-        """Build from a Gymnasium environment that exposes its model as `P` (toy-text).
+        """Build from a Gymnasium environment with a table `P`, or with deterministic steps.
 
         Parameters
         ----------
@@ -103,8 +109,9 @@ class FromGymnasium(FromArrays):
         Raises
         ------
         ModelError
-            If the environment is unknown or has no `P`, if `P` is not a table of distributions over
-            its own states, or if step() or reset() differs from `P`.
+            If the environment is unknown, if it has no `P` and is not deterministic given what it
+            observes, if `P` is not a table of distributions over its own states, or if step() or
+            reset() differs from `P`.
 
         Examples
         --------
@@ -125,23 +132,42 @@ class FromGymnasium(FromArrays):
         if env is None or isinstance(env, bool | int | float):
             fix = f"give an environment, an id such as FrozenLake-v1, or a table: {LISTED}"
             raise ModelError(f"{env!r} is not an environment", where="env", fix=fix)
-        bare = env
+        bare: Any = env
         if not is_outcome_table(env):
             bare = getattr(env, "unwrapped", env)
         check_options(names, {})
-        # A model is made from the table alone, so no wrapper may change the environment.
         layers = [*layers_of(env)]
-        refuse_changes(layers)
         names.setdefault("name", _find_environment_name(env))
         names.setdefault("time_limit", _time_limit(layers))
         where = names["name"] or "P"
-        dynamics = getattr(bare, "dynamics", None)
-        if not hasattr(bare, "P") and isinstance(dynamics, Mapping) and "tx_mat" in dynamics:
+        dynamics: Any = getattr(bare, "dynamics", None)
+        tabled = is_outcome_table(bare) or hasattr(bare, "P")
+        matrices = not tabled and isinstance(dynamics, Mapping) and "tx_mat" in dynamics
+        rules: Any = None
+        if not matrices and is_blackjack(bare):
+            refuse_untried(layers)
+            rules = Blackjack(natural=bare.natural, sab=bare.sab)
+        elif not (tabled or matrices) and hasattr(bare, "step"):
+            rules = CopiedEnvironment(layers[find_first_changing(layers)], where)
+        if rules is not None:
+            start = names.pop("start", rules.start)
+            return cls.from_function(
+                start, rules.list_actions, rules.list_outcomes, discount, **names
+            )
+        # A model is made from the table alone, so no wrapper may change the environment.
+        refuse_changes(layers)
+        if matrices:
             refuse_untried(layers)
             options = {"start": dynamics.get("d_0"), "layout": "sas"} | names
             return cls.from_arrays(*_of_matrices(bare, dynamics, where), discount, **options)
         rows = _rows_from_table(bare, where, layers, names)
         return cls.from_outcomes(rows, discount, **names)
+
+
+def is_blackjack(env: Any) -> bool:
+    """Return whether an environment is Gymnasium's own Blackjack."""
+    kind = type(env)
+    return kind.__name__ == "BlackjackEnv" and kind.__module__.startswith(TOY_TEXT)
 
 
 def _rows_from_table(
@@ -315,6 +341,24 @@ def _find_environment_name(env: Any) -> str:
         return ""
     spec = getattr(env, "spec", None)
     return str(getattr(spec, "id", "") or type(getattr(env, "unwrapped", env)).__name__)
+
+
+def parse_options(texts: Mapping[str, str]) -> dict[str, Any]:
+    """Return the options of an environment from texts such as "False", "3" or "8x8".
+
+    A text is the value that it writes in Python; true, false and none may be in small letters, and
+    any other text is a text.
+    """
+    options: dict[str, Any] = {}
+    for name, text in texts.items():
+        if name in KNOWN or name in ("env", "discount"):
+            what = f"{name} is a part of the model, not an option of the environment"
+            raise ModelError(what, where="--env", fix=f"give --{name}, if the command has it")
+        try:
+            options[name] = literal_eval(WORDS.get(text.lower(), text))
+        except (ValueError, SyntaxError, MemoryError, RecursionError):
+            options[name] = text
+    return options
 
 
 def _make_environment(name: str, **options: Any) -> Any:

@@ -244,6 +244,12 @@ def _is_harmless(env: Any) -> bool:
     return kind.__name__ in HARMLESS and kind.__module__.startswith("gymnasium.")
 
 
+def find_first_changing(layers: Sequence[Any]) -> int:
+    """Return the place of the first layer that is not a harmless wrapper."""
+    inside = (k for k, each in enumerate(layers) if not _is_harmless(each))
+    return next(inside, len(layers) - 1)
+
+
 def compare_with_table(
     layers: Sequence[Any], rows: Rows, starts: Collection[int], stated: bool
 ) -> None:
@@ -253,10 +259,8 @@ def compare_with_table(
     assumed. A copy of the environment is tried, if it can be copied. Warns if the environment
     cannot be compared, since its observations or actions are not numbers.
     """
-    # Skip harmless wrappers outside; environments of Gymnasium itself need no trial.
-    inside = (k for k, each in enumerate(layers) if not _is_harmless(each))
-    first = next(inside, len(layers) - 1)
-    env, base = layers[first], layers[-1]
+    # Environments of Gymnasium itself need no trial.
+    env, base = layers[find_first_changing(layers)], layers[-1]
     if env is base and type(base).__module__.startswith(TOY_TEXT):
         return
     if not (callable(getattr(env, "step", None)) and callable(getattr(env, "reset", None))):
@@ -264,7 +268,7 @@ def compare_with_table(
     space = getattr(env, "action_space", None)
     if space is not None and not hasattr(space, "n"):
         return _warn_not_compared(env, "its actions are not numbers")
-    with _keep_random_state():
+    with keep_random_state():
         _Trial(_copy_environment(env, base), env is base).run_steps(rows, starts, stated)
     return None
 
@@ -285,7 +289,7 @@ def _copy_environment(env: Any, base: Any) -> Any:
 
 
 @contextmanager
-def _keep_random_state() -> Iterator[None]:
+def keep_random_state() -> Iterator[None]:
     """Restore the state of the global random number generators afterwards."""
     python, numpy = random.getstate(), np.random.get_state()  # noqa: NPY002  (others may use it)
     try:

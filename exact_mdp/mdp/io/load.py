@@ -26,7 +26,9 @@ from exact_mdp.mdp.io.formats import (
     find_format,
     find_written_format,
     join_endings,
+    split_part,
 )
+from exact_mdp.mdp.io.gymnasium import parse_options
 from exact_mdp.mdp.model import MDP
 
 GYMNASIUM = "gymnasium:"
@@ -62,7 +64,14 @@ def read_model(spec: str | Path, **options: Any) -> Loaded:
         what = f"{sets[0]!r} cannot be set: the model is not a scenario"
         raise ModelError(what, where=text, fix=fix)
     # The reader takes some of the options; the others change the model that it returns.
-    mdp = kind.read_file(source, **{name: given[name] for name in kind.options if name in given})
+    taken = {name: given[name] for name in kind.options if name in given}
+    if given.get("env"):
+        if kind is not ENVIRONMENT:
+            fix = f"give options of an environment with {GYMNASIUM}ID only"
+            raise ModelError("the model is not an environment", where="--env", fix=fix)
+        taken |= parse_options(given["env"])
+        taken["name"] = " ".join([source, *(f"{n}={text}" for n, text in given["env"].items())])
+    mdp = kind.read_file(source, **taken)
     scenario = None
     if isinstance(mdp, Scenario):
         scenario, mdp = mdp, mdp.compile()
@@ -74,9 +83,9 @@ def read_model(spec: str | Path, **options: Any) -> Loaded:
 
 def _find_model(text: str) -> tuple[Format, str, str | None]:
     """Return the kind of model that a text names, the words for its reader, and a reward model."""
-    named = re.fullmatch(r"(?s)(.*\.umb)#(.*)", text, re.IGNORECASE)
-    if named:
-        return FORMATS[".umb"], named[1], named[2]
+    file, reward = split_part(text, (".umb",))
+    if reward is not None:
+        return FORMATS[".umb"], file, reward
     if text in list_shipped_scenarios():
         return FORMATS[".toml"], text, None
     if text.startswith(GYMNASIUM):

@@ -354,14 +354,18 @@ def unpacked_size(stream: Any, most: int) -> int:
     return size
 
 
-def read_array(path: str | Path, *, called: str, most: int = LARGE) -> Numbers:
-    """Return the array of a `.npy` file, or the array `called` (or the only one) of an `.npz` file.
+def read_array(
+    path: str | Path, name: str | None = None, *, called: str, most: int = LARGE
+) -> Numbers:
+    """Return the array of a `.npy` file, or an array of an `.npz` file.
 
-    Nothing is rounded. Raises ModelError for a file that is damaged or not a regular file, for
-    anything but real numbers, and for more than `most` bytes, before they are read.
+    It is the array `name`; without a name the array `called`, or the only one. Nothing is rounded.
+    Raises ModelError for a file that is damaged or not a regular file, for anything but real
+    numbers, and for more than `most` bytes, before they are read.
     """
     with open_file(path, most=LARGEST) as file, locate_errors(str(path)):
-        array = _read_archive(file, alone=called, most=most)[called]
+        alone = name or called
+        array = _read_archive(file, alone=alone, exactly=name is not None, most=most)[alone]
         if array.dtype.kind not in "fiu":
             raise ModelError(f"an array of type {array.dtype}", fix="save real numbers")
     return array
@@ -375,11 +379,14 @@ def read_arrays(source: str | Path | bytes) -> dict[str, Numbers]:
         return _read_archive(file, most=most_unpacked(file.seek(0, io.SEEK_END)))
 
 
-def _read_archive(file: BinaryIO, *, most: int, alone: str = "") -> dict[str, Numbers]:
+def _read_archive(
+    file: BinaryIO, *, most: int, alone: str = "", exactly: bool = False
+) -> dict[str, Numbers]:
     """Return the arrays of an archive; each is read completely, so that its checksum is compared.
 
     With `alone`, return a single array under that name: the array of a `.npy` file, or the array of
-    that name in an archive, or the only array of the archive.
+    that name in an archive, or the only array of the archive unless it has to have `exactly` that
+    name.
     """
     try:
         # A file that is not an archive is one array.
@@ -389,10 +396,10 @@ def _read_archive(file: BinaryIO, *, most: int, alone: str = "") -> dict[str, Nu
             return {alone: _parse_npy(file.read())}
         with zipfile.ZipFile(file) as archive:
             members = {each.filename.removesuffix(".npy"): each for each in archive.infolist()}
-            if alone and len(members) != 1 and alone not in members:
+            if alone and alone not in members and (exactly or len(members) != 1):
                 raise ModelError(
                     f"the archive holds {', '.join(members)[:200] or 'nothing'}",
-                    fix=f"save one array, or call it {alone}",
+                    fix=f"say which: {file.name}#{next(iter(members), 'NAME')}",
                 )
             if alone:
                 members = {alone: members.get(alone, next(iter(members.values())))}

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
+from itertools import chain
 from typing import Any, NoReturn
 
 from exact_mdp.mdp.errors import ModelError, locate_errors, once_each, shorten_text
@@ -69,14 +71,29 @@ def _check_limits(content: Any, levels: int) -> None:
         raise ValueError("string conversion")
 
 
+def find_separator(line: str) -> str:
+    """Return the sign between the values of a line: a comma, else a tab, a semicolon, a space."""
+    plain = re.sub(r'"[^"]*"|\([^()]*\)', "", line)  # names may be quoted, or tuples
+    return next((sign for sign in ",\t;" if sign in plain), " ")
+
+
 def csv_of(
     lines: Iterable[str], where: str = "", *, fix: str = "correct the line"
 ) -> Iterator[tuple[int, list[str]]]:
     """Yield (line, values) for each row of a CSV text that is not blank; the first is the header.
 
-    Raises ModelError, with `fix`, if a row does not have as many values as the header.
+    Values are separated as in the first line. Raises ModelError, with `fix`, if a row does not have
+    as many values as the header.
     """
-    reader, line, width = csv.reader(lines, strict=True), 0, 0
+    lines, head = iter(lines), [""]
+    for text in lines:
+        head.append(text)
+        if text.strip():
+            break
+    every = chain(head[1:], lines)
+    separator = find_separator(head[-1]).replace(" ", ",")
+    reader = csv.reader(every, delimiter=separator, strict=True)
+    line = width = 0
     begin = ""
     if where:
         begin = f"{where}, "

@@ -18,6 +18,12 @@ dropped, since truncation depends on the steps that would have followed. The nex
 terminated row is kept if no record leaves it; otherwise it belongs to a reset, and the row leads to
 the end. If the records mark terminated rows, an episode with an unmarked last row was cut off.
 
+If rows are marked, the column episode may be missing, as in a replay buffer: an episode begins
+after each marked row. So may next_state, as in a trajectory: it is the state of the next row of the
+episode. Files are .csv (separated by commas, tabs or semicolons), .jsonl (an object in each line),
+both also as .gz, and .parquet. Usual names of columns are read as these: obs, next_obs, actions,
+rewards, terminals, timeouts, dones, traj_id.
+
 An action that was never taken in a state is unavailable there; or it has a bad value that the
 caller chooses, so that an optimum does not depend on untried actions (the pessimism of Jin, Yang
 and Wang, ICML 2021).
@@ -28,12 +34,14 @@ outcome (s, a, s', r). Rewards that hardly ever repeat should be rounded first.
 
 from __future__ import annotations
 
+import gzip
 import io
 import re
 import warnings
+import zlib
 from collections import Counter
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from fractions import Fraction
 from itertools import islice
 from math import prod
@@ -54,7 +62,7 @@ from exact_mdp.mdp.errors import (
 from exact_mdp.mdp.forms.numbers import group_numbers, has_floats, one_kind
 from exact_mdp.mdp.io.files import open_file
 from exact_mdp.mdp.io.formats import RECORDS, find_format, join_endings
-from exact_mdp.mdp.io.structured import csv_of
+from exact_mdp.mdp.io.structured import csv_of, json_of
 from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import EXACT_IN_INT64, Integers, OutcomeTable, Rows, exact
@@ -75,20 +83,28 @@ NO_NAMES = frozenset(
 )
 # Codes of next states: no next state since the episode is over, or was cut off; and ENDED - t for a
 # row that is terminated in state t.
+ENDS_HERE = "(ends here)"  # a column beside a table's own, while its rows are filled in
 OVER, NOWHERE, ENDED = -1, -2, -3
 ROWS = 2**13  # rows of a chunk, so that their texts fit in a core's cache
-NO_TABLES = frozenset(
-    (".json", ".jsonl", ".gz", ".zip", ".bz2", ".xz", ".xlsx", ".pkl", ".feather")
-)
+NO_TABLES = frozenset((".json", ".zip", ".bz2", ".xz", ".xlsx", ".pkl", ".feather"))
 NUMBER = re.compile(r"0|-?[1-9][0-9]{0,3999}")
 WHOLE = re.compile(r"(-?[0-9]+)\.0+")  # pandas writes 1 as 1.0 in a column with missing values
 END, UNSEEN = "end", "unseen"
 WITHOUT = {  # advice for a missing column
-    "episode": "number the episodes: frame['episode'] = "
-    "frame['done'].astype(bool).shift(fill_value=False).cumsum(), where 'done' marks the last "
-    "row of each",
-    "next_state": "add the state that follows: frame['next_state'] = "
-    "frame.groupby('episode')['state'].shift(-1), where each episode is over after its last row",
+    "episode": "number the episodes, or mark the last row of each in a column done, terminated or "
+    "truncated",
+    "next_state": "add the state that follows, or mark the last row of each episode in a column "
+    "done or terminated if it is over, truncated if it was cut off",
+}
+USUAL = {  # other names of the columns, which are read if the table does not have the first
+    "episode": ("episode_id", "trajectory", "traj_id"),
+    "state": ("obs", "observation", "observations"),
+    "action": ("act", "actions"),
+    "reward": ("rew", "rewards"),
+    "next_state": ("next_obs", "next_observation", "next_observations", "new_obs"),
+    TRUNCATED: ("truncations", "timeouts"),
+    TERMINATED: ("terminations", "terminals"),
+    DONE: ("dones",),
 }
 UNAVAILABLE, PESSIMISTIC = "unavailable", "pessimistic"
 
@@ -111,7 +127,7 @@ class FromTransitions(FromArrays):
 
         Parameters
         ----------
-        frame : DataFrame, path of a `.csv` or `.parquet` file, or iterable of DataFrames
+        frame : DataFrame, path of a file of `mdp.io.transitions`, or iterable of DataFrames
             One row for each transition: episode, state, action, reward and next state, in the order
             of time, one episode after the other. A missing next state means that the episode is
             over. 1 and 1.0 are the same name. A column truncated (true or false) marks the rows
@@ -195,14 +211,18 @@ class TransitionRecord:
         )
         for name in given:
             require_known_name(name, (*COLUMNS, *MARKS), "column", "columns")
+        self.given = given
         self.columns = dict(zip(COLUMNS, COLUMNS, strict=True)) | given
         self.frame = frame
-        self.where = "transitions"
+        self.where, self.form = "transitions", None
         if isinstance(frame, str | Path):
             self.where = str(frame)
-        self._parquet = find_format(self.where, RECORDS) is RECORDS[".parquet"]
-        self._of_file = isinstance(frame, str | Path) and not self._parquet
+            self.form = find_format(self.where.removesuffix(".gz"), RECORDS) or RECORDS[".csv"]
+        self._parquet = self.form is RECORDS[".parquet"]
+        self._of_lines = self.form is not None and not self._parquet
+        self._of_texts = self.form is RECORDS[".csv"]
         self.numbers: dict[str, dict[Any, int]] = {name: {} for name in COLUMNS[:4]}
+        self._implied: set[str] = set()  # columns that are missing, and follow from the marks
         self.rows = 0
         self.unused: tuple[str, ...] = ()  # columns that are not read
         self.starts = Counter[int]()  # episodes by first state
@@ -210,6 +230,7 @@ class TransitionRecord:
         self._counts: list[tuple[Integers, Integers]] = []
         self._places: Any = ()  # line or row numbers of this chunk, for messages
         self._last = (-1, -1, False)  # episode, next state and cut of the last row
+        self._problems: list[tuple[str, str, str]] = []  # place, what and fix of bad rows
         self.marked = False  # whether rows are marked as terminated
 
     # ---- reading ---------------------------------------------------------------------------------
@@ -230,7 +251,7 @@ class TransitionRecord:
             disable = None  # show a bar if standard error is a terminal
         with (
             tqdm.tqdm(desc="transitions", unit=" rows", disable=disable) as bar,
-            closing(self._iterate_tables()) as chunks,
+            closing(self._fill_columns(self._iterate_tables())) as chunks,
         ):
             for chunk in chunks:
                 for first in range(0, len(chunk), ROWS):
@@ -244,7 +265,7 @@ class TransitionRecord:
         """Yield tables of rows: a file in parts, other tables as they are."""
         import pandas
 
-        if isinstance(self.frame, str | Path):
+        if self.form is not None:
             suffix = Path(self.where).suffix.lower()
             if suffix in NO_TABLES:
                 raise ModelError(
@@ -255,8 +276,14 @@ class TransitionRecord:
                 )
             # A file is read in chunks: the limit of a terabyte only stops endless input.
             with open_file(self.where, most=2**40) as file:
-                form = find_format(self.where, RECORDS) or RECORDS[".csv"]
-                yield from form.read_file(self, file)
+                content: Any = file
+                if suffix == ".gz":
+                    content = gzip.GzipFile(fileobj=file)
+                try:
+                    yield from self.form.read_file(self, content)
+                except (EOFError, gzip.BadGzipFile, zlib.error) as error:
+                    what, fix = f"the file is not a whole .gz file: {error}", "compress it again"
+                    raise ModelError(what, where=self.where, fix=fix) from error
             return
         tables = self.frame
         if isinstance(tables, pandas.DataFrame) or not isinstance(tables, Iterable):
@@ -270,9 +297,8 @@ class TransitionRecord:
         """Yield the rows of a CSV file as texts, so that "0.1" is 1/10; the index has the lines."""
         import pandas
 
-        text = io.TextIOWrapper(file, "utf-8-sig", newline="")
         fix = "correct the line; if an episode is over, leave next_state empty after its comma"
-        try:
+        with self._open_text(file) as text:
             rows = csv_of(self._read_lines(text), self.where, fix=fix)
             _, header = next(rows, (0, []))
             # The last table is empty; it shows the columns of a file without rows.
@@ -283,6 +309,31 @@ class TransitionRecord:
                 values = np.array([row for _, row in listed], dtype=object)
                 values = values.reshape(len(listed), len(header))
                 yield pandas.DataFrame(values, [line for line, _ in listed], header, dtype=object)
+
+    def iterate_jsonl(self, file: Any) -> Generator[DataFrame]:
+        """Yield the rows of a file with a JSON object in each line; "0.1" is 1/10 there, too."""
+        import pandas
+
+        with self._open_text(file) as text:
+            lines = (each for each in enumerate(self._read_lines(text), 1) if each[1].strip())
+            while listed := [*islice(lines, ROWS)]:
+                rows = []
+                for number, line in listed:
+                    place = f"{self.where}, line {number}"
+                    row = json_of(line, place, parse_float=str)
+                    if not isinstance(row, dict):
+                        fix = 'write {"episode": 1, "state": …} in each line'
+                        raise ModelError("the line is not a JSON object", where=place, fix=fix)
+                    # A list, such as the place on a map, becomes a name.
+                    rows.append({key: _freeze_list(value) for key, value in row.items()})
+                yield pandas.DataFrame(rows, [line for line, _ in listed], dtype=object)
+
+    @contextmanager
+    def _open_text(self, file: Any) -> Iterator[io.TextIOWrapper]:
+        """Read a file as UTF-8 text."""
+        text = io.TextIOWrapper(file, "utf-8-sig", newline="")
+        try:
+            yield text
         except UnicodeError as error:
             raise ModelError(
                 "the file is not UTF-8 text", where=self.where, fix="save it as UTF-8 text"
@@ -306,36 +357,90 @@ class TransitionRecord:
         """Yield the rows of a Parquet file in batches."""
         with require_extra("models"):
             from pyarrow import parquet
-        used = {*self.columns.values(), *MARKS}
         try:
             table = parquet.ParquetFile(file)
             names = table.schema_arrow.names
+            used = {*self._find_columns(names).values()}
             self.unused = tuple(name for name in names if name not in used)
             for batch in table.iter_batches(ROWS, columns=[n for n in names if n in used]):
                 # The metadata of pandas could turn a column into an index: ignore it.
                 yield batch.to_pandas(ignore_metadata=True, integer_object_nulls=True)
+        except ModelError:
+            raise
         except Exception as error:  # Arrow raises many kinds on damaged files
             what = f"the file is not a Parquet file: {str(error)[:300]}"
             raise ModelError(what, where=self.where, fix="write it again, or give CSV") from error
 
+    def _fill_columns(self, tables: Iterable[DataFrame]) -> Generator[DataFrame]:
+        """Yield tables with the columns episode and next_state, which marks imply if they miss.
+
+        An episode goes on until a marked row; the next state of a row that is not marked is the
+        state of the next row of its episode. The last row of each table waits for the next table.
+        """
+        import pandas
+
+        held, number, over = None, 0, False
+        for table in tables:
+            missing: Collection[str] = ()
+            if len(table):
+                self.columns = self._find_columns([*table.columns])
+                missing = self._implied
+            if not missing:
+                yield table
+                continue
+            table = table.copy()
+            ended = np.zeros(len(table), dtype=bool)
+            for mark in {*MARKS} & {*self.columns}:
+                flags = table[self.columns[mark]].map(lambda v: FLAGS.get(str(v).strip().lower()))
+                ended |= flags.fillna(value=False).to_numpy(dtype=bool)
+            if "episode" in missing:
+                begins = np.append(over, ended[:-1])
+                table[self.columns["episode"]] = number + np.cumsum(begins)
+                number, over = int(table[self.columns["episode"]].iloc[-1]), bool(ended[-1])
+            if "next_state" not in missing:
+                yield table
+                continue
+            table[ENDS_HERE] = ended
+            if held is not None:
+                table = pandas.concat([held, table])
+            episode = table[self.columns["episode"]].to_numpy()
+            then = table[self.columns["state"]].astype(object).shift(-1)
+            last = table[ENDS_HERE].to_numpy(dtype=bool, copy=True)
+            last[:-1] |= episode[1:] != episode[:-1]
+            table[self.columns["next_state"]] = then.where(~last, "" if self._of_texts else None)
+            held = table.iloc[-1:]
+            yield table.iloc[:-1].drop(columns=ENDS_HERE)
+        if held is not None:
+            yield held.drop(columns=ENDS_HERE)
+
     # ---- rows in numbers -------------------------------------------------------------------------
 
     def _refuse_rows(self, bad: Any, what: str, fix: str) -> None:
-        """Raise ModelError for the first of the bad rows (R,), if there are any."""
+        """Note the first of the bad rows (R,), if there are any, as a problem."""
         wrong = np.flatnonzero(bad)
         if not len(wrong):
             return
         if len(wrong) > 1:
             what += f" (and in {len(wrong) - 1:,} more rows)"
         place = f"row {self._places[int(wrong[0])]}"
-        if self._of_file:
+        if self._of_lines:
             place = f"line {self._places[int(wrong[0])]}"
-        raise ModelError(what, where=f"{self.where}, {place}", fix=fix)
+        self._problems.append((place, what, fix))
+
+    def _raise_problems(self) -> None:
+        """Raise one ModelError for all problems that were noted."""
+        if len(self._problems) == 1:
+            place, what, fix = self._problems[0]
+            raise ModelError(what, where=f"{self.where}, {place}", fix=fix)
+        if self._problems:
+            what = "; ".join(f"{place}: {what}" for place, what, _ in self._problems)
+            fix = "; ".join(dict.fromkeys(fix for *_, fix in self._problems))
+            raise ModelError(what, where=self.where, fix=fix)
 
     def _number_chunk(self, chunk: DataFrame) -> tuple[Integers, Integers]:
         """Return the episodes and the numbers of the rows of a chunk; see `read_chunks`."""
         self._places = range(self.rows, self.rows + len(chunk))
-        if self._of_file:
+        if self._of_lines:
             self._places = chunk.index
         # Read the marks, and number the values of the other columns.
         parts = self._parts_of(chunk)
@@ -343,6 +448,7 @@ class TransitionRecord:
         codes = {name: self._number_values(name, column) for name, column in parts.items()}
         for name in COLUMNS[:4]:
             self._refuse_rows(codes[name] < 0, f"no {name}", "fill it in, or leave the row out")
+        self._raise_problems()
         # Code the next states; a missing one is allowed only at the end of an episode.
         episode, state, action, reward, then = (codes[name] for name in COLUMNS)
         self._refuse_rows(
@@ -353,28 +459,47 @@ class TransitionRecord:
         then = np.where(cut & (then < 0), NOWHERE, then)
         then = np.where(over & (then >= 0), ENDED - then, then)
         self._check_sequence(episode, state, then, cut)
+        self._raise_problems()
         self.rows += len(chunk)
         return episode, np.stack([state, action, then, reward], axis=1)
 
     def _parts_of(self, chunk: DataFrame) -> dict[str, Series]:
         """Return the columns that are read, {"episode": column, …}."""
-        there, wanted = list(chunk.columns), dict(self.columns)
-        for mark in MARKS:
-            if mark in there and mark not in wanted.values():
-                wanted.setdefault(mark, mark)
         if not self._parquet:
-            self.unused = tuple(str(c) for c in there if c not in wanted.values())
-        for column in wanted.values():
+            used = {*self.columns.values()}
+            self.unused = tuple(str(c) for c in chunk.columns if c not in used)
+        return {name: chunk[column] for name, column in self.columns.items()}
+
+    def _find_columns(self, there: Sequence[Any]) -> dict[str, str]:
+        """Return the table's name of each column, and of those that the marks imply."""
+        found = dict(zip(COLUMNS, COLUMNS, strict=True)) | self.given
+        for mark in MARKS:
+            if mark in there and mark not in found.values():
+                found.setdefault(mark, mark)
+        for name, others in USUAL.items():
+            usual = [other for other in others if other in there and other not in found.values()]
+            if name in self.given or found.get(name) in there or not usual:
+                continue
+            if len(usual) > 1:
+                fix = f"say which: columns={{{name!r}: {usual[0]!r}}}, --column {name}={usual[0]}"
+                what = f"{' and '.join(map(repr, usual))} may both be the column {name!r}"
+                raise ModelError(what, where=self.where, fix=fix)
+            found[name] = usual[0]
+        for column in found.values():
             if there.count(column) > 1:
                 raise ModelError(
                     f"the column {column!r} appears twice in the table",
                     where=self.where,
                     fix="give each column a name of its own",
                 )
-        missing = [name for name, column in wanted.items() if column not in there]
-        if missing:
+        missing = [name for name, column in found.items() if column not in there]
+        self._implied = {*missing} & {"episode", "next_state"}
+        if not {*found} & {*MARKS} or {*missing} - self._implied:
+            self._implied = set()
+        if {*missing} - self._implied:
+            self.columns = found
             raise self._missing_columns_error(missing, [str(column) for column in there])
-        return {name: chunk[column] for name, column in wanted.items()}
+        return found
 
     def _missing_columns_error(self, missing: Sequence[str], there: Sequence[str]) -> ModelError:
         """Return the error for columns that the table does not have."""
@@ -382,14 +507,7 @@ class TransitionRecord:
         shown = ", ".join(map(repr, there[:9]))
         if len(there) > 9:
             shown += " …"
-        # A single column with another separator in its name is a file that was split wrongly.
-        sign = None
-        if len(there) == 1:
-            sign = re.search("[;\t|]", there[0])
-        if sign:
-            fix = f"separate values by commas, or give pandas.read_csv(path, sep={sign[0]!r})"
-        else:
-            fix = "; ".join(self._suggest_column(name, there) for name in missing)
+        fix = "; ".join(self._suggest_column(name, there) for name in missing)
         what = f"there is no column {listed} among {shown}"
         return ModelError(what, where=self.where, fix=fix)
 
@@ -441,7 +559,7 @@ class TransitionRecord:
 
         named = what != "reward"
         try:
-            if named and column.dtype == object and not self._of_file:
+            if named and column.dtype == object and not self._of_texts:
                 # For pandas, True equals 1.
                 column = pandas.Series(map(_to_name, column), dtype=object, name=column.name)
             codes, values = pandas.factorize(column)
@@ -453,7 +571,7 @@ class TransitionRecord:
             ) from error
         known, numbers = self.numbers[what.removeprefix("next_")], list[int]()
         for code, value in enumerate(values):
-            if self._of_file and value == "":  # an empty field
+            if self._of_texts and value == "":  # an empty field
                 numbers.append(-1)
                 continue
             name: Any = str(_to_name(value))
@@ -463,6 +581,7 @@ class TransitionRecord:
                 except ModelError as error:
                     fix = f"{error.fix}, or leave the row out"
                     self._refuse_rows(codes == code, f"the reward is {value!r}", fix)
+                    number = Fraction(0)
                 name = (False, number)
                 if isinstance(value, float):
                     name = (True, value)
@@ -490,11 +609,13 @@ class TransitionRecord:
         known = ~goes_on & (episode <= np.maximum.accumulate(before))
         fix = "sort the rows by episode, then by time, and give each episode its own number"
         self._refuse_rows(known, "an episode continues after another one began", fix)
+        self._raise_problems()
         self._refuse_rows(
             goes_on & (left <= ENDED),
             "an episode continues after a row that is marked as terminated",
             "give the rows that follow another episode number, or correct the mark",
         )
+        self._raise_problems()
         self._refuse_rows(
             goes_on & (over | (left != state)),
             "a gap in an episode: a row begins in another state than the next state of the row "
@@ -653,6 +774,13 @@ class TransitionRecord:
         if costs:
             return max(rewards) / (1 - discount)
         return min(rewards) / (1 - discount)
+
+
+def _freeze_list(value: Any) -> Any:
+    """Return a list as a tuple, which can be a name; other values as they are."""
+    if isinstance(value, list):
+        return tuple(map(_freeze_list, value))
+    return value
 
 
 def _to_name(value: Any) -> Any:

@@ -19,17 +19,21 @@ NaN, +inf, and a row of -inf for all available actions are refused. For costs th
 places.
 
 In Python a policy may also be {state: action}, {state: {action: probability}}, or {state: row of
-numbers}; a Q-table (kind="q") may be {state: {action: value}}. {(state, action): number} is a table
-like an array, if it has all available actions; else it is {state: {action: number}}. Rows of states
-that a model from `MDP.from_function` does not reach are ignored, with a warning. Tensors are read
-as arrays. If states are named 0, 2, 3 and there is one more, an array is refused: its row 3 may
-belong to state 3 or to the fourth state.
+numbers}; a Q-table may be {state: {action: value}}, with kind="q" if all values are from 0 to 1.
+{(state, action): number} is a table like an array, if it has all available actions; else it is
+{state: {action: number}}. If the states of a model were made from whole numbers or tuples of these
+(`MDP.from_function`), an array may be q[state][action] over more states, with an axis for each part
+of a tuple. Rows of states that the model does not reach are ignored, with a warning. Tensors are
+read as arrays. If states are named 0, 2, 3 and there is one more, an array is refused: its row 3
+may belong to state 3 or to the fourth state.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+import warnings
+from collections.abc import Callable, Collection, Sequence
 from fractions import Fraction
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -106,6 +110,9 @@ def of_given_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
     If states are named 0, 2, 3 and there is one more, a table of four rows may go by position, or
     by these names with a row for 1.
     """
+    own = _find_rows_by_object(model, array)
+    if own is not None:
+        return of_array(model, own, kind)
     columns = model.space.columns
     names: list[int | None] = []
     if len(columns) == 1:
@@ -124,6 +131,57 @@ def of_given_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
             fix="give a dictionary, which goes by names: {state: row}",
         )
     return of_array(model, array, kind)
+
+
+def _find_rows_by_object(model: MDP, array: Numbers) -> Numbers | None:
+    """Return the rows q[s] of the states of a model from functions, in a table q over more states.
+
+    The states are whole numbers, or tuples of these, and q has an axis for each of their parts. A
+    state without a choice may be anything else. None for other states, and if the table fits the
+    states by position.
+    """
+    grid, objects = array.shape[:-1], model.space.columns[0].objects
+    if not objects or len(model.space.columns) > 1 or array.shape[-1:] != (model.n_actions,):
+        return None
+    if find_table_axes(model, array.shape) is not None:
+        return None
+    states, places = list[int](), list[Any]()
+    for state, thing in enumerate(objects):
+        place: Any = thing
+        if not isinstance(thing, tuple):
+            place = (thing,)
+        whole = len(place) == len(grid) and all(isinstance(part, int) for part in place)
+        if whole and all(0 <= part < length for part, length in zip(place, grid, strict=True)):
+            states.append(state)
+            places.append(place)
+        elif model.ends.must_choose[state]:
+            return None
+    if not places:
+        return None
+    number = np.ravel_multi_index(np.transpose(places), grid)
+    every = array.reshape(-1, model.n_actions)
+    rows = np.zeros((len(objects), model.n_actions), dtype=array.dtype)
+    rows[states] = every[number]
+    others = np.setdiff1d(np.arange(prod(grid)), number)
+    if len(others):
+        unread = np.transpose(np.unravel_index(others[:4], grid)).tolist()
+        labels = [str(tuple(place)) for place in unread]
+        if len(grid) == 1:
+            labels = [str(place[0]) for place in unread]
+        warn_unread(labels, len(others), prod(grid))
+    return rows
+
+
+def warn_unread(labels: Sequence[str], count: int, rows: int) -> None:
+    """Warn that `count` of some rows are of states that the model does not reach."""
+    shown = ", ".join(labels[:4])
+    if count > 4:
+        shown += " …"
+    warnings.warn(
+        f"{count} of {rows} rows are not read: their states are not in the model, "
+        f"which has only the states that can be reached from its start: {shown}",
+        stacklevel=2,
+    )
 
 
 def of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:

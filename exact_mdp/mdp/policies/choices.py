@@ -14,8 +14,7 @@ import csv
 import io
 import json
 import re
-import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from fractions import Fraction
 from os.path import isfile
 from pathlib import Path
@@ -27,7 +26,7 @@ from exact_mdp.mdp.errors import ModelError, ShapeError, locate_errors, once_eac
 from exact_mdp.mdp.forms.names import integer_of, is_number
 from exact_mdp.mdp.forms.numbers import convert_tensors, refuse_masked
 from exact_mdp.mdp.io.files import LARGE, STANDARD_INPUT, read_text, write_atomically
-from exact_mdp.mdp.io.formats import POLICIES, find_format, join_endings
+from exact_mdp.mdp.io.formats import POLICIES, Format, find_format, join_endings, split_part
 from exact_mdp.mdp.io.npz import read_array
 from exact_mdp.mdp.io.structured import csv_of, json_of
 from exact_mdp.mdp.model import MDP
@@ -38,12 +37,23 @@ from exact_mdp.mdp.policies.arrays import (
     policy_of_array,
     rows_read,
     too_small,
+    warn_unread,
+)
+from exact_mdp.mdp.policies.tables import (
+    array_of_lists,
+    find_part,
+    is_number_text,
+    parse_digits,
+    parse_key,
+    read_lines,
+    read_table,
 )
 from exact_mdp.mdp.space import TIME, Column, StateSpace
 from exact_mdp.mdp.table import Numbers, as_float, exact
 
 PRINTED_TIME = re.compile(rf"{TIME} \d+, ")  # in the printed form of a state
-WHOLE = re.compile(r"\s*-?(0|[1-9]\d{0,17})\s*", re.ASCII)
+PARTED = (".npz", ".json")  # files of which "FILE#NAME" names a part
+PICKLES = (".pkl", ".pickle")
 Chances = dict[int, dict[int, Fraction]]
 """Probabilities of actions by the number of a combination of column values."""
 
@@ -62,6 +72,9 @@ def of_mapping(model: MDP, entries: Mapping[Any, Any], kind: str = "auto") -> Pa
         number = space.number
     entries = _by_pair(model, space, number, entries) or _keep_reachable(space, entries)
     choices = once_each([(number(key), choice) for key, choice in entries.items()], space.label)
+    for key, same in _find_same_seen(space).items():
+        if key not in choices and same in choices:
+            choices[key] = choices[same]
     if default is not None:
         for key in range(space.size):
             if key not in choices:
@@ -85,6 +98,10 @@ def _by_pair(
     kinds = (int, float, Fraction, np.number)
     if not pairs or not all(isinstance(value, kinds) for value in entries.values()):
         return {}
+    states = dict.fromkeys(state for state, _ in entries)
+    others = _find_unreached(space, states)
+    if not all(map(space.lookup.can_find, entries)):
+        entries = {key: value for key, value in entries.items() if key[0] not in others}
     each = []
     try:
         for state, action in entries:
@@ -94,6 +111,7 @@ def _by_pair(
     # Does every available action of a state with a choice have a number?
     rows = rows_read(model, space)[model.pair_state]
     choosing = model.ends.must_choose[model.pair_state]
+    choosing &= ~np.isin(rows, [*_find_same_seen(space)])
     offered = zip(rows[choosing].tolist(), model.pair_action[choosing].tolist(), strict=True)
     complete = {*offered} <= {*each}
     # The keys may themselves be states that are tuples.
@@ -106,6 +124,8 @@ def _by_pair(
                 f"{', '.join(map(str, [*entries][:4]))}",
                 fix="give {state: {action: number}}, or the names of actions: {state: action}",
             )
+    if others:
+        warn_unread([*map(str, others)], len(others), len(states))
     table: dict[Any, dict[str, Any]] = {}
     numbers = once_each(zip(each, entries.values(), strict=True), lambda pair: space.label(pair[0]))
     for (state, action), value in numbers.items():
@@ -118,21 +138,39 @@ def _by_pair(
     return full
 
 
+def _find_unreached(space: StateSpace, states: Collection[Any]) -> dict[Any, None]:
+    """Return the tuples and numbers that are not states of a model that was made from objects.
+
+    If all are unknown, none is returned: they are mistakes, which are refused.
+    """
+    others = dict[Any, None]()
+    if len(space.columns) == 1 and space.columns[0].objects:
+        for state in states:
+            if isinstance(state, tuple | int | np.integer) and not space.lookup.can_find(state):
+                others[state] = None
+    if len(others) == len(states):
+        return {}
+    return others
+
+
 def _keep_reachable(space: StateSpace, entries: Mapping[Any, Any]) -> Mapping[Any, Any]:
     """Return the entries of known states; warn about states that the model does not reach."""
-    made = len(space.columns) == 1 and space.columns[0].objects  # the model is from functions
-    others = [key for key in entries if isinstance(key, tuple) and not space.lookup.can_find(key)]
-    if not made or not others or len(others) == len(entries):
+    others = _find_unreached(space, entries)
+    if not others:
         return entries
-    shown = ", ".join(map(str, others[:4]))
-    if len(others) > 4:
-        shown += " …"
-    warnings.warn(
-        f"{len(others)} of {len(entries)} rows are not read: their states are not in the model, "
-        f"which has only the states that can be reached from its start: {shown}",
-        stacklevel=2,
-    )
-    return {key: choice for key, choice in entries.items() if key not in {*others}}
+    warn_unread([*map(str, others)], len(others), len(entries))
+    return {key: choice for key, choice in entries.items() if key not in others}
+
+
+def _find_same_seen(space: StateSpace) -> dict[int, int]:
+    """Return {row: row of the state that looks the same to an agent} for `Natural` states."""
+    same = {}
+    if len(space.columns) == 1:
+        for row, thing in enumerate(space.columns[0].objects):
+            seen = getattr(thing, "seen", None)
+            if seen is not None:
+                same[row] = space.number(seen)
+    return same
 
 
 def of_function(model: MDP, ask: Callable[[Any], Any], kind: str = "auto") -> Parts:
@@ -174,6 +212,8 @@ def _is_answer_of_agent(model: MDP, choice: Any) -> bool:
 
 def _of_choices(model: MDP, space: StateSpace, choices: Mapping[int, Any], kind: str) -> Parts:
     """Return the policy of {row number: choice}."""
+    if kind == "auto" and _has_action_values(space, choices):
+        kind = "q"
     read: dict[int, Any] = {}
     for key, choice in choices.items():
         choice = convert_tensors(choice)
@@ -212,6 +252,21 @@ def _of_choices(model: MDP, space: StateSpace, choices: Mapping[int, Any], kind:
             else:
                 chances[key] = {names.find_number(_unwrap_action(choice)): Fraction(1)}
     return _of_chances(model, space, chances)
+
+
+def _has_action_values(space: StateSpace, choices: Mapping[int, Any]) -> bool:
+    """Return whether all choices are {action: number}, and some number is below 0 or above 1."""
+    if not all(isinstance(choice, Mapping) for choice in choices.values()):
+        return False
+    for key, choice in choices.items():
+        with locate_errors(space.label(key)):
+            for value in choice.values():
+                number = value
+                if isinstance(value, str):
+                    number = exact(value)
+                if is_number(number) and not 0 <= number <= 1:
+                    return True
+    return False
 
 
 def _read_action_values(
@@ -314,11 +369,11 @@ def _check_complete(model: MDP, space: StateSpace, said: Iterable[int]) -> None:
 
 def of_file(model: MDP, path: str | Path, kind: str = "auto") -> Parts:
     """Return the policy in a file, or in JSON from standard input."""
-    where, form = str(path), find_format(path, POLICIES)
-    if where == STANDARD_INPUT:
-        form = POLICIES[".json"]
+    where, form = str(path), find_policy_format(path)
     if form is None:
         suffix, what = Path(path).suffix.lower(), f"unknown policy {where!r}"
+        if suffix in PICKLES:
+            raise _pickle_error(where)
         if suffix and isfile(path):
             what = f"cannot read {suffix}"
         fix = (
@@ -328,44 +383,87 @@ def of_file(model: MDP, path: str | Path, kind: str = "auto") -> Parts:
         if where in model.actions:
             fix = f"did you mean always:{where}?"
         raise ModelError(what, fix=fix)
-    if "kind" in form.options:
-        return dict(form.read_file(model, path, kind=kind))
-    return dict(form.read_file(model, path))
+    return dict(form.read_file(model, path, kind=kind))
+
+
+def _number_or_text(choice: Any) -> Any:
+    """Return a text that writes a number as that number, and anything else as it is."""
+    if isinstance(choice, str) and is_number_text(choice):
+        return exact(choice)
+    return choice
+
+
+def find_policy_format(path: str | Path) -> Format | None:
+    """Return the format of a policy's file, or of "FILE#NAME"; None if it is not among them."""
+    if str(path) == STANDARD_INPUT:
+        return POLICIES[".json"]
+    return find_format(split_part(str(path), PARTED)[0], POLICIES)
+
+
+def _pickle_error(path: str) -> ModelError:
+    """Return the error for a pickled policy, with the lines that convert it."""
+    out = f"{path}.csv"
+    code = (
+        "import pathlib, pickle, exact_mdp as e; "
+        f"q = pickle.loads(pathlib.Path({path!r}).read_bytes()); "
+        f"e.Policy.of(e.load('MODEL'), q, kind='q').write({out!r})"
+    )
+    return ModelError(
+        "a pickle is not read, since it may run any code",
+        fix=f"if you trust it, write its policy for your MODEL in Python: {code}",
+    )
 
 
 def read_policy_array(model: MDP, path: str | Path, *, kind: str) -> Parts:
-    """Return the policy in a file of an array."""
+    """Return the policy in a file of an array, or in the array NAME of "FILE#NAME"."""
     # A number of an array takes at most 16 bytes.
     most = max(LARGE, 16 * model.n_states * model.n_actions)
-    return of_given_array(model, read_array(path, called="q", most=most), kind)
+    file, name = split_part(str(path), PARTED)
+    return of_given_array(model, read_array(file, name, called="q", most=most), kind)
 
 
 def read_policy_json(model: MDP, path: str | Path, *, kind: str) -> Parts:
-    """Return the policy in a JSON object."""
-    # JSON is an object by status or by state; digits of a state are its number.
-    content = json_of(read_text(path), str(path), parse_float=str, parse_int=_parse_digits)
+    """Return the policy in JSON: an object by status or by state, or a table as lists of rows."""
+    # Digits of a state are its number.
+    file, name = split_part(str(path), PARTED)
+    content = json_of(read_text(file), file, parse_float=str, parse_int=parse_digits)
+    content = find_part(content, name, file)
+    if isinstance(content, list):
+        return of_given_array(model, array_of_lists(content), kind)
     by_status = "status" in model.space.names
     if not isinstance(content, dict):
         first = "0"
         if by_status:
             first = "0000"
         example = json.dumps({first: model.actions[0]}, ensure_ascii=False)
-        raise ModelError("the file is not a JSON object", fix=f"write {example[:-1]}, …}}")
+        raise ModelError(
+            "the file is not a JSON object or list", fix=f"write {example[:-1]}, …}}, or rows"
+        )
     if not by_status:
-        content = {_parse_digits(key): choice for key, choice in content.items()}
+        content = once_each(((parse_key(key), choice) for key, choice in content.items()), str)
+        # A number of a pair (state, action) may be written with a point, and is a text here.
+        if all(isinstance(key, tuple) and len(key) == 2 for key in content):
+            content = {key: _number_or_text(choice) for key, choice in content.items()}
     return of_mapping(model, content, kind)
 
 
-def _parse_digits(text: str) -> Any:
-    """Return a text of digits as an int, and other text as it is."""
-    if WHOLE.fullmatch(text):
-        return int(text)
-    return text
+def read_policy_text(model: MDP, path: str | Path, *, kind: str) -> Parts:
+    """Return the policy in a text file: a table of numbers, or a list of actions with a header."""
+    text = read_text(path)
+    _, first = next(csv_of(io.StringIO(text)), (0, []))
+    header = {*map(str.strip, first)}
+    if "action" in header or header <= {"state", *model.space.names}:
+        return _read_listed_actions(model, text)
+    lines, comment = read_lines(text, spaces=Path(path).suffix.lower() == ".txt")
+    table = read_table(model, lines, comment)
+    if isinstance(table, dict):
+        return of_mapping(model, table, kind)
+    return of_given_array(model, table, kind)
 
 
-def read_policy_csv(model: MDP, path: str | Path) -> Parts:
-    """Return the policy in a CSV file: state columns, action and, optionally, probability."""
-    rows = csv_of(io.StringIO(read_text(path)))
+def _read_listed_actions(model: MDP, text: str) -> Parts:
+    """Return the policy in a CSV text: state columns, action and, optionally, probability."""
+    rows = csv_of(io.StringIO(text))
     _, given = next(rows, (0, []))
     header = [name.strip() for name in given]
     columns = [name for name in header if name not in ("action", "probability")]
@@ -382,7 +480,7 @@ def read_policy_csv(model: MDP, path: str | Path) -> Parts:
         raise ModelError(
             what,
             fix=f"write {','.join([*model.space.names, 'action'])}, or some of these columns; "
-            'numbers alone are a Q-table: np.save("q_table.npy", q_table)',
+            "numbers alone are a table: a row for each state, a column for each action",
         )
     # The states by number or name, or a space over the columns that the header names.
     space = model.space.untimed or model.space
@@ -395,7 +493,7 @@ def read_policy_csv(model: MDP, path: str | Path) -> Parts:
         with locate_errors(f"line {number}"):
             entry = dict(zip(header, row, strict=True))
             if by_name:
-                key = space.number(_parse_digits(entry[columns[0]]))
+                key = space.number(parse_digits(entry[columns[0]]))
             else:
                 key = space.index(**{c.name: c.number(entry[c.name]) for c in space.columns})
             action = model.action_names.find_number(entry["action"])
@@ -450,7 +548,7 @@ def write_policy_csv(
     # The words of a state are its column values, or its printed form if these are ambiguous.
     labels = {key: [*space.as_dict(key).values()] for key in rows}
     if len(space.names) == 1 and space.columns[0].words:
-        read = [space.lookup.can_find(_parse_digits(words[0])) for words in labels.values()]
+        read = [space.lookup.can_find(parse_digits(words[0])) for words in labels.values()]
         if not all(read):  # a name may also be the number of another state
             labels = {key: [space.label(key)] for key in rows}
     # Only a mixed policy needs the column of probabilities.

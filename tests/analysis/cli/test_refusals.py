@@ -35,7 +35,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     names = ["episode", "state", "action", "reward", "next_state"]
     pd.DataFrame(rows, columns=names).to_csv(place / "records.csv", index=False)
     text = (place / "records.csv").read_text("utf-8")
-    (place / "semicolons.csv").write_text(text.replace(",", ";"), "utf-8")
+    (place / "bars.csv").write_text(text.replace(",", "|"), "utf-8")
     (place / "ward.csv").write_text(text.replace("state", "ward", 1), "utf-8")
     (place / "uncertain.toml").write_text('["base.angre"]\neffective_sample_size = 10\n')
     labels = [f"{s:04b}" for s in range(16)]

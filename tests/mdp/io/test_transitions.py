@@ -1,5 +1,6 @@
 """Models from data: counted as a dictionary counts, in chunks of any size; bad rows are named."""
 
+import gzip
 from collections import Counter, defaultdict
 from fractions import Fraction as F
 from pathlib import Path
@@ -10,7 +11,7 @@ import pandas as pd
 import pyarrow
 import pytest
 from cli_runner import run
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from model_contents import negated
 from pyarrow import parquet
@@ -275,12 +276,11 @@ NO_LOG: list[Any] = [  # log, columns, what is said, where, and how to put it ri
     (marked((1, "a", "x", 0, None), done=[False]), {}, "neither terminated nor truncated"),
     (marked(GOOD, terminated=["maybe"]), {}, "terminated is neither true nor false"),
     (ONE.drop(columns=["state", "reward"]), {}, "no column 'state' nor 'reward' among 'episode'"),
-    (ONE.drop(columns="episode"), {}, "no column 'episode'", "transitions", "cumsum()"),
-    (ONE.drop(columns="next_state"), {}, "no column 'next_state'", "transitions", "shift(-1)"),
+    (ONE.drop(columns="episode"), {}, "no column 'episode'", "transitions", "a column done"),
+    (ONE.drop(columns="next_state"), {}, "no column 'next_state'", "transitions", "a column done"),
     (ONE.rename(columns={"state": "State"}), {}, "'state'", "", "columns={'state': 'State'}"),
     (HEAD.replace(",", ", ") + "1, a, x, 0, b\n", {}, "no column 'state' nor", "", "skipinit"),
-    (HEAD.replace(",", ";") + "1;a;x;0;b\n", {}, "no column", "log.csv", "sep=';'"),
-    (HEAD.replace(",", "\t") + "1\ta\tx\t0\tb\n", {}, "no column", "log.csv", "sep='\\t'"),
+    (HEAD.replace(",", "|") + "1|a|x|0|b\n", {}, "no column", "log.csv"),
     (HEAD + "\0" * 2**21, {}, "a line has more than 1,048,576 characters"),
 ]  # fmt: skip
 
@@ -295,20 +295,106 @@ def test_what_is_no_log(case: tuple[Any, ...], tmp_path: Path) -> None:
     refused(lambda: MDP.from_transitions(log, columns=columns), *said)
 
 
-@pytest.mark.parametrize("ending", ["json", "jsonl", "csv.gz"])
+@pytest.mark.parametrize("ending", ["json", "csv.zip", "pkl"])
 def test_other_kinds_of_files_are_named(ending: str, tmp_path: Path) -> None:
     (path := tmp_path / f"log.{ending}").write_text("{}", "utf-8")
     refused(lambda: MDP.from_transitions(path), f"cannot read .{ending.split('.')[-1]}")
 
 
-def test_the_ways_out_of_missing_columns_work() -> None:
-    frame = table(RESET).assign(done=[False, True] * 2)
-    buffer = frame.drop(columns="episode")
-    buffer["episode"] = buffer["done"].astype(bool).shift(fill_value=False).cumsum()
-    path = frame.drop(columns=["next_state", "done"])
-    path["next_state"] = path.groupby("episode")["state"].shift(-1)
-    for log in (buffer, path):
-        assert fingerprint(MDP.from_transitions(log)) == fingerprint(MDP.from_transitions(frame))
+# ---- logs as trainers write them -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [1, 3, 20_000])
+@pytest.mark.parametrize("mark", ["done", "terminated"])
+@settings(max_examples=15)
+@given(rows=records(), cuts=st.integers(0, 2**6 - 1))
+def test_episodes_and_next_states_follow_from_marks(
+    size: int, mark: str, rows: list[tuple[Any, ...]], cuts: int
+) -> None:
+    """A replay buffer has no numbers of episodes, a trajectory no next states."""
+    frame, last = table(rows), []
+    for number, (one, two) in enumerate(zip(rows, [*rows[1:], (None,)], strict=True)):
+        last.append(one[0] != two[0])
+        if last[-1]:
+            frame.loc[number, "next_state"] = None
+    cut = [here and bool(cuts >> row[0] & 1) for here, row in zip(last, rows, strict=True)]
+    over = [here and not off for here, off in zip(last, cut, strict=True)]
+    frame = frame.assign(truncated=cut, **{mark: last if mark == "done" else over})
+    wanted = fingerprint(MDP.from_transitions(frame, discount="1/2"))
+    for without in (["episode"], ["next_state"], ["episode", "next_state"]):
+        log = frame.drop(columns=without)
+        parts = [log.iloc[n : n + size] for n in range(0, len(log), size)]
+        assert fingerprint(MDP.from_transitions(parts, discount="1/2")) == wanted
+
+
+def test_a_last_row_that_no_mark_explains_is_refused() -> None:
+    log = marked(*RESET, done=[False, True, False, False]).drop(columns="next_state")
+    refused(lambda: MDP.from_transitions(log), "no next state, in a row", "row 3", "mark the row")
+    alone = log.drop(columns="done")
+    refused(lambda: MDP.from_transitions(alone), "no column 'next_state'", "", "truncated")
+
+
+@pytest.mark.parametrize("ending", ["csv", "csv.gz", "jsonl", "jsonl.gz"])
+@pytest.mark.parametrize("sign", [",", ";", "\t"])
+def test_files_of_other_kinds_give_the_same_model(ending: str, sign: str, tmp_path: Path) -> None:
+    rows = [
+        (7, "home, sweet", "go", "0.1", "(1, 2)"),
+        (7, "(1, 2)", "stay", "2", "(1, 2)"),
+        (8, "home, sweet", "go", "0.1", None),
+    ]
+    wanted = MDP.from_transitions(table(rows))
+    path = tmp_path / f"log.{ending}"
+    if "csv" in ending:
+        table(rows).to_csv(path, index=False, sep=sign)
+    else:
+        log = table(rows).assign(reward=[0.1, 2, 0.1])
+        text = log.to_json(orient="records", lines=True).replace('"(1, 2)"', "[1, 2]")
+        written = gzip.compress(text.encode()) if ending.endswith("gz") else text.encode()
+        path.write_bytes(written)
+    assert fingerprint(MDP.from_transitions(path)) == fingerprint(wanted)
+
+
+def test_usual_names_of_columns() -> None:
+    frame = marked(*RESET, terminated=[False, True] * 2, truncated=[False] * 4)
+    wanted = fingerprint(MDP.from_transitions(frame))
+    usual = {"episode": "traj_id", "state": "obs", "action": "actions", "reward": "rewards"}
+    for names in (
+        usual | {"next_state": "next_obs", "terminated": "terminals", "truncated": "timeouts"},
+        {"state": "observations", "next_state": "next_observations", "terminated": "dones"},
+    ):
+        assert fingerprint(MDP.from_transitions(frame.rename(columns=names))) == wanted
+    # A name that is said, or the name itself, comes first.
+    renamed = frame.rename(columns={"state": "cell"}).assign(obs=0)
+    with pytest.warns(UserWarning, match="not used: 'obs'"):
+        assert fingerprint(MDP.from_transitions(renamed, columns={"state": "cell"})) == wanted
+    both = frame.rename(columns={"state": "obs"}).assign(observation=0)
+    refused(
+        lambda: MDP.from_transitions(both), "'obs' and 'observation' may both be", "", "state=obs"
+    )
+
+
+def test_all_problems_are_said_at_once(tmp_path: Path) -> None:
+    rows = [GOOD, (2, "a", None, "dear", "b"), (3, "NA", "x", 0, "b"), (4, "a", "x", "free", "b")]
+    error = refused(lambda: MDP.from_transitions(table(rows)), "row 1: no action")
+    for what in ("row 1: the reward is 'dear'", "row 2: the state is 'NA'", "row 3: the reward"):
+        assert what in error.what
+    assert error.where == "transitions"
+
+
+BROKEN: list[tuple[str, bytes, str, str]] = [
+    ("log.jsonl", b'{"episode": 1}\n[1]\n', "not a JSON object", "line 2"),
+    ("log.jsonl", b'{"episode": 1\n', "broken JSON", "line 1"),
+    ("log.jsonl", b"", "no transitions", ""),
+    ("log.csv.gz", b"episode", "not a whole .gz file", "log.csv.gz"),
+    ("log.csv.gz", gzip.compress(HEAD.encode() * 99)[:-9], "not a whole .gz file", "log.csv.gz"),
+]
+
+
+@pytest.mark.parametrize("case", BROKEN, ids=range(len(BROKEN)))
+def test_broken_files(case: tuple[str, bytes, str, str], tmp_path: Path) -> None:
+    name, content, what, where = case
+    (tmp_path / name).write_bytes(content)
+    refused(lambda: MDP.from_transitions(tmp_path / name), what, where)
 
 
 def test_a_parquet_file_is_read_by_its_columns_alone(tmp_path: Path) -> None:
