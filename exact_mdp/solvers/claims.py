@@ -5,23 +5,31 @@ A number leaves the toolkit as one of four types, so that a table or a plot cann
 `Checked` (it depends on the degree of polynomials, which was checked at points but not proven; see
 sensitivity) and `Estimated` (a sample mean and its standard error). A solver that reaches no such
 number raises a `SolverError`, whose `Status` says why and what helps.
+
+Numbers compare with plain numbers and with each other. With ends [a, b] and [c, d], x ≤ y holds if
+b ≤ c, does not hold if a > d, and is open otherwise, which raises an error.
 """
 
 from __future__ import annotations
 
 import warnings
+from abc import ABC, abstractmethod
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from enum import StrEnum
 from fractions import Fraction
 from math import inf, isinf, nan
+from numbers import Real
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.sense import Sense
-from exact_mdp.mdp.table import Floats
+from exact_mdp.mdp.table import Floats, exact
+
+LowHigh = tuple[Fraction | float, Fraction | float]
 
 NORMAL = 1.959963984540054  # the 97.5 % quantile of the standard normal distribution
 
@@ -98,14 +106,100 @@ class SolverError(RuntimeError):
         return type(self), (self.status, self.detail, self.solution)
 
 
+class Ordered(ABC):
+    """A quantity between two ends, which compares with numbers.
+
+    A comparison holds, or does not hold, wherever between the ends the quantity is; if that differs
+    it raises a `ModelError`.
+    """
+
+    @property
+    @abstractmethod
+    def advice(self) -> str:
+        """The fix if a comparison is open."""
+
+    @property
+    @abstractmethod
+    def bounds(self) -> LowHigh:
+        """The two ends between which the quantity lies; they are equal if it is exact."""
+
+    def __le__(self, other: object) -> bool:
+        if not isinstance(other, Ordered | Real):
+            return NotImplemented
+        return _decide_at_most(self, other)
+
+    def __lt__(self, other: object) -> bool:
+        if not isinstance(other, Ordered | Real):
+            return NotImplemented
+        return not _decide_at_most(other, self)
+
+    def __ge__(self, other: object) -> bool:
+        if not isinstance(other, Ordered | Real):
+            return NotImplemented
+        return _decide_at_most(other, self)
+
+    def __gt__(self, other: object) -> bool:
+        if not isinstance(other, Ordered | Real):
+            return NotImplemented
+        return not _decide_at_most(self, other)
+
+
+def _decide_at_most(one: Ordered | Real, other: Ordered | Real) -> bool:
+    """Return whether one number is at most the other; raise ModelError if that is open."""
+    decision = is_at_most(_find_bounds(one), _find_bounds(other))
+    if decision is not None:
+        return decision
+    unsure, against = one, other
+    if not isinstance(unsure, Ordered) or is_at_most(unsure.bounds, unsure.bounds):
+        unsure, against = other, one
+    assert isinstance(unsure, Ordered)
+    low, high = unsure.bounds
+    raise ModelError(
+        f"{unsure} is known to lie from {low} to {high}, which does not decide how it compares "
+        f"with {against}",
+        where="comparison of two numbers",
+        fix=unsure.advice,
+    )
+
+
+def _find_bounds(number: Ordered | Real) -> LowHigh:
+    """Return the ends between which a number lies; both are the number if it is a plain one."""
+    if isinstance(number, Ordered):
+        return number.bounds
+    if number in (inf, -inf):
+        return float(number), float(number)
+    plain = exact(number, "comparison of two numbers")
+    return plain, plain
+
+
+class ClaimedNumber(Ordered):
+    """A number with a claim: it compares, converts and formats as a plain number does.
+
+    `f"{number:.3f}"` is the text of `float(number)`; without a format, the text says the claim.
+    `==` never raises: a certified number equals plain numbers of its value; any other equals those
+    of its own type with the same fields, and no plain number. In an `if`, all are true, also 0.
+    """
+
+    @abstractmethod
+    def __float__(self) -> float:
+        """Return the number alone, without its error."""
+
+    def __format__(self, spec: str) -> str:
+        if not spec:
+            return str(self)
+        return format(float(self), spec)
+
+
 @dataclass(frozen=True, kw_only=True)
-class Certified:
+class Certified(ClaimedNumber):
     """An exact number that a certificate proves; a total reward at discount 1 may be infinite.
 
     Examples
     --------
     >>> print(Certified(value=Fraction(1, 3)))
     1/3 (certified)
+    >>> Certified(value=Fraction(1, 3)) <= 0.5, f"{Certified(value=Fraction(1, 3)):.2f}"
+    (True, '0.33')
     >>> Certified(value=Fraction(10) ** 400).interval
     (1.79...e+308, inf)
     """
@@ -113,6 +207,12 @@ class Certified:
     value: Fraction | float
 
     claim: ClassVar[Claim] = Claim.CERTIFIED
+    advice = "nan stands for no number: under limits, ask audit.feasible first"
+
+    @property
+    def bounds(self) -> LowHigh:
+        """The number, twice."""
+        return self.value, self.value
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -138,8 +238,23 @@ class Certified:
     def __float__(self) -> float:
         return in_float(self.value)
 
+    def __eq__(self, other: object) -> bool:
+        if isinstance(other, Certified):
+            return self.value == other.value
+        if isinstance(other, Real):
+            return bool(self.value == other)
+        return NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self.value)
+
     def __neg__(self) -> Certified:
         return Certified(value=-self.value)
+
+    def __abs__(self) -> Certified:
+        if self.value < 0:
+            return -self
+        return self
 
     def __sub__(self, other: Number) -> Number:
         if isinstance(other, Certified):
@@ -148,19 +263,32 @@ class Certified:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bounded:
+class Bounded(ClaimedNumber):
     """A float whose distance from the true number is at most `error`, rounding included.
+
+    Comparing it with a number within this distance raises a `ModelError`.
 
     Examples
     --------
     >>> print(Bounded(value=0.5, error=1e-12))
     0.5 ± 1e-12 (bounded)
+    >>> Bounded(value=0.5, error=1e-12) < 0.6
+    True
     """
 
     value: float
     error: float
 
     claim: ClassVar[Claim] = Claim.BOUNDED
+    advice = (
+        "compare float(number), which leaves the error out; exact numbers decide: "
+        "check(…, exact_values=True), certify(model)"
+    )
+
+    @property
+    def bounds(self) -> LowHigh:
+        """The ends of the interval."""
+        return self.interval
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -178,6 +306,9 @@ class Bounded:
 
     def __neg__(self) -> Bounded:
         return Bounded(value=0.0 - self.value, error=self.error)
+
+    def __abs__(self) -> Bounded:
+        return Bounded(value=abs(self.value), error=self.error)
 
     def __sub__(self, other: Certified | Bounded) -> Bounded:
         return _subtract_bounded(self, other)
@@ -211,8 +342,10 @@ def compute_regrets(best: Floats, own: Floats, error: Floats, sense: Sense = Sen
 
 
 @dataclass(frozen=True, kw_only=True)
-class Estimated:
+class Estimated(ClaimedNumber):
     """A sample mean, its standard error, and a bound on the part that was cut off.
+
+    Comparisons are those of its 95 % interval, which may miss the true mean.
 
     Attributes
     ----------
@@ -233,6 +366,12 @@ class Estimated:
     cut_off: float = 0.0
 
     claim: ClassVar[Claim] = Claim.ESTIMATED
+    advice = "compare float(number), the mean alone, or estimate it from more draws"
+
+    @property
+    def bounds(self) -> LowHigh:
+        """The ends of the 95 % interval."""
+        return self.interval
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -242,6 +381,9 @@ class Estimated:
 
     def __float__(self) -> float:
         return self.value
+
+    def __abs__(self) -> Estimated:
+        return replace(self, value=abs(self.value))
 
     def __str__(self) -> str:
         cut = ""
@@ -253,19 +395,11 @@ class Estimated:
         return f"{self.value:.6g} ± {error:g} s.e.{cut} ({self.claim})"
 
 
-def interval_of(number: Certified | Bounded) -> tuple[Fraction | float, Fraction | float]:
-    """Return the two ends between which a number lies; both are the number if it is certified."""
-    if isinstance(number, Certified):
-        return number.value, number.value
-    return number.interval
-
-
-def is_at_most(within: tuple[Fraction | float, Fraction | float], limit: Fraction) -> bool | None:
-    """Return whether a number between two ends is at most `limit`; None if that is open."""
-    low, high = within
-    if high <= limit:
+def is_at_most(one: LowHigh, other: LowHigh) -> bool | None:
+    """Return whether a number between two ends is at most another one; None if that is open."""
+    if one[1] <= other[0]:
         return True
-    if low > limit:
+    if one[0] > other[1]:
         return False
     return None
 

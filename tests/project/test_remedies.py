@@ -69,6 +69,7 @@ OTHERS = {
     "bool",
     "encode",
     "env",
+    "float",
     "frame",
     "lambda",
     "log",

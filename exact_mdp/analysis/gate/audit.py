@@ -32,7 +32,7 @@ from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, format_rational
 from exact_mdp.solvers.bounds.bounds import Bounds
-from exact_mdp.solvers.claims import Bounded, Certified, Claim, SolverError, in_float, interval_of
+from exact_mdp.solvers.claims import Bounded, Certified, Claim, SolverError, in_float
 from exact_mdp.solvers.exact.certificate import Contradiction, require_sound_proof
 from exact_mdp.solvers.exact.regret import RegretCertificate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -51,6 +51,10 @@ COLUMNS = (
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Audit(Pictured):
     """The loss of a policy against the optimum: how much, where and why.
+
+    `audit.regret` compares and formats as a number, the regret at the start; `float(audit)` is this
+    number, without its error. With records it is the regret in the estimated model, and
+    `audit.interval` compares.
 
     Attributes
     ----------
@@ -96,6 +100,9 @@ class Audit(Pictured):
         """The regret at the start."""
         return self.regret.at_start
 
+    def __float__(self) -> float:
+        return float(self.value)
+
     @property
     def error(self) -> float:
         """The error bound of the regret; 0 if it is certified."""
@@ -132,7 +139,7 @@ class Audit(Pictured):
     def relative_regret(self) -> float | None:
         """Regret at the start over the absolute optimal value; None if that is, or may be, 0."""
         lost, best = self.value.value, self.regret.optimal
-        low, high = interval_of(best)
+        low, high = best.bounds
         if not isfinite(float(best)) or low <= 0 <= high:
             return None
         if lost == inf:
@@ -295,7 +302,7 @@ class Audit(Pictured):
             text = "it is undefined, because the optimal value is, or may be, 0"
             if ratio is not None:
                 # The optimal value may lie anywhere between its bounds, and so may the limit.
-                ends = [abs(Fraction(end)) for end in interval_of(regret.optimal)]
+                ends = [abs(Fraction(end)) for end in regret.optimal.bounds]
                 low, high = share * min(ends), share * max(ends)
                 if regret.keeps_limit(low):
                     decision = True

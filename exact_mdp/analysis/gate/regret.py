@@ -54,11 +54,12 @@ from exact_mdp.solvers.claims import (
     Bounded,
     Certified,
     Claim,
+    ClaimedNumber,
+    LowHigh,
     Number,
     SolverError,
     compute_regret,
     in_decimals,
-    interval_of,
     is_at_most,
 )
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
@@ -101,8 +102,11 @@ class StateLosses(Brief):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Regret(Brief):
+class Regret(ClaimedNumber, Brief):
     """The values of the optimum and of a policy at the start, and their difference.
+
+    As a number it is the regret at the start: `audit.regret < 0.05`, `f"{audit.regret:.3f}"`. There
+    is no rounding allowance in a comparison, and `==` compares the numbers at the start alone.
 
     `find_losses` and `movable` are called only when a report or a verdict needs their answer.
     """
@@ -166,6 +170,27 @@ class Regret(Brief):
         """(L,) the optimal pairs that are not proven to be optimal."""
         return self.losses.unclear
 
+    @property
+    def bounds(self) -> LowHigh:
+        """The two ends between which the regret at the start lies."""
+        return self.at_start.bounds
+
+    @property
+    def advice(self) -> str:
+        """The fix if a comparison is open."""
+        return self.at_start.advice
+
+    def __float__(self) -> float:
+        return float(self.at_start)
+
+    def __eq__(self, other: object) -> bool:
+        if isinstance(other, Regret):
+            return self.at_start == other.at_start
+        return self.at_start == other
+
+    def __hash__(self) -> int:
+        return hash(self.at_start)
+
     def __repr__(self) -> str:
         optimal, learned = float(self.optimal.value), float(self.learned.value)
         lost = f"{float(self.at_start.value):.6g} ({self.claim})"
@@ -195,7 +220,7 @@ class Regret(Brief):
 
     def keeps_limit(self, limit: Fraction) -> bool | None:
         """Return whether the regret is at most `limit`; None if the bounds do not decide."""
-        return is_at_most(interval_of(self.at_start), limit)
+        return is_at_most(self.bounds, (limit, limit))
 
 
 def _negate_values(lost: Regret) -> StateLosses:
@@ -223,7 +248,7 @@ def _compute_regret(chain: PolicyChain, exact: bool | None) -> Regret:
     if cheap or mdp.ends.has_improper_policy:  # bounds need every policy to be proper
         return _certify_regret(mdp, chain, proven_optimum(mdp))
     lost = _bound_regret(mdp, chain, bounded_optimum(mdp))
-    low, _ = interval_of(lost.at_start)
+    low, _ = lost.bounds
     if exact is None and low <= 0 and isinstance(lost.at_start, Bounded) and mdp.ends.is_acyclic:
         return _decide_exactly(chain, lost)
     return lost

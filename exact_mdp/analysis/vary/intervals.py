@@ -17,7 +17,7 @@ that did not occur may carry more than the ones that did.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import ceil, log
 
@@ -43,6 +43,10 @@ class Ranged(Estimated):
     def interval(self) -> tuple[float, float]:
         """The 95 % interval."""
         return self.low, self.high
+
+    def __abs__(self) -> Ranged:
+        low, high = max(0.0, self.low, -self.high), max(self.high, -self.low)
+        return replace(self, value=abs(self.value), low=low, high=high)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle import each_choice, fixed_point, rows_of, visits
 
-from exact_mdp import MDP, Bounded, Certified, Claim, assert_policy_optimal, check
+from exact_mdp import MDP, Bounded, Certified, Claim, ModelError, assert_policy_optimal, check
 
 Row = tuple[int, int, list[tuple[Any, int, Any]]]
 
@@ -373,3 +373,33 @@ def test_what_bounds_leave_open_goes_to_rational_arithmetic(
     audit = check(worse, learned)
     assert (audit.passed, audit.undecided) == (False, True)
     assert "exact_values=True" in audit.message()
+
+
+# ---- regrets as numbers ----------------------------------------------------------------------
+
+
+def test_a_regret_compares_sorts_and_formats_as_the_regret_at_the_start() -> None:
+    mdp = choice(0, "1/20")
+    audit, best = check(mdp, [0, 0]), check(mdp, [1, 0])
+    assert (audit.regret <= F(1, 20), audit.regret < 0.05, audit.regret < 0.1) == (True, True, True)
+    assert audit.regret >= F(1, 20) > best.regret
+    assert float(audit) == float(audit.regret) == float(audit.value) == 0.05
+    assert f"{audit.regret:.3f} {audit.value:.1%}" == "0.050 5.0%"
+    assert sorted([audit, best], key=float) == [best, audit]
+    assert min(audit.regret, best.regret) is best.regret
+    assert audit.regret == F(1, 20) == audit.value
+    assert best.regret == 0 != audit.regret
+    assert best.regret == check(mdp, [1, 0]).regret
+    assert len({audit.regret, check(mdp, [0, 0]).regret, best.regret}) == 2
+
+
+def test_a_comparison_that_the_verdict_leaves_open_is_refused() -> None:
+    audit = check(choice(0, F(1, 3)), [0, 0], max_regret=F(1, 3), exact_values=False)
+    assert audit.undecided
+    assert (audit.regret < 0.34, audit.regret > 0.33) == (True, True)
+    with pytest.raises(ModelError, match="does not decide how it compares with 1/3") as caught:
+        audit.regret.__le__(F(1, 3))
+    assert "exact_values=True" in caught.value.fix
+    assert float(audit) == pytest.approx(1 / 3)
+    assert audit.regret != F(1, 3)
+    assert check(choice(0, F(1, 3)), [0, 0], exact_values=True).regret <= F(1, 3)

@@ -23,14 +23,16 @@ from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import Floats, Integers, exact, float_of
 from exact_mdp.mdp.validate import Flags
-from exact_mdp.solvers.claims import Claim, is_at_most
+from exact_mdp.solvers.claims import Claim, LowHigh, Ordered, is_at_most
 
 Ends = tuple[float, float]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class RegretInterval(Result):
+class RegretInterval(Ordered, Result):
     """A confidence interval for the regret at the start, in the process behind the records.
+
+    `audit.interval <= 0.05` asks whether the whole interval keeps a limit.
 
     Attributes
     ----------
@@ -50,16 +52,28 @@ class RegretInterval(Result):
     claim: Claim = Claim.ESTIMATED  # bounded if it holds for every process in sets of rows
     draws: Floats | None = None  # (D,) for a posterior: the regret in each model drawn
 
+    advice = "compare its low or high end, or estimate the model from more records"
+
+    @property
+    def bounds(self) -> LowHigh:
+        """The two ends of the interval."""
+        return self.low, self.high
+
     def __repr__(self) -> str:
         return f"RegretInterval({self})"
 
     def __str__(self) -> str:
         level = f"{100 * self.confidence:.10g} % confidence"
-        return f"[{self.low:.6g}, {self.high:.6g}] at {level}, {self.by}"
+        return f"{self:.6g} at {level}, {self.by}"
+
+    def __format__(self, spec: str) -> str:
+        if not spec:
+            return str(self)
+        return f"[{self.low:{spec}}, {self.high:{spec}}]"
 
     def keeps_limit(self, limit: Fraction) -> bool | None:
         """Return whether the regret is at most `limit`; None if the records leave it open."""
-        return is_at_most((self.low, self.high), limit)
+        return is_at_most(self.bounds, (limit, limit))
 
     def within(self, limit: Fraction) -> Ranged:
         """Estimate from the draws the probability that the regret is at most `limit`."""

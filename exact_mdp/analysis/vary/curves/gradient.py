@@ -49,7 +49,7 @@ from exact_mdp.mdp.report import Report, Shown, Table, format_cell, list_claim_f
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Integers, Numbers, to_common_denominator, to_integer_array
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, compute_advantages, gamma
-from exact_mdp.solvers.claims import Bounded, Certified, Claim, in_float
+from exact_mdp.solvers.claims import Bounded, Certified, Claim, ClaimedNumber, LowHigh, in_float
 from exact_mdp.solvers.endless.quotient import of_pairs
 from exact_mdp.solvers.exact.certify import certify_and_check
 from exact_mdp.solvers.solver import solve
@@ -64,13 +64,19 @@ Pass = tuple[Number, Callable[[RowChange, int], Number]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Checked:
+class Checked(ClaimedNumber):
     """A number that relies on the degree of a polynomial, which is checked but not proven."""
 
     number: Number  # correct if the degree holds
     points: int  # at which the model and the polynomial agree
 
     claim: ClassVar[Claim] = Claim.CHECKED
+    advice = "compare float(number), which leaves the error out"
+
+    @property
+    def bounds(self) -> LowHigh:
+        """The two ends between which the number lies if the degree holds."""
+        return self.number.bounds
 
     @property
     def value(self) -> Fraction | float:
@@ -83,6 +89,14 @@ class Checked:
         if isinstance(self.number, Bounded):
             return self.number.error
         return 0.0
+
+    def __float__(self) -> float:
+        return float(self.number)
+
+    def __abs__(self) -> Checked:
+        if float(self) < 0:
+            return replace(self, number=-self.number)
+        return self
 
     def __str__(self) -> str:
         text = str(self.number).partition(" (")[0]

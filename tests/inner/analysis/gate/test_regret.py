@@ -22,7 +22,7 @@ from exact_mdp.analysis.gate.regret import (
     policy_regret,
 )
 from exact_mdp.solvers.bounds.bounds import Bounds
-from exact_mdp.solvers.claims import Certified, Claim, interval_of
+from exact_mdp.solvers.claims import Certified, Claim
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
 from exact_mdp.solvers.values.policy_values import find_policy_values
@@ -61,7 +61,7 @@ def test_certified_and_bounded_regrets_hold_the_exact_one(discount: F) -> None:
                 assert lost.unclear is False
                 assert isinstance(lost.optimum, Certificate)
             else:
-                low, high = interval_of(lost.at_start)
+                low, high = lost.at_start.bounds
                 assert low <= wanted <= high <= wanted + F(1, 10**8)
                 assert not (np.array([g == 0 for g in gap]) & ~lost.optimal_pairs).any()
                 assert not wanted or lost.claim is Claim.BOUNDED
@@ -82,7 +82,7 @@ def test_certified_and_bounded_regrets_hold_the_exact_one(discount: F) -> None:
             apart = [float(mdp.sense.sign * (b - o)) for b, o in zip(best, own, strict=True)]
             assert lost.by_state == pytest.approx(apart, rel=1e-9, abs=1e-9)
             for number, values in ((lost.optimal, best), (lost.learned, own)):
-                low, high = interval_of(number)
+                low, high = number.bounds
                 assert low <= sum((p * values[s] for s, p in mdp.start), F(0)) <= high
 
 
@@ -250,7 +250,7 @@ def test_large_models_without_cycles_are_decided_exactly(
                 assert found.at_start == Certified(value=F(0))
             if isinstance(found.optimal, Certified):
                 assert (found.optimal, found.learned) == (exactly.optimal, exactly.learned)
-            low, high = interval_of(found.at_start)
+            low, high = found.at_start.bounds
             assert low <= wanted <= high
             seen.add((number, found.claim, found.optimal.claim))
     assert {(0, Claim.CERTIFIED, Claim.CERTIFIED), (1, Claim.BOUNDED, Claim.BOUNDED)} <= seen

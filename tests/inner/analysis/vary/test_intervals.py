@@ -10,6 +10,7 @@ from exact_mdp import ModelError
 from exact_mdp.analysis.vary.intervals import (
     NORMAL,
     MeanLoss,
+    Ranged,
     compute_wilson_interval,
     confidence_of,
     estimate_quantiles,
@@ -283,3 +284,17 @@ def test_a_confidence_is_a_decimal_between_none_and_all() -> None:
         with pytest.raises(ModelError) as error:
             confidence_of(word)
         assert error.value.where == "confidence"
+
+
+def test_the_size_of_an_estimate_has_the_sizes_of_its_interval() -> None:
+    """Against the sizes of all numbers of the interval, of which one may be 0."""
+    for low, value, high in (
+        (-3.0, -2.0, 1.0),
+        (-1.0, 0.5, 2.0),
+        (-3.0, -2.0, -1.0),
+        (1.0, 2.0, 4.0),
+    ):
+        size = abs(Ranged(value=value, standard_error=0.5, low=low, high=high))
+        sizes = np.abs(np.arange(4 * low, 4 * high + 1) / 4)
+        assert size.value == abs(value)
+        assert (size.low, size.high) == (sizes.min(), sizes.max())

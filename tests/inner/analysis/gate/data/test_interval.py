@@ -108,6 +108,17 @@ def interval(**parts: Any) -> RegretInterval:
     return RegretInterval(**(known | {"assumptions": ("one", "two"), "found": {"a": 1}} | parts))
 
 
+def test_an_interval_compares_as_its_two_ends_do() -> None:
+    span = interval()
+    assert (span <= 0.5, span < 0.5001, span > F(1, 8), span <= 0.125) == (True, True, True, False)
+    for limit in (0.25, 0.375):
+        with pytest.raises(ModelError, match=r"from 0\.25 to 0\.5") as caught:
+            span.__le__(limit)
+        assert caught.value.fix.startswith("compare its low or high end")
+    assert f"{span:.3f}" == "[0.250, 0.500]"
+    assert f"{span}" == str(span)
+
+
 def test_an_interval_keeps_breaks_or_leaves_open_a_limit() -> None:
     for limit, decision in (
         (F(1, 2), True),

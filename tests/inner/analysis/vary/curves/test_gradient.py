@@ -296,3 +296,16 @@ def test_a_state_that_is_over_today_and_begins_next_to_today_needs_an_action(exa
         with pytest.raises(ModelError, match="several actions are optimal"):
             gradient(family, exact=False)
     assert evaluate(build({"t": 0}), [0, 0]).start.value == 1
+
+
+def test_a_checked_number_compares_as_the_number_that_was_checked() -> None:
+    third = Checked(number=Certified(value=F(-1, 3)), points=7)
+    assert (third < 0, third >= F(-1, 3), third > -0.25) == (True, True, False)
+    assert abs(third) == Checked(number=Certified(value=F(1, 3)), points=7)
+    assert abs(abs(third)) == abs(third)
+    assert f"{third:.2f} {float(third):.1f}" == "-0.33 -0.3"
+    near = Checked(number=Bounded(value=1.0, error=0.5), points=7)
+    assert third < near < 2
+    with pytest.raises(ModelError, match="does not decide") as caught:
+        near.__lt__(1)
+    assert "float(number)" in caught.value.fix
