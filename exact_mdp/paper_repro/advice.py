@@ -46,11 +46,12 @@ SITUATIONS = (
 def advise(reading: Reading, others: Sequence[Reading]) -> list[dict[str, Any]]:
     """Return the best assistance of each situation, what others lose, and how sure that is."""
     lost, paper = cost_of_each(reading), reading.find_reported_policy(FINAL)
-    # The order of "respectively" belongs to the reported policy and not to the model.
-    models = [reading]
-    for other in others:
-        if other.scenario is not reading.scenario:
-            models.append(other)
+    # The order of "respectively" belongs to the reported policy: one model counts once.
+    models: dict[tuple[Any, ...], Reading] = {}
+    for each in (reading, *others):
+        scenario = each.scenario
+        rules = (*scenario.readings.items(), scenario.tasks, scenario.discount)
+        models.setdefault(rules, each)
     rows = []
     for situation in SITUATIONS:
         action = find_best_action(reading, situation)
@@ -67,7 +68,7 @@ def advise(reading: Reading, others: Sequence[Reading]) -> list[dict[str, Any]]:
                 "paper_differs": said,
                 "second_best_loses": [min(rest), max(rest)],
                 "versions": len(models),
-                "agreeing": sum(is_best(action, each, situation) for each in models),
+                "agreeing": sum(is_best(action, each, situation) for each in models.values()),
                 "ends": situation.ends,
                 **find_limit(action, reading, situation),
             }

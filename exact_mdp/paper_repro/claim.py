@@ -228,16 +228,18 @@ def format_chance(chance: float) -> str:
 
 
 def format_per_cent(share: float) -> str:
-    """Return a share for reading; only 0 and 1 are printed as 0 % and 100 %.
+    """Return a share for reading; only 1 is printed as 100 %.
 
-    >>> [format_per_cent(share) for share in (0.0002, 0.0175, 0.24, 0.9975)]
-    ['under 0.1 %', '1.8 %', '24 %', 'over 99 %']
+    >>> [format_per_cent(share) for share in (0.0, 0.0002, 0.0175, 0.24, 0.9975)]
+    ['none', 'under 0.1 %', '1.8 %', '24 %', 'over 99 %']
     """
-    if 0 < share < 0.001:
+    if share == 0:
+        return "none"
+    if share < 0.001:
         return "under 0.1 %"
     if 0.995 <= share < 1:
         return "over 99 %"
-    if 0 < share < 0.095:
+    if share < 0.095:
         return f"{100 * share:.1f} %"
     return f"{100 * share:.0f} %"
 
@@ -250,15 +252,12 @@ def judge_by_runs(
     # The upper end of the confidence interval for none of so many (Clopper and Pearson); by
     # symmetry the lower end for all of them is as far from 1.
     upper = 1 - 0.05 ** (1 / sample)
-    shown = "none"
-    if count:
-        shown = format_per_cent(part)
-    else:
-        why += (
-            f"; {sample} of the {what} are independent: with 95 % confidence the chance is below "
-        )
-        why += f"{ceil(1000 * upper) / 10:.1f} %"
-    says = f"seen in {shown} of {total:,} {what}"
+    details = {"count": count, "runs": total, **more.pop("details", {})}
+    if count == 0:
+        details["chance_below"] = below = ceil(1000 * upper) / 1000
+        why += f"; {sample} of the {what} are independent, so with 95 % confidence the chance is "
+        why += f"below {100 * below:.1f} %"
+    says = f"seen in {format_per_cent(part)} of {total:,} {what}"
     if part >= NEARLY_ALL and 1 - upper >= NEARLY_ALL:
         verdict = ClaimVerdict.REPRODUCED
     elif 0 < part < NEARLY_ALL:
@@ -272,7 +271,6 @@ def judge_by_runs(
     # Jeffreys' estimate of the share gives the standard error.
     smooth = (count + 0.5) / (total + 1)  # not 0 where all runs are alike
     number = Estimated(value=part, standard_error=sqrt(smooth * (1 - smooth) / total))
-    details = {"count": count, "runs": total, **more.pop("details", {})}
     more = {"number": number, "number_is": f"share of the {what}", **more}
     return Finding(verdict=verdict, why=why, says=says, details=details, **more)
 

@@ -68,9 +68,14 @@ def format_signed(value: float) -> str:
 
 
 def format_exact(entry: Mapping[str, Any]) -> str:
-    """Return the exact number of a claim with how it is known."""
+    """Return the exact number of a claim with how it is known.
+
+    Of a share that no run shows only the upper end is known.
+    """
     if entry["exact"] is None:
         return ""
+    if "chance_below" in entry:
+        return f"under {entry['chance_below']:.3f}"
     if error := entry["estimate_standard_error"]:
         places = max(1 - floor(log10(error)), 0)
         return f"{entry['exact']:.{places}f} ± {error:.{places}f}".replace("-", "−")
@@ -90,10 +95,10 @@ def count_verdicts(claims: list[Mapping[str, Any]], kind: str) -> str:
     return ", ".join(f"{v} {verdicts.count(v)}" for v in ClaimVerdict if v in verdicts)
 
 
-def format_points(loss: Sequence[float]) -> str:
+def format_loss(loss: Sequence[float]) -> str:
     """Return a range of points lost.
 
-    >>> format_points([4.161, 4.161]), format_points([0.0003, 5.912])
+    >>> format_loss([4.161, 4.161]), format_loss([0.0003, 5.912])
     ('4.16 points', 'under 0.01 to 5.91 points')
     """
     ends = []
@@ -210,7 +215,7 @@ def render_readme(results: Mapping[str, Any], *, code: str = "") -> str:
         "paper": format_paper_number,
         "signed": format_signed,
         "per_cent": format_per_cent,
-        "points": format_points,
+        "points": format_loss,
         "limit": format_limit,
         "best_supported": format_best_supported,
         "status": describe_status,

@@ -233,7 +233,10 @@ def format_claim(name: str, sets: Sequence[str], runs: int) -> str:
         error = ""
         if spread:
             error = f" ± {spread:.2g}"
-        here = f"{float(number.value):.10g}{error} ({number.claim}), {finding.number_is}"
+        value = f"{float(number.value):.10g}"
+        if "chance_below" in finding.details:
+            value = f"under {finding.details['chance_below']:.3f}"
+        here = f"{value}{error} ({number.claim}), {finding.number_is}"
     lines = {
         "paper": "" if finding.paper is None else f"{float(finding.paper):g}",
         "here": here,

@@ -281,8 +281,9 @@ def test_a_share_of_none_or_all_decides_only_by_its_confidence_interval(
     pairs = judge_by_runs(0, 160_000, "pairs of runs", "", independent=4)
     assert pairs.says == "not determined, seen in none of 160,000 pairs of runs"
     assert pairs.why.endswith(
-        "4 of the pairs of runs are independent: with 95 % confidence the chance is below 52.8 %"
+        "4 of the pairs of runs are independent, so with 95 % confidence the chance is below 52.8 %"
     )
+    assert pairs.details["chance_below"] == 0.528
 
 
 def test_an_estimate_near_the_limit_decides_nothing() -> None:

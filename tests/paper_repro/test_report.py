@@ -71,6 +71,8 @@ def test_the_page_has_whole_tables_and_its_counts_and_values_first() -> None:
             "name"
         ]
         assert bool(entry["exact_is"]) == (entry["exact"] is not None), entry["name"]
+        if entry.get("count") == 0:
+            assert f"| under {entry['chance_below']:.3f}, {entry['exact_is']} |" in README
         assert (
             not entry["exact_is"] or f", {entry['exact_is']} | {entry['verdict_says']} |" in README
         )
