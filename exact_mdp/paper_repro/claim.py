@@ -8,9 +8,13 @@ entries    every number of a table is the same rational number in the model
 about      within 5 of a number that the text says approximately
 average    the chance that an average of so many experiments is as far from its exact mean, by a
            normal distribution with the exact standard error, is .0027 (three of them) or more
-share      in 95 % or more of the training runs; if in fewer, only the share is stated
+share      in 95 % or more of the training runs; if in fewer, only the share is stated; if in none,
+           the claim is not reproduced
 statement  a predicate of the exact model
 open       nothing here can decide it
+
+An estimate decides only if its error leaves no doubt: a number that is three standard errors from
+the limit, or so many runs that a share of all or none of them has a narrow confidence interval.
 """
 
 from __future__ import annotations
@@ -19,7 +23,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from fractions import Fraction
-from math import erfc, sqrt
+from math import ceil, erfc, sqrt
 from typing import TYPE_CHECKING, Any, Literal
 
 from exact_mdp import Bounded, Certified, Estimated
@@ -31,6 +35,7 @@ if TYPE_CHECKING:
 Number = Certified | Bounded | Estimated
 CHANCE = 0.0027  # that a normal number is further off than three standard errors
 NEARLY_ALL = 0.95  # of our runs, for a claim to count as reproduced
+RARE = 0.01  # a smaller chance counts as none: our choice; 299 runs without a case show it
 MEAN_RETURN = "mean return in points"
 
 
@@ -69,7 +74,8 @@ class PaperClaim:
     """One claim: its name, its places in the paper, its words, and the function that checks it.
 
     `open` claims hinge on what the text leaves open and are tried under other readings; those that
-    `learn` take training runs.
+    `learn` take training runs. A claim that `follows` another one fails because that one does: both
+    are one fact.
     """
 
     id: str
@@ -81,6 +87,7 @@ class PaperClaim:
     code: str
     open: bool = False
     learns: bool = False
+    follows: str = ""
 
     def find(self, reading: Reading) -> Finding:
         """Check the claim under a reading."""
@@ -169,10 +176,22 @@ def compare_entries(
 
 def compare_approximately(paper: float, number: Number, why: str = "", **more: Any) -> Finding:
     """Compare a number that the text says approximately."""
-    near = abs(number.value - paper) <= ABOUT
-    wording = f"{'within' if near else 'more than'} {ABOUT:g} {'of' if near else 'from'} {paper:g}"
+    apart = float(abs(number.value - paper))
+    if apart <= ABOUT:
+        wording = f"within {ABOUT:g} of {paper:g}"
+    else:
+        wording = f"more than {ABOUT:g} from {paper:g}"
     said = "; ".join(filter(None, [f"{wording}, which the text says approximately", why]))
-    return judge_statement(near, said, paper=paper, number=number, number_is=MEAN_RETURN, **more)
+    more = {"paper": paper, "number": number, "number_is": MEAN_RETURN, **more}
+    return judge_distance(apart, ABOUT, said, **more)
+
+
+def judge_distance(apart: float, limit: float, why: str, *, number: Number, **more: Any) -> Finding:
+    """Judge by whether a distance is within a limit; an estimate near the limit decides nothing."""
+    if isinstance(number, Estimated) and abs(apart - limit) <= 3 * number.standard_error:
+        why += "; too few runs to tell on which side of the limit the number is"
+        return judge_undecided(why, number=number, **more)
+    return judge_statement(apart <= limit, why, number=number, **more)
 
 
 def compare_average(
@@ -194,28 +213,64 @@ def judge_by_chance(chance: float, why: str, **more: Any) -> Finding:
         verdict = ClaimVerdict.COMPATIBLE
     else:
         verdict = ClaimVerdict.NOT_REPRODUCED
-    return Finding(verdict=verdict, why=why, says=f"{verdict}, p = {chance:.2g}", **more)
+    return Finding(verdict=verdict, why=why, says=f"{verdict}, {format_chance(chance)}", **more)
 
 
-def judge_by_runs(count: int, total: int, what: str, why: str, **more: Any) -> Finding:
-    """Judge by how many of our own runs show it."""
-    part = count / total
-    shown = "none"
-    if count:
-        shown = f"{100 * part:.{0 if part >= 0.095 else 1}f} %"
-    says = f"seen in {shown} of {total:,} {what}"
-    if part >= NEARLY_ALL:
+def format_chance(chance: float) -> str:
+    """Return a probability for reading; what is smaller than any float is not printed as 0.
+
+    >>> format_chance(0.01), format_chance(0.0)
+    ('p = 0.01', 'p < 1e-300')
+    """
+    if chance < 1e-300:
+        return "p < 1e-300"
+    return f"p = {chance:.2g}"
+
+
+def format_per_cent(share: float) -> str:
+    """Return a share for reading; only 1 is printed as 100 %.
+
+    >>> [format_per_cent(share) for share in (0.0, 0.0002, 0.0175, 0.24, 0.9975)]
+    ['none', 'under 0.1 %', '1.8 %', '24 %', 'over 99 %']
+    """
+    if share == 0:
+        return "none"
+    if share < 0.001:
+        return "under 0.1 %"
+    if 0.995 <= share < 1:
+        return "over 99 %"
+    if share < 0.095:
+        return f"{100 * share:.1f} %"
+    return f"{100 * share:.0f} %"
+
+
+def judge_by_runs(
+    count: int, total: int, what: str, why: str, *, independent: int | None = None, **more: Any
+) -> Finding:
+    """Judge by how many of our own runs show it; so many of them are independent, or all."""
+    part, sample = count / total, independent or total
+    # The upper end of the confidence interval for none of so many (Clopper and Pearson); by
+    # symmetry the lower end for all of them is as far from 1.
+    upper = 1 - 0.05 ** (1 / sample)
+    details = {"count": count, "runs": total, **more.pop("details", {})}
+    if count == 0:
+        details["chance_below"] = below = ceil(1000 * upper) / 1000
+        why += f"; {sample} of the {what} are independent, so with 95 % confidence the chance is "
+        why += f"below {100 * below:.1f} %"
+    says = f"seen in {format_per_cent(part)} of {total:,} {what}"
+    if part >= NEARLY_ALL and 1 - upper >= NEARLY_ALL:
         verdict = ClaimVerdict.REPRODUCED
-    elif count:
+    elif 0 < part < NEARLY_ALL:
         verdict = ClaimVerdict.SEEN
-    else:
+    elif count == 0 and upper < RARE:
         verdict = ClaimVerdict.NOT_REPRODUCED
+    else:
+        verdict = ClaimVerdict.NOT_DETERMINED
     if verdict is not ClaimVerdict.SEEN:
         says = f"{verdict}, {says}"
     # Jeffreys' estimate of the share gives the standard error.
     smooth = (count + 0.5) / (total + 1)  # not 0 where all runs are alike
     number = Estimated(value=part, standard_error=sqrt(smooth * (1 - smooth) / total))
-    details = {"count": count, "runs": total, **more.pop("details", {})}
     more = {"number": number, "number_is": f"share of the {what}", **more}
     return Finding(verdict=verdict, why=why, says=says, details=details, **more)
 
@@ -301,5 +356,6 @@ def entry_of(each: PaperClaim, finding: Finding) -> dict[str, Any]:
         "under_other_readings": None,
         "rerun": f"python -m exact_mdp.paper_repro claim {each.id}",
         "code": each.code,
+        "follows": each.follows or None,
         **finding.details,
     }

@@ -90,6 +90,7 @@ def save_figure(picture: Picture, reading: Reading, folder: Path, *, dpi: int = 
     paths: list[Path] = []
     with mpl.rc_context(SETTINGS):
         drawn = picture.draw(reading)
+        drawn.suptitle(picture.title, x=0.01, ha="left", fontsize=11)
         for kind, metadata in (("svg", {"Date": None}), ("png", {"Software": None})):
             bytes_ = io.BytesIO()
             drawn.savefig(bytes_, format=kind, dpi=dpi, metadata=metadata)

@@ -7,14 +7,20 @@ from the results in a second, and a test compares the committed page with them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import floor, log10
 from pathlib import Path
 from typing import Any
 
 from exact_mdp.paper_repro.agents.simulate import texts_of_figures
 from exact_mdp.paper_repro.agents.texts import ASSISTANCE
-from exact_mdp.paper_repro.claim import ClaimVerdict
+from exact_mdp.paper_repro.claim import (
+    CHANCE,
+    NEARLY_ALL,
+    RARE,
+    ClaimVerdict,
+    format_per_cent,
+)
 from exact_mdp.paper_repro.compiled import (
     compute_effect,
     compute_status_probability,
@@ -22,6 +28,7 @@ from exact_mdp.paper_repro.compiled import (
 )
 from exact_mdp.paper_repro.drawing import FIGURES
 from exact_mdp.paper_repro.paper import (
+    ABOUT,
     ACTIONS,
     AVERAGES,
     BITS,
@@ -31,10 +38,12 @@ from exact_mdp.paper_repro.paper import (
     PAPER,
     PLACES,
     TABLE_4,
+    describe_status,
 )
 from exact_mdp.paper_repro.silent_points import OPTIONS, Reading, build_default_reading
 
 TEMPLATE = Path(__file__).parent / "README.md.j2"
+FIRST_FIGURE = "cost_of_choices"  # at the top of the page
 SECTIONS = ("Section 1", "Section 4.1", "Section 4.2")  # those with findings
 
 
@@ -59,9 +68,14 @@ def format_signed(value: float) -> str:
 
 
 def format_exact(entry: Mapping[str, Any]) -> str:
-    """Return the exact number of a claim with how it is known."""
+    """Return the exact number of a claim with how it is known.
+
+    Of a share that no run shows only the upper end is known.
+    """
     if entry["exact"] is None:
         return ""
+    if "chance_below" in entry:
+        return f"under {entry['chance_below']:.3f}"
     if error := entry["estimate_standard_error"]:
         places = max(1 - floor(log10(error)), 0)
         return f"{entry['exact']:.{places}f} ± {error:.{places}f}".replace("-", "−")
@@ -79,6 +93,49 @@ def count_verdicts(claims: list[Mapping[str, Any]], kind: str) -> str:
     """Return how many claims of a kind have each verdict, in words."""
     verdicts = [entry["verdict"] for entry in claims if entry["kind"] == kind]
     return ", ".join(f"{v} {verdicts.count(v)}" for v in ClaimVerdict if v in verdicts)
+
+
+def format_loss(loss: Sequence[float]) -> str:
+    """Return a range of points lost.
+
+    >>> format_loss([4.161, 4.161]), format_loss([0.0003, 5.912])
+    ('4.16 points', 'under 0.01 to 5.91 points')
+    """
+    ends = []
+    for value in loss:
+        if 0 < value < 0.005:
+            ends.append("under 0.01")
+        else:
+            ends.append(f"{value:.2f}")
+    return " to ".join(dict.fromkeys(ends)) + " points"
+
+
+def format_limit(row: Mapping[str, Any]) -> str:
+    """Return until when an assistance stays the best one, in words."""
+    if not row["ends"]:
+        return f"it costs at most {-row['limit']:g} points (in the paper {-row['today']:g})"
+    return (
+        f"it leaves {row['ends']} in at most {100 * row['limit']:.0f} % of cases "
+        f"(in the paper {100 * row['today']:.0f} %)"
+    )
+
+
+def format_best_supported(entry: Mapping[str, Any]) -> str:
+    """Return the verdict under the reading chosen by the returns, which cannot check returns."""
+    verdict = entry["verdict_under_best_supported_reading"] or ""
+    if verdict and entry["name"].startswith("return."):
+        return f"{verdict} (circular)"
+    return str(verdict)
+
+
+def group_failed(claims: Sequence[Mapping[str, Any]]) -> list[tuple[Any, list[Any]]]:
+    """Return the claims that are not reproduced, each with those that follow from it."""
+    failed = {e["name"]: e for e in claims if e["verdict"] == ClaimVerdict.NOT_REPRODUCED}
+    groups = []
+    for name, entry in failed.items():
+        if entry["follows"] not in failed:
+            groups.append((entry, [e for e in failed.values() if e["follows"] == name]))
+    return groups
 
 
 def build_tables(reading: Reading) -> dict[str, list[list[str]]]:
@@ -157,10 +214,18 @@ def render_readme(results: Mapping[str, Any], *, code: str = "") -> str:
         "exact": format_exact,
         "paper": format_paper_number,
         "signed": format_signed,
+        "per_cent": format_per_cent,
+        "points": format_loss,
+        "limit": format_limit,
+        "best_supported": format_best_supported,
+        "status": describe_status,
     }
     environment.filters["code"] = _build_link_filter(code)
     claims = results["claims"]
     by_name = {entry["name"]: entry for entry in claims}
+    failed = group_failed(claims)
+    unsettled = by_name["learning.first-status-unsettled"]
+    well = results["advice"][0]["best"]
     findings = [entry for entry in claims if entry["kind"] == "finding"]
     groups = {}
     for name in SECTIONS:
@@ -170,11 +235,26 @@ def render_readme(results: Mapping[str, Any], *, code: str = "") -> str:
         claim=by_name,
         groups=groups,
         inputs=[entry for entry in claims if entry["kind"] == "input"],
-        counted={kind: count_verdicts(claims, kind) for kind in ("input", "finding")},
+        counted={
+            "input": count_verdicts(claims, "input"),
+            "finding": count_verdicts(claims, "finding"),
+            "failed": sum(1 + len(followers) for _, followers in failed),
+        },
+        failed=failed,
+        unsettled=unsettled,
+        settled=[
+            unsettled[step][ACTIONS.index(well)] / sum(unsettled[step])
+            for step in ("constant_step", "falling_step")
+        ],
+        first_figure=FIGURES[FIRST_FIGURE],
+        smallest_weight=min(w for name, w in TABLE_4.items() if not name.startswith("subtask")),
+        about=ABOUT,
+        chance=CHANCE,
+        nearly_all=NEARLY_ALL,
+        rare=RARE,
         places=PLACES,
         document=PAPER,
         points=OPTIONS,
-        not_reproduced=[e for e in claims if e["verdict"] == ClaimVerdict.NOT_REPRODUCED],
         open_statuses=OPEN,
         averages=AVERAGES,
         orders=list(ORDERS),

@@ -35,6 +35,7 @@ from exact_mdp.paper_repro import (
     section_4_1_policies,
     section_4_2,
 )
+from exact_mdp.paper_repro.advice import advise
 from exact_mdp.paper_repro.claim import (
     CLAIMS,
     ClaimVerdict,
@@ -112,6 +113,7 @@ def run_reproduction(out: Path, *, quick: bool, readme: Path | None = None) -> d
         "quick": quick,
         "runs": runs,
         "values": compute_values(reading),
+        "advice": advise(reading, [*changed, best]),
         "readings": describe_readings(evidence, [reading, *changed]),
         "claims": claims,
     }
@@ -231,7 +233,10 @@ def format_claim(name: str, sets: Sequence[str], runs: int) -> str:
         error = ""
         if spread:
             error = f" ± {spread:.2g}"
-        here = f"{float(number.value):.10g}{error} ({number.claim}), {finding.number_is}"
+        value = f"{float(number.value):.10g}"
+        if "chance_below" in finding.details:
+            value = f"under {finding.details['chance_below']:.3f}"
+        here = f"{value}{error} ({number.claim}), {finding.number_is}"
     lines = {
         "paper": "" if finding.paper is None else f"{float(finding.paper):g}",
         "here": here,
@@ -244,9 +249,10 @@ def format_claim(name: str, sets: Sequence[str], runs: int) -> str:
         lines["runs"] = f"{runs} of each exploration schedule"
     if claim.open and not sets:
         others = [(each.label, claim.find(each)) for each in one_change(reading)]
-        differing = [f"{one.says}: {label}" for label, one in others if one.says != finding.says]
-        same = f"{len(others) - len(differing)} of {len(others)} with one change come to the same"
-        lines["other readings"] = "\n    ".join([same, *differing])
+        listed = [f"{one.says}: {label}" for label, one in others if one.says != finding.says]
+        same = sum(one.verdict is finding.verdict for _, one in others)
+        summary = f"{same} of {len(others)} with one change have the same verdict"
+        lines["other readings"] = "\n    ".join([summary, *listed])
         if depends_on_reading(finding, [one.verdict for _, one in others]):
             lines["verdict"] = f"{ClaimVerdict.DEPENDS}; {finding.says} under the default one"
     width = max(map(len, lines)) + 2
@@ -258,7 +264,13 @@ def list_claims() -> str:
     """Return all claims with their places, one below the other, and the names of the figures."""
     lines, wide = [], 100
     for claim in CLAIMS.values():
-        says = fill(claim.says, wide, initial_indent="    ", subsequent_indent="    ")
+        says = fill(
+            claim.says,
+            wide,
+            initial_indent="    ",
+            subsequent_indent="    ",
+            break_on_hyphens=False,
+        )
         lines.append(f"{claim.id} ({', '.join(claim.places)})\n{says}")
     named = []
     for each in FIGURES.values():
@@ -271,7 +283,7 @@ def list_claims() -> str:
 
 def format_claim_table(results: Mapping[str, Any]) -> str:
     """Return all claims as a table: paper, exact, difference, verdict."""
-    lines = [f"{'claim':40}{'paper':>10}{'exact':>16}{'difference':>12}  verdict"]
+    lines = [f"{'claim':40}{'paper':>10}{'exact':>20}{'difference':>12}  verdict"]
     for each in results["claims"]:
         apart = each["difference"]
         if apart is None:
@@ -279,7 +291,7 @@ def format_claim_table(results: Mapping[str, Any]) -> str:
         else:
             gap = f"{apart:+.4g}".replace("-", "−")
         lines.append(
-            f"{each['name']:40}{format_paper_number(each):>10}{format_exact(each):>16}"
+            f"{each['name']:40}{format_paper_number(each):>10}{format_exact(each):>20}"
             f"{gap:>12}  {each['verdict_says']}"
         )
     return "\n".join(lines)

@@ -379,13 +379,18 @@ def draw_trials(reading: Reading) -> Figure:
         draw_arrow(ax, (gap * t, 0.45), (gap * t, 1.575))
         ends = "\n".join(f"{1 - p[t + 1] / p[t]:.1%}" for p in reached)
         ax.text(gap * t + 0.07, 1.0, ends, fontsize=8, va="center")
-    key = "upper number: optimal policy; lower number: random actions"
-    ax.text(-0.6, -0.75, key, fontsize=8, va="top")
-    ax.set(xlim=(-0.7, end + 0.7), ylim=(-1.05, 2.15))
+    key = (
+        "in a box: probability that it is reached; at an arrow up: that the trial completes the "
+        "subtask\nupper number: optimal policy; lower number: random actions"
+    )
+    ax.text(-0.6, -0.65, key, fontsize=8, va="top")
+    ax.set(xlim=(-0.7, end + 0.7), ylim=(-1.15, 2.15))
     return fig
 
 
-@register_figure("mechanism", "Figure 4", title="What moves a status")
+@register_figure(
+    "mechanism", "Figure 4", title="What moves a status from t to t + 1 (points: percentage points)"
+)
 def draw_mechanism(reading: Reading) -> Figure:
     """The chance of each status at the next timestep: its base if it is absent and its persistence
     if it is present, the percentage points that other statuses add where it is absent (Table 3,

@@ -8,7 +8,7 @@ experiments.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from math import sqrt
+from math import hypot, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,7 +21,9 @@ from exact_mdp.paper_repro.claim import (
     NEARLY_ALL,
     Finding,
     compare_approximately,
+    format_per_cent,
     judge_by_runs,
+    judge_distance,
     judge_statement,
     register_claim,
 )
@@ -56,9 +58,9 @@ def converged_return(reading: Reading, schedule: str) -> Finding:
     tails = reading.train_runs(schedule).converged
     low, high = np.quantile(tails, [0.05, 0.95]).tolist()
     why = (
-        f"exact values of the greedy policies of the last {CONVERGED:,} epochs, mean of "
-        f"{len(tails)} runs; in nine runs in ten the mean over these epochs is {low:.1f} to "
-        f"{high:.1f}, and the optimum is {reading.evaluate_policy('optimal').mean:.1f}"
+        f"exact values of the greedy policies of the last {CONVERGED:,} epochs, averaged over "
+        f"these and over all runs ({len(tails)}); nine runs in ten have an average from {low:.1f} "
+        f"to {high:.1f}, and the optimum is {reading.evaluate_policy('optimal').mean:.1f}"
     )
     return compare_approximately(REPORTED["converged"], mean_of(tails), why)
 
@@ -68,14 +70,15 @@ def schedules_perform_alike(reading: Reading) -> Finding:
     """Both exploration schedules perform alike."""
     constant, decaying = (reading.train_runs(schedule).converged for schedule in SHOWN)
     apart = float(decaying.mean() - constant.mean())
-    error = sqrt(constant.var(ddof=1) / len(constant) + decaying.var(ddof=1) / len(decaying))
+    error = hypot(mean_of(constant).standard_error, mean_of(decaying).standard_error)
     point = reading.evaluate_policy("optimal").sd / sqrt(EXPERIMENTS)
-    return judge_statement(
-        abs(apart) <= 2 * point,
-        f"decaying less constant: {apart:+.2f}; the standard error of one point of the plot "
+    return judge_distance(
+        abs(apart),
+        2 * point,
+        f"decaying minus constant: {apart:+.2f}; the standard error of one point of the plot "
         f"({EXPERIMENTS} experiments) is {point:.1f}, and alike means within twice that",
         number=Estimated(value=apart, standard_error=error),
-        number_is="decaying less constant, in points",
+        number_is="decaying minus constant, in points",
     )
 
 
@@ -84,7 +87,7 @@ def learned_superior(reading: Reading) -> Finding:
     """After convergence both are above the random strategy."""
     random = reading.evaluate_policy("random").mean
     runs = np.concatenate([reading.train_runs(schedule).converged for schedule in SHOWN])
-    why = f"random actions earn {random:.1f}, the lowest of the runs ends at {runs.min():.1f}"
+    why = f"random actions earn {random:.1f}, and the lowest of the runs ends at {runs.min():.1f}"
     return judge_by_runs(int((runs > random).sum()), len(runs), "runs", why)
 
 
@@ -186,8 +189,9 @@ def learned_anger(reading: Reading, schedule: str) -> Finding:
     supportive = final[:, [int(status, 2) for status in ANGRY]] == NUMBER["supportive"]
     each = supportive.mean(axis=0)
     why = (
-        f"status by status it is learned by {each.min():.0%} ({ANGRY[int(each.argmin())]}) to "
-        f"{each.max():.0%} of the runs"
+        f"taken one by one, these statuses have supportive assistance in "
+        f"{format_per_cent(each.min())} ({ANGRY[int(each.argmin())]}) to "
+        f"{format_per_cent(each.max())} of the runs"
     )
     return judge_by_runs(int(supportive.all(axis=1).sum()), len(final), "runs", why)
 
@@ -203,10 +207,14 @@ def learned_stated(reading: Reading, schedule: str) -> Finding:
     for order in ORDERS:
         orders[order] = sum(has_stated_actions(policy, order) for policy in final)
     whole = sum(are_as_described([policy]) for policy in final)
-    shares = ", ".join(f"{order} {count / len(final):.1%}" for order, count in orders.items())
+    shares = []
+    for order, count in orders.items():
+        shares.append(
+            f"{format_per_cent(count / len(final))} of the runs with 1000 and 0100 {order}"
+        )
     why = (
-        f"by the order of 1000 and 0100: {shares} of the runs; all that the text says of a policy, "
-        f"anger and 0000 included, holds for {whole / len(final):.1%}"
+        f"{', '.join(shares)}; everything that the text says of a policy, anger and 0000 included, "
+        f"holds in {format_per_cent(whole / len(final))}"
     )
     return judge_by_runs(sum(orders.values()), len(final), "runs", why, details={"orders": orders})
 
@@ -233,30 +241,38 @@ def same_but_first(reading: Reading) -> Finding:
     apart = constant != decaying
     rest = apart[:, 1:].sum(axis=1)
     why = (
-        f"{int((rest == 0).sum())} pairs agree outside 0000, and the mean pair differs in "
-        f"{rest.mean():.1f} of the other 15 statuses"
+        f"{int((rest == 0).sum())} pairs agree in the other 15 statuses; on average a pair differs "
+        f"in {rest.mean():.1f} of them"
     )
     return judge_by_runs(int(((rest == 0) & apart[:, 0]).sum()), len(apart), "pairs of runs", why)
 
 
 @register_claim("learning.together", "Section 4.1", "Figure 10", rule="share", learns=True)
 def runs_show_everything(reading: Reading) -> Finding:
-    """The two runs show all of this at once: the numbers of policies, that these differ in 0000
-    alone, the three actions there, the agreement elsewhere, and the stated actions.
+    """The two runs show all of this at once: three and two policies, which differ in 0000 alone and
+    take a1, a2 and a3 there; final policies that differ there alone; and the stated actions.
     """
     parts = told_together(reading)
     # Statement after statement: how often it holds, and how often it holds with all before it.
-    within, regrets = np.array(True), []
+    within, shares = np.array(True), []
     for name, each in parts.items():
         within = within & each
-        regrets.append(f"{name} {each.mean():.1%}, with all before {100 * within.mean():.2g} %")
-    why = f"of all pairs of one run with each schedule: {'; '.join(regrets)}"
-    if not within.any():  # by Clopper and Pearson, from the pairs that are independent
-        apart = min(within.shape)
-        why += f". {apart} of the pairs have no run in common: with 95 % confidence the chance is "
-        why += f"below {1 - 0.05 ** (1 / apart):.2%}"
+        both = f"{format_per_cent(each.mean())} ({format_per_cent(within.mean())})"
+        shares.append(f"{name} {both}")
+    why = (
+        "in how many of all pairs of one run with each schedule a statement holds, and in brackets "
+        f"in how many it holds together with all statements before it: {'; '.join(shares)}"
+    )
     number = Estimated(value=float(within.mean()), standard_error=error_of_pairs(within))
-    return judge_by_runs(int(within.sum()), int(within.size), "pairs of runs", why, number=number)
+    # Pairs without a run in common are independent.
+    return judge_by_runs(
+        int(within.sum()),
+        int(within.size),
+        "pairs of runs",
+        why,
+        independent=min(within.shape),
+        number=number,
+    )
 
 
 def error_of_pairs(shown: np.ndarray) -> float:
@@ -307,12 +323,12 @@ def told_together(reading: Reading) -> dict[str, np.ndarray]:
         as_many.append([len(policies) == numbers[run.schedule] for policies in run.last])
     return {
         "three and two policies": pair_runs(*as_many),
-        "each run's differ in 0000 alone": pair_runs(
+        "the policies of each run differ in 0000 alone": pair_runs(
             *(map(differ_in_first_alone, run.last) for run in runs)
         ),
         "a1, a2 and a3 there": np.bitwise_or.outer(*map(np.array, starts)) == three,
-        "the final ones differ there": one[:, None, 0] != two[None, :, 0],
-        "and agree elsewhere": (one[:, None, 1:] == two[None, :, 1:]).all(axis=2),
+        "the final policies differ there": one[:, None, 0] != two[None, :, 0],
+        "the final policies agree elsewhere": (one[:, None, 1:] == two[None, :, 1:]).all(axis=2),
         "supportive with anger": pair_runs(
             *(map(are_supportive_in_anger, run.last) for run in runs)
         ),
@@ -327,7 +343,7 @@ def one_run_all_three(reading: Reading) -> Finding:
     """The policies of a run's last 100 episodes differ in status 0000 alone."""
     changed = np.concatenate([reading.train_runs(s).outcomes.changed for s in SHOWN])
     only = changed[:, 0] & ~changed[:, 1:].any(axis=1)
-    why = f"in {int(changed.any(axis=1).sum())} runs of both schedules they differ anywhere"
+    why = f"in {int(changed.any(axis=1).sum())} runs they differ in some status"
     return judge_by_runs(int(only.sum()), len(changed), "runs", why)
 
 
@@ -338,16 +354,17 @@ def selection_finds_optimum(reading: Reading) -> Finding:
     regrets = np.concatenate([each.selected_regret for each in outcomes])
     last = np.concatenate([each.regret for each in outcomes])
     why = (
-        "the choice is made by exact value here, the best that any choice among the five can do; "
-        f"the mean regret is {regrets.mean():.2f} after it and {last.mean():.2f} before"
+        "the five are compared by their exact values here, so that no experiments can choose "
+        f"better; on average the chosen policy is {regrets.mean():.2f} points below the optimum, "
+        f"and the last one of the run {last.mean():.2f}"
     )
     return judge_by_runs(int((regrets == 0).sum()), len(regrets), "runs", why)
 
 
 @register_claim("learning.first-status-unsettled", "Section 4.1", "Section 4.3", learns=True)
 def first_status_unsettled(reading: Reading) -> Finding:
-    """The best assistance in status 0000 is hard to tell because of the model's chance."""
-    # The same model, the same chance and exploration: only the step falls.
+    """The best assistance in status 0000 is hard to tell because the model is random."""
+    # The same model, the same randomness and exploration: only the step falls.
     constant, fallen = first_actions(reading), first_actions(reading.falling)
     total, settled = int(fallen.sum()), int(fallen.max())
     error = sqrt((settled + 0.5) * (total - settled + 0.5) / total**3)
@@ -357,10 +374,10 @@ def first_status_unsettled(reading: Reading) -> Finding:
         kind = "an optimal"
     return judge_statement(
         settled < NEARLY_ALL * total,
-        f"with the paper's constant learning rate {format_frequencies(constant)}, "
-        f"over {constant.sum()} runs; with a step of 0.5 n^-0.7 {format_frequencies(fallen)}, "
-        f"over {total}: {kind} action. Model, chance "
-        "and exploration are the same, so that the learning rate is the cause",
+        f"with the paper's constant learning rate {constant.sum()} runs end with "
+        f"{format_frequencies(constant)}; with a rate of 0.5 n^-0.7 at the n-th update {total} "
+        f"runs end with {format_frequencies(fallen)}, {kind} action. Model and exploration are the "
+        "same, so the learning rate is the cause",
         number=Estimated(value=settled / total, standard_error=error),
         number_is="share of the runs with a falling rate that end with the same action",
         details={"constant_step": constant.tolist(), "falling_step": fallen.tolist()},
@@ -375,7 +392,7 @@ def first_actions(reading: Reading) -> np.ndarray:
 def format_frequencies(counts: np.ndarray) -> str:
     """Return which actions runs end with, the most frequent first."""
     order = [int(a) for a in np.argsort(-counts, kind="stable") if counts[a]]
-    return ", ".join(f"{ACTIONS[a]} {counts[a] / counts.sum():.0%}" for a in order)
+    return ", ".join(f"{ACTIONS[a]} {format_per_cent(counts[a] / counts.sum())}" for a in order)
 
 
 @register_figure(
@@ -384,37 +401,42 @@ def format_frequencies(counts: np.ndarray) -> str:
     title="Learned policies of the two exploration schedules, and the optimal one",
 )
 def learned_policies(reading: Reading) -> Figure:
-    """The commonest final action in each status, and the share of runs that end with it; a star
-    where it is not optimal. On the right the optimal policy, which is the same in every subtask and
-    trial.
+    """The commonest final action in each status, and the share of runs that end with it. On the
+    right the optimal policy, which is the same in every subtask and trial.
     """
     best = [ACTIONS[action] for action in reading.optimum[: len(STATUSES)]]
     fig, panels = drawing.create_axes(9.6, 3.6, ncols=3, sharey=True)
     for ax, (name, shown) in zip(panels, SHOWN.items(), strict=False):
         choices, often = reading.train_runs(name).find_common_actions()
         chosen = [ACTIONS[action] for action in choices]
-        same = [a == b for a, b in zip(chosen, best, strict=True)]
-        notes = [f"{s:.0%}{'' if b else ' *'}" for s, b in zip(often, same, strict=True)]
+        notes = []
+        for share, action, optimal in zip(often, chosen, best, strict=True):
+            note = format_per_cent(share)
+            if action != optimal:
+                note += "\nnot optimal"
+            notes.append(note)
         drawing.draw_status_map(ax, chosen, notes)
         runs = len(reading.train_runs(name).runs)
-        ax.set_title(f"{shown}: the commonest action\nat the end of {runs} runs")
+        ax.set_title(f"{shown}: the commonest final action\nof {runs} runs, and its share of them")
     drawing.draw_status_map(panels[2], best, [""] * len(best))
     panels[2].set_title("optimal action\n")
     return fig
 
 
-@register_figure("first_status", title="Why the first status does not settle")
+@register_figure(
+    "first_status", title="Action in status 0000 with a constant and with a falling learning rate"
+)
 def first_status(reading: Reading) -> Figure:
     """Above, the action in 0000 that runs end with, under the paper's constant learning rate and
-    with a step of 0.5 n^-0.7 at the n-th update; model, chance and exploration are the same. Below,
-    what the runs have learned of the difference between the two best actions, one dot for each run:
-    right of the line non-directive assistance is preferred.
+    with a rate of 0.5 n^-0.7 at the n-th update; model and exploration are the same. Below, the
+    learned value of non-directive minus that of directive assistance, one dot for each run: right
+    of the line a run prefers non-directive assistance, which is the best one.
     """
     from matplotlib.patches import Patch
 
     fig, (above, below) = drawing.create_axes(7.6, 5.0, nrows=2)
     rows = []
-    for step, view in (("constant rate", reading), ("falling step", reading.falling)):
+    for step, view in (("constant rate", reading), ("falling rate", reading.falling)):
         for name, shown in SHOWN.items():
             rows.append((f"{shown}, {step}", view.train_runs(name)))
     for row, (_, learned) in enumerate(rows):
@@ -439,5 +461,8 @@ def first_status(reading: Reading) -> Figure:
     above.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1), ncols=4)
     above.set(xlim=(0, 1), xlabel="share of runs by their final action in 0000")
     below.axvline(0, color="black", lw=0.8)
-    below.set_xlabel("learned value of non-directive less directive in 0000 (points); bar: mean")
+    below.set_xlabel(
+        "learned value in 0000: non-directive minus directive (points); bar: mean\n"
+        "left of the line a run prefers directive, right of it non-directive"
+    )
     return fig

@@ -24,6 +24,8 @@ from exact_mdp.paper_repro.claim import (
     Finding,
     compare_approximately,
     compare_average,
+    format_chance,
+    format_per_cent,
     judge_by_chance,
     judge_statement,
     judge_undecided,
@@ -67,7 +69,10 @@ def policies_beat_random(reading: Reading) -> Finding:
         for order in ORDERS:
             means.append(reading.evaluate_policy(start, order).mean)
     lowest = min(means)
-    why = f"the least of the three policies in both orders earns {lowest:.1f}, random {random:.1f}"
+    why = (
+        f"the worst of the three policies, in both orders, earns {lowest:.1f}, and random actions "
+        f"{random:.1f}"
+    )
     return judge_statement(lowest > random + 1e-6, why)
 
 
@@ -75,9 +80,14 @@ def both_orders(reading: Reading, start: str) -> str:
     """Return the value of a reported policy in both orders, with its distance from the paper's."""
     listed = []
     for order in ORDERS:
+        deviation = reading.compute_deviation(start, order)
+        if deviation < 0:
+            side = "below"
+        else:
+            side = "above"
         listed.append(
             f"{order} {reading.evaluate_policy(start, order).mean:.2f} "
-            f"({reading.compute_deviation(start, order):+.1f} s.e.)"
+            f"({abs(deviation):.1f} s.e. {side} the paper's average)"
         )
     return ", ".join(listed)
 
@@ -92,7 +102,7 @@ def both_orders(reading: Reading, start: str) -> str:
 def reported_return(reading: Reading, start: str) -> Finding:
     """The policy with {word} assistance in status 0000 averages {means} over 1,000 experiments."""
     exact = reading.evaluate_policy(start)
-    why = f"exact value with 1000 and 0100 {both_orders(reading, start)}; judged {reading.order}"
+    why = f"exact mean with 1000 and 0100 {both_orders(reading, start)}; judged {reading.order}"
     mean = compare_average(
         AVERAGES[start], exact.mean, exact.sd, EXPERIMENTS, error=exact.start.error, why=why
     )
@@ -102,7 +112,7 @@ def reported_return(reading: Reading, start: str) -> Finding:
 
 @register_claim("return.together", "Section 4.1", rule="average", open=True)
 def averages_together(reading: Reading) -> Finding:
-    """The three averages, taken together."""
+    """The three averages, taken together, are those of the three policies."""
     # χ² of the squared standard errors, on three degrees of freedom.
     chances = {}
     for order in ORDERS:
@@ -112,11 +122,11 @@ def averages_together(reading: Reading) -> Finding:
             squared += (exact.mean - paper) ** 2 / (exact.sd**2 / EXPERIMENTS)
         tail = sqrt(2 * squared / pi) * exp(-squared / 2)
         chances[order] = erfc(sqrt(squared / 2)) + tail
-    listed = ", ".join(f"{order} p = {chance:.2g}" for order, chance in chances.items())
+    listed = ", ".join(f"{order} {format_chance(chance)}" for order, chance in chances.items())
     return judge_by_chance(
         chances[reading.order],
-        f"chance of averages as far off, with 1000 and 0100 {listed}; judged {reading.order}, and "
-        f"compatible if p is {CHANCE} or more",
+        f"p is the chance that three averages are as far off, with 1000 and 0100 {listed}; judged "
+        f"{reading.order}, and compatible if p is {CHANCE} or more",
         details={"probability": chances},
     )
 
@@ -134,19 +144,20 @@ def first_status_ranking(reading: Reading) -> Finding:
         rankings.append(f"{order} {' > '.join(f'{mean:.2f}' for mean in each)}")
     listed = "; ".join(rankings)
     falls = all(a > b + 1e-6 for a, b in pairwise(means[reading.order]))
-    return judge_statement(falls, f"exact values of {', '.join(AVERAGES)}, 1000 and 0100 {listed}")
+    why = f"exact means of {', '.join(AVERAGES)}, with 1000 and 0100 {listed}"
+    return judge_statement(falls, why)
 
 
 @register_claim("return.ranking.by-experiments", "Section 4.1")
 def ranking_by_experiments(reading: Reading) -> Finding:
-    """1,000 experiments tell this ranking."""
+    """1,000 experiments with each policy are enough to tell this ranking."""
     means = [reading.evaluate_policy(start).mean for start in AVERAGES]
     chance = probability_of_ranking(means, [reading.standard_error(start) for start in AVERAGES])
     return judge_statement(
         chance >= NEARLY_ALL,
-        f"{EXPERIMENTS:,} experiments with each rank them so with probability {chance:.5f}, by the "
-        "normal distribution with the exact means and variances, 1000 and 0100 as written; 95 % or "
-        "more counts as told",
+        f"{EXPERIMENTS:,} experiments with each policy rank them in this order with a probability "
+        f"of {format_per_cent(chance)}, by the normal distribution with the exact means and "
+        "variances, 1000 and 0100 as written; 95 % is enough",
         number=Estimated(value=chance, standard_error=1e-5),
         number_is="probability of this order",
     )
@@ -169,17 +180,20 @@ def number_of_experiments(reading: Reading) -> Finding:
     """The final policies were compared by 1,000 experiments each; Section 3.2.5 says 10,000."""
     least = reading.evaluate_policy(FINAL).sd / sqrt(SETTINGS["experiments_of_a_candidate"])
     return judge_undecided(
-        f"standard errors of the final policy's average are {least:.2f} and "
-        f"{reading.standard_error(FINAL):.2f}. The smaller number is used here, which is kinder to "
-        "the paper"
+        f"the standard error of the final policy's average is {reading.standard_error(FINAL):.2f} "
+        f"with 1,000 experiments and {least:.2f} with 10,000. 1,000 are used here, which is kinder "
+        "to the paper"
     )
 
 
-@register_figure("three_policies", title="The three reported averages")
+@register_figure(
+    "three_policies", title="Reported averages of three policies, and their exact means"
+)
 def three_policies(reading: Reading) -> Figure:
-    """Exact means of the three policies with exact standard errors of 1,000 experiments, beside
-    what the paper reports, with both orders of “respectively”; supportive in the four statuses of
-    which the text says nothing.
+    """Exact means of the three policies, with 1 and 3 exact standard errors of 1,000 experiments,
+    and the averages that the paper reports, with 1000 and 0100 as written and swapped; supportive
+    in the four statuses of which the text says nothing. On the right, exact minus reported in
+    standard errors: negative if the exact mean is the lower one.
     """
     fig, ax = drawing.create_axes(6.4, 4.0)
     rows = [*product(AVERAGES, ORDERS)]
@@ -192,9 +206,10 @@ def three_policies(reading: Reading) -> Figure:
         ax.plot(AVERAGES[start], row - 0.28, "D", color="black", mfc="white", ms=6)
         apart = f"{reading.compute_deviation(start, order):+.1f} s.e.".replace("-", "−")
         ax.annotate(apart, (1.01, row), xycoords=("axes fraction", "data"), va="center")
+    ax.annotate("exact minus\nreported", (1.01, 1.0), xycoords="axes fraction", va="bottom")
     optimum = reading.evaluate_policy("optimal").mean
     ax.axvline(optimum, color="black", ls=":", lw=1)
-    ax.plot([], [], "o", color="black", ms=5, label="exact, ±1 and ±3 s.e.")
+    ax.plot([], [], "o", color="black", ms=5, label="exact, ±1 and ±3 standard errors (s.e.)")
     ax.plot([], [], "D", color="black", mfc="white", ms=6, label="reported")
     ax.plot([], [], ":", color="black", label=f"optimum {optimum:.1f}")
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=3)
@@ -205,9 +220,9 @@ def three_policies(reading: Reading) -> Figure:
 
 @register_figure("return_distributions", title="Distribution of the return")
 def return_distributions(reading: Reading) -> Figure:
-    """Exact distribution of an episode's return, added up in stretches of 10 points, under the
-    optimal policy, the reported final policy (1000 and 0100 as written, supportive where the text
-    says nothing) and random actions. The dashed line is the mean.
+    """Exact distribution of an episode's return, in stretches of 10 points, under the optimal
+    policy, the reported final policy (1000 and 0100 as written, supportive where the text says
+    nothing) and random actions. The dashed line is the mean.
     """
     fig, panels = drawing.create_axes(6.2, 5.4, nrows=3, sharex=True, sharey=True)
     shown = {
@@ -228,7 +243,7 @@ def return_distributions(reading: Reading) -> Figure:
             f"{label}: mean {mean:.1f}, standard deviation {reading.evaluate_policy(name).sd:.1f}"
         )
         ax.set_ylabel("probability")
-    panels[-1].set(xlabel="return of an episode (points)", xlim=(-90, 185))
+    panels[-1].set(xlabel="return of an episode (points)")
     return fig
 
 
@@ -264,20 +279,24 @@ def best_action(reading: Reading, place: str) -> Finding:
         best.extend(list_optimal_actions(reading, status))
     right = sum(action in each for each in best)
     others = sorted(set().union(*(each for each in best if action not in each)))
-    instead = "".join(f"; elsewhere {other} is" for other in others)
+    where = "anger"
+    if len(statuses) == 1:
+        where = "this status"
+    why = f"{action} is optimal in {right or 'none'} of the {len(best)} states with {where}"
+    for other in others:
+        why += f", {other} in {sum(other in each for each in best)}"
     return judge_statement(
         right == len(best),
-        f"{action} is optimal in {right} of {len(best)} states with "
-        f"{'this status' if len(statuses) == 1 else 'anger'}{instead}",
+        why,
         number=Certified(value=Fraction(right, len(best))),
         number_is="share of the states where it is optimal",
     )
 
 
-@register_claim("policy.respectively", "Section 4.1", "Figure 10", open=True)
+@register_claim("policy.respectively", "Section 4.1", "Figure 10", open=True, follows="policy.0100")
 def respectively_holds(reading: Reading) -> Finding:
-    """Forgetful only or confused only: directive in one and non-directive in the other, whichever
-    is meant.
+    """Of forgetful only and confused only, one is best met with directive and the other with
+    non-directive assistance.
     """
     best = {status: list_optimal_actions(reading, status) for status in ("1000", "0100")}
     holds = False
@@ -290,7 +309,7 @@ def respectively_holds(reading: Reading) -> Finding:
     return judge_statement(holds, f"optimal actions are {listed}")
 
 
-@register_claim("policy.personalised", "Section 4.1", open=True)
+@register_claim("policy.personalised", "Section 4.1", open=True, follows="policy.0100")
 def assistance_is_personal(reading: Reading) -> Finding:
     """Forgetful only and confused only get different assistance, because people respond
     differently: decisions are personal.
@@ -299,38 +318,44 @@ def assistance_is_personal(reading: Reading) -> Finding:
     names = ["/".join(sorted(each)) or "none" for each in best]
     return judge_statement(
         all(best) and not set.intersection(*best),
-        f"optimal throughout: {names[0]} where forgetful only, {names[1]} where confused only. The "
-        "model has the probabilities of one person: it compares statuses, not people",
+        f"the best assistance is {names[0]} if forgetful only and {names[1]} if confused only. The "
+        "model has the probabilities of one person, so it compares statuses and not people",
     )
 
 
-@register_claim("policy.final-is-optimal", "Section 4.1", open=True)
+@register_claim("policy.final-is-optimal", "Section 4.1", open=True, follows="policy.0100")
 def final_is_optimal(reading: Reading) -> Finding:
     """The final policy, with non-directive assistance in 0000, is optimal."""
     audits = {order: check(reading.mdp, reading.build_policy(FINAL, order)) for order in ORDERS}
     losses = []
     for order, audit in audits.items():
         loss = float(audit.regret.at_start.value)
-        losses.append(f"{order} {loss:.2f} ({audit.relative_regret:.1%})")
-    sentence = ", ".join(losses)
+        losses.append(f"{loss:.2f} points ({audit.relative_regret:.1%}) with 1000 and 0100 {order}")
+    sentence = " and ".join(losses)
     audit, by_status = audits[reading.order], defaultdict[str, float](float)
     for each in audit.disagreements:
         by_status[reading.mdp.space.as_dict(each.state)["status"]] += each.cost
     costs = dict(sorted(by_status.items(), key=lambda item: (-item[1], item[0])))
-    why = f"with 1000 and 0100 {sentence} of the optimum is lost, supportive where nothing is said"
+    why = (
+        f"supportive in the statuses that the text does not mention, the policy is below the "
+        f"optimum by {sentence}"
+    )
     if costs:
-        listed = ", ".join(f"{status} {cost:.2f}" for status, cost in costs.items())
-        why += f"; {reading.order}, by status: {listed}"
+        listed = ", ".join(f"{cost:.2f} in {status}" for status, cost in costs.items())
+        why += f"; {reading.order} it loses {listed}"
     number, number_is = Certified(value=Fraction(audit.regret.at_start.value)), "regret in points"
     details = {"cost_by_status": costs}
     return judge_statement(audit.passed, why, number=number, number_is=number_is, details=details)
 
 
-@register_figure("cost_of_choices", title="What each choice costs")
+@register_figure(
+    "cost_of_choices", title="Points lost on average by each assistance in each status"
+)
 def cost_of_choices(reading: Reading) -> Figure:
-    """Expected return lost by taking an action whenever a status comes up, everything else being
-    optimal; darker cells cost more. A dot marks the action of the reported final policy, with 1000
-    and 0100 as written; supportive where the text says nothing.
+    """Points that an episode loses on average if the robot gives one kind of assistance whenever a
+    status is present, and the best assistance in all other statuses; darker cells lose more. A dot
+    marks the action of the paper's final policy, with 1000 and 0100 as written, and supportive
+    where the text says nothing.
     """
     from matplotlib.patches import Rectangle
 
@@ -365,8 +390,7 @@ def cost_of_choices(reading: Reading) -> Figure:
     ax.xaxis.tick_top()
     ax.tick_params(length=0)
     ax.spines[:].set_visible(False)
-    ax.set_xlabel("● action of the reported final policy, as written", loc="left")
-    fig.suptitle("Points lost by an action taken whenever a status comes up", x=0.01, ha="left")
+    ax.set_xlabel("● action of the paper's final policy, as written", loc="left")
     return fig
 
 

@@ -85,8 +85,8 @@ def confusion_supported(reading: Reading) -> Finding:
         "needs the authors' model: one example is told, and not what the robot perceived in it. In "
         "the decision model, where confusion is the only status, supportive assistance is optimal "
         f"in {sum(x == 0 for x in lost)} of {len(lost)} states; taken once in one of them it costs "
-        f"{float(min(lost)):.1f} to {float(max(lost)):.1f} points counted from "
-        "there. (The figure of costs counts from the start, an action taken at every such time.)"
+        f"{float(min(lost)):.1f} to {float(max(lost)):.1f} points from there on (the figure of "
+        "costs counts from the start, with the action taken every time)"
     )
 
 
@@ -106,16 +106,15 @@ def anger_encouraged(reading: Reading) -> Finding:
 @register_claim("agents.perception-errors", "Section 4.2", rule="open")
 def perception_errors(reading: Reading) -> Finding:
     """Despite errors of perception the robot goes on to help effectively."""
-    values = []
-    for accuracy in (0.99, 0.95, 0.9, 0.8):  # of perception, status by status
-        errors = independent([accuracy] * 4, [accuracy] * 4)
-        values.append(f"{accuracy:.0%}: {value_as_perceived(reading, errors):.1f}")
-    listed = ", ".join(values)
+    rates, values = [], []
+    for rate in (0.99, 0.95, 0.9, 0.8):  # of perception, status by status
+        rates.append(f"{rate:.0%}")
+        values.append(f"{value_as_perceived(reading, independent([rate] * 4, [rate] * 4)):.1f}")
     return judge_undecided(
         "how often the authors' model errs is not reported. The optimal policy earns "
-        f"{reading.evaluate_policy('optimal').mean:.1f} with perfect perception, random actions "
-        f"{reading.evaluate_policy('random').mean:.1f}; "
-        f"with each status read rightly at a rate of {listed}"
+        f"{reading.evaluate_policy('optimal').mean:.1f} with perfect perception; if each status is "
+        f"perceived rightly in {', '.join(rates)} of cases, it earns {', '.join(values)}. Random "
+        f"actions earn {reading.evaluate_policy('random').mean:.1f}"
     )
 
 

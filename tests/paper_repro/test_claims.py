@@ -14,11 +14,12 @@ import pytest
 from care_oracle import ACTIONS, CLEAR, Oracle, acting
 from scipy import stats
 
-from exact_mdp import Bounded, ModelError, return_distribution
+from exact_mdp import Bounded, Estimated, ModelError, return_distribution
 from exact_mdp.paper_repro import run
 from exact_mdp.paper_repro.claim import (
     CLAIMS,
     ClaimVerdict,
+    compare_approximately,
     compare_average,
     judge_by_chance,
     judge_by_runs,
@@ -251,11 +252,85 @@ def test_a_skip_with_a_timestep_of_its_own_breaks_table_1() -> None:
 
 
 def test_reproduced_is_kept_for_nearly_all_runs() -> None:
-    verdicts = [judge_by_runs(count, 100, "runs", "").verdict for count in (0, 1, 94, 95, 100)]
+    verdicts = [judge_by_runs(count, 400, "runs", "").verdict for count in (0, 1, 379, 380, 400)]
     seen, reproduced = ClaimVerdict.SEEN, ClaimVerdict.REPRODUCED
     assert verdicts == [ClaimVerdict.NOT_REPRODUCED, seen, seen, reproduced, reproduced]
+    assert [judge_by_runs(n, 100, "runs", "").verdict for n in (1, 94, 95)] == [
+        seen,
+        seen,
+        reproduced,
+    ]
     assert judge_by_runs(24, 100, "runs", "").says == "seen in 24 % of 100 runs"
-    assert judge_by_runs(0, 100, "runs", "").says == "not reproduced, seen in none of 100 runs"
+    assert judge_by_runs(0, 400, "runs", "").says == "not reproduced, seen in none of 400 runs"
+
+
+@pytest.mark.parametrize(
+    ("count", "few", "enough"), [(0, 298, 299), (1, 58, 59)], ids=["none", "all"]
+)
+def test_a_share_of_none_or_all_decides_only_by_its_confidence_interval(
+    count: int, few: int, enough: int
+) -> None:
+    """None of n excludes a chance of 1 %, and all of n one below 95 %, with 95 % confidence."""
+    for n, decided in ((few, False), (enough, True), (1, False)):
+        finding = judge_by_runs(count * n, n, "runs", "")
+        assert (finding.verdict is not ClaimVerdict.NOT_DETERMINED) == decided, n
+        test = stats.binomtest(count * n, n)
+        # One-sided, at 95 %: the interval of 90 % has 5 % on either side.
+        low, high = test.proportion_ci(0.9, method="exact")
+        assert decided == ((high < 0.01) if count == 0 else (low >= 0.95)), n
+    pairs = judge_by_runs(0, 160_000, "pairs of runs", "", independent=4)
+    assert pairs.says == "not determined, seen in none of 160,000 pairs of runs"
+    assert pairs.why.endswith(
+        "4 of the pairs of runs are independent, so with 95 % confidence the chance is below 52.8 %"
+    )
+    assert pairs.details["chance_below"] == 0.528
+
+
+def test_an_estimate_near_the_limit_decides_nothing() -> None:
+    for error, verdict in (
+        (0.3, ClaimVerdict.REPRODUCED),
+        (0.4, ClaimVerdict.NOT_DETERMINED),
+        (float("inf"), ClaimVerdict.NOT_DETERMINED),
+    ):
+        number = Estimated(value=144.0, standard_error=error)
+        assert compare_approximately(140.0, number).verdict is verdict
+    for value in (144.999, 145.0):
+        exact = Bounded(value=value, error=1e-9)
+        assert compare_approximately(140.0, exact).verdict is ClaimVerdict.REPRODUCED
+
+
+def test_no_chance_is_printed_as_none_and_no_share_as_all_that_is_not() -> None:
+    assert judge_by_chance(0.0, "").says == "not reproduced, p < 1e-300"
+    for count in (1, 9_999):
+        assert judge_by_runs(count, 10_000, "runs", "").says.rpartition("seen in ")[2] == (
+            "under 0.1 % of 10,000 runs" if count == 1 else "over 99 % of 10,000 runs"
+        )
+    far = replace(
+        build_default_reading(), scenario=build_default_reading().scenario.with_(tasks=[6])
+    )
+    finding = CLAIMS["return.together"].find(far)
+    assert "p = 0," not in finding.why
+    assert finding.says == "not reproduced, p < 1e-300"
+
+
+def test_claims_that_follow_from_another_fail_for_no_reason_of_their_own(
+    claims: dict[str, Any],
+) -> None:
+    """With non-directive assistance the best one in 0100, all else alike, they would hold."""
+    followers = [claim.id for claim in CLAIMS.values() if claim.follows]
+    assert {CLAIMS[name].follows for name in followers} == {"policy.0100"}
+    assert followers == ["policy.respectively", "policy.personalised", "policy.final-is-optimal"]
+    assert [*claims["policy.final-is-optimal"]["cost_by_status"]] == ["0100"]
+    # A person whose confusion outlasts directive assistance, but not non-directive one.
+    other = run.changed_reading(
+        build_default_reading(),
+        [
+            "assistance.directive.confusion.persistence=3/5",
+            "assistance.non-directive.confusion.persistence=1/2",
+        ],
+    )
+    for name in ("policy.0100", *followers[:2]):
+        assert CLAIMS[name].find(other).verdict is ClaimVerdict.REPRODUCED, name
 
 
 def test_the_error_of_a_share_of_pairs_counts_runs() -> None:
