@@ -64,6 +64,8 @@ RETURNED = {"solve": Solution, "certify": Certificate, "load": Scenario, "with_"
 
 # What is the user's own, or another package's: the words before a dot or a bracket.
 OTHERS = {
+    "pathlib",
+    "pickle",
     "agent",
     "array",
     "bool",

@@ -31,7 +31,7 @@ FIX = (
     "describe it: MDP.from_function(start, actions, outcomes); or use an environment with P, such "
     "as FrozenLake-v1; or record episodes of a policy that tries everything, a row for each step "
     "with episode, state, action, reward, next_state, terminated and truncated, and estimate the "
-    "model: MDP.from_transitions, docs/records.md"
+    "model: MDP.from_transitions, page docs/records"
 )
 
 
@@ -94,7 +94,7 @@ class CopiedEnvironment:
         if different:
             raise self._error(
                 f"{different} has two values in state {state}, which the observation does not show "
-                "(count steps with gymnasium.wrappers.TimeLimit)"
+                "(count steps with the wrapper TimeLimit)"
             )
         return state
 

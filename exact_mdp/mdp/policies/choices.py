@@ -404,9 +404,9 @@ def _pickle_error(path: str) -> ModelError:
     """Return the error for a pickled policy, with the lines that convert it."""
     out = f"{path}.csv"
     code = (
-        "import pathlib, pickle, exact_mdp as e; "
+        "import pathlib, pickle; from exact_mdp import Policy, load; "
         f"q = pickle.loads(pathlib.Path({path!r}).read_bytes()); "
-        f"e.Policy.of(e.load('MODEL'), q, kind='q').write({out!r})"
+        f"Policy.of(load('MODEL'), q, kind='q').write({out!r})"
     )
     return ModelError(
         "a pickle is not read, since it may run any code",

@@ -237,7 +237,7 @@ TRAPS: list[tuple[dict[str, Any], str]] = [
 
 @pytest.mark.parametrize(("traps", "said"), TRAPS, ids=range(len(TRAPS)))
 def test_other_environments_are_refused_and_what_to_record_is_said(traps: Any, said: str) -> None:
-    error = refused(lambda: MDP.from_gymnasium(Maze(**traps)), said, "Maze", "docs/records.md")
+    error = refused(lambda: MDP.from_gymnasium(Maze(**traps)), said, "Maze", "docs/records")
     for name in ("episode", "state", "action", "reward", "next_state", "terminated", "truncated"):
         assert name in error.fix
 
