@@ -259,6 +259,8 @@ class Certified(ClaimedNumber):
     def __sub__(self, other: Number) -> Number:
         if isinstance(other, Certified):
             return Certified(value=self.value - other.value)
+        if not isinstance(other, Bounded):
+            return NotImplemented
         return _subtract_bounded(self, other)
 
 
@@ -311,6 +313,8 @@ class Bounded(ClaimedNumber):
         return Bounded(value=abs(self.value), error=self.error)
 
     def __sub__(self, other: Certified | Bounded) -> Bounded:
+        if not isinstance(other, Certified | Bounded):
+            return NotImplemented
         return _subtract_bounded(self, other)
 
 

@@ -60,7 +60,7 @@ EXACT_CELLS = 2_000_000  # the most of them for exact numbers by default: measur
 WHERE = "risk of the return"
 
 
-class Values(Protocol):
+class BudgetedValues(Protocol):
     """The values of the new states, exact or as floats."""
 
     def compute_mean(self, weights: Iterable[tuple[int, Fraction]]) -> Any:
@@ -173,7 +173,7 @@ class Budgeted:
         """Return the new states in which episodes start, with their probabilities."""
         return tuple((self.find_state(s, threshold), p) for s, p in self.mdp.start)
 
-    def compute_cvar(self, values: Values, threshold: int, level: Fraction) -> Any:
+    def compute_cvar(self, values: BudgetedValues, threshold: int, level: Fraction) -> Any:
         """Return the CVaR of the best policy for a threshold."""
         lacking = sum(p * max(threshold - int(self.high[s]), 0) for s, p in self.mdp.start)
         return threshold + (values.compute_mean(self.list_start(threshold)) - lacking) / level
