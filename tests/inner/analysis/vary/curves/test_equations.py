@@ -497,11 +497,27 @@ def test_a_discount_that_touches_1_inside_is_looked_at() -> None:
             assert equations.may_miss_goal == (target == [1] and zero < 1)
 
 
+def test_a_state_that_is_terminal_where_the_discount_is_1_may_lie_beside_the_goal() -> None:
+    """γ = x: what is earned there at every step, x - 1, is 0 at the end of the section."""
+
+    def build(at: dict[str, F]) -> MDP:
+        x = at["x"]
+        rows = [(0, 0, [(1, 1, x)]), (0, 1, [(1, 2, 0)]), (1, 0, [(1, 1, 0)]),
+                (2, 0, [(1, 2, x - 1)])]  # fmt: skip
+        return MDP.from_outcomes(rows, x, labels={"home": [1]}, start=0).until("home")
+
+    kind = Family(parameters={"x": "1/2"}, build=build)
+    for high in (F(3, 4), F(1)):
+        equations = SectionEquations(kind, "x", Piece(low=F(0), high=high, origin=F(1, 2)))
+        assert equations.live == [0, 2]
+        assert equations.may_miss_goal == (high == 1)
+
+
 def test_values_that_move_by_one_state_are_others() -> None:
     equations = made(False)
     values = tuple(fmpq_poly([k, 1]) for k in (1, 2, 5)), fmpq_poly([1])
     equations.update_gaps(values)
-    turned = (values[0][-1], *values[0][:-1]), values[1]
+    turned = (*values[0][1:], values[0][0]), values[1]
     for pair in equations.following:
         total = equations.reward[pair]
         total += sum((p * turned[0][to] for to, p in equations.following[pair]), fmpq_poly())
