@@ -148,6 +148,15 @@ def test_a_root_apart_is_a_fraction_where_its_denominator_is_small(digits: int) 
     assert (near.low, near.high) == (number, number)
 
 
+def test_fractions_of_one_digit_are_met_in_wide_intervals() -> None:
+    """No other fraction of one digit is as near to the middle; some of two digits are."""
+    for number in {F(p, q) for q in range(2, 11) for p in range(1, q)}:
+        near = Root(poly=product([number]), low=F(-1, 7), high=F(8, 7)).isolate_beyond(
+            F(-1), F(1, 150)
+        )
+        assert (near.low, near.high) == (number, number)
+
+
 def test_another_polynomial_may_have_the_root_too() -> None:
     square = flint.fmpq_poly([-2, 0, 1])
     root = Root(poly=square * product([F(3)]), low=F(1), high=F(2))
