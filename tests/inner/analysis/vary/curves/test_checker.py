@@ -1,9 +1,10 @@
 """The checker of curves: each rule refuses what breaks it alone."""
 
 import pickle
+from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction as F
-from math import prod
+from math import inf, prod
 from typing import Any
 
 import numpy as np
@@ -14,10 +15,13 @@ from exact_mdp import MDP, Family, curve
 from exact_mdp.analysis.vary.curves.checker import (
     CurvePiece,
     RationalFunction,
+    _not_of,
+    _not_optimal,
     _turn_at_once,
     piece_violations,
 )
-from exact_mdp.mdp.exact import to_flint
+from exact_mdp.analysis.vary.curves.equations import SectionEquations
+from exact_mdp.mdp.exact import from_flint, to_flint
 from exact_mdp.mdp.parametric.row_change import Piece
 from exact_mdp.mdp.table import format_rational
 
@@ -106,14 +110,18 @@ def test_a_ratio_has_its_value_and_derivative(x: F) -> None:
 # ---- lines that cross --------------------------------------------------------------------------
 
 
-def lines(*values: tuple[object, object]) -> Family:
-    """One step, in which action k pays a + b x for the k-th (a, b); the end is state 1."""
+def lines(*values: Sequence[Any]) -> Family:
+    """One step, in which action k pays a + b x + … for the k-th (a, b, …); the end is state 1."""
 
     def build(at: dict[str, F]) -> MDP:
-        rows = [(0, k, [(1, 1, F(a) + F(b) * at["x"])]) for k, (a, b) in enumerate(values)]
+        rows = []
+        for action, line in enumerate(values):
+            paid = sum((F(c) * at["x"] ** n for n, c in enumerate(line)), F(0))
+            rows.append((0, action, [(1, 1, paid)]))
         return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])])
 
-    return Family(parameters={"x": "1/2"}, build=build)
+    degree = max(len(line) for line in values) - 1
+    return Family(parameters={"x": "1/2"}, build=build, degrees={"x": degree})
 
 
 def piece(
@@ -158,6 +166,23 @@ def test_one_threshold_may_lie_in_a_bracket_and_two_may_not() -> None:
             )
             == []
         )
+
+
+def test_an_action_may_not_be_better_between_the_threshold_and_the_bracket() -> None:
+    """x is passed at 1/2, 9/16 and 19/32, beyond 1/2 by an action that was not better before."""
+    near = F(3, 8), F(5, 8)
+    one = piece((0, 0), near, [True, False, False], [1, -1], WHOLE)
+    other = piece(near, (1, 1), [False, True, False], [0, 1], WHOLE)
+    for roots, sound in (
+        ([F(1, 2), F(9, 16), F(19, 32)], False),
+        ([F(1, 2), F(1, 4), F(1, 8)], True),
+        ([F(1, 2), F(3, 2), F(5, 4)], True),
+    ):
+        short = prod((fmpq_poly([to_flint(-root), 1]) for root in roots), start=fmpq_poly([1]))
+        third = fmpq_poly([0, 1]) - short / 8
+        family = lines((1, -1), (0, 1), [from_flint(c) for c in third.coeffs()])
+        said = refused(family, one, other)
+        assert said == ["nothing proves the optimum next to 0.625"] * (not sound)
 
 
 def test_pieces_of_a_section_join_and_are_of_its_values() -> None:
@@ -207,6 +232,124 @@ def test_rows_are_one_polynomial_inside_a_section() -> None:
         family = replace(lines(("1/2", -1)), breaks={"x": [place]})
         said = refused(family, one)
         assert said == ["rows pass to other polynomials inside a section"] * passed
+
+
+# ---- runs that may never end, or miss the goal --------------------------------------------------
+
+
+def pay_to_end(at: dict[str, F], **parts: Any) -> MDP:
+    """At discount 1 each step costs 1: stay, end with chance x², or end at once for 3."""
+    x = at["x"] ** 2
+    rows = [
+        (0, 0, [(1, 0, -1)]),
+        (0, 1, [(p, to, -1) for p, to in ((x, 1), (1 - x, 0)) if p]),
+        (0, 2, [(1, 1, -3)]),
+        (1, 0, [(1, 1, 0)]),
+    ]
+    return MDP.from_outcomes(rows, 1, **parts)
+
+
+COSTLY = Family(parameters={"x": "1/2"}, build=pay_to_end, degrees={"x": 2})
+ENDLESS = [
+    "nothing proves that an optimal policy from {} on ends",
+    "the pairs of state 0 from {} on are not those that are optimal",
+]
+HELD_ENDLESS = "nothing proves that the policy held fixed ends from {} on"
+
+
+def held(*pairs: int) -> list[list[tuple[int, Any]]]:
+    return [[(pair, to_flint(F(1, len(pairs)))) for pair in pairs], [(3, to_flint(F(1)))]]
+
+
+def test_a_policy_must_end_where_others_need_not() -> None:
+    """1 / x² is 3 at √(1/3); half of it and half of 3 costs (1/2 + 3/2) / (1/2 + x² / 2)."""
+    found = curve(COSTLY, "x", ("1/4", "1"), policy={"state 0": {"1": "1/2", "2": "1/2"}})
+    one, other = found.pieces
+    assert one.optimal.tolist() == [False, False, True, True]
+    assert other.optimal.tolist() == [False, True, False, True]
+    assert one.fixed is not None
+    assert one.fixed.at(F(1, 3)) == -2 / (F(1, 2) + F(1, 18))
+
+    def said(pieces: Sequence[CurvePiece], mix: Any) -> list[str]:
+        return [*piece_violations(COSTLY, "x", pieces, mix, 1)]
+
+    assert said(found.pieces, held(1, 2)) == []
+    assert said(found.pieces, held(1)) != []
+    from_ = format_rational(other.low[1])
+    stay = replace(other, optimal=np.array([True, False, False, True]))
+    assert said([one, stay], held(1, 2)) == [each.format(from_) for each in ENDLESS]
+    wrong = said([replace(one, optimal=stay.optimal), other], held(1, 2))
+    assert wrong == [each.format("0.25") for each in ENDLESS]
+    assert HELD_ENDLESS.format("0.25") in said(found.pieces, held(0))
+    assert HELD_ENDLESS.format(from_) in said(found.pieces, held(0))
+    assert HELD_ENDLESS.format("0.25") not in said(found.pieces, held(0, 1))
+
+
+def test_a_policy_must_end_at_the_very_ends_of_a_piece() -> None:
+    """With chance x² it ends but at 0: whether 0 is where a piece begins, or where it ends."""
+    for low, high, ends in ((0, F(1, 2), False), (F(-1, 2), 0, False), (F(1, 4), F(1, 2), True)):
+        whole = Piece(low=F(low), high=F(high), origin=F(low + high) / 2)
+        equations = SectionEquations(COSTLY, "x", whole)
+        each = CurvePiece(
+            low=(F(low), F(low)),
+            high=(F(high), F(high)),
+            section=whole,
+            optimal=np.array([False, True, False, False]),
+            start=((0, F(1)),),
+            values=((fmpq_poly([-1]), fmpq_poly()), fmpq_poly([0, 0, 1])),
+        )
+        each = replace(each, fixed_values=each.values)
+        equations.update_gaps(each.values)
+        at = format_rational(F(low))
+        optimal = [*_not_optimal(equations, each, set())]
+        assert (ENDLESS[0].format(at) in optimal) == (not ends)
+        fixed = [*_not_of(equations, each, held(1))]
+        assert (HELD_ENDLESS.format(at) in fixed) == (not ends)
+        assert (f"the denominator from {at} on is not positive" in optimal) == (not ends)
+        refusal = f"the denominator of the policy held fixed from {at} on is not positive"
+        assert (refusal in fixed) == (not ends)
+        assert len(optimal) == len(fixed) == 2 * (not ends)
+        other = "the policy held fixed has another value in state 0 from {} on"
+        assert [*_not_of(equations, each, held(2))][-1] == other.format(at)
+
+
+def test_a_terminal_state_is_worth_nothing() -> None:
+    found = curve(lines((1, 2)), "x", (0, 1), policy=[0, 0])
+    (one,) = found.pieces
+    assert one.fixed_values is not None
+    words = "a terminal state is worth something from 0 on"
+    taken: Any = [[(0, to_flint(F(1)))], [(1, to_flint(F(1)))]]
+    for worth in (fmpq_poly([1]), fmpq_poly([0, 1]), fmpq_poly()):
+        told = [words] * (worth.degree() >= 0)
+        more = (one.values[0][0], worth), one.values[1]
+        assert refused(found.family, replace(one, values=more)) == told
+        fixed = replace(one, fixed_values=more)
+        assert [*piece_violations(found.family, "x", [fixed], taken, 1)] == told
+
+
+def test_pairs_that_may_miss_the_goal_are_not_optimal_and_not_held() -> None:
+    """Go to the goal with chance x and beside it otherwise, or to the goal for 3."""
+
+    def build(at: dict[str, F]) -> MDP:
+        x = at["x"]
+        rows = [
+            (0, 0, [(x, 1, -1), (1 - x, 2, -1)]),
+            (0, 1, [(1, 1, -3)]),
+            *((s, 0, [(1, s, 0)]) for s in (1, 2)),
+        ]
+        return MDP.from_outcomes(rows, 1, goal=[1], unreached=-inf, start=0)
+
+    family = Family(parameters={"x": "1/2"}, build=build)
+    found = curve(family, "x", ("1/4", "3/4"), policy=[1, 0, 0])
+    (one,) = found.pieces
+    rest: Any = [[(2, to_flint(F(1)))], [(3, to_flint(F(1)))]]
+    for pair, wrong in ((1, []), (0, ["the policy held fixed may miss the goal from 0.25 on"])):
+        taken = [[(pair, to_flint(F(1)))], *rest]
+        assert [*piece_violations(family, "x", [one], taken, 1)] == wrong
+    risky = replace(one, optimal=np.array([True, True, False, False]))
+    words = "a pair by which a run may miss the goal counts as optimal from 0.25 on"
+    assert words in piece_violations(family, "x", [risky], None, 1)
+    assert found.at("1/2") == found.fixed_at("1/2") == -3
 
 
 def test_a_polynomial_survives_being_pickled() -> None:

@@ -1,6 +1,11 @@
 """Bellman equations in polynomials, against the same equations in fractions at points."""
 
+from collections import Counter
+from collections.abc import Collection
 from fractions import Fraction as F
+from functools import partial
+from itertools import combinations, product
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -12,6 +17,7 @@ from exact_mdp import MDP, Family, parametric
 from exact_mdp.analysis.vary.curves.equations import (
     SectionEquations,
     _remove_duplicates,
+    list_pairs,
     sum_weighted,
 )
 from exact_mdp.mdp.exact import from_flint, to_flint
@@ -288,3 +294,237 @@ def test_chances_that_pass_their_bounds_are_refused() -> None:
 def test_polynomials_are_told_apart_once_each() -> None:
     one, other = fmpq_poly([1, 2]), fmpq_poly([2, 1])
     assert _remove_duplicates([one, other, fmpq_poly([1, 2]), other]) == [one, other]
+
+
+# ---- places at which transitions vanish ----------------------------------------------------------
+
+IRRATIONAL = F(0.7071067811865476)  # stands for √(1/2)
+PLACES = [F(0), F(1, 3), F(1, 2), F(2, 3), IRRATIONAL, F(1)]
+
+
+def vanish(zero: F, x: F) -> F:
+    """A probability that is 0 at one place alone, and less than 1 between 0 and 1."""
+    if zero == IRRATIONAL:
+        return (2 * x * x - 1) ** 2 / 9
+    return (x - zero) ** 2 / 9
+
+
+class Vanishing:
+    """Three states, the goal 3 and another end 4; each pair may go to a state, or back to another.
+
+    The probability to go there is 0 at one place alone, for a share of the pairs inside the
+    section. Rewards are a + b x.
+    """
+
+    def __init__(self, seed: int, ends: int, share: float) -> None:
+        rng = np.random.default_rng(seed)
+        self.steps: list[tuple[int, int, int, F]] = []  # state, there, back, place
+        for state in range(3):
+            for _ in range(1 + int(rng.integers(3))):
+                there, back = int(rng.integers(3 + ends)), int(rng.integers(3 + (ends > 1)))
+                zero = F(5, 3)
+                if rng.random() < share:
+                    zero = PLACES[int(rng.integers(len(PLACES)))]
+                self.steps.append((state, there, back, zero))
+        self.reward: list[list[int]] = rng.integers(-4, 2, (len(self.steps), 2)).tolist()
+        self.start = {state: F(1, 2) for state in rng.choice(3, 2, replace=False).tolist()}
+
+    def build(self, at: dict[str, F], **parts: Any) -> MDP:
+        x, rows, count = at["x"], list[Any](), Counter[int]()
+        for (state, there, back, zero), (a, b) in zip(self.steps, self.reward, strict=True):
+            p = vanish(zero, x)
+            earned = a + b * x
+            outcomes = [(c, to, earned) for c, to in ((p, there), (1 - p, back)) if c]
+            rows.append((state, count[state], outcomes))
+            count[state] += 1
+        rows += [(3, 0, [(1, 3, 0)]), (4, 0, [(1, 4, 0)])]
+        return MDP.from_outcomes(rows, 1, start=self.start, **parts)
+
+    def equations(self, **parts: Any) -> SectionEquations:
+        kind = Family(parameters={"x": "1/7"}, build=partial(self.build, **parts), degrees={"x": 4})
+        return SectionEquations(kind, "x", Piece(low=F(0), high=F(1), origin=F(1, 7)))
+
+    def following(self, place: F) -> list[set[int]]:
+        """The next states of each pair at a place."""
+        every = []
+        for _, there, back, zero in self.steps:
+            every.append({back} if place == zero else {there, back})
+        return every
+
+    def find_connected(self, place: F, pairs: Collection[int]) -> set[int]:
+        """The states from which some of the pairs lead to an end at last."""
+        near = {3, 4}
+        for _ in range(3):
+            for pair in pairs:
+                if near & self.following(place)[pair]:
+                    near.add(self.steps[pair][0])
+        return near
+
+    def find_staying(self, place: F) -> set[int]:
+        """The pairs of all end components: closed, and each state leads to each other."""
+        staying, following = set[int](), self.following(place)
+        for size in range(1, len(self.steps) + 1):
+            for pairs in combinations(range(len(self.steps)), size):
+                states = {self.steps[pair][0] for pair in pairs}
+                if not all(following[pair] <= states for pair in pairs):
+                    continue
+                edges = {(self.steps[pair][0], to) for pair in pairs for to in following[pair]}
+                for _ in range(2):
+                    edges |= {(s, u) for s, t in edges for v, u in edges if t == v}
+                if {*product(states, states)} <= edges:
+                    staying.update(pairs)
+        return staying
+
+    def find_sure(self, place: F) -> tuple[set[int], set[int]]:
+        """The states with a policy that surely reaches the goal, and the pairs that stay there."""
+        following, best = self.following(place), {3}
+        of_state = [[l for l, each in enumerate(self.steps) if each[0] == s] for s in range(3)]
+        for policy in product(*of_state):
+            ways = {s: following[policy[s]] for s in range(3)}
+            bad = {0, 1, 2, 4} - find_backward(ways, {3})
+            best |= {0, 1, 2} - find_backward(ways, bad)
+        safe = {
+            pair
+            for pair, (state, *_) in enumerate(self.steps)
+            if state in best and following[pair] <= best
+        }
+        return best, safe
+
+
+def find_backward(ways: dict[int, set[int]], target: set[int]) -> set[int]:
+    """The states from which the target may be reached."""
+    found = {*target}
+    for _ in ways:
+        found |= {s for s, to in ways.items() if to & found}
+    return found
+
+
+SPANS = [
+    (F(0), F(1)), (F(1, 8), F(1, 4)), (F(1, 3), F(2, 5)), (F(2, 5), F(1, 2)), (F(5, 7), F(1)),
+    (F(0), F(1, 8)), (F(7, 10), F(5, 7)), (F(2, 5), F(7, 10)), (F(1, 4), F(3, 4)),
+]  # fmt: skip
+
+
+def test_what_stays_and_what_ends_is_found_at_every_place() -> None:
+    """Against all sets of pairs at all places; the point 1/7 stands for the others."""
+    seen = Counter[object]()
+    for seed in range(60):
+        model = Vanishing(seed, ends=1 + seed % 2, share=0.75)
+        equations, every = model.equations(), range(len(model.steps))
+        places = [F(1, 7), *PLACES]
+        staying = set.union(*map(model.find_staying, places))
+        assert {*equations.staying_pairs} == staying
+        assert equations.one_solution() == (not staying)
+        assert equations.improper == bool(staying)
+        costs = all(a < 0 and a + b < 0 for a, b in (model.reward[pair] for pair in staying))
+        assert equations.staying_costs() == costs
+        assert not equations.may_miss_goal
+        seen[bool(staying), costs] += 1
+        rng = np.random.default_rng(seed)
+        for low, high in SPANS:
+            some = [pair for pair in every if rng.random() < 0.8]
+            for pairs in (every, some):
+                inside = [F(1, 7), *(place for place in PLACES if low <= place <= high)]
+                wanted = all(len(model.find_connected(at, pairs)) == 5 for at in inside)
+                assert equations.can_end(pairs, low, high) == wanted
+                seen[wanted] += 1
+    assert min(seen.values()) > 3
+    assert len(seen) == 5
+
+
+def test_pairs_that_may_miss_the_goal_are_left_out() -> None:
+    """Against all policies at all places: which states are sure of the goal, by which pairs."""
+    seen = Counter[object]()
+    for seed in range(100):
+        model = Vanishing(seed, ends=2, share=0.1)
+        equations = model.equations(goal=[3], unreached=-inf)
+        places = [F(1, 7), *PLACES]
+        sure, safe = model.find_sure(places[0])
+        if not any(4 in each for each in model.following(F(1, 7))):
+            assert not equations.may_miss_goal
+            assert equations.live == [0, 1, 2]
+            continue
+        if any(model.find_sure(place) != (sure, safe) for place in places):
+            assert equations.may_miss_goal
+            seen["jumps"] += 1
+            continue
+        assert equations.may_miss_goal == (not sure >= {*model.start})
+        assert equations.live == sorted(sure - {3})
+        assert [*equations.following] == sorted(safe)
+        assert {s: [*pairs] for s, pairs in equations.pairs.items()} == {
+            s: [pair for pair in sorted(safe) if model.steps[pair][0] == s] for s in sure - {3}
+        }
+        barred = [
+            pair for pair, (s, *_) in enumerate(model.steps) if s in sure and pair not in safe
+        ]
+        assert equations.barred == barred
+        gaps = [fmpq_poly([int(pair in barred)]) for pair in range(equations.mdp.n_pairs)]
+        assert equations.gap == gaps
+        seen[equations.may_miss_goal, bool(barred)] += 1
+        # If missing the goal pays, no run may do so, nor stay forever.
+        pays = model.equations(goal=[3], unreached=inf)
+        assert pays.may_miss_goal == (4 in find_forward(model))
+        assert pays.barred == []
+        assert not pays.staying_costs()
+    assert len(seen) == 5
+
+
+def find_forward(model: Vanishing) -> set[int]:
+    """The states that some run may reach."""
+    met = {*model.start}
+    for _ in range(5):
+        for (state, *_), to in zip(model.steps, model.following(F(1, 7)), strict=True):
+            if state in met:
+                met |= to
+    return met
+
+
+def test_a_discount_that_touches_1_inside_is_looked_at() -> None:
+    """γ = 1 - (x - z)², and a run that may end beside the target of a total."""
+    for zero in (F(1, 4), F(2, 5), F(1, 2), F(2)):
+        for target in ([1], [1, 2]):
+
+            def build(at: dict[str, F], zero: F = zero, target: Any = target) -> MDP:
+                rows = [
+                    (0, 0, [(F(1, 2), 1, -1), (F(1, 2), 2, -1)]),
+                    *((s, 0, [(1, s, 0)]) for s in (1, 2)),
+                ]
+                rate = 1 - (at["x"] - zero) ** 2 / 9
+                return MDP.from_outcomes(rows, rate, target=target, start=0)
+
+            kind = Family(parameters={"x": "1/7"}, build=build, degrees={"x": 2})
+            equations = SectionEquations(kind, "x", Piece(low=F(0), high=F(1), origin=F(1, 7)))
+            assert equations.may_miss_goal == (target == [1] and zero < 1)
+
+
+def test_a_state_that_is_terminal_where_the_discount_is_1_may_lie_beside_the_goal() -> None:
+    """γ = x: what is earned there at every step, x - 1, is 0 at the end of the section."""
+
+    def build(at: dict[str, F]) -> MDP:
+        x = at["x"]
+        rows = [(0, 0, [(1, 1, x)]), (0, 1, [(1, 2, 0)]), (1, 0, [(1, 1, 0)]),
+                (2, 0, [(1, 2, x - 1)])]  # fmt: skip
+        return MDP.from_outcomes(rows, x, labels={"home": [1]}, start=0).until("home")
+
+    kind = Family(parameters={"x": "1/2"}, build=build)
+    for high in (F(3, 4), F(1)):
+        equations = SectionEquations(kind, "x", Piece(low=F(0), high=high, origin=F(1, 2)))
+        assert equations.live == [0, 2]
+        assert equations.may_miss_goal == (high == 1)
+
+
+def test_values_that_move_by_one_state_are_others() -> None:
+    equations = made(False)
+    values = tuple(fmpq_poly([k, 1]) for k in (1, 2, 5)), fmpq_poly([1])
+    equations.update_gaps(values)
+    turned = (*values[0][1:], values[0][0]), values[1]
+    for pair in equations.following:
+        total = equations.reward[pair]
+        total += sum((p * turned[0][to] for to, p in equations.following[pair]), fmpq_poly())
+        assert equations.compute_action_value(pair, turned) == total
+
+
+def test_the_pairs_of_a_policy_have_weights() -> None:
+    half = to_flint(F(1, 2))
+    assert list_pairs([[(0, half), (1, half)], [(2, to_flint(F(0))), (3, half + half)], []]) == [
+        0, 1, 3]  # fmt: skip

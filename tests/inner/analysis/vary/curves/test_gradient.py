@@ -1,15 +1,18 @@
 """Derivatives of the start value against differentiated linear systems of every policy."""
 
 from fractions import Fraction
+from math import inf, prod
 from typing import Any
 
 import numpy as np
 import pytest
 from curved_models import KINDS, CurvedModel, curved_model
+from oracle import rows_of
 
 from exact_mdp import MDP, Family, ModelError, Parameter, certify, evaluate, gradient, moving
 from exact_mdp.analysis.vary.curves import gradient as inner
 from exact_mdp.analysis.vary.curves.gradient import Checked
+from exact_mdp.mdp.parametric.row_change import Piece, row_change
 from exact_mdp.solvers.claims import Bounded, Certified, Claim
 
 F = Fraction
@@ -296,6 +299,199 @@ def test_a_state_that_is_over_today_and_begins_next_to_today_needs_an_action(exa
         with pytest.raises(ModelError, match="several actions are optimal"):
             gradient(family, exact=False)
     assert evaluate(build({"t": 0}), [0, 0]).start.value == 1
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_what_the_policy_does_not_meet_is_not_refused(exact: bool) -> None:
+    """An action not taken, and a state that is over today, would matter if they were met."""
+
+    def build(at: Any) -> MDP:
+        t = at["t"]
+        rows = [
+            (0, 0, [(1, 1, 1 + 3 * t)]),
+            (0, 1, [(1 - t, 3, 0), (t, 2, 0)] if t else [(1, 3, 0)]),
+            *((1, a, [(1, 3, 2)]) for a in range(2)),
+            (2, 0, [(1, 2, 1)]),
+            (2, 1, [(1, 3, 1)]),
+            (3, 0, [(1, 3, 0)]),
+        ]
+        return MDP.from_outcomes(rows, 1)
+
+    family = Family(parameters=(Parameter(name="t", value=0, low=0, high=1),), build=build)
+    slope = gradient(family, policy=[0, 0, 0, 0], exact=exact)["t"].value
+    assert slope is not None
+    assert float(slope.value) == 3
+    with pytest.raises(ModelError, match="leads to a state whose total may be infinite"):
+        gradient(family, policy=[1, 0, 0, 0], exact=exact)
+
+    def begin(at: Any) -> MDP:
+        t = at["t"]
+        rows = [(0, 0, [(1, 2, 1 + t)]), (0, 1, [(1, 1, 0)])]
+        rows += [(1, a, [(1, 1, (a + 1) * t)]) for a in range(2)]
+        return MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])], "1/2", start=0)
+
+    family = Family(parameters={"t": 0}, build=begin)
+    slope = gradient(family, policy={"state 0": "0"}, exact=exact)["t"].value
+    assert slope is not None
+    assert float(slope.value) == 1
+    with pytest.raises(ModelError, match="names no action"):
+        gradient(family, policy={"state 0": "1"}, exact=exact)
+
+
+def test_at_a_tie_states_that_no_best_policy_meets_are_not_refused() -> None:
+    """Earn 1 or 1 + t at once; or 0, and then miss the goal with a chance t of 0 today."""
+
+    def build(at: Any) -> MDP:
+        t = at["t"]
+        rows = [
+            (0, 0, [(1, 2, 1)]),
+            (0, 1, [(1, 2, 1 + t)]),
+            (0, 2, [(1, 1, 0)]),
+            (1, 0, [(1 - t, 2, 0), (t, 3, 0)] if t else [(1, 2, 0)]),
+            *((s, 0, [(1, s, 0)]) for s in (2, 3)),
+        ]
+        return MDP.from_outcomes(rows, 1, goal=[2], unreached=-inf, start=0)
+
+    family = Family(parameters=(Parameter(name="t", value=0, low=0, high=1),), build=build)
+    each = gradient(family, exact=True)["t"]
+    assert each.left is None
+    assert each.right is not None
+    assert each.right.value == 1
+    with pytest.raises(ModelError, match="the optimal value of a state is infinite") as caught:
+        gradient(family, exact=False)
+    assert "exact=True" in caught.value.fix
+
+
+def test_a_tie_in_floats_is_refused_with_a_way_out() -> None:
+    bets = Family(
+        parameters={"t": "1/2"},
+        build=lambda at: MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [[at["t"], "1/2"], [0, 0]], 1),
+    )
+    with pytest.raises(ModelError, match="several actions are optimal") as caught:
+        gradient(bets, exact=False)
+    assert "exact=True" in caught.value.fix
+
+
+@pytest.mark.parametrize("exact", [True, False])
+@pytest.mark.parametrize("side", [-1, 1])
+def test_totals_are_finite_on_each_side_of_today_or_refused(side: int, exact: bool) -> None:
+    """On one side of 1/2 a run goes with chance (t - 1/2)² to where a policy may stay forever."""
+
+    def build(at: Any) -> MDP:
+        t = at["t"]
+        apart = max(side * (t - F(1, 2)), F(0)) ** 2
+        rows = [
+            (0, 0, [(1 - apart, 2, t), (apart, 1, t)] if apart else [(1, 2, t)]),
+            (1, 0, [(1, 1, 1)]),
+            (1, 1, [(1, 2, 1)]),
+            (2, 0, [(1, 2, 0)]),
+        ]
+        return MDP.from_outcomes(rows, at["g"], start=0)
+
+    def family(discount: object) -> Family:
+        t = Parameter(name="t", value="1/2", low=0, high=1)
+        g = Parameter(name="g", value=discount, low=0, high=1)
+        return Family(parameters=(t, g), build=build, degrees={"t": 2}, breaks={"t": ["1/2"]})
+
+    with pytest.raises(ModelError, match="next to today's value, the total may be infinite"):
+        gradient(family(1), policy=[0, 0, 0], names=["t"], exact=exact)
+    for discount, policy in ((1, [0, 1, 0]), ("1/2", [0, 0, 0])):
+        each = gradient(family(discount), policy=policy, names=["t"], exact=exact)["t"]
+        assert each.left is not None
+        assert each.right is not None
+        assert float(each.left.value) == float(each.right.value) == 1
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+@pytest.mark.parametrize("zeros", [(), (1, 2), (1, 13), (1, 2, 3, 4, 5, 6)])
+def test_the_model_next_to_today_has_all_transitions(side: int, zeros: tuple[int, ...]) -> None:
+    """A chance that is 0 today, and at some points nearby."""
+    today, degree = F(1, 2), 2 + 2 * len(zeros)
+    # Of both transitions that move; each place is next to today by k of this many parts of a side.
+    parts = 10**6 + 2 * degree
+    places = [today + side * F(k, 2 * parts) for k in zeros]
+
+    def chance(t: F) -> F:
+        return prod(((t - place) ** 2 for place in places), start=(t - today) ** 2)
+
+    def build(at: Any) -> MDP:
+        p = chance(at["t"])
+        return MDP.from_outcomes(
+            [(0, 0, [(1 - p, 1, 1), (p, 2, 1)] if p else [(1, 1, 1)]), (1, 0, [(1, 1, 0)]),
+             (2, 0, [(1, 0, 0)])],
+            1,
+        )  # fmt: skip
+
+    t = Parameter(name="t", value=today, low=0, high=1)
+    family = Family(parameters=(t,), build=build, degrees={"t": degree})
+    change = row_change(
+        family, "t", Piece(low=F(0), high=F(1), origin=today), family.at({"t": today})
+    )
+    seen = list[MDP]()
+
+    def is_finite(near: MDP) -> bool:
+        seen.append(near)
+        return False
+
+    with pytest.raises(ModelError, match="next to today's value"):
+        inner._require_finite_side(change, family.at({}), side, family, is_finite)
+    (near,) = seen
+    first = next(k for k in range(1, 10) if k not in zeros)
+    assert rows_of(near)[0][3].get(2, F(0)) == chance(today + side * F(first, 2 * parts)) > 0
+
+
+@pytest.mark.parametrize("today", [0, 1])
+def test_bounds_hold_where_the_discount_is_next_to_1(today: int) -> None:
+    """t at each step from the second on: γ / (1 - γ), in which 1 - γ is known to few digits."""
+    missed = 0
+    for k in range(1, 40):
+        discount = 1 - F(k, 3 * 2**30)
+
+        def build(at: Any, discount: F = discount) -> MDP:
+            return MDP.from_outcomes([(0, 0, [(1, 1, 0)]), (1, 0, [(1, 1, at["t"])])], discount)
+
+        found = gradient(Family(parameters={"t": today}, build=build), exact=False)["t"].value
+        assert found is not None
+        off = abs(F(found.value) - discount / (1 - discount))
+        assert off <= F(found.error)
+        missed += off > F(found.value) / 10**9
+        assert found.error < found.value / 10**4
+    # A state that is terminal today is visited 1 / (1 - γ) times, where digits are lost indeed.
+    assert (missed > 3) == (today == 0)
+
+
+def test_the_bound_is_the_sum_of_what_each_error_may_do() -> None:
+    """The formula at the top of the module, in fractions, of a policy that is held fixed."""
+    for discount in ("1/2", "99/100", 1):
+        base = LOOP.with_(discount=discount)
+        family = moving(base, {"stay": [(0, 0)]}, {"reward.4": 4})
+        names = ["stay", "reward.4", *(["discount"] if discount != 1 else [])]
+        found = gradient(family, policy=[0, 0, 0], names=names, exact=False)
+        own = evaluate(base, [0, 0, 0])
+        visits = own.chain.discounted.visits
+        rate, rows = base.discount_exact, rows_of(base)
+        stay = 1 / (1 - rate) if rate != 1 else F(1)
+        pairs = {0: 0, 1: 2, 2: 3}  # of states, the pairs that the policy takes
+        moves: dict[str, dict[int, dict[int, F]]] = {"reward.4": {}}
+        # A share of 1 more to stay takes from the others in proportion.
+        moves["stay"] = {0: {0: F(1), 1: F(-1, 2), 2: F(-1, 2)}}
+        moves["discount"] = {pair: {to: p / rate for to, p in rows[pair][3].items()}
+                             for pair in pairs.values()}  # fmt: skip
+        for name in names:
+            gained = {0: F(1, 4)} if name == "reward.4" else {}
+            bound = F(0)
+            for state, pair in pairs.items():
+                own_stay = stay if state == 2 and rate != 1 else F(1)
+                seen = F(float(visits.value[state])) * own_stay
+                doubt = F(float(visits.error[state])) * own_stay
+                size, off = gained.get(pair, F(0)), F(0)
+                for to, p in moves[name].get(pair, {}).items():
+                    size += abs(rate * p) * abs(F(float(own.value[to])))
+                    off += abs(rate * p) * F(float(own.error[to]))
+                bound += doubt * size + (seen + doubt) * off
+            number = found[name].value
+            assert number is not None
+            assert bound <= F(number.error) <= bound + F(1, 10**10)
 
 
 def test_a_checked_number_compares_as_the_number_that_was_checked() -> None:

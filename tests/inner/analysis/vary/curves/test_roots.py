@@ -1,7 +1,7 @@
 """Roots and signs of polynomials."""
 
 from fractions import Fraction
-from itertools import pairwise
+from itertools import combinations_with_replacement, pairwise
 
 import flint
 import numpy as np
@@ -148,6 +148,15 @@ def test_a_root_apart_is_a_fraction_where_its_denominator_is_small(digits: int) 
     assert (near.low, near.high) == (number, number)
 
 
+def test_fractions_of_one_digit_are_met_in_wide_intervals() -> None:
+    """No other fraction of one digit is as near to the middle; some of two digits are."""
+    for number in {F(p, q) for q in range(2, 11) for p in range(1, q)}:
+        near = Root(poly=product([number]), low=F(-1, 7), high=F(8, 7)).isolate_beyond(
+            F(-1), F(1, 150)
+        )
+        assert (near.low, near.high) == (number, number)
+
+
 def test_another_polynomial_may_have_the_root_too() -> None:
     square = flint.fmpq_poly([-2, 0, 1])
     root = Root(poly=square * product([F(3)]), low=F(1), high=F(2))
@@ -225,3 +234,48 @@ def test_a_root_at_an_end_is_not_the_one_inside() -> None:
     number = F(1, 10**13 + 1)
     near = Root(poly=product([F(0), number]), low=F(0), high=F(1)).isolate_beyond(F(-1), F(1, 100))
     assert 0 < near.low < number < near.high
+
+
+def test_a_root_is_told_to_lie_between_two_points_that_may_be_roots_too() -> None:
+    """Points on both sides of a root, the root itself, and other roots of its polynomial."""
+    rng = np.random.default_rng(11)
+    for lead in (1, -1):
+        for _ in range(20):
+            numbers = sorted(F(int(k), 24) for k in rng.choice(np.arange(1, 24), 4, replace=False))
+            poly = product([F(0), *numbers, F(1)]) * lead
+            points = [F(-1, 3), F(0), F(1), F(4, 3), *numbers]
+            points += [number + sign * F(1, 97) for number in numbers for sign in (1, -1)]
+            for root, number in zip(isolate_roots(poly, F(0), F(1)), numbers, strict=True):
+                ends = [*points, root.low, root.high]
+                for low, high in combinations_with_replacement(sorted(ends), 2):
+                    assert root.lies_between(low, high) == (low <= number <= high)
+    square = Root(poly=flint.fmpq_poly([-2, 0, 1]), low=F(1), high=F(2))
+    near = F(141421356237, 10**11)
+    assert square.lies_between(near, near + F(1, 10**11))
+    assert not square.lies_between(near - F(1, 10**11), near)
+    assert not square.lies_between(near + F(1, 10**11), F(2))
+
+
+def test_roots_are_those_of_flint() -> None:
+    """All roots of random polynomials over the complex numbers: the real ones, where they are."""
+    rng = np.random.default_rng(7)
+    for _ in range(30):
+        numbers = rng.integers(-9, 10, 6).tolist()
+        poly = flint.fmpq_poly([*numbers, 1])
+        real = [
+            (float(each.real), times)
+            for each, times in flint.fmpz_poly([*numbers, 1]).complex_roots()
+            if each.imag == 0
+        ]
+        for low, high in ((F(-10), F(10)), (F(-1), F(1, 3)), (F(1, 7), F(2))):
+            inside = sorted(x for x, _ in real if low < x < high)
+            found = [*isolate_roots(remove_double_roots(poly), low, high)]
+            assert len(found) == len(inside)
+            for root, number in zip(found, inside, strict=True):
+                near = root.isolate_beyond(low, F(1, 10**12))
+                assert float(near.low) == pytest.approx(number, rel=1e-9, abs=1e-9)
+            turning = sorted(x for x, times in real if times % 2 and low < x < high)
+            odd = [*isolate_roots(odd_part(poly), low, high)]
+            assert [float(each.narrow_to_width(F(1, 10**12)).low) for each in odd] == pytest.approx(
+                turning, rel=1e-9, abs=1e-9
+            )

@@ -3,12 +3,13 @@
 from collections.abc import Sequence
 from fractions import Fraction as F
 from itertools import islice, pairwise
-from math import prod
+from math import inf, prod
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from curved_models import KINDS, curved_model
 from flint import fmpq_poly
 from oracle import policy_values, rows_of
 
@@ -23,6 +24,7 @@ from exact_mdp.analysis.vary.curves.walk import (
     _build_section_equations,
     _find_earlier_root,
     _interpolate_values,
+    _require_finite_values,
     compute_policy_values,
     find_optimal_pairs,
     make_improper_error,
@@ -64,6 +66,40 @@ def test_values_of_a_policy_are_ratios_of_polynomials(name: str, shares: tuple[F
         d = below(to_flint(place))
         assert d > 0
         assert [from_flint(top(to_flint(place)) / d) for top in tops] == wanted
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_values_of_every_policy_are_ratios_of_polynomials(kind: str) -> None:
+    """Of three or four states, with the discount that moves beside rows and rewards."""
+    for seed in range(4):
+        model = curved_model(seed, kind)
+        section = Piece(low=F(0), high=F(1), origin=F(3, 7))
+        equations = SectionEquations(model.family(degree=3), "t", section)
+        for policy in islice(model.policies(), 3):
+            held = [[(pair, to_flint(F(1)))] for pair in policy]
+            tops, below = compute_policy_values(equations, held)
+            for t in (F(0), F(2, 9), F(4, 5), F(1)):
+                scale = from_flint(below(to_flint(t)))
+                assert scale > 0
+                values = [from_flint(top(to_flint(t))) / scale for top in tops]
+                assert values == model.value(policy, t)
+
+
+def test_a_discount_that_moves_with_the_rewards_is_interpolated() -> None:
+    """V = x / (1 - x / 2) of a state that stays, and rows that stay the same but for x."""
+
+    def build(at: dict[str, F]) -> MDP:
+        x = at["x"]
+        return MDP.from_outcomes([(0, 0, [(1, 0, x)]), (1, 0, [(1, 0, 1)])], x / 2)
+
+    equations = _build_section_equations(
+        Family(parameters={"x": "1/2"}, build=build), "x", F(0), F(1)
+    )
+    tops, below = compute_policy_values(equations, [[(k, to_flint(F(1)))] for k in range(2)])
+    for x in (F(0), F(1, 3), F(1)):
+        first, second = (from_flint(top(to_flint(x)) / below(to_flint(x))) for top in tops)
+        assert first == x / (1 - x / 2)
+        assert second == 1 + x / 2 * first
 
 
 @pytest.mark.parametrize("apart", [F(1, 100), F(1, 10**15), F(1, 10**25)])
@@ -241,10 +277,73 @@ def test_brackets_are_decimals_around_a_root_within_what_is_left() -> None:
     assert high == F(1, 4) + F(1, 10**19)
 
 
-def test_the_best_action_of_a_state_is_taken_first() -> None:
+def test_brackets_are_two_decimals_apart_at_most() -> None:
+    sweep = sweep_of(paying([[0], [-1, 2]]), F(0), F(1))
+    for number in range(2, 40):
+        square = Root(poly=fmpq_poly([-number, 0, 50]), low=F(0), high=F(1))
+        for k, (low, high) in enumerate(islice(sweep._yield_narrowing_brackets(square, F(0)), 3)):
+            assert high - low in (F(1, 10 ** (13 + 3 * k)), F(2, 10 ** (13 + 3 * k)))
+            assert 50 * low**2 <= number <= 50 * high**2
+
+
+def test_roots_of_the_best_gaps_are_near_where_their_intervals_meet() -> None:
+    """A root is near a bracket if its interval meets it, at an end at least; also if unknown."""
+    sweep = sweep_of(paying([[0], [1, 1], [2, 1]]), F(0), F(1))
+    sweep._follow_policy(np.array([2, 3]))
+    third = Root(poly=factored(F(1, 3)), low=F(1, 3), high=F(1, 3))
+    wide = Root(poly=factored(F(2, 3)), low=F(5, 8), high=F(3, 4))
+    for low, high, near in (
+        (F(0), F(1, 4), []),
+        (F(0), F(1, 3), [0]),
+        (F(1, 3), F(1, 2), [0]),
+        (F(2, 5), F(1, 2), []),
+        (F(2, 5), F(5, 8), [0]),
+        (F(3, 4), F(1), [0]),
+        (F(7, 8), F(1), []),
+    ):
+        sweep.ahead = {0: [third, wide], 1: []}
+        assert sweep._find_near_pairs(low, high) == near
+        sweep.ahead = {0: [third, wide]}
+        assert sweep._find_near_pairs(low, high) == [*near, 1]
+
+
+def test_roots_ahead_are_those_beyond_a_point() -> None:
+    """x (x - 1/4) (x - 1/2)² (x - 3/4): signs change at 1/4 and 3/4 inside."""
+    gap = factored(F(0), F(1, 4), F(1, 2), F(1, 2), F(3, 4))
+    sweep = sweep_of(paying([[0], [from_flint(-c) for c in gap.coeffs()]]), F(0), F(1))
+    sweep._follow_policy(np.array([0, 2]))
+    assert sweep._find_roots(0, F(0)) == []
+    for here, wanted in ((F(0), [F(1, 4), F(3, 4)]), (F(1, 3), [F(3, 4)]), (F(4, 5), [])):
+        sweep.ahead.clear()
+        for _ in range(2):
+            found = sweep._find_roots(1, here)
+            assert len(found) == len(wanted)
+            for root, number in zip(found, wanted, strict=True):
+                assert root.low <= number <= root.high <= root.low + F(1, 100)
+            first = sweep._find_next_root(here)
+            if wanted:
+                assert first is not None
+                assert first.is_of(factored(wanted[0]))
+            else:
+                assert first is None
+    # What is known from farther left is found anew beyond its first root.
+    sweep.ahead.clear()
+    assert len(sweep._find_roots(1, F(0))) == 2
+    assert len(sweep._find_roots(1, F(1, 2))) == 1
+
+
+def test_the_best_action_of_a_state_is_taken_first(monkeypatch: pytest.MonkeyPatch) -> None:
     sweep = sweep_of(paying([[0], [3], [1]], [[0], [1]], [[5], [2]]), F(0), F(1))
-    sweep._follow_policy(np.array([0, 3, 5, 7]))
+    followed, follow = list[list[int]](), sweep._follow_policy
+
+    def note(policy: Any) -> None:
+        followed.append(policy.tolist())
+        follow(policy)
+
+    monkeypatch.setattr(sweep, "_follow_policy", note)
+    note(np.array([0, 3, 5, 7]))
     sweep._improve_policy(F(1, 4), F(1, 2))
+    assert followed == [[0, 3, 5, 7], [1, 4, 5, 7]]
     assert sweep.policy.tolist() == [1, 4, 5, 7]
 
 
@@ -268,6 +367,7 @@ def test_the_degree_is_the_sum_of_the_greatest_of_each_state(
 
     family = Family(parameters={"x": "1/2"}, build=build, degrees={"x": 2})
     equations = _build_section_equations(family, "x", F(0), F(1))
+    assert (walk.LARGEST, walk.CYCLIC_DEGREE) == (300, 200)
     assert _bound_degree(equations) == 3
     monkeypatch.setattr(walk, "LARGEST", 3)
     monkeypatch.setattr(walk, "CYCLIC_DEGREE", 3)
@@ -390,3 +490,68 @@ def test_a_run_that_may_end_beside_the_goal_is_refused_at_discount_1() -> None:
             continue
         with pytest.raises(ModelError, match="outside the goal"):
             curve(family, "x", ("1/4", "3/4"))
+
+
+def test_what_makes_a_total_infinite_is_said_before_anything_is_computed() -> None:
+    """Steps cost 1; a policy stays, ends with chance (x - z)², or, if it may, ends for 3."""
+
+    def refusal(zero: F, pair: int | None, *, escape: bool = True) -> str:
+        def build(at: dict[str, F]) -> MDP:
+            p = (at["x"] - zero) ** 2 / 4
+            rows = [
+                (0, 0, [(1, 0, -1)]),
+                (0, 1, [(c, to, -1) for c, to in ((p, 1), (1 - p, 0)) if c]),
+            ]
+            if escape:
+                rows.append((0, 2, [(1, 1, -3)]))
+            return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])], 1)
+
+        family = Family(parameters={"x": "1/7"}, build=build, degrees={"x": 2})
+        equations = _build_section_equations(family, "x", F(0), F(1))
+        held = [[(0, to_flint(F(0))), (pair, to_flint(F(1)))], []] if pair is not None else None
+        try:
+            _require_finite_values(equations, held)
+        except ModelError as error:
+            return f"{error.where}: {error.what}"
+        return ""
+
+    where = "the total at discount 1, for some x from 0 to 1: "
+    endless = where + "from some state no policy ends, and the total is infinite"
+    held = where + "the policy held fixed never ends from some state, and its total is infinite"
+    for zero in (F(0), F(1, 3), F(1, 2), F(1), F(3, 2)):
+        outside = zero > 1
+        assert refusal(zero, None, escape=False) == ("" if outside else endless)
+        assert refusal(zero, None) == ""
+        assert refusal(zero, 0) == held
+        assert refusal(zero, 1) == ("" if outside else held)
+        assert refusal(zero, 2) == ""
+
+
+def test_a_policy_held_fixed_may_not_miss_the_goal() -> None:
+    def build(at: dict[str, F]) -> MDP:
+        x = at["x"]
+        rows = [(0, 0, [(x, 1, -1), (1 - x, 2, -1)]), (0, 1, [(1, 1, -3)]),
+                (1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 0)])]  # fmt: skip
+        return MDP.from_outcomes(rows, 1, goal=[1], unreached=-inf, start=0)
+
+    family = Family(parameters={"x": "1/2"}, build=build)
+    assert curve(family, "x", ("1/4", "3/4"), policy=[1, 0, 0]).fixed_at("1/2") == -3
+    with pytest.raises(ModelError, match="held fixed may miss the goal"):
+        curve(family, "x", ("1/4", "3/4"), policy=[0, 0, 0])
+
+
+def test_each_section_begins_with_a_policy_that_ends() -> None:
+    """Steps cost 1; the chance to end is x before 1/2 and 1 - x after: 1/x, 1/(1 - x), or 3."""
+
+    def build(at: dict[str, F]) -> MDP:
+        x = at["x"]
+        p = min(x, 1 - x)
+        rows = [(0, 0, [(1, 0, -1)]), (0, 1, [(p, 1, -1), (1 - p, 0, -1)]), (0, 2, [(1, 1, -3)])]
+        return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])], 1)
+
+    family = Family(parameters={"x": "1/4"}, build=build, breaks={"x": ["1/2"]})
+    found = curve(family, "x", ("1/8", "7/8"))
+    assert found.violations() == []
+    for x in (F(k, 16) for k in range(2, 15)):
+        assert found.at(x) == max(F(-3), -1 / min(x, 1 - x))
+    assert len(found.pieces) == 4
