@@ -309,11 +309,11 @@ def test_what_the_policy_does_not_meet_is_not_refused(exact: bool) -> None:
         t = at["t"]
         rows = [
             (0, 0, [(1, 1, 1 + 3 * t)]),
-            (0, 1, [(1 - t, 3, 0), (t, 2, 0)] if t else [(1, 3, 0)]),
-            *((1, a, [(1, 3, 2)]) for a in range(2)),
-            (2, 0, [(1, 2, 1)]),
-            (2, 1, [(1, 3, 1)]),
-            (3, 0, [(1, 3, 0)]),
+            (0, 1, [(1 - t, 2, 0), (t, 3, 0)] if t else [(1, 2, 0)]),
+            *((1, a, [(1, 2, 2)]) for a in range(2)),
+            (2, 0, [(1, 2, 0)]),
+            (3, 0, [(1, 3, 1)]),
+            (3, 1, [(1, 2, 1)]),
         ]
         return MDP.from_outcomes(rows, 1)
 
@@ -321,8 +321,9 @@ def test_what_the_policy_does_not_meet_is_not_refused(exact: bool) -> None:
     slope = gradient(family, policy=[0, 0, 0, 0], exact=exact)["t"].value
     assert slope is not None
     assert float(slope.value) == 3
-    with pytest.raises(ModelError, match="leads to a state whose total may be infinite"):
+    with pytest.raises(ModelError, match="leads to a state whose total may be infinite") as caught:
         gradient(family, policy=[1, 0, 0, 0], exact=exact)
+    assert caught.value.where == "parameter t, state 0, action 1"
 
     def begin(at: Any) -> MDP:
         t = at["t"]
@@ -369,7 +370,19 @@ def test_a_tie_in_floats_is_refused_with_a_way_out() -> None:
     )
     with pytest.raises(ModelError, match="several actions are optimal") as caught:
         gradient(bets, exact=False)
+    assert "state 0" in caught.value.where
     assert "exact=True" in caught.value.fix
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_a_policy_may_have_a_name(exact: bool) -> None:
+    half = {"state 0": {"0": "1/2", "1": "1/2"}, "state 1": "0"}
+    for name, given in (("random", half), ("always:0", [0, 0, 0])):
+        found, wanted = (gradient(NAMED, policy=each, exact=exact) for each in (name, given))
+        assert not found.reoptimised
+        assert found.start_value == wanted.start_value
+        for parameter, each in wanted.derivatives.items():
+            assert found[parameter].value == each.value
 
 
 @pytest.mark.parametrize("exact", [True, False])

@@ -194,8 +194,9 @@ def test_thresholds_are_the_roots_at_which_signs_change(
 
 def test_a_point_next_to_the_middle_is_used_where_a_chance_is_0_there() -> None:
     for low, high in ((F(0), F(1)), (F(1, 4), F(3, 4)), (F(2, 5), F(3, 5))):
-        zeros = [(low + high) / 2, low + (high - low) * F(37, 97)]
-        for many in (0, 1, 2):
+        shares = [F(1, 2), F(37, 97), F(38, 99), F(39, 101)]
+        zeros = [low + (high - low) * share for share in shares]
+        for many in (0, 1, 2, 3):
 
             def chance(x: F, count: int = many) -> F:
                 return F(1, 2) * prod(((x - zero) ** 2 for zero in zeros[:count]), start=F(1))  # noqa: B023
@@ -205,13 +206,13 @@ def test_a_point_next_to_the_middle_is_used_where_a_chance_is_0_there() -> None:
                 rows = [(0, 0, [(p, 0, 1), (1 - p, 1, 1)]), (1, 0, [(1, 1, 0)])]
                 return MDP.from_outcomes(rows, "1/2")
 
-            family = Family(parameters={"x": "9/20"}, build=build, degrees={"x": 5})
+            family = Family(parameters={"x": "9/20"}, build=build, degrees={"x": 7})
             equations = _build_section_equations(family, "x", low, high)
             origin = equations.change.piece.origin
             assert low < origin < high
             assert chance(origin) > 0
             assert (equations.low, equations.high) == (low, high)
-            assert (origin == zeros[0]) == (many == 0)
+            assert origin == zeros[many]
 
 
 # ---- parts of the walk -------------------------------------------------------------------------
@@ -286,6 +287,18 @@ def test_brackets_are_two_decimals_apart_at_most() -> None:
             assert 50 * low**2 <= number <= 50 * high**2
 
 
+def test_brackets_that_never_separate_two_thresholds_are_given_up() -> None:
+    """Of brackets that always hold both 1/3 and 1/2, 400 are looked at."""
+    sweep = sweep_of(paying([[0], [-1, 3]], [[0], [-1, 2]]), F(0), F(1))
+    sweep._follow_policy(np.array([0, 2, 4]))
+    third = Root(poly=factored(F(1, 3)), low=F(1, 3), high=F(1, 3))
+    brackets = iter([(F(1, 4), F(3, 4))] * 500)
+    with pytest.raises(RuntimeError, match="cannot be separated"):
+        sweep._cross_root(third, brackets)
+    assert len([*brackets]) == 100
+    assert sweep.policy.tolist() == [0, 2, 4]
+
+
 def test_roots_of_the_best_gaps_are_near_where_their_intervals_meet() -> None:
     """A root is near a bracket if its interval meets it, at an end at least; also if unknown."""
     sweep = sweep_of(paying([[0], [1, 1], [2, 1]]), F(0), F(1))
@@ -353,27 +366,27 @@ def test_the_best_action_of_a_state_is_taken_first(monkeypatch: pytest.MonkeyPat
 def test_the_degree_is_the_sum_of_the_greatest_of_each_state(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """2 of state 0 (a reward of its second pair), 1 of state 1 (a chance), 0 of state 2."""
+    """3 of state 0 (a reward of its second pair), 1 of state 1 (a chance), 0 of state 2."""
 
     def build(at: dict[str, F]) -> MDP:
         x = at["x"]
         rows = [
-            (0, 0, [(1, 1, x)]),
-            (0, 1, [(1, 0, x * x)]),
+            (0, 0, [(1, 1, 2)]),
+            (0, 1, [(1, 0, x**3)]),
             (1, 0, [(x, 0, 0), (1 - x, 2, 0)]),
             (2, 0, [(1, 1, 1)]),
         ]
         return MDP.from_outcomes(rows, "1/2")
 
-    family = Family(parameters={"x": "1/2"}, build=build, degrees={"x": 2})
+    family = Family(parameters={"x": "1/2"}, build=build, degrees={"x": 3})
     equations = _build_section_equations(family, "x", F(0), F(1))
     assert (walk.LARGEST, walk.CYCLIC_DEGREE) == (300, 200)
-    assert _bound_degree(equations) == 3
+    assert _bound_degree(equations) == 4
     monkeypatch.setattr(walk, "LARGEST", 3)
+    monkeypatch.setattr(walk, "CYCLIC_DEGREE", 4)
+    assert _bound_degree(equations) == 4
     monkeypatch.setattr(walk, "CYCLIC_DEGREE", 3)
-    assert _bound_degree(equations) == 3
-    monkeypatch.setattr(walk, "CYCLIC_DEGREE", 2)
-    with pytest.raises(ModelError, match="degree 3"):
+    with pytest.raises(ModelError, match="degree 4"):
         _bound_degree(equations)
     monkeypatch.setattr(walk, "LARGEST", 2)
     with pytest.raises(ModelError, match="3 states with cycles"):
