@@ -87,13 +87,13 @@ def test_values_of_every_policy_are_ratios_of_polynomials(kind: str) -> None:
 
 @pytest.mark.parametrize("moves", ["rewards", "rows"])
 def test_a_discount_may_move_with_rewards_or_with_rows(moves: str) -> None:
-    """x at each step, half of the steps in the other state, or x of them, at discount x / 2."""
+    """Earn x and stay with 1/2, or earn 1 and stay with x, at discount x / 2."""
 
     def build(at: dict[str, F]) -> MDP:
         x = at["x"]
         earned, stay = (x, F(1, 2)) if moves == "rewards" else (F(1), x)
         return MDP.from_outcomes(
-            [(0, 0, [(stay, 0, earned), (1 - stay, 1, earned)]), (1, 0, [(1, 0, 1)])], x / 2
+            [(0, 0, [(stay, 0, earned), (1 - stay, 1, earned)]), (1, 0, [(1, 0, 3)])], x / 2
         )
 
     family = Family(parameters={"x": "1/2"}, build=build, degrees={"x": 2})
