@@ -85,21 +85,37 @@ def test_values_of_every_policy_are_ratios_of_polynomials(kind: str) -> None:
                 assert values == model.value(policy, t)
 
 
-def test_a_discount_that_moves_with_the_rewards_is_interpolated() -> None:
-    """V = x / (1 - x / 2) of a state that stays, and rows that stay the same but for x."""
+@pytest.mark.parametrize("moves", ["rewards", "rows"])
+def test_a_discount_may_move_with_rewards_or_with_rows(moves: str) -> None:
+    """Earn x and stay with 1/2, or earn 1 and stay with x, at discount x / 2."""
 
     def build(at: dict[str, F]) -> MDP:
         x = at["x"]
-        return MDP.from_outcomes([(0, 0, [(1, 0, x)]), (1, 0, [(1, 0, 1)])], x / 2)
+        earned, stay = (x, F(1, 2)) if moves == "rewards" else (F(1), x)
+        return MDP.from_outcomes(
+            [(0, 0, [(stay, 0, earned), (1 - stay, 1, earned)]), (1, 0, [(1, 0, 3)])], x / 2
+        )
 
-    equations = _build_section_equations(
-        Family(parameters={"x": "1/2"}, build=build), "x", F(0), F(1)
-    )
+    family = Family(parameters={"x": "1/2"}, build=build, degrees={"x": 2})
+    equations = _build_section_equations(family, "x", F(1, 9), F(8, 9))
     tops, below = compute_policy_values(equations, [[(k, to_flint(F(1)))] for k in range(2)])
-    for x in (F(0), F(1, 3), F(1)):
-        first, second = (from_flint(top(to_flint(x)) / below(to_flint(x))) for top in tops)
-        assert first == x / (1 - x / 2)
-        assert second == 1 + x / 2 * first
+    for x in (F(1, 9), F(1, 3), F(5, 7)):
+        values = [from_flint(top(to_flint(x)) / below(to_flint(x))) for top in tops]
+        assert values == policy_values(rows_of(family.at({"x": x})), x / 2)
+
+
+def test_values_along_the_discount_alone_are_ratios_of_polynomials() -> None:
+    for seed in range(4):
+        mdp = curved_model(seed, "cyclic").family("1/3").at({})
+        section = Piece(low=F(1, 4), high=F(3, 4), origin=F(1, 2))
+        equations = SectionEquations(parametric(mdp), "discount", section)
+        policy = mdp.pair_offsets[:-1].tolist()
+        tops, below = compute_policy_values(equations, [[(l, to_flint(F(1)))] for l in policy])
+        for rate in (F(1, 4), F(2, 5), F(3, 4)):
+            scale = from_flint(below(to_flint(rate)))
+            assert scale > 0
+            values = [from_flint(top(to_flint(rate))) / scale for top in tops]
+            assert values == policy_values(rows_of(mdp, policy), rate)
 
 
 @pytest.mark.parametrize("apart", [F(1, 100), F(1, 10**15), F(1, 10**25)])
