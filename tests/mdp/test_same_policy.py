@@ -6,6 +6,7 @@ its weights are worked out here without the code that reads policies, its regret
 """
 
 import json
+import warnings
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from fractions import Fraction
@@ -249,7 +250,9 @@ def texts(things: list[Any]) -> list[str]:
 def agrees(case: Case, name: str, form: Any, *, has_to: bool = False) -> bool:
     """Whether a form is read as the policy that it is; False where it is refused."""
     try:
-        policy = Policy.of(case.model, form)
+        with warnings.catch_warnings():  # a grid may have more states than the model
+            warnings.filterwarnings("ignore", message=r"\d+ of \d+ rows are not read")
+            policy = Policy.of(case.model, form)
     except (ModelError, LookupError, StopIteration, TypeError) as error:
         refused = isinstance(error, ModelError) and bool(error.fix)
         if has_to or not (refused or callable(form)):  # a function may raise an error of its own

@@ -139,15 +139,25 @@ def _by_pair(
 
 
 def _find_unreached(space: StateSpace, states: Collection[Any]) -> dict[Any, None]:
-    """Return the tuples and numbers that are not states of a model that was made from objects.
+    """Return the states of a whole grid that a model made from tuples or numbers does not have.
 
-    If all are unknown, none is returned: they are mistakes, which are refused.
+    If all are unknown, none is returned: they are mistakes, which are refused. Numbers may also
+    count the states of the model, so they are a grid only if all of its states are among them.
     """
+    objects: tuple[Any, ...] = ()
+    if len(space.columns) == 1:
+        objects = space.columns[0].objects
+    kind: Any = tuple
+    if objects and all(isinstance(thing, int | np.integer) for thing in objects):
+        kind = int | np.integer
+        if not {*objects} <= {*states}:
+            return {}
+    if not objects or not all(isinstance(thing, kind) for thing in objects):
+        return {}
     others = dict[Any, None]()
-    if len(space.columns) == 1 and space.columns[0].objects:
-        for state in states:
-            if isinstance(state, tuple | int | np.integer) and not space.lookup.can_find(state):
-                others[state] = None
+    for state in states:
+        if isinstance(state, kind) and not space.lookup.can_find(state):
+            others[state] = None
     if len(others) == len(states):
         return {}
     return others

@@ -25,7 +25,6 @@ def test_options_of_an_environment_on_the_command_line(tmp_path: Path) -> None:
         ({"is_slippery": "False"}, {"is_slippery": False}),
         ({"is_slippery": "false", "map_name": "8x8"}, {"is_slippery": False, "map_name": "8x8"}),
         ({"desc": '["SFF", "FHG"]'}, {"desc": ["SFF", "FHG"]}),
-        ({"success_rate": "0.5"}, {"success_rate": 0.5}),
     ]
     for words, given in options:
         path = tmp_path / "m.npz"
