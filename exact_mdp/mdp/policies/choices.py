@@ -152,7 +152,7 @@ def _find_unreached(space: StateSpace, states: Collection[Any]) -> dict[Any, Non
         kind = int | np.integer
         if not {*objects} <= {*states}:
             return {}
-    if not objects or not all(isinstance(thing, kind) for thing in objects):
+    if not any(isinstance(thing, kind) for thing in objects):
         return {}
     others = dict[Any, None]()
     for state in states:
