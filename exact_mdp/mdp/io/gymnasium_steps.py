@@ -1,7 +1,7 @@
 """Models of environments that have step() but no table: each step is taken in a copy.
 
 This needs an environment that is deterministic given its state, and shows this state. So it is
-refused, with what to do, if reset() or step() draws a random number that matters, if two copies
+refused, with what to do, if reset() or step() draws a random number, if two copies
 differ after the same action, or if an attribute (a key that was found, a count of steps) has two
 values at the same observation. A terminated step leads to the state "end".
 """
@@ -50,8 +50,14 @@ class CopiedEnvironment:
         env = self._copy(env)
         with keep_random_state():
             for seed in range(STARTS):
+                before = _save_generators(_leave_out_seeded(dict(_list_parts(env))))
                 seen, _ = self._call("reset()", env.reset, seed=seed)
-                self.start = self._enter_state(seen, env, dict(_list_parts(env)))
+                parts = dict(_list_parts(env))
+                # A rare start may not be among these resets: none may draw at all.
+                drawn = _save_generators(_leave_out_seeded(parts)) != before
+                if drawn or _draws_after_seed(env, seed):
+                    raise self._error("reset() draws random numbers")
+                self.start = self._enter_state(seen, env, parts)
         if len(self.copies) > 1:
             raise self._error(f"episodes begin in {len(self.copies)} or more states")
 
@@ -144,6 +150,20 @@ def _list_parts(
         return  # an object that contains itself
     for name, part in parts:
         yield from _list_parts(part, f"{place}.{name}".lstrip("."), around | {id(thing)})
+
+
+def _leave_out_seeded(parts: Parts) -> Parts:
+    """Return the parts without the generator that `reset(seed=…)` makes anew."""
+    return {place: part for place, part in parts.items() if place.rpartition(".")[2] not in SEEDS}
+
+
+def _draws_after_seed(env: Any, seed: int) -> bool:
+    """Return whether Gymnasium's generator of an environment was used after it got a seed."""
+    own = getattr(getattr(env, "unwrapped", env), "_np_random", None)
+    if not isinstance(own, np.random.Generator):
+        return False
+    fresh = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)))
+    return bool(own.bit_generator.state != fresh.bit_generator.state)
 
 
 def _save_generators(parts: Parts) -> bytes:

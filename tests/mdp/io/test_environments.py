@@ -163,6 +163,8 @@ class Maze(gymnasium.Env[Any, int]):
         self.place, self.key = (0, 0), False
         if "random start" in self.traps:
             self.place = (int(self.np_random.integers(self.n)), 0)
+        if "rare start" in self.traps and self.np_random.random() < 1e-9:
+            self.place = (1, 0)
         return self.seen(), {}
 
     def step(self, action: int) -> Any:
@@ -224,7 +226,8 @@ TRAPS: list[tuple[dict[str, Any], str]] = [
     ({"dice": 0}, "draws random numbers"),
     ({"dice": 1}, "draws random numbers"),
     ({"global": True}, "draws random numbers"),
-    ({"random start": True}, "episodes begin in"),
+    ({"random start": True}, "reset() draws random numbers"),
+    ({"rare start": True}, "reset() draws random numbers"),
     ({"counted": True}, "steps has two values in state (0, 0)"),
     ({"key": True}, "key has two values in state"),
     ({"floats": True}, "not whole numbers"),
