@@ -25,7 +25,7 @@ from exact_mdp.mdp.questions.horizon import describe_time_limit
 from exact_mdp.mdp.questions.origin import Question
 from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.mdp.sense import Sense
-from exact_mdp.solvers.solver import Criterion, is_average, require_no_horizon
+from exact_mdp.solvers.arguments import Criterion, is_average, require_no_horizon
 from exact_mdp.solvers.values.policy_chain import policy_of
 
 OF_CARE = "gymnasium:icu_sepsis"  # a model of care that is not a scenario
