@@ -51,7 +51,8 @@ class Questions(Parts):
         Parameters
         ----------
         label : str
-            One of `labels`.
+            One of `labels`, or an expression over labels and state variables, "x=3 & y>1": see
+            `mdp.questions.expressions`.
         allowed : str, optional
             The label of the states that a run may pass through; all by default.
 
@@ -86,7 +87,7 @@ class Questions(Parts):
         Parameters
         ----------
         label : str
-            One of `labels`.
+            One of `labels`, or an expression as in `reaching`.
         reward : str, optional
             The reward component that counts; the whole reward by default.
 
@@ -110,8 +111,36 @@ class Questions(Parts):
         """
         model = self
         if reward is not None:
-            model = reduce_model(self, Component(reward))
+            model = self.earning(reward)
         return keep_origin(reduce_model(model, Until(label)), model, "until", label=label)
+
+    def earning(self, component: str) -> Self:
+        """Return the model that earns one component of the reward alone.
+
+        Parameters
+        ----------
+        component : str
+            One of `component_names`.
+
+        Returns
+        -------
+        MDP
+
+        Raises
+        ------
+        ModelError
+            If there is no such component.
+
+        Examples
+        --------
+        >>> from exact_mdp import MDP
+        >>> from exact_mdp import certify
+        >>> parts = {"time": [1, 0], "toll": [3, 0]}
+        >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]]], [4, 0], components=parts)
+        >>> certify(mdp).start_value, certify(mdp.earning("toll")).start_value
+        (Fraction(4, 1), Fraction(3, 1))
+        """
+        return reduce_model(self, Component(component))
 
     def within(self, steps: int, *, terminal_value: object = None) -> Self:
         """Return the model of episodes that stop after N steps.

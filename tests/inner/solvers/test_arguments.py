@@ -1,4 +1,4 @@
-"""A model is taken as an object, a scenario or a file; criteria are refused where they ask nothing."""
+"""A model is an object, a scenario or a file; a criterion is refused where it asks nothing."""
 
 from pathlib import Path
 
