@@ -35,6 +35,7 @@ from exact_mdp.mdp.errors import (
 from exact_mdp.mdp.forms.long_table import FromFrame
 from exact_mdp.mdp.forms.names import ByNumber, Names, text_of
 from exact_mdp.mdp.forms.numbers import whole_numbers
+from exact_mdp.mdp.forms.steps import FromSteps
 from exact_mdp.mdp.io.gymnasium import FromGymnasium
 from exact_mdp.mdp.io.transitions import FromTransitions
 from exact_mdp.mdp.questions import Questions
@@ -72,7 +73,7 @@ the change made for one value of a parameter is the change made for every other.
 
 
 @dataclass(frozen=True, eq=False)
-class MDP(ByFields, FromTransitions, FromGymnasium, FromFrame, Questions):
+class MDP(ByFields, FromTransitions, FromGymnasium, FromFrame, FromSteps, Questions):
     """A frozen, validated finite MDP with S states, A actions and L state-action pairs.
 
     Build one with `MDP.from_arrays`, `from_pairs`, `from_outcomes`, `from_function`,
