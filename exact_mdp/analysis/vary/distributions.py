@@ -45,7 +45,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, TypeAlias
+from types import MappingProxyType
+from typing import Any, Self, TypeAlias
 from zlib import crc32
 
 import numpy as np
@@ -368,6 +369,20 @@ class Uncertainty(Brief):
     def __post_init__(self) -> None:
         check_names(self.names, "drawn parameter", where="uncertainty")
 
+    @classmethod
+    def of_sample(
+        cls, names: Sequence[str], sample: Floats, fixed: Mapping[str, str] = MappingProxyType({})
+    ) -> Self:
+        """Return the uncertainty of a given sample (D, Q) of the parameters `names`."""
+        spread = np.zeros(len(names))
+        if len(sample) > 1:
+            spread = sample.std(axis=0, ddof=1)
+        parts = []
+        for n, m, s in zip(names, sample.mean(axis=0).tolist(), spread.tolist(), strict=True):
+            moments: Any = {"mean": (m,), "sd": (s,)}
+            parts.append(Uncertain(names=(n,), kind="sample", numbers=(), label=n, **moments))
+        return cls(parts=tuple(parts), fixed=fixed, sample=sample)
+
     @property
     def names(self) -> tuple[str, ...]:
         """The Q parameters that are drawn, in the order of the draws' columns."""
@@ -508,15 +523,8 @@ def _of_sample(model: Parametric, frame: Any) -> Uncertainty:
         fix = f"give {{name: settings}}, or {SAMPLE}"
         raise ModelError(f"{type(frame).__name__} is given", where="uncertain", fix=fix)
     names = tuple(frame.columns)
-    sample = read_points(model, frame).astype(float)
-    spread = np.zeros(len(names))
-    if len(sample) > 1:
-        spread = sample.std(axis=0, ddof=1)
-    parts = []
-    for n, m, s in zip(names, sample.mean(axis=0).tolist(), spread.tolist(), strict=True):
-        parts.append(Uncertain(names=(n,), kind="sample", numbers=(), mean=(m,), sd=(s,), label=n))
     fixed = {p.name: "not in the sample" for p in model.parameters if p.name not in names}
-    return Uncertainty(parts=tuple(parts), fixed=fixed, sample=sample)
+    return Uncertainty.of_sample(names, read_points(model, frame).astype(float), fixed)
 
 
 def _read_parameter_distribution(

@@ -21,29 +21,42 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from exact_mdp.analysis.vary.distributions import Stated, Uncertainty, drawn_family, uncertainty
-from exact_mdp.analysis.vary.information import PartialInformation, estimate_evpi, estimate_evppi
+from exact_mdp.analysis.vary.information import estimate_evpi, estimate_evppi
 from exact_mdp.analysis.vary.psa import groups_of, sample_parameters
 from exact_mdp.analysis.vary.study import ModelSolver
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, require_known_name
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric import Parametric, parametric
+from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.questions.origin import Question
 from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame, frame_to_table
-from exact_mdp.mdp.table import Floats
-from exact_mdp.mdp.validate import RNG, seed_of
+from exact_mdp.mdp.table import Floats, float_of
+from exact_mdp.mdp.validate import RNG, as_discount, seed_of
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT
 from exact_mdp.solvers.claims import Claim
 
 EFFICIENT, EQUAL = "efficient", "equal to {}"
 DOMINATED, EXTENDED = "dominated", "extendedly dominated"
+REFERENCE, DOMINATES = "reference", "dominates"
+COMPARED = {  # signs of incremental cost and effect
+    (1, 1): "more cost, more effect",
+    (-1, -1): "less cost, less effect",
+    (-1, 0): DOMINATES,
+    (-1, 1): DOMINATES,
+    (0, 1): DOMINATES,
+    (1, 0): DOMINATED,
+    (1, -1): DOMINATED,
+    (0, -1): DOMINATED,
+}
+MIDDLE = (0.025, 0.975)  # the quantiles between which 95 % of the draws lie
 STEP = ("incremental cost", "incremental effect", "ICER")
 WTP = "willingness to pay"
 BASE = "held in the base case"
@@ -62,16 +75,67 @@ class CostEffectiveness(Pictured):
     effect: Floats
     cost: Floats
     components: tuple[str, str]  # names of effect and cost
-    seed: int
+    seed: int | None  # of the draws; None for draws from elsewhere
     effect_error: Floats | float = 0.0  # (D, N)
     cost_error: Floats | float = 0.0
 
     claim = Claim.ESTIMATED
 
+    @classmethod
+    def of(cls, cost: Any, effect: Any, parameters: Any = None) -> Self:
+        """Return the analysis of costs and effects from elsewhere, such as another model's draws.
+
+        Parameters
+        ----------
+        cost, effect : DataFrame or {strategy: numbers}
+            A column for each of N strategies and a row for each of D draws; one number for each
+            strategy is a base case.
+        parameters : DataFrame or {parameter: numbers}, optional
+            The parameters of the draws, for `evppi`.
+
+        Returns
+        -------
+        CostEffectiveness
+
+        Raises
+        ------
+        ModelError
+            If columns or rows differ, and for numbers that are not finite.
+
+        Examples
+        --------
+        >>> costs = {"usual": 1000, "new": 2500, "old": 1200}
+        >>> table = CostEffectiveness.of(costs, {"usual": 2, "new": 2.5, "old": 1.9}).icers()
+        >>> table["ICER"].tolist(), table["by"].tolist()
+        ([nan, nan, 3000.0], ['', 'usual', ''])
+        """
+        costs, effects = _read_table(cost, "cost"), _read_table(effect, "effect")
+        if [*costs] != [*effects]:
+            only = [name for name in (*costs, *effects) if (name in costs) != (name in effects)]
+            what = f"costs and effects of other strategies: {', '.join(only) or 'another order'}"
+            raise ModelError(what, where="effect", fix="give both the same columns")
+        given = {} if parameters is None else _read_table(parameters, "parameters")
+        lengths = {len(each) for each in (*costs.values(), *effects.values(), *given.values())}
+        if len(lengths) > 1:
+            what = f"tables of {' and '.join(map(str, sorted(lengths)))} rows"
+            raise ModelError(what, where="cost", fix="give all of them one row for each draw")
+        sample = np.empty((*lengths, 0))
+        if given:
+            sample = np.stack([*given.values()], axis=1)
+        return cls(
+            strategies=tuple(costs),
+            uncertainty=Uncertainty.of_sample(tuple(given), sample),
+            draws=sample,
+            effect=np.array([*effects.values()]).T,
+            cost=np.array([*costs.values()]).T,
+            components=("effect", "cost"),
+            seed=None,
+        )
+
     @property
     def base_case(self) -> bool:
         """Whether nothing is drawn, so all numbers are for today's values."""
-        return not self.uncertainty.parts
+        return len(self.draws) == 1 and not self.uncertainty.parts
 
     def __repr__(self) -> str:
         if self.base_case:
@@ -129,49 +193,81 @@ class CostEffectiveness(Pictured):
         own = value[:, best : best + 1]
         return np.where(np.abs(value - own) <= error + error[:, best : best + 1], own, value)
 
-    def evpi(self, wtp: ArrayLike) -> Any:
-        """Return the value of knowing all parameters before choosing; a list for several `wtp`."""
+    def evpi(self, wtp: ArrayLike, population: float = 1) -> Any:
+        """Return the value of knowing all parameters before choosing; a list for several `wtp`.
+
+        It is that of one person, times the `population` for whom is decided. People of later years
+        are discounted: 500 a year for ten years are sum(500 * 0.97**t for t in range(10)).
+        """
+        people = float_of(population, "population")
         prices = _parse_prices(wtp)
-        if prices.ndim == 0:
-            return estimate_evpi(self._equalise_ties(float(prices)))
-        return [estimate_evpi(self._equalise_ties(each)) for each in prices.tolist()]
+        every = [
+            estimate_evpi(people * self._equalise_ties(each))
+            for each in np.atleast_1d(prices).tolist()
+        ]
+        return every if prices.ndim else every[0]
 
-    def evppi(
-        self, wtp: float, groups: Mapping[str, Sequence[str]] | None = None
-    ) -> dict[str, PartialInformation]:
-        """Return the value of knowing groups of parameters, by default as in `PSA.evppi`."""
-        value = self._equalise_ties(parse_price(wtp))
-        found = {}
-        for label, names, columns in groups_of(self.uncertainty, groups):
-            found[label] = estimate_evppi(value, self.draws[:, columns], names)
-        return found
+    def evppi(self, wtp: ArrayLike, groups: Mapping[str, Sequence[str]] | None = None) -> Any:
+        """Return {group: value of knowing its parameters}; a list of these for several `wtp`.
 
-    def icers(self) -> DataFrame:
+        Groups are by default as in `PSA.evppi`; each value is a `PartialInformation`.
+        """
+        prices, parts = _parse_prices(wtp), groups_of(self.uncertainty, groups)
+        every = []
+        for price in np.atleast_1d(prices).tolist():
+            value = self._equalise_ties(price)
+            every.append({
+                label: estimate_evppi(value, self.draws[:, columns], names)
+                for label, names, columns in parts
+            })  # fmt: skip
+        return every if prices.ndim else every[0]
+
+    def icers(self, reference: str | None = None) -> DataFrame:
         """Return mean cost, effect and ICER of every strategy, the cheapest first.
 
         Each is compared with the one before it on the efficient frontier. A strategy that is not on
-        the frontier has no ICER, and `status` says why: it is dominated, extendedly dominated, or
-        equal to a strategy named before it.
+        the frontier has no ICER, and `status` says why: it is dominated, or extendedly dominated,
+        `by` the strategies named; or equal to a strategy named before it. With draws there are the
+        limits between which 95 % of the costs and effects lie.
+
+        Parameters
+        ----------
+        reference : str, optional
+            Compare every strategy with this one instead, such as usual care. The ICER is then what
+            a unit of effect costs, or what giving one up saves; `status` says which.
         """
         cost = _Means.of(self.cost, self.cost_error)
         effect = _Means.of(self.effect, self.effect_error)
-        status = _classify_strategies(cost, effect, self.strategies)
-        rows = data_frame(
-            {
-                "strategy": self.strategies,
-                "cost": cost.value,
-                "effect": effect.value,
-                **dict.fromkeys(STEP, np.nan),
-                "status": status,
-            }
-        )
-        # The ICER of each efficient strategy, against the efficient one before it.
-        efficient = [n for n, said in enumerate(status) if said == EFFICIENT]
-        efficient.sort(key=lambda n: float(cost.value[n]))
-        for one, other in pairwise(efficient):
-            more, _ = cost.compute_difference(other, one)
-            gained, _ = effect.compute_difference(other, one)
-            rows.loc[other, list(STEP)] = [more, gained, more / gained]
+        columns: dict[str, Any] = {"strategy": self.strategies}
+        for name, mean, each in (("cost", cost, self.cost), ("effect", effect, self.effect)):
+            columns[name] = mean.value
+            if not self.base_case:
+                low, high = np.quantile(each, MIDDLE, axis=0)
+                columns |= {f"{name} low": low, f"{name} high": high}
+        columns |= dict.fromkeys(STEP, np.nan)
+        if reference is None:
+            columns["status"] = _classify_strategies(cost, effect, self.strategies)
+            rows = data_frame(columns)
+            # The ICER of each efficient strategy, against the efficient one before it.
+            efficient = [n for n, said in enumerate(columns["status"]) if said == EFFICIENT]
+            efficient.sort(key=lambda n: float(cost.value[n]))
+            rows["by"] = _find_dominating(
+                cost, effect, columns["status"], efficient, self.strategies
+            )
+            for one, other in pairwise(efficient):
+                rows.loc[other, list(STEP)] = _compare_strategies(cost, effect, other, one)
+        else:
+            require_known_name(reference, self.strategies, "strategy", "reference")
+            one, rows = self.strategies.index(reference), data_frame(columns)
+            said = [REFERENCE] * len(self.strategies)
+            for other in {*range(len(said))} - {one}:
+                signs = cost.compare_means(other, one), effect.compare_means(other, one)
+                said[other] = COMPARED.get(signs, EQUAL.format(reference))
+                more, gained, ratio = _compare_strategies(cost, effect, other, one)
+                if 0 in signs or signs[0] != signs[1]:
+                    ratio = np.nan
+                rows.loc[other, list(STEP)] = [more, gained, ratio]
+            rows["status"] = said
         return rows.sort_values(["cost", "effect"], ascending=[True, False], ignore_index=True)
 
     def report(self) -> Report:
@@ -280,6 +376,30 @@ def _classify_strategies(cost: _Means, effect: _Means, names: Sequence[str]) -> 
     return status
 
 
+def _find_dominating(
+    cost: _Means, effect: _Means, status: Sequence[str], efficient: Sequence[int],
+    names: Sequence[str],
+) -> list[str]:  # fmt: skip
+    """Return by which strategies each one is dominated, if it is; efficient ones go first."""
+    found = [""] * len(names)
+    for n, said in enumerate(status):
+        if said == DOMINATED:
+            others = [m for m in (*efficient, *range(len(names))) if m != n]
+            cheaper = [m for m in others if cost.compare_means(m, n) <= 0]
+            found[n] = next(names[m] for m in cheaper if effect.compare_means(m, n) >= 0)
+        elif said == EXTENDED:
+            after = next(k for k, m in enumerate(efficient) if effect.compare_means(m, n) > 0)
+            found[n] = f"{names[efficient[after - 1]]} and {names[efficient[after]]}"
+    return found
+
+
+def _compare_strategies(cost: _Means, effect: _Means, other: int, one: int) -> list[float]:
+    """Return incremental cost, incremental effect and their ratio; NaN for equal effects."""
+    more, _ = cost.compute_difference(other, one)
+    gained, _ = effect.compute_difference(other, one)
+    return [more, gained, more / gained if gained else np.nan]
+
+
 def _is_icer_rising(cost: _Means, effect: _Means, first: int, middle: int, last: int) -> bool:
     """Return whether the ICER is surely smaller from first to middle than from middle to last.
 
@@ -306,6 +426,26 @@ def _parse_prices(wtp: ArrayLike) -> Floats:
     return prices
 
 
+def _read_table(given: Any, where: str) -> dict[str, Floats]:
+    """Return the columns of a table, or {name: numbers}, as floats (D,) by name."""
+    if not isinstance(given, Mapping) and not hasattr(given, "columns"):
+        fix = "give a DataFrame, or {name: numbers}"
+        raise ModelError(f"{type(given).__name__} is no table", where=where, fix=fix)
+    columns = {}
+    for name in given:
+        numbers = np.atleast_1d(np.asarray(given[name]))
+        try:
+            columns[str(name)] = numbers.astype(float)
+        except (TypeError, ValueError):
+            numbers = np.empty((0, 0))
+        if numbers.ndim != 1 or not numbers.size or not np.isfinite(columns[str(name)]).all():
+            fix = "give one finite number, or one for each draw"
+            raise ModelError("not a list of numbers", where=f"{where} of {name}", fix=fix)
+    if not columns:
+        raise ModelError("no column", where=where, fix="give one for each strategy")
+    return columns
+
+
 def parse_price(wtp: ArrayLike) -> float:
     """Return one willingness to pay, checked."""
     prices = _parse_prices(wtp)
@@ -323,6 +463,7 @@ def cost_effectiveness(
     cost: str = "cost",
     rng: RNG = 0,
     uncertain: Stated | None = None,
+    discount: Mapping[str, object] | None = None,
 ) -> CostEffectiveness:
     """Draw the parameters, and compute cost and effect of every strategy in every draw.
 
@@ -341,6 +482,8 @@ def cost_effectiveness(
     uncertain : {name: settings}, pandas.DataFrame, file or Uncertainty, optional
         As for `psa`. The text of the result names the number of observations on which probabilities
         without a stated distribution are assumed to rest.
+    discount : {component: number or "p/q"}, optional
+        Discounts of cost and effect that differ from the model's own.
 
     Returns
     -------
@@ -379,16 +522,28 @@ def cost_effectiveness(
         draws = sample_parameters(family, chosen, n, seed, solver.block)
     for name in (effect, cost):
         require_known_name(name, solver.mdp.component_names, "component", "cost-effectiveness")
+    # A solver for each of the two discounts.
+    solvers = [solver, solver]
+    for name, rate in (discount or {}).items():
+        require_known_name(name, (effect, cost), "component", "discount")
+        if DISCOUNT in chosen.names:
+            fix = "hold the discount fixed, or leave discount= out"
+            raise ModelError("the discount is drawn, and given, too", where="discount", fix=fix)
+        other = family.with_question(Question("with_", {"discount": as_discount(rate)}))
+        solvers[(effect, cost).index(name)] = ModelSolver(other, chosen.names)
     # Cost and effect of each strategy, block by block, with error bounds.
-    weights = [solver.hold_policy(policy) for policy in strategies.values()]
-    every = []
-    for first in range(0, len(draws), solver.block):
-        every.append(
-            solver.compute_totals(
-                draws[first : first + solver.block], weights, (effect, cost), first
-            )
-        )
-    totals, errors = (np.concatenate(each) for each in zip(*every, strict=True))
+    held = [
+        solver.solution if isinstance(form, str) and form == "optimal" else form
+        for form in strategies.values()
+    ]
+    totals, errors = np.empty((2, len(draws), len(held), 2))
+    for each in dict.fromkeys(solvers):
+        own = [column for column in (0, 1) if solvers[column] is each]
+        names, weights = [(effect, cost)[column] for column in own], [*map(each.hold_policy, held)]
+        for first in range(0, len(draws), each.block):
+            here = slice(first, first + each.block)
+            found = each.compute_totals(draws[here], weights, names, first)
+            totals[here, :, own], errors[here, :, own] = found
     return CostEffectiveness(
         strategies=tuple(strategies),
         uncertainty=chosen,

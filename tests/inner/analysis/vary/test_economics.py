@@ -249,6 +249,121 @@ def test_the_frontier_is_what_no_strategy_and_no_mixture_dominates(block: int) -
             else:
                 assert np.isnan(steps).all()
             before = n if said[n] == "efficient" else before
+        # Those that dominate do what is said, and mixtures are those of efficient strategies.
+        for n in range(count):
+            by = [NAMES.index(name) for name in by_name.loc[NAMES[n], "by"].split(" and ") if name]
+            assert len(by) == {"dominated": 1, "extendedly dominated": 2}.get(said[n], 0)
+            if len(by) == 1:
+                assert cost[by[0]] <= cost[n]
+                assert effect[by[0]] >= effect[n]
+            if len(by) == 2:
+                (c1, c2), (e1, e2) = [cost[m] for m in by], [effect[m] for m in by]
+                assert {said[m] for m in by} == {"efficient"}
+                assert e1 < effect[n] < e2
+                assert c1 + Fraction((c2 - c1) * (effect[n] - e1), e2 - e1) <= cost[n]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_chosen_reference(seed: int) -> None:
+    analysis = random_analysis(seed)
+    rows = analysis.icers(reference="none").set_index("strategy")
+    c, e = analysis.cost.mean(axis=0), analysis.effect.mean(axis=0)
+    for n, name in enumerate(analysis.strategies):
+        more, gained, own = c[n] - c[0], e[n] - e[0], rows.loc[name]
+        if n == 0:
+            assert own["status"] == "reference"
+            continue
+        if more <= 0 <= gained:
+            expected = "dominates" if more < gained else "equal to none"
+        elif more >= 0 >= gained:
+            expected = "dominated"
+        else:
+            word = "more" if more > 0 else "less"
+            expected = f"{word} cost, {word} effect"
+        assert own["status"] == expected
+        steps = own[["incremental cost", "incremental effect"]].tolist()
+        assert steps == pytest.approx([more, gained])
+        ratio = more / gained if more * gained > 0 else np.nan
+        assert own["ICER"] == pytest.approx(ratio, nan_ok=True)
+    assert rows["cost low"].tolist() == np.quantile(analysis.cost, 0.025, axis=0)[
+        [analysis.strategies.index(name) for name in rows.index]
+    ].tolist()  # fmt: skip
+
+
+def test_costs_and_effects_from_elsewhere() -> None:
+    rng = np.random.default_rng(1)
+    draws = pd.DataFrame(rng.normal(size=(400, 2)), columns=["p.one", "p.two"])
+    effect = pd.DataFrame({"none": 0 * draws["p.one"], "some": draws["p.one"] + 0.1})
+    cost = pd.DataFrame({"none": [0.0] * 400, "some": 0.3 * draws["p.two"]})
+    given = CostEffectiveness.of(cost, effect, draws)
+    assert given.strategies == ("none", "some")
+    assert not given.base_case
+    own = analysis_of(effect, cost, draws.to_numpy())
+    for price in (0.5, 2.0):
+        assert given.evpi(price).value == own.evpi(price).value
+        ours, theirs = given.evppi(price), own.evppi(price)
+        assert ours["p.one"].regression.value == theirs["p.one"].regression.value
+        assert given.evpi(price, population=1000).value == pytest.approx(
+            1000 * own.evpi(price).value
+        )
+    both = given.evppi([0.5, 2.0], {"first": ["p.one"]})
+    assert [each["first"].regression.value for each in both] == [
+        given.evppi(price)["p.one"].regression.value for price in (0.5, 2.0)
+    ]
+    alone = CostEffectiveness.of(cost, effect)
+    assert not alone.base_case
+    assert alone.evpi(1).value == given.evpi(1).value
+    base = CostEffectiveness.of({"a": 1, "b": 3}, {"a": 1, "b": 1.5})
+    assert base.base_case
+    assert base.icers()["ICER"].tolist()[1] == 4
+    assert given.report().facts["seed"].value is None
+
+
+@pytest.mark.parametrize(
+    ("cost", "effect", "parameters", "said"),
+    [
+        ({"a": 1}, {"b": 1}, None, "other strategies: a, b"),
+        ({"a": 1, "b": 2}, {"b": 1, "a": 2}, None, "another order"),
+        ({"a": [1, 2]}, {"a": [1]}, None, "tables of 1 and 2 rows"),
+        ({"a": [1, 2]}, {"a": [1, 2]}, {"p": [1]}, "tables of 1 and 2 rows"),
+        ({"a": "much"}, {"a": 1}, None, "not a list of numbers"),
+        ({"a": np.nan}, {"a": 1}, None, "not a list of numbers"),
+        ({"a": [[1]]}, {"a": 1}, None, "not a list of numbers"),
+        ({}, {}, None, "no column"),
+        ([1, 2], [1, 2], None, "list is no table"),
+    ],
+)
+def test_bad_tables_are_refused(cost: Any, effect: Any, parameters: Any, said: str) -> None:
+    with pytest.raises(ModelError, match=said):
+        CostEffectiveness.of(cost, effect, parameters)
+
+
+def test_two_discounts_are_two_analyses() -> None:
+    """Each of the two is the analysis of the model with that discount, draw by draw."""
+
+    def build(at: Any) -> MDP:
+        P = [[1 - at["p"], at["p"]], [0, 1]]
+        parts = {"qaly": [[1, 1], [0, 0]], "cost": [[5, 9], [0, 0]]}
+        return MDP.from_arrays([P, P], [[0, 0], [0, 0]], "9/10", layout="ass", components=parts)
+
+    model = Family(parameters={"p": "1/5"}, build=build)
+    said = {"p": {"distribution": "beta", "alpha": 2, "beta": 8}}
+    strategies: Any = {"a": "always:0", "b": "always:1", "best": "optimal"}
+    both = cost_effectiveness(
+        model, strategies, 70, uncertain=said, discount={"cost": "1/2", "qaly": 1}
+    )
+    for name, rate in (("cost", "1/2"), ("effect", 1)):
+        other = model.with_question(lambda mdp, rate=rate: mdp.with_(discount=rate))
+        one = cost_effectiveness(other, {"a": "always:0", "b": "always:1"}, 70, uncertain=said)
+        assert getattr(both, name)[:, :2].tolist() == getattr(one, name).tolist()
+    only = cost_effectiveness(model, strategies, discount={"cost": 0})
+    assert only.cost.tolist()[0][:2] == [5, 9]
+    for wrong, words in (({"price": 1}, "unknown component"), ({"cost": 2}, "discount")):
+        with pytest.raises(ModelError, match=words):
+            cost_effectiveness(model, strategies, discount=wrong)
+    drawn = {"discount": {"distribution": "uniform", "low": 0.8, "high": 0.9}}
+    with pytest.raises(ModelError, match="drawn, and given, too"):
+        cost_effectiveness(build({"p": 0.5}), strategies, 5, uncertain=drawn, discount={"cost": 1})
 
 
 def test_strategies_equal_within_their_errors_are_one() -> None:
