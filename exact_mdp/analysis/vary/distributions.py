@@ -11,6 +11,8 @@ distributions:
     uniform       mean with sd or relative_sd; or low, high
     triangular    mean with sd or relative_sd, symmetric; or low, mode, high
 
+`se`, the standard error of an estimate, may stand for sd, and a gamma's rate for 1/scale. In place
+of all numbers, `interval = [low, high]` gives the 95 % interval (not of a triangular distribution).
 The mean is today's value by default. Without a named distribution, a probability (from 0 to 1) is
 beta, a number that may not be negative is gamma, and any other number is normal. A probability with
 mean m that rests on n observations is Beta(m n, (1 - m) n), of variance m (1 - m) / (n + 1);
@@ -34,7 +36,7 @@ parameters for which nothing is stated, and the discount, do not vary. A TOML fi
 
 Every part draws from a random stream of its own, seeded by its name, so that adding a part does not
 change the draws of the others. Correlated parameters are given as a table of draws, with a column
-for each.
+for each; [table, settings] gives the others their distributions.
 """
 
 from __future__ import annotations
@@ -52,6 +54,13 @@ from zlib import crc32
 import numpy as np
 from numpy.random import SeedSequence
 
+from exact_mdp.analysis.vary.interval_fits import (
+    fit_beta,
+    fit_gamma,
+    fit_lognormal,
+    fit_normal,
+    fit_uniform,
+)
 from exact_mdp.analysis.vary.ranges import flatten_entries, is_probability, unit_of
 from exact_mdp.analysis.vary.study import read_points
 from exact_mdp.mdp.errors import (
@@ -164,13 +173,20 @@ KINDS = {
 EVERY = (*KINDS, "dirichlet")
 MOMENTS = ("mean", "sd", SPREAD, SIZE)
 NUMBERS = {*MOMENTS}.union(*(kind.own for kind in KINDS.values()))
-SETTINGS = (*sorted(NUMBERS), "distribution", "fixed")
+INTERVAL = "interval"
+INTERVALS = {
+    "normal": fit_normal,
+    "lognormal": fit_lognormal,
+    "uniform": fit_uniform,
+    "gamma": fit_gamma,
+    "beta": fit_beta,
+}
+"""The functions of a 95 % interval that give a distribution's own numbers."""
+SETTINGS = (*sorted(NUMBERS), "distribution", "fixed", INTERVAL, "se", "rate")
 ELSEWHERE = {  # other names of settings and distributions, each with the remedy
-    "se": "state sd: the standard error of an estimate is the sd of its distribution",
-    "sem": "state sd: the standard error of an estimate is the sd of its distribution",
+    "sem": "state sd, or se: the standard error of an estimate",
     "std": "state sd",
     "variance": "state sd, its square root",
-    "rate": "state scale, which is 1/rate",
     "n": f"state {SIZE}",
     "multinomial": 'the probabilities of a row are a "dirichlet"',
     "binomial": 'a probability is a "beta"',
@@ -242,6 +258,42 @@ class Uncertain:
         elif SPREAD in said:
             sd = abs(mean) * said[SPREAD]
         return cls(names=(name,), kind=kind, numbers=numbers, mean=(mean,), sd=(sd,), label=name)
+
+    @classmethod
+    def of_interval(cls, name: str, kind: str, low: float, high: float) -> Uncertain:
+        """Return the distribution of a parameter whose 95 % interval is from low to high.
+
+        Parameters
+        ----------
+        name, kind : str
+            The parameter, and its distribution.
+        low, high : float
+
+        Returns
+        -------
+        Uncertain
+
+        Raises
+        ------
+        ModelError
+            If no distribution of this kind has the interval.
+
+        Examples
+        --------
+        >>> Uncertain.of_interval("relative risk", "lognormal", 0.5, 0.72).numbers[1].__round__(3)
+        0.093
+        """
+        where = f"distribution of {name}"
+        fit = INTERVALS.get(require_known_name(kind, KINDS, "distribution", where))
+        numbers: Numbers = (math.nan,)
+        if fit is not None and math.isfinite(low) and low < high < math.inf:
+            numbers = fit(low, high)
+        if not all(map(math.isfinite, numbers)):
+            fix = "give [low, high] within the range of a "
+            fix += ", ".join(INTERVALS)
+            what = f"no {kind} has the 95 % interval from {low:g} to {high:g}"
+            raise ModelError(what, where=where, fix=fix)
+        return cls.of(name, kind, **dict(zip(KINDS[kind].own, numbers, strict=True)))
 
     @classmethod
     def of_row(cls, label: str, names: Sequence[str], counts: Sequence[float]) -> Uncertain:
@@ -352,8 +404,8 @@ class Uncertainty(Brief):
     ----------
     parts : tuple of Uncertain
     fixed : {parameter name: reason}
-    sample : (D, Q) or None
-        A given sample, in the order of `names`.
+    sample : (D, K) or None
+        A given sample of the first K parameters in `names`.
     default : float
         Effective sample size of probabilities for which nothing is stated.
     assumed : tuple of str
@@ -373,7 +425,23 @@ class Uncertainty(Brief):
     def of_sample(
         cls, names: Sequence[str], sample: Floats, fixed: Mapping[str, str] = MappingProxyType({})
     ) -> Self:
-        """Return the uncertainty of a given sample (D, Q) of the parameters `names`."""
+        """Return the uncertainty of a given sample.
+
+        Parameters
+        ----------
+        names : sequence of Q str
+        sample : (D, Q) floats
+        fixed : {parameter name: reason}, optional
+
+        Returns
+        -------
+        Uncertainty
+
+        Examples
+        --------
+        >>> Uncertainty.of_sample(["p"], np.array([[0.1], [0.3]])).parts[0].mean
+        (0.2,)
+        """
         spread = np.zeros(len(names))
         if len(sample) > 1:
             spread = sample.std(axis=0, ddof=1)
@@ -402,12 +470,13 @@ class Uncertainty(Brief):
         )
 
     def draw(self, sequence: SeedSequence, count: int) -> Floats:
-        """Return the draws (count, Q)."""
-        return np.hstack([np.empty((count, 0)), *(p.draw(sequence, count) for p in self.parts)])
+        """Return the draws (count, Q - K) of the parameters that are not in the sample."""
+        drawn = [part.draw(sequence, count) for part in self.parts if part.kind != "sample"]
+        return np.hstack([np.empty((count, 0)), *drawn])
 
 
-Stated: TypeAlias = "Mapping[str, Settings] | DataFrame | Uncertainty | str | Path"
-"""Distributions by name, a sample, or the .toml file of distributions."""
+Stated: TypeAlias = "Mapping[str, Settings] | DataFrame | Uncertainty | str | Path | Sequence[Any]"
+"""Distributions by name, a sample, the .toml file of distributions, or [sample, distributions]."""
 
 
 def uncertainty(
@@ -428,7 +497,7 @@ def uncertainty(
         `fixed = True`. The longest beginning counts: `influence.anger` before `influence`. Settings
         must be the same for all entries of a row. A table is a sample of your own, with a column
         for each parameter that is drawn and a row for each draw. Or the name of a .toml file of
-        settings.
+        settings; or [table, settings], where the settings are of parameters without a column.
     default : float, optional
         Effective sample size of every probability for which nothing is stated; by default the
         file's, or 100.
@@ -462,6 +531,8 @@ def uncertainty(
             default = own
         with locate_errors(str(stated)):
             return uncertainty(model, said, default=default, names=names)
+    if isinstance(stated, list | tuple) and any(hasattr(each, "columns") for each in stated):
+        return _of_both(model, stated, default)
     if stated is not None and not isinstance(stated, Mapping):
         return _of_sample(model, stated)
 
@@ -517,6 +588,25 @@ def uncertainty(
     return Uncertainty(parts=tuple(parts), fixed=fixed, default=size, assumed=tuple(assumed))
 
 
+def _of_both(model: Parametric, given: Sequence[Any], default: float | None) -> Uncertainty:
+    """Return the uncertainty of a table of some parameters, and settings of others."""
+    tables = [each for each in given if hasattr(each, "columns")]
+    said = [each for each in given if not hasattr(each, "columns")]
+    if len(tables) != 1 or len(said) != 1:
+        fix = "give [table, {name: settings}]: one table and the settings of other parameters"
+        raise ModelError(f"{len(given)} things are given", where="uncertain", fix=fix)
+    sampled = _of_sample(model, tables[0])
+    others = [p.name for p in model.parameters if p.name not in sampled.names]
+    if isinstance(said[0], Mapping):
+        for name in said[0]:
+            if name in sampled.names:
+                fix = "leave it out of one of the two"
+                raise ModelError("a column, and settings", where=f"parameter {name}", fix=fix)
+    rest = uncertainty(model, said[0], default=default, names=others)
+    fixed = {name: why for name, why in rest.fixed.items() if name not in sampled.names}
+    return replace(rest, parts=(*sampled.parts, *rest.parts), fixed=fixed, sample=sampled.sample)
+
+
 def _of_sample(model: Parametric, frame: Any) -> Uncertainty:
     """Return the uncertainty of a given sample, a table with a column for each parameter."""
     if not hasattr(frame, "columns"):
@@ -548,6 +638,12 @@ def _read_parameter_distribution(
         usual = "gamma"
     kind = str(settings.get("distribution", usual))
     said = {key: _parse_number(settings[key], key, name) for key in settings if key in NUMBERS}
+    if INTERVAL in settings:
+        ends: Any = settings[INTERVAL]
+        if said or not isinstance(ends, list | tuple) or len(ends) != 2:
+            fix = "write interval = [low, high], without other numbers"
+            raise ModelError(f"an interval {ends!r:.60}", where=f"parameter {name}", fix=fix)
+        return Uncertain.of_interval(name, kind, *(_parse_number(x, INTERVAL, name) for x in ends))
     if not said and kind == "beta":
         said = {SIZE: default}
 
@@ -640,7 +736,22 @@ def _check_settings(name: str, settings: object) -> Settings:
     if isinstance(kind, str) and kind in ELSEWHERE:
         raise ModelError(f"unknown distribution {kind!r}", where=where, fix=ELSEWHERE[kind])
     require_known_name(kind, EVERY, "distribution", where)
-    return settings
+    return _translate_settings(settings, where)
+
+
+def _translate_settings(settings: Settings, where: str) -> Settings:
+    """Return settings with sd in place of se, and scale in place of rate."""
+    plain = dict(settings)
+    for other, own in (("se", "sd"), ("rate", "scale")):
+        if other not in plain:
+            continue
+        if own in plain:
+            raise ModelError(f"{other}, and {own}", where=where, fix="state one of the two")
+        plain[own] = plain.pop(other)
+        if other == "rate":
+            rate = float_of(plain[own], f"{where}, rate")
+            plain[own] = 1 / rate if rate else math.inf
+    return plain
 
 
 def _parse_number(value: object, key: str, name: str) -> float:

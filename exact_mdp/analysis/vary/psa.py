@@ -411,11 +411,12 @@ def sample_parameters(
             fix=f"ask for {len(sample):,} or fewer",
         )
     require_room_for_points(n, len(chosen.names), "ask for fewer draws")
-    if sample is None:
-        sample = np.concatenate([chosen.draw(*each) for each in seed_blocks(seed, n, block)])
+    drawn = np.concatenate([chosen.draw(*each) for each in seed_blocks(seed, n, block)])
+    if sample is not None:
+        drawn = np.hstack([sample[:n], drawn])
     fix = "draw finite numbers within its range: a beta stays between 0 and 1, a gamma and a "
     fix += "log-normal above 0"
-    return read_points(family, dict(zip(chosen.names, sample[:n].T, strict=True)), fix)
+    return read_points(family, dict(zip(chosen.names, drawn.T, strict=True)), fix)
 
 
 @named_options
@@ -482,7 +483,7 @@ def psa(
     # The key of saved pieces: the seed, and the distributions or the sample.
     drawn: object = [[*part.names, part.kind, *part.numbers] for part in chosen.parts]
     if chosen.sample is not None:
-        drawn = hash_policies(chosen.sample)
+        drawn = [drawn, hash_policies(chosen.sample)]
     key = {"seed": seed, "drawn": drawn}
     # Solve every draw, evaluate these policies, then the candidates that add most.
     how = How(n_jobs=n_jobs, folder=folder, progress=progress)

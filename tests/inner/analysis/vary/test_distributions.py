@@ -27,6 +27,7 @@ from exact_mdp.analysis.vary.distributions import (
     row_family,
     uncertainty,
 )
+from exact_mdp.analysis.vary.psa import sample_parameters
 
 OWN: dict[str, list[tuple[float, ...]]] = {
     "beta": [(2.0, 5.0), (0.5, 0.25), (84.0, 716.0)],
@@ -592,3 +593,74 @@ def test_rows_are_drawn_together_whatever_is_asked_of_their_model() -> None:
     for model in (family, family.with_question(negated)):
         (part,) = uncertainty(model).parts
         assert (part.kind, len(part.names)) == ("dirichlet", 2)
+
+
+# ---- intervals, standard errors, and a table with settings ---------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("kind", "ends"),
+    [("normal", (-1, 3)), ("uniform", (2, 3)), ("lognormal", (0.5, 0.72)), ("gamma", (100, 900)),
+     ("beta", (0.1, 0.3))],
+)  # fmt: skip
+def test_an_interval_is_that_of_the_draws(kind: str, ends: tuple[float, float]) -> None:
+    part = Uncertain.of_interval("p", kind, *ends)
+    drawn = part.draw(SeedSequence(1), 20_000)[:, 0]
+    for share, end in zip((0.025, 0.975), ends, strict=True):
+        assert stats.binomtest(int((drawn < end).sum()), len(drawn), share).pvalue > 1e-3
+
+
+def family_of(*names: str) -> Family:
+    known = [Parameter(name=name, value=10, low=0) for name in names]
+    return Family(parameters=tuple(known), build=lambda at: MDP.from_arrays([[[1]]], [0], 0))
+
+
+def test_settings_by_other_words() -> None:
+    model = family_of("a", "b", "c")
+    said = {
+        "a": {"interval": [5, 20]},
+        "b": {"se": 2},
+        "c": {"distribution": "gamma", "shape": 4, "rate": "1/2"},
+    }
+    first, second, third = uncertainty(model, said).parts
+    assert (first.kind, first) == ("gamma", Uncertain.of_interval("a", "gamma", 5, 20))
+    assert (second.kind, second.mean, second.sd) == ("gamma", (10,), (2,))
+    assert third.numbers == (4, 2)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"interval": [5, 20], "mean": 7}, "without other numbers"),
+        ({"interval": 5}, "write interval"),
+        ({"interval": [5]}, "write interval"),
+        ({"interval": [20, 5]}, "no gamma has the 95 % interval from 20 to 5"),
+        ({"interval": [0, 5]}, "no gamma has"),
+        ({"interval": [1, 5], "distribution": "triangular"}, "no triangular has"),
+        ({"interval": [1, "x"]}, "parameter a, interval"),
+        ({"se": 1, "sd": 1}, "state one of the two"),
+        ({"shape": 1, "rate": 0}, "a gamma with"),
+        ({"sem": 1}, "or se"),
+    ],
+)
+def test_wrong_words_of_settings_are_refused(settings: dict[str, Any], said: str) -> None:
+    with pytest.raises(ModelError, match=said):
+        uncertainty(family_of("a"), {"a": {"distribution": "gamma"} | settings})
+
+
+def test_a_table_and_settings_together() -> None:
+    model, table = family_of("a", "b", "c"), pd.DataFrame({"b": [1.0, 2, 3, 4]})
+    chosen = uncertainty(model, [table, {"a": {"sd": 2}}])
+    assert chosen.names == ("b", "a")
+    assert [*chosen.fixed] == ["c"]
+    draws = sample_parameters(model, chosen, 3, 0, 64)
+    alone = sample_parameters(model, uncertainty(model, {"a": {"sd": 2}}), 3, 0, 64)
+    assert draws[:, 0].tolist() == [1, 2, 3]
+    assert draws[:, 1].tolist() == alone[:, 0].tolist()
+    for wrong, said in (
+        ([table, {"b": {"sd": 1}}], "a column, and settings"),
+        ([table], "1 things are given"),
+        ([table, table], "2 things are given"),
+    ):
+        with pytest.raises(ModelError, match=said):
+            uncertainty(model, wrong)
