@@ -26,6 +26,7 @@ from exact_mdp.analysis.vary.curves.thresholds import thresholds as thresholds
 from exact_mdp.analysis.vary.distributions import Uncertain as Uncertain
 from exact_mdp.analysis.vary.distributions import Uncertainty as Uncertainty
 from exact_mdp.analysis.vary.distributions import uncertainty as uncertainty
+from exact_mdp.analysis.vary.economics import CostEffectiveness as CostEffectiveness
 from exact_mdp.analysis.vary.economics import cost_effectiveness as cost_effectiveness
 from exact_mdp.analysis.vary.one_way import one_way as one_way
 from exact_mdp.analysis.vary.one_way import tornado as tornado
@@ -98,6 +99,8 @@ from exact_mdp.solvers.values.returns import ReturnDistribution as ReturnDistrib
 from exact_mdp.solvers.values.returns import return_distribution as return_distribution
 from exact_mdp.solvers.values.simulate import Simulation as Simulation
 from exact_mdp.solvers.values.simulate import simulate as simulate
+from exact_mdp.solvers.values.trace import Trace as Trace
+from exact_mdp.solvers.values.trace import cohort_trace as cohort_trace
 
 def names_of(room: str) -> tuple[list[str], Callable[[str], Any]]: ...
 

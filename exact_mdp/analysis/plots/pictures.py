@@ -28,6 +28,7 @@ PICTURES: dict[str, Any] = {
     "Solution": states.plot_solution,
     "Thresholds": sensitivity.plot_thresholds,
     "Tornado": sensitivity.plot_tornado,
+    "Trace": runs.plot_trace,
     "TrainerAudit": runs.plot_trainer,
     "TwoWay": sensitivity.plot_two_way,
     "ValueFunction": sensitivity.plot_value_function,

@@ -27,6 +27,7 @@ from exact_mdp.analysis.vary.intervals import compute_wilson_interval
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.values.returns import ReturnDistribution
 from exact_mdp.solvers.values.simulate import Simulation
+from exact_mdp.solvers.values.trace import Trace
 
 MEAN: Look = {"color": "black", "linestyle": "--", "linewidth": 1}
 
@@ -49,6 +50,17 @@ def plot_return_distribution(distribution: ReturnDistribution, *, ax: Axes | Non
         ax.axvline(distribution.mean, label="mean", **MEAN)
     what = f"Distribution of the return: {title}"
     return label_axes(ax, what, x="return (reward)", y="probability")
+
+
+@apply_style
+def plot_trace(trace: Trace, *, ax: Axes | None = None) -> Axes:
+    """Draw the share of a cohort in each state over time; states without anyone are left out."""
+    ax, time = axes_or_new(ax), np.arange(len(trace.share))
+    held = np.flatnonzero(trace.share.max(axis=0) > trace.error).tolist()
+    add_lines(ax, {trace.states[number]: (time, trace.share[:, number]) for number in held})
+    ax.set_ylim(-0.02, 1.02)
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    return label_axes(ax, "Cohort trace", x="time (steps)", y="share of the cohort")
 
 
 @apply_style

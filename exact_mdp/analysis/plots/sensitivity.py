@@ -26,6 +26,7 @@ from exact_mdp.analysis.plots.style import (
     add_lines,
     apply_style,
     axes_or_new,
+    choose_line_style,
     label_axes,
     make_swatch,
     name_rows,
@@ -49,6 +50,7 @@ OUTPUT = {
     "regret": "regret of the policy held fixed",
 }
 INKS = (BLACK, *INK)
+WIDE: Look = {"color": "0.8", "linewidth": 7, "solid_capstyle": "butt"}
 
 
 def _describe_output(output: str, *, average: bool) -> str:
@@ -383,27 +385,85 @@ def plot_acceptability(draws: PSA, *, ax: Axes | None = None) -> Axes:
 
 @apply_style
 def plot_cost_effectiveness(
-    analysis: CostEffectiveness, *, wtp: float | None = None, ax: Axes | None = None
+    analysis: CostEffectiveness,
+    *,
+    wtp: float | None = None,
+    show: str = "acceptability",
+    reference: str | None = None,
+    ax: Axes | None = None,
 ) -> Axes:
-    """Draw acceptability curves over the willingness to pay; the frontier is the wide grey line.
+    """Draw an analysis of costs and effects; a willingness to pay `wtp` is marked by a line.
 
-    A willingness to pay `wtp` is marked by an upright line.
+    `show` is "acceptability": the curves, and the frontier as the wide grey line; "loss": the
+    expected loss of each strategy, of which the least is the value of perfect information; or
+    "plane": the draws against those of the `reference`, by default the first strategy, with the
+    ellipse of a normal distribution that holds 95 %.
     """
-    at, marked = analysis.grid(), None if wtp is None else parse_price(wtp)
+    require_known_name(show, ("acceptability", "loss", "plane"), "picture", "show")
+    ax = axes_or_new(ax)
+    marked = None if wtp is None else parse_price(wtp)
+    if show == "plane":
+        return _draw_plane(analysis, reference, marked, ax)
+    if reference is not None:
+        fix = 'leave it out, or draw show="plane"'
+        raise ModelError("only the plane has a reference", where="reference", fix=fix)
+    at = analysis.grid()
     if marked is not None:
         at = np.union1d(at, np.linspace(0, 1.1 * marked, len(at)))
-    ax = axes_or_new(ax)
-    frontier = [share for _, share in analysis.frontier(at)]
-    ax.plot(at, frontier, color="0.8", linewidth=7, solid_capstyle="butt", label="frontier")
-    shares = zip(analysis.strategies, analysis.acceptability(at).T, strict=True)
-    add_lines(ax, {name: (at, share) for name, share in shares}, inks=INKS)
-    if marked is not None:
         ax.axvline(marked, color="0.5", linewidth=1, label=f"{WTP} {marked:,.10g}")
-    ax.set_ylim(-0.02, 1.02)
     ax.xaxis.set_major_formatter("{x:,.10g}")
     effect, cost = analysis.components
-    x, y = f"{WTP} ({cost} per {effect})", "share of draws in which it is the best"
+    x = f"{WTP} ({cost} per {effect})"
+    if show == "loss":
+        benefits = analysis.net_benefit(at)
+        losses = (benefits.max(axis=2, keepdims=True) - benefits).mean(axis=1).T
+        ax.plot(at, losses.min(axis=0), label="EVPI", **WIDE)
+        curves = zip(analysis.strategies, losses, strict=True)
+        add_lines(ax, {name: (at, loss) for name, loss in curves}, inks=INKS)
+        ax.set_ylim(bottom=0)
+        ax.yaxis.set_major_formatter("{x:,.10g}")
+        return label_axes(ax, "Expected loss", x=x, y=f"mean loss against the best ({cost})")
+    frontier = [share for _, share in analysis.frontier(at)]
+    ax.plot(at, frontier, label="frontier", **WIDE)
+    shares = zip(analysis.strategies, analysis.acceptability(at).T, strict=True)
+    add_lines(ax, {name: (at, share) for name, share in shares}, inks=INKS)
+    ax.set_ylim(-0.02, 1.02)
+    y = "share of draws in which it is the best"
     return label_axes(ax, "Cost-effectiveness acceptability curves", x=x, y=y)
+
+
+def _draw_plane(
+    analysis: CostEffectiveness, reference: str | None, wtp: float | None, ax: Axes
+) -> Axes:
+    """Draw the draws of each strategy, less those of the reference."""
+    names = analysis.strategies
+    one = 0
+    if reference is not None:
+        one = names.index(require_known_name(reference, names, "strategy", "reference"))
+    effects = analysis.effect - analysis.effect[:, [one]]
+    costs = analysis.cost - analysis.cost[:, [one]]
+    turn = np.linspace(0, 2 * np.pi, 100)
+    circle = np.sqrt(-2 * np.log(0.05)) * np.stack([np.cos(turn), np.sin(turn)])
+    for number, name in enumerate(names):
+        if number == one:
+            continue
+        look = choose_line_style(number, INKS)
+        x, y = effects[:, number], costs[:, number]
+        ax.scatter(x, y, s=6, color=look["color"], alpha=0.3, linewidth=0)
+        ax.plot(x.mean(), y.mean(), "o", color=look["color"], markeredgecolor="black", label=name)
+        if len(x) > 2:
+            # The root of the covariance takes a circle to the ellipse.
+            values, axes = np.linalg.eigh(np.cov(x, y))
+            ring = axes @ (np.sqrt(np.maximum(values, 0))[:, None] * circle)
+            ax.plot(x.mean() + ring[0], y.mean() + ring[1], **look)
+    if wtp is not None:
+        ax.axline((0, 0), slope=wtp, color="0.5", linewidth=1, label=f"{WTP} {wtp:,.10g}")
+    ax.axhline(0, color="0.8", linewidth=0.8, zorder=0)
+    ax.axvline(0, color="0.8", linewidth=0.8, zorder=0)
+    ax.yaxis.set_major_formatter("{x:,.10g}")
+    effect, cost = analysis.components
+    x_words, y_words = (f"{word} more than {names[one]}" for word in (effect, cost))
+    return label_axes(ax, "Cost-effectiveness plane", x=x_words, y=y_words)
 
 
 @apply_style
