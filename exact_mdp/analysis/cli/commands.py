@@ -84,6 +84,7 @@ MADE: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
     "Trade": {
         "tradeoff": ("trade", ("horizon", *SETS)),
         "rationalize": ("trade", (*OF_POLICY, *SETS)),
+        "ce": ("trade", ("horizon", *SETS)),
         "risk": ("trade", ("horizon", *SETS)),
     },
     "Models": {

@@ -9,12 +9,14 @@ from typing import Any
 
 import exact_mdp
 from exact_mdp.analysis.cli.given import Given
+from exact_mdp.analysis.cli.words import pairs_of
 from exact_mdp.mdp.care.perception import read_confusion_matrix, status_names
-from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.io.files import write_atomically
+from exact_mdp.mdp.errors import ModelError, require_known_name
+from exact_mdp.mdp.io.files import read_text, write_atomically
+from exact_mdp.mdp.io.structured import csv_of
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import Report, Table
-from exact_mdp.mdp.result import data_frame
+from exact_mdp.mdp.result import DataFrame, data_frame
 from exact_mdp.mdp.table import float_of
 from exact_mdp.solvers.values.policy_chain import policy_of
 
@@ -73,6 +75,82 @@ def rationalize_command(given: Given, policy: Policy) -> Report:
     change: the least such relative change, "p/q".
     """
     return given.complete_report(exact_mdp.rationalize(given.mdp, policy).report())
+
+
+def ce_command(
+    given: Given,
+    *,
+    strategies: Sequence[str] = (),
+    effect: str = "qaly",
+    cost: str = "cost",
+    draws: str | None = None,
+    uncertain: str | None = None,
+    samples: int | None = None,
+    reference: str | None = None,
+    seed: int = 0,
+) -> Report:
+    """Compare strategies by cost and effect: ICERs, acceptability, value of information.
+
+    A strategy is a policy held fixed. If nothing is drawn, the numbers are those of the base case:
+    today's values.
+
+    Example: exact-mdp ce care.npz --strategy usual=always:none --strategy new=always:treat
+
+    Parameters
+    ----------
+    strategies : NAME=POLICY
+        A strategy.
+    effect : NAME
+        The component of the reward that is the effect.
+    cost : NAME
+        The component that is the cost.
+    draws : FILE, optional
+        A .csv with a column for each parameter and a row for each draw.
+    uncertain : FILE, optional
+        A .toml file with distributions by name, also of parameters that --draws does not have.
+    samples : N, 1 to 100000000
+        Draws: all rows of --draws unless given.
+    reference : NAME, optional
+        Compare with this strategy, not with the one before on the efficient frontier.
+    seed : S
+        Seed of the draws.
+
+    Keys
+    ----
+    Of CostEffectiveness.
+    draws: number of draws; effect: the component that is the effect; cost: the component that is
+    the cost; drawn: distribution of each parameter that is drawn; fixed: why each other parameter
+    is not drawn; assumed: the drawn parameters without a stated distribution; strategies: names of
+    the strategies; icers: {strategy, cost, effect, incremental cost, incremental effect, ICER,
+    status, by} of each; willingness_to_pay: prices of a unit of effect; acceptability: share of
+    draws in which each strategy is the best, by price; evpi: expected value of perfect information,
+    by price.
+    """
+    named = pairs_of(strategies, "--strategy", "NAME=POLICY")
+    if not named:
+        fix = "write --strategy usual=always:none --strategy new=FILE"
+        raise ModelError("there is no strategy", where="--strategy", fix=fix)
+    held = {name: given.policy_from(form) for name, form in named.items()}
+    if reference is not None:
+        require_known_name(reference, held, "strategy", "--reference")
+    stated: Any = uncertain
+    if draws is not None:
+        table = _read_draws(draws)
+        stated = table if uncertain is None else [table, uncertain]
+    model = given.mdp if given.loaded.scenario is None else given.family
+    how: dict[str, Any] = {"effect": effect, "cost": cost, "uncertain": stated, "rng": seed}
+    return given.complete_report(
+        exact_mdp.cost_effectiveness(model, held, samples, **how).report(reference)
+    )
+
+
+def _read_draws(path: str) -> DataFrame:
+    """Return the table of a .csv file, whose numbers are exact texts."""
+    rows = csv_of(read_text(path).splitlines(), path)
+    _, names = next(rows, (0, []))
+    if len({*names}) < len(names):
+        raise ModelError("two columns have one name", where=path, fix="rename one of them")
+    return data_frame([row for _, row in rows], columns=names)
 
 
 def risk_command(

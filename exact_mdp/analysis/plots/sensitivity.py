@@ -405,7 +405,7 @@ def plot_cost_effectiveness(
     if show == "plane":
         return _draw_plane(analysis, reference, marked, ax)
     if reference is not None:
-        fix = 'leave it out, or draw show="plane"'
+        fix = "leave it out, or show the plane"
         raise ModelError("only the plane has a reference", where="reference", fix=fix)
     at = analysis.grid()
     if marked is not None:

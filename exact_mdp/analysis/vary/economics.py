@@ -270,11 +270,21 @@ class CostEffectiveness(Pictured):
             rows["status"] = said
         return rows.sort_values(["cost", "effect"], ascending=[True, False], ignore_index=True)
 
-    def report(self) -> Report:
-        """Return cost, effect and ICER of every strategy, and its probability of being best."""
-        rows, grid = self.icers(), self.grid(11)
+    def report(self, reference: str | None = None) -> Report:
+        """Return cost, effect and ICER of every strategy, and its probability of being best.
+
+        With a `reference`, every strategy is compared with it; see `icers`.
+        """
+        rows, grid = self.icers(reference), self.grid(11)
         chances = frame_to_table(self.frame(grid), "shares of draws in which each is the best")
-        strategies = frame_to_table(rows, "strategies, the cheapest first")
+        short = {"incremental cost": "Δ cost", "incremental effect": "Δ effect"}
+        limits = [f"{name} {end}" for name in ("cost", "effect") for end in ("low", "high")]
+        shown = rows.drop(columns=limits, errors="ignore").rename(columns=short)
+        tables = {"strategies": frame_to_table(shown, "strategies, the cheapest first")}
+        if not self.base_case:
+            within = rows[["strategy", *limits]]
+            tables["limits"] = frame_to_table(within, "limits of 95 % of the draws")
+        tables["chances"] = chances
         drawn = {part.label: part.kind for part in self.uncertainty.parts}
         count, assumed = len(self.draws), self.uncertainty
         facts = {
@@ -294,7 +304,6 @@ class CostEffectiveness(Pictured):
             ),
             "evpi": Shown([each.value for each in self.evpi(grid)]),
         }
-        tables = {"strategies": strategies, "chances": chances}
         return Report(title=repr(self), facts=facts, tables=tables)
 
     def frame(self, wtp: ArrayLike | None = None) -> DataFrame:
