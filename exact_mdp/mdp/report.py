@@ -35,7 +35,6 @@ from exact_mdp.mdp.table import format_rational
 # machines; fewer would hide differences between policies that are nearly as good.
 DIGITS = 10
 MOST_LISTED = 1000  # states, rows or returns that a report lists one by one; files have them all
-FEW_NAMED = 4  # states or actions that a sentence names
 TEMPLATE = Path(__file__).with_suffix(".html.j2")
 
 

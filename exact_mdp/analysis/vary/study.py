@@ -26,6 +26,7 @@ from exact_mdp.mdp.errors import (
     ModelError,
     annotate_errors,
     check_names,
+    join_few,
     locate_errors,
     require_list,
 )
@@ -608,9 +609,7 @@ class ModelSolver:
         for name, x in zip(self.names, draws[d].tolist(), strict=True):
             if x != today[name]:
                 moved.append(f"{name} = {format_cell(x)}")
-        words = ", ".join(moved[:3]) or "today's parameters"
-        if len(moved) > 3:
-            words += ", …"
+        words = join_few(moved, len(moved), most=3) or "today's parameters"
         return f"draw {first + d}, {words}"
 
     def solve_draws(self, draws: Numbers, first: int = 0) -> Arrays:

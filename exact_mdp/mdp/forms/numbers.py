@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from exact_mdp.mdp.errors import ModelError, locate_errors
+from exact_mdp.mdp.errors import ModelError, join_few, locate_errors
 from exact_mdp.mdp.forms.rows import rationalize_row
 from exact_mdp.mdp.table import (
     EXACT_IN_INT64,
@@ -119,11 +119,9 @@ def refuse_labels(values: Any) -> None:
         for labels in table.axes:
             if list(labels) == list(range(len(labels))):
                 continue
-            few = ", ".join(map(str, labels[:4]))
-            if len(labels) > 4:
-                few += " …"
             raise ModelError(
-                f"a table has the labels {few}, and arrays of a model go by position",
+                f"a table has the labels {join_few(labels, len(labels))}, and arrays of a model go "
+                "by position",
                 fix="put rows and columns in the order of states and actions, and give "
                 "table.to_numpy(); or give dictionaries, which go by name",
             )

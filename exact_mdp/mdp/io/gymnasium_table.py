@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, locate_errors, shorten_text
+from exact_mdp.mdp.errors import FEW_NAMED, ModelError, join_few, locate_errors, shorten_text
 from exact_mdp.mdp.forms.numbers import as_given
 from exact_mdp.mdp.table import exact
 
@@ -420,13 +420,11 @@ class _Trial:
             if exact(chance) > 0 and same and near:
                 return
         listed = []
-        for _, target, gain, ends in outcomes[:4]:
+        for _, target, gain, ends in outcomes[:FEW_NAMED]:
             listed.append(f"({target}, {float(exact(gain)):g}, {ends})")
-        if len(outcomes) > 4:
-            listed.append("…")
         raise self._mismatch_error(
             f"step({action}) in state {state} gave ({following}, {reward:g}, {over}); P lists "
-            f"(next state, reward, terminated) {', '.join(listed)}"
+            f"(next state, reward, terminated) {join_few(listed, len(outcomes))}"
         )
 
     def _mismatch_error(self, what: str, fix: str = "") -> ModelError:
