@@ -320,7 +320,7 @@ class CVaROptimum(Result):
         model = of.build_budgeted_model(int(self.threshold / self._unit))
         first = np.repeat(of.mdp.pair_offsets[:-1], np.diff(of.first))
         pairs = model.pair_offsets[:-1] + self.pairs - first
-        return build_certificate(model, pairs, h=self.values, rank=model.ends.rank)
+        return build_certificate(model, pairs, h=self.values, rank=model.ends.rank_in_proof)
 
     def action(self, state: int, so_far: object = 0) -> str:
         """Return the policy's action in a state, given the reward so far."""
