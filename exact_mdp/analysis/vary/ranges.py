@@ -94,17 +94,12 @@ def make_range_around(parameter: Parameter, relative: object = RELATIVE) -> Rang
         fix = "choose one above 0, nearer to 1"
         raise ModelError(f"a share of {format_rational(share)}", where="relative", fix=fix)
     reach = abs(parameter.value) * share
-    low, high = parameter.value - reach, parameter.value + reach
-    if parameter.low is not None:
-        if whole:
-            low = parameter.low
-        else:
-            low = max(low, parameter.low)
-    if parameter.high is not None:
-        if whole:
-            high = parameter.high
-        else:
-            high = min(high, parameter.high)
+    least, most = parameter.limits
+    low, high = max(parameter.value - reach, least), min(parameter.value + reach, most)
+    if whole and parameter.low is not None:
+        low = parameter.low
+    if whole and parameter.high is not None:
+        high = parameter.high
     return Range(low=low, high=high)
 
 

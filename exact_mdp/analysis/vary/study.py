@@ -205,15 +205,7 @@ def read_points(
     points = np.column_stack([*columns.values()])
     # Every number must be finite and within the limits of its parameter.
     for name, drawn in zip(columns, float_array(points, "points").T, strict=True):
-        parameter = parameter_of(model, name)
-        if parameter.low is None:
-            low = -inf
-        else:
-            low = float(parameter.low)
-        if parameter.high is None:
-            high = inf
-        else:
-            high = float(parameter.high)
+        low, high = map(float, parameter_of(model, name).limits)
         wrong = ~((drawn >= low) & (drawn <= high) & np.isfinite(drawn))
         if wrong.any():
             row, fault = int(wrong.argmax()), f"outside [{low:g}, {high:g}]"
