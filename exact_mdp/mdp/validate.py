@@ -289,8 +289,7 @@ def as_start(start: object, space: StateSpace) -> ByNumber:
         if weights is None:  # a single state
             weights = {space.number(start): 1}
         # The probabilities are a row like any other: floats stand for rational numbers.
-        given = np.empty(len(weights), dtype=object)
-        given[:] = [as_given(weight) for weight in weights.values()]
+        given = np.array([as_given(weight) for weight in weights.values()], dtype=object)
         chances = map(exact, rationalize_row(put_right(given, np.array([0, len(given)])).tolist()))
         pairs = sorted(zip(weights, chances, strict=True))
     return ByNumber((state, weight) for state, weight in pairs if weight != 0)

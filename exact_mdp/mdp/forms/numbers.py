@@ -227,9 +227,7 @@ def _to_array(values: Any) -> Any:
             numbers.append(zero)
         else:
             numbers.append(as_given(value))
-    flat = np.empty(array.size, dtype=object)
-    flat[:] = numbers
-    return flat.reshape(array.shape)
+    return np.array(numbers, dtype=object).reshape(array.shape)
 
 
 def _find_types(values: Any) -> set[Any]:
@@ -333,12 +331,9 @@ def one_kind(values: Sequence[Any]) -> Numbers:
         return np.array(values, dtype=np.float64)
     if kinds == {int} and find_magnitude(to_integer_array(values)) < EXACT_IN_INT64:
         return np.array(values)
-    numbers = np.empty(len(values), dtype=object)
-    if kinds == {Fraction}:
-        numbers[:] = values
-    else:
-        numbers[:] = [as_given(value) for value in values]
-    return numbers
+    if kinds != {Fraction}:
+        values = [as_given(value) for value in values]
+    return np.array(values, dtype=object)
 
 
 def has_floats(values: Numbers) -> bool:

@@ -51,9 +51,7 @@ def require_model(given: MDP | None, own: MDP | None, where: str = "violations")
 
 
 def _freeze_column(numbers: Iterable[Fraction | None]) -> Numbers:
-    listed = list(numbers)
-    column = np.empty(len(listed), dtype=object)
-    column[:] = listed
+    column = np.array(list(numbers), dtype=object)
     column.setflags(write=False)
     return column
 
