@@ -225,8 +225,11 @@ def range_of(model: Parametric, name: str, ranges: object = None, relative: obje
         ranges = {name: ranges}
     span = ranges_of(model, [name], ranges, relative, stacklevel=5)[name]
     if span.low == span.high:
+        why = "no other value has a model with finite values"
+        if span.low == 0:
+            why = "a share of 0 is 0"
         raise ModelError(
-            f"the range of {name} has one point, {format_rational(span.low)}: a share of 0 is 0",
+            f"the range of {name} has one point, {format_rational(span.low)}: {why}",
             where=place_of(model),
             fix=f'give it one: ranges={{"{name}": (low, high)}}, --range {name}=LOW:HIGH',
         )
