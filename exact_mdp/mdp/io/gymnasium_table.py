@@ -31,6 +31,7 @@ from exact_mdp.mdp.table import exact
 
 NOWHERE = -1  # the next state in some tables if the episode is over
 LISTED = "let P[state][action] list (probability, next state, reward, terminated)"
+UNWRAP = "give env.unwrapped, or describe the change: MDP.from_function(…)"
 Outcome = tuple[Any, int, Any, bool]
 Rows = dict[tuple[int, int], list[Outcome]]
 TOY_TEXT = "gymnasium.envs.toy_text"
@@ -207,7 +208,7 @@ def refuse_changes(layers: Sequence[Any]) -> None:
             raise ModelError(
                 f"{type(env).__name__} changes the environment, but not its table P",
                 where="env",
-                fix="give env.unwrapped, or describe the change: MDP.from_function(…)",
+                fix=UNWRAP,
             )
     if getattr(layers[-1], "fickle_passenger", False) is True:
         raise ModelError(
@@ -234,7 +235,7 @@ def refuse_untried(layers: Sequence[Any]) -> None:
             raise ModelError(
                 f"{type(env).__name__} may change the environment, but not its matrices",
                 where="env",
-                fix="give env.unwrapped, or describe the change: MDP.from_function(…)",
+                fix=UNWRAP,
             )
 
 
@@ -430,7 +431,7 @@ class _Trial:
     def _mismatch_error(self, what: str, fix: str = "") -> ModelError:
         """Return the error for an environment that differs from its table."""
         if not self.own:
-            fix = "give env.unwrapped, or describe the change: MDP.from_function(…)"
+            fix = UNWRAP
         elif not fix:
             fix = "make P agree with step() and reset(); or give P alone: "
             fix += "MDP.from_gymnasium(env.unwrapped.P)"
