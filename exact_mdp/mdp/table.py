@@ -507,10 +507,7 @@ def exact(number: object, where: str = "") -> Fraction:
         return whole_fraction(number)
     if type(number) is Fraction or isinstance(number, Fraction):
         return number
-    if isinstance(number, np.longdouble) and np.isfinite(number):
-        return Fraction(*number.as_integer_ratio())  # wider than Python's floats
-    if isinstance(number, np.generic):
-        number = number.item()
+    number = to_python_number(number)
     if isinstance(number, bool) or not isinstance(number, Rational | float | str | Decimal):
         raise ModelError(f"{number!r} is not a number", where=where, fix='write a number, or "p/q"')
     try:
@@ -522,6 +519,15 @@ def exact(number: object, where: str = "") -> Fraction:
     except (ValueError, OverflowError, ZeroDivisionError) as error:
         what = f"{number!r} is not a finite rational number"
         raise ModelError(what, where=where, fix='write 0.1 or "1/10"') from error
+
+
+def to_python_number(number: Any) -> Any:
+    """Return a NumPy number as a Python number of the same value; anything else as it is."""
+    if isinstance(number, np.longdouble) and np.isfinite(number):
+        return Fraction(*number.as_integer_ratio())  # wider than Python's floats
+    if isinstance(number, np.generic):
+        return number.item()
+    return number
 
 
 def _check_length(text: str, where: str) -> None:

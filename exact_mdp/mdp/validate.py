@@ -275,6 +275,16 @@ def _check_discount(value: Fraction) -> None:
         )
 
 
+def as_share(given: object, name: str) -> Fraction:
+    """Return a share above 0 and at most 1 as an exact number."""
+    share = exact(given, name)
+    if not 0 < share <= 1:
+        raise ModelError(
+            f"{name} is {format_rational(share)}", where=name, fix="choose from 0 to 1, not 0"
+        )
+    return share
+
+
 def as_start(start: object, space: StateSpace) -> ByNumber:
     """Return the initial distribution for a state, {state: probability}, or a vector."""
     if start is None:

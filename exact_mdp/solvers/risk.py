@@ -47,13 +47,14 @@ from exact_mdp.mdp.table import (
     make_ones,
     to_integer_array,
 )
+from exact_mdp.mdp.validate import as_share
 from exact_mdp.solvers.bounds.gains import SLACK, gamma
 from exact_mdp.solvers.claims import Bounded, Certified, Claim
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.find import build_certificate
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.solver import mdp_of
-from exact_mdp.solvers.values.returns import parse_tail_share, tail_mean
+from exact_mdp.solvers.values.returns import tail_mean
 
 CELLS = 20_000_000  # outcomes times returns, which limits memory
 EXACT_CELLS = 2_000_000  # the most of them for exact numbers by default: measured, 20 s
@@ -460,7 +461,7 @@ def best_cvar(model: MDP | Scenario, level: object, *, exact: bool | None = None
     >>> str(best.value), str(best.mean), best.action(0)
     ('4', '4', '1')
     """
-    mdp, share = mdp_of(model), parse_tail_share(level)
+    mdp, share = mdp_of(model), as_share(level, "level")
     of = Budgeted(mdp)
     if exact is None:
         exact = of.cells <= EXACT_CELLS

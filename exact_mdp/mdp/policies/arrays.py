@@ -45,7 +45,7 @@ from exact_mdp.mdp.forms.numbers import convert_tensors, is_pandas_table, refuse
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions.horizon import flatten_times
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, Numbers
+from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, Numbers, to_python_number
 
 Flags = NDArray[np.bool_]
 KINDS = ("auto", "q", "policy")
@@ -77,7 +77,7 @@ def numbers_of(given: object) -> Numbers:
         array: Numbers = np.array(given, dtype=object)
     except ValueError:
         array = np.array(None, dtype=object)
-    array.flat[:] = [_to_python_number(number) for number in array.flat]
+    array.flat[:] = [to_python_number(number) for number in array.flat]
     kinds = {type(number) for number in array.flat}
     if kinds == {float}:
         return array.astype(np.float64)
@@ -93,15 +93,6 @@ def numbers_of(given: object) -> Numbers:
             "{state: action}",
         )
     return array
-
-
-def _to_python_number(number: Any) -> Any:
-    """Return a NumPy number as a Python number of the same value, for exact comparisons."""
-    if isinstance(number, np.longdouble) and np.isfinite(number):
-        return Fraction(*number.as_integer_ratio())
-    if isinstance(number, np.generic):
-        return number.item()
-    return number
 
 
 def of_given_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
