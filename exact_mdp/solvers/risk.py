@@ -461,7 +461,7 @@ def best_cvar(model: MDP | Scenario, level: object, *, exact: bool | None = None
     >>> str(best.value), str(best.mean), best.action(0)
     ('4', '4', '1')
     """
-    mdp, share = mdp_of(model), as_share(level, "level")
+    mdp, share = mdp_of(model), as_share(level, "share of the worst episodes")
     of = Budgeted(mdp)
     if exact is None:
         exact = of.cells <= EXACT_CELLS
