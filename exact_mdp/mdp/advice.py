@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import FEW_NAMED, ModelError, join_few
 from exact_mdp.mdp.model import MDP
 
 
@@ -12,17 +12,14 @@ def where_endless(mdp: MDP) -> str:
     """Return in words where a policy can stay forever, or end outside the goal."""
     if mdp.ends.every_policy_ends:
         text, places = "it ends outside the goal in ", np.flatnonzero(mdp.ends.outside_goal)
-        named = [f"({label})" for label in mdp.space.labels(places[:4])]
+        named = [f"({label})" for label in mdp.space.labels(places[:FEW_NAMED])]
     else:
         text, places = "it stays forever in ", mdp.ends.find_endless_pairs()
         named = []
-        for pair in places[:4].tolist():
+        for pair in places[:FEW_NAMED].tolist():
             label = mdp.space.label(int(mdp.pair_state[pair]))
             named.append(f"({label}) with action {mdp.actions[mdp.pair_action[pair]]}")
-    text += ", ".join(named)
-    if len(places) > 4:
-        text += f" and {len(places) - 4} more"
-    return text
+    return text + join_few(named, len(places))
 
 
 def ways_out(mdp: MDP, *others: str) -> str:

@@ -34,7 +34,7 @@ from exact_mdp.mdp.forms.numbers import (
 )
 from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Integers, Numbers, concatenate_ranges, exact
+from exact_mdp.mdp.table import Integers, concatenate_ranges, exact
 from exact_mdp.mdp.validate import COUNTED, Parts, as_discount, as_start, check_options
 
 # An action number from here on, without names for the actions, is more likely a typing error, and a
@@ -344,7 +344,7 @@ def _collect_amounts(gains: list[Any], names: dict[str, Any]) -> dict[str, Any]:
             column[place] = exact(amount)
             floats = floats or isinstance(as_given(amount), float)
     names.setdefault("float_rewards", floats)
-    return {name: _as_objects(amounts) for name, amounts in columns.items()}
+    return {name: np.array(amounts, dtype=object) for name, amounts in columns.items()}
 
 
 def _lists_outcomes(amounts: Any) -> bool:
@@ -386,14 +386,8 @@ def _list_outcome_amounts(given: Any, lengths: list[int], order: Integers) -> di
                     fix="give one amount for each outcome, or one for the pair",
                 )
             every += map(as_given, amount)
-        amounts[str(name)] = _as_objects(every)
+        amounts[str(name)] = np.array(every, dtype=object)
     return amounts
-
-
-def _as_objects(values: Sequence[Any]) -> Numbers:
-    array = np.empty(len(values), dtype=object)
-    array[:] = values
-    return array
 
 
 # ---- layouts of arrays ---------------------------------------------------------------------------

@@ -55,13 +55,7 @@ def with_components(
         each = []
         for column in columns:
             each.append(cancel_common_divisor(*_column_to_integers(column, table), table))
-        common = np.lcm.reduce([below.astype(object) for _, below in each])
-        whole = []
-        for top, below in each:
-            factor = _of_length_of(top, common // below, table)
-            whole.append(multiply(top, factor).astype(object))
-        amounts = to_integer_array(np.stack(whole, axis=1).reshape(-1).tolist())
-        amounts, bottom = amounts.reshape(-1, len(columns)), to_integer_array(common.tolist())
+        amounts, bottom = table.over_one_denominator(each)
     made = copy(table)  # the rows are the same, and cached facts about them remain true
     vars(made).update(components=amounts, component_denominator=bottom, averaged=False)
     return made
@@ -72,13 +66,6 @@ def _repeat_by_outcome(top: Numbers, table: OutcomeTable) -> Numbers:
     if len(top) == table.pairs:
         return np.asarray(top[table.pair])
     return top
-
-
-def _of_length_of(top: Numbers, below: Numbers, table: OutcomeTable) -> Numbers:
-    """Return denominators (L,), repeated for each outcome if the numerators are (N,)."""
-    if len(top) == table.pairs:
-        return below
-    return np.asarray(below[table.pair])
 
 
 def cancel_common_divisor(

@@ -194,6 +194,13 @@ class Ends:
         backward = Backward.of(matrix.indptr, matrix.indices, self.pair_state, len(self.terminal))
         return backward.rank_states(self.terminal, every, np.diff(self.pair_offsets))[0]
 
+    @property
+    def rank_in_proof(self) -> Integers | None:
+        """The rank, if a proof needs it: at discount 1."""
+        if self.discount_exact == 1:
+            return self.rank
+        return None
+
     @cached_property
     def every_policy_ends(self) -> bool:
         """Whether every policy reaches a terminal state with probability 1."""

@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from difflib import get_close_matches
 from functools import partial, wraps
 from inspect import signature
+from itertools import islice
 from typing import Any, TypeVar, cast
 
 CONTROL = "\\x00-\\x1f\\x7f-\\x9f"
@@ -32,6 +33,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 # bad file fill the terminal; a shorter one would cut names that people use.
 LONGEST = 1000
 
+FEW_NAMED = 4  # states, actions or other names that a sentence lists
 JSON_FORMAT = 2  # of reports and errors: it changes if a key changes its meaning or is removed
 
 
@@ -171,6 +173,23 @@ def shorten_text(text: str, most: int = LONGEST) -> str:
     note = f"… ({len(text):,} characters) …"
     length = max(1, (most - len(note)) // 2)
     return f"{text[:length]}{note}{text[-length:]}"
+
+
+def join_few(
+    texts: Iterable[object], count: int, between: str = ", ", *, most: int = FEW_NAMED
+) -> str:
+    """Return the first few of `count` texts, and how many more there are.
+
+    >>> join_few("abcdef", 6), join_few("abcdef", 6, "; "), join_few("ab", 2)
+    ('a, b, c, d and 2 more', 'a; b; c; d; 2 more', 'a, b')
+    """
+    said = between.join(map(str, islice(texts, most)))
+    if count <= most:
+        return said
+    last = between
+    if between == ", ":
+        last = " and "
+    return f"{said}{last}{count - most:,} more"
 
 
 def suggest_name(name: str, known: Iterable[str]) -> str:

@@ -536,12 +536,12 @@ class MDP(ByFields, FromTransitions, FromGymnasium, FromFrame, FromSteps, Questi
         """Whether probabilities or rewards were given as floats."""
         return self.float_probabilities or self.float_rewards
 
-    @cached_property
+    @property
     def undiscounted(self) -> MDP:
         """The model with discount 1 and no goal; itself if it has discount 1."""
         if self.discount_exact == 1:
             return self
-        return self.with_(discount=1, goal=None)
+        return _leave_out_discount(self)
 
     def negated(self) -> MDP:
         """Return the same problem with the opposite sense: all rewards times -1."""
@@ -675,3 +675,8 @@ def cache_on_model(find: Callable[[MDP], Found]) -> Callable[[MDP], Found]:
 @cache_on_model
 def _negate_model(mdp: MDP) -> MDP:
     return mdp.negated()
+
+
+@cache_on_model
+def _leave_out_discount(mdp: MDP) -> MDP:
+    return mdp.with_(discount=1, goal=None)

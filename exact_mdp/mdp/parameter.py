@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
+from math import inf
 from typing import TYPE_CHECKING
 
 from exact_mdp.mdp.errors import ModelError, check_names
@@ -76,11 +77,21 @@ class Parameter:
             )
         self.check(self.value)
 
+    @property
+    def limits(self) -> tuple[Fraction | float, Fraction | float]:
+        """The ends of the range; infinite if they are left open."""
+        least: Fraction | float = -inf
+        most: Fraction | float = inf
+        if self.low is not None:
+            least = self.low
+        if self.high is not None:
+            most = self.high
+        return least, most
+
     def check(self, value: Fraction) -> None:
         """Raise ModelError for a value outside the range."""
-        below = self.low is not None and value < self.low
-        above = self.high is not None and value > self.high
-        if below or above:
+        least, most = self.limits
+        if not least <= value <= most:
             low, high = "-∞", "∞"
             ends = []
             if self.low is not None:

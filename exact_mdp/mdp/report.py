@@ -26,16 +26,14 @@ from pathlib import Path
 from typing import Any
 
 import flint
-import numpy as np
 
 from exact_mdp.mdp.errors import JSON_FORMAT, shown_text
-from exact_mdp.mdp.table import format_rational
+from exact_mdp.mdp.table import format_rational, to_python_number
 
 # Significant digits of a number in a table: more would show rounding errors, which differ between
 # machines; fewer would hide differences between policies that are nearly as good.
 DIGITS = 10
 MOST_LISTED = 1000  # states, rows or returns that a report lists one by one; files have them all
-FEW_NAMED = 4  # states or actions that a sentence names
 TEMPLATE = Path(__file__).with_suffix(".html.j2")
 
 
@@ -78,7 +76,7 @@ class Table:
         keys = [column.partition(":")[0] for column in self.columns.values()]
         shown = []
         for row in rows:
-            shown.append([_unwrap_numpy(row.get(key)) for key in keys])
+            shown.append([to_python_number(row.get(key)) for key in keys])
         return shown
 
     def cells(self) -> list[list[str]]:
@@ -92,13 +90,6 @@ class Table:
         if not values:
             return [False] * len(self.columns)
         return [_is_numeric(column) for column in zip(*values, strict=True)]
-
-
-def _unwrap_numpy(value: Any) -> Any:
-    """Return a NumPy number as a Python number, and any other value as it is."""
-    if isinstance(value, np.generic):
-        return value.item()
-    return value
 
 
 def _is_numeric(column: Sequence[Any]) -> bool:

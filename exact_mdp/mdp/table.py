@@ -377,20 +377,29 @@ class OutcomeTable(ByFields):
             return gain[:, None], below
         if self.parted_by_outcome:
             # Take the expectation of each component, then bring all to one denominator per pair.
-            each = [part.expected_gain_exact for part in self._each_component()]
-            common = np.lcm.reduce([below.astype(object) for _, below in each])
-            whole = []
-            for top, below in each:
-                factor = to_integer_array((common // below).tolist())
-                whole.append(multiply(top, factor).astype(object))
-            amounts = to_integer_array(np.stack(whole, axis=1).reshape(-1).tolist())
-            return amounts.reshape(self.pairs, -1), to_integer_array(common.tolist())
+            return self.over_one_denominator(
+                [part.expected_gain_exact for part in self._each_component()]
+            )
         if self.components.dtype != np.float64:
             return self.components, self.component_denominator
         # Floats are dyadic rationals: their common denominator is a power of 2.
         pairs, parts = self.components.shape
         top, below = to_dyadic_integers(self.components.reshape(-1), np.arange(pairs + 1) * parts)
         return top.reshape(pairs, parts), below
+
+    def over_one_denominator(
+        self, columns: Sequence[tuple[Numbers, Numbers]]
+    ) -> tuple[Numbers, Numbers]:
+        """Return columns of integers (L,) or (N,) over (L,) over one denominator of each pair."""
+        common = np.lcm.reduce([below.astype(object) for _, below in columns])
+        whole = []
+        for top, below in columns:
+            factor = common // below
+            if len(top) != self.pairs:
+                factor = factor[self.pair]
+            whole.append(top.astype(object) * factor)
+        amounts = to_integer_array(np.stack(whole, axis=1).reshape(-1).tolist())
+        return amounts.reshape(-1, len(columns)), to_integer_array(common.tolist())
 
     def _each_component(self) -> list[OutcomeTable]:
         """Return one table for each component, with that component as the reward."""
@@ -498,10 +507,7 @@ def exact(number: object, where: str = "") -> Fraction:
         return whole_fraction(number)
     if type(number) is Fraction or isinstance(number, Fraction):
         return number
-    if isinstance(number, np.longdouble) and np.isfinite(number):
-        return Fraction(*number.as_integer_ratio())  # wider than Python's floats
-    if isinstance(number, np.generic):
-        number = number.item()
+    number = to_python_number(number)
     if isinstance(number, bool) or not isinstance(number, Rational | float | str | Decimal):
         raise ModelError(f"{number!r} is not a number", where=where, fix='write a number, or "p/q"')
     try:
@@ -513,6 +519,15 @@ def exact(number: object, where: str = "") -> Fraction:
     except (ValueError, OverflowError, ZeroDivisionError) as error:
         what = f"{number!r} is not a finite rational number"
         raise ModelError(what, where=where, fix='write 0.1 or "1/10"') from error
+
+
+def to_python_number(number: Any) -> Any:
+    """Return a NumPy number as a Python number of the same value; anything else as it is."""
+    if isinstance(number, np.longdouble) and np.isfinite(number):
+        return Fraction(*number.as_integer_ratio())  # wider than Python's floats
+    if isinstance(number, np.generic):
+        return number.item()
+    return number
 
 
 def _check_length(text: str, where: str) -> None:
@@ -589,9 +604,7 @@ def to_integer_array(values: Iterable[int]) -> Numbers:
     listed = list(values)
     if not listed or (min(listed) > -EXACT_IN_INT64 and max(listed) < EXACT_IN_INT64):
         return np.array(listed, dtype=np.int64)
-    array = np.empty(len(listed), dtype=object)
-    array[:] = listed
-    return array
+    return np.array(listed, dtype=object)
 
 
 def in_proportion(numbers: Sequence[Fraction]) -> list[int]:

@@ -275,6 +275,16 @@ def _check_discount(value: Fraction) -> None:
         )
 
 
+def as_share(given: object, name: str) -> Fraction:
+    """Return a share above 0 and at most 1 as an exact number."""
+    share = exact(given, name)
+    if not 0 < share <= 1:
+        raise ModelError(
+            f"{name} is {format_rational(share)}", where=name, fix="choose from 0 to 1, not 0"
+        )
+    return share
+
+
 def as_start(start: object, space: StateSpace) -> ByNumber:
     """Return the initial distribution for a state, {state: probability}, or a vector."""
     if start is None:
@@ -289,8 +299,7 @@ def as_start(start: object, space: StateSpace) -> ByNumber:
         if weights is None:  # a single state
             weights = {space.number(start): 1}
         # The probabilities are a row like any other: floats stand for rational numbers.
-        given = np.empty(len(weights), dtype=object)
-        given[:] = [as_given(weight) for weight in weights.values()]
+        given = np.array([as_given(weight) for weight in weights.values()], dtype=object)
         chances = map(exact, rationalize_row(put_right(given, np.array([0, len(given)])).tolist()))
         pairs = sorted(zip(weights, chances, strict=True))
     return ByNumber((state, weight) for state, weight in pairs if weight != 0)

@@ -31,20 +31,6 @@ FILLS = {  # of the four assistances: fill, hatching
     "non-directive": ("#56B4E9", "//"),
     "directive": ("#D55E00", ""),
 }
-SETTINGS: dict[Any, Any] = {
-    "font.size": 9,
-    "font.family": "DejaVu Sans",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.titlesize": 10,
-    "axes.titlelocation": "left",
-    "hatch.linewidth": 0.4,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "exact-mdp",
-    "figure.constrained_layout.use": True,
-    "legend.frameon": False,
-    "text.hinting": "none",
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,8 +73,10 @@ def save_figure(picture: Picture, reading: Reading, folder: Path, *, dpi: int = 
     import matplotlib as mpl
     import matplotlib.pyplot as plt
 
+    from exact_mdp.analysis.plots.style import style
+
     paths: list[Path] = []
-    with mpl.rc_context(SETTINGS):
+    with style(), mpl.rc_context({"axes.titlelocation": "left"}):
         drawn = picture.draw(reading)
         drawn.suptitle(picture.title, x=0.01, ha="left", fontsize=11)
         for kind, metadata in (("svg", {"Date": None}), ("png", {"Software": None})):
@@ -142,19 +130,13 @@ def draw_diagram(
     for source, target, text in arrows:
         start, end = boxes[source], boxes[target]
         if start.x != end.x:
-            if end.x > start.x:
-                side = 1
-            else:
-                side = -1
-            a, b = start.x + side * start.width / 2, end.x - side * end.width / 2
+            side = np.sign(end.x - start.x) / 2
+            a, b = start.x + side * start.width, end.x - side * end.width
             draw_arrow(ax, (a, start.y), (b, end.y))
             ax.text((a + b) / 2, start.y + 0.05, text, fontsize=7.5, ha="center", va="bottom")
         else:
-            if end.y > start.y:
-                side = 1
-            else:
-                side = -1
-            a, b = start.y + side * start.height / 2, end.y - side * end.height / 2
+            side = np.sign(end.y - start.y) / 2
+            a, b = start.y + side * start.height, end.y - side * end.height
             draw_arrow(ax, (start.x, a), (end.x, b))
             ax.text(start.x + 0.08, (a + b) / 2, text, fontsize=7.5, ha="left", va="center")
     ax.set_axis_off()
@@ -207,12 +189,6 @@ def draw_status_map(ax: Axes, actions: Sequence[str], notes: Sequence[str]) -> N
     ax.set_yticks(np.arange(4) + 0.5, ["neither", "confused", "forgetful", "forgetful,\nconfused"])
     ax.tick_params(length=0)
     ax.spines[:].set_visible(False)
-
-
-def smooth_over_windows(values: np.ndarray, window: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the middles of the windows, and means over them."""
-    means = np.convolve(values, np.ones(window) / window, mode="valid")
-    return np.arange(len(means)) + (window - 1) / 2, means
 
 
 def draw_band(ax: Axes, values: np.ndarray, colour: str, width: int = 20) -> None:

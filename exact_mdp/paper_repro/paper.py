@@ -63,6 +63,17 @@ def describe_status(status: str) -> str:
     return ", ".join(n for n, bit in zip(names, status, strict=True) if bit == "1") or "well"
 
 
+def format_loss(points: float) -> str:
+    """Return points that are lost, for reading; a small loss is not shown as 0.
+
+    >>> format_loss(4.161), format_loss(0.0003)
+    ('4.16', 'under 0.01')
+    """
+    if 0 < points < 0.005:
+        return "under 0.01"
+    return f"{points:.2f}"
+
+
 def has_stated_actions(policy: dict[str, str], order: str) -> bool:
     """Return whether a policy takes the actions stated for 1100, 1000 and 0100, in one order."""
     stated = {"1100": REPORTED["stated"]["1100"], **ORDERS[order]}

@@ -39,6 +39,7 @@ from exact_mdp.paper_repro.paper import (
     PLACES,
     TABLE_4,
     describe_status,
+    format_loss,
 )
 from exact_mdp.paper_repro.silent_points import OPTIONS, Reading, build_default_reading
 
@@ -95,19 +96,13 @@ def count_verdicts(claims: list[Mapping[str, Any]], kind: str) -> str:
     return ", ".join(f"{v} {verdicts.count(v)}" for v in ClaimVerdict if v in verdicts)
 
 
-def format_loss(loss: Sequence[float]) -> str:
+def format_losses(loss: Sequence[float]) -> str:
     """Return a range of points lost.
 
-    >>> format_loss([4.161, 4.161]), format_loss([0.0003, 5.912])
+    >>> format_losses([4.161, 4.161]), format_losses([0.0003, 5.912])
     ('4.16 points', 'under 0.01 to 5.91 points')
     """
-    ends = []
-    for value in loss:
-        if 0 < value < 0.005:
-            ends.append("under 0.01")
-        else:
-            ends.append(f"{value:.2f}")
-    return " to ".join(dict.fromkeys(ends)) + " points"
+    return " to ".join(dict.fromkeys(map(format_loss, loss))) + " points"
 
 
 def format_limit(row: Mapping[str, Any]) -> str:
@@ -215,7 +210,7 @@ def render_readme(results: Mapping[str, Any], *, code: str = "") -> str:
         "paper": format_paper_number,
         "signed": format_signed,
         "per_cent": format_per_cent,
-        "points": format_loss,
+        "points": format_losses,
         "limit": format_limit,
         "best_supported": format_best_supported,
         "status": describe_status,

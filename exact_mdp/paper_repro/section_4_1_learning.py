@@ -14,7 +14,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from exact_mdp import Estimated
-from exact_mdp.analysis.learning.curves import EXPERIMENTS, sample_epoch_returns
+from exact_mdp.analysis.learning.curves import (
+    EXPERIMENTS,
+    average_epochs,
+    sample_epoch_returns,
+)
 from exact_mdp.analysis.vary.intervals import mean_of
 from exact_mdp.paper_repro import drawing
 from exact_mdp.paper_repro.claim import (
@@ -113,9 +117,7 @@ def learning_curves(reading: Reading) -> Figure:
     looks = ((BLUE, "-"), (RED, "--"), (GREEN, "-."))
     for (label, values), (colour, line) in zip(curves.items(), looks, strict=True):
         drawing.draw_band(top, values, colour)
-        top.plot(
-            *drawing.smooth_over_windows(values, 100), color=colour, ls=line, lw=1.6, label=label
-        )
+        top.plot(*average_epochs(values, 100), color=colour, ls=line, lw=1.6, label=label)
     top.axhline(optimum, color="black", ls=":", lw=1, label=f"optimum {optimum:.1f}")
     top.legend(ncols=4, loc="lower center")
     top.set(ylim=(0, None), xlabel="epoch", ylabel="average return (points)")
@@ -127,8 +129,8 @@ def learning_curves(reading: Reading) -> Figure:
     for ax, (name, shown), (colour, line) in zip(panels[1], SHOWN.items(), looks, strict=False):
         values = reading.train_runs(name).values
         low, high = np.quantile(values, [0.05, 0.95], axis=0)
-        at, middle = drawing.smooth_over_windows(values.mean(axis=0), 25)
-        band = (drawing.smooth_over_windows(each, 25)[1] for each in (low, high))
+        at, middle = average_epochs(values.mean(axis=0), 25)
+        band = (average_epochs(each, 25)[1] for each in (low, high))
         ax.fill_between(
             at,
             *band,

@@ -44,6 +44,7 @@ from exact_mdp.paper_repro.paper import (
     SETTINGS,
     STATUSES,
     describe_status,
+    format_loss,
 )
 from exact_mdp.paper_repro.silent_points import Reading
 
@@ -369,16 +370,10 @@ def cost_of_choices(reading: Reading) -> Figure:
             ink = "black"
         cell = Rectangle((column, row), 1, 1, facecolor=str(light), edgecolor="0.85", lw=0.5)
         ax.add_patch(cell)
-        if loss == 0:
-            text = "best"
-        elif loss >= 0.005:
-            text = f"{loss:.2f}"
-        else:
-            text = "under 0.01"
         look = {"ha": "center", "va": "center", "fontsize": 8, "color": ink}
-        weight = "normal"
+        text, weight = format_loss(loss), "normal"
         if loss == 0:
-            weight = "bold"
+            text, weight = "best", "bold"
         ax.text(column + 0.5, row + 0.5, text, fontweight=weight, **look)
         if policy[STATUSES[row]] == ACTIONS[column]:
             ax.plot(column + 0.12, row + 0.5, "o", color=ink, ms=4)

@@ -47,13 +47,14 @@ from exact_mdp.mdp.table import (
     make_ones,
     to_integer_array,
 )
+from exact_mdp.mdp.validate import as_share
 from exact_mdp.solvers.arguments import mdp_of
 from exact_mdp.solvers.bounds.gains import SLACK, gamma
 from exact_mdp.solvers.claims import Bounded, Certified, Claim
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.find import build_certificate
 from exact_mdp.solvers.exact.levels import Level
-from exact_mdp.solvers.values.returns import parse_tail_share, tail_mean
+from exact_mdp.solvers.values.returns import tail_mean
 
 CELLS = 20_000_000  # outcomes times returns, which limits memory
 EXACT_CELLS = 2_000_000  # the most of them for exact numbers by default: measured, 20 s
@@ -203,37 +204,6 @@ class Budgeted:
         return replace(old, **parts)
 
 
-def _solve_budgeted(of: Budgeted) -> tuple[Integers, Level, Level]:
-    """Return pairs of the old model for the new states, their values, and the means of returns."""
-    first, table = of.first, of.table
-    denominator = np.repeat(table.denominator, np.diff(table.offsets))
-    value, mean = np.zeros((2, int(first[-1])), dtype=object)
-    below = np.ones(of.mdp.n_states, dtype=object)
-    pairs = np.repeat(of.mdp.pair_offsets[:-1], np.diff(first))
-    for state in of.order:
-        # Backward induction over integers: values of one state share a denominator.
-        here, (after, earned) = of.outcomes_of(state), of.list_successors(state)
-        own, to = of.mdp.pairs_of(state), table.next[here]
-        scale = below[to] * denominator[here]
-        below[state] = lcm(*scale.tolist())
-        times = table.weight[here] * (below[state] // scale)
-        starts = table.offsets[own.start : own.stop] - here.start
-        # Two totals of each pair and budget: minus the shortage, and the return itself.
-        shortage = value[after] + below[to] * earned
-        returned = mean[after] + below[to] * table.gain[here]
-        totals = np.add.reduceat(times * shortage, starts, axis=1)
-        means = np.add.reduceat(times * returned, starts, axis=1)
-        # Least shortage first; among pairs that share it, the greatest mean return.
-        most = totals.max(axis=1)
-        means = np.where(totals == most[:, None], means, means.min() - 1)
-        new = slice(int(first[state]), int(first[state + 1]))
-        value[new], mean[new] = most, means.max(axis=1)
-        pairs[new] = own.start + means.argmax(axis=1)
-    parts: dict[str, Any] = {"below": below.tolist()}
-    parts["group"] = np.repeat(np.arange(of.mdp.n_states), np.diff(first))
-    return pairs, Level(top=value.tolist(), **parts), Level(top=mean.tolist(), **parts)
-
-
 @dataclass(frozen=True, eq=False)
 class FloatValues:
     """Values (S',) of the new states in floats, each with an error of at most `error`."""
@@ -246,27 +216,45 @@ class FloatValues:
         return float(sum(float(weight) * self.value[state] for state, weight in weights))
 
 
-def _solve_in_floats(of: Budgeted) -> tuple[Integers, FloatValues, FloatValues]:
-    """Return the same as `_solve_budgeted`, in floats."""
+def _solve_budgeted(
+    of: Budgeted, *, exact: bool
+) -> tuple[Integers, Level | FloatValues, Level | FloatValues]:
+    """Return pairs of the old model for the new states, their values, and the means of returns."""
     first, table = of.first, of.table
+    kind: Any = np.float64
+    if exact:
+        kind = object
     denominator = np.repeat(table.denominator, np.diff(table.offsets))
     chance = (table.weight.astype(object) / denominator.astype(object)).astype(np.float64)
-    gain = table.gain.astype(np.float64)
-    value, mean = np.zeros((2, int(first[-1])))
+    value, mean = np.zeros((2, int(first[-1])), dtype=kind)
+    below = np.ones(of.mdp.n_states, dtype=object)
     pairs = np.repeat(of.mdp.pair_offsets[:-1], np.diff(first))
     for state in of.order:
         here, (after, earned) = of.outcomes_of(state), of.list_successors(state)
-        own = of.mdp.pairs_of(state)
+        own, gain = of.mdp.pairs_of(state), table.gain[here]
+        times: Numbers = chance[here]
+        if exact:
+            # Backward induction over integers: values of one state share a denominator.
+            then = below[table.next[here]]
+            scale = then * denominator[here]
+            below[state] = lcm(*scale.tolist())
+            times = table.weight[here] * (below[state] // scale)
+            earned, gain = then * earned, then * gain
         starts = table.offsets[own.start : own.stop] - here.start
-        shortage = value[after] + earned.astype(np.float64)
-        totals = np.add.reduceat(chance[here] * shortage, starts, axis=1)
-        means = np.add.reduceat(chance[here] * (mean[after] + gain[here]), starts, axis=1)
+        # Two totals of each pair and budget: minus the shortage, and the return itself.
+        shortage, returned = value[after] + earned.astype(kind), mean[after] + gain.astype(kind)
+        totals = np.add.reduceat(times * shortage, starts, axis=1)
+        means = np.add.reduceat(times * returned, starts, axis=1)
         # Least shortage first; among pairs that share it, the greatest mean return.
         most = totals.max(axis=1)
         means = np.where(totals == most[:, None], means, -np.inf)
         new = slice(int(first[state]), int(first[state + 1]))
         value[new], mean[new] = most, means.max(axis=1)
         pairs[new] = own.start + means.argmax(axis=1)
+    if exact:
+        parts: dict[str, Any] = {"below": below.tolist()}
+        parts["group"] = np.repeat(np.arange(of.mdp.n_states), np.diff(first))
+        return pairs, Level(top=value.tolist(), **parts), Level(top=mean.tolist(), **parts)
     # The error of one step, as at the head of the module, times the number of steps.
     width = float(max(of.high - of.low))
     size = 2 * float(max(np.abs([of.high, of.low]).max(axis=0)))  # a reward, and a return after it
@@ -333,7 +321,7 @@ class CVaROptimum(Result):
         model = of.build_budgeted_model(int(self.threshold / self._unit))
         first = np.repeat(of.mdp.pair_offsets[:-1], np.diff(of.first))
         pairs = model.pair_offsets[:-1] + self.pairs - first
-        return build_certificate(model, pairs, h=self.values, rank=model.ends.rank)
+        return build_certificate(model, pairs, h=self.values, rank=model.ends.rank_in_proof)
 
     def action(self, state: int, so_far: object = 0) -> str:
         """Return the policy's action in a state, given the reward so far."""
@@ -473,16 +461,11 @@ def best_cvar(model: MDP | Scenario, level: object, *, exact: bool | None = None
     >>> str(best.value), str(best.mean), best.action(0)
     ('4', '4', '1')
     """
-    mdp, share = mdp_of(model), parse_tail_share(level)
+    mdp, share = mdp_of(model), as_share(level, "share of the worst episodes")
     of = Budgeted(mdp)
     if exact is None:
         exact = of.cells <= EXACT_CELLS
-    values: Level | FloatValues
-    means: Level | FloatValues
-    if exact:
-        pairs, values, means = _solve_budgeted(of)
-    else:
-        pairs, values, means = _solve_in_floats(of)
+    pairs, values, means = _solve_budgeted(of, exact=exact)
     # The best threshold: the greatest CVaR, then the greatest mean, then the lowest threshold.
     rated = []
     for k in of.thresholds:

@@ -243,6 +243,11 @@ class Given:
             return "optimal"
         return self.taken
 
+    @property
+    def held(self) -> dict[str, Any]:
+        """The policy held fixed and the criterion, as analyses take them."""
+        return {"policy": self.fixed, "criterion": self.criterion}
+
     def policy_from(self, form: str) -> Policy:
         """Return the policy that a text names; with --perception, acting on perceived states.
 

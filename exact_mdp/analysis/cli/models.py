@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from importlib.resources import files
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +20,13 @@ from exact_mdp.analysis.gate.data.interval import (
 )
 from exact_mdp.analysis.pages import ADVICE
 from exact_mdp.mdp.care import lint as linter
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import FEW_NAMED, ModelError, join_few
 from exact_mdp.mdp.graph import find_reachable_states
 from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.io.files import SMALL, STANDARD_INPUT, read_text, write_atomically
 from exact_mdp.mdp.io.load import read_model
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.report import FEW_NAMED, MOST_LISTED, Report, Shown, Table, format_ratio
+from exact_mdp.mdp.report import MOST_LISTED, Report, Shown, Table, format_ratio
 
 ONE_ACTION = "only one action was ever taken: there is nothing to choose"
 UNUSED = (
@@ -129,7 +128,7 @@ def info_command(given: Given) -> Report:
         "pairs": mdp.n_pairs,
         "transitions": mdp.n_transitions,
         "discount_exact": Shown(mdp.discount_exact),
-        "start": Shown(start, format_first_few(begins, len(start))),
+        "start": Shown(start, join_few(begins, len(start), "; ")),
         "terminates": Shown(ends, "every policy ends" if ends else "no"),
         "never_ends": _never_ends(mdp),
         "acyclic": mdp.ends.is_acyclic,
@@ -158,17 +157,9 @@ def _never_ends(mdp: MDP) -> Shown | None:
         return None
     for pair in pairs[:FEW_NAMED].tolist():
         policy[mdp.space.label(int(mdp.pair_state[pair]))] = mdp.actions[mdp.pair_action[pair]]
-    states = format_first_few(
-        (f"{state}: {action}" for state, action in policy.items()), len(pairs)
-    )
+    listed = (f"{state}: {action}" for state, action in policy.items())
     content = {"states": len(pairs), "policy": policy}
-    return Shown(content, f"a policy that stays forever: {states}")
-
-
-def format_first_few(texts: Iterable[str], count: int) -> str:
-    """Return the first few of some texts, and how many more there are."""
-    first = [*islice(texts, FEW_NAMED)]
-    return "; ".join(first) + (f"; {count - len(first)} more" if count > len(first) else "")
+    return Shown(content, f"a policy that stays forever: {join_few(listed, len(pairs), '; ')}")
 
 
 def data_command(
@@ -247,12 +238,12 @@ def _report_estimate(
         "actions": mdp.n_actions,
         "pairs": int((seen > 0).sum()),
         "discount": mdp.discount,
-        "ends": Shown(ends, ends and f"{format_first_few(ends, len(ends))} (entered, never left)"),
+        "ends": Shown(ends, ends and f"{join_few(ends, len(ends), '; ')} (entered, never left)"),
         "n_never_taken": Shown(len(never)),
-        "never_taken": Shown(named, named and format_first_few(named, len(never))),
+        "never_taken": Shown(named, named and join_few(named, len(never), "; ")),
         "rare": rows,
         "cut_off": Shown(record.n_cut_off, record.n_cut_off or None),
-        "cut_off_states": Shown(unknown, unknown and format_first_few(unknown, len(unknown))),
+        "cut_off_states": Shown(unknown, unknown and join_few(unknown, len(unknown), "; ")),
         "model_hash": exact_mdp.fingerprint(mdp),
     }
     keys = {key: key for key in ("state", "action", "observations")}

@@ -12,14 +12,12 @@ from typing import Any, Literal
 
 from exact_mdp.analysis import ci
 from exact_mdp.analysis.pages import ADVICE
-from exact_mdp.mdp.errors import ModelError, shown_text
+from exact_mdp.mdp.errors import shown_text
 from exact_mdp.mdp.report import Report
 
 
 def print_report(report: Report, *, as_json: bool, as_markdown: bool) -> None:
     """Print a report, its notes on standard error; advice is part of every form."""
-    if as_json and as_markdown:
-        raise ModelError("two forms of one output", where="--markdown", fix="leave out --json")
     for note in report.notes:
         if note != ADVICE:
             print(f"note: {note}", file=sys.stderr)

@@ -59,8 +59,7 @@ def tornado_command(given: Given) -> Report:
     value of the policy held fixed; regret: loss of that policy at the start.
     """
     spans, without = _select_ranges(given)
-    held = {"policy": given.fixed, "criterion": given.criterion}
-    result = exact_mdp.tornado(given.family, names=list(spans), ranges=spans, **held)
+    result = exact_mdp.tornado(given.family, names=list(spans), ranges=spans, **given.held)
     # its effect on the policy
     by = "swing"
     if given.perception:
@@ -175,8 +174,7 @@ def one_way_command(given: Given, *, parameters: Sequence[str] = (), points: int
     """
     (name,) = _require_parameter_count(parameters, 1, "one-way")
     spans, _ = _select_ranges(given, [name])
-    held = {"policy": given.fixed, "criterion": given.criterion}
-    result = exact_mdp.one_way(given.family, name, spans, points=points, **held)
+    result = exact_mdp.one_way(given.family, name, spans, points=points, **given.held)
     return _report_with_policy(given, "one-way", result.report(), **_claim_start_value(given))
 
 
@@ -199,8 +197,7 @@ def two_way_command(given: Given, *, parameters: Sequence[str] = (), points: int
     """
     x, y = _require_parameter_count(parameters, 2, "two-way")
     spans, _ = _select_ranges(given, [x, y])
-    held = {"policy": given.fixed, "criterion": given.criterion}
-    result = exact_mdp.two_way(given.family, x, y, ranges=spans, points=points, **held)
+    result = exact_mdp.two_way(given.family, x, y, ranges=spans, points=points, **given.held)
     return _report_with_policy(given, "two-way", result.report(), **_claim_start_value(given))
 
 
@@ -263,7 +260,7 @@ def psa_command(
         size = float_of(effective_sample_size, "--effective-sample-size")
     chosen = exact_mdp.uncertainty(model, uncertain, default=size, names=names)
     n = samples or (10_000 if solver_of(model, (), given.criterion).compiled else 500)
-    how = _read_work_options(n_jobs, out) | {"policy": given.fixed, "criterion": given.criterion}
+    how = _read_work_options(n_jobs, out) | given.held
     result = exact_mdp.psa(model, n, rng=seed, uncertain=chosen, **how)
     report = result.report(given.policy or "optimal", evppi=True)
     report = _report_with_policy(given, "psa", report, effective_sample_size=chosen.default)
@@ -306,8 +303,7 @@ def sobol_command(
             where=f"sobol of {given.loaded.name}",
             fix="give a range: --range NAME=LOW:HIGH",
         )
-    how = _read_work_options(n_jobs, out) | {"n": samples, "rng": seed, "policy": given.fixed}
-    how["criterion"] = given.criterion
+    how = _read_work_options(n_jobs, out) | given.held | {"n": samples, "rng": seed}
     result = exact_mdp.sobol(given.family, names=list(spans), ranges=spans, **how)
     report = _report_with_policy(
         given, "sobol", result.report(), **_claim_start_value(given), without_range=without
@@ -368,9 +364,10 @@ def _report_worst_point(given: Given, stated: bool) -> Report:
     box, _ = _select_ranges(given, _choose_parameters(given) if stated else chances)
     if not box:
         raise ModelError(
-            "no parameter moves",
+            "no parameter moves: only probabilities other than 0 do so without being named",
             where="--set-kind box",
-            fix="give a range (--range NAME=LOW:HIGH), or another kind of set",
+            fix="name what moves (--parameter NAME, --range NAME=LOW:HIGH), or choose another kind "
+            "of set",
         )
     criterion = given.criterion
     report = exact_mdp.worst_point(family, given.fixed, box, criterion=criterion).report()

@@ -25,11 +25,12 @@ from exact_mdp.analysis.gate.class_losses import (
 )
 from exact_mdp.analysis.gate.columns import BestPolicy, PolicyRows, best_policy
 from exact_mdp.analysis.gate.regret import Regret, policy_regret
+from exact_mdp.mdp.errors import FEW_NAMED
 from exact_mdp.mdp.graph import find_reachable_states
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.arrays import rows_read
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.report import FEW_NAMED, Shown, format_cell
+from exact_mdp.mdp.report import Shown, format_cell
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.claims import Bounded, Certified, SolverError, in_float
 from exact_mdp.solvers.exact.certificate import Certificate

@@ -136,3 +136,11 @@ def sample_epoch_returns(
         )
         cut_short += int(more)
     return returns, cut_short
+
+
+def average_epochs(values: Floats, window: int) -> tuple[Floats, Floats]:
+    """Return the middle of each window of epochs, and the mean of the values in it."""
+    size = min(window, len(values))
+    means: Floats = np.convolve(values, np.full(size, 1 / size), mode="valid").astype(float)
+    middles: Floats = np.arange(len(means), dtype=float) + (size - 1) / 2
+    return middles, means

@@ -43,8 +43,8 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
-from exact_mdp.mdp.table import exact, format_rational
-from exact_mdp.mdp.validate import require_count
+from exact_mdp.mdp.table import format_rational
+from exact_mdp.mdp.validate import as_share, require_count
 from exact_mdp.solvers.arguments import mdp_of
 from exact_mdp.solvers.claims import Claim
 from exact_mdp.solvers.learning.sampler import Seed, as_sequence, spawn_child_seed
@@ -230,7 +230,7 @@ def check_trainer(
     at least 0.5 is proven)
     """
     # Refuse a gate that proves nothing, or that could not fail.
-    wanted, risk = _parse_share("share", share), _parse_share("alpha", alpha)
+    wanted, risk = as_share(share, "share"), as_share(alpha, "alpha")
     if risk == 1:
         what = "a risk of error of 1 proves nothing"
         raise ModelError(what, where="alpha", fix="choose less: 1/100")
@@ -324,16 +324,6 @@ def _is_one(given: object) -> bool:
     actions = isinstance(given, list | tuple) and any(isinstance(one, Number) for one in given)
     named = isinstance(given, str | Mapping) or hasattr(given, "__array__")
     return actions or named or not isinstance(given, Iterable)
-
-
-def _parse_share(name: str, number: object) -> Fraction:
-    """Return a number above 0 and at most 1."""
-    value = exact(number, name)
-    if not 0 < value <= 1:
-        raise ModelError(
-            f"{name} is {format_rational(value)}", where=name, fix="choose from 0 to 1, not 0"
-        )
-    return value
 
 
 # ---- an interval of a share that holds at every moment -------------------------------------------

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from exact_mdp.analysis.learning.curves import LearningCurve
+from exact_mdp.analysis.learning.curves import LearningCurve, average_epochs
 from exact_mdp.analysis.learning.outcomes import Outcomes
 from exact_mdp.analysis.learning.trainers import TrainerAudit
 from exact_mdp.analysis.plots.style import (
@@ -24,7 +24,6 @@ from exact_mdp.analysis.plots.style import (
     label_axes,
 )
 from exact_mdp.analysis.vary.intervals import compute_wilson_interval
-from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.values.returns import ReturnDistribution
 from exact_mdp.solvers.values.simulate import Simulation
 from exact_mdp.solvers.values.trace import Trace
@@ -136,14 +135,6 @@ def plot_learning_curves(
         add_horizontal_line(ax, optimum)
     what = "Value of the greedy policy while it learns"
     return label_axes(ax, what, x="epoch", y="return (reward)")
-
-
-def average_epochs(values: Floats, window: int) -> tuple[Floats, Floats]:
-    """Return the middle of each window of epochs, and the mean of the values in it."""
-    size = min(window, len(values))
-    means: Floats = np.convolve(values, np.full(size, 1 / size), mode="valid").astype(float)
-    middles: Floats = np.arange(len(means), dtype=float) + (size - 1) / 2
-    return middles, means
 
 
 @apply_style

@@ -621,7 +621,7 @@ def _read_parameter_distribution(
     parameter: Parameter, settings: Settings, default: float
 ) -> Uncertain | str:
     """Return the distribution of one parameter, or the reason why it is not drawn."""
-    name, today, low, high = parameter.name, float(parameter.value), parameter.low, parameter.high
+    name, today, (low, high) = parameter.name, float(parameter.value), parameter.limits
     if not settings and not is_probability(parameter):
         if name == DISCOUNT:
             return "the discount is held unless stated otherwise"
@@ -632,7 +632,7 @@ def _read_parameter_distribution(
     # The distribution that suits the parameter's limits, unless one is named.
     if low == 0 and high == 1:
         usual = "beta"
-    elif low is None or low < 0:
+    elif low < 0:
         usual = "normal"
     else:
         usual = "gamma"
@@ -656,9 +656,7 @@ def _read_parameter_distribution(
         said = {"mean": today} | said
     part = Uncertain.of(name, kind, **said)
     least, most = part.numbers[0], part.numbers[-1]
-    if kind in ("uniform", "triangular") and (
-        (low is not None and least < low) or (high is not None and most > high)
-    ):
+    if kind in ("uniform", "triangular") and (least < low or most > high):
         what = f"a {kind} from {least:g} to {most:g}, outside the parameter's limits"
         raise ModelError(what, where=f"distribution of {name}", fix="choose one within them")
     return part

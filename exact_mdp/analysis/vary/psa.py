@@ -47,7 +47,7 @@ from exact_mdp.analysis.vary.study import (
     solver_of,
 )
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError, named_options, require_known_name
+from exact_mdp.mdp.errors import ModelError, join_few, named_options, require_known_name
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.parametric.family import place_of
@@ -330,11 +330,8 @@ class PSA(Pictured):
         among = self.evpi_of_candidates()
         errors = {name: each.regression.standard_error for name, each in partly.items()}
         wide = [name for name, error in errors.items() if error > among.value]
-        names = ", ".join(wide[:3])
-        if len(wide) > 3:
-            names += f" and {len(wide) - 3} more"
         for text in too_wide(max(errors.values(), default=0.0), among.value, len(self)):
-            notes.append(f"EVPPI of {names}: {text}")
+            notes.append(f"EVPPI of {join_few(wide, len(wide), most=3)}: {text}")
         return notes
 
     def frame(self) -> DataFrame:

@@ -94,17 +94,12 @@ def make_range_around(parameter: Parameter, relative: object = RELATIVE) -> Rang
         fix = "choose one above 0, nearer to 1"
         raise ModelError(f"a share of {format_rational(share)}", where="relative", fix=fix)
     reach = abs(parameter.value) * share
-    low, high = parameter.value - reach, parameter.value + reach
-    if parameter.low is not None:
-        if whole:
-            low = parameter.low
-        else:
-            low = max(low, parameter.low)
-    if parameter.high is not None:
-        if whole:
-            high = parameter.high
-        else:
-            high = min(high, parameter.high)
+    least, most = parameter.limits
+    low, high = max(parameter.value - reach, least), min(parameter.value + reach, most)
+    if whole and parameter.low is not None:
+        low = parameter.low
+    if whole and parameter.high is not None:
+        high = parameter.high
     return Range(low=low, high=high)
 
 
@@ -230,8 +225,11 @@ def range_of(model: Parametric, name: str, ranges: object = None, relative: obje
         ranges = {name: ranges}
     span = ranges_of(model, [name], ranges, relative, stacklevel=5)[name]
     if span.low == span.high:
+        why = "no other value has a model with finite values"
+        if span.low == 0:
+            why = "a share of 0 is 0"
         raise ModelError(
-            f"the range of {name} has one point, {format_rational(span.low)}: a share of 0 is 0",
+            f"the range of {name} has one point, {format_rational(span.low)}: {why}",
             where=place_of(model),
             fix=f'give it one: ranges={{"{name}": (low, high)}}, --range {name}=LOW:HIGH',
         )

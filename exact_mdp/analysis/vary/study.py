@@ -26,6 +26,7 @@ from exact_mdp.mdp.errors import (
     ModelError,
     annotate_errors,
     check_names,
+    join_few,
     locate_errors,
     require_list,
 )
@@ -205,15 +206,7 @@ def read_points(
     points = np.column_stack([*columns.values()])
     # Every number must be finite and within the limits of its parameter.
     for name, drawn in zip(columns, float_array(points, "points").T, strict=True):
-        parameter = parameter_of(model, name)
-        if parameter.low is None:
-            low = -inf
-        else:
-            low = float(parameter.low)
-        if parameter.high is None:
-            high = inf
-        else:
-            high = float(parameter.high)
+        low, high = map(float, parameter_of(model, name).limits)
         wrong = ~((drawn >= low) & (drawn <= high) & np.isfinite(drawn))
         if wrong.any():
             row, fault = int(wrong.argmax()), f"outside [{low:g}, {high:g}]"
@@ -609,9 +602,7 @@ class ModelSolver:
         for name, x in zip(self.names, draws[d].tolist(), strict=True):
             if x != today[name]:
                 moved.append(f"{name} = {format_cell(x)}")
-        words = ", ".join(moved[:3]) or "today's parameters"
-        if len(moved) > 3:
-            words += ", …"
+        words = join_few(moved, len(moved), most=3) or "today's parameters"
         return f"draw {first + d}, {words}"
 
     def solve_draws(self, draws: Numbers, first: int = 0) -> Arrays:

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from exact_mdp.mdp.errors import ModelError, locate_errors
+from exact_mdp.mdp.errors import ModelError, join_few, locate_errors
 from exact_mdp.mdp.forms.numbers import float_array
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.formats import PERCEPTIONS, find_format, join_endings
@@ -213,9 +213,7 @@ def frequencies(counts: Integers) -> Floats:
     totals = counts.sum(axis=1, keepdims=True)
     unseen = np.flatnonzero(totals == 0).tolist()
     if unseen:
-        labels = ", ".join(map(statuses_of(len(counts)).label, unseen[:4]))
-        if len(unseen) > 4:
-            labels += " and others"
+        labels = join_few(map(statuses_of(len(counts)).label, unseen), len(unseen))
         raise ModelError(
             f"no example was labelled {labels}",
             where="confusion matrix",

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
@@ -66,6 +66,13 @@ def name_things(things: Sequence[Any], what: str) -> tuple[str, ...]:
     raise ModelError(
         f"two {what}s are both called {twice}", where=f"{what}s", fix="give them different names"
     )
+
+
+def find_free_name(name: str, taken: Container[str]) -> str:
+    """Return a name, with as many "'" as make it differ from the names that are taken."""
+    while name in taken:
+        name += "'"
+    return name
 
 
 def is_number(thing: object) -> bool:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.forms.names import integer_of, name_things, text_of
+from exact_mdp.mdp.forms.names import find_free_name, integer_of, name_things, text_of
 from exact_mdp.mdp.space import Column, StateSpace
 
 
@@ -113,12 +113,9 @@ def name_columns(
     if paid:
         columns.add_pair(last, 0, [(1, last, 0)])
     # Its name must differ from the names of all other states.
-    name = "end"
-    while name in map(text_of, things):
-        name += "'"
     extra: tuple[str, ...] = ()
     if paid:
-        extra = (name,)
+        extra = (find_free_name("end", [*map(text_of, things)]),)
     column = Column(name="state", size=len(things))
     if not _count_from_zero(things):
         column = replace(column, words=name_things(things, "state"), objects=tuple(things))

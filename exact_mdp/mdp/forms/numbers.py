@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from exact_mdp.mdp.errors import ModelError, locate_errors
+from exact_mdp.mdp.errors import ModelError, join_few, locate_errors
 from exact_mdp.mdp.forms.rows import rationalize_row
 from exact_mdp.mdp.table import (
     EXACT_IN_INT64,
@@ -119,11 +119,9 @@ def refuse_labels(values: Any) -> None:
         for labels in table.axes:
             if list(labels) == list(range(len(labels))):
                 continue
-            few = ", ".join(map(str, labels[:4]))
-            if len(labels) > 4:
-                few += " …"
             raise ModelError(
-                f"a table has the labels {few}, and arrays of a model go by position",
+                f"a table has the labels {join_few(labels, len(labels))}, and arrays of a model go "
+                "by position",
                 fix="put rows and columns in the order of states and actions, and give "
                 "table.to_numpy(); or give dictionaries, which go by name",
             )
@@ -229,9 +227,7 @@ def _to_array(values: Any) -> Any:
             numbers.append(zero)
         else:
             numbers.append(as_given(value))
-    flat = np.empty(array.size, dtype=object)
-    flat[:] = numbers
-    return flat.reshape(array.shape)
+    return np.array(numbers, dtype=object).reshape(array.shape)
 
 
 def _find_types(values: Any) -> set[Any]:
@@ -335,12 +331,9 @@ def one_kind(values: Sequence[Any]) -> Numbers:
         return np.array(values, dtype=np.float64)
     if kinds == {int} and find_magnitude(to_integer_array(values)) < EXACT_IN_INT64:
         return np.array(values)
-    numbers = np.empty(len(values), dtype=object)
-    if kinds == {Fraction}:
-        numbers[:] = values
-    else:
-        numbers[:] = [as_given(value) for value in values]
-    return numbers
+    if kinds != {Fraction}:
+        values = [as_given(value) for value in values]
+    return np.array(values, dtype=object)
 
 
 def has_floats(values: Numbers) -> bool:

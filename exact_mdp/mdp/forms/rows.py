@@ -270,8 +270,6 @@ def to_dyadic_integers(values: Numbers, offsets: Integers) -> tuple[Numbers, Num
     size = np.frexp(np.abs(whole).astype(np.float64))[1] + shift
     if values.size and int(size.max()) <= 62 and int(-lowest.min()) <= 62:
         return whole << shift, np.left_shift(np.int64(1), -lowest)
-    top = np.empty(len(whole), dtype=object)
-    top[:] = [a << s for a, s in zip(whole.tolist(), shift.tolist(), strict=True)]
-    bottom = np.empty(len(lowest), dtype=object)
-    bottom[:] = [1 << -p for p in lowest.tolist()]
-    return top, bottom
+    top = [a << s for a, s in zip(whole.tolist(), shift.tolist(), strict=True)]
+    bottom = [1 << -p for p in lowest.tolist()]
+    return np.array(top, dtype=object), np.array(bottom, dtype=object)

@@ -17,7 +17,7 @@ import numpy as np
 
 from exact_mdp.mdp.components import REST
 from exact_mdp.mdp.errors import ModelError, require_known_name
-from exact_mdp.mdp.forms.names import ByNumber
+from exact_mdp.mdp.forms.names import ByNumber, find_free_name
 from exact_mdp.mdp.forms.numbers import as_given
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
@@ -69,16 +69,9 @@ def _number_actions(
         for own in choices:
             places += [place for place, _ in enumerate(own)]
         return places, ()
+    # The second choice of a state with the same word gets a name that no choice of the file has.
     given = set(words)
-
-    def own_name(name: str) -> str:
-        """Return a name that no choice of the file has."""
-        while name in given:
-            name += "'"
-        return name
-
-    # The second choice of a state with the same word gets a name of its own.
-    unnamed = own_name(UNNAMED)
+    unnamed = find_free_name(UNNAMED, given)
     names: list[str] = []
     for own in choices:
         seen = Counter[str]()
@@ -86,7 +79,7 @@ def _number_actions(
             word = words[choice] or unnamed
             seen[word] += 1
             if seen[word] > 1:
-                word = own_name(f"{word}#{seen[word]}")
+                word = find_free_name(f"{word}#{seen[word]}", given)
             names.append(word)
     number = {name: place for place, name in enumerate(dict.fromkeys([*declared, *names]))}
     return [number[name] for name in names], tuple(number)
@@ -192,9 +185,7 @@ def _collect_rewards(
         return next(iter(amounts.values()), 0)
     # The reward model "reward" is the sum; the others are its components.
     if REWARD in amounts:
-        total, rest = amounts.pop(REWARD), REST
-        if REST in amounts:
-            rest = f"{REST}'"
+        total, rest = amounts.pop(REWARD), find_free_name(REST, amounts)
         left = exact(total) - sum(map(exact, amounts.values()), Fraction(0))
         if left:
             amounts[rest] = left

@@ -25,12 +25,13 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, locate_errors, shorten_text
+from exact_mdp.mdp.errors import FEW_NAMED, ModelError, join_few, locate_errors, shorten_text
 from exact_mdp.mdp.forms.numbers import as_given
 from exact_mdp.mdp.table import exact
 
 NOWHERE = -1  # the next state in some tables if the episode is over
 LISTED = "let P[state][action] list (probability, next state, reward, terminated)"
+UNWRAP = "give env.unwrapped, or describe the change: MDP.from_function(…)"
 Outcome = tuple[Any, int, Any, bool]
 Rows = dict[tuple[int, int], list[Outcome]]
 TOY_TEXT = "gymnasium.envs.toy_text"
@@ -207,7 +208,7 @@ def refuse_changes(layers: Sequence[Any]) -> None:
             raise ModelError(
                 f"{type(env).__name__} changes the environment, but not its table P",
                 where="env",
-                fix="give env.unwrapped, or describe the change: MDP.from_function(…)",
+                fix=UNWRAP,
             )
     if getattr(layers[-1], "fickle_passenger", False) is True:
         raise ModelError(
@@ -234,7 +235,7 @@ def refuse_untried(layers: Sequence[Any]) -> None:
             raise ModelError(
                 f"{type(env).__name__} may change the environment, but not its matrices",
                 where="env",
-                fix="give env.unwrapped, or describe the change: MDP.from_function(…)",
+                fix=UNWRAP,
             )
 
 
@@ -420,19 +421,17 @@ class _Trial:
             if exact(chance) > 0 and same and near:
                 return
         listed = []
-        for _, target, gain, ends in outcomes[:4]:
+        for _, target, gain, ends in outcomes[:FEW_NAMED]:
             listed.append(f"({target}, {float(exact(gain)):g}, {ends})")
-        if len(outcomes) > 4:
-            listed.append("…")
         raise self._mismatch_error(
             f"step({action}) in state {state} gave ({following}, {reward:g}, {over}); P lists "
-            f"(next state, reward, terminated) {', '.join(listed)}"
+            f"(next state, reward, terminated) {join_few(listed, len(outcomes))}"
         )
 
     def _mismatch_error(self, what: str, fix: str = "") -> ModelError:
         """Return the error for an environment that differs from its table."""
         if not self.own:
-            fix = "give env.unwrapped, or describe the change: MDP.from_function(…)"
+            fix = UNWRAP
         elif not fix:
             fix = "make P agree with step() and reset(); or give P alone: "
             fix += "MDP.from_gymnasium(env.unwrapped.P)"

@@ -52,6 +52,7 @@ from exact_mdp.mdp.io.parts import (
     FLOATS,
     MODEL,
     PARTS,
+    SETS,
     build_model,
     encode_integer,
     encode_parts,
@@ -287,10 +288,8 @@ def read_model_json(path: str | Path) -> MDP:
         if names is None:
             names = tuple(map(str, range(min(max(action), MOST_UNNAMED_ACTIONS) + 1)))
         flags = {name: _parse_flags(name, each, states) for name, each in head["labels"].items()}
-        sets: dict[str, Any] = {}
-        for name in ("goal", "target"):
-            if head[name] is not None:
-                sets[name] = _parse_flags(name, head[name], states)
+        given = {name: head[name] for name in SETS if head[name] is not None}
+        sets: dict[str, Any] = {name: _parse_flags(name, given[name], states) for name in given}
         return build_model(
             head,
             table,

@@ -57,6 +57,7 @@ from exact_mdp.mdp.io.parts import (
     FLOATS,
     MODEL,
     PARTS,
+    SETS,
     build_model,
     encode_parts,
     encode_rationals,
@@ -226,10 +227,7 @@ def unpack_model(source: str | Path | bytes) -> MDP:
     parts, there = len(head["component_names"]), [name for name in TABLE if name in arrays]
     columns: dict[str, Any] = {name: _as_integers(name, arrays[name], parts) for name in there}
     rows = {name: columns.pop(name) for name in ("offsets", "next", "weight", "denominator")}
-    sets: dict[str, Any] = {}
-    for name in ("goal", "target"):
-        if name in arrays:
-            sets[name] = arrays[name] > 0
+    sets: dict[str, Any] = {name: arrays[name] > 0 for name in SETS if name in arrays}
     return build_model(
         head,
         OutcomeTable(rows=Rows(**rows), **columns),
@@ -315,8 +313,7 @@ def _as_integers(name: str, array: Numbers, parts: int) -> Numbers:
         raise ModelError(what, where=name, fix="save the model again")
     rows = array.reshape(len(array) * count, -1)
     values = [int.from_bytes(row.tobytes(), "little", signed=True) for row in rows]
-    wide = np.empty(len(values), dtype=object)
-    wide[:] = values
+    wide = np.array(values, dtype=object)
     if name == "components":
         return wide.reshape(-1, count)
     return wide

@@ -22,6 +22,7 @@ from exact_mdp.mdp.table import EXACT_IN_FLOAT, OutcomeTable
 from exact_mdp.mdp.validate import Flags
 
 MODEL = "exact-mdp model"  # the format of both kinds of files
+SETS = ("goal", "target")
 FLOATS = ("float_probabilities", "float_rewards")
 NUMBER = re.compile(r"-?(0x[0-9a-f]+|[0-9]+)(/(0x[0-9a-f]+|[0-9]+))?")
 

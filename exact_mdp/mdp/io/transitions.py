@@ -54,6 +54,7 @@ import tqdm
 from exact_mdp.mdp.build import FromArrays
 from exact_mdp.mdp.errors import (
     ModelError,
+    join_few,
     require_extra,
     require_known_name,
     require_type,
@@ -504,9 +505,7 @@ class TransitionRecord:
     def _missing_columns_error(self, missing: Sequence[str], there: Sequence[str]) -> ModelError:
         """Return the error for columns that the table does not have."""
         listed = " nor ".join(repr(self.columns[name]) for name in missing)
-        shown = ", ".join(map(repr, there[:9]))
-        if len(there) > 9:
-            shown += " …"
+        shown = join_few(map(repr, there), len(there), most=9)
         fix = "; ".join(self._suggest_column(name, there) for name in missing)
         what = f"there is no column {listed} among {shown}"
         return ModelError(what, where=self.where, fix=fix)

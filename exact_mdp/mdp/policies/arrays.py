@@ -39,13 +39,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.errors import ModelError, locate_errors, no_such
+from exact_mdp.mdp.errors import ModelError, join_few, locate_errors, no_such
 from exact_mdp.mdp.forms.names import integer_of
 from exact_mdp.mdp.forms.numbers import convert_tensors, is_pandas_table, refuse_masked
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions.horizon import flatten_times
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, Numbers
+from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, Numbers, to_python_number
 
 Flags = NDArray[np.bool_]
 KINDS = ("auto", "q", "policy")
@@ -77,7 +77,7 @@ def numbers_of(given: object) -> Numbers:
         array: Numbers = np.array(given, dtype=object)
     except ValueError:
         array = np.array(None, dtype=object)
-    array.flat[:] = [_to_python_number(number) for number in array.flat]
+    array.flat[:] = [to_python_number(number) for number in array.flat]
     kinds = {type(number) for number in array.flat}
     if kinds == {float}:
         return array.astype(np.float64)
@@ -93,15 +93,6 @@ def numbers_of(given: object) -> Numbers:
             "{state: action}",
         )
     return array
-
-
-def _to_python_number(number: Any) -> Any:
-    """Return a NumPy number as a Python number of the same value, for exact comparisons."""
-    if isinstance(number, np.longdouble) and np.isfinite(number):
-        return Fraction(*number.as_integer_ratio())
-    if isinstance(number, np.generic):
-        return number.item()
-    return number
 
 
 def of_given_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
@@ -121,9 +112,7 @@ def of_given_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
     # A gap: all names are whole numbers, and some is too large to be a position.
     gap = len(known) == len(names) > 0 and max(known) >= len(names)
     if gap and min(known) >= 0 and max(known) < len(array):
-        few = ", ".join(map(str, known[:4]))
-        if len(known) > 4:
-            few += " …"
+        few = join_few(known, len(known))
         raise ModelError(
             f"states are named {few}, and row {known[-1]} of {len(array)} may be for state "
             f"{known[-1]}, or for {model.space.label(known[-1])} in the model's order",
@@ -174,12 +163,9 @@ def _find_rows_by_object(model: MDP, array: Numbers) -> Numbers | None:
 
 def warn_unread(labels: Sequence[str], count: int, rows: int) -> None:
     """Warn that `count` of some rows are of states that the model does not reach."""
-    shown = ", ".join(labels[:4])
-    if count > 4:
-        shown += " …"
     warnings.warn(
         f"{count} of {rows} rows are not read: their states are not in the model, "
-        f"which has only the states that can be reached from its start: {shown}",
+        f"which has only the states that can be reached from its start: {join_few(labels, count)}",
         stacklevel=2,
     )
 

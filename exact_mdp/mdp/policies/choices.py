@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, ShapeError, locate_errors, once_each
+from exact_mdp.mdp.errors import ModelError, ShapeError, join_few, locate_errors, once_each
 from exact_mdp.mdp.forms.names import integer_of, is_number
 from exact_mdp.mdp.forms.numbers import convert_tensors, refuse_masked
 from exact_mdp.mdp.io.files import LARGE, STANDARD_INPUT, read_text, write_atomically
@@ -366,9 +366,7 @@ def _check_complete(model: MDP, space: StateSpace, said: Iterable[int]) -> None:
     missing = silent[keys] & model.ends.must_choose
     if missing.any():
         lost = sorted(set(keys[missing].tolist()))
-        shown = "; ".join(space.labels(lost[:4]))
-        if len(lost) > 4:
-            shown += " …"
+        shown = join_few(map(space.label, lost), len(lost), "; ")
         raise ModelError(
             f"{len(lost)} of {space.size} rows are missing: {shown}", fix="add one for each"
         )

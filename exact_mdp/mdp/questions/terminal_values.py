@@ -15,6 +15,7 @@ import numpy as np
 
 from exact_mdp.mdp.components import cancel_common_divisor, with_components
 from exact_mdp.mdp.errors import ModelError, locate_errors
+from exact_mdp.mdp.forms.names import find_free_name
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import OutcomeTable, exact, multiply, over_groups, to_integer_array
 from exact_mdp.mdp.validate import Flags, numbers_by_state
@@ -78,10 +79,7 @@ def add_terminal_values(
             amounts, bottoms = table.components, table.component_denominator
         else:
             amounts, bottoms = table.expected_components_exact()
-        name = TERMINAL_VALUE
-        while name in names:
-            name += "'"
-        names = (*names, name)
+        names = (*names, find_free_name(TERMINAL_VALUE, names))
         columns = [(column, bottoms) for column in amounts.T]
         paid = with_components(paid, [*columns, (more, under)])
     return names, replace(paid, averaged=table.averaged)

@@ -20,6 +20,7 @@ from typing import ClassVar, Self, TypeVar
 
 import numpy as np
 
+from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
 from exact_mdp.mdp.graph import Mask
@@ -51,9 +52,7 @@ def require_model(given: MDP | None, own: MDP | None, where: str = "violations")
 
 
 def _freeze_column(numbers: Iterable[Fraction | None]) -> Numbers:
-    listed = list(numbers)
-    column = np.empty(len(listed), dtype=object)
-    column[:] = listed
+    column = np.array(list(numbers), dtype=object)
     column.setflags(write=False)
     return column
 
@@ -340,8 +339,7 @@ class Certificate(Proof, Pictured):
         infinite, counts = self.infinite_sign, ~self.optimal_pairs
         counts &= (infinite == 0)[mdp.pair_state] & ~mdp.terminal[mdp.pair_state]
         if self.g is None:
-            stays = infinite[mdp.table.next] == 0
-            counts &= np.logical_and.reduceat(stays, mdp.table.offsets[:-1])
+            counts &= PairGraph.of(mdp).find_pairs_within(infinite == 0)
         else:
             counts &= np.array([not top for top, _ in self._gains[0]])
         # The least loss of each state; fractions are compared by cross multiplication.

@@ -148,12 +148,13 @@ def prove_total(mdp: MDP) -> Certificate:
     # Otherwise the values alone, and at discount 1 ranks that prove that every policy ends.
     _, (value,), sign = optimise_exactly(bellman_rows(mdp))
     optimal = sign == 0
-    if mdp.discount_exact == 1:
-        rank = mdp.ends.rank
-    else:
-        rank = None
     return build_certificate(
-        mdp, first_of(mdp, optimal), optimal, h=value, rank=rank, known_optimal=optimal
+        mdp,
+        first_of(mdp, optimal),
+        optimal,
+        h=value,
+        rank=mdp.ends.rank_in_proof,
+        known_optimal=optimal,
     )
 
 
@@ -194,9 +195,6 @@ def _certify_bounds(mdp: MDP, solution: Solution | None) -> BoundedCertificate:
         raise SolverError(Status.NO_BOUND)
 
     live = ~mdp.terminal
-    rank = None
-    if mdp.discount_exact == 1:
-        rank = mdp.ends.rank
     return BoundedCertificate(
         kind="bounds",
         mdp=mdp,
@@ -205,5 +203,5 @@ def _certify_bounds(mdp: MDP, solution: Solution | None) -> BoundedCertificate:
         policy=mdp.pair_action[solution.pairs],
         low=widen_values(solution.pairs[live], -1),
         high=widen_values(np.flatnonzero(live[mdp.pair_state]), 1),
-        rank=rank,
+        rank=mdp.ends.rank_in_proof,
     )

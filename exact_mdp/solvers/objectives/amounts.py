@@ -25,6 +25,7 @@ import numpy as np
 from exact_mdp.mdp.advice import ways_out, where_endless
 from exact_mdp.mdp.errors import ModelError, suggest_name
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows
+from exact_mdp.mdp.forms.names import find_free_name
 from exact_mdp.mdp.graph import find_reachable_states
 from exact_mdp.mdp.io import model_json
 from exact_mdp.mdp.model import MDP
@@ -177,10 +178,9 @@ def _combine_terms(mdp: MDP, terms: Terms) -> Column:
 
 def reward_name(mdp: MDP) -> str:
     """Return the name of the reward itself among the amounts of a model."""
-    name = REWARD
-    while name in mdp.component_names and len(mdp.component_names) > 1:
-        name += "'"
-    return name
+    if len(mdp.component_names) == 1:
+        return REWARD
+    return find_free_name(REWARD, mdp.component_names)
 
 
 def _read_amounts(mdp: MDP, name: str) -> Column:

@@ -27,6 +27,7 @@ import flint
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, locate_errors
+from exact_mdp.mdp.forms.names import find_free_name
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.choices import of_every_state
 from exact_mdp.mdp.policies.policy import Policy
@@ -329,9 +330,7 @@ def solve_under(mdp: MDP, subject_to: Mapping[str, Any]) -> ConstrainedSolution:
     given = limits_of(subject_to)
     names = list(dict.fromkeys(limit.name for limit in given))
     # The return needs a name that no limit has.
-    title = "return"
-    while title in (name.partition("=")[0].strip() for name in names):
-        title += "'"
+    title = find_free_name("return", [name.partition("=")[0].strip() for name in names])
     of = Objectives(mdp, [f"{title}={reward_name(mdp)}", *names])
     limits = tuple(replace(x, name=of.names[1 + names.index(x.name)]) for x in given)
     shares, shift, price, dual = _combine_policies(of, limits)

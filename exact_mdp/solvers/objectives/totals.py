@@ -175,9 +175,5 @@ class TotalsProof(Proof):
 
 def list_proof_fields(of: Objectives, kind: str) -> dict[str, Any]:
     """Return the fields that all proofs about totals have."""
-    if of.mdp.discount_exact == 1:
-        rank = of.ending.ends.rank
-    else:
-        rank = None
     parts = {"kind": kind, "model": fingerprint(of.mdp), "mdp": of.mdp}
-    return parts | {"objectives": of.texts, "rank": rank}
+    return parts | {"objectives": of.texts, "rank": of.ending.ends.rank_in_proof}

@@ -117,12 +117,11 @@ class MassFlow:
             common[here] = lcm(common[here], chance.denominator)
         product = [*accumulate(common, mul, initial=1)]
         # A transition from block i to block j takes the factors of the blocks i + 1 … j - 1 along.
-        shares = np.empty(len(ways), dtype=object)
-        shares[:] = [int(p * common[i]) * (product[j] // product[i + 1]) for p, i, j in ways]
+        shares = [int(p * common[i]) * (product[j] // product[i + 1]) for p, i, j in ways]
         bottom = lcm(*(weight.denominator for weight in self.start.values()))
         self.start |= {s: int(p * bottom) * product[block[s]] for s, p in self.start.items()}
         self.total = bottom * product[-1]
-        return shares
+        return np.array(shares, dtype=object)
 
     def carry_mass(self) -> tuple[Numbers, Numbers, Any, int]:
         """Return multiples and masses at the ends, the mass that is lost, and the roundings."""

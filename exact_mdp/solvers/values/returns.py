@@ -42,6 +42,7 @@ from exact_mdp.mdp.report import (
 )
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, Numbers, exact, format_rational, multiply, to_integer_array
+from exact_mdp.mdp.validate import as_share
 from exact_mdp.solvers.arguments import mdp_of
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.claims import Claim, in_float
@@ -192,7 +193,7 @@ class ReturnDistribution(Pictured):
         >>> str(distribution.tail_mean("3/4")), str(distribution.tail_mean(1))
         ('10/3', '5')
         """
-        part = parse_tail_share(share)
+        part = as_share(share, "share")
         if part <= self.remaining:
             what = f"returns with a probability of up to {self.remaining:.2g} are not listed"
             fix = "choose a greater share, or a horizon, which ends cycles"
@@ -245,18 +246,6 @@ class ReturnDistribution(Pictured):
             f"ReturnDistribution({len(self.multiples)} returns, mean {self.mean:.6g}, "
             f"sd {self.sd:.6g}, remaining {self.remaining:.1g}{infinite})"
         )
-
-
-def parse_tail_share(level: object) -> Fraction:
-    """Return the share of the worst episodes over which the conditional value at risk averages."""
-    share = exact(level, "conditional value at risk")
-    if not 0 < share <= 1:
-        raise ModelError(
-            f"the level is {format_rational(share)}",
-            where="conditional value at risk",
-            fix="choose the share of the worst episodes: above 0, at most 1",
-        )
-    return share
 
 
 def tail_mean(distribution: Mapping[Any, Any], level: Fraction, *, highest: bool = False) -> Any:

@@ -169,4 +169,4 @@ def test_commands_name_the_file_that_labels_too_little(tmp_path: Path) -> None:
     for words in (("evaluate", "yuan2025", "random"), ("perception", "yuan2025")):
         said = run(*words, *seen).refusal()
         assert f"where: {tmp_path / 'few.jsonl'}" in said
-        assert "labelled 0001, 0010, 0011, 0100 and others" in said
+        assert "labelled 0001, 0010, 0011, 0100 and 11 more" in said

@@ -125,6 +125,10 @@ def test_several_reward_models_and_none(tmp_path: Path) -> None:
     assert certify(both.with_(labels={"end": [False, True]}).until("end", "rest")).value[0] == F(
         1, 6
     ) / F(3, 4)
+    named = chain(reward=[3, 0], rest=[1, 0], **{"rest'": [1, 0]})
+    three = load(written(named, tmp_path), discount=1)  # what is left gets a name of its own
+    assert three.component_names == ("rest", "rest'", "rest''")
+    assert three.components.tolist() == [[1, 1, 1], [0, 0, 0]]
 
 
 def written_with_two_rewards(folder: Path) -> Path:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.analysis.vary.intervals import Ranged, estimate_share
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, join_few
 from exact_mdp.mdp.io.transitions import CUT_OFF
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Report, Shown
@@ -159,10 +159,7 @@ def format_states(mdp: MDP, states: Flags) -> str:
 
 
 def _format_first_names(names: Sequence[str]) -> str:
-    text, more = ", ".join(names[:5]), len(names) - 5
-    if more > 0:
-        text += f" and {more:,} more"
-    return f"({text})"
+    return f"({join_few(names, len(names))})"
 
 
 def parse_range(given: Any, what: str) -> Ends | None:

@@ -457,7 +457,7 @@ def test_a_draw_is_described_by_three_parameters_at_most() -> None:
     solver = ModelSolver(family, names)
     draws = np.array([[0.25, 0.25, 0.25, 0.5], [0.25, 0.25, 0.25, 0.25]])
     assert solver._describe_draw(draws, 0, 0) == "draw 0, a = 0.25, b = 0.25, c = 0.25"
-    assert solver._describe_draw(draws, 0, 1) == "draw 1, a = 0.25, b = 0.25, c = 0.25, …"
+    assert solver._describe_draw(draws, 0, 1) == "draw 1, a = 0.25, b = 0.25, c = 0.25 and 1 more"
 
 
 def test_a_silent_policy_is_refused_at_the_draw_in_which_it_matters() -> None:
