@@ -93,7 +93,7 @@ class Objectives:
         # are integers.
         rows = bellman_rows(comparable)
         self.rows = replace(rows, constant=np.zeros(self.mdp.n_pairs, dtype=np.int64))
-        self.rank = comparable.ends.rank
+        self._comparable = comparable
         own = rows.scale[self.mdp.pair_state].astype(object)
         # (L,) expected amounts times scale, negated in a model of costs
         amounts = []
@@ -146,6 +146,13 @@ class Objectives:
         for own in each:
             amounts.append([Fraction(top, below) for top, below in own])
         return Totals(model, self.names, amounts)
+
+    @property
+    def rank(self) -> Integers | None:
+        """(S,) proof that every policy ends, at discount 1; -1 where some policy stays."""
+        if self.mdp.discount_exact < 1:
+            return None
+        return self._comparable.ends.rank
 
     # ---- policies with finite totals ---------------------------------------------------------
 

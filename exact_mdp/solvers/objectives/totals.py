@@ -226,9 +226,5 @@ class TotalsProof(Proof):
 
 def list_proof_fields(of: Objectives, kind: str) -> dict[str, Any]:
     """Return the fields that all proofs about totals have."""
-    if of.mdp.discount_exact == 1:
-        rank = of.rank
-    else:
-        rank = None
     parts = {"kind": kind, "model": fingerprint(of.given), "mdp": of.given}
-    return parts | {"objectives": of.texts, "rank": rank}
+    return parts | {"objectives": of.texts, "rank": of.rank}
