@@ -95,10 +95,17 @@ def test_a_gradient_of_the_optimum_leaves_out_what_may_miss_the_goal() -> None:
     assert refused.value.fix == "ask for exact=True"
 
 
-def test_best_policy_and_robust_values_beside_the_goal_are_refused() -> None:
-    for ask in (lambda mdp: best_policy(mdp, []), robust):
-        with pytest.raises(ModelError, match="ends outside the goal is worth infinity"):
-            ask(beside_the_goal().until("goal"))
+def test_the_best_policy_does_not_end_beside_the_goal() -> None:
+    asked = beside_the_goal().until("goal")
+    best = best_policy(asked, [])
+    assert (best.actions, best.value.value) == ({"all states": "0"}, pytest.approx(10))
+    lost = best_policy(asked.with_(start=2), [])
+    assert (lost.value.value, lost.upper_bound, lost.proven) == (inf, inf, True)
+
+
+def test_robust_values_beside_the_goal_are_refused() -> None:
+    with pytest.raises(ModelError, match="ends outside the goal is worth infinity"):
+        robust(beside_the_goal().until("goal"))
 
 
 def test_values_of_states_that_are_not_reached_know_the_goal() -> None:

@@ -7,14 +7,20 @@ state. Its value is at most V + c w, where r + γ P V - V ≤ c m for every allo
 weights w and margins m of `solvers.bounds.bounds`, rounding included; it also bounds mixed
 policies. Branch and bound (Land and Doig, Econometrica 28, 1960) splits the relaxation with the
 greatest bound, at the row in which any single action costs most.
+
+At discount 1 a policy that never ends, or misses a goal, is worth what `solve` says of the model
+whose only actions are its own, and may be worth +∞ or -∞. A relaxation is then solved as the model
+of its allowed pairs, and split at the row in which its policy, in states that it reaches, takes
+different actions most often.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from heapq import heappop, heappush
+from math import inf
 from typing import Self
 
 import numpy as np
@@ -23,7 +29,7 @@ import tqdm
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, require_list
-from exact_mdp.mdp.graph import find_reachable_states
+from exact_mdp.mdp.graph import find_reachable_states, find_start_states
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.arrays import rows_read, space_over
 from exact_mdp.mdp.policies.policy import Policy
@@ -35,8 +41,10 @@ from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.bounds.gains import POLICIES, SLACK, BoundedVector, first_of, gamma
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
 from exact_mdp.solvers.claims import Bounded
-from exact_mdp.solvers.solution import answer_maximised
-from exact_mdp.solvers.values.layers import find_taken_pairs, layers_of
+from exact_mdp.solvers.endless.quotient import of_pairs
+from exact_mdp.solvers.solution import Solution, answer_maximised
+from exact_mdp.solvers.solver import solve
+from exact_mdp.solvers.values.layers import Layers, find_taken_pairs, layers_of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -110,8 +118,10 @@ def best_policy(
     Raises
     ------
     ModelError
-        If a column is unknown, if states that look alike have no action in common, or at discount 1
-        if some policy never ends.
+        If a column is unknown, if states that look alike have no action in common, or if some
+        policy may be worth +∞ from one state of the start and -∞ from another.
+    SolverError
+        At discount 1, if floats cannot bound the values of policies that never end.
 
     Examples
     --------
@@ -135,7 +145,7 @@ def _find_best_policy(
     mdp: MDP, columns: Sequence[str], start: Policy | None, node_limit: int
 ) -> BestPolicy:
     """Return the best policy of a model of maximised rewards."""
-    rows = PolicyRows(mdp, columns)
+    rows = PolicyRows.of(mdp, columns)
     search = _BranchAndBound(rows)
     if start is not None:
         search.offer_policies(rows.choices_of(start)[None])
@@ -161,6 +171,13 @@ class PolicyRows:
     row of each state. Choices in terminal states, and among actions that are all alike, do not
     count.
     """
+
+    @classmethod
+    def of(cls, mdp: MDP, columns: Sequence[str]) -> PolicyRows:
+        """Return the rows of a model of maximised rewards, whether or not every policy ends."""
+        if mdp.ends.has_improper_policy:
+            return EndlessRows(mdp, columns)
+        return cls(mdp, columns)
 
     def __init__(self, mdp: MDP, columns: Sequence[str]) -> None:
         space = space_over(mdp, columns)
@@ -188,12 +205,25 @@ class PolicyRows:
         used = np.flatnonzero(choosing)
         shape = (offers.size, mdp.n_pairs)
         self._sums = sp.csr_array((np.ones(len(used)), (entry[used], used)), shape)
-        self._passes = Cycles(mdp) if mdp.ends.most_steps is None else layers_of(mdp)
-        # A residual of at most e changes the start value by at most e w(start) / min m.
-        weights = margin_weights(mdp)
-        self._reach = float(mdp.start_distribution @ weights.value) * SLACK / weights.smallest
         self._gain = float(np.abs(mdp.table.compute_gains()).max())
         self._terms = int(np.diff(mdp.table.offsets).max())
+
+    @cached_property
+    def _passes(self) -> Cycles | Layers:
+        if self.mdp.ends.most_steps is None:
+            return Cycles(self.mdp)
+        return layers_of(self.mdp)
+
+    @cached_property
+    def _reach(self) -> float:
+        """By how much a residual of at most 1 changes the start value: w(start) / min m."""
+        weights = margin_weights(self.mdp)
+        return float(self.mdp.start_distribution @ weights.value) * SLACK / weights.smallest
+
+    def _find_allowed_pairs(self, allowed: Flags) -> Flags:
+        """Return the pairs (L, N) that relaxations (N, K, A) allow."""
+        flat = allowed.reshape(len(allowed), -1)
+        return np.concatenate([flat, np.ones((len(flat), 1), dtype=bool)], axis=1).T[self._entry]
 
     def to_policy(self, choice: Integers) -> Policy:
         """Return the policy that takes one action number (K,) in each row with a choice."""
@@ -215,8 +245,7 @@ class PolicyRows:
         own policy; that loss is the third result, (N, K).
         """
         # Solve all relaxations at once: allowed pairs (L, N) give values (S, N) and Q (L, N).
-        mdp, flat = self.mdp, allowed.reshape(len(allowed), -1)
-        pairs = np.concatenate([flat, np.ones((len(flat), 1), dtype=bool)], axis=1).T[self._entry]
+        mdp, pairs = self.mdp, self._find_allowed_pairs(allowed)
         value, q, apart = self._passes.solve_allowed(pairs)
         upper, error = self._at_start(value, apart)
 
@@ -257,6 +286,74 @@ class PolicyRows:
         """Return error bounds (N,) of a computed residual r + γPV - V."""
         size = np.abs(value).max(axis=0)
         return np.asarray(gamma(self._terms + 8) * (self._gain + 2 * size))
+
+
+class EndlessRows(PolicyRows):
+    """The same of a model with improper policies, whose values may be infinite.
+
+    Each relaxation, and each policy, is solved as a model of its own.
+    """
+
+    def __init__(self, mdp: MDP, columns: Sequence[str]) -> None:
+        super().__init__(mdp, columns)
+        self._require_comparable()
+
+    def _require_comparable(self) -> None:
+        """Raise ModelError if some policy may have the value +∞ in one start state, -∞ in another.
+
+        A run that misses a goal is worth the same in every state.
+        """
+        mdp, start = self.mdp, find_start_states(self.mdp)
+        if mdp.ends.has_goal or start.sum() == 1:
+            return
+        best = np.isposinf(solve(mdp).value) & start
+        worst = np.isneginf(solve(mdp.with_(sense="min")).value) & start
+        if best.any() and worst.any() and (best | worst).sum() > 1:
+            raise ModelError(
+                "a policy may be worth +∞ from one state of the start and -∞ from another",
+                where="start",
+                fix="start in one state: --start, or mdp.with_(start=…)",
+            )
+
+    def bound_relaxations(self, allowed: Flags) -> tuple[Floats, Integers, Floats]:
+        """Return upper bounds (N,) of relaxations (N, K, A), and a policy for each, (N, K).
+
+        The policy takes in each row the action that the relaxation's own policy takes in most of
+        the states that it reaches; in how many it takes others is the third result, (N, K).
+        """
+        upper = np.empty(len(allowed))
+        choice, lost = np.empty((2, *allowed.shape[:2]), dtype=np.int64)
+        for number, mask in enumerate(self._find_allowed_pairs(allowed).T):
+            node, pairs = allowed[number], np.flatnonzero(mask)
+            times = np.zeros(node.shape, dtype=np.int64)
+            try:
+                solved = self._solve_pairs(pairs)
+            except ModelError:
+                # Mixed policies that reach the goal in the end earn without limit before: none of
+                # them is best, but the policies of smaller relaxations may be.
+                upper[number] = inf
+            else:
+                upper[number] = solved.start.value + solved.start.error * SLACK
+                taken = pairs[solved.pairs]
+                met = self.free & find_reachable_states(self.mdp, pairs=taken)
+                np.add.at(times, (self.key[met], self.mdp.pair_action[taken[met]]), 1)
+            choice[number] = np.where(node, times, -1).argmax(axis=1)
+            lost[number] = times.sum(axis=1) - times.max(axis=1)
+        return upper, choice, lost.astype(np.float64)
+
+    def evaluate_choices(self, choices: Integers) -> BoundedVector:
+        """Return the start values (N,) of policies (N, K)."""
+        taken = find_taken_pairs(self.mdp, self.key, choices)
+        starts = [self._solve_pairs(pairs).start for pairs in taken.T]
+        return BoundedVector(
+            value=np.array([each.value for each in starts]),
+            error=np.array([each.error for each in starts]),
+        )
+
+    def _solve_pairs(self, pairs: Integers) -> Solution:
+        """Return the optimum of the model of some pairs (K,), as close as floats allow."""
+        solution: Solution = solve(of_pairs(self.mdp, pairs), "policy-iteration")
+        return solution
 
 
 class Cycles:
@@ -367,5 +464,5 @@ class _BranchAndBound:
         own = self.rows.evaluate_choices(choices)
         best = int(own.value.argmax())
         value, error = float(own.value[best]), float(own.error[best])
-        if value > self.value + error + self.error:
+        if self.nodes == 0 or value > self.value + error + self.error:
             self.value, self.error, self.choice = value, error, choices[best]

@@ -37,6 +37,7 @@ from exact_mdp.analysis.gate.regret import (
     is_cheap_to_certify,
     policy_regret,
 )
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Shown, Table, format_cell
 from exact_mdp.mdp.table import Floats, to_common_denominator, to_integer_array
@@ -264,7 +265,16 @@ class UnderLimits(Total):
     @classmethod
     def of(cls, chain: PolicyChain, subject_to: Mapping[str, Any]) -> UnderLimits:
         """Return the criterion for limits as `solve` takes them."""
-        return cls(chain=chain, best=require_sound_proof(solve_under(chain.mdp, subject_to)))
+        best = solve_under(chain.mdp, subject_to)
+        if best.of.reduced:
+            raise ModelError(
+                "a regret under limits is known only where every policy ends, in the goal if there "
+                "is one",
+                where="subject_to",
+                fix="compare with solve(model, subject_to=…), the optimum, or choose a discount "
+                "below 1 (--discount 0.95)",
+            )
+        return cls(chain=chain, best=require_sound_proof(best))
 
     @property
     def feasible(self) -> bool:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isinf
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from exact_mdp.analysis.gate.class_losses import (
 )
 from exact_mdp.analysis.gate.columns import BestPolicy, PolicyRows, best_policy
 from exact_mdp.analysis.gate.regret import Regret, policy_regret
-from exact_mdp.mdp.errors import FEW_NAMED
+from exact_mdp.mdp.errors import FEW_NAMED, ModelError
 from exact_mdp.mdp.graph import find_reachable_states
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.arrays import rows_read
@@ -173,9 +174,15 @@ class Representation:
         read = tuple(name for name in mdp.space.names if name in policy.columns)
         best = best_policy(mdp, read, start=policy)
         loss = policy_regret(PolicyChain.of(mdp, best.policy)).at_start
+        if isinf(float(loss)):
+            raise ModelError(
+                "every policy that reads the same columns loses an infinite amount, too",
+                where="the regret at the start",
+                fix="let the policy read more columns",
+            )
         rows: tuple[dict[str, Any], ...] = ()
         if policy.deterministic:
-            rows = _find_row_changes(PolicyRows(mdp.maximised, read), policy)
+            rows = _find_row_changes(PolicyRows.of(mdp.maximised, read), policy)
         return cls(
             best=best,
             loss=loss,

@@ -104,10 +104,14 @@ class Front(TotalsProof, Pictured):
             totals.append(tuple(sign * value for value in a.total))
         return totals
 
+    def _list_policies(self) -> list[Integers]:
+        return [each.pairs for each in self.attained]
+
     @property
     def policies(self) -> list[Integers]:
         """Action numbers (S,) of the policy of each vertex."""
-        return [self.of.mdp.pair_action[a.pairs] for a in self.attained]
+        of = self.of
+        return [of.given.pair_action[of.lift_pairs(a.pairs)] for a in self.attained]
 
     @property
     def edges(self) -> list[Edge]:
@@ -158,7 +162,7 @@ class Front(TotalsProof, Pictured):
         def name_totals(values: Any) -> dict[str, Fraction]:
             return dict(zip(self.names, values, strict=True))
 
-        mdp, two = self.of.mdp, len(self.names) == 2
+        mdp, two = self.of.given, len(self.names) == 2
         # Vertices with the actions of their policies, edges, facets, and the given policies.
         choices = []
         for policy in self.policies:
@@ -226,7 +230,8 @@ def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
     Parameters
     ----------
     model : MDP or Scenario
-        With a discount below 1, or with discount 1 if every policy ends.
+        At discount 1, policies that never end, or miss a goal, are left out if they lose without
+        limit in some total; a policy may stay where it earns nothing.
     names : sequence of str
         Two or three of: a component of the reward, `steps`, an event, the probability of a label
         that is never left, or a sum such as `name=2*a-b`.
@@ -238,8 +243,8 @@ def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
     Raises
     ------
     ModelError
-        If a total is infinite under some policy, or if more than 200 states form a cycle, as the
-        fractions of a front are then very long.
+        If a total may grow without limit, or no policy has finite totals; and if more than 200
+        states form a cycle, as the fractions of a front are then very long.
 
     Examples
     --------

@@ -82,6 +82,12 @@ class Rationalization(TotalsProof):
             return ["the weighted totals are not the components of the reward"]
         return super()._find_violations(mdp)
 
+    def _list_flows(self) -> list[OccupancyMeasure]:
+        flows = [self.flow, *(cut.flow for cut in self.cuts)]
+        for own in self.intervals:
+            flows += own.cuts
+        return flows
+
     @property
     def possible(self) -> bool:
         """Whether a change below 1 is enough, so that no weight is dropped or changes its sign."""
@@ -152,7 +158,8 @@ def rationalize(model: MDP | Scenario, policy: PolicyLike) -> Rationalization:
     Parameters
     ----------
     model : MDP or Scenario
-        With components of the reward; a discount below 1, or every policy ends.
+        With components of the reward. At discount 1, policies that never end, or miss a goal, are
+        left out if they lose without limit in some component.
     policy : PolicyLike
 
     Returns
@@ -162,7 +169,8 @@ def rationalize(model: MDP | Scenario, policy: PolicyLike) -> Rationalization:
     Raises
     ------
     ModelError
-        For a policy that does not fit, or a component whose total is infinite.
+        For a policy that does not fit, or whose totals are not finite; if a component may grow
+        without limit.
 
     Examples
     --------

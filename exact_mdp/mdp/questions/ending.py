@@ -50,7 +50,7 @@ def find_labelled_states(model: Parts, label: str) -> Flags:
             fix="ask the model that it was made from, or give one label to the states of both "
             "questions",
         )
-    if label not in model.labels and is_expression(label):
+    if is_expression(label) and label not in model.labels:
         return find_states(model, label)
     if not model.labels:
         raise ModelError(

@@ -38,9 +38,9 @@ NAMED = re.compile(r"(\w+)=([^,=]+)")
 NUMBER = re.compile(r"-?[0-9]{1,400}(\.[0-9]{1,400}|/0*[1-9][0-9]{0,400})?")
 
 
-def is_expression(text: str) -> bool:
+def is_expression(text: object) -> bool:
     """Return whether a text is more than a name: it compares, negates, joins or quotes."""
-    return bool(re.search(r'[<>=!&|()"]', text))
+    return isinstance(text, str) and bool(re.search(r'[<>=!&|()"]', text))
 
 
 def find_states(model: Parts, text: str) -> Flags:

@@ -190,21 +190,7 @@ class ImproperPolicies:
 
     def lift_policy(self, part: Quotient, chosen: Integers) -> Integers:
         """Return the policy (S,) of the model, given pairs (S',) of its finite model."""
-        graph, mdp, (component, inside) = self.graph, self.mdp, self._merged
-        pairs, finite = mdp.pair_offsets[:-1].copy(), self.sign == 0
-        # States that were not merged take the pair itself.
-        taken = part.source[chosen][part.new_state]
-        leaves = (taken >= 0) & (taken < mdp.n_pairs)
-        single = finite & leaves & (component < 0)
-        pairs[single] = taken[single]
-        # Stay in a component that is not left; in one that is, go to the state whose pair leaves.
-        staying = inside & ((component >= 0) & ~leaves)[mdp.pair_state]
-        choose_first_pairs(graph, staying, pairs)
-        ways = taken[(component >= 0) & leaves]
-        pairs[mdp.pair_state[ways]] = ways
-        target = (mdp.ends.destination & finite) | graph.find_states_with(staying)
-        target[mdp.pair_state[ways]] = True
-        choose_nearer_pairs(graph, target, inside, pairs)
+        pairs = part.lift_pairs(self.graph, self._merged, chosen)
         if (self.sign > 0).any():
             self._choose_earning_pairs(pairs)
         return pairs

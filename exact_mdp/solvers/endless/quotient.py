@@ -33,6 +33,33 @@ class Quotient:
     new_state: Integers  # (S,) the state here of each state of the other model
     source: Integers  # (L',) the original pair of each pair; -1 - i for stop i; L for the end
 
+    def lift_pairs(
+        self, graph: PairGraph, merged: tuple[Integers, Mask], chosen: Integers
+    ) -> Integers:
+        """Return pairs (S,) of the other model, given pairs (S',) of this one, which make them.
+
+        `graph` is that of the other model, and `merged` says which of its states became one: the
+        component (S,) of each state, or -1, and the pairs (L,) inside. States that became the end
+        take their first pair.
+        """
+        component, inside = merged
+        pairs = np.empty(len(component), dtype=np.int64)
+        choose_first_pairs(graph, np.ones(len(inside), dtype=bool), pairs)
+        # States that were not merged take the pair itself.
+        taken = self.source[chosen][self.new_state]
+        leaves = (taken >= 0) & (taken < len(inside))
+        single = leaves & (component < 0)
+        pairs[single] = taken[single]
+        # Stay in a component that is not left; in one that is, go to the state whose pair leaves.
+        staying = inside & ((component >= 0) & ~leaves)[graph.pair_state]
+        choose_first_pairs(graph, staying, pairs)
+        ways = taken[(component >= 0) & leaves]
+        pairs[graph.pair_state[ways]] = ways
+        target = graph.find_states_with(staying)
+        target[graph.pair_state[ways]] = True
+        choose_nearer_pairs(graph, target, inside, pairs)
+        return pairs
+
     def omit_losing_pairs(self) -> Quotient:
         """Return a model in which every policy ends, without the pairs that clearly lose in cycles.
 

@@ -10,26 +10,28 @@ An objective is a linear combination of named amounts, `2*help-anger`, or `name=
 
 In a terminal state no reward, component or event is counted. A state without any amount that leads
 only to itself also counts as terminal here. A total at discount 1 is finite under every policy if
-every policy ends. A run that misses the goal of a model has no finite total.
+every policy ends. Where policies may never end, or miss the goal of a model, only those with finite
+totals are compared (`solvers.objectives.improper`).
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
+from functools import cached_property
 
 import numpy as np
 
-from exact_mdp.mdp.advice import ways_out, where_endless
+from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.errors import ModelError, suggest_name
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows
 from exact_mdp.mdp.forms.names import find_free_name
-from exact_mdp.mdp.graph import find_reachable_states
 from exact_mdp.mdp.io import model_json
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import (
+    Integers,
     Numbers,
     exact,
     make_ones,
@@ -37,19 +39,31 @@ from exact_mdp.mdp.table import (
     to_common_denominator,
     to_integer_array,
 )
+from exact_mdp.solvers.endless.quotient import Quotient, choose_nearer_pairs
 from exact_mdp.solvers.exact.checker import Model
 from exact_mdp.solvers.exact.duals import Totals
+from exact_mdp.solvers.objectives.improper import Column, FiniteTotals, carry_over
 
 REWARD, STEPS = "reward", "steps"
 FACTOR = r"\s*([+-])?\s*(?:([0-9./]+)\s*\*\s*)?"  # of a term in a sum
-Column = tuple[Numbers, Numbers]
 
 
 class Objectives:
-    """Objectives of a model with S states and L pairs; more is better in all."""
+    """Objectives of a model with S states and L pairs; more is better in all.
 
-    def __init__(self, mdp: MDP, texts: Sequence[str]) -> None:
-        """Read objectives; raise ModelError for an amount that cannot be counted."""
+    `given` is the model that was asked about, and `mdp` the model whose policies are compared:
+    another one if some policy has no finite totals. Rows, amounts and numbers of states and pairs
+    are those of `mdp`.
+    """
+
+    def __init__(
+        self, mdp: MDP, texts: Sequence[str], signs: Sequence[tuple[int, int]] | None = None
+    ) -> None:
+        """Read objectives; raise ModelError for an amount that cannot be counted.
+
+        `signs` lists objectives, by number, with 1 where more is better and -1 where less is, as a
+        limit may say; by default more of all is better.
+        """
         if not all(isinstance(text, str) for text in texts):
             raise ModelError(
                 f"{list(texts)!r} is not a list of texts",
@@ -57,7 +71,7 @@ class Objectives:
                 fix='give texts: a name, or a sum such as "name=2*a-b"',
             )
         named = [_parse_objective(mdp, text) for text in texts]
-        self.mdp, self.texts, names = mdp, tuple(texts), tuple(name for name, _ in named)
+        self.given, self.texts, names = mdp, tuple(texts), tuple(name for name, _ in named)
         self.names = names
         if len(set(names)) < len(names):
             raise ModelError(
@@ -71,11 +85,17 @@ class Objectives:
         table = replace(mdp.table, gain=earning, gain_denominator=below)
         # A model with a reward wherever an objective has an amount, for its terminal states.
         self.ending = mdp.with_(table=table, goal=None, sense="max")
+        self.mdp, comparable = mdp, self.ending
+        self.finite = FiniteTotals(mdp, self.ending)
+        self._quotient: Quotient | None = None
+        if mdp.discount_exact == 1 and self.finite.applies:
+            comparable, columns = self._omit_infinite_totals(columns, signs)
         # The equations that all objectives share, without constants. Times their scale, amounts
         # are integers.
-        rows = bellman_rows(self.ending)
-        self.rows = replace(rows, constant=np.zeros(mdp.n_pairs, dtype=np.int64))
-        own = rows.scale[mdp.pair_state].astype(object)
+        rows = bellman_rows(comparable)
+        self.rows = replace(rows, constant=np.zeros(self.mdp.n_pairs, dtype=np.int64))
+        self._comparable = comparable
+        own = rows.scale[self.mdp.pair_state].astype(object)
         # (L,) expected amounts times scale, negated in a model of costs
         amounts = []
         for top, bottom in columns:
@@ -83,7 +103,25 @@ class Objectives:
                 to_integer_array((mdp.sense.sign * top.astype(object) * (own // bottom)).tolist())
             )
         self.amounts = tuple(amounts)
-        self._require_finite()
+
+    def _omit_infinite_totals(
+        self, columns: Sequence[Column], signs: Sequence[tuple[int, int]] | None
+    ) -> tuple[MDP, list[Column]]:
+        """Take the model of the policies with finite totals; return it, and its amounts.
+
+        Its rewards are those of the model, or wherever an objective has an amount.
+        """
+        given, oriented = self.given, list[Column]()
+        for number, sign in signs or [(k, 1) for k in range(len(columns))]:
+            top, below = columns[number]
+            oriented.append((given.sense.sign * sign * top.astype(object), below))
+        self.finite.require_no_growth(oriented)
+        quotient = self.finite.apply()
+        self.finite.require_loss(quotient, oriented)
+        rewards = carry_over(quotient, given.table.expected_gain_exact)
+        self._quotient = quotient
+        self.mdp = quotient.mdp.with_(table=quotient.mdp.table.with_reward(*rewards))
+        return quotient.mdp.with_(sense="max"), [carry_over(quotient, each) for each in columns]
 
     @property
     def sign(self) -> int:
@@ -110,24 +148,79 @@ class Objectives:
             amounts.append([Fraction(top, below) for top, below in own])
         return Totals(model, self.names, amounts)
 
-    def _require_finite(self) -> None:
-        """Raise ModelError if, at discount 1, a policy may never end or may miss the goal."""
-        mdp = self.mdp
-        if mdp.discount_exact < 1:
-            return
-        if not self.ending.ends.every_policy_ends:
-            raise ModelError(
-                "some policy never ends, and its totals at discount 1 would grow forever",
-                where=where_endless(self.ending),
-                fix=ways_out(mdp),
-            )
-        beside = find_reachable_states(mdp) & mdp.ends.find_missed(self.ending.terminal)
-        if beside.any():
-            raise ModelError(
-                "no total is finite: a policy may end outside the goal",
-                where=mdp.space.place(int(np.flatnonzero(beside)[0])),
-                fix="count in the model itself, without --until, or leave out what leads there",
-            )
+    @property
+    def rank(self) -> Integers | None:
+        """(S,) proof that every policy ends, at discount 1; -1 where some policy stays."""
+        return self._comparable.ends.rank_in_proof
+
+    # ---- policies with finite totals ---------------------------------------------------------
+
+    @property
+    def reduced(self) -> bool:
+        """Whether `mdp` is another model than the given one."""
+        return self._quotient is not None
+
+    @cached_property
+    def first(self) -> Integers:
+        """(S,) the pairs of a policy that ends, from which searches begin."""
+        pairs = self.mdp.pair_offsets[:-1].copy()
+        if self.reduced:
+            self.choose_ending_pairs(np.arange(self.mdp.n_pairs), pairs)
+        return pairs
+
+    def choose_ending_pairs(self, some: Integers, pairs: Integers) -> None:
+        """Write into `pairs` (S,) some pairs (K,) that lead nearer to the end, where they can."""
+        among = np.isin(np.arange(self.mdp.n_pairs), some)
+        choose_nearer_pairs(PairGraph.of(self.mdp), self.rows.terminal, among, pairs)
+
+    def lift_pairs(self, pairs: Integers) -> Integers:
+        """Return the pairs of the given model of a policy, given its pairs (S,) here."""
+        if self._quotient is None:
+            return pairs
+        return self.finite.lift_pairs(self._quotient, pairs)
+
+    def lift_chances(
+        self, pairs: Integers, chances: Mapping[int, Mapping[int, Fraction]]
+    ) -> dict[int, dict[int, Fraction]]:
+        """Return the probabilities of pairs of the given model, {state: {pair: probability}}.
+
+        A policy here takes `pairs` (S,), and draws among others in some states. Raises ModelError
+        if it stays in some of its runs where it leaves in others, which takes memory.
+        """
+        chosen = pairs.copy()
+        for state, own in chances.items():
+            chosen[state] = min(own)
+        lifted = {}
+        for state, pair in enumerate(self.lift_pairs(chosen).tolist()):
+            lifted[state] = {pair: Fraction(1)}
+        for own in chances.values():
+            drawn = dict(own)
+            if self._quotient is not None:
+                drawn = {int(self._quotient.source[pair]): share for pair, share in own.items()}
+            if len(drawn) == 1:
+                continue
+            states = {int(self.given.pair_state[pair]) if pair >= 0 else -1 for pair in drawn}
+            if len(states) > 1 or -1 in states:
+                raise ModelError(
+                    "the best policy under the limits has to remember whether it will leave states "
+                    "in which nothing is counted",
+                    where=self.given.space.place(max(states)),
+                    fix="choose a discount below 1, or stop after N steps (--horizon N, "
+                    "mdp.within(N))",
+                )
+            lifted[states.pop()] = drawn
+        return lifted
+
+    def restrict_visits(self, visits: Mapping[int, Fraction]) -> dict[int, Fraction]:
+        """Return the visits of pairs here, given those of a policy of the given model, by pair."""
+        if self._quotient is None:
+            return dict(visits)
+        return self.finite.restrict_visits(self._quotient, visits)
+
+
+def name_objectives(mdp: MDP, texts: Sequence[str]) -> list[str]:
+    """Return the names of objectives, given as texts."""
+    return [_parse_objective(mdp, text)[0] for text in texts]
 
 
 Terms = list[tuple[Fraction, str]]

@@ -43,7 +43,7 @@ from exact_mdp.solvers.exact.levels import (
     compute_surplus_signs,
     list_level_steps,
 )
-from exact_mdp.solvers.objectives.amounts import Objectives, reward_name
+from exact_mdp.solvers.objectives.amounts import Objectives, name_objectives, reward_name
 from exact_mdp.solvers.objectives.simplex import list_unit_vectors, solve_linear_program
 from exact_mdp.solvers.objectives.totals import (
     Attained,
@@ -132,6 +132,14 @@ class ConstrainedSolution(TotalsProof):
             return f"ConstrainedSolution(no policy keeps {limits}; certified)"
         return f"ConstrainedSolution({float(self.start_value):.12g} with {limits}; certified)"
 
+    def _read_objectives(self, mdp: MDP) -> Objectives:
+        names = name_objectives(mdp, self.objectives)
+        each = [(names.index(limit.name), limit) for limit in self.limits]
+        return Objectives(mdp, self.objectives, _orient_limits(mdp, each))
+
+    def _list_flows(self) -> list[OccupancyMeasure]:
+        return [self.flow]
+
     @cached_property
     def totals(self) -> dict[str, Fraction]:
         """The policy's totals of the limited amounts."""
@@ -181,11 +189,22 @@ class ConstrainedSolution(TotalsProof):
     @cached_property
     def randomises(self) -> dict[int, dict[str, Fraction]]:
         """The states in which the policy draws its action: {state: {action: probability}}."""
-        mdp, drawn = self.of.mdp, {}
-        for state, own in self.flow.compute_action_probabilities(self.of).items():
+        mdp, drawn = self.of.given, {}
+        for state, own in self._chances.items():
             if len(own) > 1:
                 drawn[state] = {mdp.actions[mdp.pair_action[l]]: p for l, p in own.items()}
         return drawn
+
+    @cached_property
+    def _chances(self) -> dict[int, dict[int, Fraction]]:
+        """The probability of each pair that is taken, by state."""
+        of = self.of
+        # An optimal pair has the advantage 0 over the dual values. In visited states the flow
+        # decides.
+        rows, unit = of.rows_for(self.weights)
+        steps, *_ = list_level_steps(rows, combine_levels([self.dual], [unit]))
+        best = first_of(of.mdp, compute_surplus_signs(rows, steps) == 0)
+        return of.lift_chances(best, self.flow.compute_action_probabilities(of))
 
     @cached_property
     def rule(self) -> Numbers:
@@ -194,16 +213,9 @@ class ConstrainedSolution(TotalsProof):
         In states that are never visited, the first action that is optimal for the reward and the
         prices.
         """
-        of, mdp = self.of, self.of.mdp
-        # An optimal pair has the advantage 0 over the dual values.
-        rows, unit = of.rows_for(self.weights)
-        steps, *_ = list_level_steps(rows, combine_levels([self.dual], [unit]))
-        best = first_of(mdp, compute_surplus_signs(rows, steps) == 0)
-        # In visited states the flow decides.
-        chances = {state: {pair: ONE} for state, pair in enumerate(best.tolist())}
-        chances |= self.flow.compute_action_probabilities(of)
+        mdp = self.of.given
         rule = np.full((mdp.n_states, mdp.n_actions), ZERO, dtype=object)
-        for state, own in chances.items():
+        for state, own in self._chances.items():
             for pair, chance in own.items():
                 rule[state, mdp.pair_action[pair]] = chance
         return rule
@@ -211,12 +223,12 @@ class ConstrainedSolution(TotalsProof):
     @cached_property
     def policy(self) -> Policy:
         """The policy, with its exact probabilities."""
-        mdp = self.of.mdp
+        mdp = self.of.given
         return Policy(space=mdp.space, actions=mdp.actions, rule=self.rule)
 
     def report(self) -> Report:
         """Return the report of the optimum, or of the proof that no policy keeps the limits."""
-        mdp, limits, feasible = self.of.mdp, self.limits, self.feasible
+        mdp, limits, feasible = self.of.given, self.limits, self.feasible
         drawn = []
         for row in self.rule:
             drawn.append({mdp.actions[a]: c for a, c in enumerate(row) if c})
@@ -331,10 +343,12 @@ def solve_under(mdp: MDP, subject_to: Mapping[str, Any]) -> ConstrainedSolution:
     names = list(dict.fromkeys(limit.name for limit in given))
     # The return needs a name that no limit has.
     title = find_free_name("return", [name.partition("=")[0].strip() for name in names])
-    of = Objectives(mdp, [f"{title}={reward_name(mdp)}", *names])
+    each = [(1 + names.index(limit.name), limit) for limit in given]
+    texts = [f"{title}={reward_name(mdp)}", *names]
+    of = Objectives(mdp, texts, _orient_limits(mdp, each))
     limits = tuple(replace(x, name=of.names[1 + names.index(x.name)]) for x in given)
     shares, shift, price, dual = _combine_policies(of, limits)
-    return ConstrainedSolution(
+    solution = ConstrainedSolution(
         limits=limits,
         feasible=price[0] == 1,
         flow=_as_one(of, limits, shares, shift),
@@ -343,6 +357,14 @@ def solve_under(mdp: MDP, subject_to: Mapping[str, Any]) -> ConstrainedSolution:
         shift=shift,
         **list_proof_fields(of, "limits"),
     )
+    if of.reduced:
+        assert solution.policy  # raises an error if no policy of the model does the same
+    return solution
+
+
+def _orient_limits(mdp: MDP, limits: Sequence[tuple[int, Limit]]) -> list[tuple[int, int]]:
+    """Return whether more or less is better of the reward and of each limited total, by number."""
+    return [(0, 1), *((number, mdp.sense.sign * limit.sign) for number, limit in limits)]
 
 
 def _weigh_objectives(
@@ -369,7 +391,11 @@ def _combine_policies(
     """Return the best mixture, the step of the limits, prices of reward and limits, and values."""
     # Phase 1 (`short`) minimises the step t; if it reaches 0, phase 2 maximises the return.
     size, short = len(limits), True
-    policies = [find_extreme_policy(of, [1] + [0] * (len(of.names) - 1))]
+    reward = [1] + [0] * (len(of.names) - 1)
+    if of.reduced:  # ties may be broken by more of what is best kept low, which may be endless
+        policies = [evaluate_objectives(of, solve_weighted(of, reward)[0])]
+    else:
+        policies = [find_extreme_policy(of, reward)]
     spare = [[ZERO, *row] for row in list_unit_vectors(size, -ONE)]
     bounds = [limit.sign * limit.bound for limit in limits]
     while True:
@@ -419,7 +445,11 @@ def _as_one(
     while True:
         # The pair of each state that is taken most often, and some further pairs.
         most = sorted(taken, key=lambda pair: (float(taken[pair]), -pair))
-        own[of.rows.pair_state[most]] = most
+        if of.reduced:  # these may go round forever: take those that lead nearer to the end
+            own = of.first.copy()
+            of.choose_ending_pairs(np.array(most), own)
+        else:
+            own[of.rows.pair_state[most]] = most
         further = sorted(taken.keys() - {*own.tolist()})[: len(limits) + 1]
         flow = OccupancyMeasure.of(taken)
         # The room of each limit, and how each exchange of pairs changes its total.

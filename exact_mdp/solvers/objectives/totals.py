@@ -11,16 +11,20 @@ pair l (Altman, Constrained Markov Decision Processes, 1999, chapter 3).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from itertools import groupby
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from exact_mdp.mdp.end_components import PairGraph
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
+from exact_mdp.mdp.graph import find_reachable_states
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers
 from exact_mdp.solvers.bounds.gains import first_of
@@ -133,7 +137,7 @@ def solve_weighted(
     The search begins with the pairs `first` (S,) and changes a pair only for a better one.
     """
     rows, unit = of.rows_for(weights)
-    pairs, (value,), _ = optimise_exactly(rows, first)
+    pairs, (value,), _ = optimise_exactly(rows, of.first if first is None else first)
     return pairs, combine_levels([value], [Fraction(1, unit)])
 
 
@@ -149,7 +153,9 @@ def find_extreme_policy(
     size = len(weights)
     ties = [[1] * size, *list_unit_vectors(size, 1)]
     _, _, sign = optimise_exactly(
-        of.rows, first, [of.rows_for(each)[0].constant for each in (weights, *ties)]
+        of.rows,
+        of.first if first is None else first,
+        [of.rows_for(each)[0].constant for each in (weights, *ties)],
     )
     return evaluate_objectives(of, first_of(of.mdp, sign == 0))
 
@@ -164,16 +170,61 @@ class TotalsProof(Proof):
     @cached_property
     def of(self) -> Objectives:
         """The objectives of the model, by their names."""
-        return Objectives(require_model(None, self.mdp, self.kind), self.objectives)
+        return self._read_objectives(require_model(None, self.mdp, self.kind))
+
+    def _read_objectives(self, mdp: MDP) -> Objectives:
+        return Objectives(mdp, self.objectives)
 
     def _find_violations(self, mdp: MDP) -> list[str]:
         if self.model != fingerprint(mdp):
             return ["the certificate belongs to another model"]
         proof = codec.rebuild_proof(self)
-        return duals.list_totals_violations(Objectives(mdp, proof.objectives).to_totals(), proof)
+        of = proof._read_objectives(mdp)
+        totals = of.to_totals()
+        if not of.reduced:
+            return duals.list_totals_violations(totals, proof)
+        # Policies that never end are left out, so that those of the proof have to end instead.
+        return [*self._list_endless_policies(of), *duals.KINDS[self.kind](totals, proof)]
+
+    def _list_endless_policies(self, of: Objectives) -> Iterator[str]:
+        """Yield what does not end among the policies and visits that the proof gives.
+
+        Visits that balance are those of a policy if it can reach all of them from the start.
+        """
+        graph = PairGraph.of(of.mdp)
+        for pairs in self._list_policies():
+            taken = np.isin(np.arange(of.mdp.n_pairs), pairs)
+            if (graph.compute_distance(of.rows.terminal, taken) < 0).any():
+                yield "a policy of the proof never ends"
+        for flow in self._list_flows():
+            reached = find_reachable_states(of.mdp, pairs=flow.pairs)
+            if not reached[of.mdp.pair_state[flow.pairs]].all():
+                yield "visits cannot be reached from the start"
+
+    def _list_policies(self) -> Sequence[Integers]:
+        """Return the pairs (S,) of each deterministic policy of the proof."""
+        return ()
+
+    def _list_flows(self) -> Sequence[OccupancyMeasure]:
+        """Return all visits of the proof."""
+        return ()
+
+    def save(self, path: str | Path) -> None:
+        """Write the proof as JSON; see `Proof.save`.
+
+        Raises ModelError if policies without finite totals were left out.
+        """
+        if self.mdp is not None and self.of.reduced:
+            raise ModelError(
+                "a checker of files knows only models in which every policy ends, in the goal if "
+                "there is one",
+                where="certificate",
+                fix="leave the certificate out: the answer itself is checked against the model",
+            )
+        super().save(path)
 
 
 def list_proof_fields(of: Objectives, kind: str) -> dict[str, Any]:
     """Return the fields that all proofs about totals have."""
-    parts = {"kind": kind, "model": fingerprint(of.mdp), "mdp": of.mdp}
-    return parts | {"objectives": of.texts, "rank": of.ending.ends.rank_in_proof}
+    parts = {"kind": kind, "model": fingerprint(of.given), "mdp": of.given}
+    return parts | {"objectives": of.texts, "rank": of.rank}

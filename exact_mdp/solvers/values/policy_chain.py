@@ -504,14 +504,33 @@ class OfPolicy(Valued):
 
 def flow_of(of: Objectives, policy: PolicyLike) -> OccupancyMeasure:
     """Return the exact occupancy measure of a policy, from which totals are computed."""
-    chain = replace(PolicyChain.of(of.mdp, policy), mdp=of.ending)
+    chain = replace(PolicyChain.of(of.given, policy), mdp=of.ending)
+    if of.reduced:
+        chain = _end_where_nothing_counts(of, chain)
     visits = chain.exact_visits.to_fractions()
     uses = {}
-    for state in np.flatnonzero(chain.reached & ~of.ending.terminal).tolist():
+    for state in np.flatnonzero(chain.reached & ~chain.mdp.terminal).tolist():
         if visits[state]:
             for pair, share in chain.exact_weights(state).items():
                 uses[pair] = share * visits[state]
-    return OccupancyMeasure.of(uses)
+    return OccupancyMeasure.of(of.restrict_visits(uses))
+
+
+def _end_where_nothing_counts(of: Objectives, chain: PolicyChain) -> PolicyChain:
+    """Return a chain that ends where it stays and nothing is counted, if its totals are finite."""
+    ended = of.finite.ended
+    if of.given.goal is None:
+        # Events, which no total may count, do not matter.
+        plain = of.ending.with_(table=replace(of.ending.table, event=None), events=())
+        ended = ended | replace(chain, mdp=plain).stays_unrewarded
+    stays = np.flatnonzero(chain.reached & chain.classes.recurrent & ~ended)
+    if len(stays):
+        raise ModelError(
+            "the policy never ends, or misses the goal, and its totals are not finite",
+            where=f"policy, {of.given.space.place(int(stays[0]))}",
+            fix=ways_out(of.given, "take a policy that ends"),
+        )
+    return chain.make_terminal(ended)
 
 
 @dataclass(frozen=True, eq=False)

@@ -119,7 +119,7 @@ NOW = MDP.from_outcomes(  # what is gained in the state that comes next does not
         (STAYS, ["b", "a"], "grow forever"),
         (STAYS.with_(discount="1/2"), ["a", "b"], [(2, 1)]),
         (EARNS, ["c", "steps"], "grow forever"),
-        (EARNS, ["a", "c"], "grow forever"),
+        (EARNS, ["a", "c"], "no policy from the start has finite totals"),
         (RINGS, ["bell", "steps"], [(4, 4)]),
         (RINGS.with_(start=1), ["bell", "steps"], [(0, 0)]),
         (MISSES, ["reward", "steps"], [(3, 1)]),

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from fractions import Fraction as F
 from itertools import product
+from math import inf
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,13 +11,14 @@ import numpy as np
 import oracle
 import pytest
 
-from exact_mdp import MDP, Column, ModelError, StateSpace, best_policy
+from exact_mdp import MDP, Column, ModelError, StateSpace, best_policy, certify
 from exact_mdp.analysis.gate import columns as module
-from exact_mdp.analysis.gate.columns import Cycles, PolicyRows, _BranchAndBound
+from exact_mdp.analysis.gate.columns import Cycles, EndlessRows, PolicyRows, _BranchAndBound
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.bounds.gains import BoundedVector
-from exact_mdp.solvers.values.layers import Layers
+from exact_mdp.solvers.endless.quotient import of_pairs
+from exact_mdp.solvers.values.layers import Layers, find_taken_pairs
 
 
 def in_columns(seed: int, *, cyclic: bool, sense: str = "max") -> MDP:
@@ -409,3 +411,116 @@ def test_a_policy_is_kept_only_if_it_is_better_beyond_rounding() -> None:
         best = int(np.argmax(value))
         kept = (value[best], error[best], best + 1) if better else (0, 0.5, 0)
         assert (search.value, search.error, search.choice[0]) == kept
+
+
+# ---- policies that never end, or miss a goal -----------------------------------------------------
+
+
+def endless(seed: int) -> Iterator[MDP]:
+    """Questions at discount 1 about models of which some states need not be left."""
+    rng, rows = np.random.default_rng(seed), list[Any]()
+    for s in range(4):
+        for a in range(3):
+            targets = sorted(rng.choice(5, size=int(rng.integers(1, 3)), replace=False).tolist())
+            amount = int(rng.choice([-3, -1, 0, 0, 2]))
+            rows.append((s, a, [(F(1, len(targets)), t, amount) for t in targets]))
+    rows.append((4, 0, [(1, 4, 0)]))
+    space = StateSpace(
+        columns=(Column(name="bed", size=2), Column(name="row", size=2)), extra=("end",)
+    )
+    goal = [s == 4 or (s == 3 and seed % 2 == 1) for s in range(5)]
+    mdp = MDP.from_outcomes(rows, 1, start=int(seed % 3), labels={"goal": goal}).with_(space=space)
+    yield from (mdp, mdp.with_(sense="min"), mdp.until("goal"), mdp.reaching("goal"))
+    yield from (mdp.with_(sense="min").until("goal"), mdp.until("goal").within(3))
+
+
+def each_worth(mdp: MDP, rows: PolicyRows) -> dict[tuple[int, ...], F | float]:
+    """The exact value of every policy: that of the model in which nothing else can be done."""
+    worth = dict[tuple[int, ...], F | float]()
+    for choice in product(range(3), repeat=rows.space.size):
+        taken = find_taken_pairs(mdp, rows.key, np.array([choice]))[:, 0]
+        worth[choice] = certify(of_pairs(mdp, taken)).start_value
+    return worth
+
+
+def test_the_best_policy_where_some_never_end_or_miss_a_goal() -> None:
+    infinite, finite = 0, 0
+    for seed in range(10):
+        for asked in endless(seed):
+            # The search maximises; the end of all layers has no row.
+            mdp = asked.maximised
+            rows = PolicyRows.of(mdp, ("row",))
+            if not isinstance(rows, EndlessRows):
+                continue
+            worth = each_worth(mdp, rows)
+            most = max(worth.values())
+            found = best_policy(mdp, ("row",))
+            assert found.proven
+            assert worth[tuple(rows.choices_of(found.policy).tolist())] == most
+            cut = best_policy(mdp, ("row",), node_limit=1)
+            own = worth[tuple(rows.choices_of(cut.policy).tolist())]
+            assert most <= cut.upper_bound <= cut.mixed_upper_bound
+            try:
+                best = certify(mdp).start_value
+            except ModelError:  # mixed policies earn without limit before the goal
+                best = inf
+            for one, exact in ((found, most), (cut, own)):
+                assert exact <= one.upper_bound
+                assert exact <= one.mixed_upper_bound
+                assert one.mixed_upper_bound == pytest.approx(float(best), abs=1e-9)
+                if isinstance(exact, float):
+                    assert (one.value.value, one.error) == (exact, 0)
+                else:
+                    assert abs(F(one.value.value) - exact) <= F(one.error) <= F(1, 10**9)
+            if isinstance(most, float):
+                infinite += 1
+                assert found.upper_bound == most
+            else:
+                finite += 1
+                assert abs(found.upper_bound - float(most)) < 1e-9
+            costs = best_policy(asked, ("row",)).value.value
+            assert costs == pytest.approx(asked.sense.sign * found.value.value)
+    assert min(infinite, finite) > 10
+
+
+def test_relaxations_and_choices_of_endless_models_hold_the_exact_values() -> None:
+    for seed in range(10):
+        for mdp in (each.maximised for each in endless(seed)):
+            rows = PolicyRows.of(mdp, ("row",))
+            if not isinstance(rows, EndlessRows):
+                continue
+            rng = np.random.default_rng(seed)
+            nodes = rng.random((3, rows.space.size, 3)) < 0.6
+            nodes |= np.eye(3, dtype=bool)[rng.integers(0, 3, (3, rows.space.size))]
+            upper, choice, lost = rows.bound_relaxations(nodes)
+            worth = each_worth(mdp, rows)
+            for node, bound, taken, short in zip(nodes, upper, choice, lost, strict=True):
+                inside = [
+                    value
+                    for own, value in worth.items()
+                    if all(node[k, a] for k, a in enumerate(own))
+                ]
+                assert max(inside) <= bound
+                assert all(node[k, a] for k, a in enumerate(taken))
+                # Where the relaxation's policy takes one action in each row, it is of the rows.
+                if not short.any() and bound < inf:
+                    exact = worth[tuple(taken.tolist())]
+                    assert exact == pytest.approx(float(bound), abs=1e-9)
+            values = rows.evaluate_choices(np.array([*worth]))
+            for exact, value, error in zip(worth.values(), values.value, values.error, strict=True):
+                assert exact == value or abs(F(float(value)) - exact) <= F(float(error))
+
+
+def test_a_start_that_may_mix_infinities_is_refused() -> None:
+    """State 0 may earn forever; state 1 may lose forever, or end."""
+    rows = [(0, 0, [(1, 0, 1)]), (0, 1, [(1, 2, 0)]), (1, 0, [(1, 1, -1)]), (1, 1, [(1, 2, 0)])]
+    mdp = MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])], 1, start={0: "1/2", 1: "1/2"})
+    for sense in ("max", "min"):
+        with pytest.raises(ModelError, match=r"\+∞ from one state of the start"):
+            best_policy(mdp.with_(sense=sense), ())
+    for start, best in ((0, inf), (1, 0)):
+        assert best_policy(mdp.with_(start=start), ()).value.value == best
+    rows[2] = (1, 0, [(1, 1, 2)])
+    same = MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])], 1)
+    both = same.with_(start={0: "1/2", 1: "1/2"})
+    assert best_policy(both, ()).value.value == inf

@@ -228,3 +228,27 @@ def test_a_mixture_has_no_rows_to_be_changed() -> None:
     policy = Policy(space=space, actions=mdp.actions, rule=np.full((2, 3), 1 / 3))
     mixed = Representation.of(mdp, policy, policy_regret(PolicyChain.of(mdp, policy)))
     assert mixed.rows == ()
+
+
+def test_a_loss_that_is_infinite_is_split_only_if_another_policy_loses_less() -> None:
+    """Two states look alike: in one or both of them one action misses the goal."""
+    space = StateSpace(columns=(Column(name="bed", size=2),), extra=("goal", "ditch"))
+
+    def of_pairs(*ends: int) -> MDP:
+        pairs = [(0, 0), (0, 1), (1, 0), (1, 1)]
+        rows = [(s, a, [(1, to, 1 + 2 * s)]) for (s, a), to in zip(pairs, ends, strict=True)]
+        rows += [(s, 0, [(1, s, 0)]) for s in (2, 3)]
+        mdp = MDP.from_outcomes(rows, sense="min", start=["1/2", "1/2", 0, 0], labels={"end": [2]})
+        return mdp.with_(space=space).until("end")
+
+    columns = StateSpace(columns=())
+    for ends, loss in (((2, 3, 2, 2), 0.0), ((2, 3, 3, 2), None)):
+        mdp = of_pairs(*ends)
+        wrong = Policy(space=columns, actions=mdp.actions, rule=np.array([1]))
+        audit = check(mdp, wrong)
+        assert audit.regret.at_start.value == inf
+        why = audit.representation
+        assert loss == (None if why is None else float(why.loss))
+        if why is not None:
+            assert float(why.learning_error) == inf
+            assert [(row["best"], row["gain"]) for row in why.rows] == [("0", inf)]

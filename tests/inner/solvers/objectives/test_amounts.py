@@ -54,7 +54,7 @@ def test_weights_add_amounts_up() -> None:
 
 def test_what_has_no_finite_total_is_refused() -> None:
     ring = MDP.from_outcomes([(0, 0, [(1, 0, 1)])], 1)
-    for name, said in (("reward", "end"), ("no such", "no such")):
+    for name, said in (("reward", "never ends"), ("no such", "no such")):
         with pytest.raises(ModelError, match=said):
             Objectives(ring if name == "reward" else model(), [name])
     assert Objectives(ring.with_(discount="1/2"), ["reward"]).names == ("reward",)
