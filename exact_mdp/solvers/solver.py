@@ -16,6 +16,7 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options, require_known_name
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions.ending import ends_at_label
+from exact_mdp.mdp.questions.origin import origin_of
 from exact_mdp.mdp.table import COMPILED
 from exact_mdp.solvers.claims import SolverError, Status, warn_of_precision
 from exact_mdp.solvers.dynamic.base import Solver, check_tolerance
@@ -147,7 +148,7 @@ def solve(
     # An average reward has solvers of its own.
     if is_average(criterion):
         require_no_horizon(horizon)
-        require_no_target(mdp)
+        require_average_applies(mdp)
         check_tolerance("solve", tol)
         solution = _find_best_average(mdp, solver, tol, start)
     else:
@@ -233,13 +234,20 @@ def is_average(criterion: str) -> bool:
     return require_known_name(criterion, CRITERIA, "criterion", "criterion") == "average"
 
 
-def require_no_target(mdp: MDP) -> None:
-    """Raise ModelError for an average reward of a model that asks about a label."""
+def require_average_applies(mdp: MDP) -> None:
+    """Raise ModelError for an average reward of a model whose runs end at a label or a time."""
     if ends_at_label(mdp):
         raise ModelError(
             "an average reward per step has no target",
             where="criterion",
             fix="ask the model itself, without until or reaching, or leave out the criterion",
+        )
+    origin = origin_of(mdp)
+    if origin is not None and any(each.method == "within" for each in origin.questions):
+        raise ModelError(
+            "an average reward per step has no horizon",
+            where="criterion",
+            fix="ask the model itself, without within, or divide the total of N steps by N",
         )
 
 

@@ -33,7 +33,7 @@ from exact_mdp.solvers.exact.find import build_certificate, prove_gain_and_bias,
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.exact.optimise import optimise_exactly
 from exact_mdp.solvers.solution import Solution, answer_maximised
-from exact_mdp.solvers.solver import is_average, mdp_of, require_no_target, solve
+from exact_mdp.solvers.solver import is_average, mdp_of, require_average_applies, solve
 
 
 @overload
@@ -132,7 +132,7 @@ proven_optimum = cache_on_model(certify_and_check)  # for the total reward, foun
 def _prove_optimum(mdp: MDP, *, average: bool) -> Certificate:
     """Return the certificate of an optimum."""
     if average:
-        require_no_target(mdp)
+        require_average_applies(mdp)
         return answer_maximised(mdp, partial(prove_gain_and_bias, kind="average"))
     return answer_maximised(mdp, prove_total)
 

@@ -44,8 +44,8 @@ from exact_mdp.solvers.solution import Solution, at_start
 from exact_mdp.solvers.solver import (
     is_average,
     mdp_of,
+    require_average_applies,
     require_no_horizon,
-    require_no_target,
     solve,
 )
 from exact_mdp.solvers.values.average import AverageEvaluation, evaluate_average
@@ -515,7 +515,7 @@ def evaluate(
     mdp = mdp_of(model)
     if is_average(criterion):
         require_no_horizon(horizon)
-        require_no_target(mdp)
+        require_average_applies(mdp)
         if isinstance(policy, str) and policy == "optimal":
             policy = solve(mdp, criterion="average")
         return evaluate_average(PolicyChain.of(mdp, policy, kind=kind))
