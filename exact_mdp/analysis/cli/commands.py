@@ -71,7 +71,7 @@ MADE: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
     },
     "Vary": {
         "tornado": ("vary", ("criterion", *HELD)),
-        "gradient": ("vary", ("parameters", *HELD[3:])),
+        "gradient": ("vary", ("criterion", "parameters", *HELD[3:])),
         "threshold": ("vary", (*VARIED[:3], "horizon", *ASKED)),
         "curve": ("vary", HELD),
         "one-way": ("vary", ("criterion", *HELD)),

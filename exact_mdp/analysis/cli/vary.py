@@ -82,7 +82,8 @@ def gradient_command(given: Given) -> Report:
     elasticities: per cent of the value for one per cent of the parameter; left: the derivative from
     the left; right: the derivative from the right, which differs where two policies are optimal.
     """
-    result = exact_mdp.gradient(given.family, policy=given.fixed, names=given.parameters or None)
+    held = {"policy": given.fixed, "criterion": given.criterion}
+    result = exact_mdp.gradient(given.family, names=given.parameters or None, **held)
     more = {}
     if given.perception:
         more = {"claim_of": ROUNDED}

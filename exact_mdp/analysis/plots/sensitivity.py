@@ -103,7 +103,7 @@ def plot_gradient(gradient: Gradient, *, most: int = 15, ax: Axes | None = None)
         add_bars(ax, table["parameter"].tolist(), drawn),
         f"Which parameters move the value most{_format_shown_count(len(table), len(every))}",
         gradient.model,
-        x="elasticity of the value at the start (% per %)",
+        x=f"elasticity of the {gradient.measure} at the start (% per %)",
         handles=[make_swatch("raises the value", HIGH), make_swatch("lowers the value", LOW)],
         legend="a higher parameter",
     )
