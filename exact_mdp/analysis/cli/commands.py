@@ -72,14 +72,14 @@ MADE: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
     "Vary": {
         "tornado": ("vary", ("criterion", *HELD)),
         "gradient": ("vary", ("criterion", "parameters", *HELD[3:])),
-        "threshold": ("vary", (*VARIED[:3], "horizon", *ASKED)),
-        "curve": ("vary", HELD),
+        "threshold": ("vary", ("criterion", *VARIED[:3], "horizon", *ASKED)),
+        "curve": ("vary", ("criterion", *HELD)),
         "one-way": ("vary", ("criterion", *HELD)),
         "two-way": ("vary", ("criterion", *HELD)),
         "psa": ("vary", ("criterion", "parameters", *HELD[3:])),
         "sobol": ("vary", ("criterion", *HELD)),
         "robust": ("vary", ("criterion", *HELD)),
-        "explore": ("vary", ("ranges", "relative", "kind", "horizon", *ASKED)),
+        "explore": ("vary", ("criterion", "ranges", "relative", "kind", "horizon", *ASKED)),
     },
     "Trade": {
         "tradeoff": ("trade", ("horizon", *SETS)),
