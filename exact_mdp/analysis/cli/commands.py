@@ -82,8 +82,8 @@ MADE: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
         "explore": ("vary", ("criterion", "ranges", "relative", "kind", "horizon", *ASKED)),
     },
     "Trade": {
-        "tradeoff": ("trade", ("horizon", *SETS)),
-        "rationalize": ("trade", (*OF_POLICY, *SETS)),
+        "tradeoff": ("trade", ("criterion", "horizon", *SETS)),
+        "rationalize": ("trade", ("criterion", *OF_POLICY, *SETS)),
         "risk": ("trade", ("horizon", *SETS)),
     },
     "Models": {

@@ -102,7 +102,10 @@ def threshold_command(given: Given) -> Report:
     switches: each value at which an optimal action changes, and where; stable: for each parameter,
     the range around today's value without a change.
     """
-    spans, without = _select_ranges(given)
+    names = None
+    if is_average(given.criterion):
+        names = _choose_parameters(given)  # an average does not depend on the discount
+    spans, without = _select_ranges(given, names)
     steps = tqdm(spans, desc="thresholds", disable=None, leave=False)
     results = {}
     for name in steps:

@@ -43,6 +43,7 @@ from exact_mdp.solvers.exact.levels import (
     list_level_steps,
 )
 from exact_mdp.solvers.objectives.amounts import Objectives, reward_name
+from exact_mdp.solvers.objectives.averages import reduce_to_totals
 from exact_mdp.solvers.objectives.simplex import list_unit_vectors, solve_linear_program
 from exact_mdp.solvers.objectives.totals import (
     Attained,
@@ -324,15 +325,20 @@ def limits_of(subject_to: Mapping[str, Any]) -> tuple[Limit, ...]:
     return tuple(limits)
 
 
-def solve_under(mdp: MDP, subject_to: Mapping[str, Any]) -> ConstrainedSolution:
-    """Return the optimum under limits; see `solve`."""
+def solve_under(
+    mdp: MDP, subject_to: Mapping[str, Any], *, average: bool = False
+) -> ConstrainedSolution:
+    """Return the optimum under limits, of totals or of averages per step; see `solve`."""
     given = limits_of(subject_to)
     names = list(dict.fromkeys(limit.name for limit in given))
     # The return needs a name that no limit has.
     title = "return"
     while title in (name.partition("=")[0].strip() for name in names):
         title += "'"
-    of = Objectives(mdp, [f"{title}={reward_name(mdp)}", *names])
+    amounts: Sequence[str] = names
+    if average:
+        mdp, amounts = reduce_to_totals(mdp, names)
+    of = Objectives(mdp, [f"{title}={reward_name(mdp)}", *amounts])
     limits = tuple(replace(x, name=of.names[1 + names.index(x.name)]) for x in given)
     shares, shift, price, dual = _combine_policies(of, limits)
     return ConstrainedSolution(

@@ -43,7 +43,7 @@ from exact_mdp.analysis.vary.curves.pair_slopes import (
     refuse_silence,
 )
 from exact_mdp.analysis.vary.curves.walk import make_improper_error
-from exact_mdp.analysis.vary.ranges import unit_of
+from exact_mdp.analysis.vary.ranges import list_usual_parameters, unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options, require_list
 from exact_mdp.mdp.exact import from_flint, to_flint
@@ -258,7 +258,7 @@ def gradient(
     policy : PolicyLike
         "optimal" is re-optimised as a parameter moves; any other policy is held fixed.
     names : iterable of str, optional
-        The parameters; by default all of them.
+        The parameters; by default all of them, but the discount for an average.
     exact : bool, optional
         True for rationals, False for floats with error bounds; by default, rationals for models of
         up to 100,000 transitions that are acyclic or have at most 64 states (200 states if there
@@ -289,13 +289,16 @@ def gradient(
     4 (certified) 1.0
     """
     family = parametric(model)
+    average = is_average(criterion)
+    if names is None and average:
+        names = list_usual_parameters(family)  # an average does not depend on the discount
     if names is None:
         parameters = list(family.parameters)
     else:
         parameters = [parameter_of(family, name) for name in require_list(names, "names")]
     # Derivatives of a total at discount 1 need runs that end, of all policies or of the given one.
     mdp = family.at({})
-    reoptimised, average = isinstance(policy, str) and policy == "optimal", is_average(criterion)
+    reoptimised = isinstance(policy, str) and policy == "optimal"
 
     def is_finite(model: MDP) -> bool:
         """Return whether the optimum, or the given policy, has a finite value in a model."""
