@@ -48,7 +48,9 @@ def reduce_to_totals(mdp: MDP, texts: Sequence[str]) -> tuple[MDP, tuple[str, ..
     names, columns = read_objectives(step, texts)
     base, met = _find_base(step), find_reachable_states(step)
     times, end = _bound_times(step, base), step.n_states
-    rows = [_build_row(step, pair, times, base, met=bool(met[s])) for pair, s in _list_pairs(step)]
+    rows = []
+    for pair, state in enumerate(step.pair_state.tolist()):
+        rows.append(_build_row(step, pair, times, base, met=bool(met[state])))
     rows.append((end, 0, [(Fraction(1), end, Fraction(0))]))
     components = {}
     for name, column in zip(names, columns, strict=True):
@@ -65,15 +67,11 @@ def reduce_to_totals(mdp: MDP, texts: Sequence[str]) -> tuple[MDP, tuple[str, ..
     return total, names
 
 
-def _list_pairs(step: MDP) -> list[tuple[int, int]]:
-    return [*enumerate(step.pair_state.tolist())]
-
-
 def _share_amounts(step: MDP, column: Column, times: Sequence[int], met: Mask) -> list[Fraction]:
     """Return (L,) amounts over times; 0 in states that no policy reaches."""
     top, below = column
     shared = []
-    for pair, state in _list_pairs(step):
+    for pair, state in enumerate(step.pair_state.tolist()):
         amount = Fraction(0)
         if met[state]:
             amount = Fraction(int(top[pair]), int(below[pair])) / times[state]
