@@ -25,12 +25,13 @@ from exact_mdp.mdp.policies.choices import state_names
 from exact_mdp.mdp.report import MOST_LISTED, Report, Shown, Table, format_ratio
 from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import Flags
+from exact_mdp.solvers.arguments import Criterion, is_average
 from exact_mdp.solvers.claims import Bounded, Certified, PrecisionWarning, SolverError
 from exact_mdp.solvers.dynamic.base import check_tolerance
 from exact_mdp.solvers.exact.certificate import Certificate, Contradiction
 from exact_mdp.solvers.exact.certify import certify_and_check
 from exact_mdp.solvers.solution import Solution
-from exact_mdp.solvers.solver import SOLVERS, Criterion, is_average, solve
+from exact_mdp.solvers.solver import SOLVERS, solve
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -32,8 +32,10 @@ from exact_mdp.mdp.errors import (
     words_of,
     wrong_type,
 )
+from exact_mdp.mdp.forms.long_table import FromFrame
 from exact_mdp.mdp.forms.names import ByNumber, Names, text_of
 from exact_mdp.mdp.forms.numbers import whole_numbers
+from exact_mdp.mdp.forms.steps import FromSteps
 from exact_mdp.mdp.io.gymnasium import FromGymnasium
 from exact_mdp.mdp.io.transitions import FromTransitions
 from exact_mdp.mdp.questions import Questions
@@ -55,10 +57,11 @@ from exact_mdp.mdp.validate import (
 
 Found = TypeVar("Found")
 SHOWN = (
-    *("from_arrays", "from_pairs", "from_outcomes", "from_function", "from_gymnasium"),
-    *("from_transitions", "load", "save", "with_", "within", "reaching", "until", "frame"),
+    *("from_arrays", "from_pairs", "from_outcomes", "from_function", "from_frame"),
+    *("from_gymnasium", "from_transitions", "load", "save", "with_", "frame"),
+    *("within", "reaching", "until", "earning"),
     *("n_states", "n_actions", "n_pairs", "space", "actions", "discount", "start", "sense"),
-    *("labels", "name", "table", "transition", "reward", "components", "counts", "P", "R"),
+    *("labels", "name", "table", "transition", "reward", "P", "R"),
 )
 """Attributes shown by `dir()` and tab completion."""
 COMMUTING = {
@@ -70,12 +73,12 @@ the change made for one value of a parameter is the change made for every other.
 
 
 @dataclass(frozen=True, eq=False)
-class MDP(ByFields, FromTransitions, FromGymnasium, Questions):
+class MDP(ByFields, FromTransitions, FromGymnasium, FromFrame, FromSteps, Questions):
     """A frozen, validated finite MDP with S states, A actions and L state-action pairs.
 
     Build one with `MDP.from_arrays`, `from_pairs`, `from_outcomes`, `from_function`,
-    `from_gymnasium` or `from_transitions`, `MDP.load` or `Scenario.compile`; this constructor takes
-    the parts themselves.
+    `from_frame`, `from_gymnasium` or `from_transitions`, `MDP.load` or `Scenario.compile`; this
+    constructor takes the parts themselves.
 
     Attributes
     ----------

@@ -47,12 +47,12 @@ from exact_mdp.mdp.table import (
     make_ones,
     to_integer_array,
 )
+from exact_mdp.solvers.arguments import mdp_of
 from exact_mdp.solvers.bounds.gains import SLACK, gamma
 from exact_mdp.solvers.claims import Bounded, Certified, Claim
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.find import build_certificate
 from exact_mdp.solvers.exact.levels import Level
-from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.returns import parse_tail_share, tail_mean
 
 CELLS = 20_000_000  # outcomes times returns, which limits memory

@@ -9,15 +9,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options, require_known_name
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.questions.ending import ends_at_label
-from exact_mdp.mdp.questions.origin import origin_of
 from exact_mdp.mdp.table import COMPILED
+from exact_mdp.solvers.arguments import (
+    is_average,
+    mdp_of,
+    require_average_applies,
+    require_no_horizon,
+)
 from exact_mdp.solvers.claims import SolverError, Status, warn_of_precision
 from exact_mdp.solvers.dynamic.base import Solver, check_tolerance
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram
@@ -43,26 +46,6 @@ SOLVERS: dict[str, type[Solver]] = {
     "backward-induction": BackwardInduction,
     "linear-program": LinearProgram,
 }
-CRITERIA = ("total", "average")
-Criterion = Literal["total", "average"]
-
-
-def mdp_of(model: object) -> MDP:
-    """Return a model as an MDP; a scenario is compiled, a file or an environment is read."""
-    if isinstance(model, Scenario):
-        return model.compile()
-    if isinstance(model, MDP):
-        return model
-    if isinstance(model, str | Path):
-        return MDP.load(model)
-    if hasattr(model, "unwrapped"):  # an environment
-        return MDP.from_gymnasium(model)
-    raise ModelError(
-        f"{type(model).__name__} is not a model",
-        where="model",
-        fix="give what MDP.from_arrays, MDP.from_gymnasium or another MDP.from_… returns, a "
-        "Scenario, or family.at({}) of a Family; MDP.load reads a file",
-    )
 
 
 @named_options
@@ -228,38 +211,6 @@ def _check_fit(
             "a terminal value is the value of a state when a horizon is reached",
             where="terminal_value",
             fix="give a horizon, too",
-        )
-
-
-def is_average(criterion: str) -> bool:
-    """Return whether the criterion is the average reward; raise ModelError for an unknown word."""
-    return require_known_name(criterion, CRITERIA, "criterion", "criterion") == "average"
-
-
-def require_average_applies(mdp: MDP) -> None:
-    """Raise ModelError for an average reward of a model whose runs end at a label or a time."""
-    if ends_at_label(mdp):
-        raise ModelError(
-            "an average reward per step has no target",
-            where="criterion",
-            fix="ask the model itself, without until or reaching, or leave out the criterion",
-        )
-    origin = origin_of(mdp)
-    if origin is not None and any(each.method == "within" for each in origin.questions):
-        raise ModelError(
-            "an average reward per step has no horizon",
-            where="criterion",
-            fix="ask the model itself, without within, or divide the total of N steps by N",
-        )
-
-
-def require_no_horizon(horizon: object) -> None:
-    """Raise ModelError for a horizon beside an average reward."""
-    if horizon is not None:
-        raise ModelError(
-            "an average reward per step has no horizon",
-            where="horizon",
-            fix="leave horizon out, or divide the total of N steps by N",
         )
 
 

@@ -17,7 +17,7 @@ IRREGULAR = re.compile(
 )
 VERBS = {"feed", "need", "seed", "embed", "exceed"}
 # Names that users script against, and their overrides.
-PUBLIC = {"perceived", "counted", "negated", "moving", "reaching"}
+PUBLIC = {"perceived", "counted", "negated", "moving", "reaching", "earning"}
 INNER = {"claimed", "fixed", "flipped", "seen"}  # short helpers inside one function
 SEVERAL_HOMES = {"main", "__dir__", "Level"}  # entry points; the checker has levels of its own
 

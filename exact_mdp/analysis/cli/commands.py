@@ -48,7 +48,7 @@ POLICY = f"""POLICY is optimal, random, always:ACTION, or a file: {describe_form
 (--kind q, --kind policy; auto reads an array as probabilities if the row of each state with a
 choice is a distribution, and refuses it if its greedy policy would differ)."""
 
-SETS = ("sets", "envs", "discount", "start")
+SETS = ("sets", "envs", "constants", "discount", "start")
 WORK = "Records and parallel work"
 OF_WORK = ("confidence", "by", "evidence", "n_jobs", "out")  # options of the section `WORK`
 QUESTION = ("reach", "until", "reward", "allowed", "minimize", "maximize")

@@ -25,7 +25,7 @@ from exact_mdp.mdp.questions.horizon import describe_time_limit
 from exact_mdp.mdp.questions.origin import Question
 from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.mdp.sense import Sense
-from exact_mdp.solvers.solver import Criterion, is_average, require_no_horizon
+from exact_mdp.solvers.arguments import Criterion, is_average, require_no_horizon
 from exact_mdp.solvers.values.policy_chain import policy_of
 
 OF_CARE = "gymnasium:icu_sepsis"  # a model of care that is not a scenario
@@ -46,10 +46,12 @@ def pose_question(mdp: MDP, *, asked: dict[str, Any]) -> MDP:
         changes["sense"] = Sense.MAX
     if changes:
         mdp = mdp.with_(**changes)
+    if asked["reward"] is not None:
+        mdp = mdp.earning(asked["reward"])
     if asked["reach"] is not None:
         return mdp.reaching(asked["reach"], asked["allowed"])
     if asked["until"] is not None:
-        return mdp.until(asked["until"], asked["reward"])
+        return mdp.until(asked["until"])
     return mdp
 
 
@@ -81,11 +83,12 @@ class Given:
     perception : FILE, optional
         The policy acts on a perceived status: {formats:PERCEPTIONS}.
     reach : LABEL, optional
-        Ask for the greatest probability of reaching a label; with --minimize, the least.
+        Ask for the greatest probability of reaching a label, or the states of an expression such
+        as 'x=3 & y>1'; with --minimize, the least.
     until : LABEL, optional
         Ask for the greatest expected reward until a label; for costs, the least.
     reward : NAME, optional
-        The reward component that counts until then.
+        The component of the reward that counts; all together unless given.
     allowed : LABEL, optional
         Reach it through states of this label only.
     minimize : bool
@@ -98,6 +101,8 @@ class Given:
         Change a scenario: base.anger=1/10, tasks=[3,1], readings.NAME=OPTION.
     envs : NAME=VALUE
         An option of the environment of gymnasium:ID: is_slippery=False, map_name=8x8.
+    constants : A=1,B=2
+        Constants that a program leaves open (extra models): {formats:PROGRAMS}.
     discount : G, optional
         Discount instead of the model's own: 0.95 or 19/20.
 
@@ -138,6 +143,7 @@ class Given:
     start: str | None = None
     sets: Sequence[str] = ()
     envs: Sequence[str] = ()
+    constants: str | None = None
     discount: str | None = None
 
     def __post_init__(self) -> None:
@@ -150,12 +156,14 @@ class Given:
                 fix = "name the file: --policy FILE, or leave --kind out"
             what = "--kind says what an array in a file is, and no policy is given"
             raise ModelError(what, where="--kind", fix=fix)
+        if self.reach is not None and self.reward is not None:
+            fix = "leave out --reward, or --reach"
+            raise ModelError("a probability counts no reward", where="--reward", fix=fix)
         if self.minimize and self.maximize:
             fix = "leave out --maximize, or --minimize"
             raise ModelError("--minimize and --maximize contradict", where="--maximize", fix=fix)
         for needy, value, needed, fix in (
             ("--allowed", self.allowed, self.reach, "give --reach LABEL"),
-            ("--reward", self.reward, self.until, "give --until LABEL"),
         ):
             if value is not None and needed is None:
                 raise ModelError(f"{needy} is part of another question", where=needy, fix=fix)
@@ -175,6 +183,7 @@ class Given:
             self.model,
             sets=self.sets,
             env=pairs_of(self.envs, "--env"),
+            constants=self.constants,
             discount=self.discount,
             start=self.start,
         )
@@ -262,11 +271,11 @@ class Given:
             amount = Sense.MIN.amount
         if self.until is not None:
             return f"{best} expected {self.reward or amount} until {self.until}"
-        if not (self.minimize or self.maximize):
+        if not (self.minimize or self.maximize or self.reward):
             return None
         if is_average(self.criterion):
-            return f"{best} {amount} per step in the long run"
-        return f"{best} expected {amount}s"
+            return f"{best} {self.reward or amount} per step in the long run"
+        return f"{best} expected {self.reward or f'{amount}s'}"
 
     def _describe_sense(self) -> Shown:
         """Return the sense, shown to people only if costs are minimised."""

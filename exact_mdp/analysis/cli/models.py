@@ -274,9 +274,9 @@ def convert_command(
     source: str,
     target: str,
     *,
-    constants: str | None = None,
     sets: Sequence[str] = (),
     envs: Sequence[str] = (),
+    constants: str | None = None,
     discount: str | None = None,
     start: str | None = None,
 ) -> Report:
@@ -290,8 +290,6 @@ def convert_command(
     ----------
     source : IN
     target : OUT, {formats:WRITTEN_MODELS}
-    constants : "A=1,B=2"
-        Constants that a program leaves open (extra models): {formats:PROGRAMS}.
     """
     loaded = read_model(
         source,

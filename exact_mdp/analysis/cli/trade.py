@@ -17,7 +17,7 @@ from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import Report, Table
 from exact_mdp.mdp.result import data_frame
 from exact_mdp.mdp.table import float_of
-from exact_mdp.solvers.solver import is_average
+from exact_mdp.solvers.arguments import is_average
 from exact_mdp.solvers.values.policy_chain import policy_of
 
 

@@ -30,7 +30,7 @@ from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, list_claim_facts
 from exact_mdp.mdp.table import exact, float_of
-from exact_mdp.solvers.solver import is_average
+from exact_mdp.solvers.arguments import is_average
 
 ROUNDED = "of the perception, and the probabilities of actions that it makes, as rounded to floats"
 """Qualifies a certified number under a perception: a file may state 1/3, which is not a float."""

@@ -27,8 +27,8 @@ from exact_mdp.mdp.errors import ModelError, named_options, require_known_name
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.questions.horizon import split_by_time
+from exact_mdp.solvers.arguments import Criterion, is_average, mdp_of, require_no_horizon
 from exact_mdp.solvers.claims import SolverError
-from exact_mdp.solvers.solver import Criterion, is_average, mdp_of, require_no_horizon
 from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
 
 Evidence = Robust | Posterior | OffPolicy

@@ -30,12 +30,12 @@ from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import BLOCK, Floats, Integers
 from exact_mdp.mdp.validate import Flags, require_count
+from exact_mdp.solvers.arguments import mdp_of
 from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.bounds.gains import POLICIES, SLACK, BoundedVector, first_of, gamma
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
 from exact_mdp.solvers.claims import Bounded
 from exact_mdp.solvers.solution import answer_maximised
-from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.layers import find_taken_pairs, layers_of
 
 

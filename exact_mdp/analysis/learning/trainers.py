@@ -45,9 +45,9 @@ from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import exact, format_rational
 from exact_mdp.mdp.validate import require_count
+from exact_mdp.solvers.arguments import mdp_of
 from exact_mdp.solvers.claims import Claim
 from exact_mdp.solvers.learning.sampler import Seed, as_sequence, spawn_child_seed
-from exact_mdp.solvers.solver import mdp_of
 
 GRID = 2**20  # ends of intervals are multiples of 1 / GRID, outwards
 

@@ -33,7 +33,7 @@ from exact_mdp.mdp.errors import ModelError, require_extra
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.choices import state_names
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.solvers.solver import mdp_of
+from exact_mdp.solvers.arguments import mdp_of
 from exact_mdp.solvers.values.policy_chain import policy_of
 
 MANY = 80  # outcomes above which no graph can be read

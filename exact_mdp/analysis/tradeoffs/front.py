@@ -36,6 +36,7 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Integers, to_common_denominator
+from exact_mdp.solvers.arguments import is_average, mdp_of, require_average_applies
 from exact_mdp.solvers.exact.duals import weigh_values
 from exact_mdp.solvers.exact.levels import Level, combine_levels
 from exact_mdp.solvers.objectives.amounts import Objectives
@@ -48,7 +49,6 @@ from exact_mdp.solvers.objectives.totals import (
     find_extreme_policy,
     list_proof_fields,
 )
-from exact_mdp.solvers.solver import is_average, mdp_of, require_average_applies
 from exact_mdp.solvers.values.policy_chain import flow_of
 
 Weights = tuple[int, ...]

@@ -26,6 +26,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, data_frame
+from exact_mdp.solvers.arguments import is_average, mdp_of, require_average_applies
 from exact_mdp.solvers.claims import Certified
 from exact_mdp.solvers.exact.duals import solve_inequalities, weigh_values
 from exact_mdp.solvers.exact.levels import Level
@@ -40,7 +41,6 @@ from exact_mdp.solvers.objectives.totals import (
     list_proof_fields,
     solve_weighted,
 )
-from exact_mdp.solvers.solver import is_average, mdp_of, require_average_applies
 from exact_mdp.solvers.values.policy_chain import flow_of, policy_of
 
 ZERO, ONE = Fraction(0), Fraction(1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from exact_mdp.mdp.report import Shown
-from exact_mdp.solvers.solver import is_average
+from exact_mdp.solvers.arguments import is_average
 
 
 class OfCriterion:

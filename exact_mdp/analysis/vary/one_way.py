@@ -37,8 +37,8 @@ from exact_mdp.mdp.report import Report, Shown, Table, list_claim_facts
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Integers
 from exact_mdp.mdp.validate import require_count
+from exact_mdp.solvers.arguments import is_average
 from exact_mdp.solvers.claims import Bounded, compute_regret
-from exact_mdp.solvers.solver import is_average
 
 VALUES = {
     "re-optimised": "value:.6g",

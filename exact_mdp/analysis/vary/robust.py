@@ -33,6 +33,7 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, format_cell, list_claim_facts, to_json_values
 from exact_mdp.mdp.result import DataFrame, Result, data_frame, frame_to_table
 from exact_mdp.mdp.table import Floats, Numbers
+from exact_mdp.solvers.arguments import mdp_of
 from exact_mdp.solvers.claims import Bounded, Claim
 from exact_mdp.solvers.robust.likelihood import Likelihood
 from exact_mdp.solvers.robust.robust import (
@@ -42,7 +43,6 @@ from exact_mdp.solvers.robust.robust import (
     solve_robust,
 )
 from exact_mdp.solvers.robust.sets import Ambiguity, Intervals, L1Ball
-from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 

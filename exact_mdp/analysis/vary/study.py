@@ -42,13 +42,14 @@ from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.table import BLOCK, MOST_BYTES, Floats, Integers, Numbers, exact
 from exact_mdp.mdp.validate import Flags
+from exact_mdp.solvers.arguments import is_average
 from exact_mdp.solvers.bounds.gains import component_errors, compute_advantages
 from exact_mdp.solvers.care import ScenarioStack
 from exact_mdp.solvers.claims import Bounded, Claim, compute_regrets
 from exact_mdp.solvers.endless.average import AverageSolution
 from exact_mdp.solvers.parallel import Arrays, How, folder_of, join_blocks, run_pieces
 from exact_mdp.solvers.solution import Solution
-from exact_mdp.solvers.solver import is_average, solve
+from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.stacked import StackedModel
 from exact_mdp.solvers.values.evaluate import Evaluation, evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain

@@ -135,7 +135,8 @@ def build_explicit_model(
     elif rewards and REWARD not in rewards:
         listed = ", ".join(rewards)
         warn_of_file(
-            f"the rewards {listed} are added up; name the one that counts (--reward, reward=)"
+            f"the rewards {listed} are added up; name the one that counts: --reward NAME, "
+            "mdp.earning(name)"
         )
     # Initial states are a label; the start is the only one, or the first.
     size = len(first_choice) - 1

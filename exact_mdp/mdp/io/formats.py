@@ -65,6 +65,7 @@ FORMATS: dict[str, Format] = {
         "io.model_json:write_model_json",
         loses="columns of states, parameters, events, numbers of observations",
     ),
+    ".csv": Format("a row for each outcome", "model:MDP.from_frame", options=("start",)),
     ".prism": PRISM,
     ".nm": PRISM,
     ".pm": PRISM,

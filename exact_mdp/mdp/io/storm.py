@@ -203,8 +203,7 @@ def _left_open(path: Path, names: list[str], constants: str) -> ModelError:
     given = ",".join(assigned)
     return ModelError(
         what,
-        fix=f"make a model with values first: exact-mdp convert {shown_text(str(path))} "
-        f"{shown_text(path.stem)}.npz --constants {shown_text(given)}; in Python, "
+        fix=f"give their values: --constants {shown_text(given)}; in Python, "
         "MDP.load(path, constants={name: number})",
     )
 

@@ -14,6 +14,7 @@ from exact_mdp.mdp.questions.origin import Origin as Origin
 from exact_mdp.mdp.questions.origin import Question as Question
 from exact_mdp.mdp.questions.origin import keep_origin
 from exact_mdp.mdp.questions.reaching import Reaching
+from exact_mdp.mdp.questions.step_weights import StepWeights
 from exact_mdp.mdp.questions.until import Component, Until
 from exact_mdp.mdp.validate import Parts, require_count
 
@@ -51,7 +52,8 @@ class Questions(Parts):
         Parameters
         ----------
         label : str
-            One of `labels`.
+            One of `labels`, or an expression over labels and state variables, "x=3 & y>1": see
+            `mdp.questions.expressions`.
         allowed : str, optional
             The label of the states that a run may pass through; all by default.
 
@@ -86,7 +88,7 @@ class Questions(Parts):
         Parameters
         ----------
         label : str
-            One of `labels`.
+            One of `labels`, or an expression as in `reaching`.
         reward : str, optional
             The reward component that counts; the whole reward by default.
 
@@ -110,8 +112,64 @@ class Questions(Parts):
         """
         model = self
         if reward is not None:
-            model = reduce_model(self, Component(reward))
+            model = self.earning(reward)
         return keep_origin(reduce_model(model, Until(label)), model, "until", label=label)
+
+    def weigh_steps(self, weights: object) -> Self:
+        """Return the model whose reward counts more or less by the step in which it is earned.
+
+        Parameters
+        ----------
+        weights : "half-cycle", "simpson" or (N,) numbers
+            Of a model of N steps, made by `within(N)` or `from_steps`. The rules are those of
+            cohort models: a reward at each end of N - 1 cycles. "simpson" needs an odd N.
+
+        Returns
+        -------
+        MDP
+
+        Raises
+        ------
+        ModelError
+            If the model has no steps or a terminal value, or if there is another number of weights.
+
+        Examples
+        --------
+        >>> from exact_mdp import MDP, certify
+        >>> alive = MDP.from_arrays([[["4/5", "1/5"], [0, 1]]], [1, 0])
+        >>> certify(alive.within(3).weigh_steps("half-cycle")).start_value  # 1/2 + 4/5 + 16/50
+        Fraction(81, 50)
+        """
+        answer = reduce_model(self, StepWeights(weights))
+        return keep_origin(answer, self, "weigh_steps", weights=weights)
+
+    def earning(self, component: str) -> Self:
+        """Return the model that earns one component of the reward alone.
+
+        Parameters
+        ----------
+        component : str
+            One of `component_names`.
+
+        Returns
+        -------
+        MDP
+
+        Raises
+        ------
+        ModelError
+            If there is no such component.
+
+        Examples
+        --------
+        >>> from exact_mdp import MDP
+        >>> from exact_mdp import certify
+        >>> parts = {"time": [1, 0], "toll": [3, 0]}
+        >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]]], [4, 0], components=parts)
+        >>> certify(mdp).start_value, certify(mdp.earning("toll")).start_value
+        (Fraction(4, 1), Fraction(3, 1))
+        """
+        return reduce_model(self, Component(component))
 
     def within(self, steps: int, *, terminal_value: object = None) -> Self:
         """Return the model of episodes that stop after N steps.

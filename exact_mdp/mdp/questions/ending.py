@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, require_known_name
+from exact_mdp.mdp.questions.expressions import find_states, is_expression
 from exact_mdp.mdp.table import Numbers, OutcomeTable
 from exact_mdp.mdp.validate import Flags, Parts
 
@@ -37,9 +38,10 @@ def ends_at_label(model: Parts) -> bool:
 
 
 def find_labelled_states(model: Parts, label: str) -> Flags:
-    """Return the states (S,) of a label; raise ModelError if the label is unknown.
+    """Return the states (S,) of a label, or of an expression over labels and state variables.
 
-    Also raised if the model already answers a question: its runs have been cut off.
+    Raises ModelError if the label is unknown, if the expression cannot be read, and if the model
+    already answers a question: its runs have been cut off.
     """
     if ends_at_label(model):
         raise ModelError(
@@ -48,11 +50,14 @@ def find_labelled_states(model: Parts, label: str) -> Flags:
             fix="ask the model that it was made from, or give one label to the states of both "
             "questions",
         )
+    if label not in model.labels and is_expression(label):
+        return find_states(model, label)
     if not model.labels:
         raise ModelError(
             f"unknown label {label!r}",
             where="labels",
-            fix="the model has none: build it with labels={name: (S,) truth values}",
+            fix="the model has none: build it with labels={name: (S,) truth values}, or give an "
+            "expression such as 'state=3'",
         )
     return model.labels[require_known_name(label, model.labels, "label", "labels")]
 

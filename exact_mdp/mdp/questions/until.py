@@ -18,6 +18,7 @@ from typing import Any
 
 from exact_mdp.mdp.errors import ModelError, suggest_name
 from exact_mdp.mdp.questions.ending import find_labelled_states, make_terminal
+from exact_mdp.mdp.questions.expressions import is_expression
 from exact_mdp.mdp.questions.origin import origin_of
 from exact_mdp.mdp.questions.terminal_values import read_terminal_values, require_unpaid
 
@@ -35,6 +36,8 @@ class Until:
         if origin is None or not origin.paid:
             return
         space, goal = origin.model.space, origin.model.labels.get(self.label, [])
+        if is_expression(self.label):
+            goal = find_labelled_states(origin.model, self.label)
         for question in origin.questions:
             given = question.options.get("terminal_value")
             require_unpaid(read_terminal_values(given, space), goal, space)

@@ -21,6 +21,7 @@ from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.exact import bellman_rows, fingerprint
 from exact_mdp.mdp.model import MDP, cache_on_model
 from exact_mdp.mdp.table import Integers
+from exact_mdp.solvers.arguments import is_average, mdp_of, require_average_applies
 from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.bounds.gains import UNIT, compute_advantages, first_of
 from exact_mdp.solvers.claims import PrecisionWarning, SolverError, Status
@@ -33,7 +34,7 @@ from exact_mdp.solvers.exact.find import build_certificate, prove_gain_and_bias,
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.exact.optimise import optimise_exactly
 from exact_mdp.solvers.solution import Solution, answer_maximised
-from exact_mdp.solvers.solver import is_average, mdp_of, require_average_applies, solve
+from exact_mdp.solvers.solver import solve
 
 
 @overload

@@ -37,17 +37,17 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, list_claim_facts
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats
-from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, BoundedVector, gamma
-from exact_mdp.solvers.bounds.linear import LinearSystem
-from exact_mdp.solvers.claims import Bounded, Claim, SolverError, in_float
-from exact_mdp.solvers.solution import Solution, at_start
-from exact_mdp.solvers.solver import (
+from exact_mdp.solvers.arguments import (
     is_average,
     mdp_of,
     require_average_applies,
     require_no_horizon,
-    solve,
 )
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, BoundedVector, gamma
+from exact_mdp.solvers.bounds.linear import LinearSystem
+from exact_mdp.solvers.claims import Bounded, Claim, SolverError, in_float
+from exact_mdp.solvers.solution import Solution, at_start
+from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.average import AverageEvaluation, evaluate_average
 from exact_mdp.solvers.values.policy_chain import OfPolicy, PolicyChain, PolicyEquations
 from exact_mdp.solvers.values.policy_values import find_policy_values

@@ -47,6 +47,7 @@ from exact_mdp.mdp.table import (
     row_sums,
     to_dyadic_integers,
 )
+from exact_mdp.solvers.arguments import Criterion
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, BoundedVector, component_errors, gamma
 from exact_mdp.solvers.bounds.linear import LinearSystem, select_rows, transpose_system
 from exact_mdp.solvers.claims import SolverError, Status
@@ -64,7 +65,6 @@ from exact_mdp.solvers.exact.linear import (
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.totals import OccupancyMeasure
 from exact_mdp.solvers.solution import Valued
-from exact_mdp.solvers.solver import Criterion, solve
 
 
 def policy_of(
@@ -76,7 +76,9 @@ def policy_of(
 ) -> Policy:
     """Return the policy of any form that `Policy.of` takes; for "optimal" the model is solved."""
     if isinstance(policy, str) and policy == "optimal":
-        policy = solve(model, criterion=criterion)
+        import exact_mdp
+
+        policy = exact_mdp.solve(model, criterion=criterion)
     return Policy.of(model, policy, kind=kind)
 
 

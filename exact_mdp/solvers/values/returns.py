@@ -42,9 +42,9 @@ from exact_mdp.mdp.report import (
 )
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, Numbers, exact, format_rational, multiply, to_integer_array
+from exact_mdp.solvers.arguments import mdp_of
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.claims import Claim, in_float
-from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain, split_infinite_returns
 from exact_mdp.solvers.values.return_mass import MassFlow
 

@@ -24,10 +24,10 @@ from exact_mdp.mdp.report import Report, Shown, format_interval, format_number
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import RNG, seed_of
+from exact_mdp.solvers.arguments import mdp_of
 from exact_mdp.solvers.bounds.gains import SLACK, TINY
 from exact_mdp.solvers.claims import Claim, Estimated
 from exact_mdp.solvers.dynamic.base import check_counts
-from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain, split_infinite_returns
 
 MOST_STEPS = 10**8  # of an episode that need not end: minutes of work

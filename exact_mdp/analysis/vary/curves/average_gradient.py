@@ -43,13 +43,14 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric.row_change import RowChange, to_flint_ratios, transition_entries
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.table import Floats, Integers, Numbers, to_common_denominator, to_integer_array
+from exact_mdp.solvers.arguments import require_average_applies
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, compute_advantages, gamma
 from exact_mdp.solvers.claims import Bounded, Certified
 from exact_mdp.solvers.endless.chain import Classes, compute_laurent_expansion
 from exact_mdp.solvers.endless.quotient import build_quotient, of_pairs
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.certify import certify_and_check
-from exact_mdp.solvers.solver import require_average_applies, solve
+from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.average import AverageEvaluation, evaluate_average
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 

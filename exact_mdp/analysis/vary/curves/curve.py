@@ -49,8 +49,9 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import exact, format_rational
+from exact_mdp.solvers.arguments import is_average, require_average_applies
 from exact_mdp.solvers.claims import Claim
-from exact_mdp.solvers.solver import is_average, require_average_applies, solve
+from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 # The equations of totals and of averages.

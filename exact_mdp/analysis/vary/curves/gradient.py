@@ -63,11 +63,12 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, format_cell, list_claim_facts
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Integers, to_common_denominator, to_integer_array
+from exact_mdp.solvers.arguments import is_average
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, compute_advantages, gamma
 from exact_mdp.solvers.claims import Bounded, Certified, Claim, ClaimedNumber, LowHigh, in_float
 from exact_mdp.solvers.endless.quotient import of_pairs
 from exact_mdp.solvers.exact.certify import certify_and_check
-from exact_mdp.solvers.solver import is_average, solve
+from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 

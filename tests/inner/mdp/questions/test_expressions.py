@@ -1,0 +1,146 @@
+"""Expressions hold in the states in which Python's own evaluation says so."""
+
+import re
+from collections.abc import Mapping
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from exact_mdp import MDP, Column, ModelError, StateSpace, certify
+from exact_mdp.mdp.questions.expressions import find_states, is_expression, list_variables
+
+SPACE = StateSpace(
+    columns=(
+        Column(name="x", size=4),
+        Column(name="light", size=3, words=("red", "green", "deep blue")),
+        Column(name="code", size=4, bits=2),
+    ),
+    extra=("out",),
+)
+WORDS = [
+    f"x={x}, y={y}, done={done}" for x in (0, 1, 7) for y in (-2, 5) for done in ("false", "true")
+]
+
+
+def model(space: StateSpace) -> MDP:
+    """A model in which each state stays, with the label "even" for states of even number."""
+    even = np.arange(space.size) % 2 == 0
+    rows = [(state, 0, [(1, state, 0)]) for state in range(space.size)]
+    return MDP.from_outcomes(rows, space=space, labels={"even": even})
+
+
+COLUMNS, NAMED = model(SPACE), model(StateSpace.plain(len(WORDS), WORDS))
+
+
+def holds_in(text: str, state: int, cells: Mapping[str, str]) -> bool:
+    """Evaluate an expression in one state by Python; cells are the values of its variables."""
+
+    def say(match: re.Match[str]) -> str:
+        name, sign, value = match[1], match[2], match[3].strip('"')
+        if name not in cells:
+            return str(sign == "!=")
+        if name == "light":
+            return str((cells[name] == value) == (sign == "="))
+        exactly = f"Fraction({cells[name]!r}) {sign} Fraction({value!r})"
+        return str(eval(re.sub(" = ", " == ", exactly)))
+
+    text = re.sub(r'(\w+) *(<=|>=|!=|=|<|>) *("[^"]*"|[\w./-]+)', say, text)
+    text = text.replace('"even"', "even").replace("even", str(state % 2 == 0))
+    text = text.replace("done", str(cells.get("done") == "true"))
+    return bool(eval(text.replace("!", " not ").replace("&", " and ").replace("|", " or ")))
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_random_expressions(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    mdp = (COLUMNS, NAMED)[seed % 2]
+    values = {
+        "x": ["0", "1", "7/2", "1.5", "9"],
+        **({"light": ["red", '"deep blue"']} if mdp is COLUMNS else {"y": ["-2", "5", "0"]}),
+    }
+
+    def part(depth: int) -> str:
+        kind = rng.integers(6 if depth else 2)
+        if kind < 1:
+            return str(rng.choice(['"even"', "even", *(["done"] if mdp is NAMED else [])]))
+        if kind < 2 or not depth:
+            name = str(rng.choice([*values]))
+            signs = ["=", "!="] if name == "light" else ["=", "!=", "<", "<=", ">", ">="]
+            return f"{name}{rng.choice(signs)}{rng.choice(values[name])}"
+        if kind < 3:
+            return f"!({part(depth - 1)})"
+        if kind < 4:
+            return f"({part(depth - 1)})"
+        return f"{part(depth - 1)} {'&|'[rng.integers(2)]} {part(depth - 1)}"
+
+    text = part(4)
+    found = find_states(mdp, text)
+    for state in range(mdp.n_states):
+        cells = dict(mdp.space.as_dict(state))
+        if mdp is NAMED:
+            cells = dict(each.split("=") for each in WORDS[state].split(", "))
+        assert found[state] == holds_in(text, state, cells), text
+
+
+def test_negation_binds_first_and_or_last() -> None:
+    assert find_states(COLUMNS, "x=0 & x=1 | x=2").tolist() == find_states(COLUMNS, "x=2").tolist()
+    assert find_states(COLUMNS, "x=2 | x=0 & x=1").tolist() == find_states(COLUMNS, "x=2").tolist()
+    both = find_states(COLUMNS, "!x=0 & even")
+    assert both.tolist() == (~find_states(COLUMNS, "x=0") & COLUMNS.labels["even"]).tolist()
+
+
+def test_a_state_without_the_variable() -> None:
+    last = SPACE.size - 1
+    answers = [bool(find_states(COLUMNS, text)[last]) for text in ("x<9", "x!=9", "!(x<9)", "x=0")]
+    assert answers == [False, True, True, False]
+
+
+def test_bits_are_no_numbers() -> None:
+    assert find_states(COLUMNS, "code=01").sum() == 12
+    with pytest.raises(ModelError, match="does not compare two numbers"):
+        find_states(COLUMNS, "code<10")
+    with pytest.raises(ModelError, match="never has the value '1'"):
+        find_states(COLUMNS, "code=1")
+
+
+def test_variables_of_names() -> None:
+    assert [*list_variables(NAMED.space)] == ["x", "y", "done"]
+    assert [*list_variables(SPACE)] == ["x", "light", "code"]
+    other = StateSpace.plain(2, ["x=1", "y=2"])
+    assert list_variables(other)["state"].values == ("x=1", "y=2")
+    assert [is_expression(text) for text in ("goal", "far away", "!goal", '"goal"')] == [0, 0, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("z=1", "unknown variable 'z'"),
+        ("x=", "a value is missing"),
+        ("x=1 &", "a name is missing"),
+        ("& x=1", "a name is missing"),
+        ("(x=1", r"a \( is not closed"),
+        ('light="red', 'a " is not closed'),
+        ("x=1 y=1", "'y' is not expected"),
+        ("x=1)", r"'\)' is not expected"),
+        ("light=rde", "never has the value 'rde'"),
+        ("light>red", "does not compare two numbers"),
+        ("x<red", "does not compare two numbers"),
+        ('"gaol" & x=1', "unknown label or variable 'gaol'"),
+        ("light & x=1", "never has the value 'true'"),
+    ],
+)
+def test_what_cannot_be_read(text: str, said: str) -> None:
+    with pytest.raises(ModelError, match=said):
+        find_states(COLUMNS, text)
+
+
+def test_questions_take_expressions() -> None:
+    def step(place: tuple[int, int], _: int) -> list[tuple[str, tuple[int, int], int]]:
+        return [("1/2", (place[0] + move, 0), 1) for move in (1, -1)]
+
+    walk = MDP.from_function((1, 0), lambda place: [0] if place[0] % 3 else [], step)
+    named = walk.with_(labels={"top": find_states(walk, 'state="(3, 0)"')})
+    for text in ('state="(3, 0)"', "top"):
+        assert certify(named.reaching(text)).start_value == Fraction(1, 3)
+    assert certify(named.until('top | state="(0, 0)"')).start_value == 2

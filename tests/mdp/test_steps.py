@@ -1,0 +1,97 @@
+"""Models of steps with rows of their own are worth what the recursion over time says."""
+
+from fractions import Fraction as F
+
+import numpy as np
+import pytest
+from small_models import small_model
+
+from exact_mdp import MDP, ModelError, certify, cost_effectiveness, evaluate
+
+
+def change_rewards(mdp: MDP, seed: int) -> MDP:
+    """The same states and pairs, with other rows and rewards."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for state in range(mdp.n_states):
+        for pair in mdp.pairs_of(state):
+            weights = rng.integers(1, 9, size=2)
+            rows.append((state, int(mdp.pair_action[pair]), [
+                (F(int(w), int(weights.sum())), int(rng.integers(mdp.n_states)),
+                 F(int(rng.integers(-9, 9)), int(rng.integers(1, 5)))) for w in weights
+            ]))  # fmt: skip
+    return MDP.from_outcomes(rows, mdp.discount_exact, start=mdp.start, actions=mdp.actions)
+
+
+def earn_and_go_on(mdp: MDP, pair: int, value: list[F]) -> F:
+    """What a pair is worth if states are worth `value` at the next time."""
+    return sum((p * (r + mdp.discount_exact * value[to]) for p, to, r in mdp.table.row(pair)), F(0))
+
+
+def recursion(models: list[MDP], last: list[F]) -> list[F]:
+    """The optimal values at time 0, state by state."""
+    value = last
+    for mdp in reversed(models):
+        value = [
+            max(earn_and_go_on(mdp, pair, value) for pair in mdp.pairs_of(state))
+            for state in range(mdp.n_states)
+        ]
+    return value
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_steps_are_worth_what_the_recursion_says(seed: int) -> None:
+    first = small_model(seed, F(9, 10), ends=1)
+    models = [first, *(change_rewards(first, 100 * seed + k) for k in range(3))]
+    last = [F(k, 3) for k in range(first.n_states)]
+    for terminal, values in ((None, [F(0)] * first.n_states), (last, last)):
+        steps = MDP.from_steps(models, terminal_value=terminal)
+        found = certify(steps).value[: first.n_states].tolist()
+        assert found == recursion(models, values)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("floats", [False, True])
+def test_equal_steps_are_a_horizon(seed: int, floats: bool) -> None:
+    mdp = small_model(seed, "19/20", labels={"even": np.arange(7) % 2 == 0})
+    if floats:
+        P = np.random.default_rng(seed).dirichlet(np.ones(4), size=(3, 4))
+        mdp = MDP.from_arrays(P, np.arange(12.0).reshape(4, 3) / 7, 0.95, labels={"even": {0, 2}})
+    steps, within = MDP.from_steps([mdp] * 4), mdp.within(4)
+    assert steps.space.names == within.space.names
+    assert certify(steps).start.value == certify(within).start.value
+    for question in (lambda m: m.reaching("even"), lambda m: m.until("even")):
+        assert certify(question(steps)).start.value == certify(question(within)).start.value
+
+
+def test_components_are_kept() -> None:
+    P, parts = [[[F(1, 2), F(1, 2)], [0, 1]]], {"qaly": [[1], [0]], "cost": [[F(5, 2)], [0]]}
+    well = MDP.from_arrays(P, [1, 0], "1/2", components=parts)
+    later = well.with_(components={"qaly": [1, 0], "cost": [F(1, 2), 0]})
+    both = MDP.from_steps([well, later])
+    assert both.component_names == ("qaly", "cost", "rest")
+    found = cost_effectiveness(both, {"stay": "always:0"})
+    # 1 + 1/2 · 1/2, and 5/2 + 1/2 · 1/2 · 1/2.
+    assert found.effect.tolist() == [[1.25]]
+    assert found.cost.tolist() == [[2.625]]
+    assert evaluate(both, np.zeros((2, 2), int)).start_value == 1 + 0.25
+
+
+MODEL = small_model(0)
+
+
+@pytest.mark.parametrize(
+    ("models", "said"),
+    [
+        ([], "there is no model"),
+        ([MODEL, small_model(0).with_(discount="1/2")], "in its discount"),
+        ([MODEL, small_model(0).with_(sense="min")], "in its sense"),
+        ([small_model(0), small_model(0, labels={"x": {0}})], "in its labels"),
+        ([small_model(0), small_model(0, states=4)], "in its states"),
+        ([MODEL, 3], "int is not an MDP"),
+        ([MODEL.within(2)], "answers a question already"),
+    ],
+)  # fmt: skip
+def test_other_steps_are_refused(models: list[MDP], said: str) -> None:
+    with pytest.raises(ModelError, match=said):
+        MDP.from_steps(models)
