@@ -9,7 +9,7 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, require_known_name
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions.ending import ends_at_label
-from exact_mdp.mdp.questions.origin import origin_of
+from exact_mdp.mdp.space import TIME
 
 CRITERIA = ("total", "average")
 Criterion = Literal["total", "average"]
@@ -46,12 +46,11 @@ def require_average_applies(mdp: MDP) -> None:
             where="criterion",
             fix="ask the model itself, without until or reaching, or leave out the criterion",
         )
-    origin = origin_of(mdp)
-    if origin is not None and any(each.method == "within" for each in origin.questions):
+    if mdp.space.names[:1] == (TIME,) and mdp.ends.is_acyclic:
         raise ModelError(
             "an average reward per step has no horizon",
             where="criterion",
-            fix="ask the model itself, without within, or divide the total of N steps by N",
+            fix="ask a model without steps, or divide the total of N steps by N",
         )
 
 

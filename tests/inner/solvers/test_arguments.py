@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from exact_mdp import MDP, ModelError, Scenario
+from exact_mdp import MDP, Column, ModelError, Scenario, StateSpace
 from exact_mdp.solvers.arguments import (
     is_average,
     mdp_of,
@@ -39,5 +39,15 @@ def test_an_average_has_neither_horizon_nor_target() -> None:
         require_no_horizon(0)
     with pytest.raises(ModelError, match="has no target"):
         require_average_applies(CHAIN.reaching("end"))
-    with pytest.raises(ModelError, match="has no horizon"):
-        require_average_applies(CHAIN.within(2))
+
+
+def test_runs_that_stop_after_some_steps_have_no_average(tmp_path: Path) -> None:
+    """Neither if the model was read again; a time of day, which comes back, is another matter."""
+    path = tmp_path / "steps.npz"
+    CHAIN.within(2).save(path)
+    for stopped in (CHAIN.within(2), MDP.load(path)):
+        with pytest.raises(ModelError, match="has no horizon"):
+            require_average_applies(stopped)
+    space = StateSpace(columns=(Column(name="time", size=2), Column(name="state", size=1)))
+    day = MDP.from_outcomes([(0, 0, [(1, 1, 2)]), (1, 0, [(1, 0, 0)])], space=space)
+    require_average_applies(day)
