@@ -9,6 +9,7 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, require_known_name
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions.ending import ends_at_label
+from exact_mdp.mdp.space import TIME
 
 CRITERIA = ("total", "average")
 Criterion = Literal["total", "average"]
@@ -37,13 +38,19 @@ def is_average(criterion: str) -> bool:
     return require_known_name(criterion, CRITERIA, "criterion", "criterion") == "average"
 
 
-def require_no_target(mdp: MDP) -> None:
-    """Raise ModelError for an average reward of a model that asks about a label."""
+def require_average_applies(mdp: MDP) -> None:
+    """Raise ModelError for an average reward of a model whose runs end at a label or a time."""
     if ends_at_label(mdp):
         raise ModelError(
             "an average reward per step has no target",
             where="criterion",
             fix="ask the model itself, without until or reaching, or leave out the criterion",
+        )
+    if mdp.space.names[:1] == (TIME,) and mdp.ends.is_acyclic:
+        raise ModelError(
+            "an average reward per step has no horizon",
+            where="criterion",
+            fix="ask a model without steps, or divide the total of N steps by N",
         )
 
 

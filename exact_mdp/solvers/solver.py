@@ -15,7 +15,12 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options, require_known_name
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import COMPILED
-from exact_mdp.solvers.arguments import is_average, mdp_of, require_no_horizon, require_no_target
+from exact_mdp.solvers.arguments import (
+    is_average,
+    mdp_of,
+    require_average_applies,
+    require_no_horizon,
+)
 from exact_mdp.solvers.claims import SolverError, Status, warn_of_precision
 from exact_mdp.solvers.dynamic.base import Solver, check_tolerance
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram
@@ -86,8 +91,8 @@ def solve(
         small models if floats cannot bound the error.
     subject_to : {name: ">= p/q" or "<= p/q"}, optional
         Limits on expected totals of reward components, steps, events or sums of these
-        (`solvers.objectives.amounts`). The optimum under limits is exact, and its policy may
-        randomise.
+        (`solvers.objectives.amounts`), or on their averages per step, as for `tradeoff`. The
+        optimum under limits is exact, and its policy may randomise.
 
     Returns
     -------
@@ -121,12 +126,14 @@ def solve(
     """
     if solver is None:
         solver = "auto"
-    _check_fit(horizon, terminal_value, start, subject_to, (solver, tol, start, criterion))
+    _check_fit(horizon, terminal_value, start, subject_to, (solver, tol, start))
     mdp = mdp_of(model)
     # An average reward has solvers of its own.
     if is_average(criterion):
         require_no_horizon(horizon)
-        require_no_target(mdp)
+        require_average_applies(mdp)
+        if subject_to is not None:
+            return solve_under(mdp, subject_to, average=True)
         check_tolerance("solve", tol)
         solution = _find_best_average(mdp, solver, tol, start)
     else:
@@ -186,11 +193,11 @@ def _check_fit(
     horizon: object, terminal_value: object, start: object, subject_to: object, given: object
 ) -> None:
     """Raise ModelError for options that do not go with limits or a horizon, or that need one."""
-    if subject_to is not None and given != ("auto", None, None, "total"):
+    if subject_to is not None and given != ("auto", None, None):
         raise ModelError(
-            "limits on total rewards have one solver, which is exact",
+            "limits have one solver, which is exact",
             where="subject_to",
-            fix="leave out solver, tol, start and criterion",
+            fix="leave out solver, tol and start",
         )
     if horizon is not None and start is not None:
         raise ModelError(

@@ -14,7 +14,16 @@ KNOWN = table.read()
 # assert_policy_optimal is check, and solve_robust is what robust asks.
 NOT_ASKED = {
     *("assert_policy_optimal", "check_trainer", "counted", "draw", "fingerprint", "frequencies"),
-    *("independent", "learning_curve", "load", "moving", "outcomes", "parametric", "perceived"),
+    *(
+        "cohort_trace",
+        "independent",
+        "learning_curve",
+        "load",
+        "moving",
+        "outcomes",
+        "parametric",
+        "perceived",
+    ),
     *("plots", "save", "solve_robust", "train", "uncertainty"),
 }
 

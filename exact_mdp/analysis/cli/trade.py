@@ -9,7 +9,7 @@ from typing import Any
 
 import exact_mdp
 from exact_mdp.analysis.cli.given import Given
-from exact_mdp.analysis.cli.words import pairs_of
+from exact_mdp.analysis.cli.words import pairs_of, refuse_options
 from exact_mdp.mdp.care.perception import read_confusion_matrix, status_names
 from exact_mdp.mdp.errors import ModelError, require_known_name
 from exact_mdp.mdp.io.files import read_text, write_atomically
@@ -18,6 +18,7 @@ from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import Report, Table
 from exact_mdp.mdp.result import DataFrame, data_frame
 from exact_mdp.mdp.table import float_of
+from exact_mdp.solvers.arguments import is_average
 from exact_mdp.solvers.values.policy_chain import policy_of
 
 
@@ -52,7 +53,10 @@ def tradeoff_command(
     the other; policies: each policy with its values and its distance.
     """
     beside = {form: given.policy_from(form) for form in policies}  # before the work
-    front = exact_mdp.tradeoff(given.mdp, names)
+    if is_average(given.criterion):
+        refused = {"--certificate": certificate}
+        refuse_options(refused, "averages", "leave it out: the proof is about another model")
+    front = exact_mdp.tradeoff(given.mdp, names, criterion=given.criterion)
     if certificate:
         front.save(certificate)
     report = front.report(beside)
@@ -74,7 +78,8 @@ def rationalize_command(given: Given, policy: Policy) -> Report:
     Of Rationalization.
     change: the least such relative change, "p/q".
     """
-    return given.complete_report(exact_mdp.rationalize(given.mdp, policy).report())
+    found = exact_mdp.rationalize(given.mdp, policy, criterion=given.criterion)
+    return given.complete_report(found.report())
 
 
 def ce_command(

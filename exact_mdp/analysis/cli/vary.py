@@ -13,7 +13,7 @@ import exact_mdp
 from exact_mdp.analysis.cli.given import Given
 from exact_mdp.analysis.cli.words import list_command_words, pairs_of, refuse_options
 from exact_mdp.analysis.vary.curves.thresholds import report_of
-from exact_mdp.analysis.vary.curves.walk import find_optimal_pairs
+from exact_mdp.analysis.vary.curves.walk import find_best_average, find_optimal_pairs
 from exact_mdp.analysis.vary.distributions import drawn_family
 from exact_mdp.analysis.vary.ranges import (
     RELATIVE,
@@ -81,7 +81,8 @@ def gradient_command(given: Given) -> Report:
     elasticities: per cent of the value for one per cent of the parameter; left: the derivative from
     the left; right: the derivative from the right, which differs where two policies are optimal.
     """
-    result = exact_mdp.gradient(given.family, policy=given.fixed, names=given.parameters or None)
+    held = {"policy": given.fixed, "criterion": given.criterion}
+    result = exact_mdp.gradient(given.family, names=given.parameters or None, **held)
     more = {}
     if given.perception:
         more = {"claim_of": ROUNDED}
@@ -100,11 +101,15 @@ def threshold_command(given: Given) -> Report:
     switches: each value at which an optimal action changes, and where; stable: for each parameter,
     the range around today's value without a change.
     """
-    spans, without = _select_ranges(given)
+    names = None
+    if is_average(given.criterion):
+        names = _choose_parameters(given)  # an average does not depend on the discount
+    spans, without = _select_ranges(given, names)
     steps = tqdm(spans, desc="thresholds", disable=None, leave=False)
-    results = {name: exact_mdp.thresholds(given.family, name, spans) for name in steps}
-    start = list_claim_facts("start_value", find_optimal_pairs(given.family.at({}))[1])
-    report = report_of(results)
+    results = {}
+    for name in steps:
+        results[name] = exact_mdp.thresholds(given.family, name, spans, criterion=given.criterion)
+    start, report = _prove_start_value(given), report_of(results)
     return given.complete_report(report, kind="threshold", **start, without_range=without)
 
 
@@ -143,14 +148,13 @@ def curve_command(
     else:
         spans = None
     limited = max_regret or max_relative_regret
-    result = exact_mdp.curve(
-        given.family, name, spans, policy=given.fixed if limited else given.taken
-    )
+    held = {"policy": given.fixed if limited else given.taken, "criterion": given.criterion}
+    result = exact_mdp.curve(given.family, name, spans, **held)
     if limited:
         within = result.within(max_regret, max_relative_regret)
     else:
         within = None
-    start = list_claim_facts("start_value", find_optimal_pairs(given.family.at({}))[1])
+    start = _prove_start_value(given)
     return given.complete_report(result.report(within), kind="curve", **start)
 
 
@@ -414,7 +418,8 @@ def explore_command(
     parameters: parameters that move; pieces: number of pieces on the page.
     """
     spans, _ = _select_ranges(given, parameters)
-    page = exact_mdp.explore(given.family, *parameters, ranges=spans, policy=policy, n=points)
+    held: dict[str, Any] = {"policy": policy, "criterion": given.criterion}
+    page = exact_mdp.explore(given.family, *parameters, ranges=spans, n=points, **held)
     page = replace(page, model=given.loaded.name, policy=given.policy)
     write_atomically(html, page.page(rerun=shlex.join(["exact-mdp", *list_command_words()])))
     return given.complete_report(page.report(), written=html)
@@ -437,6 +442,11 @@ def _require_parameter_count(parameters: Sequence[str], count: int, kind: str) -
             "MODEL` lists the names",
         )
     return parameters
+
+
+def _prove_start_value(given: Given) -> dict[str, Any]:
+    find_best = find_best_average if is_average(given.criterion) else find_optimal_pairs
+    return list_claim_facts("start_value", find_best(given.family.at({}))[1])
 
 
 def _claim_start_value(given: Given) -> dict[str, Any]:

@@ -70,9 +70,10 @@ class Explorer(Result):
     def report(self) -> Report:
         """Return the pieces of the optimal value."""
         also = [self.second.name] if self.second else []
-        facts = {"parameters": [self.curves[0].parameter.name, *also], "pieces": len(self.frame())}
-        facts["claim"] = Shown(self.curves[0].claim)
-        table = frame_to_table(self.frame(), "pieces of the optimal value")
+        first = self.curves[0]
+        facts: dict[str, Any] = {"parameters": [first.parameter.name, *also]}
+        facts |= {"pieces": len(self.frame()), "claim": Shown(first.claim), **first.criterion_facts}
+        table = frame_to_table(self.frame(), f"pieces of the optimal {first.measure}")
         return Report(title="explorer", facts=facts, tables={"listed": table})
 
     def page(self, *, rerun: str = "") -> str:
@@ -84,6 +85,7 @@ class Explorer(Result):
             title=f"{self.model}: {title}",
             model=self.model,
             policy=self.policy,
+            measure=self.curves[0].measure,
             data=_build_page_data(self),
             rerun=rerun,
         )
@@ -103,6 +105,7 @@ def explore(
     relative: object | None = None,
     policy: PolicyLike | None = None,
     n: int = 11,
+    criterion: str = "total",
 ) -> Explorer:
     """Return the explorer of one parameter, or of two; in a notebook it shows itself.
 
@@ -119,6 +122,8 @@ def explore(
         A policy held fixed, whose value and regret are shown.
     n : int
         Values of the second parameter, from 2 to 101, evenly spaced; today's is added.
+    criterion : "total" or "average"
+        As for `study`.
 
     Returns
     -------
@@ -164,9 +169,11 @@ def explore(
     curves = []
     for where, here in models:
         with locate_errors(where):
-            curve = exact_curves.curve(here, names[0], spans[names[0]], policy=policy)
+            held: dict[str, Any] = {"policy": policy, "criterion": criterion}
+            curve = exact_curves.curve(here, names[0], spans[names[0]], **held)
             for point in list_certified_points(curve):
-                if certify_and_check(here.at({names[0]: point})).start_value != curve.at(point):
+                proof = certify_and_check(here.at({names[0]: point}), criterion)
+                if proof.start_value != curve.at(point):
                     raise ModelError(
                         "the rows of the model do not follow the polynomials of the curve",
                         where=f"parameter {names[0]} = {format_rational(point)}",
@@ -247,6 +254,7 @@ def _build_page_data(explorer: Explorer) -> dict[str, Any]:
         "signs": [*layout.signs.items()],
         "taken": taken,
         "sense": mdp.sense,
+        "measure": first.measure,
         "idle": np.flatnonzero(~mdp.ends.must_choose).tolist(),
         "ends": np.flatnonzero(mdp.over).tolist(),
         "labels": {state: mdp.space.label(state) for state in states},

@@ -31,6 +31,7 @@ from exact_mdp.analysis.plots.style import (
     make_swatch,
     name_rows,
 )
+from exact_mdp.analysis.vary.criterion import OfCriterion
 from exact_mdp.analysis.vary.curves.curve import ValueFunction
 from exact_mdp.analysis.vary.curves.gradient import Gradient
 from exact_mdp.analysis.vary.curves.thresholds import Thresholds
@@ -40,7 +41,6 @@ from exact_mdp.analysis.vary.one_way import Curve, Tornado, TwoWay
 from exact_mdp.analysis.vary.psa import PSA
 from exact_mdp.analysis.vary.ranges import unit_of
 from exact_mdp.analysis.vary.sobol import Sobol
-from exact_mdp.analysis.vary.study import Study
 from exact_mdp.mdp.errors import ModelError, require_known_name
 from exact_mdp.mdp.parameter import Parameter
 
@@ -60,13 +60,13 @@ def _describe_output(output: str, *, average: bool) -> str:
     return OUTPUT[output]
 
 
-def _label_values(output: str, study: Study) -> str:
-    """Return the label of an axis of values, with their unit."""
-    average = bool(study.criterion_facts)
+def _label_values(output: str, result: OfCriterion, claim: str = "") -> str:
+    """Return the label of an axis of values, with their unit and perhaps their claim."""
+    average = bool(result.criterion_facts)
     unit = "reward"
     if average:
         unit = "reward per step"
-    return f"{_describe_output(output, average=average)} ({unit})"
+    return f"{_describe_output(output, average=average)} ({unit}{claim})"
 
 
 def _with_range(name: str, low: float | Fraction, high: float | Fraction) -> str:
@@ -105,7 +105,7 @@ def plot_gradient(gradient: Gradient, *, most: int = 15, ax: Axes | None = None)
         add_bars(ax, table["parameter"].tolist(), drawn),
         f"Which parameters move the value most{_format_shown_count(len(table), len(every))}",
         gradient.model,
-        x="elasticity of the value at the start (% per %)",
+        x=f"elasticity of the {gradient.measure} at the start (% per %)",
         handles=[make_swatch("raises the value", HIGH), make_swatch("lowers the value", LOW)],
         legend="a higher parameter",
     )
@@ -193,8 +193,9 @@ def plot_value_function(curve: ValueFunction, *, n: int = 33, ax: Axes | None = 
         ax.set_ylim(near.min(), near.max())
         ax.plot([], [], " ", label=f"beyond the picture: {drawn[np.abs(drawn).argmax()]:.3g}")
     _mark_today(ax, float(curve.parameter.value), curve.range.low, curve.range.high)
-    names = {"x": _label_axis(curve.parameter), "y": f"value at the start (reward; {curve.claim})"}
-    return label_axes(ax, f"The optimal value along {name}", curve.mdp.name, **names)
+    said = _label_values("optimal", curve, f"; {curve.claim}").replace(", policy re-optimised", "")
+    title = f"The optimal {curve.measure} along {name}"
+    return label_axes(ax, title, curve.mdp.name, x=_label_axis(curve.parameter), y=said)
 
 
 @apply_style

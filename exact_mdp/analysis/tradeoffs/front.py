@@ -36,10 +36,11 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Integers, to_common_denominator
-from exact_mdp.solvers.arguments import mdp_of
+from exact_mdp.solvers.arguments import is_average, mdp_of, require_average_applies
 from exact_mdp.solvers.exact.duals import weigh_values
 from exact_mdp.solvers.exact.levels import Level, combine_levels
 from exact_mdp.solvers.objectives.amounts import Objectives
+from exact_mdp.solvers.objectives.averages import reduce_to_totals
 from exact_mdp.solvers.objectives.simplex import list_unit_vectors
 from exact_mdp.solvers.objectives.totals import (
     Attained,
@@ -222,7 +223,7 @@ class Front(TotalsProof, Pictured):
 
 
 @named_options
-def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
+def tradeoff(model: MDP | Scenario, names: Sequence[str], *, criterion: str = "total") -> Front:
     """Return the exact Pareto front of two or three expected totals from the start.
 
     Every total is maximised; in a model of costs, minimised.
@@ -235,6 +236,10 @@ def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
     names : sequence of str
         Two or three of: a component of the reward, `steps`, an event, the probability of a label
         that is never left, or a sum such as `name=2*a-b`.
+    criterion : "total" or "average"
+        "average" gives the front of averages per step, whatever the discount, if every policy
+        visits one state again and again. Its proof is about totals of another model, `front.mdp`,
+        which has one more state (`solvers.objectives.averages`).
 
     Returns
     -------
@@ -260,7 +265,11 @@ def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
         many = len(names) if isinstance(names, Sequence) and not isinstance(names, str) else names
         raise ModelError(f"a front of {many!r} totals", where="tradeoff", fix="name two or three")
     # Refuse models whose fractions would be very long: large strongly connected components.
-    of = Objectives(mdp_of(model), names)
+    mdp = mdp_of(model)
+    if is_average(criterion):
+        require_average_applies(mdp)
+        mdp, names = reduce_to_totals(mdp, names)
+    of = Objectives(mdp, names)
     own = of.rows.pair_state[of.rows.pair]
     moves = sp.csr_array((np.ones(len(own)), (own, of.rows.next)), (of.mdp.n_states,) * 2)
     longest = int(np.bincount(strong_components(moves)).max())

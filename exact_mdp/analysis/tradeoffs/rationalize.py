@@ -26,11 +26,12 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, data_frame
-from exact_mdp.solvers.arguments import mdp_of
+from exact_mdp.solvers.arguments import is_average, mdp_of, require_average_applies
 from exact_mdp.solvers.claims import Certified
 from exact_mdp.solvers.exact.duals import solve_inequalities, weigh_values
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.objectives.amounts import Objectives
+from exact_mdp.solvers.objectives.averages import reduce_to_totals
 from exact_mdp.solvers.objectives.simplex import list_unit_vectors, solve_linear_program
 from exact_mdp.solvers.objectives.totals import (
     OccupancyMeasure,
@@ -40,7 +41,7 @@ from exact_mdp.solvers.objectives.totals import (
     list_proof_fields,
     solve_weighted,
 )
-from exact_mdp.solvers.values.policy_chain import flow_of
+from exact_mdp.solvers.values.policy_chain import flow_of, policy_of
 
 ZERO, ONE = Fraction(0), Fraction(1)
 
@@ -152,7 +153,9 @@ class Rationalization(TotalsProof):
 
 
 @named_options
-def rationalize(model: MDP | Scenario, policy: PolicyLike) -> Rationalization:
+def rationalize(
+    model: MDP | Scenario, policy: PolicyLike, *, criterion: str = "total"
+) -> Rationalization:
     """Return the least change of the weights of the reward that makes a policy optimal.
 
     Parameters
@@ -161,6 +164,8 @@ def rationalize(model: MDP | Scenario, policy: PolicyLike) -> Rationalization:
         With components of the reward. At discount 1, policies that never end, or miss a goal, are
         left out if they lose without limit in some component.
     policy : PolicyLike
+    criterion : "total" or "average"
+        As for `tradeoff`.
 
     Returns
     -------
@@ -181,6 +186,11 @@ def rationalize(model: MDP | Scenario, policy: PolicyLike) -> Rationalization:
     ({'gain': Fraction(1, 2), 'effort': Fraction(3, 2)}, (Fraction(3, 1), inf), [])
     """
     mdp = mdp_of(model)
+    if is_average(criterion):
+        require_average_applies(mdp)
+        if isinstance(policy, str) and policy == "optimal":
+            policy = policy_of(mdp, policy, criterion="average")
+        mdp, _ = reduce_to_totals(mdp, mdp.component_names)
     of = Objectives(mdp, mdp.component_names)
     own = flow_of(of, policy)
     search = _WeightSearch(of, own.compute_totals(of))

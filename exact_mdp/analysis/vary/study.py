@@ -20,6 +20,7 @@ from typing import Any, ClassVar, TypeVar, Unpack
 
 import numpy as np
 
+from exact_mdp.analysis.vary.criterion import OfCriterion
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import (
     DistributionError,
@@ -37,7 +38,7 @@ from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.parametric.row_change import check_alike
 from exact_mdp.mdp.policies.arrays import find_distinct_rows
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.report import Shown, format_cell
+from exact_mdp.mdp.report import format_cell
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.sense import Sense
 from exact_mdp.mdp.table import BLOCK, MOST_BYTES, Floats, Integers, Numbers, exact
@@ -60,7 +61,7 @@ Found = TypeVar("Found", Solution, Evaluation)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Study(Result):
+class Study(OfCriterion, Result):
     """The optimum and N given policies at D points of P parameters: values at the start."""
 
     names: tuple[str, ...]
@@ -80,20 +81,6 @@ class Study(Result):
 
     def __repr__(self) -> str:
         return f"Study({len(self.points):,} points of {', '.join(self.names[:3])})"
-
-    @property
-    def measure(self) -> str:
-        """What the values are, in words."""
-        if is_average(self.criterion):
-            return "average reward"
-        return "value"
-
-    @property
-    def criterion_facts(self) -> dict[str, Shown]:
-        """The facts of a report that say so; none for a total."""
-        if is_average(self.criterion):
-            return {"criterion": Shown(self.criterion, "average reward per step")}
-        return {}
 
     @property
     def regret(self) -> Floats:

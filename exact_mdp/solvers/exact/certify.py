@@ -21,7 +21,7 @@ from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.exact import bellman_rows, fingerprint
 from exact_mdp.mdp.model import MDP, cache_on_model
 from exact_mdp.mdp.table import Integers
-from exact_mdp.solvers.arguments import is_average, mdp_of, require_no_target
+from exact_mdp.solvers.arguments import is_average, mdp_of, require_average_applies
 from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.bounds.gains import UNIT, compute_advantages, first_of
 from exact_mdp.solvers.claims import PrecisionWarning, SolverError, Status
@@ -133,7 +133,7 @@ proven_optimum = cache_on_model(certify_and_check)  # for the total reward, foun
 def _prove_optimum(mdp: MDP, *, average: bool) -> Certificate:
     """Return the certificate of an optimum."""
     if average:
-        require_no_target(mdp)
+        require_average_applies(mdp)
         return answer_maximised(mdp, partial(prove_gain_and_bias, kind="average"))
     return answer_maximised(mdp, prove_total)
 

@@ -64,22 +64,8 @@ class Objectives:
         `signs` lists objectives, by number, with 1 where more is better and -1 where less is, as a
         limit may say; by default more of all is better.
         """
-        if not all(isinstance(text, str) for text in texts):
-            raise ModelError(
-                f"{list(texts)!r} is not a list of texts",
-                where="objectives",
-                fix='give texts: a name, or a sum such as "name=2*a-b"',
-            )
-        named = [_parse_objective(mdp, text) for text in texts]
-        self.given, self.texts, names = mdp, tuple(texts), tuple(name for name, _ in named)
-        self.names = names
-        if len(set(names)) < len(names):
-            raise ModelError(
-                f"{max(names, key=names.count)!r} is named twice",
-                where="objectives",
-                fix="name each once: name=2*a-b",
-            )
-        columns = [_combine_terms(mdp, terms) for _, terms in named]
+        self.given, self.texts = mdp, tuple(texts)
+        self.names, columns = read_objectives(mdp, texts)
         earning = np.any([top != 0 for top, _ in columns], axis=0).astype(np.int64)
         below = to_integer_array(np.lcm.reduce([b.astype(object) for _, b in columns]).tolist())
         table = replace(mdp.table, gain=earning, gain_denominator=below)
@@ -218,9 +204,23 @@ class Objectives:
         return self.finite.restrict_visits(self._quotient, visits)
 
 
-def name_objectives(mdp: MDP, texts: Sequence[str]) -> list[str]:
-    """Return the names of objectives, given as texts."""
-    return [_parse_objective(mdp, text)[0] for text in texts]
+def read_objectives(mdp: MDP, texts: Sequence[str]) -> tuple[tuple[str, ...], list[Column]]:
+    """Return the names of objectives, and the amounts (L,) of each, over denominators (L,)."""
+    if not all(isinstance(text, str) for text in texts):
+        raise ModelError(
+            f"{list(texts)!r} is not a list of texts",
+            where="objectives",
+            fix='give texts: a name, or a sum such as "name=2*a-b"',
+        )
+    named = [_parse_objective(mdp, text) for text in texts]
+    names = tuple(name for name, _ in named)
+    if len(set(names)) < len(names):
+        raise ModelError(
+            f"{max(names, key=names.count)!r} is named twice",
+            where="objectives",
+            fix="name each once: name=2*a-b",
+        )
+    return names, [_combine_terms(mdp, terms) for _, terms in named]
 
 
 Terms = list[tuple[Fraction, str]]

@@ -43,7 +43,8 @@ from exact_mdp.solvers.exact.levels import (
     compute_surplus_signs,
     list_level_steps,
 )
-from exact_mdp.solvers.objectives.amounts import Objectives, name_objectives, reward_name
+from exact_mdp.solvers.objectives.amounts import Objectives, read_objectives, reward_name
+from exact_mdp.solvers.objectives.averages import reduce_to_totals
 from exact_mdp.solvers.objectives.simplex import list_unit_vectors, solve_linear_program
 from exact_mdp.solvers.objectives.totals import (
     Attained,
@@ -133,7 +134,7 @@ class ConstrainedSolution(TotalsProof):
         return f"ConstrainedSolution({float(self.start_value):.12g} with {limits}; certified)"
 
     def _read_objectives(self, mdp: MDP) -> Objectives:
-        names = name_objectives(mdp, self.objectives)
+        names, _ = read_objectives(mdp, self.objectives)
         each = [(names.index(limit.name), limit) for limit in self.limits]
         return Objectives(mdp, self.objectives, _orient_limits(mdp, each))
 
@@ -337,14 +338,19 @@ def limits_of(subject_to: Mapping[str, Any]) -> tuple[Limit, ...]:
     return tuple(limits)
 
 
-def solve_under(mdp: MDP, subject_to: Mapping[str, Any]) -> ConstrainedSolution:
-    """Return the optimum under limits; see `solve`."""
+def solve_under(
+    mdp: MDP, subject_to: Mapping[str, Any], *, average: bool = False
+) -> ConstrainedSolution:
+    """Return the optimum under limits, of totals or of averages per step; see `solve`."""
     given = limits_of(subject_to)
     names = list(dict.fromkeys(limit.name for limit in given))
     # The return needs a name that no limit has.
     title = find_free_name("return", [name.partition("=")[0].strip() for name in names])
     each = [(1 + names.index(limit.name), limit) for limit in given]
-    texts = [f"{title}={reward_name(mdp)}", *names]
+    amounts: Sequence[str] = names
+    if average:
+        mdp, amounts = reduce_to_totals(mdp, names)
+    texts = [f"{title}={reward_name(mdp)}", *amounts]
     of = Objectives(mdp, texts, _orient_limits(mdp, each))
     limits = tuple(replace(x, name=of.names[1 + names.index(x.name)]) for x in given)
     shares, shift, price, dual = _combine_policies(of, limits)

@@ -37,7 +37,12 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, list_claim_facts
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats
-from exact_mdp.solvers.arguments import is_average, mdp_of, require_no_horizon, require_no_target
+from exact_mdp.solvers.arguments import (
+    is_average,
+    mdp_of,
+    require_average_applies,
+    require_no_horizon,
+)
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, BoundedVector, gamma
 from exact_mdp.solvers.bounds.linear import LinearSystem
 from exact_mdp.solvers.claims import Bounded, Claim, SolverError, in_float
@@ -510,7 +515,7 @@ def evaluate(
     mdp = mdp_of(model)
     if is_average(criterion):
         require_no_horizon(horizon)
-        require_no_target(mdp)
+        require_average_applies(mdp)
         if isinstance(policy, str) and policy == "optimal":
             policy = solve(mdp, criterion="average")
         return evaluate_average(PolicyChain.of(mdp, policy, kind=kind))

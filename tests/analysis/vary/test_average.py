@@ -14,10 +14,14 @@ from exact_mdp import (
     ModelError,
     Scenario,
     certify,
+    check,
+    evaluate,
+    gradient,
     moving,
     one_way,
     psa,
     sobol,
+    solve,
     study,
     tornado,
     two_way,
@@ -119,6 +123,27 @@ def test_a_care_scenario_and_an_unknown_criterion() -> None:
     assert table.optimal.tolist() == [0.0]  # every episode ends
     with pytest.raises(ModelError, match="mean"):
         study(queue(), {"price": [1]}, criterion="mean")
+
+
+def test_runs_that_stop_after_some_steps_have_no_average() -> None:
+    mdp = queue_at({"arrival": F(1, 4), "price": F(2)})
+    asked = queue().with_question(lambda each: each.within(3))
+    for ask in (
+        lambda: study(mdp.within(3), {"discount": [1]}, criterion="average"),
+        lambda: study(asked, {"price": [1]}, criterion="average"),
+        lambda: one_way(asked, "price", (1, 3), criterion="average"),
+        lambda: tornado(asked, ranges=RANGES, criterion="average"),
+        lambda: worst_point(asked, ranges=RANGES, criterion="average"),
+        lambda: psa(mdp.within(3), 2, criterion="average"),
+        lambda: gradient(asked, criterion="average"),
+        lambda: gradient(asked, criterion="average", policy="random", exact=False),
+        lambda: solve(mdp.within(3), criterion="average"),
+        lambda: certify(mdp.within(3), criterion="average"),
+        lambda: evaluate(mdp.within(3), "random", criterion="average"),
+        lambda: check(mdp.within(3), "random", criterion="average"),
+    ):
+        with pytest.raises(ModelError, match="an average reward per step has no horizon"):
+            ask()
 
 
 def test_pictures_say_it_too() -> None:

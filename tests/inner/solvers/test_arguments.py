@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from exact_mdp import MDP, ModelError, Scenario
+from exact_mdp import MDP, Column, ModelError, Scenario, StateSpace
 from exact_mdp.solvers.arguments import (
     is_average,
     mdp_of,
+    require_average_applies,
     require_no_horizon,
-    require_no_target,
 )
 
 CHAIN = MDP.from_arrays([[[0, 1], [0, 1]]], [1, 0], labels={"end": [1]})
@@ -34,8 +34,20 @@ def test_criteria_are_known_by_name() -> None:
 
 def test_an_average_has_neither_horizon_nor_target() -> None:
     require_no_horizon(None)
-    require_no_target(CHAIN)
+    require_average_applies(CHAIN)
     with pytest.raises(ModelError, match="has no horizon"):
         require_no_horizon(0)
     with pytest.raises(ModelError, match="has no target"):
-        require_no_target(CHAIN.reaching("end"))
+        require_average_applies(CHAIN.reaching("end"))
+
+
+def test_runs_that_stop_after_some_steps_have_no_average(tmp_path: Path) -> None:
+    """Neither if the model was read again; a time of day, which comes back, is another matter."""
+    path = tmp_path / "steps.npz"
+    CHAIN.within(2).save(path)
+    for stopped in (CHAIN.within(2), MDP.load(path)):
+        with pytest.raises(ModelError, match="has no horizon"):
+            require_average_applies(stopped)
+    space = StateSpace(columns=(Column(name="time", size=2), Column(name="state", size=1)))
+    day = MDP.from_outcomes([(0, 0, [(1, 1, 2)]), (1, 0, [(1, 0, 0)])], space=space)
+    require_average_applies(day)

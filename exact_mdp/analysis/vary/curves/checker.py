@@ -5,8 +5,9 @@ Nothing here imports a solver. N_s / D are the optimal values for all θ of an i
     D > 0,     D h_l ≥ 0 for all pairs,     D h_l = 0 for one pair of each state,
 
 and the Bellman equations have one solution (`.equations`). Signs are proven, never sampled
-(`.roots`). A bracket between two pieces holds one root, at which all changes happen: the left
-values are optimal up to it, the right values from it on.
+(`.roots`). Averages have gaps of their own, and need no unique solution (`.average_equations`). A
+bracket between two pieces holds one root, at which all changes happen: the left values are optimal
+up to it, the right values from it on.
 """
 
 from __future__ import annotations
@@ -122,20 +123,22 @@ def piece_violations(
     sign: int,
     *,
     proven: bool = False,
+    kind: type[SectionEquations] = SectionEquations,
 ) -> Iterator[str]:
     """Yield the violations of pieces of a model that maximises; none if all are sound.
 
     `held` is the policy held fixed; sign is -1 if values at the start are costs. `proven` says that
-    the degree of the rows is claimed to be known, not tested at some points.
+    the degree of the rows is claimed to be known, not tested at some points. `kind` are the
+    equations: those of totals or of averages.
     """
     last, turning = None, list[fmpq_poly]()
     for piece in pieces:
         begins = last is None or piece.section is not last.section
         if begins:
             # A new section has equations of its own, which must have one solution.
-            equations, open_ = SectionEquations(family, name, piece.section), set[int]()
+            equations, open_ = kind(family, name, piece.section), set[int]()
             low, high = equations.low, equations.high
-            start = tuple((state, sign * weight) for state, weight in equations.mdp.start)
+            start = equations.weigh_start(sign)
             if any(low < cut < high for cut in family.breakpoints(name)):
                 yield "rows pass to other polynomials inside a section"
             yield from equations.find_faults()
@@ -181,17 +184,13 @@ def _not_optimal(equations: SectionEquations, piece: CurvePiece, open_: set[int]
         marked = [bool(piece.optimal[pair]) for pair in pairs]
         if not any(marked) or marked != [equations.gap[pair].degree() < 0 for pair in pairs]:
             yield f"the pairs of state {state} from {at} on are not those that are optimal"
-    yield from _not_ended(equations, piece.values, at)
+    for fault in equations.find_value_faults(piece.values):
+        yield f"{fault} from {at} on"
+    for place in equations.find_point_faults(piece.values, piece.low[0], piece.high[1]):
+        yield f"nothing proves the optimum at {place}, where a transition vanishes"
     for pair in open_:
         if not is_nonnegative(equations.gap[pair], piece.low[1], piece.high[0]):
             yield f"a pair of state {equations.state[pair]} is better from {at} on"
-
-
-def _not_ended(equations: SectionEquations, values: Values, at: str) -> Iterator[str]:
-    """Yield a reason if a state that is terminal throughout has a value other than 0."""
-    live = set(equations.live)
-    if any(value.degree() >= 0 for s, value in enumerate(values[0]) if s not in live):
-        yield f"a terminal state is worth something from {at} on"
 
 
 def _not_of(equations: SectionEquations, piece: CurvePiece, held: PolicyPairs) -> Iterator[str]:
@@ -202,19 +201,16 @@ def _not_of(equations: SectionEquations, piece: CurvePiece, held: PolicyPairs) -
         return
     if not is_positive(values[1], piece.low[0], piece.high[1]):
         yield f"the denominator of the policy held fixed from {at} on is not positive"
-    yield from _not_ended(equations, values, at)
+    for fault in equations.find_value_faults(values):
+        yield f"{fault} from {at} on"
     taken = list_pairs(held)
     if not set(taken).isdisjoint(equations.barred):
         yield f"the policy held fixed may miss the goal from {at} on"
         return
     if equations.improper and not equations.can_end(taken, piece.low[0], piece.high[1]):
         yield f"nothing proves that the policy held fixed ends from {at} on"
-    for state in equations.live:
-        ahead = (
-            share * equations.compute_action_value(pair, values) for pair, share in held[state]
-        )
-        if values[0][state] != sum(ahead, fmpq_poly()):
-            yield f"the policy held fixed has another value in state {state} from {at} on"
+    for state in equations.find_policy_faults(held, values):
+        yield f"the policy held fixed has another value in state {state} from {at} on"
 
 
 def _turn_at_once(gaps: Iterable[fmpq_poly], bracket: Bracket) -> bool:

@@ -1,5 +1,7 @@
 """The optimal value at the start as an exact function of one parameter, piece by piece.
 
+The value is a total, or the average reward per step.
+
 Between two thresholds one policy π stays optimal, and its value is a ratio of polynomials,
 
     V*(θ) = V_π(θ) = N(θ) / D(θ),      D = 1 if the model is acyclic, else det(I - γ P_π),
@@ -24,8 +26,10 @@ from flint import fmpq_poly
 
 from exact_mdp.analysis.gate.regret import limit_of
 from exact_mdp.analysis.optimum import actions_of
+from exact_mdp.analysis.vary.criterion import OfCriterion
+from exact_mdp.analysis.vary.curves.average_equations import AverageEquations
 from exact_mdp.analysis.vary.curves.checker import Bracket, CurvePiece, piece_violations
-from exact_mdp.analysis.vary.curves.equations import PolicyPairs, sum_weighted
+from exact_mdp.analysis.vary.curves.equations import PolicyPairs, SectionEquations, sum_weighted
 from exact_mdp.analysis.vary.curves.roots import (
     compute_sign,
     isolate_roots,
@@ -45,9 +49,13 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import exact, format_rational
+from exact_mdp.solvers.arguments import is_average, require_average_applies
 from exact_mdp.solvers.claims import Claim
+from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
+# The equations of totals and of averages.
+EQUATIONS: dict[bool, type[SectionEquations]] = {False: SectionEquations, True: AverageEquations}
 # The greatest width of the brackets in which the ends of limits are proven to lie.
 WIDTH = Fraction(1, 10**12)
 # The end of a range of discounts that cannot include 1: about 10^12 steps still count there.
@@ -66,7 +74,7 @@ class ParameterInterval:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class ValueFunction(Pictured):
+class ValueFunction(OfCriterion, Pictured):
     """The optimal value at the start over a range of one parameter."""
 
     parameter: Parameter
@@ -76,6 +84,7 @@ class ValueFunction(Pictured):
     family: Parametric  # the models at all values; costs are negated and maximised
     chain: PolicyChain | None = None  # the policy held fixed, in the model today
     checked: int | None = None  # points at which an unproven degree was checked; else None
+    criterion: str = "total"  # or "average": the value is the reward per step
 
     def __repr__(self) -> str:
         low, high = format_rational(self.range.low), format_rational(self.range.high)
@@ -217,7 +226,7 @@ class ValueFunction(Pictured):
         x D E ± ρ N E - (N E - M D) ≥ 0 for one sign.
         """
         assert piece.fixed_values is not None
-        start = self.mdp.start
+        start = [(number, self.mdp.sense.sign * weight) for number, weight in piece.start]
         (tops, d), (fixed_tops, e) = piece.values, piece.fixed_values
         best, mine = sum_weighted(start, tops), sum_weighted(start, fixed_tops)
         room = to_flint(most) * d * e - (best * e - mine * d)
@@ -243,8 +252,11 @@ class ValueFunction(Pictured):
             _to_rational_weights(self.chain),
             self.mdp.sense.sign,
         )
-        how = {"proven": self.checked is None}
-        return [*wrong, *piece_violations(self.family, name, self.pieces, held, sign, **how)]
+        kind, proven = EQUATIONS[is_average(self.criterion)], self.checked is None
+        found = piece_violations(
+            self.family, name, self.pieces, held, sign, proven=proven, kind=kind
+        )
+        return [*wrong, *found]
 
     def report(self, within: Sequence[ParameterInterval] | None = None) -> Report:
         """Return the pieces; `within` are the intervals in which a fixed policy keeps a limit."""
@@ -257,6 +269,7 @@ class ValueFunction(Pictured):
             piece["policy"] = of_every_state(self.mdp, first_actions)
             pieces.append(piece)
         facts: dict[str, Any] = {
+            **self.criterion_facts,
             "parameter": self.parameter.name,
             "claim": self.claim,
             "pieces": pieces,
@@ -267,7 +280,7 @@ class ValueFunction(Pictured):
             said = "; ".join(words) or "nowhere"
             facts["within"] = Shown(ends, f"the policy keeps the limit: {said}")
         table = Table(
-            title="pieces of the optimal value at the start",
+            title=f"pieces of the optimal {self.measure} at the start",
             rows=self.frame(),
             columns={
                 "from": "low:.10g",
@@ -327,6 +340,7 @@ def curve(
     *,
     relative: object | None = None,
     policy: PolicyLike | None = None,
+    criterion: str = "total",
 ) -> ValueFunction:
     """Return the optimal value at the start as an exact function of a parameter.
 
@@ -342,6 +356,8 @@ def curve(
         Today's value ± this share instead.
     policy : PolicyLike, optional
         A policy held fixed, whose value is computed, too.
+    criterion : "total" or "average"
+        As for `study`.
 
     Returns
     -------
@@ -365,8 +381,14 @@ def curve(
         family = family.with_question(attrgetter("maximised"))
     span = range_of(family, name, ranges, "whole" if relative is None else relative)
 
+    average = is_average(criterion)
+    if average:
+        require_average_applies(mdp)
+        if isinstance(policy, str) and policy == "optimal":
+            policy = solve(mdp, criterion=criterion)
+
     # A range of discounts ends below 1 if some policy is improper there.
-    if name == DISCOUNT:
+    elif name == DISCOUNT:
         if ranges is None and relative is None and span.high < 1:
             span = Range(low=span.low, high=NEARLY_ONE)
         if span.high == 1 and family.at({DISCOUNT: 1}).ends.has_improper_policy:
@@ -381,7 +403,8 @@ def curve(
     chain = undecided = None
     if policy is not None:
         chain, undecided = PolicyChain.held_fixed(mdp, policy)
-    pieces, sections = pieces_of(family, name, span, mdp.sense.sign, _to_rational_weights(chain))
+    held, kind = _to_rational_weights(chain), EQUATIONS[average]
+    pieces, sections = pieces_of(family, name, span, mdp.sense.sign, held, kind=kind)
 
     # The policy must name an action in every state that has a choice somewhere in the range.
     if chain is not None and undecided is not None and undecided.any():
@@ -403,6 +426,7 @@ def curve(
         family=family,
         chain=chain,
         checked=checks[0] if checks else None,
+        criterion=criterion,
     )
 
 

@@ -67,7 +67,7 @@ class SectionEquations:
         self.change = change = row_change(family, name, section, mdp)
         # Changes are polynomials of θ - θ0, with θ0 the origin of the section.
         shift = fmpq_poly([to_flint(-section.origin), 1])
-        self.rate: fmpq_poly = change.rate(shift) + to_flint(mdp.discount_exact)
+        self.rate: fmpq_poly = self._compute_rate(shift)
         self.reward: list[fmpq_poly] = []
         for number in to_flint_ratios(*reward_entries(mdp)[1:]):
             self.reward.append(fmpq_poly([number]))
@@ -79,8 +79,7 @@ class SectionEquations:
             weight[key] = fmpq_poly([number])
         for key, moved in zip(change.transition.key.tolist(), change.transition.moved, strict=True):
             weight[key] = weight.get(key, fmpq_poly()) + moved(shift)
-        # A terminal state with a row that changes is terminal at θ0 alone, and counts as live.
-        terminal: list[bool] = (mdp.terminal & ~change.find_states(mdp)).tolist()
+        terminal = self._find_ends()
         self.state: list[int] = mdp.pair_state.tolist()
         self.live = [state for state, ends in enumerate(terminal) if not ends]
         self.pairs: dict[int, Sequence[int]] = {state: mdp.pairs_of(state) for state in self.live}
@@ -111,6 +110,27 @@ class SectionEquations:
         self.order: list[int] | None = None
         with suppress(CycleError):
             self.order = [*TopologicalSorter(after).static_order()]
+
+    def _compute_rate(self, shift: fmpq_poly) -> fmpq_poly:
+        """Return the discount as a polynomial."""
+        rate: fmpq_poly = self.change.rate(shift) + to_flint(self.mdp.discount_exact)
+        return rate
+
+    def _find_ends(self) -> list[bool]:
+        """Return for each state whether it is terminal for all θ.
+
+        One with a row that changes is terminal at θ0 alone, and counts as live.
+        """
+        ends: list[bool] = (self.mdp.terminal & ~self.change.find_states(self.mdp)).tolist()
+        return ends
+
+    def weigh_start(self, sign: int) -> tuple[tuple[int, Fraction], ...]:
+        """Return the weights of the start states among the values, times a sign."""
+        return tuple((state, sign * weight) for state, weight in self.mdp.start)
+
+    def choose_improvements(self, pairs: Collection[int]) -> Collection[int]:
+        """Return those of some pairs with negative gaps that a policy takes next."""
+        return pairs
 
     def _leave_out_misses(self, missing: Steps) -> bool:
         """Leave out the pairs by which a run may miss the goal; return whether one may do so still.
@@ -217,6 +237,25 @@ class SectionEquations:
                 models.append(self.family.at({self.change.name: end}))
         met = find_reachable_states(self.mdp)
         return any((mdp.ends.outside_goal & met).any() for mdp in models)
+
+    def find_value_faults(self, values: Values) -> Iterator[str]:
+        """Yield a reason if a state that is terminal throughout has a value other than 0."""
+        live = set(self.live)
+        if any(value.degree() >= 0 for s, value in enumerate(values[0]) if s not in live):
+            yield "a terminal state is worth something"
+
+    def find_policy_faults(self, policy: PolicyPairs, values: Values) -> Iterator[int]:
+        """Yield the live states in which a policy has other values."""
+        for state in self.live:
+            ahead = (
+                share * self.compute_action_value(pair, values) for pair, share in policy[state]
+            )
+            if values[0][state] != sum(ahead, fmpq_poly()):
+                yield state
+
+    def find_point_faults(self, values: Values, low: Fraction, high: Fraction) -> Iterator[str]:
+        """Yield the points between two others at which gaps do not prove the optimum: none."""
+        yield from ()
 
     def one_solution(self) -> bool:
         """Whether the equations have one solution on the whole section, ends included."""

@@ -1,5 +1,7 @@
 """The derivatives of the start value for all parameters, in one backward and one forward pass.
 
+For averages see `.average_gradient`; for totals,
+
     dV/dθ = Σ_l d(l) c(l),    c(l) = ∂r(l) + γ Σ_s' ∂P(l, s') V(s') + ∂γ Σ_s' P(l, s') V(s')
 
 d is the policy's occupancy measure and V its value. The same holds for the optimum if one policy is
@@ -23,12 +25,25 @@ from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
-from flint import fmpq
 from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.regret import EXACT_TRANSITIONS
+from exact_mdp.analysis.vary.criterion import OfCriterion
+from exact_mdp.analysis.vary.curves.average_gradient import (
+    bounded_average_pass,
+    exact_average_pass,
+)
+from exact_mdp.analysis.vary.curves.pair_slopes import (
+    Number,
+    Pass,
+    compute_pair_slopes,
+    find_newly_live_states,
+    list_slopes,
+    make_tie_error,
+    refuse_silence,
+)
 from exact_mdp.analysis.vary.curves.walk import make_improper_error
-from exact_mdp.analysis.vary.ranges import unit_of
+from exact_mdp.analysis.vary.ranges import list_usual_parameters, unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options, require_list
 from exact_mdp.mdp.exact import from_flint, to_flint
@@ -47,7 +62,8 @@ from exact_mdp.mdp.parametric.row_change import (
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, format_cell, list_claim_facts
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
-from exact_mdp.mdp.table import Integers, Numbers, to_common_denominator, to_integer_array
+from exact_mdp.mdp.table import Integers, to_common_denominator, to_integer_array
+from exact_mdp.solvers.arguments import is_average
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, compute_advantages, gamma
 from exact_mdp.solvers.claims import Bounded, Certified, Claim, ClaimedNumber, LowHigh, in_float
 from exact_mdp.solvers.endless.quotient import of_pairs
@@ -57,10 +73,6 @@ from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 SLOPE, ELASTICITY = "derivative (reward per unit)", "elasticity (% per %)"  # columns of a table
-
-Number = Certified | Bounded
-Pass = tuple[Number, Callable[[RowChange, int], Number]]
-"""The value at the start, and the derivative on one side of it: 1 the right, -1 the left one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,19 +147,21 @@ class Derivative:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Gradient(Pictured):
+class Gradient(OfCriterion, Pictured):
     """Derivatives of the start value for every parameter."""
 
     model: str
     start: Number
     derivatives: dict[str, Derivative]
     reoptimised: bool  # or the policy is held fixed
+    criterion: str = "total"  # or "average": the value is the reward per step
 
     def __repr__(self) -> str:
         how = "held fixed"
         if self.reoptimised:
             how = "re-optimised"
-        return f"Gradient({len(self.derivatives)} parameters, policy {how}, value {self.start})"
+        count = len(self.derivatives)
+        return f"Gradient({count} parameters, policy {how}, {self.measure} {self.start})"
 
     def __getitem__(self, name: str) -> Derivative:
         return self.derivatives[name]
@@ -167,6 +181,7 @@ class Gradient(Pictured):
                 exact[name] = slope.value.value
             errors[name] = max(getattr(s, "error", 0.0) for s in (slope.left, slope.right))
         facts = {
+            **self.criterion_facts,
             **list_claim_facts("start_value", self.start),
             "policy": "re-optimised" if self.reoptimised else "fixed",
             "derivatives": {name: _slope_to_float(d.value) for name, d in each},
@@ -234,6 +249,7 @@ def gradient(
     policy: PolicyLike = "optimal",
     names: Iterable[str] | None = None,
     exact: bool | None = None,
+    criterion: str = "total",
 ) -> Gradient:
     """Return the derivative of the start value for every parameter.
 
@@ -243,11 +259,13 @@ def gradient(
     policy : PolicyLike
         "optimal" is re-optimised as a parameter moves; any other policy is held fixed.
     names : iterable of str, optional
-        The parameters; by default all of them.
+        The parameters; by default all of them, but the discount for an average.
     exact : bool, optional
         True for rationals, False for floats with error bounds; by default, rationals for models of
         up to 100,000 transitions that are acyclic or have at most 64 states (200 states if there
         are up to 10,000 transitions, of small integers).
+    criterion : "total" or "average"
+        As for `study`.
 
     Returns
     -------
@@ -260,7 +278,8 @@ def gradient(
     ModelError
         For unknown names; at discount 1 if some policy never ends, unless each of its steps costs
         something; for rows that are not
-        polynomials of the stated degree; with floats, if ties cannot be told from small gaps.
+        polynomials of the stated degree; with floats, if ties cannot be told from small gaps; for
+        an average, if it may jump at today's value.
 
     Examples
     --------
@@ -271,6 +290,9 @@ def gradient(
     4 (certified) 1.0
     """
     family = parametric(model)
+    average = is_average(criterion)
+    if names is None and average:
+        names = list_usual_parameters(family)  # an average does not depend on the discount
     if names is None:
         parameters = list(family.parameters)
     else:
@@ -280,7 +302,9 @@ def gradient(
     reoptimised = isinstance(policy, str) and policy == "optimal"
 
     def is_finite(model: MDP) -> bool:
-        """Return whether the optimum, or the given policy, has finite totals in a model."""
+        """Return whether the optimum, or the given policy, has a finite value in a model."""
+        if average:
+            return True
         if reoptimised:
             return model.ends.has_finite_optimum
         if not model.ends.has_improper_policy:
@@ -294,7 +318,11 @@ def gradient(
     # One backward and one forward pass serve all parameters.
     if exact is None:
         exact = _is_quick(mdp)
-    if exact:
+    if average and exact:
+        passed = exact_average_pass(mdp, policy)
+    elif average:
+        passed = bounded_average_pass(mdp, policy)
+    elif exact:
         passed = _exact_pass(mdp, policy)
     else:
         passed = _bounded_pass(mdp, policy)
@@ -307,6 +335,7 @@ def gradient(
         start=start,
         derivatives=derivatives,
         reoptimised=reoptimised,
+        criterion=criterion,
     )
 
 
@@ -428,10 +457,10 @@ def _exact_pass(mdp: MDP, policy: PolicyLike) -> Pass:
         met = find_reachable_states(mdp)
 
     def compute_slope(change: RowChange, sign: int) -> Certified:
-        keys, slopes, gain_keys, gains = _list_slopes(mdp, change, lambda x: x, rows)
-        begun = _find_newly_live_states(mdp, change)
+        keys, slopes, gain_keys, gains = list_slopes(mdp, change, lambda x: x, rows)
+        begun = find_newly_live_states(mdp, change)
         if certificate is None:
-            _refuse_silence(mdp, begun & met & undecided, change.name)
+            refuse_silence(mdp, begun & met & undecided, change.name)
         unique = certificate is None or (certificate.unique and not (begun & met).any())
         if certificate is None or unique:
             used = np.asarray(uses != 0, dtype=bool)
@@ -442,7 +471,7 @@ def _exact_pass(mdp: MDP, policy: PolicyLike) -> Pass:
         among = used[keys // mdp.n_states]
         keys, slopes = keys[among], slopes[among]
         _refuse_infinite(mdp, keys[np.asarray(slopes != 0)], infinite, change.name)
-        earned = _compute_pair_slopes(keys, slopes, gain_keys, gains, value, mdp.n_pairs)
+        earned = compute_pair_slopes(keys, slopes, gain_keys, gains, value, mdp.n_pairs)
         _refuse_endless(mdp, earned != 0, change.name)
         if certificate is None or unique:
             return Certified(value=from_flint(to_flint(0) + uses @ earned))
@@ -456,31 +485,6 @@ def _exact_pass(mdp: MDP, policy: PolicyLike) -> Pass:
         return Certified(value=sign * Fraction(best.start_value))
 
     return start, compute_slope
-
-
-def _make_tie_error(where: str) -> ModelError:
-    """Return the error for derivatives in floats if several actions may be optimal."""
-    return ModelError(
-        "several actions are optimal, or floats cannot tell them apart",
-        where=where,
-        fix="ask for exact=True, which gives one-sided derivatives at a tie",
-    )
-
-
-def _find_newly_live_states(mdp: MDP, change: RowChange) -> Mask:
-    """Return (S,) True for states with a choice that are terminal today, but not nearby."""
-    return change.find_states(mdp) & mdp.terminal & ~mdp.forced
-
-
-def _refuse_silence(mdp: MDP, silent: Mask, name: str) -> None:
-    """Raise ModelError if the policy held fixed is silent in states (S,) that become live."""
-    if silent.any():
-        raise ModelError(
-            "the policy held fixed names no action in a state that is terminal today, but not for "
-            "nearby values of the parameter",
-            where=f"parameter {name}, {mdp.space.place(int(silent.argmax()))}",
-            fix="give an action there, too, by a mapping or an array over all states",
-        )
 
 
 def _infinite_states(chain: PolicyChain) -> Mask:
@@ -523,7 +527,7 @@ def _bounded_pass(mdp: MDP, policy: PolicyLike) -> Pass:
         several = np.add.reduceat(tied, mdp.pair_offsets[:-1], dtype=np.int64) != 1
         several &= find_reachable_states(mdp, pairs=tied) & ~mdp.terminal
         if several.any():
-            raise _make_tie_error(mdp.space.place(int(several.argmax())))
+            raise make_tie_error(mdp.space.place(int(several.argmax())))
         policy, optimum = solution, True
     else:
         given, undecided = PolicyChain.held_fixed(mdp, policy)
@@ -553,49 +557,25 @@ def _bounded_pass(mdp: MDP, policy: PolicyLike) -> Pass:
     terms = int(lengths.max()) * 2 + count + 8
 
     def compute_slope(change: RowChange, _: int) -> Bounded:
-        begun = _find_newly_live_states(mdp, change) & met & undecided
+        begun = find_newly_live_states(mdp, change) & met & undecided
         if optimum and begun.any():
             where = f"parameter {change.name}, {mdp.space.place(int(begun.argmax()))}"
-            raise _make_tie_error(where)
-        _refuse_silence(mdp, begun, change.name)
-        moves = _list_slopes(mdp, change, lambda x: float(from_flint(x)), rows)
+            raise make_tie_error(where)
+        refuse_silence(mdp, begun, change.name)
+        moves = list_slopes(mdp, change, lambda x: float(from_flint(x)), rows)
         leads = moves[0][(moves[1] != 0) & (uses[moves[0] // mdp.n_states] > 0)]
         _refuse_infinite(mdp, leads, infinite, change.name)
         # c, a bound on |c| with all terms positive, and the error of c by errors of V.
         keys, slopes, gain_keys, gains = map(np.abs, moves)
-        earned = _compute_pair_slopes(*moves, value, count)
-        size = _compute_pair_slopes(keys, slopes, gain_keys, gains, np.abs(value), count)
-        off = _compute_pair_slopes(keys, slopes, gain_keys, 0 * gains, value_error, count)
+        earned = compute_pair_slopes(*moves, value, count)
+        size = compute_pair_slopes(keys, slopes, gain_keys, gains, np.abs(value), count)
+        off = compute_pair_slopes(keys, slopes, gain_keys, 0 * gains, value_error, count)
         _refuse_endless(mdp, size > 0, change.name)
         used = uses + doubt
         error = doubt @ size + used @ off + float(gamma(terms)) * (used @ size)
         return Bounded(value=float(uses @ earned), error=float(error * SLACK + TINY * terms))
 
     return evaluation.numbers["mean"], compute_slope
-
-
-def _list_slopes(
-    mdp: MDP, change: RowChange, kind: Callable[[fmpq], Any], rows: tuple[Integers, Numbers]
-) -> tuple[Integers, Numbers, Integers, Numbers]:
-    """Return keys and slopes of discounted transitions (P has `rows`), and of rewards."""
-    slopes = np.array([*map(kind, change.transition.slope)], dtype=rows[1].dtype)
-    gains = np.array([*map(kind, change.reward.slope)], dtype=rows[1].dtype)
-    keys, slopes = change.transition.key, slopes * kind(to_flint(mdp.discount_exact))
-    if change.rate[1]:
-        keys = np.concatenate([keys, rows[0]])
-        slopes = np.concatenate([slopes, rows[1] * kind(change.rate[1])])
-    return keys, slopes, change.reward.key, gains
-
-
-def _compute_pair_slopes(
-    keys: Integers, slopes: Numbers, gain_keys: Integers, gains: Numbers, value: Numbers, pairs: int
-) -> Numbers:
-    """Return c(l) (L,) from values (S,)."""
-    earned = np.zeros(pairs, dtype=value.dtype)
-    pair, following = np.divmod(keys, len(value))
-    np.add.at(earned, pair, slopes * value[following])
-    np.add.at(earned, gain_keys, gains)
-    return earned
 
 
 def _refuse_endless(mdp: MDP, earns: NDArray[np.bool_], name: str) -> None:

@@ -166,11 +166,14 @@ def report_of(every: Mapping[str, Thresholds]) -> Report:
     # One unproven degree makes the whole report checked instead of certified.
     claims = [each.claim for each in every.values()]
     switches: list[dict[str, Any]] = []
+    criterion: dict[str, Any] = {}
     for each in every.values():
         switches += each.switches()
+        criterion |= each.curve.criterion_facts
     return Report(
         title="thresholds",
         facts={
+            **criterion,
             "claim": Claim.CHECKED if Claim.CHECKED in claims else Claim.CERTIFIED,
             "stable": stable,
             "switches": switches,
@@ -244,6 +247,7 @@ def thresholds(
     ranges: Stated | Range | tuple[object, object] | None = None,
     *,
     relative: object | None = None,
+    criterion: str = "total",
 ) -> Thresholds:
     """Find every threshold of a parameter, with the others held fixed and the policy re-optimised.
 
@@ -256,6 +260,8 @@ def thresholds(
         The range; by default today's value ± 20 %, within the parameter's limits.
     relative : number, optional
         A share other than 20 %.
+    criterion : "total" or "average"
+        As for `study`.
 
     Returns
     -------
@@ -267,7 +273,8 @@ def thresholds(
     ModelError
         For an unknown name, an empty range, a model with cycles that is too large, rows that are
         not polynomials of the degree that a family states, or at discount 1 if some policy never
-        ends, unless each of its steps costs something.
+        ends, unless each of its steps costs something; for an average, if it may jump where a
+        transition vanishes.
 
     Examples
     --------
@@ -277,7 +284,8 @@ def thresholds(
     [0.90909090909...]
     """
     family = parametric(model)
-    whole = curve(family, name, range_of(family, name, ranges, relative))
+    span = range_of(family, name, ranges, relative)
+    whole = curve(family, name, span, criterion=criterion)
     found = []
     for left, right in pairwise(whole.pieces):
         switches = _find_switches(whole.mdp, left.optimal, right.optimal)

@@ -13,11 +13,15 @@ greatest degree in the rows of state s, so they can be interpolated. If only the
 moves, they come from powers of P_π,
 
     N(γ) = D(γ) Σ_k γ^k P^k r   up to degree n - 1.
+
+Averages have the equations of `.average_equations`, also of policies with several recurrent
+classes; there a policy is improved in its gain first, then in its relative values (Puterman, Markov
+Decision Processes, 1994, section 9.2.3).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from fractions import Fraction
 from functools import reduce
 from itertools import chain, count, islice, pairwise
@@ -26,6 +30,7 @@ from math import ceil, floor
 import numpy as np
 from flint import fmpq, fmpq_mat, fmpq_poly, fmpz_poly
 
+from exact_mdp.analysis.vary.curves.average_equations import AverageEquations
 from exact_mdp.analysis.vary.curves.checker import Bracket, CurvePiece
 from exact_mdp.analysis.vary.curves.equations import (
     PolicyPairs,
@@ -37,8 +42,10 @@ from exact_mdp.analysis.vary.curves.roots import (
     Root,
     compute_sign,
     count_sign_variations,
+    is_positive,
     isolate_roots,
     odd_part,
+    remove_double_roots,
 )
 from exact_mdp.analysis.vary.ranges import Range
 from exact_mdp.mdp.errors import ModelError
@@ -66,7 +73,7 @@ class Sweep:
         self.fixed: Values | None = None
         if held is not None:
             self.fixed = compute_policy_values(equations, held)
-        self.start = tuple((state, sign * weight) for state, weight in equations.mdp.start)
+        self.start = equations.weigh_start(sign)
         self.ahead: dict[int, list[Root]] = {}  # by pair, the roots at which its gap turns
         self.policy: Integers = np.empty(0, dtype=np.int64)
 
@@ -173,12 +180,13 @@ class Sweep:
         """Follow a policy that is optimal at the end of a bracket (policy iteration)."""
         at = to_flint(high)
         while True:
-            gaps = ((self.gap[pair](at), pair) for pair in self._find_near_pairs(low, high))
-            falls, pairs = [each for each in gaps if each[0] < 0], self.policy.copy()
+            near, pairs = self._find_near_pairs(low, high), self.policy.copy()
+            falls = {pair: gap for pair in near if (gap := self.gap[pair](at)) < 0}
             if not falls:
                 return
             # In descending order of gaps, the best pair of a state is set last.
-            for _, pair in sorted(falls, reverse=True):
+            taken = self.equations.choose_improvements(falls)
+            for _, pair in sorted(((falls[pair], pair) for pair in taken), reverse=True):
                 pairs[self.equations.state[pair]] = pair
             self._follow_policy(pairs)
 
@@ -240,23 +248,40 @@ def find_optimal_pairs(mdp: MDP) -> tuple[Integers, Certified | Bounded]:
     return optimal[np.searchsorted(optimal, mdp.pair_offsets[:-1])], certificate.start
 
 
+@cache_on_model
+def find_best_average(mdp: MDP) -> tuple[Integers, Certified | Bounded]:
+    """Return a pair of each state with the best average and bias, and the average at the start."""
+    certificate = certify_and_check(mdp, "average")
+    return certificate.pairs, certificate.start
+
+
 def pieces_of(
-    family: Parametric, name: str, span: Range, sign: int, held: PolicyPairs | None
+    family: Parametric,
+    name: str,
+    span: Range,
+    sign: int,
+    held: PolicyPairs | None,
+    *,
+    kind: type[SectionEquations] = SectionEquations,
 ) -> tuple[list[CurvePiece], list[SectionEquations]]:
     """Return the pieces over a range, and their sections; sign is -1 for costs.
 
-    `held` is the policy held fixed, if any.
+    `held` is the policy held fixed, if any, and `kind` the equations: of totals or of averages.
     """
+    find_best = find_best_average if kind is AverageEquations else find_optimal_pairs
     inside = (cut for cut in family.breakpoints(name) if span.low < cut < span.high)
     pieces, sections, policy = list[CurvePiece](), list[SectionEquations](), None
     for low, high in pairwise(sorted({span.low, *inside, span.high})):
-        equations = _build_section_equations(family, name, low, high)
+        equations = _build_section_equations(family, name, low, high, kind)
         _require_finite_values(equations, held)
         sweep = Sweep(equations, held, sign)
         # The optimal policy of the section before may never end in this one.
         if policy is None or equations.improper:
-            policy, _ = find_optimal_pairs(equations.mdp)
-        pieces += sweep.yield_pieces(policy)
+            policy, _ = find_best(equations.mdp)
+        for piece in sweep.yield_pieces(policy):
+            if isinstance(equations, AverageEquations):
+                _require_one_structure(equations, piece)
+            pieces.append(piece)
         policy = sweep.policy
         sections.append(equations)
     return pieces, sections
@@ -292,8 +317,31 @@ def _require_finite_values(equations: SectionEquations, held: PolicyPairs | None
         )
 
 
+def _require_one_structure(equations: AverageEquations, piece: CurvePiece) -> None:
+    """Raise ModelError if averages of a piece may jump where a transition vanishes."""
+    low, high = piece.low[0], piece.high[1]
+    found = [*equations.find_point_faults(piece.values, low, high)]
+    for values in (piece.values, piece.fixed_values):
+        if values is not None and not is_positive(values[1], low, high):
+            ends = [Root(poly=values[1], low=end, high=end) for end in (low, high)]
+            inside = isolate_roots(remove_double_roots(values[1]), low, high)
+            at_ends = (end for end in ends if end.is_of(values[1]))
+            found += map(equations.format_place, (*at_ends, *inside))
+    if found:
+        raise ModelError(
+            "a transition vanishes, and the states in which a policy may stay forever are others: "
+            "the average may jump",
+            where=found[0],
+            fix="choose a range without this value",
+        )
+
+
 def _build_section_equations(
-    family: Parametric, name: str, low: Fraction, high: Fraction
+    family: Parametric,
+    name: str,
+    low: Fraction,
+    high: Fraction,
+    kind: type[SectionEquations] = SectionEquations,
 ) -> SectionEquations:
     """Return the equations of a section from an origin at which no moving probability is 0.
 
@@ -301,7 +349,7 @@ def _build_section_equations(
     """
     for share in chain([Fraction(1, 2)], (Fraction(37 + k, 97 + 2 * k) for k in count())):
         origin = low + (high - low) * share
-        equations = SectionEquations(family, name, Piece(low=low, high=high, origin=origin))
+        equations = kind(family, name, Piece(low=low, high=high, origin=origin))
         if equations.shows_all_steps:
             return equations
     raise AssertionError("unreachable")
@@ -312,6 +360,8 @@ def _build_section_equations(
 
 def compute_policy_values(equations: SectionEquations, policy: PolicyPairs) -> Values:
     """Return the values of a policy; raise ModelError if a model with cycles is too large."""
+    if isinstance(equations, AverageEquations):
+        return _compute_gain_and_bias(equations, policy)
     value = [fmpq_poly()] * equations.mdp.n_states
     if equations.order is not None:
         # Acyclic: backward induction, next states first.
@@ -343,16 +393,53 @@ def compute_policy_values(equations: SectionEquations, policy: PolicyPairs) -> V
     return value, scale
 
 
-def _bound_degree(equations: SectionEquations) -> int:
-    """Return an upper bound on the degree of values in a model with cycles (Cramer's rule)."""
-    live, where = len(equations.live), f"parameter {equations.change.name}"
+def _compute_gain_and_bias(equations: AverageEquations, policy: PolicyPairs) -> Values:
+    """Return relative values and gains of a policy, which may have several recurrent classes.
+
+    The base of a class, its first state, has the relative value 0, and so its equation gives the
+    gain of the class. A state that ends in one class for sure has its gain; any other state has
+    the unknown gain Σ p g and, like all, an unknown relative value.
+    """
+    size = equations.mdp.n_states
+    label, ends = equations.label_classes(policy)
+    bases = [int(np.argmax(label == number)) for number in range(int(label.max()) + 1)]
+    # The place of each unknown: the relative value of a state, its gain at a base; then the gains.
+    apart = [state for state in range(size) if ends[state] < 0]
+    gain_at = {state: size + k for k, state in enumerate(apart)}
+    for state in range(size):
+        if ends[state] >= 0:
+            gain_at[state] = bases[ends[state]]
+    count = size + len(apart)
+    side, entries = [fmpq_poly()] * count, list[tuple[int, fmpq_poly]]()
+    for state in range(size):
+        if state not in bases:
+            entries.append((state * count + gain_at[state], fmpq_poly([-1])))
+        for pair, share in policy[state]:
+            side[state] = side[state] + equations.reward[pair] * share
+            for to, p in equations.following[pair]:
+                if to not in bases:
+                    entries.append((state * count + to, share * p))
+                if ends[state] < 0:
+                    entries.append((gain_at[state] * count + gain_at[to], share * p))
+    found, scale = _interpolate_values(equations, _bound_degree(equations, apart), entries, side)
+    bias = [fmpq_poly() if state in bases else found[state] for state in range(size)]
+    gain = [found[gain_at[state]] for state in range(size)]
+    return equations.complete_values(bias, gain), scale
+
+
+def _bound_degree(equations: SectionEquations, twice: Collection[int] = ()) -> int:
+    """Return an upper bound on the degree of values in a model with cycles (Cramer's rule).
+
+    The states in `twice` have two equations.
+    """
+    live, where = len(equations.live) + len(twice), f"parameter {equations.change.name}"
     degree = 0
-    for pairs in equations.pairs.values():
+    for state, pairs in equations.pairs.items():
         degrees = [0]
         for pair in pairs:
             degrees.append(equations.reward[pair].degree())
             degrees += [p.degree() for _, p in equations.following[pair]]
-        degree += max(degrees)
+        degree += max(degrees) * (1 + (state in twice))
     if live > LARGEST:
         raise ModelError(
             f"{live} states with cycles among them",
