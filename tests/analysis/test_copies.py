@@ -59,7 +59,6 @@ MODELS = {"line": line, "floats": floats, "scenario": scenario, "within": lambda
 QUESTIONS: dict[str, Callable[[MDP], Any]] = {
     "names": lambda mdp: (mdp.action(mdp.actions[-1]), mdp.space.number(mdp.space.label(1))),
     "policy": lambda mdp: Policy.of(mdp, by_name(mdp)),
-    "average": lambda mdp: exact_mdp.solve(mdp, criterion="average"),
     "simulate": lambda mdp: exact_mdp.simulate(mdp, by_name(mdp), 20, 1),
     "plot": lambda mdp: plt.close(exact_mdp.solve(mdp).plot().figure),
     "negated": lambda mdp: mdp.maximised,
@@ -73,6 +72,10 @@ QUESTIONS: dict[str, Callable[[MDP], Any]] = {
 SOME: dict[str, tuple[list[str], Callable[[MDP], Any]]] = {
     "returns": (["line", "scenario"], lambda mdp: exact_mdp.return_distribution(mdp, "optimal")),
     "tradeoff": (["line", "floats"], lambda mdp: exact_mdp.tradeoff(mdp, mdp.component_names[:2])),
+    "average": (
+        ["line", "floats", "scenario"],
+        lambda mdp: exact_mdp.solve(mdp, criterion="average"),
+    ),
     "reaching": (["line", "floats", "within"], lambda mdp: mdp.reaching("goal")),
     "until": (["line", "floats", "within"], lambda mdp: mdp.until("goal")),
     "family": (["line", "floats"], lambda mdp: moving(mdp, {"chance": [(0, 0)]})),

@@ -84,6 +84,7 @@ MADE: dict[str, Callable[[], Any]] = {
     "RobustComparison": lambda: em.robust(care()),
     "RobustSolution": lambda: em.solve_robust(care(), em.Intervals.relative(care(), 0.1)),
     "Study": moved,
+    "Trace": lambda: em.cohort_trace(care(), "random", steps=4),
     "Simulation": lambda: em.simulate(care(), "random", 20, 0),
     "Sobol": lambda: em.sobol(SMALL, names=NAMES, n=8, rng=0),
     "Solution": lambda: em.solve(care()),

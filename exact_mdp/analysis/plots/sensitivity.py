@@ -411,7 +411,6 @@ def plot_cost_effectiveness(
     at = analysis.grid()
     if marked is not None:
         at = np.union1d(at, np.linspace(0, 1.1 * marked, len(at)))
-        ax.axvline(marked, color="0.5", linewidth=1, label=f"{WTP} {marked:,.10g}")
     ax.xaxis.set_major_formatter("{x:,.10g}")
     effect, cost = analysis.components
     x = f"{WTP} ({cost} per {effect})"
@@ -421,6 +420,7 @@ def plot_cost_effectiveness(
         ax.plot(at, losses.min(axis=0), label="EVPI", **WIDE)
         curves = zip(analysis.strategies, losses, strict=True)
         add_lines(ax, {name: (at, loss) for name, loss in curves}, inks=INKS)
+        _mark_price(ax, marked)
         ax.set_ylim(bottom=0)
         ax.yaxis.set_major_formatter("{x:,.10g}")
         return label_axes(ax, "Expected loss", x=x, y=f"mean loss against the best ({cost})")
@@ -428,9 +428,16 @@ def plot_cost_effectiveness(
     ax.plot(at, frontier, label="frontier", **WIDE)
     shares = zip(analysis.strategies, analysis.acceptability(at).T, strict=True)
     add_lines(ax, {name: (at, share) for name, share in shares}, inks=INKS)
+    _mark_price(ax, marked)
     ax.set_ylim(-0.02, 1.02)
     y = "share of draws in which it is the best"
     return label_axes(ax, "Cost-effectiveness acceptability curves", x=x, y=y)
+
+
+def _mark_price(ax: Axes, wtp: float | None) -> None:
+    """Mark a willingness to pay, if there is one, by an upright line."""
+    if wtp is not None:
+        ax.axvline(wtp, color="0.5", linewidth=1, label=f"{WTP} {wtp:,.10g}")
 
 
 def _draw_plane(

@@ -48,7 +48,8 @@ def import_function(place: str) -> Any:
 
 
 # Models.
-OF_PROGRAM = ("discount", "start", "constants")
+OF_EXPLICIT = ("discount", "start")
+OF_PROGRAM = (*OF_EXPLICIT, "constants")
 PRISM = Format("a PRISM program", "io.storm:read_prism", options=OF_PROGRAM)
 FORMATS: dict[str, Format] = {
     ".toml": Format("a scenario", "care.scenario:read_scenario", options=("sets", "discount")),
@@ -70,8 +71,11 @@ FORMATS: dict[str, Format] = {
     ".nm": PRISM,
     ".pm": PRISM,
     ".jani": Format("a JANI model", "io.storm:read_jani", options=OF_PROGRAM),
+    ".drn": Format("an explicit model of Storm", "io.storm:read_drn", options=OF_EXPLICIT),
+    ".tra": Format("explicit files of PRISM", "io.prism_explicit:read_tra", options=OF_EXPLICIT),
 }
-# A model that is not a file, gymnasium:ID.
+# Models that are not files: gymnasium:ID, and a model of Storm in memory.
+IN_MEMORY = Format("a model of Storm", "io.storm:read_storm_model", options=OF_EXPLICIT)
 ENVIRONMENT = Format("an environment", "model:MDP.from_gymnasium", options=("discount", "start"))
 
 # Policies.

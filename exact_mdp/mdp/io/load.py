@@ -20,6 +20,7 @@ from exact_mdp.mdp.io.files import STANDARD_INPUT
 from exact_mdp.mdp.io.formats import (
     ENVIRONMENT,
     FORMATS,
+    IN_MEMORY,
     PROGRAMS,
     WRITTEN_MODELS,
     Format,
@@ -43,13 +44,16 @@ class Loaded:
     scenario: Scenario | None
 
 
-def read_model(spec: str | Path, **options: Any) -> Loaded:
+def read_model(spec: Any, **options: Any) -> Loaded:
     """Return the model that `spec` names; the options are those of `load`.
 
     A given discount overrides `sets`. Raises ModelError if there is no such model.
     """
-    text = str(spec)
-    kind, source, reward = _find_model(text)
+    text, reward = str(spec), None
+    if hasattr(spec, "transition_matrix") and hasattr(spec, "labeling"):
+        kind, source, text = IN_MEMORY, spec, "a model of Storm"
+    else:
+        kind, source, reward = _find_model(text)
     given = {name: each for name, each in options.items() if each is not None}
     if reward is not None:
         given["reward"] = reward
@@ -99,7 +103,7 @@ def _find_model(text: str) -> tuple[Format, str, str | None]:
 
 
 def load(
-    spec: str | Path,
+    spec: Any,
     *,
     sets: Sequence[str] = (),
     discount: object | None = None,
@@ -110,8 +114,8 @@ def load(
 
     Parameters
     ----------
-    spec : str or path
-        A shipped scenario, or a file: see `MDP.load`.
+    spec : str, path, or a model of Storm
+        A shipped scenario, or a file: see `MDP.load`; or what `stormpy.build_model` returns.
     sets : sequence of "KEY=VALUE"
         Changes to a scenario, in order.
     discount : number or "p/q", optional

@@ -1,5 +1,7 @@
 """PRISM programs and JANI models, built state by state by Storm in exact rationals (stormpy).
 
+Storm reads its explicit files (.drn), too, and a model that it holds in memory is taken as it is.
+
 All labels (also those without states, `init` and `deadlock`), reward models and actions of the
 model that Storm builds are kept. A choice without an action is called "unnamed"; the second choice
 of a state with the action `go` is `go#2`. States are named by the values of the variables. Neither
@@ -24,7 +26,6 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
-from fractions import Fraction
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -41,6 +42,7 @@ from exact_mdp.mdp.errors import (
 )
 from exact_mdp.mdp.io.explicit import INITIAL, build_explicit_model, name_states
 from exact_mdp.mdp.io.files import LARGE, read_text
+from exact_mdp.mdp.io.storm_build import KINDS, list_model_parts
 from exact_mdp.mdp.io.structured import json_of
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import MOST_BYTES, exact
@@ -86,6 +88,27 @@ def read_program(
 
 
 read_prism, read_jani = partial(read_program, "prism"), partial(read_program, "jani")
+
+
+def read_drn(path: str | Path, *, discount: object = 1, start: object = None) -> MDP:
+    """Return the model of an explicit file of Storm."""
+    with locate_errors(str(path)):
+        read_text(path, most=LARGE)  # there, and not too large
+        content = _convert_parts(_run_storm("drn", Path(path), ""), [])
+        content |= {"reward": None, "discount": discount, "start": start}
+        return build_explicit_model(shown_text(str(path)), name=Path(path).stem, **content)
+
+
+def read_storm_model(model: Any, *, discount: object = 1, start: object = None) -> MDP:
+    """Return the model of a sparse model of Storm in memory."""
+    fix = "give what stormpy.build_model returns: a DTMC or MDP"
+    kind = getattr(getattr(model, "model_type", None), "name", None)
+    if kind not in KINDS:
+        raise ModelError(f"{kind or type(model).__name__} is no such model", where="model", fix=fix)
+    built = list_model_parts(model)
+    content = _convert_parts(built, built["variables"])
+    content |= {"reward": None, "discount": discount, "start": start}
+    return build_explicit_model("model", name="", **content)
 
 
 def _format_constants(constants: str | Mapping[str, object]) -> str:
@@ -213,12 +236,13 @@ def _left_open(path: Path, names: list[str], constants: str) -> ModelError:
 
 def _convert_parts(built: Mapping[str, Any], order: list[str]) -> dict[str, Any]:
     """Return the parts of an explicit model; states are named by the variables in `order`."""
-    numbers: list[Fraction] = [*map(exact, built["numbers"])]
+    # Numbers of a model in doubles are floats, which print as the shortest decimals.
+    numbers: list[Any] = [*map(exact if built["exact"] else float, built["numbers"])]
     states = range(len(built["first_choice"]) - 1)
     listed: dict[str, list[int]] = built["labels"]
     places = {name: place for place, name in enumerate(built["variables"])}
     shown = ({name: values[places[name]] for name in order} for values in built["values"])
-    rewards: dict[str, dict[str, list[Fraction]]] = {}
+    rewards: dict[str, dict[str, list[Any]]] = {}
     for name, each in built["rewards"].items():
         rewards[name] = {}
         for over, own in each.items():

@@ -1,6 +1,8 @@
-"""A separate program that lets Storm build a PRISM program or a JANI model, and prints JSON.
+"""A separate program that lets Storm build the model of a file, and prints JSON.
 
     python -P storm_build.py LANGUAGE FILE CONSTANTS BYTES
+
+LANGUAGE is prism, jani or drn.
 
 Storm runs in a separate process: a division by zero ends the process that computes it, and a model
 may need more memory than there is. This program imports only stormpy and the standard library.
@@ -60,6 +62,13 @@ def _build_model(language: str, path: str, constants: str) -> dict[str, Any]:
     """Return the parts of Storm's sparse model, or the reason why there is none."""
     import stormpy
 
+    if language == "drn":
+        options = stormpy.developer.DirectEncodingParserOptions()
+        options.build_choice_labeling = True
+        model = stormpy.developer.build_explicit_drn_model[stormpy.Rational](path, options)
+        if model.model_type.name not in KINDS:
+            return {"kind": model.model_type.name}
+        return list_model_parts(model)
     if language == "jani":
         program = stormpy.parse_jani_model(path)[0]
     else:
@@ -77,10 +86,10 @@ def _build_model(language: str, path: str, constants: str) -> dict[str, Any]:
     options.set_build_state_valuations(True)
     options.set_exploration_checks(True)  # without it, values out of range become other values
     model = stormpy.build_model[stormpy.Rational](program, options=options)
-    return _list_model_parts(model)
+    return list_model_parts(model)
 
 
-def _list_model_parts(model: Any) -> dict[str, Any]:
+def list_model_parts(model: Any) -> dict[str, Any]:
     """Return the parts of a model; numbers are indices of the list `numbers` of texts "p/q"."""
     # Equal numbers are written once.
     numbers: dict[str, int] = {}
@@ -106,23 +115,30 @@ def _list_model_parts(model: Any) -> dict[str, Any]:
         if own.has_state_action_rewards:
             rewards[name]["choices"] = [*map(add_number, own.state_action_rewards)]
     # Names of choices, labels, and the values of the variables in each state.
-    words, labels, valuations = model.choice_labeling, model.labeling, model.state_valuations
-    variables = sorted(valuations.get_all_variables(), key=lambda variable: str(variable.name))
-    values = []
-    for state in states:
-        own = [valuations.get_value(state, variable) for variable in variables]
-        values.append([*map(_integer_or_none, own)])
+    labels, words = model.labeling, [""] * len(choices)
+    if model.has_choice_labeling():
+        named = model.choice_labeling
+        words = [" ".join(sorted(named.get_labels_of_choice(choice))) for choice in choices]
+    variables: list[Any] = []
+    values: list[list[int | None]] = [[] for _ in states]
+    if model.has_state_valuations():
+        valuations = model.state_valuations
+        variables = sorted(valuations.get_all_variables(), key=lambda variable: str(variable.name))
+        for state in states:
+            own = [valuations.get_value(state, variable) for variable in variables]
+            values[state] = [*map(_integer_or_none, own)]
     return {
         "first_choice": [0, *map(matrix.get_row_group_end, states)],
         "first_branch": [0, *accumulate(lengths)],
         "targets": targets,
         "chances": chances,
-        "choice_words": [" ".join(sorted(words.get_labels_of_choice(c))) for c in choices],
+        "choice_words": words,
         "labels": {word: list(labels.get_states(word)) for word in labels.get_labels()},
         "rewards": rewards,
         "variables": [variable.name for variable in variables],
         "values": values,
         "numbers": [*numbers],
+        "exact": model.is_exact,
     }
 
 

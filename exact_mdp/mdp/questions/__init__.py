@@ -55,7 +55,8 @@ class Questions(Parts):
             One of `labels`, or an expression over labels and state variables, "x=3 & y>1": see
             `mdp.questions.expressions`.
         allowed : str, optional
-            The label of the states that a run may pass through; all by default.
+            The label of the states that a run may pass through; all by default. From any other
+            state without the first label the probability is 0.
 
         Returns
         -------
@@ -64,7 +65,7 @@ class Questions(Parts):
         Raises
         ------
         ModelError
-            If a label is unknown, or a start state is not allowed.
+            If a label is unknown.
 
         Examples
         --------

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.questions.ending import (
     NO_DATA,
     NO_GOAL,
@@ -40,16 +39,9 @@ class Reaching:
     allowed: str | None = None
 
     def require_applicable(self, model: Any) -> None:
-        """Raise ModelError if a label is unknown, or a start state is not allowed."""
-        target = find_labelled_states(model, self.label)
-        stays = self._find_forbidden(model) & ~target
-        for state, chance in model.start:
-            if chance > 0 and stays[state]:
-                raise ModelError(
-                    f"the start, {model.space.place(state)}, is not among the allowed states",
-                    where=f"allowed {self.allowed!r}",
-                    fix="allow it, or start elsewhere",
-                )
+        """Raise ModelError if a label is unknown."""
+        find_labelled_states(model, self.label)
+        self._find_forbidden(model)
 
     def _find_forbidden(self, model: Any) -> Flags:
         """Return (S,) True for the states that are not allowed."""

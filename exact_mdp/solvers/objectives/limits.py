@@ -135,7 +135,8 @@ class ConstrainedSolution(TotalsProof):
 
     def _read_objectives(self, mdp: MDP) -> Objectives:
         names, _ = read_objectives(mdp, self.objectives)
-        each = [(names.index(limit.name), limit) for limit in self.limits]
+        known = [limit for limit in self.limits if limit.name in names]  # a proof may be forged
+        each = [(names.index(limit.name), limit) for limit in known]
         return Objectives(mdp, self.objectives, _orient_limits(mdp, each))
 
     def _list_flows(self) -> list[OccupancyMeasure]:

@@ -54,6 +54,48 @@ def answer(stormpy: Any, model: Any, query: str) -> Any:
     return stormpy.model_checking(model, formula).get_value(model.initial_states[0])
 
 
+def walk_of(stormpy: Any, tmp_path: Path, kind: Any) -> Any:
+    """The program as a model of Storm in memory, in numbers of a kind, with all its parts."""
+    (tmp_path / "walk.prism").write_text(PRISM, encoding="utf-8")
+    options = stormpy.BuilderOptions()
+    options.set_build_all_reward_models()
+    options.set_build_all_labels()
+    options.set_build_choice_labels(True)
+    options.set_build_state_valuations(True)
+    program = stormpy.parse_prism_program(str(tmp_path / "walk.prism"))
+    return stormpy.build_model[kind](program, options=options)
+
+
+@pytest.mark.filterwarnings("ignore:.*are added up")
+@pytest.mark.parametrize("exactly", [True, False])
+def test_explicit_files_and_models_in_memory(
+    stormpy: Any, tmp_path: Path, *, exactly: bool
+) -> None:
+    """Each is the model of the program; one in doubles has floats."""
+    model = walk_of(stormpy, tmp_path, stormpy.Rational if exactly else float)
+    whole, exporter = load(tmp_path / "walk.prism"), stormpy.developer
+    options = exporter.DirectEncodingExporterOptions()
+    exporter.export_sparse_model_as_drn(model, str(tmp_path / "walk.drn"), options)
+    for again in (load(model), load(tmp_path / "walk.drn")):
+        assert (again.n_states, again.n_pairs) == (whole.n_states, whole.n_pairs)
+        assert sorted(again.actions) == sorted(whole.actions)
+        assert sorted(again.component_names) == ["cost", "steps"]
+        for name in ("cost", "steps"):
+            value = certify(again.with_(sense="min").until("goal", reward=name)).start_value
+            wanted = certify(whole.with_(sense="min").until("goal", reward=name)).start_value
+            assert float(value) == pytest.approx(float(wanted), rel=1e-12)
+            assert value == wanted or not exactly
+    assert load(model, discount="1/2", start=1).start[0][0] == 1
+
+
+def test_other_models_of_storm_are_refused(stormpy: Any, tmp_path: Path) -> None:
+    (tmp_path / "queue.prism").write_text(
+        "ctmc\nmodule queue\n n: [0..2] init 0;\n [] n<2 -> 3 : (n'=n+1);\n endmodule\n"
+    )
+    program = stormpy.parse_prism_program(str(tmp_path / "queue.prism"), prism_compatibility=True)
+    refused(lambda: load(stormpy.build_model[float](program)), "CTMC is no such model", "", "DTMC")
+
+
 @pytest.mark.parametrize("readings", READINGS, ids=range(len(READINGS)))
 def test_storm_finds_the_exact_optimum(
     stormpy: Any, tmp_path: Path, readings: dict[str, str]
@@ -139,7 +181,8 @@ def test_a_division_by_zero_ends_a_command_in_words(stormpy: Any, tmp_path: Path
     said = run("convert", str(path), str(tmp_path / "m.npz"), "--constants", "N=0").refusal()
     assert "divides by zero" in said
     assert not (tmp_path / "m.npz").exists()
-    assert "convert" in run("solve", str(path)).refusal()
+    assert "--constants N=…" in run("solve", str(path)).refusal()
+    assert run("solve", str(path), "--constants", "N=2", "--reach", "deadlock").status == 0
     made = run("convert", str(path), str(tmp_path / "m.npz"), "--constants", "N=4", "--json").result
     assert made["states"] == 2
     assert MDP.load(tmp_path / "m.npz").table.row(0)[1][:2] == (Fraction(1, 4), 1)
