@@ -40,18 +40,18 @@ def read_tra(path: str | Path, *, discount: object = 1, start: object = None) ->
     (_, head), *rows = _split_lines(path)
     nondeterministic = len(head) == 3
     if len(head) not in (2, 3):
-        raise _broken(path, 1, "the first line has other than 2 or 3 numbers")
+        raise _report_line(path, 1, "the first line has other than 2 or 3 numbers")
     # The branches of each choice, and the choices of each state.
-    size = _whole(head[0], path, 1)
+    size = _parse_whole(head[0], path, 1)
     branches: dict[tuple[int, int], list[tuple[int, float]]] = defaultdict(list)
     words: dict[tuple[int, int], str] = {}
     for line, cells in rows:
         if not nondeterministic:
             cells = [cells[0], "0", *cells[1:]]
         if len(cells) not in (4, 5):
-            raise _broken(path, line, f"{len(cells)} values")
-        state, choice, to = (_whole(cell, path, line, size) for cell in cells[:3])
-        branches[state, choice].append((to, _number(cells[3], path, line)))
+            raise _report_line(path, line, f"{len(cells)} values")
+        state, choice, to = (_parse_whole(cell, path, line, size) for cell in cells[:3])
+        branches[state, choice].append((to, _parse_amount(cells[3], path, line)))
         words[state, choice] = "".join(cells[4:])
     pairs = sorted(branches)
     counts = np.bincount([state for state, _ in pairs], minlength=size)
@@ -84,10 +84,10 @@ def _read_labels(path: Path, size: int) -> dict[str, Any]:
     names = dict(re.findall(r'(\d+)="([^"]*)"', " ".join(head)))
     labels = {name: np.zeros(size, dtype=bool) for name in names.values()}
     for line, cells in rows:
-        state = _whole(cells[0].removesuffix(":"), path, line, size)
+        state = _parse_whole(cells[0].removesuffix(":"), path, line, size)
         for number in cells[1:]:
             if number not in names:
-                raise _broken(path, line, f"label {number} has no name")
+                raise _report_line(path, line, f"label {number} has no name")
             labels[names[number]][state] = True
     return labels
 
@@ -103,9 +103,9 @@ def _read_states(path: Path, size: int) -> tuple[str, ...]:
         number, _, state = "".join(cells).partition(":")
         given = state.strip("()").split(",")
         if len(given) != len(names):
-            raise _broken(path, line, f"{len(given)} values of {len(names)} variables")
+            raise _report_line(path, line, f"{len(given)} values of {len(names)} variables")
         truth = {"true": True, "false": False}
-        values[_whole(number, path, line, size)] = {
+        values[_parse_whole(number, path, line, size)] = {
             name: truth.get(text, int(text) if re.fullmatch(r"-?\d{1,18}", text) else text)
             for name, text in zip(names, given, strict=True)
         }
@@ -126,22 +126,22 @@ def _read_rewards(
         own = found.setdefault(REWARD + structure[1], {})
         (_, head), *rows = _split_lines(file)
         if structure[2] == "s":
-            own["states"] = [0.0] * _whole(head[0], file, 1)
+            own["states"] = [0.0] * _parse_whole(head[0], file, 1)
         else:
             own["branches"] = [0.0] * first[-1]
         for line, cells in rows:
             if structure[2] == "s":
-                own["states"][_whole(cells[0], file, line, len(own["states"]))] = _number(
-                    cells[-1], file, line
+                own["states"][_parse_whole(cells[0], file, line, len(own["states"]))] = (
+                    _parse_amount(cells[-1], file, line)
                 )
                 continue
             if not nondeterministic:
                 cells = [cells[0], "0", *cells[1:]]
-            state, choice, to = (_whole(cell, file, line) for cell in cells[:3])
+            state, choice, to = (_parse_whole(cell, file, line) for cell in cells[:3])
             targets = [each for each, _ in branches.get((state, choice), [])]
             if to not in targets:
-                raise _broken(file, line, f"{path.name} has no such transition")
-            own["branches"][first[place[state, choice]] + targets.index(to)] = _number(
+                raise _report_line(file, line, f"{path.name} has no such transition")
+            own["branches"][first[place[state, choice]] + targets.index(to)] = _parse_amount(
                 cells[-1], file, line
             )
     return found
@@ -159,20 +159,20 @@ def _each_line(path: Path) -> Iterator[Row]:
             yield number, words
 
 
-def _whole(text: str, path: Path, line: int, size: int = 2**31) -> int:
+def _parse_whole(text: str, path: Path, line: int, size: int = 2**31) -> int:
     """Return a number of a state or choice; raise ModelError for another text."""
     if not re.fullmatch(r"\d{1,10}", text) or int(text) >= size:
-        raise _broken(path, line, f"{text!r} is no number below {size:,}")
+        raise _report_line(path, line, f"{text!r} is no number below {size:,}")
     return int(text)
 
 
-def _number(text: str, path: Path, line: int) -> float:
+def _parse_amount(text: str, path: Path, line: int) -> float:
     """Return a probability or reward."""
     try:
         return float(text)
     except ValueError:
-        raise _broken(path, line, f"{text!r} is no number") from None
+        raise _report_line(path, line, f"{text!r} is no number") from None
 
 
-def _broken(path: Path, line: int, what: str) -> ModelError:
+def _report_line(path: Path, line: int, what: str) -> ModelError:
     return ModelError(what, where=f"{path}, line {line}", fix="export the files by PRISM again")

@@ -101,7 +101,7 @@ def read_drn(path: str | Path, *, discount: object = 1, start: object = None) ->
 
 def read_storm_model(model: Any, *, discount: object = 1, start: object = None) -> MDP:
     """Return the model of a sparse model of Storm in memory."""
-    fix = "give what stormpy.build_model returns: a DTMC or MDP"
+    fix = "give a DTMC or MDP that Storm has built"
     kind = getattr(getattr(model, "model_type", None), "name", None)
     if kind not in KINDS:
         raise ModelError(f"{kind or type(model).__name__} is no such model", where="model", fix=fix)
