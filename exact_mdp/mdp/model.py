@@ -253,8 +253,8 @@ class MDP(ByFields, FromTransitions, FromGymnasium, FromFrame, FromSteps, Questi
         >>> mdp = MDP.from_pairs([0, 1], [0, 0], [["1/3", "2/3"], [0, 1]], [5, 0])
         >>> print(mdp.frame([0]).to_csv(index=False))
         state,action,next state,probability,reward
-        state 0,0,state 0,1/3,5
-        state 0,0,state 1,2/3,5
+        0,0,0,1/3,5
+        0,0,1,2/3,5
         """
         if states is None:
             return self._frame_outcomes(range(self.n_pairs))
@@ -265,7 +265,7 @@ class MDP(ByFields, FromTransitions, FromGymnasium, FromFrame, FromSteps, Questi
 
     def _frame_outcomes(self, pairs: Iterable[int]) -> DataFrame:
         """Return the outcomes of some pairs as a table."""
-        label = self.space.label
+        label = self.space.plain_label
         rows = []
         for pair in pairs:
             state, action = label(self.pair_state[pair]), self.actions[self.pair_action[pair]]

@@ -263,6 +263,10 @@ class StateSpace:
             return self.extra[state - self.regular]
         return ", ".join([f"{name} {value}" for name, value in self._list_cells(state)][::-1])
 
+    def plain_label(self, state: int) -> str:
+        """Return the printed form of one state in a table: the name alone of a plain state."""
+        return self.label(state).removeprefix("state ")
+
     def place(self, state: int) -> str:
         """Return a state as messages name it: "state A", "state (row 0, column 3)"."""
         label = self.label(state)

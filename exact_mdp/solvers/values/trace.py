@@ -120,7 +120,7 @@ def cohort_trace(
     terms = int(np.diff(onward.indptr).max(initial=0)) + chain.roundings + 4
     error = (count + 1) * gamma(terms) + gamma(count + 2)
     return Trace(
-        states=tuple(name.removeprefix("state ") for name in space.labels(range(space.size))),
+        states=tuple(map(space.plain_label, range(space.size))),
         share=np.array(rows),
         error=float(error * SLACK),
     )
