@@ -99,6 +99,7 @@ from exact_mdp.solvers.values.returns import ReturnDistribution as ReturnDistrib
 from exact_mdp.solvers.values.returns import return_distribution as return_distribution
 from exact_mdp.solvers.values.simulate import Simulation as Simulation
 from exact_mdp.solvers.values.simulate import simulate as simulate
+from exact_mdp.solvers.values.strategies import choose_once as choose_once
 from exact_mdp.solvers.values.trace import Trace as Trace
 from exact_mdp.solvers.values.trace import cohort_trace as cohort_trace
 

@@ -16,6 +16,7 @@ NOT_ASKED = {
     *("assert_policy_optimal", "check_trainer", "counted", "draw", "fingerprint", "frequencies"),
     *(
         "cohort_trace",
+        "choose_once",
         "independent",
         "learning_curve",
         "load",

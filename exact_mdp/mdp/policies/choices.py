@@ -67,7 +67,7 @@ def of_mapping(model: MDP, entries: Mapping[Any, Any], kind: str = "auto") -> Pa
     else:
         # A policy of states without a time is the same at every time.
         space = model.space
-        if space.untimed is not None and not any(PRINTED_TIME.match(str(k)) for k in entries):
+        if space.untimed is not None and not _names_times(space, space.untimed, entries):
             space = space.untimed
         number = space.number
     entries = _by_pair(model, space, number, entries) or _keep_reachable(space, entries)
@@ -80,6 +80,16 @@ def of_mapping(model: MDP, entries: Mapping[Any, Any], kind: str = "auto") -> Pa
             if key not in choices:
                 choices[key] = default()
     return _of_choices(model, space, choices, kind)
+
+
+def _names_times(space: StateSpace, untimed: StateSpace, keys: Iterable[Any]) -> bool:
+    """Return whether keys name times, too: "time 2, state ill", or (2, "ill")."""
+    keys = list(keys)
+    if any(PRINTED_TIME.match(str(key)) for key in keys):
+        return True
+    if all(map(untimed.lookup.can_find, keys)) or not all(isinstance(key, tuple) for key in keys):
+        return False
+    return all(map(space.lookup.can_find, keys))
 
 
 def _by_text(column: Column) -> Callable[[object], int]:
