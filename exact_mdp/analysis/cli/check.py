@@ -114,7 +114,9 @@ def check_command(
     learned_value: the value of the policy at the start; learned: the policy that was checked;
     limits: the limits, as they were given; kept: whether each limit is kept, or null; prices: gain
     of the optimum for each unit that a limit moves, "p/q"; closest: nearest values of the
-    limits that some policy keeps; by: `robust`, `posterior` or `off-policy`; disagreements: states
+    limits that some policy keeps; by: `robust`, `posterior` or `off-policy`; cells: with a
+    horizon, for a policy without a time, the states where it is not optimal at some times, with the
+    number of times; disagreements: states
     where it is not optimal, the costliest first, with state, learned, optimal, gap and
     expected_visits; rows: rows of the policy that were learned badly, with the gain of changing
     each; interval: intervals of both values and of the regret; max_regret: the limit given, or

@@ -30,6 +30,7 @@ from exact_mdp.mdp.questions.ending import describe_sense
 from exact_mdp.mdp.questions.horizon import describe_time_limit
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
+from exact_mdp.mdp.space import TIME
 from exact_mdp.mdp.table import Floats, format_rational
 from exact_mdp.solvers.bounds.bounds import Bounds
 from exact_mdp.solvers.claims import Bounded, Certified, Claim, SolverError, in_float
@@ -254,6 +255,27 @@ class Audit(Pictured):
             rows.append(row)
         return rows
 
+    @cached_property
+    def cells(self) -> list[dict[str, Any]]:
+        """The disagreements by state, at all times, for a policy that does not read the time.
+
+        Each has the number of `times` at which the policy is not optimal there, and what they cost
+        together; the costliest first. In a model without a time there are none.
+        """
+        untimed = self.mdp.space.untimed
+        if untimed is None or TIME in self.policy.space.names:
+            return []
+        cells: dict[str, dict[str, Any]] = {}
+        for row in self._listed:
+            label = untimed.label(row["number"] % untimed.regular)
+            nothing = {"optimal": [], "times": 0, "expected_visits": 0.0, "cost": 0.0}
+            cell = cells.setdefault(label, {"state": label, "learned": row["learned"], **nothing})
+            cell["optimal"] += [a for a in row["optimal_actions"] if a not in cell["optimal"]]
+            cell["times"] += 1
+            cell["expected_visits"] += row["expected_visits"]
+            cell["cost"] += row["cost"]
+        return sorted(cells.values(), key=lambda cell: -cell["cost"])
+
     # ---- verdicts ----------------------------------------------------------------------------
 
     @cached_property
@@ -456,6 +478,8 @@ class Audit(Pictured):
 
     def __str__(self) -> str:
         lines = [self.question, self._outcome, *self._describe_costliest(3)]
+        if self.cells and self._partial and self.representation is not None:
+            lines.append(str(self.representation))
         return "\n".join([*lines, *self._unlimited])
 
     @property
@@ -488,6 +512,18 @@ class Audit(Pictured):
 
     def _describe_costliest(self, most: int) -> list[str]:
         """Return a line for each of the `most` costliest states, and one for the others."""
+        if self.cells:
+            lines = []
+            for cell in self.cells[:most]:
+                lines.append(
+                    f"  {cell['state']}: yours {cell['learned']}, optimal "
+                    f"{format_alternatives(cell['optimal'])}, at {cell['times']} of "
+                    f"{self.mdp.space.columns[0].size - 1} times; loses {cell['cost']:.6g}"
+                )
+            if len(self.cells) > most:
+                cost = sum(cell["cost"] for cell in self.cells[most:])
+                lines.append(f"  and {len(self.cells) - most} more, {cost:.6g} in all")
+            return lines
         met = [each for each in self.disagreements if each.expected_visits != 0]
         lines = []
         for each in met[:most]:
@@ -552,7 +588,8 @@ class Audit(Pictured):
             "agreement": Shown(self.agreement, self._describe_agreement()),
             "agreement_by_visits": Shown(by_visits),
             "unclear": Shown(self.unclear, self.unclear or None),
-            "disagreements": self._listed,
+            "disagreements": Shown(self._listed, None) if self.cells else self._listed,
+            "cells": Shown(self.cells, None),
             "regret_by_state": Shown(self._list_regrets()),
             **self.criterion.list_facts(),
         }
@@ -601,6 +638,8 @@ class Audit(Pictured):
 
     def _list_tables(self, why: Representation | None) -> dict[str, Table]:
         """Return the tables of disagreements, and of rows whose change alone gains."""
+        if self.cells:
+            return {"cells": self._list_cells(), "rows of the policy": self._list_changes(why)}
         columns = {"state": "state", "yours": "learned", "optimal": "either"}
         numbers = {"value lost": "cost:.6g", "visits": "expected_visits:.6g", "share": "share:.1%"}
         met = [row for row in self._listed if row["expected_visits"] != 0]
@@ -611,12 +650,25 @@ class Audit(Pictured):
             columns=columns | numbers,
             first=10,
         )
-        changes = Table(
+        return {"disagreements": wrong, "rows of the policy": self._list_changes(why)}
+
+    def _list_cells(self) -> Table:
+        """Return the table of disagreements by state, whatever the time."""
+        columns = {"state": "state", "yours": "learned", "optimal": "either", "times": "times"}
+        return Table(
+            title="where it is not optimal at some times, the costliest first",
+            rows=[cell | {"either": format_alternatives(cell["optimal"])} for cell in self.cells],
+            columns=columns | {"value lost": "cost:.6g", "visits": "expected_visits:.6g"},
+            first=10,
+        )
+
+    def _list_changes(self, why: Representation | None) -> Table:
+        """Return the table of the rows of the policy whose change alone gains."""
+        return Table(
             title="rows of the policy, each changed alone",
             rows=why.rows if why else (),
             columns={"row": "row", "yours": "learned", "better": "best", "gain": "gain"},
         )
-        return {"disagreements": wrong, "rows of the policy": changes}
 
 
 def _describe_loss(each: Disagreement) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from small_models import small_model
 
 from exact_mdp import (
     MDP,
@@ -21,6 +22,7 @@ from exact_mdp import (
 from exact_mdp.analysis.gate import audit as module
 from exact_mdp.analysis.gate.audit import Audit
 from exact_mdp.analysis.gate.data.interval import RegretInterval
+from exact_mdp.analysis.gate.reasons import Disagreement
 from exact_mdp.analysis.gate.regret import policy_regret
 from exact_mdp.solvers.values.policy_chain import PolicyChain, PolicyEquations
 
@@ -551,3 +553,43 @@ def test_a_table_shows_the_first_ten() -> None:
     audit = audit_of(MDP.from_outcomes([*rows, (11, 0, [(1, 11, 0)])]), [0] * 12)
     (table,) = audit.report().shown_tables()
     assert (len(table.rows), len(table.values())) == (11, 10)
+
+
+def last_actions(mdp: MDP) -> dict[int, int]:
+    """The last action of each state with a choice, by state."""
+    own = {state: mdp.pairs_of(state) for state in range(mdp.n_states)}
+    return {state: int(mdp.pair_action[p[-1]]) for state, p in own.items() if len(p) > 1}
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_cells_gather_the_times(seed: int) -> None:
+    """The losses of a cell are those of its states at all times, and nothing is left out."""
+    plain = small_model(seed, ends=1)
+    mdp = plain.within(5)
+    audit = check(mdp, last_actions(plain), max_regret=99)
+    assert audit.cells
+    by_label: dict[str, list[Disagreement]] = {}
+    for each in audit.disagreements:
+        by_label.setdefault(each.label.partition(", ")[2], []).append(each)
+    assert {cell["state"] for cell in audit.cells} == by_label.keys()
+    for cell in audit.cells:
+        own = by_label[cell["state"]]
+        assert cell["times"] == len(own)
+        assert cell["cost"] == pytest.approx(sum(each.cost for each in own))
+        assert {*cell["optimal"]} == {action for each in own for action in each.optimal}
+    costs = [cell["cost"] for cell in audit.cells]
+    assert costs == sorted(costs, reverse=True)
+    assert sum(costs) == pytest.approx(float(audit), abs=1e-12)
+
+
+def test_a_policy_that_reads_the_time_has_no_cells() -> None:
+    plain = small_model(3, ends=1)
+    mdp = plain.within(3)
+    assert check(mdp, "optimal").cells == []
+    timed = check(mdp, np.zeros((3, 6), dtype=int), max_regret=99)
+    assert timed.disagreements
+    assert timed.cells == []
+    assert check(small_model(3, "1/2"), "random", max_regret=99).cells == []
+    cells = check(mdp, last_actions(plain), max_regret=99)
+    assert " times; loses " in str(cells)
+    assert "cannot see time" in str(cells)
