@@ -311,8 +311,7 @@ class FromArrays(Parts):
         # Amounts of components by outcome: in place of rewards, or listed in `components`.
         amounts: dict[str, Any] = {}
         if any(issubclass(kind, Mapping) for kind in set(map(type, gain))):
-            amounts = _collect_amounts(gain, names)
-            gain = [_add_amounts(reward) for reward in gain]
+            gain, amounts = _collect_amounts(gain, names)
         listed = _list_outcome_amounts(names.get("components"), lengths, order)
         if listed:
             amounts = listed
@@ -324,27 +323,31 @@ class FromArrays(Parts):
         return cls(**_parts_from_columns(state, action, *outcomes, size, order, names, **settings))
 
 
-def _add_amounts(reward: Any) -> Any:
-    """Return the sum of {component: amount}, or a reward as it is."""
-    if isinstance(reward, Mapping):
-        return sum(map(exact, reward.values()))
-    return reward
+def _collect_amounts(gains: list[Any], names: dict[str, Any]) -> tuple[list[Any], dict[str, Any]]:
+    """Return the rewards (N,), and {component: amounts (N,)}, of outcomes {component: amount}.
 
-
-def _collect_amounts(gains: list[Any], names: dict[str, Any]) -> dict[str, Any]:
-    """Return {component: amounts (N,)} from rewards of outcomes {component: amount}."""
+    A reward that is no such mapping is returned as it is.
+    """
     columns: dict[str, list[Fraction]] = {}
-    floats = False
+    rewards, floats, zero = list(gains), False, Fraction(0)
+    # Most amounts occur many times; to make a fraction takes longer than to look one up.
+    known: dict[tuple[type, Any], Fraction] = {}
     for place, gain in enumerate(gains):
         if not isinstance(gain, Mapping):
             continue
+        own = []
         for name, amount in gain.items():
+            key = type(amount), amount
+            number = known.get(key)
+            if number is None:
+                number = known[key] = exact(amount)
+                floats = floats or isinstance(as_given(amount), float)
             # An outcome that does not name a component has the amount 0.
-            column = columns.setdefault(str(name), [Fraction(0)] * len(gains))
-            column[place] = exact(amount)
-            floats = floats or isinstance(as_given(amount), float)
+            columns.setdefault(str(name), [zero] * len(gains))[place] = number
+            own.append(number)
+        rewards[place] = sum(own, zero)
     names.setdefault("float_rewards", floats)
-    return {name: np.array(amounts, dtype=object) for name, amounts in columns.items()}
+    return rewards, {name: np.array(each, dtype=object) for name, each in columns.items()}
 
 
 def _lists_outcomes(amounts: Any) -> bool:

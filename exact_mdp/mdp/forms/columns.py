@@ -107,8 +107,17 @@ def _rank_rows(columns: list[Any]) -> Any:
     """Return numbers (N,) that order rows as the columns (N,) do; equal rows have equal numbers."""
     if len(columns) == 1:
         return columns[0]
-    ranks = [np.unique(np.asarray(column), return_inverse=True)[1] for column in columns]
+    ranks = [_rank_values(np.asarray(column)) for column in columns]
     return np.unique(np.stack(ranks, axis=1), axis=0, return_inverse=True)[1].reshape(-1)
+
+
+def _rank_values(column: Numbers) -> Integers:
+    """Return (N,) ranks of values; fractions are told apart before they are sorted."""
+    if column.dtype != object:
+        return np.unique(column, return_inverse=True)[1]
+    listed = column.tolist()
+    rank = {value: number for number, value in enumerate(sorted({*listed}))}
+    return np.array([rank[value] for value in listed], dtype=np.int64)
 
 
 def _is_sorted(offsets: Integers, following: Numbers) -> bool:
