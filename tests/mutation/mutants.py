@@ -324,7 +324,8 @@ def write_list(results: dict[Path, Result]) -> None:
         known[name] = counts | {LEFT: left}
     lines = ["# What `make mutants` found: how many changes of each module are noticed by the test",
              "# file beside it and by the tests of its room, and those left: [function, before,",
-             "# after, why no test notices].", ""]  # fmt: skip
+             "# after, why no test notices]. Where the reason begins with \"the same\", the change",
+             "# makes no difference.", ""]  # fmt: skip
     for name, content in sorted(known.items()):
         lines += [
             f"[{json.dumps(name)}]",

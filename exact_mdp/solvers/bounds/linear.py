@@ -153,7 +153,10 @@ class LinearSystem(ByFields):
             return self._direct(constant)
         if closely:
             return self.approximate(constant)
-        return self._solve_iteratively(constant, 1e-2)
+        # Inner products of very small or large numbers leave the range of floats: scale by a power
+        # of 2, which rounds nothing.
+        _, power = np.frexp(np.abs(constant).max())
+        return np.ldexp(self._solve_iteratively(np.ldexp(constant, -power), 1e-2), power)
 
     def solve_relatively(self, constant: Floats, leak: Floats) -> tuple[Floats, float]:
         """Return h (S,) and k with h + k = c + γ P (h + k), where h is 0 in one frequent state.
@@ -406,10 +409,11 @@ def _run_bicgstab(moves: Solve, constant: Floats, rtol: float, steps: int) -> Fl
         # The stabilising half step: ω minimises the residual along its own image.
         turn = moves(residual)
         square = compute_inner_product(turn, turn)
-        omega = compute_inner_product(turn, residual) / square
-        fresh = not abs(omega) * np.sqrt(square) > LEAST * size
+        along = compute_inner_product(turn, residual)
+        fresh = not abs(along) > LEAST * np.sqrt(square) * size
         if fresh:
             continue
+        omega = along / square
         value += omega * residual
         residual = residual - omega * turn
         size = np.sqrt(compute_inner_product(residual, residual))

@@ -21,7 +21,7 @@ from exact_mdp.solvers.bounds.bounds import (
     margin_weights,
     solve_backward,
 )
-from exact_mdp.solvers.bounds.gains import SLACK, compute_advantages
+from exact_mdp.solvers.bounds.gains import SLACK, UNIT, compute_advantages
 
 Array = np.ndarray[Any, Any]
 RATES = (F(0), F(1, 2), F(9, 10), F(9999, 10_000), F(1))
@@ -171,6 +171,16 @@ def test_centring_counts_its_own_roundings() -> None:
         assert made.high - made.low <= (given.high - given.low) * 1.01 + 2e-15 * size
 
 
+def test_the_middle_is_widened_by_twice_what_its_roundings_lose() -> None:
+    """c w and V + c w round: twice |c| w and |V + c w| units of w, and 8 units of c itself."""
+    weight = np.array([2.0, 4.0, 0.0])
+    given = Bounds(value=-3 * weight, weight=weight, pairs=np.arange(3), low=5.0, high=5.0)
+    made = given.centre_bounds()
+    assert made.value.tolist() == [4, 8, 0]
+    units = 2 * (2 + 2 * 5) + 8 * 5
+    assert made.high == -made.low == pytest.approx(units * UNIT, rel=1e-9, abs=0)
+
+
 def test_actions_that_rounding_does_not_tell_apart_are_as_good() -> None:
     """Rounding of 10⁹ hides a difference of 10⁻⁸ between rewards."""
     rows: Any = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 1 + F(1, 10**8))]), (1, 0, [(1, 0, 0)])]
@@ -192,7 +202,7 @@ def test_values_that_no_bounds_are_around_are_refused() -> None:
     mdp = MDP.from_outcomes([(0, 0, [(1, 1, 1)]), (1, 0, [(1, 1, 0)])])
     with pytest.raises(ValueError, match="terminal states are worth 0"):
         bound_optimal_values(mdp, np.array([0.0, 1e-300]))
-    for size in (np.inf, np.nan, 1.7e308):
+    for size in (np.inf, np.nan, 1.7e308, 5e307):  # of the last one, bounds are ±1.5e308
         half = MDP.from_outcomes([(0, 0, [(1, 1, 1)]), (1, 0, [(1, 0, 0)])], "1/2")
         with pytest.raises(SolverError, match="beyond the range of floats"):
             bound_optimal_values(half, np.array([size, -size]))
@@ -212,7 +222,7 @@ def test_weights_are_steps_to_the_end_or_one(acyclic: bool) -> None:
             np.testing.assert_allclose(weights.value, steps, rtol=1e-14)
         elif mdp.discount_exact == 1 and not mdp.ends.is_acyclic:
             assert (weights.value >= 0.5 * np.array(steps) - 1e-9).all()
-            assert (weights.value <= 2 * np.array(steps) + 1e-9).all()
+            assert (weights.value <= np.array(steps) + 1e-9).all()  # they are a policy's
         elif not mdp.ends.is_acyclic:
             assert weights.value.tolist() == [0.0 if over else 1.0 for over in mdp.terminal]
         margin = np.broadcast_to(weights.margin, mdp.n_pairs)
@@ -269,6 +279,42 @@ def test_where_margins_vanish_there_are_no_weights() -> None:
         margin_weights(MDP.from_outcomes(hardly))
     with pytest.raises(ModelError):
         margin_weights(MDP.from_outcomes(ring))
+
+
+def test_only_positive_weights_with_positive_margins_prove_anything(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    end: Any = (2, 0, [(1, 2, 0)])
+    far = MDP.from_outcomes([(0, 0, [(1, 1, 1)]), (1, 0, [(1, 2, 1)]), end], "1/2")
+    near = MDP.from_outcomes([(0, 0, [(1, 2, 1)]), (1, 0, [(1, 2, 1)]), end])
+
+    def refuse(margin: float, error: float) -> None:
+        monkeypatch.setattr(module, "_compute_margins", lambda *_: (np.array([margin]), error))
+        for mdp in (far.with_(), near.with_()):  # weights are kept with each model
+            with pytest.raises(SolverError, match="the end is too many steps away"):
+                margin_weights(mdp)
+
+    for margin, error in ((0.5, 0.5), (0.25, 0.5), (-1.0, 0.0)):
+        refuse(margin, error)
+    monkeypatch.setattr(module, "solve_backward", lambda mdp, _: np.zeros(mdp.n_states))
+    refuse(1.0, 0.0)
+
+
+def test_a_policy_is_kept_where_no_pair_adds_more_than_half_a_step(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Two steps, by staying with probability 1/2; to stay with probability p adds 2 p - 1."""
+
+    def stays(p: F) -> MDP:
+        rows: Any = [(0, a, [(q, 0, 0), (1 - q, 1, 0)]) for a, q in enumerate((F(1, 2), p))]
+        return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])])
+
+    for p, steps in ((F(7, 10), 2), (F(3, 4), 2), (F(4, 5), 5), (F(9, 10), 10)):
+        np.testing.assert_allclose(margin_weights(stays(p)).value, [steps, 0], rtol=1e-12)
+    monkeypatch.setattr(module, "POLICIES", 1)
+    np.testing.assert_allclose(margin_weights(stays(F(3, 4))).value, [2, 0], rtol=1e-12)
+    with pytest.raises(SolverError, match="the end is too many steps away"):
+        margin_weights(stays(F(9, 10)))
 
 
 # ---- values --------------------------------------------------------------------------------------
@@ -361,6 +407,12 @@ def test_the_number_of_policies_that_are_tried_is_limited(monkeypatch: pytest.Mo
                  (1, 0, [("99/100", 0, 0), ("1/100", 2, 0)]), (2, 0, [(1, 2, 0)])]  # fmt: skip
     with pytest.raises(SolverError, match="the end is too many steps away"):
         margin_weights(MDP.from_outcomes(ring))
+
+
+def test_ends_among_other_states_are_no_steps() -> None:
+    rows: Any = [(0, 0, [(1, 2, 0)]), (1, 0, [(1, 1, 0)]), (2, 0, [(1, 3, 0)]), (3, 0, [(1, 3, 0)])]
+    mdp = MDP.from_outcomes(rows)
+    assert solve_backward(mdp, np.ones(4)).tolist() == [2, 0, 1, 0]
 
 
 def test_a_step_to_a_state_of_smaller_number_is_taken_in_order() -> None:

@@ -103,7 +103,7 @@ def test_all_ways_lead_to_the_same_values(
     for states in (1, 3, 30):
         for leak in (0.0, 0.3):
             system = LinearSystem(chain(rng, states, leak=leak), rate)
-            for size in (1e-30, 1.0, 1e30):
+            for size in (1e-200, 1e-30, 1.0, 1e30, 1e200):
                 constant = size * rng.normal(size=states)
                 wanted = plain(system, constant)
                 near = np.abs(wanted).max() * 1e-12
@@ -113,7 +113,7 @@ def test_all_ways_lead_to_the_same_values(
                 assert (found.error < 1e3 * near).all()
                 rough = system.solve_roughly(constant)
                 left = constant + rate * (system.transition @ rough) - rough
-                assert np.linalg.norm(left) <= 1.01e-2 * np.linalg.norm(constant)
+                assert np.linalg.norm(left / size) <= 1.01e-2 * np.linalg.norm(constant / size)
                 np.testing.assert_allclose(
                     system.solve_roughly(constant, closely=True), wanted, atol=near
                 )
@@ -320,6 +320,14 @@ def test_bicgstab_begins_anew_where_its_directions_vanish() -> None:
         assert linear._run_bicgstab(lambda y: np.inf * y, np.ones(2), 1e-9, 5) is None
 
 
+def test_bicgstab_ends_where_nothing_is_left() -> None:
+    assert linear._run_bicgstab(lambda y: 0.5 * y, np.zeros(3), 1e-9, 5).tolist() == [0] * 3
+    assert linear._run_bicgstab(lambda y: 0.5 * y, np.ones(3), 0.0, 1).tolist() == [2] * 3
+    for singular in (np.zeros((2, 2)), np.array([[1.0, 0.0], [1.0, 0.0]])):
+        side = np.array([1.0, 0.0])
+        assert linear._run_bicgstab(lambda y, m=singular: m @ y, side, 1e-9, 5) is None
+
+
 @pytest.mark.parametrize(
     "rows, constant",
     [
@@ -404,6 +412,7 @@ def test_sweeps_of_an_equation_end_where_they_are_close(monkeypatch: pytest.Monk
         (0.5, 0.5**6, 6),
         (0.6, 0.36, 2),  # by less than half, and so no more
         (1.0, 1.0, 2),  # no better at all
+        (-1.0, -1.0, 2),  # as far off on the other side
         (-1.5, -1.5, 2),  # worse: what was before stays
         (1e-20, 0, 1),
         (1e-10, 0, 2),
@@ -451,6 +460,24 @@ def test_what_rounding_alone_leaves_is_not_refined(
         calls.clear()
         system._refine_solution(np.full(terms, 3.0))  # x = 4, and |c| + |x| = 7
         assert len(calls) == 1 + (off > units)
+
+
+@pytest.mark.parametrize("units, calls", [(8, 1), (8.25, 2)])
+def test_eight_units_of_the_largest_number_are_not_refined(
+    units: float, calls: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A small number beside a large one, of which no digit is lost, is off by twice as much."""
+    asked = list[float]()
+
+    def nearly(self: LinearSystem, constant: Array, rtol: float) -> Array:
+        asked.append(rtol)
+        return 2 * constant + np.array([0, 6 * units * UNIT]) * (rtol == linear.FIRST)
+
+    monkeypatch.setattr(LinearSystem, "_solve_nearly", nearly)
+    system = LinearSystem(sp.csr_array(np.eye(2) / 2))
+    value, _ = system._refine_solution(np.array([1, 2.0**-6]))  # |c| + |x| = 3 at most
+    assert len(asked) == calls
+    assert value.tolist() == [2, 2.0**-5 + (48 * UNIT if calls == 1 else 0)]
 
 
 # ---- errors --------------------------------------------------------------------------------------
@@ -577,6 +604,48 @@ def test_errors_are_refined_where_rough_ones_prove_nothing(monkeypatch: pytest.M
     monkeypatch.setattr(LinearSystem, "_solve_nearly", lambda self, constant, _: -constant)
     with pytest.raises(SolverError):
         system._bound_error(excess)
+
+
+def test_an_error_is_that_of_the_residual_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a value of 0 the residual is c, and the error the solution of the equation itself."""
+    system = LinearSystem(sp.csr_array([[0.5, 0.25], [0.25, 0.5]]))
+    constant = np.array([1.0, 3.0])
+    wanted = plain(system, constant)
+    monkeypatch.setattr(LinearSystem, "_refine_solution", lambda *_: (np.zeros(2), constant))
+    error = system.solve(constant).error
+    assert (error >= wanted).all()
+    np.testing.assert_allclose(error, wanted, rtol=2.0**-8)
+
+
+def test_where_nothing_is_lost_errors_are_a_thousandth_of_the_largest() -> None:
+    """1 + 2^-10 and 2^-10, scaled until the first is 1: states that do not lead to each other."""
+    error = LinearSystem(sp.csr_array(np.eye(2) / 2))._bound_error(np.array([1.0, 0.0]))
+    np.testing.assert_allclose(error, [2, 2 / (2**10 + 1)], rtol=1e-5)
+
+
+def test_a_rough_solution_is_enough_for_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The equation of errors has no constant, the rounding of which would count."""
+    system, asked = LinearSystem(sp.csr_array([[0.5, 0.25], [0.25, 0.5]])), list[float]()
+    kept = LinearSystem._solve_nearly
+
+    def nearly(self: LinearSystem, constant: Array, rtol: float) -> Array:
+        asked.append(rtol)
+        return kept(self, constant, rtol)
+
+    monkeypatch.setattr(LinearSystem, "_solve_nearly", nearly)
+    monkeypatch.setattr(LinearSystem, "_bound_rounding", lambda self, constant, _: constant / 2)
+    dominated(system, np.array([1.0, 0.5]))
+    assert asked == [linear.CORRECTION]
+
+
+def test_an_error_that_stays_as_it_is_proves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """e - P e is 0, and not above it, where all stay."""
+    system = LinearSystem(sp.csr_array(np.eye(2)))
+    monkeypatch.setattr(LinearSystem, "_solve_nearly", lambda self, constant, _: np.ones(2))
+    monkeypatch.setattr(LinearSystem, "approximate", lambda self, constant: np.ones(2))
+    monkeypatch.setattr(LinearSystem, "_bound_rounding", lambda self, *_: np.zeros(2))
+    with pytest.raises(SolverError):
+        system._bound_error(np.ones(2))
 
 
 def test_an_error_beyond_the_floats_is_refused() -> None:

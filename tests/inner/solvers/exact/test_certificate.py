@@ -69,7 +69,8 @@ def test_discounted_optima_are_those_of_all_policies() -> None:
         assert proof.optimal.sum() == sum(optimal)
         assert proof.gaps.tolist() == gaps_of(mdp, [*losses], optimal)
         assert proof.sense.sign == sign
-        assert not proof.infinite_sign.any()
+        assert proof.infinite_sign.tolist() == [0] * mdp.n_states
+        assert proof.infinite_sign.dtype == np.int64
         offered = [*zip(mdp.pair_state.tolist(), mdp.pair_action.tolist(), strict=True)]
         taken = [offered.index((s, int(a))) for s, a in enumerate(proof.policy)]
         assert proof.pairs.tolist() == taken
@@ -324,6 +325,15 @@ def test_the_error_counts_the_roundings_of_the_middle() -> None:
         for x, e, a, b in zip(proof.value, proof.error, low, high, strict=True):
             assert abs(F(float(x)) - a) <= F(float(e))
             assert abs(F(float(x)) - b) <= F(float(e))
+
+
+def test_the_error_at_the_start_counts_the_rounding_of_the_mean() -> None:
+    """Values of 3 and 1/8 that are known exactly, of which the mean is 27/32."""
+    mdp = MDP.from_outcomes(ROWS, "1/2", start=["1/4", "3/4"])
+    known = Level.of([F(3), F(1, 8)])
+    proof = replace(certify(mdp, bounded=True), low=known, high=known)
+    assert proof.start.value == 27 / 32
+    assert proof.start.error == proof.error_bound + ulp(27 / 32) > proof.error_bound
 
 
 def test_pairs_that_keep_a_positive_mean_are_worth_infinity() -> None:

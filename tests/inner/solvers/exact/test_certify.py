@@ -151,6 +151,50 @@ def test_a_poor_solution_has_bounds_as_wide_as_it_is_poor() -> None:
                 np.testing.assert_allclose(level.to_floats(), wanted, rtol=1e-9, atol=1e-9 * size)
 
 
+def test_the_first_step_is_large_enough_for_a_good_solution(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Advantages are computed of the weights, of the values, and once of either bound."""
+    kept, calls = module.compute_advantages, list[int]()
+    monkeypatch.setattr(
+        module, "compute_advantages", lambda *a, **b: calls.append(1) or kept(*a, **b)
+    )
+    for mdp in models():
+        solution = solve(mdp, PolicyIteration())
+        calls.clear()
+        certify(mdp, bounded=True, solution=solution)
+        assert len(calls) == 4
+
+
+def test_where_nothing_is_earned_bounds_are_0() -> None:
+    """So it is where all has ended; and bounds of small values are as close as those of large."""
+    nothing: Any = [(0, 0, [("1/2", 0, 0), ("1/2", 1, 0)]), (0, 1, [(1, 1, 0)]), END]
+    for rows in (nothing, [(0, 0, [(1, 0, 0)])]):
+        for rate in ("1/2", 1):
+            proof = certify(MDP.from_outcomes(rows, rate), bounded=True)
+            assert {*proof.low.top, *proof.high.top} == {0}
+            assert proof.violations() == []
+    small: Any = [(0, 0, [("1/2", 0, F(1, 10**9)), ("1/2", 1, F(1, 10**9))]), END]
+    mdp = MDP.from_outcomes(small)
+    assert check(mdp, certify(mdp, bounded=True)) <= 1e-22
+
+
+def test_a_bound_holds_for_each_pair(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is not sure of the last pair alone, which the policy does not take, proves nothing."""
+    kept, calls = module.compute_advantages, list[int]()
+
+    def unsure(*given: Any, **more: Any) -> Any:
+        calls.append(1)
+        found = kept(*given, **more)
+        doubt = (4 * np.abs(found.value).max() + 1) * (len(calls) > 2)
+        return replace(found, error=found.error + np.array([0, doubt, 0]))
+
+    monkeypatch.setattr(module, "compute_advantages", unsure)
+    with pytest.raises(SolverError):
+        certify(MDP.from_outcomes([*ENDING[:1], (0, 1, [(1, 1, 3)]), END]), bounded=True)
+    assert len(calls) == 2 + 1 + 3
+
+
 def test_bounds_that_floats_never_prove_are_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     kept, calls = module.compute_advantages, list[int]()
 

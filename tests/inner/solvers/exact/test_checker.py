@@ -727,6 +727,45 @@ def test_the_start_value_is_the_mean_over_the_start() -> None:
     assert Check(Model(given), claim(given, 0, **parts)).at_start() == inf
 
 
+# ---- the regret of a policy ----------------------------------------------------------------------
+
+
+def regret(given: File, best: File, own: File, lost: Any) -> File:
+    """A certificate of what the policy loses that takes the last action of each state."""
+    pairs = {pair["state"]: number for number, pair in enumerate(given["pairs"])}
+    policy = {"pairs": [*pairs.values()], "weights": level(*[1] * given["states"])}
+    alone = Model(given).isolate(given, policy).digest()
+    parts = {"optimum": claim(given, **best), "value": claim(given, **own) | {"model": alone}}
+    for part in parts.values():
+        del part["format"], part["version"]
+    head = {"format": "exact-mdp certificate", "version": 2, "kind": "regret"}
+    said = {"model": Model(given).digest(), "sense": given["sense"], "policy": policy}
+    return head | said | parts | {"regret": lost}
+
+
+UNLIKE = "the regret is not the difference of an optimum and a value that are proven alike"
+
+
+def test_a_regret_is_of_an_optimum_and_a_value_that_are_proven_alike() -> None:
+    given = model(row(0, 0, [1], 3), row(0, 1, [1], 1), row(1, 0, [1]))
+    zero, alone = level(0, 0), {"h": level(1, 0), "rank": [1, 0]}
+    best = {"value": 3, "h": level(3, 0), "rank": [1, 0]}
+    levels = {"g": zero, "h": level(1, 0), "w": level(-1, 0)}
+    assert violations(given, regret(given, best, {"value": 1, **alone}, 2)) == []
+    for wrong in (3, 1, 0, -2, "inf"):
+        assert violations(given, regret(given, best, {"value": 1, **alone}, wrong)) == [UNLIKE]
+    assert violations(given, regret(given, best, {"value": 1, **levels}, 2)) == [UNLIKE]
+
+
+def test_beside_an_infinite_optimum_a_finite_value_does_not_count() -> None:
+    given = model(row(0, 0, [0], 1), row(0, 1, [1], 3), row(1, 0, [1]))
+    best = {"value": "inf", "g": level(1, 0), "h": level(0, 0), "w": level(0, 0)}
+    own = {"value": 3, "g": level(0, 0), "h": level(3, 0), "w": level(-3, 0)}
+    assert violations(given, regret(given, best, own, "inf")) == []
+    for wrong in (3, -3, 0, "-inf"):
+        assert violations(given, regret(given, best, own, wrong)) == [UNLIKE]
+
+
 # ---- on the command line -------------------------------------------------------------------------
 
 

@@ -161,6 +161,17 @@ def test_a_file_has_a_line_for_each_field(tmp_path: Path) -> None:
     assert codec.load_proof(KINDS, path).kind == "other"
 
 
+def test_the_size_of_a_file_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "proof.json"
+    codec.save_proof(proof(), path)
+    size = path.stat().st_size
+    monkeypatch.setattr(codec, "LARGEST", size)
+    assert codec.load_proof(KINDS, path).kind == "test"
+    monkeypatch.setattr(codec, "LARGEST", size - 1)
+    with pytest.raises(ModelError, match="bytes that are read"):
+        codec.load_proof(KINDS, path)
+
+
 Change = dict[str, Any]
 DAMAGED: list[tuple[Change | Callable[[Change], Any], str]] = [
     *[({"version": x}, f"version is {str(x)!r}, not 2") for x in (2.0, True, 1, "2", None)],

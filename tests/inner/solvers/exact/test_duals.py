@@ -298,6 +298,7 @@ def test_multipliers_are_allowed_where_all_lines_say_so() -> None:
         seen.add((low <= high, high == inf))
     assert seen == {(True, True), (True, False), (False, False)}
     assert solve_inequalities([]) == (0, inf)
+    assert solve_inequalities([(F(-1), F(2)), (F(0), F(1))]) == (1, 0)
 
 
 def test_worth_is_a_weighted_sum() -> None:

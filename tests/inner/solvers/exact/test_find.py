@@ -147,6 +147,40 @@ def test_totals_until_a_goal_are_the_best_of_all_policies() -> None:
     assert kinds == {(inf, 0), (inf, 1), (-inf, 0), (-inf, 1), (-inf, -1)}
 
 
+def by_hand(pairs: list[Any], goal: int, start: int) -> Certificate:
+    """A proof for costs -r until a goal, whose runs may miss it."""
+    mdp = MDP.from_outcomes(pairs, labels={"goal": {goal}}, start={start: 1})
+    proof: Certificate = answer_maximised(negated(mdp).until("goal"), find.prove_goal_total)
+    assert proof.violations() == []
+    return proof
+
+
+def test_a_gain_of_1_in_each_step_is_infinite() -> None:
+    pairs: Any = [(0, 0, [(1, 0, 1)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, 0)]),
+                  (2, 0, [(1, 1, -3)])]  # fmt: skip
+    assert by_hand(pairs, goal=1, start=2).value.tolist() == [-inf, 0, 3]
+
+
+def test_the_search_begins_with_pairs_that_cannot_miss_the_goal() -> None:
+    """Of state 0 the first pair may be lost, the second stays, and the third arrives."""
+    lost: Any = [("1/2", 1, 0), ("1/2", 2, 0)]
+    pairs: Any = [(0, 0, lost), (0, 1, [(1, 0, -1)]), (0, 2, [(1, 1, -1)]), (1, 0, [(1, 1, 0)]),
+                  (2, 0, [(1, 2, 0)])]  # fmt: skip
+    assert by_hand(pairs, goal=1, start=0).value.tolist() == [1, 0, inf]
+
+
+def test_ranks_of_infinite_values_fall_along_pairs_that_cannot_miss_the_goal() -> None:
+    """From state 0 one pair may be lost at once, the safe way leads through state 1."""
+    lost: Any = [("1/2", 2, 0), ("1/2", 4, 0)]
+    pairs: Any = [(0, 0, [(1, 0, 1)]), (0, 1, lost), (0, 2, [(1, 1, 0)]), (1, 0, [(1, 0, 0)]),
+                  (1, 1, [(1, 2, 0)]), (2, 0, [(1, 2, 0)]), (3, 0, [(1, 2, 0)]),
+                  (4, 0, [(1, 4, 0)])]  # fmt: skip
+    proof = by_hand(pairs, goal=2, start=3)
+    assert proof.value.tolist() == [-inf, -inf, 0, 0, inf]
+    assert proof.rank is not None
+    assert proof.rank[[0, 1]].tolist() == [2, 1]
+
+
 def test_costs_that_fall_for_ever_are_named() -> None:
     rows: Any = [(0, 0, [(1, 1, 0)]), (1, 0, [(1, 1, 1)]), (1, 1, [(1, 2, 0)]), (2, 0, [(1, 2, 0)])]
     mdp = negated(MDP.from_outcomes(rows, labels={"goal": {2}})).until("goal")

@@ -1,6 +1,7 @@
 """Levels of certificates, held to fractions added one by one."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from fractions import Fraction as F
 from math import gcd
 from typing import Any
@@ -103,6 +104,14 @@ def test_some_numbers_are_put_over_one_denominator() -> None:
             used = {level.below[level.group[s]] for s in states}
             if len(level.below) > 1:
                 assert unit == np.lcm.reduce([*used])
+
+
+def test_what_is_kept_belongs_to_one_level_alone() -> None:
+    level = Level(top=[1, 1], below=[2, 3], group=np.array([0, 1]))
+    assert level.over_one([0, 1], [0, 1]) == ([3, 2], 6)
+    other = replace(level, below=[5, 7])
+    assert other.over_one([0, 1], [0, 1]) == ([7, 5], 35)
+    assert repr(level) == "Level(top=[1, 1], below=[2, 3], group=array([0, 1]))"
 
 
 def test_a_mean_is_a_weighted_sum() -> None:
@@ -209,3 +218,10 @@ def test_pairs_of_a_state_that_are_alike_are_computed_once(monkeypatch: pytest.M
     one, other = (r + F(1, 14) - F(2, 3) for r in (3, 2))
     assert found == [like, like, one, like, other, F(1, 14) - F(1, 7)]
     assert len(asked) == 4
+
+
+def test_pairs_whose_rewards_differ_in_their_denominators_are_not_alike() -> None:
+    equations = bellman_rows(MDP.from_outcomes([(0, a, [(1, 0, 1)]) for a in range(4)]))
+    step = Level.of([F(0)]), [1, 1, 1, 1], [1, 1, 2, 3]
+    found = [F(top, a * b) for top, a, b in yield_level_advantages(equations, step)]
+    assert found == [1, 1, F(1, 2), F(1, 3)]

@@ -237,6 +237,14 @@ def test_fractions_are_found_over_a_multiple_of_what_is_known(
     assert lifting._over_one_denominator(long, bits, flint.fmpz(1)) is None
 
 
+@pytest.mark.parametrize("away, exact", [(59, F(5)), (60, 5 + F(1, 2**40))])
+def test_a_number_is_close_to_a_fraction_by_40_bits(away: int, exact: F) -> None:
+    """Chance comes as close as 2^-41 once in 2^40 times: 5 + 2^-41 counts as 5."""
+    number = (5 << 100) + (1 << away)
+    found = lifting._over_one_denominator([number], 100, flint.fmpz(1))
+    assert found == ([flint.fmpz(exact.numerator)], flint.fmpz(exact.denominator))
+
+
 def test_a_solution_is_one_of_every_row() -> None:
     dense = [[2, -1, 0], [0, 3, -1], [-1, 0, 4]]
     exact = eliminated(dense, [1, 2, 3])
@@ -279,9 +287,10 @@ def test_without_a_solution_digits_end_where_any_determinant_would_be_told(
     monkeypatch.setattr(lifting, "WIDTHS", (40,))
     rng = np.random.default_rng(6)
     for size, bits in ((12, 61), (12, 90)):
-        dense, side = chain(rng, size, bits), rng.integers(-9, 10, size).tolist()
+        dense, side = chain(rng, size, bits), [9 << 21, *rng.integers(-9, 10, size - 1).tolist()]
         matrix = lifted(dense)
         assert matrix.solve(side, listed(dense)) is None
+        assert side[0].bit_length() + 54 == 79  # one bit more would take a digit more
         before = (max(map(abs, side)).bit_length() + 54) // 40 + 1
         whole = sum(sum(map(abs, row)).bit_length() for row in dense)
         assert counts.pop() == before + 2 * (whole + lifting.SPARE) // 40 + 1
@@ -299,6 +308,36 @@ def test_digits_too_long_end_the_search_at_once(
     side = [s % 5 - 1 for s in range(size)]
     assert lifted(dense).solve(side, listed(dense)) is None
     assert counts == [(3 + 54) // 40 + 1 + 24]
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("more", [0, 1])
+def test_a_digit_may_be_as_large_as_the_base(
+    sign: int, more: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A larger one, of either sign, ends the search after the first digits."""
+    dense, asked = chain(np.random.default_rng(7), 16, 61), list[int]()
+
+    def digits(self: Lifting, *_: Any) -> Any:
+        while True:
+            asked.append(1)
+            yield np.array([0] * 15 + [sign * ((1 << 40) + more)])
+
+    monkeypatch.setattr(Lifting, "_yield_digits", digits)
+    monkeypatch.setattr(lifting, "_is_solution", lambda *_: False)
+    assert lifted(dense)._solve_by_digits([1] * 16, listed(dense), None) is None
+    before, whole = (1 + 54) // 40 + 1, sum(sum(map(abs, row)).bit_length() for row in dense)
+    most = before + 2 * (whole + lifting.SPARE) // 40 + 1
+    assert len(asked) == (before + 24 if more else most)
+
+
+def test_a_small_row_beside_a_large_one_loses_no_digit() -> None:
+    dense, side = [[2**70, 1], [1, 3]], [5, -7]
+    matrix = lifted(dense)
+    found = matrix.solve(side, listed(dense))
+    assert found is not None
+    assert [F(int(x), int(found[1])) for x in found[0]] == eliminated(dense, side)
+    assert matrix.width == 40
 
 
 def test_rows_may_be_of_very_different_size() -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from fractions import Fraction as F
-from math import lcm
+from math import lcm, prod
 from typing import Any
 
 import numpy as np
@@ -96,6 +96,16 @@ def test_steps_are_components_in_the_order_of_solution() -> None:
         assert done == {*range(size)}
 
 
+def test_rings_that_do_not_lead_to_each_other_are_apart() -> None:
+    """Two rings, with a single unknown between their numbers, and one unknown alone."""
+    places = [(0, 0), (0, 1), (1, 0), (1, 1), (2, 2), (3, 3), (3, 4), (4, 3), (4, 4)]
+    matrix = matrix_of(5, {(i, j): 3 if i == j else -1 for i, j in places})
+    parts = {(*states,): block is not None for states, block in matrix.steps}
+    assert parts == {(0, 1): True, (3, 4): True, (2,): False}
+    assert solution(matrix, [4, 4, 3, 4, 4]) == [2, 2, 1, 2, 2]
+    assert matrix_of(1, {(0, 0): 2}).steps == [([0], None)]
+
+
 def test_several_right_sides_share_their_denominators() -> None:
     rng = np.random.default_rng(2)
     for density in (0.1, 0.4):
@@ -134,6 +144,10 @@ def test_denominators_are_in_lowest_terms_and_apart_where_they_are_long() -> Non
     assert sorted(groups([2**521 - 1, 2**607 - 1, 2**279 - 1, 2**127 - 1])) == sorted(
         [2**521 - 1, 2**607 - 1, 2**279 - 1, 2**127 - 1]
     )  # 1534 bits
+    for last, bits in ((2**129 - 1, 388), (7**46, 389)):  # of 2 · 130 + 128 = 388
+        pivots = [2**129, 3**82, last]
+        assert (max(x.bit_length() for x in pivots), prod(pivots).bit_length()) == (130, bits)
+        assert sorted(groups(pivots)) == ([prod(pivots)] if bits == 388 else sorted(pivots))
     (level,) = solve_all(matrix_of(2, {(0, 0): 6, (1, 1): 10}), [[3, 5]])
     assert (level.top, level.below) == ([1, 1], [2])
 
