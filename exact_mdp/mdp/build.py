@@ -326,7 +326,7 @@ class FromArrays(Parts):
 def _collect_amounts(gains: list[Any], names: dict[str, Any]) -> tuple[list[Any], dict[str, Any]]:
     """Return the rewards (N,), and {component: amounts (N,)}, of outcomes {component: amount}.
 
-    A reward that is no such mapping is returned as it is.
+    Other rewards are returned as they are.
     """
     columns: dict[str, list[Fraction]] = {}
     rewards, floats, zero = list(gains), False, Fraction(0)

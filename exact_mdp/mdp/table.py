@@ -258,7 +258,7 @@ class OutcomeTable(ByFields):
         """Apply `of_pair` to each array by pair and `of_outcome` to each array by outcome.
 
         Both take the name of the array and the array. Rows have to remain distributions; `offsets`
-        and `next_states` are those of the new table.
+        and `next_states` belong to the new table.
         """
         rows = replace(
             self.rows,

@@ -18,7 +18,7 @@ from exact_mdp.paper_repro.silent_points import Reading
 def list_outcomes(mdp: MDP, state: int, action: int) -> list[tuple[Fraction, int, Fraction]]:
     """Return the exact outcomes of an action: probability, next state, reward.
 
-    In a state with a single action, the outcomes are those of that action.
+    A state with a single action has the outcomes of that action.
     """
     pairs = mdp.pairs_of(state)
     if len(pairs) == 1:

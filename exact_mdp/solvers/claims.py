@@ -349,7 +349,7 @@ def compute_regrets(best: Floats, own: Floats, error: Floats, sense: Sense = Sen
 class Estimated(ClaimedNumber):
     """A sample mean, its standard error, and a bound on the part that was cut off.
 
-    Comparisons are those of its 95 % interval, which may miss the true mean.
+    Comparisons use its 95 % interval, which may miss the true mean.
 
     Attributes
     ----------

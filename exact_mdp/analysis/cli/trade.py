@@ -96,8 +96,8 @@ def ce_command(
 ) -> Report:
     """Compare strategies by cost and effect: ICERs, acceptability, value of information.
 
-    A strategy is a policy held fixed. If nothing is drawn, the numbers are those of the base case:
-    today's values.
+    A strategy is a policy held fixed. If nothing is drawn, the result is the base case, with the
+    values of today.
 
     Example: exact-mdp ce care.npz --strategy usual=always:none --strategy new=always:treat
 

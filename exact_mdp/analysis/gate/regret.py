@@ -318,7 +318,7 @@ def _certify_regret(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
 
 @dataclass(frozen=True, eq=False)
 class _ExactValues:
-    """The exact values of a policy beside those of the optimum."""
+    """The exact values of a policy beside the optimal values."""
 
     chain: PolicyChain
     best: Certificate

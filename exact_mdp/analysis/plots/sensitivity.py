@@ -397,7 +397,7 @@ def plot_cost_effectiveness(
 
     `show` is "acceptability": the curves, and the frontier as the wide grey line; "loss": the
     expected loss of each strategy, of which the least is the value of perfect information; or
-    "plane": the draws against those of the `reference`, by default the first strategy, with the
+    "plane": the draws compared with the `reference`, by default the first strategy, with the
     ellipse of a normal distribution that holds 95 %.
     """
     require_known_name(show, ("acceptability", "loss", "plane"), "picture", "show")
@@ -443,7 +443,7 @@ def _mark_price(ax: Axes, wtp: float | None) -> None:
 def _draw_plane(
     analysis: CostEffectiveness, reference: str | None, wtp: float | None, ax: Axes
 ) -> Axes:
-    """Draw the draws of each strategy, less those of the reference."""
+    """Plot the draws of each strategy, relative to the reference."""
     names = analysis.strategies
     one = 0
     if reference is not None:

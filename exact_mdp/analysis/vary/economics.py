@@ -196,8 +196,8 @@ class CostEffectiveness(Pictured):
     def evpi(self, wtp: ArrayLike, population: float = 1) -> Any:
         """Return the value of knowing all parameters before choosing; a list for several `wtp`.
 
-        It is that of one person, times the `population` for whom is decided. People of later years
-        are discounted: 500 a year for ten years are sum(500 * 0.97**t for t in range(10)).
+        It is for one person, times the `population` that the decision concerns. People of later
+        years are discounted: 500 a year for ten years are sum(500 * 0.97**t for t in range(10)).
         """
         people = float_of(population, "population")
         prices = _parse_prices(wtp)
@@ -439,7 +439,7 @@ def _read_table(given: Any, where: str) -> dict[str, Floats]:
     """Return the columns of a table, or {name: numbers}, as floats (D,) by name."""
     if not isinstance(given, Mapping) and not hasattr(given, "columns"):
         fix = "give a DataFrame, or {name: numbers}"
-        raise ModelError(f"{type(given).__name__} is no table", where=where, fix=fix)
+        raise ModelError(f"{type(given).__name__} is not a table", where=where, fix=fix)
     columns = {}
     for name in given:
         numbers = np.atleast_1d(np.asarray(given[name]))

@@ -79,7 +79,7 @@ def _sort_by_line(problems: list[dict[str, Any]], text: str) -> list[dict[str, A
 def _locate_keys(text: str) -> dict[str, int]:
     """Return the line of each key and each table of a TOML text, by its dotted name."""
     lines, above = dict[str, int](), list[str]()
-    # Strings and comments may look like keys: replace those of several lines by empty lines.
+    # Strings and comments may look like keys: replace such text over several lines by empty lines.
     text = TEXTS.sub(lambda part: part[0].count("\n") * "\n" or part[0], text)
     for number, line in enumerate(text.split("\n"), start=1):
         statement = STATEMENT.match(line)

@@ -1,7 +1,7 @@
 """Models whose rows and rewards depend on the time: one model for each step, of the same states.
 
-The states are pairs of a time and a state, as those of `within`: the rows of step t lead from the
-states of time t to those of time t + 1. At time N, after the last step, every episode is over.
+The states are pairs of a time and a state, as in `within`: the rows of step t lead from time t to
+time t + 1. At time N, after the last step, every episode is over.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ class FromSteps(FromArrays):
         ----------
         models : iterable of N MDP
             The rows, rewards and labels of steps 0 … N-1. States, actions, discount, sense and
-            components must be the same; the start is that of the first.
+            components must be the same. The first has the start.
         terminal_value : (S,) numbers or {state: number}, optional
             As in `within`.
 
         Returns
         -------
         MDP
-            Its states are those of `within(N)`: a policy may be an array (N, S) of actions.
+            With the states of `within(N)`: a policy may be an array (N, S) of actions.
 
         Raises
         ------
@@ -177,7 +177,7 @@ def _join_tables(tables: Sequence[OutcomeTable], size: int) -> OutcomeTable:
 
 
 def _join_rewards(tables: Sequence[OutcomeTable]) -> tuple[Numbers, Numbers]:
-    """Return the rewards of all tables: by pair, or by outcome if those of one are."""
+    """Return the rewards of all tables: by pair, or by outcome if one table has them so."""
     by_outcome = any(len(table.gain) != table.pairs for table in tables)
     floats = all(table.gain.dtype == np.float64 for table in tables)
     gains, belows = [], []

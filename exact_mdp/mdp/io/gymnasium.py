@@ -324,7 +324,7 @@ def _read_start(env: Any) -> Any:
 def _time_limit(layers: Sequence[Any]) -> int | None:
     """Return the number of steps after which an environment stops; None without a limit.
 
-    It is the lowest limit of the wrappers, or else that of the specification; -1 means no limit.
+    It is the lowest limit of the wrappers, or else of the specification; -1 means no limit.
     """
     limits: list[Any] = [getattr(each, "__dict__", {}).get("_max_episode_steps") for each in layers]
     stated: Any = getattr(getattr(layers[0], "spec", None), "max_episode_steps", None)

@@ -45,7 +45,7 @@ class Loaded:
 
 
 def read_model(spec: Any, **options: Any) -> Loaded:
-    """Return the model that `spec` names; the options are those of `load`.
+    """Return the model that `spec` names; with the options of `load`.
 
     A given discount overrides `sets`. Raises ModelError if there is no such model.
     """

@@ -162,7 +162,7 @@ def _each_line(path: Path) -> Iterator[Row]:
 def _parse_whole(text: str, path: Path, line: int, size: int = 2**31) -> int:
     """Return a number of a state or choice; raise ModelError for another text."""
     if not re.fullmatch(r"\d{1,10}", text) or int(text) >= size:
-        raise _report_line(path, line, f"{text!r} is no number below {size:,}")
+        raise _report_line(path, line, f"{text!r} is not a number below {size:,}")
     return int(text)
 
 
@@ -171,7 +171,7 @@ def _parse_amount(text: str, path: Path, line: int) -> float:
     try:
         return float(text)
     except ValueError:
-        raise _report_line(path, line, f"{text!r} is no number") from None
+        raise _report_line(path, line, f"{text!r} is not a number") from None
 
 
 def _report_line(path: Path, line: int, what: str) -> ModelError:

@@ -104,7 +104,7 @@ def read_storm_model(model: Any, *, discount: object = 1, start: object = None) 
     fix = "give a DTMC or MDP that Storm has built"
     kind = getattr(getattr(model, "model_type", None), "name", None)
     if kind not in KINDS:
-        raise ModelError(f"{kind or type(model).__name__} is no such model", where="model", fix=fix)
+        raise ModelError(f"{kind or type(model).__name__} cannot be taken", where="model", fix=fix)
     built = list_model_parts(model)
     content = _convert_parts(built, built["variables"])
     content |= {"reward": None, "discount": discount, "start": start}

@@ -102,7 +102,7 @@ def read_table(model: MDP, lines: Sequence[Line], comment: Sequence[str] = ()) -
         raise ModelError("the table has no rows", fix="give a row for each state")
     header, lines = _split_header(model, lines, comment)
     width, first = len(lines[0][1]), [row[0] for _, row in lines]
-    # Is there a column of states before those of the actions?
+    # Is there a column of states before the columns of actions?
     if header:
         labelled = not model.action_names.can_find(header[0])
     else:
@@ -140,7 +140,7 @@ def _split_header(
         if len(lines) == 1:
             raise ModelError("the table has no rows", fix="give a row for each state")
         return first, lines[1:]
-    # Numbers from 0 may be those of the actions, or values.
+    # Numbers from 0 may number the actions, or be values.
     if first[1:] == numbered[:-1] and not is_number_text(first[0]):
         if not model.space.lookup.can_find(parse_key(first[0])):
             return first, lines[1:]

@@ -1,8 +1,8 @@
 """Questions about a model, as reductions: models whose optimal value is the answer, and ways back.
 
-A reduction says whether it applies, makes its model, and tells how pairs and states of that model
-are those of the given one; each module of this folder states its equation. Policies of a model are
-also policies of its questions, so every analysis applies to them as it is.
+A reduction says whether it applies, makes its model, and tells which pairs and states of that model
+stand for which of the given one; each module of this folder states its equation. Policies of a
+model are also policies of its questions, so every analysis applies to them as it is.
 """
 
 from __future__ import annotations
@@ -122,8 +122,8 @@ class Questions(Parts):
         Parameters
         ----------
         weights : "half-cycle", "simpson" or (N,) numbers
-            Of a model of N steps, made by `within(N)` or `from_steps`. The rules are those of
-            cohort models: a reward at each end of N - 1 cycles. "simpson" needs an odd N.
+            Of a model of N steps, made by `within(N)` or `from_steps`. The rules correct
+            cohort models, with a reward at each end of N - 1 cycles. "simpson" needs an odd N.
 
         Returns
         -------

@@ -2,11 +2,11 @@
 
     x=3 & (y>1 | !"goal")
 
-A variable is a column of the state space; or, where states have names such as "x=3, done=true", as
-those of a PRISM program, what these names say. It is compared (=, !=, <, <=, >, >=) with a number
-or a word; a word with spaces stands in quotation marks. A variable that is true or false may stand
-alone. ! binds more closely than &, and & more closely than |. A comparison does not hold in a state
-without the variable, such as an additional end, but its negation does.
+A variable is a column of the state space. If states have names such as "x=3, done=true", as from a
+PRISM program, its variables are x and done. A variable is compared (=, !=, <, <=, >, >=) with a
+number or a word; a word with spaces needs quotation marks. A variable that is true or false may
+stand alone. ! binds more closely than &, and & more closely than |. A comparison does not hold in a
+state without the variable, such as an additional end, but its negation does.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ class _Reader:
             COMPARED[sign](value, text)
             for value, number in pairs
         ]  # fmt: skip
-        # The last answer is that of states without the variable, which have the number -1.
+        # The last answer is for states without the variable, which have the number -1.
         return np.array([*holds, sign == "!="])[variable.number]
 
     def _take(self, sign: str) -> bool:
@@ -159,7 +159,7 @@ class Variable:
         return self.numbers_of(self.values)
 
     def numbers_of(self, texts: Iterable[str]) -> list[Fraction | None]:
-        """Return texts as numbers, None for other texts; rows of bits are no numbers."""
+        """Return texts as numbers, None for other texts; rows of bits are not numbers."""
         return [
             Fraction(text) if NUMBER.fullmatch(text) and not self.of_bits else None
             for text in texts

@@ -2,7 +2,7 @@
 
     origin  -- question -->  model  -- question -->  model that answers both
 
-The parameters of a question are those of its origin: one row of the origin may be many rows of the
+A question has the parameters of its origin: one row of the origin may be many rows of the
 model of the question, such as one for each time. A study therefore changes the origin and asks its
 questions again. The origin is kept beside the parts of a model, and in its copies and pickles.
 """

@@ -41,7 +41,7 @@ class StepWeights:
         origin = origin_of(model)
         if origin is not None and origin.paid:
             raise ModelError(
-                "a terminal value is no reward of a step",
+                "a terminal value does not belong to a step",
                 where="weights",
                 fix="leave terminal_value out, and let an additional last step earn it",
             )
@@ -86,7 +86,7 @@ class StepWeights:
 
 
 def scale_rewards(table: OutcomeTable, top: Numbers, below: Numbers) -> OutcomeTable:
-    """Return the table whose rewards are those of each pair times top / below (L,), exactly."""
+    """Return the table with the rewards of each pair times top / below (L,), exactly."""
 
     def scale(own: OutcomeTable) -> tuple[Numbers, Numbers]:
         gain, bottom = own.integer_gains

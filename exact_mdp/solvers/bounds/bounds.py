@@ -157,7 +157,7 @@ def solve_backward(mdp: MDP, reward: Floats) -> Floats:
 def _cut_into_runs(mdp: MDP) -> Integers:
     """Return the first states of runs whose states do not lead to each other; S comes last.
 
-    All transitions lead to higher numbers, but for those of terminal states.
+    All transitions lead to higher numbers, except in terminal states.
     """
     # Go backward, and cut as soon as a state leads into the run that would contain it.
     least, ends = find_least_successors(mdp).tolist(), mdp.terminal.tolist()

@@ -38,7 +38,7 @@ class Quotient:
     ) -> Integers:
         """Return pairs (S,) of the other model, given pairs (S',) of this one, which make them.
 
-        `graph` is that of the other model, and `merged` says which of its states became one: the
+        `graph` belongs to the other model, and `merged` says which of its states became one: the
         component (S,) of each state, or -1, and the pairs (L,) inside. States that became the end
         take their first pair.
         """

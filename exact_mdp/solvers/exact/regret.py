@@ -13,7 +13,7 @@ and sense, and
     regret    the loss at the start: a rational, or "inf"
 
 In the policy's model each state has one pair, action 0, for the policy's draw: its row is
-Σ weight · p(s'), its reward Σ weight · r. All else is that of the model. It has one policy,
+Σ weight · p(s'), its reward Σ weight · r. All else stays as it is. It has one policy,
 so that the optimum is the value of the policy. Both certificates have the same kind, and the same
 levels and ranks that are not null. The regret is the start value of the first less that of the
 second; of costs, the other way round. If one of them is infinite and the other is not the same, it

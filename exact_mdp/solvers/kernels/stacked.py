@@ -41,7 +41,7 @@ def write_pair_values(structure: Any, numbers: Numbers, l: int, value: Floats, q
 def write_optimum(
     order: Integers, structure: Any, numbers: Numbers, value: Floats, q: Floats
 ) -> None:
-    """Write the optimal values (S, D), and those of all pairs (L, D).
+    """Write the optimal values of states (S, D) and of pairs (L, D).
 
     `order` has the states whose values are written, each after all states that it leads to.
     """

@@ -53,7 +53,7 @@ class Objectives:
 
     `given` is the model that was asked about, and `mdp` the model whose policies are compared:
     another one if some policy has no finite totals. Rows, amounts and numbers of states and pairs
-    are those of `mdp`.
+    refer to `mdp`.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class Objectives:
     ) -> tuple[MDP, list[Column]]:
         """Take the model of the policies with finite totals; return it, and its amounts.
 
-        Its rewards are those of the model, or wherever an objective has an amount.
+        It has a reward where the model has one, or where an objective has an amount.
         """
         given, oriented = self.given, list[Column]()
         for number, sign in signs or [(k, 1) for k in range(len(columns))]:
@@ -198,7 +198,7 @@ class Objectives:
         return lifted
 
     def restrict_visits(self, visits: Mapping[int, Fraction]) -> dict[int, Fraction]:
-        """Return the visits of pairs here, given those of a policy of the given model, by pair."""
+        """Return how often pairs here are visited, given the visits by a policy of `given`."""
         if self._quotient is None:
             return dict(visits)
         return self.finite.restrict_visits(self._quotient, visits)

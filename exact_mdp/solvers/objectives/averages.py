@@ -41,8 +41,8 @@ Row = tuple[int, int, list[tuple[Fraction, int, Fraction]]]
 def reduce_to_totals(mdp: MDP, texts: Sequence[str]) -> tuple[MDP, tuple[str, ...]]:
     """Return a model, whose totals are averages per step, and the names of objectives in it.
 
-    Its reward is that of `mdp`, and its components are the objectives. Its states and pairs are
-    those of `mdp`, followed by a state in which it has stopped. Raises ModelError unless there is a
+    It keeps the reward, states and pairs of `mdp`, has the objectives as its components, and one
+    more state, in which it has stopped. Raises ModelError unless there is a
     state that every policy visits again and again.
     """
     step = mdp.undiscounted

@@ -8,8 +8,8 @@ so that more is better, its runs stay in end components, whose mean amounts g(μ
     g_k(μ) > 0 for some k   a total grows without limit: there is no front, and it is refused
 
 and with g = 0 for amounts that are not, totals may cancel forever, which is refused. With a goal a
-run that misses it drops out, too, so that a component without amounts has to be left. Totals of the
-policies that remain are those of policies that end in the new model; as every other class of states
+run that misses it drops out, too, so that a component without amounts has to be left. The policies
+that remain end in the new model, and have the same totals there. Since every other class of states
 loses by some weights w ≥ 0 and gains by none, optima exist for all weights, and are attained by
 policies that end (Bertsekas and Tsitsiklis, Mathematics of Operations Research 16, 1991).
 
@@ -44,7 +44,7 @@ class FiniteTotals:
     """Which policies of a model at discount 1 have finite totals, and the model of these.
 
     Every pair of `ending` earns something if some objective has an amount there. A run has ended in
-    its terminal states, or if `given` has a goal, in those of the goal.
+    its terminal states; if `given` has a goal, only in the goal.
     """
 
     given: MDP
@@ -192,7 +192,7 @@ class FiniteTotals:
     def restrict_visits(
         self, quotient: Quotient, visits: Mapping[int, Fraction]
     ) -> dict[int, Fraction]:
-        """Return the visits of new pairs, given those of a policy with finite totals, by pair."""
+        """Return how often new pairs are visited, given the visits by a policy."""
         mdp, found = quotient.mdp, dict[int, Fraction]()
         left = [Fraction(0)] * mdp.n_states
         for state, share in mdp.start:

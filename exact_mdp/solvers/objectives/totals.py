@@ -183,13 +183,13 @@ class TotalsProof(Proof):
         totals = of.to_totals()
         if not of.reduced:
             return duals.list_totals_violations(totals, proof)
-        # Policies that never end are left out, so that those of the proof have to end instead.
+        # Policies that never end are left out, so the policies of the proof have to end instead.
         return [*self._list_endless_policies(of), *duals.KINDS[self.kind](totals, proof)]
 
     def _list_endless_policies(self, of: Objectives) -> Iterator[str]:
         """Yield what does not end among the policies and visits that the proof gives.
 
-        Visits that balance are those of a policy if it can reach all of them from the start.
+        Visits that balance belong to a policy if it can reach all of them from the start.
         """
         graph = PairGraph.of(of.mdp)
         for pairs in self._list_policies():

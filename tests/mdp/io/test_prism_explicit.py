@@ -52,12 +52,12 @@ def test_transitions_alone_and_a_chain(tmp_path: Path) -> None:
     [
         ({"tra": "3\n"}, "walk.tra, line 1", "other than 2 or 3 numbers"),
         ({"tra": ""}, "walk.tra, line 1", "other than 2 or 3 numbers"),
-        ({"tra": "2 3\n0 5 1\n"}, "walk.tra, line 2", "'5' is no number below 2"),
+        ({"tra": "2 3\n0 5 1\n"}, "walk.tra, line 2", "'5' is not a number below 2"),
         ({"tra": "2 3\n0 1\n"}, "walk.tra, line 2", "3 values"),
-        ({"tra": "2 3\n0 1 much\n"}, "walk.tra, line 2", "'much' is no number"),
+        ({"tra": "2 3\n0 1 much\n"}, "walk.tra, line 2", "'much' is not a number"),
         ({"tra": TRA, "lab": '0="init"\n0: 1\n'}, "walk.lab, line 2", "label 1 has no name"),
         ({"tra": TRA, "sta": "(x)\n0:(1,2)\n"}, "walk.sta, line 2", "2 values of 1 variables"),
-        ({"tra": TRA, "srew": "3 1\n9 1\n"}, "walk.srew, line 2", "'9' is no number below 3"),
+        ({"tra": TRA, "srew": "3 1\n9 1\n"}, "walk.srew, line 2", "'9' is not a number below 3"),
         ({"tra": TRA, "trew": "3 4 1\n1 0 2 3\n"}, "walk.trew, line 2", "no such transition"),
     ],
 )

@@ -176,7 +176,7 @@ def robust_bounds(sets: RowSets, own: Floats, returns: Ends | None = None) -> Ro
         if returns is None:
             returns = _bound_totals(sets)
         return Operators(sets=sets, own=own, ends=returns).bound_values()
-    # Backward induction: the bounds with one more step to go, from those of the steps after it.
+    # Backward induction: the bounds with one more step to go, from the bounds after that step.
     none = np.zeros((2, sets.mdp.n_states))
     bounds = RobustBounds(sets=sets, range=(0.0, 0.0), own=none, best=none, lost=none)
     for steps in tqdm.trange(1, len(own) + 1, desc="stages", disable=None, delay=2):

@@ -94,7 +94,7 @@ class AverageEquations(SectionEquations):
         return changed
 
     def choose_improvements(self, pairs: Collection[int]) -> Collection[int]:
-        """Return those of some pairs with negative gaps that gain, if there are any."""
+        """Return the gaining pairs among some with negative gaps, if there are any."""
         return [pair for pair in pairs if pair in self.of_gain] or pairs
 
     def label_classes(self, policy: PolicyPairs) -> tuple[Integers, Integers]:
@@ -134,7 +134,7 @@ class AverageEquations(SectionEquations):
         return False
 
     def find_value_faults(self, values: Values) -> Iterator[str]:
-        """Yield a reason if the gain at the start is not that of the start states."""
+        """Yield a reason if the gain at the start does not follow from the start states."""
         size = self.mdp.n_states
         if [*values[0]] != self.complete_values([*values[0][:size]], [*values[0][size : 2 * size]]):
             yield "the gain at the start is another one"

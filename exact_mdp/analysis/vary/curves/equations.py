@@ -129,7 +129,7 @@ class SectionEquations:
         return tuple((state, sign * weight) for state, weight in self.mdp.start)
 
     def choose_improvements(self, pairs: Collection[int]) -> Collection[int]:
-        """Return those of some pairs with negative gaps that a policy takes next."""
+        """Return, among pairs with negative gaps, the pairs that a policy takes next."""
         return pairs
 
     def _leave_out_misses(self, missing: Steps) -> bool:

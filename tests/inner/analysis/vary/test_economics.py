@@ -330,7 +330,7 @@ def test_costs_and_effects_from_elsewhere() -> None:
         ({"a": np.nan}, {"a": 1}, None, "not a list of numbers"),
         ({"a": [[1]]}, {"a": 1}, None, "not a list of numbers"),
         ({}, {}, None, "no column"),
-        ([1, 2], [1, 2], None, "list is no table"),
+        ([1, 2], [1, 2], None, "list is not a table"),
     ],
 )
 def test_bad_tables_are_refused(cost: Any, effect: Any, parameters: Any, said: str) -> None:

@@ -75,7 +75,7 @@ MODEL = small_model(1)
         (MODEL.within(3), [1, 2], "one weight for each of 3 steps"),
         (MODEL.within(3), 7, "one weight for each of 3 steps"),
         (MODEL.within(2), [1, "x"], "weights"),
-        (MODEL.within(2, terminal_value={0: 1}), [1, 1], "no reward of a step"),
+        (MODEL.within(2, terminal_value={0: 1}), [1, 1], "does not belong to a step"),
     ],
 )
 def test_other_weights_are_refused(model: MDP, weights: object, said: str) -> None:
