@@ -552,7 +552,9 @@ def check_worst_point(case: Case, rng: Random) -> int:
     for name, (low, high) in case.spans.items():
         other = {**point, name: low + high - point[name]}
         worth = case.worth_at(other)
-        here = F(found.value.value) * sign - F(found.value.error) - F(1, 10**9)
+        here = found.value.value * sign
+        if not isinf(here):
+            here = F(here) - F(found.value.error) - F(1, 10**9)
         require(worth is not None and sign * worth >= here, "a worse corner:", other)
     return count
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from exact_mdp.analysis.optimum import actions_of
 from exact_mdp.analysis.vary.ranges import Stated, spans_of
-from exact_mdp.analysis.vary.study import finite_worth, solver_of, study
+from exact_mdp.analysis.vary.study import StudyDraws, finite_worth, read_points, solver_of
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import ModelError, named_options, require_known_name
 from exact_mdp.mdp.graph import find_reachable_states
@@ -295,7 +295,7 @@ def worst_point(
     Raises
     ------
     ModelError
-        For values that the model cannot have together, or infinite values.
+        For values that the model cannot have together, or a start that mixes +∞ and -∞.
 
     Examples
     --------
@@ -309,7 +309,7 @@ def worst_point(
     if isinstance(family, ScenarioFamily) and not family.asks:
         highest = {parameter.name: span.high for parameter, span in spans.items()}
         family.warn_of_cutoffs(highest, where=" at the upper ends of the ranges")
-    solver = solver_of(family, names, criterion)
+    solver = solver_of(family, names, criterion, finite=False)
     fixed, sign = solver.hold_policy(policy), solver.mdp.sense.sign
     ends = np.array([[float(span.low), float(span.high)] for span in spans.values()])
     every = np.arange(len(names))
@@ -343,8 +343,8 @@ def worst_point(
             point[parameter.name] = span.high
         else:
             point[parameter.name] = span.low
-    design = {name: [at] for name, at in point.items()}
-    table = study(family, design, [fixed], criterion=criterion)
+    points = read_points(family, {name: [at] for name, at in point.items()})
+    table = StudyDraws(solver, points, 1, {}, {}).run_study([fixed])
     optimum, value = table.bound_point_values(0)
     return WorstPoint(
         point=point,
