@@ -343,7 +343,8 @@ def robust_command(
     the fixed policy at the worst point found, `point`; best_case: the optimal value in the best
     case; worst_case_gain: gain of the robust policy in the worst case; robust_policy_value: value
     of the robust policy if the tables are right; price_of_robustness: loss of the robust policy if
-    the tables are right; policy_changes: states in which the robust policy acts differently.
+    the tables are right (like the gain, null if both values are infinite); policy_changes: states
+    in which the robust policy acts differently.
     """
     boxed = {"--parameter": given.parameters, "--range": given.ranges, "--relative": given.relative}
     if set_kind == BOX:
