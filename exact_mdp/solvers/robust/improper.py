@@ -13,6 +13,10 @@ itself, and `endless.improper` applies with three changes:
   V. Under these rows V is not exceeded by a policy that ends; any other has a recurrent class with
   an omitted pair in it, hence with a negative gain, and is worth -∞.
 
+If nature can make an outcome impossible, it may keep a run where the model itself would let it
+leave. Then components of the other pairs become single states, and the rest has to end under all
+distributions, which margins prove; infinite values are refused.
+
 (Stochastic shortest paths: Bertsekas and Tsitsiklis, Mathematics of Operations Research 16, 1991;
 robust ones with end components: Wolff, Topcu and Murray, CDC 2012.)
 """
@@ -69,24 +73,19 @@ class RobustImproperPolicies(ImproperPolicies):
             mdp = PolicyChain.of(given, weights).model
         return cls(mdp, given, ambiguity, against, weights)
 
-    @property
-    def taken(self) -> Mask:
-        """(L,) True for the pairs of the given model that a policy may take before a run ends."""
-        pairs = ~self.given.terminal[self.given.pair_state]
+    @cached_property
+    def closed(self) -> Mask:
+        """(L,) True for pairs of the given model of which nature can make an outcome impossible."""
+        closed = ~self.ambiguity.keeps_outcomes(self.given)
+        closed &= ~self.given.terminal[self.given.pair_state]
         if self.weights is not None:
-            pairs &= self.weights > 0
-        return np.asarray(pairs)
+            closed &= self.weights > 0
+        return np.asarray(closed)
 
     def require_applicable(self) -> None:
         """Raise ModelError if nature can close a way, or if gains and losses may cancel."""
-        closed = np.flatnonzero(self.taken & ~self.ambiguity.keeps_outcomes(self.given))
-        if len(closed):
-            raise ModelError(
-                "some policy never ends, or misses the goal, and under some distributions within "
-                "the sets an outcome is impossible",
-                where=self.given.where(int(closed[0])),
-                fix="choose smaller sets that keep every outcome possible, or a discount below 1",
-            )
+        if self.closed.any() and self.sign.any():
+            raise self._refuse_closed_ways()
         if not self.applies:
             raise ModelError(
                 "some policy never ends, and nature decides whether its gains or its losses are "
@@ -95,7 +94,25 @@ class RobustImproperPolicies(ImproperPolicies):
                 fix="choose a discount below 1",
             )
 
+    def _refuse_closed_ways(self) -> ModelError:
+        return ModelError(
+            "some policy never ends, or misses the goal, and under some distributions within the "
+            "sets an outcome is impossible",
+            where=self.given.where(int(self.closed.argmax())),
+            fix="choose smaller sets that keep every outcome possible, or a discount below 1",
+        )
+
     # ---- what `ImproperPolicies` asks --------------------------------------------------------
+
+    @cached_property
+    def maximal(self) -> tuple[Integers, Mask]:
+        """See `ImproperPolicies.maximal`: of pairs whose outcomes all remain possible."""
+        open_pairs = ~self.closed
+        if self.weights is not None:
+            open_pairs = np.logical_and.reduceat(open_pairs, self.given.pair_offsets[:-1])
+        return self.graph.end_components(
+            open_pairs & ~self.mdp.ends.destination[self.mdp.pair_state]
+        )
 
     @cached_property
     def reward_signs(self) -> tuple[Mask, Mask]:
@@ -191,7 +208,12 @@ class RobustImproperPolicies(ImproperPolicies):
         """Return the part of a finite model in which every policy ends; one policy does."""
         if self.weights is not None:
             return whole
-        return whole.omit_losing_pairs(self.build_game(whole).improve_policy)
+        try:
+            return whole.omit_losing_pairs(self.build_game(whole).improve_policy)
+        except SolverError as error:
+            if self.closed.any():
+                raise self._refuse_closed_ways() from error
+            raise
 
     def require_losses(self, whole: Quotient, part: Quotient, found: BoundedVector) -> None:
         """Raise SolverError unless the omitted pairs are worth less than the values of the part."""
