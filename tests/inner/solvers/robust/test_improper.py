@@ -14,6 +14,9 @@ from questions import oracle
 from questions.oracle import Problem, Value
 
 from exact_mdp import MDP, Intervals, ModelError, SolverError, robust, solve_robust
+from exact_mdp.solvers.bounds.gains import BoundedVector
+from exact_mdp.solvers.endless.quotient import Quotient, of_pairs
+from exact_mdp.solvers.robust.improper import RobustImproperPolicies
 from exact_mdp.solvers.robust.likelihood import Likelihood
 from exact_mdp.solvers.robust.sets import Ambiguity, L1Ball
 
@@ -253,3 +256,50 @@ def test_nature_may_decide_whether_a_component_gains() -> None:
         assert solve_robust(mdp, sets, nature="best").value[0] == best
     with pytest.raises((ModelError, SolverError)):
         solve_robust(going_round("1/3"), Intervals.relative(going_round("1/3"), 0))
+
+
+def test_pairs_are_left_out_only_if_they_are_worth_less() -> None:
+    """Three ways to go on: leave with 1/2, leave with 1/4, and stay; each costs 1 a step."""
+    rows = [
+        (0, 0, [("1/2", 1, -1), ("1/2", 0, -1)]),
+        (0, 1, [("1/4", 1, -1), ("3/4", 0, -1)]),
+        (0, 2, [(1, 0, -1)]),
+        (1, 0, [(1, 1, 0)]),
+    ]
+    mdp = MDP.from_outcomes(rows)
+    sets = Intervals.relative(mdp, "1/5")
+    improper = RobustImproperPolicies.of(mdp, sets, against=True, weights=None)
+    whole = improper.apply()
+    assert whole.source.tolist() == [0, 1, 2, 4]
+    assert 2 not in improper.omit_losing_pairs(whole).source
+    for kept, value in ((0, -1 / 0.4), (1, -1 / 0.2)):
+        chosen = np.array([kept, 3])
+        part = Quotient(
+            mdp=of_pairs(whole.mdp, chosen), new_state=whole.new_state, source=whole.source[chosen]
+        )
+        found = BoundedVector(value=np.array([value, 0.0]), error=np.array([1e-12, 0.0]))
+        if kept == 0:
+            improper.require_losses(whole, part, found)
+            continue
+        with pytest.raises(SolverError, match="loses too little"):
+            improper.require_losses(whole, part, found)
+
+
+@pytest.mark.parametrize("against", [True, False])
+def test_gains_are_those_of_the_worst_and_the_best_rows(*, against: bool) -> None:
+    """A round of 0 and 1 earns 2 and loses 1 / p; a round of 2 and 3 loses more than it earns."""
+    rows = [
+        (0, 0, [(1, 1, 2)]),
+        (1, 0, [("1/2", 0, -1), ("1/2", 1, -1)]),
+        (2, 0, [(1, 3, 1)]),
+        (3, 0, [("1/4", 2, -1), ("3/4", 3, -1)]),
+    ]
+    mdp = MDP.from_outcomes(rows)
+    # The first round loses between 5/3 and 5/2, the second between 10/3 and 5.
+    sets = Intervals.relative(mdp, "1/5")
+    improper = RobustImproperPolicies.of(mdp, sets, against=against, weights=None)
+    assert improper.gains[0].tolist() == [-1 if against else 1] * 2 + [-1, -1]
+    assert improper.sign.tolist() == improper.gains[0].tolist()
+    assert improper.applies
+    found = solve_robust(mdp, sets, nature="worst" if against else "best")
+    assert found.value.tolist() == [(-inf if against else inf)] * 2 + [-inf] * 2
