@@ -552,7 +552,9 @@ def check_worst_point(case: Case, rng: Random) -> int:
     for name, (low, high) in case.spans.items():
         other = {**point, name: low + high - point[name]}
         worth = case.worth_at(other)
-        here = F(found.value.value) * sign - F(found.value.error) - F(1, 10**9)
+        here = found.value.value * sign
+        if not isinf(here):
+            here = F(here) - F(found.value.error) - F(1, 10**9)
         require(worth is not None and sign * worth >= here, "a worse corner:", other)
     return count
 
@@ -735,18 +737,16 @@ def _under_nature(case: Case, turn: int, mixture: Any) -> Value | None:
                 values[state] = worths[mixture[state].index(F(1))]
         return oracle.at_start(problem, values)
     policies = [[each.index(F(1)) for each in mixture]] if mixture else list(problem.choices())
-    best = list[Value]()
+    best = list[list[Value]]()
     for choice in policies:
         rows = [
             [[row] for row in options[s][k]] if s not in problem.stopped else [[[(F(1), s, F(0))]]]
             for s, k in enumerate(choice)
         ]
-        each = []
+        each = list[list[Value]]()
         for combination in product(*rows):
             there = oracle.replace(problem, moves=list(combination))
-            values = oracle.evaluate(there, [[F(1)]] * len(combination))
-            value = oracle.at_start(problem, values)
-            require(value is not None, MIXED)
-            each.append(value if value is not None else F(0))
-        best.append(pick(each))
-    return problem.best(best)
+            each.append(oracle.evaluate(there, [[F(1)]] * len(combination)))
+        best.append([pick(column) for column in zip(*each, strict=True)])
+    # One policy, and one choice of nature, are the best in all states.
+    return oracle.at_start(problem, [problem.best(column) for column in zip(*best, strict=True)])

@@ -103,9 +103,14 @@ def test_the_best_policy_does_not_end_beside_the_goal() -> None:
     assert (lost.value.value, lost.upper_bound, lost.proven) == (inf, inf, True)
 
 
-def test_robust_values_beside_the_goal_are_refused() -> None:
-    with pytest.raises(ModelError, match="ends outside the goal is worth infinity"):
-        robust(beside_the_goal().until("goal"))
+def test_a_robust_policy_does_not_end_beside_the_goal() -> None:
+    asked = beside_the_goal().until("goal")
+    held = robust(asked, policy=[1, 0, 0])
+    assert (held.worst.value, held.best.value) == (inf, inf)
+    assert held.robust.start.value == pytest.approx(5 / 0.4)
+    assert held.optimistic.start.value == pytest.approx(5 / 0.6)
+    lost = robust(asked.with_(start=2))
+    assert (lost.robust.start.value, lost.price, lost.gain) == (inf, None, None)
 
 
 def test_values_of_states_that_are_not_reached_know_the_goal() -> None:

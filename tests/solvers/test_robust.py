@@ -1,7 +1,7 @@
 """Robust values: published answers, rationals, linear programs, closed forms, and laws of any."""
 
 from fractions import Fraction
-from math import exp, log, sqrt
+from math import exp, inf, log, sqrt
 from typing import Any
 
 import numpy as np
@@ -249,13 +249,24 @@ def test_discount_near_1_ends_with_honest_bounds() -> None:
 def test_a_way_out_that_nature_can_close() -> None:
     mdp = MDP.from_arrays([[["9/10", "1/10"], [0, 1]]], [-1, 0])
     assert cases(mdp, "l1", 0.1).worst.value == pytest.approx(-20)
-    for ask in (
-        lambda: cases(mdp, "l1", 0.3),
-        lambda: solve_robust(*interval_model(total_reward(F(1)))),
-    ):
-        with pytest.raises(ModelError, match=r"(?s)every episode to end.*state \d"):
-            ask()
+    with pytest.raises(ModelError, match=r"(?s)every episode to end.*state \d"):
+        cases(mdp, "l1", 0.3)
     assert cases(mdp.with_(discount="9/10"), "l1", 0.3).worst.value == pytest.approx(-10)
+
+
+def test_states_that_earn_forever_have_infinite_totals() -> None:
+    """State 2, behind 0, earns forever; 0 may stop with 100, and 4 ends with 2000 or 10000."""
+    mdp, intervals = interval_model(total_reward(F(1)))
+    for sense, nature, first, fourth in (
+        ("max", "worst", inf, 4400),
+        ("max", "best", inf, 7600),
+        ("min", "worst", 100, 7600),
+        ("min", "best", 100, 4400),
+    ):
+        found = solve_robust(mdp.with_(sense=sense), intervals, nature=nature)
+        wanted = [first, 0, inf, 0, fourth, 2000, 10000, 0]
+        assert found.value.tolist() == pytest.approx(wanted, rel=1e-9)
+        assert found.state_error[2] == 0
 
 
 def test_a_limit_of_iterations_and_a_tolerance_beyond_floats() -> None:

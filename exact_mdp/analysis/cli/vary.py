@@ -24,7 +24,7 @@ from exact_mdp.analysis.vary.ranges import (
     read_ranges,
 )
 from exact_mdp.analysis.vary.robust import SETS
-from exact_mdp.analysis.vary.study import finite_worth, solver_of
+from exact_mdp.analysis.vary.study import solver_of
 from exact_mdp.mdp.errors import ModelError, require_known_name
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -343,7 +343,8 @@ def robust_command(
     the fixed policy at the worst point found, `point`; best_case: the optimal value in the best
     case; worst_case_gain: gain of the robust policy in the worst case; robust_policy_value: value
     of the robust policy if the tables are right; price_of_robustness: loss of the robust policy if
-    the tables are right; policy_changes: states in which the robust policy acts differently.
+    the tables are right (like the gain, null if both values are infinite); policy_changes: states
+    in which the robust policy acts differently.
     """
     boxed = {"--parameter": given.parameters, "--range": given.ranges, "--relative": given.relative}
     if set_kind == BOX:
@@ -375,8 +376,8 @@ def _report_worst_point(given: Given, stated: bool) -> Report:
         )
     criterion = given.criterion
     report = exact_mdp.worst_point(family, given.fixed, box, criterion=criterion).report()
-    today = finite_worth(given.mdp, given.fixed, "today's parameters", criterion)
-    start = list_claim_facts("start_value", today)
+    today = exact_mdp.evaluate(given.mdp, given.fixed, criterion=criterion)
+    start = list_claim_facts("start_value", today.start)
     ends = {name: [float(span.low), float(span.high)] for name, span in box.items()}
     if stated:
         radius = None

@@ -18,12 +18,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from math import isinf
 
 import numpy as np
 
 from exact_mdp.analysis.optimum import actions_of
 from exact_mdp.analysis.vary.ranges import Stated, spans_of
-from exact_mdp.analysis.vary.study import finite_worth, solver_of, study
+from exact_mdp.analysis.vary.study import StudyDraws, read_points, solver_of
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import ModelError, named_options, require_known_name
 from exact_mdp.mdp.graph import find_reachable_states
@@ -43,6 +44,7 @@ from exact_mdp.solvers.robust.robust import (
     solve_robust,
 )
 from exact_mdp.solvers.robust.sets import Ambiguity, Intervals, L1Ball
+from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
@@ -67,17 +69,27 @@ class RobustComparison(Result):
         )
 
     @property
-    def price(self) -> Bounded:
-        """The price of robustness: the loss of the robust policy in the nominal model."""
+    def price(self) -> Bounded | None:
+        """The price of robustness: the loss of the robust policy in the nominal model.
+
+        None if both values are infinite, and of one sign.
+        """
         return self._compute_improvement(self.value, self.robust_value)
 
     @property
-    def gain(self) -> Bounded:
-        """The worst-case gain: how much better the robust policy is, each in its worst case."""
+    def gain(self) -> Bounded | None:
+        """The worst-case gain: how much better the robust policy is, each in its worst case.
+
+        None if both values are infinite, and of one sign.
+        """
         return self._compute_improvement(self.robust.start, self.worst)
 
-    def _compute_improvement(self, one: Bounded, other: Bounded) -> Bounded:
+    def _compute_improvement(self, one: Bounded, other: Bounded) -> Bounded | None:
         """Return how much better one value is than another; costs are better if they are less."""
+        if isinf(one.value) and one.value == other.value:
+            return None
+        if isinf(one.value) or isinf(other.value):
+            return Bounded(value=self.mdp.sense.loss(one.value, other.value), error=0.0)
         better: Bounded = self.mdp.sense.loss(one, other)
         return better
 
@@ -217,12 +229,12 @@ def robust(
     return RobustComparison(
         mdp=model,
         policy=chain.weights,
-        value=finite_worth(model, chain, "today's distributions"),
+        value=evaluate(model, chain).start,
         worst=evaluate_case(chain.weights, "worst"),
         best=evaluate_case(chain.weights, "best"),
         robust=best,
         optimistic=solve_robust(model, sets, nature="best"),
-        robust_value=finite_worth(model, own, "today's distributions"),
+        robust_value=evaluate(model, own).start,
         robust_best=evaluate_case(own, "best"),
     )
 
@@ -295,7 +307,7 @@ def worst_point(
     Raises
     ------
     ModelError
-        For values that the model cannot have together, or infinite values.
+        For values that the model cannot have together, or a start that mixes +∞ and -∞.
 
     Examples
     --------
@@ -309,7 +321,7 @@ def worst_point(
     if isinstance(family, ScenarioFamily) and not family.asks:
         highest = {parameter.name: span.high for parameter, span in spans.items()}
         family.warn_of_cutoffs(highest, where=" at the upper ends of the ranges")
-    solver = solver_of(family, names, criterion)
+    solver = solver_of(family, names, criterion, finite=False)
     fixed, sign = solver.hold_policy(policy), solver.mdp.sense.sign
     ends = np.array([[float(span.low), float(span.high)] for span in spans.values()])
     every = np.arange(len(names))
@@ -343,8 +355,8 @@ def worst_point(
             point[parameter.name] = span.high
         else:
             point[parameter.name] = span.low
-    design = {name: [at] for name, at in point.items()}
-    table = study(family, design, [fixed], criterion=criterion)
+    points = read_points(family, {name: [at] for name, at in point.items()})
+    table = StudyDraws(solver, points, 1, {}, {}).run_study([fixed])
     optimum, value = table.bound_point_values(0)
     return WorstPoint(
         point=point,

@@ -318,7 +318,7 @@ class _Drawn:
 
     `mdp` is a model with the same pairs. `models` may be left out if the stacked model was made
     without them; `at` describes a draw in words, by its number. `cut` (D,) is whether a probability
-    of a draw is cut off at 1.
+    of a draw is cut off at 1. Infinite values are refused if values must be `finite`.
     """
 
     def __init__(
@@ -329,9 +329,11 @@ class _Drawn:
         at: Callable[[int], str] = "draw {}".format,
         cut: Flags | None = None,
         criterion: str = "total",
+        *,
+        finite: bool = True,
     ) -> None:
         self.mdp, self.stacked, self.models, self.at = mdp, stacked, models, at
-        self.criterion = criterion
+        self.criterion, self.finite = criterion, finite
         self.cut = np.zeros(len(models), dtype=bool) if cut is None else cut
         self.size = KEPT  # numbers in memory: models that are not stacked are not kept
         if stacked is not None:
@@ -358,7 +360,10 @@ class _Drawn:
 
     def _solve_model(self, d: int) -> tuple[float, float, Floats, Floats, Integers]:
         mdp = self.models[d]
-        solution = finite_optimum(mdp, self.at(d))
+        if self.finite:
+            solution = finite_optimum(mdp, self.at(d))
+        else:
+            solution = solve(mdp)
         here, ahead = solution.value[mdp.pair_state], mdp.backup(solution.value)
         # States may have infinite values although the start has not; a pair that may lead to both
         # infinities has the value -∞.
@@ -408,7 +413,10 @@ class _Drawn:
         value, error = np.empty((2, len(self.models), len(policies)))
         for d, mdp in enumerate(self.models):
             for n, weights in enumerate(policies):
-                found = finite_worth(mdp, weights, self.at(d), self.criterion)
+                if self.finite or is_average(self.criterion):
+                    found = finite_worth(mdp, weights, self.at(d), self.criterion)
+                else:
+                    found = evaluate(mdp, weights).start
                 value[d, n], error[d, n] = found.value, found.error
         return value, error
 
@@ -490,9 +498,9 @@ class ModelSolver:
     """A solver of models at draws (D, Q) of the parameters `names`.
 
     `mdp` is the model at today's values. A policy is given by its probabilities of pairs (L,), as
-    pairs are the same at all values. `labels` (X,) name the states in which a policy is reported,
-    here the `reported` states, those with a choice; `place` (S,) is the label of each state, -1 for
-    none. The first `choices` actions are reported.
+    pairs are the same at all values. Values must be `finite`, or may be infinite. `labels` (X,)
+    name the states in which a policy is reported, here the `reported` states, those with a choice;
+    `place` (S,) is the label of each state, -1 for none. The first `choices` actions are reported.
     """
 
     block = 64  # draws in a piece of work
@@ -500,9 +508,16 @@ class ModelSolver:
     pool = 32  # draws of largest regret in which candidate policies are compared
     compiled = False  # whether threads can share the work
 
-    def __init__(self, model: Parametric, names: Sequence[str], criterion: str = "total") -> None:
+    def __init__(
+        self,
+        model: Parametric,
+        names: Sequence[str],
+        criterion: str = "total",
+        *,
+        finite: bool = True,
+    ) -> None:
         self.model, self.names, self.mdp = model, tuple(names), model.at({})
-        self.criterion = criterion
+        self.criterion, self.finite = criterion, finite
         forced = self.mdp.forced
         self.reported, self.choices = np.flatnonzero(~forced), self.mdp.n_actions
         self.labels = tuple(self.mdp.space.labels(self.reported))
@@ -516,7 +531,10 @@ class ModelSolver:
     @cached_property
     def solution(self) -> Solution:
         """Today's optimum."""
-        return finite_optimum(self.mdp, "today's parameters", self.criterion)
+        if self.finite:
+            return finite_optimum(self.mdp, "today's parameters", self.criterion)
+        solution: Solution = solve(self.mdp, criterion=self.criterion)
+        return solution
 
     def hold_policy(self, policy: PolicyLike) -> Floats:
         """Return the probabilities of pairs (L,) of a policy; "optimal" is today's optimum."""
@@ -580,7 +598,7 @@ class ModelSolver:
         stacked = None
         if not is_average(self.criterion):
             stacked = StackedModel.of(models)
-        return _Drawn(models[0], stacked, models, at, criterion=self.criterion)
+        return _Drawn(models[0], stacked, models, at, criterion=self.criterion, finite=self.finite)
 
     def _describe_draw(self, draws: Numbers, first: int, d: int) -> str:
         """Return the number of a draw and the first three parameters that it moves."""
@@ -673,7 +691,9 @@ class CareSolver(ModelSolver):
         return _Drawn(self.mdp, stacked, cut=cut)
 
 
-def solver_of(model: Parametric, names: Sequence[str], criterion: str = "total") -> ModelSolver:
+def solver_of(
+    model: Parametric, names: Sequence[str], criterion: str = "total", *, finite: bool = True
+) -> ModelSolver:
     """Return the fastest way to solve a model at many draws of some parameters."""
     if is_average(criterion):
         return ModelSolver(model, names, criterion)
@@ -682,4 +702,4 @@ def solver_of(model: Parametric, names: Sequence[str], criterion: str = "total")
         # Six statuses have 4^6 transition probabilities for each action; actions are int8.
         if len(scenario.statuses) <= 6 and len(scenario.actions) <= 127:
             return CareSolver(model, names)
-    return ModelSolver(model, names)
+    return ModelSolver(model, names, finite=finite)

@@ -20,6 +20,7 @@ Verification of Probabilistic Systems, 1997, chapters 3 and 5).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -67,47 +68,53 @@ class ImproperPolicies:
         return self.graph.end_components(~self.mdp.ends.destination[self.mdp.pair_state])
 
     @cached_property
-    def _reward_sign(self) -> Integers:
-        return np.asarray(np.sign(self.mdp.table.expected_gain_exact[0]))
+    def reward_signs(self) -> tuple[Mask, Mask]:
+        """(L,) True for the pairs that earn something, and (L,) True for those that lose."""
+        earned = self.mdp.table.expected_gain_exact[0]
+        return np.asarray(earned > 0, dtype=bool), np.asarray(earned < 0, dtype=bool)
 
     @cached_property
     def zero_reward(self) -> tuple[Integers, Mask]:
         """(S,) the zero-reward end component of each state, or -1, and (L,) the pairs in them."""
-        component, inside = self.maximal
-        if not self._reward_sign[inside].any():
+        (component, inside), (earns, loses) = self.maximal, self.reward_signs
+        rewarded = earns | loses
+        if not rewarded[inside].any():
             return component, inside
-        return self.graph.end_components(inside & (self._reward_sign == 0))
+        return self.graph.end_components(inside & ~rewarded)
 
     @cached_property
-    def _gains(self) -> tuple[Integers, Mask]:
+    def gains(self) -> tuple[Integers, Mask]:
         """(S,) the sign of the best gain of each state's component, and whether rewards may cancel.
 
         The sign is -1 outside of components. Rewards of one sign decide it, and a zero-reward
         component makes it at least 0. With both signs the best gain is computed; if floats cannot
         tell its sign, it counts as 0.
         """
-        component, inside = self.maximal
+        (component, inside), (earns, loses) = self.maximal, self.reward_signs
         count = int(component.max(initial=-1)) + 1
 
         def have_some(where: Mask, number: Integers) -> Mask:
             return np.bincount(number[where], minlength=count) > 0
 
         owner = component[self.mdp.pair_state]
-        gains = have_some(inside & (self._reward_sign > 0), owner)
-        losses = have_some(inside & (self._reward_sign < 0), owner)
+        gains, losses = have_some(inside & earns, owner), have_some(inside & loses, owner)
         zero = have_some(self.zero_reward[0] >= 0, component)
         sign = np.where(gains, 1, np.where(zero, 0, -1))
         both = np.flatnonzero(gains & losses)
         if len(both):
-            sign[both] = 0
-            best = _solve_gain_in_floats(self._extract_components(both))
-            if best is not None:
-                # All states of a component have the same gain.
-                own = component[np.isin(component, both)]
-                above, below = best.value > best.error, best.value < -best.error
-                sign[own] = above[:-1].astype(np.int64) - below[:-1]
+            # All states of a component have the same gain.
+            own = component[np.isin(component, both)]
+            sign[own] = self.find_gain_signs(self.extract_components(both))
         cancels = gains & losses & (sign == 0)
         return np.append(sign, -1)[component], np.append(cancels, False)[component]
+
+    def find_gain_signs(self, own: Quotient) -> Integers:
+        """Return the sign of the best gain of each state of a model of components, 0 if unclear."""
+        best, signs = _solve_gain_in_floats(own), np.zeros(own.mdp.n_states - 1, dtype=np.int64)
+        if best is not None:
+            signs += (best.value > best.error)[:-1]
+            signs -= (best.value < -best.error)[:-1]
+        return signs
 
     # ---- signs of values ---------------------------------------------------------------------
 
@@ -118,7 +125,7 @@ class ImproperPolicies:
         # If missing the goal pays +∞, a way to any end component is enough.
         if mdp.ends.missing_pays:
             return np.where(graph.compute_distance(self.maximal[0] >= 0, every) >= 0, 1, 0)
-        gain_sign, _ = self._gains
+        gain_sign, _ = self.gains
         # Safe states: some policy avoids -∞ with probability 1.
         havens = mdp.ends.destination
         if not mdp.ends.has_goal:
@@ -140,7 +147,7 @@ class ImproperPolicies:
         ends, every = self.mdp.ends, np.ones(self.mdp.n_pairs, dtype=bool)
         if ends.missing_pays:
             return True
-        gain_sign, cancels = self._gains
+        gain_sign, cancels = self.gains
         open_signs = cancels & (self.sign == 0)
         if not ends.has_goal:
             reachable = self.graph.compute_distance(gain_sign > 0, every) >= 0
@@ -178,13 +185,19 @@ class ImproperPolicies:
         new_state[merged] = np.searchsorted(numbers, component[merged])
         single = live & (component < 0)
         new_state[single] = len(numbers) + np.arange(int(single.sum()))
-        return build_quotient(mdp, np.flatnonzero(pairs), new_state, stops=stops)
+        return self.build_part(pairs, new_state, stops)
+
+    def build_part(
+        self, pairs: Mask, new_state: Integers, stops: Sequence[tuple[int, Fraction]] = ()
+    ) -> Quotient:
+        """Return the model of some pairs (L,) between new states, as `build_quotient` does."""
+        return build_quotient(self.mdp, np.flatnonzero(pairs), new_state, stops=stops)
 
     # ---- the way back ------------------------------------------------------------------------
 
-    def lift_values(self, part: Quotient, solution: Solution) -> BoundedVector:
+    def lift_values(self, part: Quotient, solution: Solution | BoundedVector) -> BoundedVector:
         """Return the values (S,) of the model, given a solution of its finite model."""
-        value, error = solution.value[part.new_state], solution.state_error[part.new_state]
+        value, error = solution.value[part.new_state], solution.error[part.new_state]
         value[self.sign > 0], value[self.sign < 0] = inf, -inf
         return BoundedVector(value=value, error=np.where(self.sign == 0, error, 0.0))
 
@@ -204,25 +217,28 @@ class ImproperPolicies:
             inside = graph.find_pairs_within(earning) & earning[mdp.pair_state]
             choose_first_pairs(graph, inside, pairs)
         else:
-            earning = (self.sign > 0) & (self._gains[0] > 0)
-            own = self._extract_components(np.unique(component[earning]))
-            best = _solve_gain_in_floats(own)
-            if best is not None and (best.value > best.error)[:-1].all():
-                used = best.pairs
-            else:
-                used = best_average(own.mdp)[0]
-            pairs[earning] = own.source[used[:-1]]
+            earning = (self.sign > 0) & (self.gains[0] > 0)
+            self.choose_pairs_that_earn(np.unique(component[earning]), pairs)
         # Elsewhere go there along safe states.
         safe = graph.find_pairs_within(self.sign >= 0) & (self.sign > 0)[mdp.pair_state]
         choose_nearer_pairs(graph, earning, safe, pairs)
 
-    def _extract_components(self, numbers: Integers) -> Quotient:
+    def choose_pairs_that_earn(self, numbers: Integers, pairs: Integers) -> None:
+        """Write into `pairs` (S,) a policy that stays in components, with a positive gain."""
+        own = self.extract_components(numbers)
+        best = _solve_gain_in_floats(own)
+        if best is not None and (best.value > best.error)[:-1].all():
+            used = best.pairs
+        else:
+            used = best_average(own.mdp)[0]
+        pairs[np.isin(self.maximal[0], numbers)] = own.source[used[:-1]]
+
+    def extract_components(self, numbers: Integers) -> Quotient:
         """Return maximal end components as a model of their own, with an end that none reaches."""
         component, inside = self.maximal
         chosen = np.isin(component, numbers)
         new_state = np.where(chosen, np.cumsum(chosen) - 1, -1)
-        pairs = np.flatnonzero(inside & chosen[self.mdp.pair_state])
-        return build_quotient(self.mdp, pairs, new_state)
+        return self.build_part(inside & chosen[self.mdp.pair_state], new_state)
 
 
 def _solve_gain_in_floats(own: Quotient) -> Solution | None:

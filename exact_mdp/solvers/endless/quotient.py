@@ -10,7 +10,7 @@ the end with a given reward.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
@@ -20,9 +20,12 @@ from exact_mdp.mdp.end_components import PairGraph
 from exact_mdp.mdp.graph import Mask
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Integers, OutcomeTable, Rows, make_ones, to_integer_array
+from exact_mdp.mdp.table import Floats, Integers, OutcomeTable, Rows, make_ones, to_integer_array
 from exact_mdp.solvers.bounds.bounds import improve_policy
+from exact_mdp.solvers.bounds.gains import Advantages
 from exact_mdp.solvers.claims import SolverError, Status
+
+Improve = Callable[[MDP, Integers], tuple[Integers, Floats, Advantages]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,7 +63,7 @@ class Quotient:
         choose_nearer_pairs(graph, target, inside, pairs)
         return pairs
 
-    def omit_losing_pairs(self) -> Quotient:
+    def omit_losing_pairs(self, improve: Improve = improve_policy) -> Quotient:
         """Return a model in which every policy ends, without the pairs that clearly lose in cycles.
 
         Policy iteration in floats, from a policy that ends, finds these pairs.
@@ -72,7 +75,7 @@ class Quotient:
         graph, pairs = PairGraph.of(mdp), mdp.pair_offsets[:-1].copy()
         every = np.ones(mdp.n_pairs, dtype=bool)
         choose_nearer_pairs(graph, mdp.terminal, every, pairs)
-        pairs, _, gain = improve_policy(mdp, pairs)
+        pairs, _, gain = improve(mdp, pairs)
         _, inside = graph.end_components(~mdp.terminal[mdp.pair_state])
         losing = inside & (gain.value < -gain.noise)
         losing[pairs] = False

@@ -18,6 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from exact_mdp.mdp.graph import Mask
+from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import UNIT, gamma
 from exact_mdp.solvers.robust.sets import Ball, RowBlock
@@ -34,6 +36,11 @@ class Likelihood(Ball):
     """
 
     NAME = "a likelihood radius"
+
+    def keeps_outcomes(self, model: MDP) -> Mask:
+        """See `Ambiguity.keeps_outcomes`: without an outcome the divergence would be infinite."""
+        kept = model.table.compute_probabilities() > 0
+        return np.asarray(np.logical_and.reduceat(kept, model.table.offsets[:-1]))
 
     @np.errstate(over="ignore", under="ignore")
     def minimise(self, block: RowBlock, payoff: Floats) -> tuple[Floats, Floats]:

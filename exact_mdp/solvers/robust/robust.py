@@ -19,8 +19,7 @@ episodes end under every policy and every choice of nature.
 
 from __future__ import annotations
 
-from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Literal
 
@@ -29,22 +28,17 @@ import scipy.sparse as sp
 
 from exact_mdp.mdp.components import require_amounts
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.graph import find_reachable_nodes
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import MOST_BYTES, Floats, Integers
-from exact_mdp.solvers.bounds.gains import POLICIES, RELATIVE_TOLERANCE, SLACK, UNIT
-from exact_mdp.solvers.bounds.linear import LinearSystem
+from exact_mdp.solvers.bounds.gains import RELATIVE_TOLERANCE, SLACK, BoundedVector
 from exact_mdp.solvers.claims import SolverError, Status, warn_of_precision
 from exact_mdp.solvers.dynamic.base import check_counts, check_tolerance
-from exact_mdp.solvers.robust.sets import (
-    Ambiguity,
-    Inner,
-    list_entries,
-    side_by_side,
-    solve_inner_problem,
-)
+from exact_mdp.solvers.exact.find import one_sign
+from exact_mdp.solvers.robust.game import Game, verify_margins
+from exact_mdp.solvers.robust.improper import RobustImproperPolicies
+from exact_mdp.solvers.robust.sets import Ambiguity, Inner
 from exact_mdp.solvers.solution import Found
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -56,8 +50,8 @@ OF_OUTCOME = 360  # bytes for each outcome, measured over the analysis of both s
 class RobustSolution(Found, Result):
     """Robust values with error bounds for every state, and the choices that attain them.
 
-    |value - V*| is at most `state_error`, and so is |value - V^π| for the policy found here. If a
-    policy was given, `pairs` is None.
+    |value - V*| is at most `state_error`, and so is |value - V^π| for the policy found here. Values
+    may be infinite at discount 1. If a policy was given, `pairs` is None.
     """
 
     nature: Nature  # "worst" is against the agent, "best" with it
@@ -102,8 +96,8 @@ def solve_robust(
     Raises
     ------
     ModelError
-        If the sets do not fit the model; at discount 1, if an episode never ends under some policy
-        and some choice of nature.
+        If the sets do not fit the model; at discount 1, if gains and losses may cancel forever, if
+        +∞ and -∞ meet, or if nature can make outcomes impossible and so prevent the end.
     SolverError
         At the iteration limit, or if double precision cannot bound the error.
 
@@ -125,41 +119,42 @@ def solve_robust(
     require_room_for_rows(model)
     ambiguity.check(model)
     require_amounts(model.table, "a value under other rows")
-    beside = model.ends.outside_goal
-    if beside.any():
-        raise ModelError(
-            "a run that ends outside the goal is worth infinity, and robust values are finite",
-            where=model.space.place(int(beside.argmax())),
-            fix="choose a discount below 1, or ask for the chance of getting there "
-            "(--reach LABEL, model.reaching(label))",
-        )
     check_tolerance("robust", tol)
     check_counts("robust", max_iterations=max_iterations)
     # Solve the model of maximised rewards; a given policy fixes the probabilities of pairs.
-    weights = None
-    if policy is not None:
-        weights = PolicyChain.of(model, policy).weights
-    game = Game(model.maximised, ambiguity, against=nature == "worst", weights=weights)
-    with np.errstate(over="ignore", invalid="ignore"):
-        status, value, error, asked, iterations = _iterate_values(game, tol, max_iterations)
-    # The choices of both sides at the final values.
-    share, pairs = game.choose_pairs(asked.value), None
     if policy is None:
-        pairs = model.pair_offsets[:-1].copy()
-        pairs[game.live] = game.pairs[share == 1]
-    chain, earned = game.build_chain(asked.distributions, share)
-    if status is Status.PRECISION:
-        warn_of_precision(float(error.max()))
+        weights, endless = None, model.ends.has_improper_policy
+    else:
+        chain = PolicyChain.of(model, policy)
+        weights = chain.weights
+        endless = model.discount_exact == 1 and not chain.reaches_goal.all()
+    mdp, against = model.maximised, nature == "worst"
+    game = Game(mdp, ambiguity, against=against, weights=weights)
+    with np.errstate(over="ignore", invalid="ignore"):
+        if endless:
+            improper = RobustImproperPolicies.of(mdp, ambiguity, against=against, weights=weights)
+            found, pairs = _solve_finite_part(improper, tol, max_iterations)
+            # Nature's choice where the value is infinite does not matter for finite values.
+            asked = game.solve_inner_problem(np.where(np.isinf(found.value), 0.0, found.value))
+        else:
+            found = _iterate_values(game, tol, max_iterations)
+            asked, pairs = found.asked, found.choose_pairs(game)
+    share = game.choose_pairs(asked.value)
+    if policy is None:
+        share = game.take_pairs(pairs)
+    transition, earned = game.build_chain(asked.distributions, share)
+    if found.status is Status.PRECISION:
+        warn_of_precision(float(found.error.max()))
     return RobustSolution(
         mdp=model,
         nature=nature,
-        value=model.sense.orient(value),
-        state_error=error,
-        pairs=pairs,
-        transition=chain,
+        value=model.sense.orient(found.value),
+        state_error=found.error,
+        pairs=pairs if policy is None else None,
+        transition=transition,
         reward=model.sense.orient(earned),
-        status=status,
-        iterations=iterations,
+        status=found.status,
+        iterations=found.iterations,
         seconds=perf_counter() - started,
     )
 
@@ -177,153 +172,58 @@ def require_room_for_rows(model: MDP) -> None:
         )
 
 
-class Game:
-    """A model and nature's sets; T states that are not terminal, with U pairs that may be taken."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Iterated(BoundedVector):
+    """Values (S,) with error bounds, and how they were found."""
 
-    def __init__(
-        self, mdp: MDP, ambiguity: Ambiguity, *, against: bool, weights: Floats | None
-    ) -> None:
-        """Nature minimises if `against`, else maximises; `weights` (L,) fix a policy."""
-        self.mdp, self.ambiguity, self.against, self.weights = mdp, ambiguity, against, weights
-        self.rewards = True  # whether rewards count
-        self.live = np.flatnonzero(~mdp.terminal)
-        # A given policy leaves only the pairs that it takes.
-        taken = ~mdp.terminal[mdp.pair_state]
-        if weights is not None:
-            taken &= weights > 0
-        self.pairs = np.flatnonzero(taken)
-        state = mdp.pair_state[self.pairs]
-        self.first = np.searchsorted(state, self.live)  # (T,) the first of each state's pairs
-        self.row_state = np.searchsorted(self.live, state)  # (U,) the place of each state in `live`
-        table = mdp.table
-        rows = table.offsets[self.pairs], np.diff(table.offsets)[self.pairs]
-        outcomes = table.next, table.compute_probabilities(), table.compute_gains()
-        self.blocks = side_by_side(self.pairs, rows, outcomes)
+    asked: Inner  # nature's choice at these values
+    status: Status
+    iterations: int
 
-    def solve_inner_problem(self, value: Floats) -> Inner:
-        """Return nature's best distribution for each of `pairs`, at values (S,)."""
-        return solve_inner_problem(
-            self.ambiguity,
-            self.blocks,
-            value,
-            discount=self.mdp.discount,
-            against=self.against,
-            rewards=self.rewards,
-        )
-
-    def choose_pairs(self, q: Floats) -> Floats:
-        """Return (U,) the probability with which the agent takes each pair, given values (U,)."""
-        if self.weights is not None:
-            share = self.weights[self.pairs]
-            return np.asarray(share / np.add.reduceat(share, self.first)[self.row_state])
-        # The first of the best pairs in each state.
-        best = np.maximum.reduceat(q, self.first)
-        number = np.where(q == best[self.row_state], np.arange(len(q)), len(q))
-        share = np.zeros(len(q))
-        share[np.minimum.reduceat(number, self.first)] = 1.0
-        return share
-
-    def average_pairs(self, share: Floats, q: Floats) -> Floats:
-        """Return (T,) the mean of pair values (U,)."""
-        return np.asarray(np.add.reduceat(share * q, self.first))
-
-    def back_up_pairs(self, q: Floats) -> Floats:
-        """Return (T,) the values of states, given pair values (U,)."""
-        return self.average_pairs(self.choose_pairs(q), q)
-
-    def solve_chain(self, asked: Inner, share: Floats, order: Integers | None) -> Floats:
-        """Solve for the values (S,) under nature's choice and the agent's shares (U,)."""
-        chain, earned = self.build_chain(asked.distributions, share)
-        return LinearSystem(chain, self.mdp.discount, order=order).approximate(earned)
-
-    def build_chain(
-        self, distributions: list[Floats], share: Floats
-    ) -> tuple[sp.csr_array, Floats]:
-        """Return transitions (S, S) and rewards (S,) under distributions and shares (U,)."""
-        place, following, probability, earned = list_entries(self.blocks, distributions)
-        source, states = self.live[self.row_state], self.mdp.n_states
-        taken = share[place] > 0
-        place, following, probability = place[taken], following[taken], probability[taken]
-        parts = (probability * share[place], (source[place], following))
-        total = np.bincount(source, weights=earned * share, minlength=states)
-        return sp.csr_array(parts, (states, states)), np.asarray(total, dtype=np.float64)
+    def choose_pairs(self, game: Game) -> Integers:
+        """Return the pair (S,) that the agent takes in each state; the first in terminal ones."""
+        pairs = game.mdp.pair_offsets[:-1].copy()
+        if game.weights is None:
+            pairs[game.live] = game.pairs[game.choose_pairs(self.asked.value) == 1]
+        return pairs
 
 
-def verify_margins(game: Game) -> tuple[Floats, Floats]:
-    """Return weights (S,), and verified margins (T,) of the states that are not terminal."""
-    # A game in which both sides maximise the number of steps.
-    late = copy(game)
-    late.against, late.rewards = False, False
-    # Weights as in `bounds.bounds`: levels of an acyclic model, else 1, else expected steps.
-    order = game.mdp.ends.most_steps
-    if order is not None:
-        weight = order.astype(np.float64)
-    elif game.mdp.discount < 1:
-        weight = (~game.mdp.terminal).astype(np.float64)
-    else:
-        weight = _maximise_expected_steps(late)
-    # Verified by an upper bound on γ max Σ q w.
-    later = np.maximum.reduceat(late.solve_inner_problem(weight).high, game.first)
-    margin = np.asarray((weight[game.live] - later) * (1 - 4 * UNIT))
-    if not np.all(margin > 0):
-        what = "no margin against the worst distributions can be verified"
-        raise SolverError(Status.NO_BOUND, what)
-    return weight, margin
+def _solve_finite_part(
+    improper: RobustImproperPolicies, tol: float | None, max_iterations: int
+) -> tuple[_Iterated, Integers]:
+    """Return values (S,), infinite ones included, and the pairs (S,) that attain them."""
+    improper.require_applicable()
+    one_sign(improper.given, improper.sign)
+    whole = improper.apply()
+    part = improper.omit_losing_pairs(whole)
+    game = improper.build_game(part)
+    found = _iterate_values(game, tol, max_iterations)
+    improper.require_losses(whole, part, found)
+    values = improper.lift_values(part, found)
+    pairs = improper.lift_policy(part, found.choose_pairs(game))
+    return replace(found, value=values.value, error=values.error), pairs
 
 
-def _maximise_expected_steps(game: Game) -> Floats:
-    """Estimate the greatest expected number of steps, by policy iteration on both choices."""
-    mdp, live = game.mdp, ~game.mdp.terminal
-    weight = live.astype(np.float64)
-    for iteration in range(POLICIES):
-        asked = game.solve_inner_problem(weight)
-        gain = 1 + game.back_up_pairs(asked.value) - weight[game.live]
-        # If no pair adds half a step or more, all margins exceed a half.
-        if iteration and gain.max() < 0.5:
-            return weight
-        chain, _ = game.build_chain(asked.distributions, game.choose_pairs(asked.value))
-        # The expected number of steps is infinite if some state has no way to the end.
-        stuck = np.flatnonzero(~find_reachable_nodes(chain.T.tocsr(), mdp.terminal.copy()))
-        if len(stuck):
-            named = ", ".join(f"({label})" for label in mdp.space.labels(stuck[:4]))
-            more = ""
-            if len(stuck) > 4:
-                more = f" and {len(stuck) - 4} more"
-            raise ModelError(
-                "discount 1 needs every episode to end, and under some distributions within the "
-                "sets one does not",
-                where=f"it stays forever among {named}{more}",
-                fix="choose a discount below 1, or smaller sets that keep a way out possible",
-            )
-        weight = LinearSystem(chain).approximate(live.astype(np.float64))
-        if not np.all(np.isfinite(weight)):
-            break
-    what = "the end is too many steps away under the worst distributions"
-    raise SolverError(Status.NO_BOUND, what)
-
-
-def _iterate_values(
-    game: Game, tol: float | None, max_iterations: int
-) -> tuple[Status, Floats, Floats, Inner, int]:
-    """Return values and their errors (S,), nature's choice at them, and the iterations."""
+def _iterate_values(game: Game, tol: float | None, max_iterations: int) -> _Iterated:
+    """Return bounded values of a game in which every run ends, or the discount is below 1."""
     live, value, order = game.live, np.zeros(game.mdp.n_states), game.mdp.ends.most_steps
     if not len(live):
-        return Status.CONVERGED, value, value.copy(), game.solve_inner_problem(value), 0
+        return _Iterated(
+            value=value,
+            error=value.copy(),
+            asked=game.solve_inner_problem(value),
+            status=Status.CONVERGED,
+            iterations=0,
+        )
     # `best` is the least error so far, `trust` the one that solving the equations has to improve
     # on, and `step` the result of value iteration to fall back on.
     weight, margin = verify_margins(game)
     most, best, trust, step = float(weight.max()), np.inf, np.inf, value
-    if game.weights is None:
-        terms = 1
-    else:
-        terms = np.diff(np.append(game.first, len(game.pairs))).max() + 1
     for iteration in range(1, max_iterations + 1):
         # Both sides choose.
         asked, here = game.solve_inner_problem(value), value[live]
         share = game.choose_pairs(asked.value)
-        # Rounding errors of the mean over pairs and of the difference from the value.
-        size = np.abs(here) + np.maximum.reduceat(np.abs(asked.value), game.first)
-        doubt = 4 * UNIT * terms * size
+        doubt = game.bound_rounding(value, asked)
         # Bounds on T V - V, for the optimum and for the policy that takes these pairs.
         least = np.minimum(game.back_up_pairs(asked.low), game.average_pairs(share, asked.low))
         low = least - here - doubt
@@ -347,7 +247,10 @@ def _iterate_values(
                 status = Status.CONVERGED
             else:
                 status = Status.PRECISION
-            return status, value, np.asarray(error * weight * SLACK), asked, iteration
+            off = np.asarray(error * weight * SLACK)
+            return _Iterated(
+                value=value, error=off, asked=asked, status=status, iterations=iteration
+            )
         best = min(best, error)
         step = value.copy()
         step[live] = better
@@ -359,10 +262,6 @@ def _iterate_values(
         # whatever the bounds do on the way.
         if iteration > 20:
             trust = np.inf
-            for _ in range(100):
-                before = value
-                value = game.solve_chain(game.solve_inner_problem(value), share, order)
-                if not (np.abs(value - before) > 8 * UNIT * np.abs(before).max()).any():
-                    break
+            value = game.solve_nature(value, share, order)
     detail = f"{best * most:.2g} is the error bound after {max_iterations} iterations"
     raise SolverError(Status.ITERATION_LIMIT, detail)

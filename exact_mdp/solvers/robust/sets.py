@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.forms.numbers import float_array
+from exact_mdp.mdp.graph import Mask
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import BLOCK, FLOAT_ROW_TOLERANCE, Floats, Integers, exact, format_rational
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
@@ -48,6 +49,9 @@ class RowBlock:
     largest: Floats  # (K,) the greatest |gain| of each row
 
 
+LEFT = 8 * UNIT  # what is left of a probability is rounding, if it is no more than this
+
+
 class Ambiguity(ABC):
     """A set of distributions for each row, independent of others: (s, a)-rectangular."""
 
@@ -61,6 +65,13 @@ class Ambiguity(ABC):
     @abstractmethod
     def check(self, model: MDP) -> None:
         """Raise ModelError if this is not a set of distributions for the rows of a model."""
+
+    def keeps_outcomes(self, model: MDP) -> Mask:
+        """Return (L,) True for pairs all of whose outcomes are possible under every member.
+
+        A set that does not say so keeps those of pairs with a single outcome.
+        """
+        return np.asarray(np.diff(model.table.offsets) == 1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -139,6 +150,11 @@ class Intervals(Ambiguity):
                 fix="give 0 ≤ lower ≤ upper ≤ 1 with sums below and above 1",
             )
 
+    def keeps_outcomes(self, model: MDP) -> Mask:
+        """See `Ambiguity.keeps_outcomes`."""
+        kept = np.logical_and.reduceat(self.lower > 0, model.table.offsets[:-1])
+        return super().keeps_outcomes(model) | kept
+
     def minimise(self, block: RowBlock, payoff: Floats) -> tuple[Floats, Floats]:
         """See `Ambiguity.minimise`."""
         # Every outcome gets its lower bound; the remaining mass goes to the least payoffs first,
@@ -194,6 +210,15 @@ class L1Ball(Ball):
 
     NAME = "an L1 radius"
 
+    def keeps_outcomes(self, model: MDP) -> Mask:
+        """See `Ambiguity.keeps_outcomes`."""
+        p, pair = model.table.compute_probabilities(), model.table.pair
+        radius = np.broadcast_to(self.radius, model.n_pairs)
+        # What is left of an outcome has to be more than rounding, as in `minimise`.
+        kept = p - radius[pair] / 2 > LEFT
+        every = np.logical_and.reduceat(kept, model.table.offsets[:-1])
+        return super().keeps_outcomes(model) | every
+
     def minimise(self, block: RowBlock, payoff: Floats) -> tuple[Floats, Floats]:
         """See `Ambiguity.minimise`."""
         # Move mass from the greatest payoffs to the least: half the radius, as it counts twice.
@@ -206,7 +231,7 @@ class L1Ball(Ball):
         before = np.cumsum(mass, axis=1) - mass
         taken = np.clip(moved - before, 0.0, mass)
         # An outcome with nothing left but rounding becomes impossible.
-        mass = np.where(taken >= mass - 8 * UNIT, 0.0, mass - taken)
+        mass = np.where(taken >= mass - LEFT, 0.0, mass - taken)
         q = np.empty_like(p)
         np.put_along_axis(q, order, mass, axis=1)
         gained = np.take_along_axis(q, lowest, axis=1) + moved
@@ -296,7 +321,10 @@ def solve_inner_problem(
         if not np.isfinite(4 * size).all():
             raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
         # A maximum is minus the minimum of -x; the tolerance `short` is on nature's side.
-        if against:
+        if payoff.shape[1] == 1:
+            # A single outcome is certain.
+            q, below, above = np.ones_like(payoff), np.zeros(len(payoff)), np.zeros(len(payoff))
+        elif against:
             q, below = ambiguity.minimise(block, payoff)
             above = np.zeros(len(q))
         else:

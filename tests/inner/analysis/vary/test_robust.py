@@ -3,6 +3,7 @@
 import json
 from fractions import Fraction
 from itertools import product
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -234,3 +235,38 @@ def test_ranges_are_shares_of_today_unless_stated() -> None:
     assert today.value.value == 1.5
     one = worst_point(model, [0, 0], {"z": (0, 5)})
     assert ({**one.point}, one.corners) == ({"z": F(0)}, 2)
+
+
+def forever(sense: str, y: Any = "1/2") -> Family:
+    """State 0 earns x a step and ends with probability y; the other action ends, and earns z."""
+
+    def build(at: Any) -> MDP:
+        rows = [
+            (0, 0, [(at["y"], 1, at["x"]), (1 - at["y"], 0, at["x"])]),
+            (0, 1, [(1, 1, at["z"])]),
+        ]
+        return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])], sense=sense)
+
+    low, high = F(0), F(1)
+    parameters = [Parameter(name="x", value=1), Parameter(name="z", value=1)]
+    return Family(
+        parameters=(*parameters, Parameter(name="y", value=y, low=low, high=high)), build=build
+    )
+
+
+@pytest.mark.parametrize("sense", ["max", "min"])
+def test_a_value_may_be_infinite_at_the_worst_corner(sense: str) -> None:
+    """x / y is worst with y = 0, unless it ends for good."""
+    sign = 1 if sense == "max" else -1
+    worse, better = F(-sign), F(sign)
+    ranges: dict[str, Any] = {"x": sorted((2 * worse, worse)), "y": (0, "1/2"), "z": (0, 1)}
+    found = worst_point(forever(sense), [0, 0], ranges)
+    assert (found.value.value, found.point["y"]) == (-sign * inf, 0)
+    assert found.optimum.value == found.point["z"]
+    assert json.loads(found.report().json())["worst_case"]["value"] == f"{-sign * inf:g}"
+    # What grows without limit is the best of all: the worst corner ends.
+    ranges = {"x": sorted((better, 2 * better)), "y": (0, "1/2"), "z": (0, 1)}
+    found = worst_point(forever(sense), [0, 0], ranges)
+    assert (found.value.value, found.point["y"]) == (pytest.approx(2 * sign), F(1, 2))
+    whole = worst_point(forever(sense, 0), [0, 0], {"x": ranges["x"]})
+    assert (whole.value.value, whole.optimum.value) == (sign * inf, sign * inf)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from exact_mdp import MDP, Intervals, solve_robust
-from exact_mdp.solvers.robust.robust import Game, verify_margins
+from exact_mdp.solvers.robust.game import Game, verify_margins
 
 
 def drawn(seed: int, sense: str) -> MDP:

@@ -5,7 +5,15 @@ import pytest
 from scipy.optimize import linprog
 
 from exact_mdp import MDP, Intervals
-from exact_mdp.solvers.robust.sets import L1Ball, list_entries, side_by_side, solve_inner_problem
+from exact_mdp.solvers.robust.likelihood import Likelihood
+from exact_mdp.solvers.robust.sets import (
+    Ambiguity,
+    L1Ball,
+    RowBlock,
+    list_entries,
+    side_by_side,
+    solve_inner_problem,
+)
 
 RNG = np.random.default_rng(3)
 
@@ -57,3 +65,49 @@ def test_relative_intervals_end_at_0_and_1() -> None:
     found = Intervals.relative(mdp, "1/2")
     assert np.asarray(found.lower, float) == pytest.approx([0.45, 0.05, 0.5])
     assert np.asarray(found.upper, float) == pytest.approx([1, 0.15, 1])
+
+
+class Whole(Ambiguity):
+    """Every distribution: the least payoff is certain."""
+
+    def check(self, model: MDP) -> None:
+        pass
+
+    def minimise(self, block: RowBlock, payoff: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        least = payoff.argmin(axis=1)[:, None] == np.arange(payoff.shape[1])
+        return least.astype(float), np.zeros(len(payoff))
+
+
+def test_sets_say_of_which_pairs_all_outcomes_remain_possible() -> None:
+    """Rows of 1/10, 9/10; of 1/2, 1/2; and of one outcome."""
+    rows = [(0, 0, [("1/10", 0, 1), ("9/10", 1, 0)]), (0, 1, [("1/2", 0, 1), ("1/2", 1, 0)])]
+    mdp = MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])], "1/2")
+    chances = mdp.table.compute_probabilities()
+    for sets, kept in (
+        (Intervals.relative(mdp, "9/10"), [True, True]),
+        (Intervals.relative(mdp, 1), [False, False]),
+        (Intervals(lower=np.where(chances < 0.2, 0, chances), upper=np.ones(5)), [False, True]),
+        (L1Ball(radius="1/10"), [True, True]),
+        (L1Ball(radius="1/5"), [False, True]),
+        (L1Ball(radius=["1/10", 1, 2]), [True, False]),
+        (L1Ball(radius=["1/5", "99/100", 2]), [False, True]),
+        (Likelihood(radius=5), [True, True]),
+        (Whole(), [False, False]),
+    ):
+        assert sets.keeps_outcomes(mdp).tolist() == [*kept, True]
+
+
+def test_a_single_outcome_is_certain() -> None:
+    rows = [(0, 0, [(1, 1, 3)]), (1, 0, [(1, 1, 0)])]
+    mdp = MDP.from_outcomes(rows, "9/10")
+    blocks = side_by_side(
+        np.arange(2), (np.arange(2), np.ones(2, int)), (mdp.table.next, np.ones(2), mdp.reward)
+    )
+    for against in (True, False):
+        sets = Intervals(lower=np.full(2, 0.9), upper=np.ones(2))
+        found = solve_inner_problem(
+            sets, blocks, np.array([5.0, 10.0]), discount=0.9, against=against
+        )
+        assert found.value.tolist() == [12, 9]
+        assert (found.low <= [12, 9]).all()
+        assert (found.high >= [12, 9]).all()

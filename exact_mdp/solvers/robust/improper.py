@@ -1,0 +1,228 @@
+"""The reduction of improper policies in robust models at discount 1.
+
+If the sets keep all outcomes possible, nature cannot change which states a pair may lead to. Then
+end components, and the states that a policy reaches with probability 1, are those of the model
+itself, and `endless.improper` applies with three changes:
+
+- What a pair earns is judged by all of its outcomes, as nature chooses their probabilities.
+- Where a component has both gains and losses, the best gain g is that against nature. With T the
+  right side of the robust equation, T h > h for some h proves g > 0, and T h < h that g < 0; value
+  iteration finds h, with half a step at a time, so that it does not oscillate.
+- Pairs are left out so that every policy ends, and the robust values V of what remains are those of
+  the whole if each omitted pair is worth less than V. For let nature choose what is best for it at
+  V. Under these rows V is not exceeded by a policy that ends; any other has a recurrent class with
+  an omitted pair in it, hence with a negative gain, and is worth -∞.
+
+If nature can make an outcome impossible, it may keep a run where the model itself would let it
+leave. Then components of the other pairs become single states, and the rest has to end under all
+distributions, which margins prove; infinite values are refused.
+
+(Stochastic shortest paths: Bertsekas and Tsitsiklis, Mathematics of Operations Research 16, 1991;
+robust ones with end components: Wolff, Topcu and Murray, CDC 2012.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+
+import numpy as np
+
+from exact_mdp.mdp.advice import where_endless
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.graph import Mask
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.bounds.gains import BoundedVector
+from exact_mdp.solvers.claims import SolverError, Status
+from exact_mdp.solvers.endless.improper import ImproperPolicies
+from exact_mdp.solvers.endless.quotient import (
+    Quotient,
+    build_quotient,
+    choose_first_pairs,
+    choose_nearer_pairs,
+)
+from exact_mdp.solvers.robust.game import Game
+from exact_mdp.solvers.robust.sets import Ambiguity
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+
+STEPS = 1000  # of value iteration for a gain; more are needed only where it is almost 0
+
+
+@dataclass(frozen=True, eq=False)
+class RobustImproperPolicies(ImproperPolicies):
+    """The end components of a model of maximised rewards whose rows nature chooses.
+
+    `mdp` is the model `given`, or if `weights` (L,) fix a policy, the model without other choices.
+    """
+
+    given: MDP
+    ambiguity: Ambiguity
+    against: bool
+    weights: Floats | None
+
+    @classmethod
+    def of(
+        cls, given: MDP, ambiguity: Ambiguity, *, against: bool, weights: Floats | None
+    ) -> RobustImproperPolicies:
+        """Return the end components of a model, or of a policy that `weights` (L,) give."""
+        mdp = given
+        if weights is not None:
+            mdp = PolicyChain.of(given, weights).model
+        return cls(mdp, given, ambiguity, against, weights)
+
+    @cached_property
+    def closed(self) -> Mask:
+        """(L,) True for pairs of the given model of which nature can make an outcome impossible."""
+        closed = ~self.ambiguity.keeps_outcomes(self.given)
+        closed &= ~self.given.terminal[self.given.pair_state]
+        if self.weights is not None:
+            closed &= self.weights > 0
+        return np.asarray(closed)
+
+    def require_applicable(self) -> None:
+        """Raise ModelError if nature can close a way, or if gains and losses may cancel."""
+        if self.closed.any() and self.sign.any():
+            raise self._refuse_closed_ways()
+        if not self.applies:
+            raise ModelError(
+                "some policy never ends, and nature decides whether its gains or its losses are "
+                "greater, or both +∞ and -∞ can be reached",
+                where=where_endless(self.mdp),
+                fix="choose a discount below 1",
+            )
+
+    def _refuse_closed_ways(self) -> ModelError:
+        return ModelError(
+            "some policy never ends, or misses the goal, and under some distributions within the "
+            "sets an outcome is impossible",
+            where=self.given.where(int(self.closed.argmax())),
+            fix="choose smaller sets that keep every outcome possible, or a discount below 1",
+        )
+
+    # ---- what `ImproperPolicies` asks --------------------------------------------------------
+
+    @cached_property
+    def maximal(self) -> tuple[Integers, Mask]:
+        """See `ImproperPolicies.maximal`: of pairs whose outcomes all remain possible."""
+        open_pairs = ~self.closed
+        if self.weights is not None:
+            open_pairs = np.logical_and.reduceat(open_pairs, self.given.pair_offsets[:-1])
+        return self.graph.end_components(
+            open_pairs & ~self.mdp.ends.destination[self.mdp.pair_state]
+        )
+
+    @cached_property
+    def reward_signs(self) -> tuple[Mask, Mask]:
+        """(L,) True for pairs that earn in some outcome, and (L,) True for those that lose."""
+        table = self.mdp.table
+        earns, loses = (np.asarray(each, dtype=bool) for each in (table.gain > 0, table.gain < 0))
+        if len(table.gain) == table.pairs:
+            return earns, loses
+        first = table.offsets[:-1]
+        return np.logical_or.reduceat(earns, first), np.logical_or.reduceat(loses, first)
+
+    def find_gain_signs(self, own: Quotient) -> Integers:
+        """See `ImproperPolicies.find_gain_signs`."""
+        return self._solve_gain(own)[0]
+
+    @cached_property
+    def applies(self) -> bool:
+        """Whether signs decide.
+
+        A gain that is unclear is not above 0, or else the values of the finite model are refused;
+        but it may be 0, so that without a goal staying has no value.
+        """
+        if self.mdp.ends.has_goal:
+            return True
+        gain_sign, cancels = self.gains
+        every = np.ones(self.mdp.n_pairs, dtype=bool)
+        reachable = self.graph.compute_distance(gain_sign > 0, every) >= 0
+        idle = self.zero_reward[0]
+        with_idle = np.isin(self.maximal[0], np.unique(self.maximal[0][idle >= 0]))
+        open_signs = cancels & ~with_idle & (self.sign <= 0)
+        return not (open_signs | reachable & (self.sign <= 0)).any()
+
+    def choose_pairs_that_earn(self, numbers: Integers, pairs: Integers) -> None:
+        """See `ImproperPolicies.choose_pairs_that_earn`."""
+        (component, inside), (earns, loses) = self.maximal, self.reward_signs
+        # Without losses it is enough to come back to a pair that earns.
+        mixed = np.unique(component[self.mdp.pair_state[inside & loses]])
+        here = inside & np.isin(component, np.setdiff1d(numbers, mixed))[self.mdp.pair_state]
+        earning = here & earns
+        choose_nearer_pairs(self.graph, self.graph.find_states_with(earning), here, pairs)
+        choose_first_pairs(self.graph, earning, pairs)
+        # Otherwise the policy that proves the gain.
+        chosen = np.isin(component, np.intersect1d(numbers, mixed))
+        if chosen.any():
+            own = self.extract_components(np.intersect1d(numbers, mixed))
+            pairs[chosen] = own.source[self._solve_gain(own)[1]]
+
+    def build_part(
+        self, pairs: Mask, new_state: Integers, stops: Sequence[tuple[int, Fraction]] = ()
+    ) -> Quotient:
+        """Return a model of pairs of the given model, as its rows are what nature chooses."""
+        if self.weights is None:
+            return super().build_part(pairs, new_state, stops)
+        # The model without other choices has one pair for each state, or those that are taken.
+        states = self.graph.find_states_with(pairs)
+        own = np.flatnonzero((self.weights > 0) & states[self.given.pair_state])
+        return build_quotient(self.given, own, new_state, stops=stops)
+
+    # ---- gains -------------------------------------------------------------------------------
+
+    def build_game(self, part: Quotient) -> Game:
+        """Return the game that is played in a part of the given model."""
+        return Game(
+            self.given, self.ambiguity, against=self.against, weights=self.weights, part=part
+        )
+
+    def _solve_gain(self, own: Quotient) -> tuple[Integers, Integers]:
+        """Return the sign of each state's gain, 0 if unclear, and pairs with a gain of this sign.
+
+        `own` is a model of components, whose last state is an end that none reaches.
+        """
+        game, value = self.build_game(own), np.zeros(own.mdp.n_states)
+        # Number the components from 0.
+        states = own.new_state < own.mdp.n_states - 1
+        component = np.unique(self.maximal[0][states], return_inverse=True)[1]
+        count = int(component.max()) + 1
+        for _ in range(STEPS):
+            asked, here = game.solve_inner_problem(value), value[game.live]
+            share, doubt = game.choose_pairs(asked.value), game.bound_rounding(value, asked)
+            least, greatest = np.full(count, np.inf), np.full(count, -np.inf)
+            np.minimum.at(least, component, game.average_pairs(share, asked.low) - here - doubt)
+            np.maximum.at(greatest, component, game.back_up_pairs(asked.high) - here + doubt)
+            sign = (least > 0).astype(np.int64) - (greatest < 0)
+            if sign.all():
+                break
+            value[game.live] += (game.average_pairs(share, asked.value) - here) / 2
+        chosen = np.maximum.reduceat(np.where(share > 0, game.pairs, -1), game.first)
+        return sign[component], chosen
+
+    # ---- the finite model --------------------------------------------------------------------
+
+    def omit_losing_pairs(self, whole: Quotient) -> Quotient:
+        """Return the part of a finite model in which every policy ends; one policy does."""
+        if self.weights is not None:
+            return whole
+        try:
+            return whole.omit_losing_pairs(self.build_game(whole).improve_policy)
+        except SolverError as error:
+            if self.closed.any():
+                raise self._refuse_closed_ways() from error
+            raise
+
+    def require_losses(self, whole: Quotient, part: Quotient, found: BoundedVector) -> None:
+        """Raise SolverError unless the omitted pairs are worth less than the values of the part."""
+        game = self.build_game(whole)
+        left_out = ~np.isin(game.source, part.source)
+        if not left_out.any():
+            return
+        high = np.nextafter(found.value + found.error, np.inf)
+        low = np.nextafter(found.value - found.error, -np.inf)
+        worth = game.solve_inner_problem(high).high
+        if not (worth < low[game.live][game.row_state])[left_out].all():
+            raise SolverError(Status.NO_BOUND, "staying forever loses too little a step")
