@@ -23,8 +23,6 @@ from small_models import (
 from exact_mdp import MDP, ModelError, SolverError, evaluate, solve
 from exact_mdp.solvers.bounds.gains import BoundedVector
 from exact_mdp.solvers.claims import Bounded, Status
-from exact_mdp.solvers.dynamic.methods import ModifiedPolicyIteration
-from exact_mdp.solvers.values import policy_values as module
 from exact_mdp.solvers.values.evaluate import Evaluation
 from exact_mdp.solvers.values.policy_chain import PolicyEquations
 
@@ -331,30 +329,6 @@ def test_rewards_that_cancel_for_ever_have_a_mean() -> None:
 
 
 # ---- floats and their limits ---------------------------------------------------------------------
-
-
-def test_next_to_discount_1_values_are_improved_in_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    used = list[MDP]()
-
-    class Counting(ModifiedPolicyIteration):
-        def solve(self, model: MDP) -> Any:
-            used.append(model)
-            return super().solve(model)
-
-    monkeypatch.setattr(module, "ModifiedPolicyIteration", Counting)
-    for discount, rounds in ((F(1), 0), (F(99, 100), 0), (1 - F(1, 10**9), 1)):
-        for mdp, chances, law in cases(discount, 3):
-            mean = oracle.policy_values(law_of(mdp, chances), discount, ends_of(mdp))
-            for value, error, exact in zip(law.value, law.error, mean, strict=True):
-                holds(Bounded(value=value, error=error), exact, 1e-5)
-            assert len(used) == rounds
-            used.clear()
-    monkeypatch.setattr(module, "COMPILED", 0)  # many transitions: of a pure policy alone
-    for seed, rounds in ((0, 1), (1, 0)):
-        mdp = small_model(seed, 1 - F(1, 10**9))
-        evaluate(mdp, given(random_policy(mdp, seed, pure=seed == 0)))
-        assert len(used) == rounds
-        used.clear()
 
 
 def test_errors_of_rewards_that_cancel_are_in_the_bound() -> None:
