@@ -512,6 +512,35 @@ def test_a_flow_ends_where_no_objective_is_earned_any_more() -> None:
     assert flow_of(of, "random").to_numbers() == {0: 1}
 
 
+def test_a_flow_ends_where_a_policy_stays_and_nothing_is_counted() -> None:
+    """Half of all runs come from state 0 to a ring, in which only an event happens."""
+    rows: Any = [
+        (0, 0, [(F(1, 2), 1, -1), (F(1, 2), 3, -1)]),
+        (0, 1, [(1, 4, -1)]),
+        (1, 0, [(1, 2, 0)]),
+        (2, 0, [(1, 1, 0)]),
+        (2, 1, [(1, 3, -3)]),
+        (3, 0, [(1, 3, 0)]),
+        (4, 0, [(1, 4, -1)]),  # loses forever
+        (4, 1, [(1, 3, -1)]),
+    ]
+    mdp = MDP.from_outcomes(rows, labels={"goal": [False, False, False, True, False]})
+    bits = (mdp.table.pair == 2).astype(np.uint8)
+    mdp = mdp.with_(table=replace(mdp.table, event=bits), events=("seen",))
+    leaves, stays, loses = [0, 0, 1, 0, 0], [0, 0, 0, 0, 0], [1, 0, 1, 0, 0]
+    of, until = Objectives(mdp, ["reward"]), Objectives(mdp.negated().until("goal"), ["reward"])
+    assert of.reduced
+    assert until.reduced
+    assert flow_of(of, stays).compute_totals(of) == (-1,)
+    for each in (of, until):
+        assert flow_of(each, leaves).compute_totals(each) == (F(-5, 2),)
+    # To stay in the ring is to miss the goal.
+    for each, policy, place in ((of, loses, 4), (until, loses, 4), (until, stays, 1)):
+        with pytest.raises(ModelError, match="its totals are not finite") as refused:
+            flow_of(each, policy)
+        assert f"state {place}" in str(refused.value)
+
+
 class Earning(OfPolicy):
     def __init__(self, chain: PolicyChain) -> None:
         self.chain = chain
