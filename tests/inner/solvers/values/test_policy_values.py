@@ -40,6 +40,11 @@ def test_what_is_earned_forever_is_infinite_and_what_is_not_met_may_be_unknown()
     assert (ends.value[[0, 2]].tolist(), ends.settled) == ([3, 0], True)
     assert (ends.value[1], ends.error[1]) == (inf, 0)
     assert ends.error[[0, 2]].max() < 1e-12
+    # What is not met is in no bound: errors shrink with the rewards.
+    rows[1] = (0, 1, [(1, 2, F(3, 2**100))])
+    small = find_policy_values(PolicyChain.of(MDP.from_outcomes(rows), [1, 0, 0]))
+    assert small.value.tolist() == [3 / 2**100, inf, 0]
+    assert small.error.max() < 1e-12 / 2**100
 
 
 def test_rewards_that_cancel_forever_have_the_mean_of_discounts_next_to_1() -> None:
